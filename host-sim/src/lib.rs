@@ -1,0 +1,1 @@
+//! Simulator and workbench of foretorque.

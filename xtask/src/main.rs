@@ -1,0 +1,3 @@
+//! Set-up, demo and test of foretorque in one command each.
+
+fn main() {}
