@@ -1,0 +1,14 @@
+//! Inverse dynamics on the base parameters. Knows nothing of learning.
+
+mod friction;
+mod regressor;
+mod rnea;
+
+pub use friction::{FRICTION_COLUMNS, FrictionParameters, friction, friction_row};
+pub use regressor::regressor_row;
+pub use rnea::rnea;
+
+use nalgebra::SVector;
+
+/// The base parameters of an arm: links first, rotor inertias after them.
+pub type BaseParameters<const P: usize> = SVector<f32, P>;

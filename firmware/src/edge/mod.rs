@@ -1,0 +1,1 @@
+//! Everything that touches the world outside the tick: frames, parameter bank, telemetry, hardware adapters.

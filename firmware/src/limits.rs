@@ -1,0 +1,1 @@
+//! Saturation, slew and flags of the torque that leaves the tick.
