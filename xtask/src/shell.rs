@@ -96,6 +96,8 @@ pub(crate) fn run_bounded(command: &mut Command, limit: Duration) -> Result<()> 
             .lines()
             .find(|line| line.starts_with("error"))
             .unwrap_or("error: no reason given");
+        // rustup writes its whole chain of causes on that line.
+        let reason: String = reason.chars().take(160).collect();
         bail!("`{}`: {reason}", line(command));
     }
     Ok(())
