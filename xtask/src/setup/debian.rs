@@ -80,7 +80,10 @@ pub(crate) fn install(emulator: bool, rust: bool) -> Result<()> {
         "-o",
         "Acquire::http::Timeout=30",
     ];
-    run(as_root(&["apt-get", "update"])?.args(patience))?;
+    // One broken source among many fails the update; the lists of the others may still suffice.
+    if let Err(error) = run(as_root(&["apt-get", "update"])?.args(patience)) {
+        println!("set-up: {error:#}; going on with the lists that are here");
+    }
     let mut packages = Vec::new();
     if emulator {
         packages.push("qemu-system-arm");
