@@ -20,6 +20,13 @@ pub(super) struct LinkMotion {
 }
 
 impl LinkMotion {
+    const ZERO: Self = Self {
+        omega: Vector::ZERO,
+        alpha: Vector::ZERO,
+        a: Vector::ZERO,
+        u: Matrix::ZERO,
+    };
+
     /// The base: at rest, accelerating with −g, which makes every link feel gravity (Craig 2005, section 6.5).
     #[inline(always)]
     pub(super) fn base<A: Arm<N, P>, const N: usize, const P: usize>() -> Self {
@@ -78,10 +85,19 @@ pub(super) fn rotation<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Matrix {
     let pair = sin_cos(q);
     let (s, c) = (Term::variable(pair.sin), Term::variable(pair.cos));
-    Matrix(A::PLACEMENTS[joint].rot_parent_child.map(|row| {
-        let [x, y, z] = Vector::constant(row).0;
-        Vector([x * c + y * s, y * c - x * s, z])
-    }))
+    let [first, second, third] = A::PLACEMENTS[joint].rot_parent_child;
+    Matrix([
+        turned(first, s, c),
+        turned(second, s, c),
+        turned(third, s, c),
+    ])
+}
+
+/// A row of a constant rotation, times `Rz` of the angle with sine `s` and cosine `c`.
+#[inline(always)]
+fn turned(row: [f32; 3], s: Term, c: Term) -> Vector {
+    let [x, y, z] = Vector::constant(row).0;
+    Vector([x * c + y * s, y * c - x * s, z])
 }
 
 /// Rotations and motions of all links, base to tool.
@@ -100,7 +116,7 @@ impl<const N: usize> Chain<N> {
         let base = LinkMotion::base::<A, N, P>();
         let mut chain = Self {
             rot: [Matrix::ZERO; N],
-            link: [base; N],
+            link: [LinkMotion::ZERO; N],
         };
         outward!(I < N {
             let parent = if I == 0 { base } else { chain.link[I.saturating_sub(1)] };

@@ -50,7 +50,10 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
 /// A base parameter as a term: zero, known while compiling, when it is not in the base set.
 #[inline(always)]
 fn parameter<const P: usize>(beta: &BaseParameters<P>, index: Option<usize>) -> Term {
-    index.map_or(Term::ZERO, |index| Term::variable(beta[index]))
+    match index {
+        Some(index) => Term::variable(beta[index]),
+        None => Term::ZERO,
+    }
 }
 
 /// Force f and moment n about the origin of the frame they are expressed in.
@@ -83,13 +86,24 @@ impl LinkParameters {
         beta: &BaseParameters<P>,
         link: usize,
     ) -> Self {
-        let all = BaseSet::<A, N, P>::LINK[link].map(|index| parameter(beta, index));
-        let [mass, mx, my, mz, xx, yy, zz, xy, xz, yz] = all;
+        let [m, mx, my, mz, xx, yy, zz, xy, xz, yz] = BaseSet::<A, N, P>::LINK[link];
         Self {
-            mass,
-            first_moment: Vector([mx, my, mz]),
-            diagonal: [xx, yy, zz],
-            products: [xy, xz, yz],
+            mass: parameter(beta, m),
+            first_moment: Vector([
+                parameter(beta, mx),
+                parameter(beta, my),
+                parameter(beta, mz),
+            ]),
+            diagonal: [
+                parameter(beta, xx),
+                parameter(beta, yy),
+                parameter(beta, zz),
+            ],
+            products: [
+                parameter(beta, xy),
+                parameter(beta, xz),
+                parameter(beta, yz),
+            ],
         }
     }
 
