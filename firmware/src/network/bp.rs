@@ -90,7 +90,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     pub fn hidden(&self, x: &SVector<f32, I>) -> SVector<f32, H> {
         let mut a = self.hidden_bias;
         sweep(&self.hidden_weights, x, &mut a);
-        for a in a.iter_mut() {
+        for a in a.as_mut_slice() {
             *a = A::value(*a);
         }
         a

@@ -1,6 +1,6 @@
 use super::activation::Activation;
 use super::bp::BpNetwork;
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 
 /// How an incremental step is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,12 +70,12 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         let sensitivity = 1.0 + squared(&a) + (1.0 + squared(x)) * self.hidden_sensitivity(&a);
         let rate = step.learning_rate / (1.0 + sensitivity);
         // A sum of the step's factors is finite only if each is; the weights are touched after that, never before.
-        let probe = 0.0 * (rate + deltas.hidden.sum() + deltas.output.sum() + squared(x));
+        let probe = 0.0 * (rate + sum(&deltas.hidden) + sum(&deltas.output) + squared(x));
         if probe == 0.0 {
-            descend(&mut self.output_weights.data.0, &a, &deltas.output, rate);
-            self.output_bias -= deltas.output * rate;
-            descend(&mut self.hidden_weights.data.0, x, &deltas.hidden, rate);
-            self.hidden_bias -= deltas.hidden * rate;
+            descend(&mut self.output_weights, &a, &deltas.output, rate);
+            descend_bias(&mut self.output_bias, &deltas.output, rate);
+            descend(&mut self.hidden_weights, x, &deltas.hidden, rate);
+            descend_bias(&mut self.hidden_bias, &deltas.hidden, rate);
         }
         error
     }
@@ -84,8 +84,12 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     #[inline]
     fn propagate_back(&self, a: &SVector<f32, H>, output: SVector<f32, O>) -> Deltas<H, O> {
         let mut hidden = *a;
-        for (delta, column) in hidden.iter_mut().zip(&self.output_weights.data.0) {
-            let back: f32 = column.iter().zip(output.iter()).map(|(w, d)| w * d).sum();
+        let columns = &self.output_weights.data.0;
+        for (delta, column) in hidden.as_mut_slice().iter_mut().zip(columns) {
+            let mut back = 0.0;
+            for (weight, output) in column.iter().zip(output.as_slice()) {
+                back += weight * output;
+            }
             *delta = A::slope(*delta) * back;
         }
         Deltas { output, hidden }
@@ -95,9 +99,12 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     #[inline]
     fn hidden_sensitivity(&self, a: &SVector<f32, H>) -> f32 {
         let mut sum = 0.0;
-        for (&a, column) in a.iter().zip(&self.output_weights.data.0) {
+        for (&a, column) in a.as_slice().iter().zip(&self.output_weights.data.0) {
             let slope = A::slope(a);
-            let reach: f32 = column.iter().map(|w| w * w).sum();
+            let mut reach = 0.0;
+            for weight in column {
+                reach += weight * weight;
+            }
             sum += slope * slope * reach;
         }
         sum
@@ -107,16 +114,33 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
 /// `W ← W − rate · delta sourceᵀ`, column by column.
 #[inline]
 fn descend<const R: usize, const C: usize>(
-    columns: &mut [[f32; R]; C],
+    weights: &mut SMatrix<f32, R, C>,
     source: &SVector<f32, C>,
     delta: &SVector<f32, R>,
     rate: f32,
 ) {
-    for (column, source) in columns.iter_mut().zip(source.iter()) {
+    let [delta] = &delta.data.0;
+    for (column, source) in weights.data.0.iter_mut().zip(source.as_slice()) {
         let scale = rate * source;
-        for (weight, delta) in column.iter_mut().zip(delta.iter()) {
+        // Eight at a time: that many deltas and weights fit the registers.
+        let (blocks, rest) = column.as_chunks_mut::<8>();
+        let (delta_blocks, delta_rest) = delta.as_chunks::<8>();
+        for (block, delta) in blocks.iter_mut().zip(delta_blocks) {
+            for (weight, delta) in block.iter_mut().zip(delta) {
+                *weight -= scale * delta;
+            }
+        }
+        for (weight, delta) in rest.iter_mut().zip(delta_rest) {
             *weight -= scale * delta;
         }
+    }
+}
+
+/// `b ← b − rate · delta`.
+#[inline]
+fn descend_bias<const R: usize>(bias: &mut SVector<f32, R>, delta: &SVector<f32, R>, rate: f32) {
+    for (bias, delta) in bias.as_mut_slice().iter_mut().zip(delta.as_slice()) {
+        *bias -= rate * delta;
     }
 }
 
@@ -134,7 +158,12 @@ fn clip(value: f32, bound: f32) -> f32 {
 
 #[inline]
 fn squared<const R: usize>(v: &SVector<f32, R>) -> f32 {
-    v.iter().map(|v| v * v).sum()
+    v.as_slice().iter().map(|v| v * v).sum()
+}
+
+#[inline]
+fn sum<const R: usize>(v: &SVector<f32, R>) -> f32 {
+    v.as_slice().iter().sum()
 }
 
 #[cfg(test)]
