@@ -18,6 +18,8 @@ struct Deltas<const H: usize, const O: usize> {
     output: SVector<f32, O>,
     /// `d` at the inputs of the hidden units.
     hidden: SVector<f32, H>,
+    /// `Σ_h slope(a_h)² |W2_h|²`: how far the outputs move with the inputs of the hidden units.
+    sensitivity: f32,
 }
 
 impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I, H, O, A> {
@@ -67,7 +69,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         let error = self.output(&a) - target;
         let clipped = error.map(|e| clip(e, step.error_clip));
         let deltas = self.propagate_back(&a, clipped);
-        let sensitivity = 1.0 + squared(&a) + (1.0 + squared(x)) * self.hidden_sensitivity(&a);
+        let sensitivity = 1.0 + squared(&a) + (1.0 + squared(x)) * deltas.sensitivity;
         let rate = step.learning_rate / (1.0 + sensitivity);
         // A sum of the step's factors is finite only if each is; the weights are touched after that, never before.
         let probe = 0.0 * (rate + sum(&deltas.hidden) + sum(&deltas.output) + squared(x));
@@ -84,30 +86,24 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     #[inline]
     fn propagate_back(&self, a: &SVector<f32, H>, output: SVector<f32, O>) -> Deltas<H, O> {
         let mut hidden = *a;
+        let mut sensitivity = 0.0;
         let columns = &self.output_weights.data.0;
         for (delta, column) in hidden.as_mut_slice().iter_mut().zip(columns) {
             let mut back = 0.0;
+            let mut reach = 0.0;
             for (weight, output) in column.iter().zip(output.as_slice()) {
                 back += weight * output;
-            }
-            *delta = A::slope(*delta) * back;
-        }
-        Deltas { output, hidden }
-    }
-
-    /// `Σ_h slope(a_h)² |W2_h|²`: how far the outputs move with the inputs of the hidden units.
-    #[inline]
-    fn hidden_sensitivity(&self, a: &SVector<f32, H>) -> f32 {
-        let mut sum = 0.0;
-        for (&a, column) in a.as_slice().iter().zip(&self.output_weights.data.0) {
-            let slope = A::slope(a);
-            let mut reach = 0.0;
-            for weight in column {
                 reach += weight * weight;
             }
-            sum += slope * slope * reach;
+            let slope = A::slope(*delta);
+            sensitivity += slope * slope * reach;
+            *delta = slope * back;
         }
-        sum
+        Deltas {
+            output,
+            hidden,
+            sensitivity,
+        }
     }
 }
 
@@ -119,18 +115,22 @@ fn descend<const R: usize, const C: usize>(
     delta: &SVector<f32, R>,
     rate: f32,
 ) {
-    let [delta] = &delta.data.0;
-    for (column, source) in weights.data.0.iter_mut().zip(source.as_slice()) {
-        let scale = rate * source;
-        // Eight at a time: that many deltas and weights fit the registers.
-        let (blocks, rest) = column.as_chunks_mut::<8>();
-        let (delta_blocks, delta_rest) = delta.as_chunks::<8>();
-        for (block, delta) in blocks.iter_mut().zip(delta_blocks) {
-            for (weight, delta) in block.iter_mut().zip(delta) {
-                *weight -= scale * delta;
+    let columns = &mut weights.data.0;
+    let (eights, rest) = delta.as_slice().as_chunks::<8>();
+    // Eight deltas stay in registers while the columns go by.
+    for (index, delta) in eights.iter().enumerate() {
+        for (column, source) in columns.iter_mut().zip(source.as_slice()) {
+            let scale = rate * source;
+            if let Some(weights) = column.as_chunks_mut::<8>().0.get_mut(index) {
+                for (weight, delta) in weights.iter_mut().zip(delta) {
+                    *weight -= scale * delta;
+                }
             }
         }
-        for (weight, delta) in rest.iter_mut().zip(delta_rest) {
+    }
+    for (column, source) in columns.iter_mut().zip(source.as_slice()) {
+        let scale = rate * source;
+        for (weight, delta) in column.as_chunks_mut::<8>().1.iter_mut().zip(rest) {
             *weight -= scale * delta;
         }
     }
