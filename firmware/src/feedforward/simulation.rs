@@ -227,9 +227,11 @@ fn the_error_on_an_unseen_path_falls_to_an_eighth_within_thirty_seconds() {
         let (before, joints) = nrmse(&prior, &unseen);
         println!("prior {seed}:         NRMSE {before:.4}, joints {joints:.3?}");
         let mut after = before;
+        let mut clipped = 0;
         for second in 1..=30 {
             for tick in 0..1000 {
-                board.tick(&plant.sample((second - 1) * 1000 + tick));
+                let torque = board.tick(&plant.sample((second - 1) * 1000 + tick));
+                clipped += u32::from(torque.flags.contains(Flags::LEARNED_CLIPPED));
             }
             if [1, 2, 5, 10, 20, 30].contains(&second) {
                 let joints;
@@ -241,6 +243,10 @@ fn the_error_on_an_unseen_path_falls_to_an_eighth_within_thirty_seconds() {
             }
         }
         assert!(after < before / 8.0, "{after} of {before}");
+        assert_eq!(
+            clipped, 0,
+            "the bound on what was learnt leaves no room for this prior"
+        );
         assert_eq!(board.feedforward.state().late_sets, 0);
     }
 }
