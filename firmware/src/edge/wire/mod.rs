@@ -9,12 +9,13 @@ mod message;
 mod scaled;
 pub mod size;
 
+pub(crate) use codec::CRC;
 pub use codec::{EncodeError, FrameBuffer, encode};
 pub use decoder::{DecodeError, Decoder, FrameView};
 pub use message::{
-    BOARD_MESSAGES, BoardHello, BoardMessage, CHUNK, Capabilities, Chunk, Configuration,
-    CounterKind, EvaluatedFrame, FullTorqueFrame, HOST_MESSAGES, HostMessage, MotionFrame,
-    NackReason, Name, Pacing, ReplyMode, ResetReason, SampleFlags, SampleFrame, TorqueFrame,
+    BoardHello, BoardMessage, CHUNK, Capabilities, Chunk, Configuration, CounterKind,
+    EvaluatedFrame, FullTorqueFrame, HostMessage, MotionFrame, NackReason, Name, Pacing, ReplyMode,
+    ResetReason, SampleFlags, SampleFrame, TorqueFrame,
 };
 pub use scaled::{Acceleration, Effort, I16, I24, Position, Velocity};
 
