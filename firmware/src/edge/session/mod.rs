@@ -423,3 +423,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
 fn seconds(configuration: &Configuration) -> f32 {
     configuration.period_us as f32 * 1e-6
 }
+
+#[cfg(test)]
+mod tests;

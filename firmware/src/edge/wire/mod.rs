@@ -10,6 +10,8 @@ mod scaled;
 pub mod size;
 
 pub(crate) use codec::CRC;
+#[cfg(test)]
+pub(crate) use codec::encode_as;
 pub use codec::{EncodeError, FrameBuffer, encode};
 pub use decoder::{DecodeError, Decoder, FrameView};
 pub use message::{
