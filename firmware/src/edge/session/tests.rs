@@ -1,5 +1,7 @@
 use super::*;
 use crate::arm::ur5::Ur5;
+use crate::edge::bank::BankError;
+use crate::edge::wire::NackReason;
 use crate::edge::wire::{CHUNK, CRC, Chunk, encode, encode_as};
 use crate::feedforward::Torque;
 use crate::joint::{JointMeasurement, JointSample, JointVector};
