@@ -15,9 +15,9 @@ pub enum Pacing {
 /// How much of the torque is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ReplyMode {
-    /// The shares of one joint a tick: [`TorqueFrame`].
+    /// The shares of one joint a tick: [`TorqueFrame`](super::TorqueFrame).
     Decimated,
-    /// All shares: [`FullTorqueFrame`].
+    /// All shares: [`FullTorqueFrame`](super::FullTorqueFrame).
     Full,
 }
 
