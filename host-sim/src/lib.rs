@@ -1,1 +1,2 @@
 //! Simulator and workbench of foretorque.
+pub mod board;
