@@ -3,10 +3,10 @@
 //! The plant here is the rigid-body model itself with other parameters, and friction with a Stribeck curve that the
 //! linear columns cannot follow. Measured positions are rounded as a 17-bit encoder does; torque carries noise.
 
+use super::{FeedForward, FeedForwardConfig, ParameterSet, evaluate};
 use crate::arm::Arm;
 use crate::arm::ur5::Ur5;
 use crate::dynamics::{FrictionParameters, rnea};
-use super::{FeedForward, FeedForwardConfig, ParameterSet, evaluate};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::learning::{Exchange, Learner, LearnerConfig, Lesson};
 
@@ -23,7 +23,10 @@ struct Dice(u64);
 
 impl Dice {
     fn roll(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
 
@@ -106,7 +109,11 @@ fn wrong_prior(seed: u64) -> Set {
     let mut dice = Dice(seed);
     let mut set = Set::nominal::<Ur5>(1);
     for (i, value) in set.rigid.iter_mut().enumerate() {
-        *value *= if i >= 36 || dice.roll() < 0.0 { 0.8 } else { 1.2 };
+        *value *= if i >= 36 || dice.roll() < 0.0 {
+            0.8
+        } else {
+            1.2
+        };
     }
     set.friction = core::array::from_fn(|j| FrictionParameters {
         viscous: (0.6 * VISCOUS[j]) as f32,
@@ -131,14 +138,23 @@ fn nrmse(set: &Set, unseen: &Fourier, gate: f32) -> (f64, [f64; N]) {
         }
     }
     let ratio: [f64; N] = core::array::from_fn(|j| error[j] / power[j]);
-    ((ratio.iter().sum::<f64>() / N as f64).sqrt(), ratio.map(f64::sqrt))
+    (
+        (ratio.iter().sum::<f64>() / N as f64).sqrt(),
+        ratio.map(f64::sqrt),
+    )
 }
 
 /// The sets active after each of `seconds`, and the learner.
-fn learn(config: LearnerConfig<N, P>, prior: Set, seconds: &[u32], mut seen: impl FnMut(u32, &Set)) -> Learner<Ur5, N, P> {
+fn learn(
+    config: LearnerConfig<N, P>,
+    prior: Set,
+    seconds: &[u32],
+    mut seen: impl FnMut(u32, &Set),
+) -> Learner<Ur5, N, P> {
     let motion = Fourier::new(3, 10.0, 2.4);
     let mut noise = Dice(77);
-    let mut feedforward = FeedForward::<Ur5, N, P>::new(FeedForwardConfig::for_arm::<Ur5, P>(1e-3), prior).unwrap();
+    let mut feedforward =
+        FeedForward::<Ur5, N, P>::new(FeedForwardConfig::for_arm::<Ur5, P>(1e-3), prior).unwrap();
     let mut learner = Learner::<Ur5, N, P>::new(config, prior).unwrap();
     let mut exchange = Exchange::new();
     feedforward.set_learning(true);
@@ -147,11 +163,18 @@ fn learn(config: LearnerConfig<N, P>, prior: Set, seconds: &[u32], mut seen: imp
         let desired = motion.motion(f64::from(tick) * PERIOD);
         let tau = true_torque(&desired);
         let measured = JointMeasurement {
-            q: desired.q.map(|q| ((f64::from(q) / step).round() * step) as f32),
-            tau: JointVector::from_fn(|j, _| (tau[j] + 0.01 * f64::from(Ur5::LIMITS[j].torque) * noise.normal()) as f32),
+            q: desired
+                .q
+                .map(|q| ((f64::from(q) / step).round() * step) as f32),
+            tau: JointVector::from_fn(|j, _| {
+                (tau[j] + 0.01 * f64::from(Ur5::LIMITS[j].torque) * noise.normal()) as f32
+            }),
         };
         feedforward.adopt(&mut exchange);
-        feedforward.step(&JointSample { desired, measured: Some(measured) });
+        feedforward.step(&JointSample {
+            desired,
+            measured: Some(measured),
+        });
         let lesson: Lesson<N> = feedforward.lesson(Some(measured));
         learner.learn(&lesson, &mut exchange);
         let now = (tick + 1) / 1000;
@@ -167,7 +190,12 @@ fn learn(config: LearnerConfig<N, P>, prior: Set, seconds: &[u32], mut seen: imp
 #[ignore = "tuning"]
 fn tune() {
     let unseen = Fourier::new(99, 15.0, 2.7);
-    let get = |k: &str, d: f32| std::env::var(k).ok().and_then(|v| v.parse().ok()).unwrap_or(d);
+    let get = |k: &str, d: f32| {
+        std::env::var(k)
+            .ok()
+            .and_then(|v| v.parse().ok())
+            .unwrap_or(d)
+    };
     for seed in [1u64, 2] {
         let mut config = LearnerConfig::for_arm::<Ur5>(1e-3);
         config.rate = get("RATE", config.rate);
@@ -181,7 +209,15 @@ fn tune() {
             let after = nrmse(set, &unseen, 0.0);
             let mut linear = *set;
             linear.network = prior.network;
-            println!("{s:4} s {:.4} ratio {:.3} {:.3?} linear {:.4} moving {:.4} linear {:.4}", after.0, after.0 / before.0, after.1, nrmse(&linear, &unseen, 0.0).0, nrmse(set, &unseen, 0.05).0, nrmse(&linear, &unseen, 0.05).0);
+            println!(
+                "{s:4} s {:.4} ratio {:.3} {:.3?} linear {:.4} moving {:.4} linear {:.4}",
+                after.0,
+                after.0 / before.0,
+                after.1,
+                nrmse(&linear, &unseen, 0.0).0,
+                nrmse(set, &unseen, 0.05).0,
+                nrmse(&linear, &unseen, 0.05).0
+            );
         });
         println!("{:?}", learner.state().statistics);
     }

@@ -44,7 +44,7 @@ mod run {
         let mut session = Session::<Arm, JOINTS, PARAMETERS>::new(board).ok()?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
-        let mut learner =
+        let mut learner: Learner<Arm, _, _> =
             Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior).ok()?;
         let mut desk = Desk::new();
         let mut out = FrameBuffer::new();

@@ -30,7 +30,7 @@ mod proof {
     fn run() -> Option<()> {
         let mut session = black_box(Session::<Arm, JOINTS, PARAMETERS>::new(black_box(BoardDescription::plain())).ok()?);
         let set = black_box(session.feed_forward().state().active);
-        let mut learner = Learner::new(LearnerConfig::for_arm::<Arm>(black_box(1e-3)), set).ok()?;
+        let mut learner: Learner<Arm, _, _> = Learner::new(LearnerConfig::for_arm::<Arm>(black_box(1e-3)), set).ok()?;
         let mut desk = black_box(Desk::new());
         let mut out = black_box(FrameBuffer::new());
         let mut bytes = black_box([0u8; 64]);
