@@ -479,6 +479,7 @@ pub enum NackReason {
     /// The chunk does not follow the one before; the next byte wanted is this one.
     Gap {
         /// Offset of the next byte.
+        #[serde(with = "postcard::fixint::le")]
         expected: u16,
     },
     /// The bank is longer than the board's room.

@@ -27,3 +27,6 @@ pub const MAX_PAYLOAD: usize = 240;
 
 /// Largest frame on the wire, in bytes: below 255 payload bytes COBS adds one byte, the delimiter is another.
 pub const MAX_FRAME: usize = MAX_PAYLOAD + 2;
+
+#[cfg(test)]
+mod tests;
