@@ -16,7 +16,7 @@ mod proof {
     use foretorque::edge::session::{BoardDescription, Desk, Session};
     use foretorque::edge::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage};
     use foretorque::learning::{Learner, LearnerConfig};
-    use stm32f4xx_hal as _; #[panic_handler] fn p(_: &core::panic::PanicInfo<'_>) -> ! { loop { core::sync::atomic::compiler_fence(core::sync::atomic::Ordering::SeqCst) } }
+    use {panic_never as _, stm32f4xx_hal as _};
 
     use crate::board::{Arm, JOINTS, PARAMETERS};
 
