@@ -4,7 +4,7 @@
 //! ends in `.gz` is compressed. Every error names file, line and column.
 
 use crate::files::{WholeFile, at};
-use crate::trajectory::Motion;
+use crate::dynamics::{Joints, State};
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
 use flate2::write::GzEncoder;
@@ -128,12 +128,12 @@ impl fmt::Display for TableError {
 impl std::error::Error for TableError {}
 
 /// One row of a table of states.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StateRow {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StateRow<const N: usize> {
     /// Time, s, where the table has it.
     pub t_s: Option<f64>,
     /// The motion of all joints.
-    pub motion: Motion,
+    pub motion: State<N>,
 }
 
 /// Whether a table must say when its rows were taken.
@@ -145,23 +145,22 @@ pub enum TimeColumn {
     Required,
 }
 
-/// Reads a table of joint states row by row, in constant memory.
-pub struct StateReader {
+/// Reads a table of the states of `N` joints row by row, in constant memory.
+pub struct StateReader<const N: usize> {
     path: PathBuf,
     records: csv::StringRecordsIntoIter<Box<dyn Read>>,
     width: usize,
-    joints: usize,
     time: Option<usize>,
     /// Field index and name of q1…qn, qd1…qdn, qdd1…qddn.
     fields: Vec<(usize, String)>,
     previous_s: Option<f64>,
 }
 
-impl StateReader {
-    /// Opens a table that holds position, velocity and acceleration of `joints` joints.
+impl<const N: usize> StateReader<N> {
+    /// Opens a table that holds position, velocity and acceleration of all joints.
     ///
     /// Errors: [`TableError`] of the header.
-    pub fn open(path: &Path, joints: usize, time: TimeColumn) -> Result<Self, TableError> {
+    pub fn open(path: &Path, time: TimeColumn) -> Result<Self, TableError> {
         let file = File::open(path).map_err(|error| TableError::File(at(path, error)))?;
         let bytes: Box<dyn Read> = if is_compressed(path) {
             Box::new(MultiGzDecoder::new(BufReader::new(file)))
@@ -192,7 +191,7 @@ impl StateReader {
                     column,
                 })
         };
-        let fields = state_columns(joints)
+        let fields = state_columns(N)
             .into_iter()
             .map(require)
             .collect::<Result<Vec<_>, _>>()?;
@@ -204,7 +203,6 @@ impl StateReader {
             path: path.to_owned(),
             width: header.len(),
             records: reader.into_records(),
-            joints,
             time,
             fields,
             previous_s: None,
@@ -214,7 +212,7 @@ impl StateReader {
     /// All rows at once.
     ///
     /// Errors: [`TableError`] of the first bad row, or [`TableError::Empty`].
-    pub fn read_all(self) -> Result<Vec<StateRow>, TableError> {
+    pub fn read_all(self) -> Result<Vec<StateRow<N>>, TableError> {
         let path = self.path.clone();
         let rows = self.collect::<Result<Vec<_>, _>>()?;
         if rows.is_empty() {
@@ -223,7 +221,7 @@ impl StateReader {
         Ok(rows)
     }
 
-    fn parse(&mut self, record: &csv::StringRecord) -> Result<StateRow, TableError> {
+    fn parse(&mut self, record: &csv::StringRecord) -> Result<StateRow<N>, TableError> {
         let line = record.position().map_or(0, csv::Position::line);
         if record.len() != self.width {
             return Err(TableError::Ragged {
@@ -256,7 +254,12 @@ impl StateReader {
                 previous_s,
             });
         }
-        let mut motion = Motion::zero(self.joints);
+        let zero = Joints::zeros();
+        let mut motion = State {
+            q: zero,
+            qd: zero,
+            qdd: zero,
+        };
         let places = motion.q.iter_mut().chain(&mut motion.qd).chain(&mut motion.qdd);
         for (place, (index, column)) in places.zip(&self.fields) {
             *place = number(*index, column)?;
@@ -266,8 +269,8 @@ impl StateReader {
     }
 }
 
-impl Iterator for StateReader {
-    type Item = Result<StateRow, TableError>;
+impl<const N: usize> Iterator for StateReader<N> {
+    type Item = Result<StateRow<N>, TableError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let record = match self.records.next()? {
@@ -426,7 +429,7 @@ mod tests {
         for (text, expected) in cases {
             let path = directory.0.join("states.csv");
             fs::write(&path, text).expect("writes");
-            let error = StateReader::open(&path, 1, TimeColumn::Required)
+            let error = StateReader::<1>::open(&path, TimeColumn::Required)
                 .and_then(StateReader::read_all)
                 .expect_err(expected);
             let message = error.to_string().replace(&format!("{}/", directory.0.display()), "");
@@ -446,11 +449,11 @@ mod tests {
             writer.row([0.0, 9.0, 0.1, -1.0 / 3.0, 1e-17]).expect("writes");
             writer.row([0.1 + 0.2, 9.0, 2.0, 3.0, 4.0]).expect("writes");
             writer.finish().expect("finishes");
-            let rows = StateReader::open(&path, 1, TimeColumn::Required)
+            let rows = StateReader::<1>::open(&path, TimeColumn::Required)
                 .and_then(StateReader::read_all)
                 .expect("reads");
-            assert_eq!(rows[0].motion.qd, [-1.0 / 3.0]);
-            assert_eq!(rows[0].motion.qdd, [1e-17]);
+            assert_eq!(rows[0].motion.qd[0], -1.0 / 3.0);
+            assert_eq!(rows[0].motion.qdd[0], 1e-17);
             assert_eq!(rows[1].t_s, Some(0.1 + 0.2));
         }
     }
