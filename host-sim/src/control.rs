@@ -106,6 +106,9 @@ mod tests {
         let config = PdConfig::tuned(&model, 6.0, 1e-3);
         let q = Joints::repeat(0.3);
         let mut state = PdState::new(q);
-        assert_eq!(step(&config, &mut state, &q, &q, &Joints::zeros()), Joints::zeros());
+        assert_eq!(
+            step(&config, &mut state, &q, &q, &Joints::zeros()),
+            Joints::<6>::zeros()
+        );
     }
 }

@@ -100,7 +100,10 @@ impl fmt::Display for ExcitationError {
             }
             Self::Shape { problem } => write!(f, "excitation: {problem}"),
             Self::Infeasible { joint } => {
-                write!(f, "excitation: limits of joint {joint} leave no room to move")
+                write!(
+                    f,
+                    "excitation: limits of joint {joint} leave no room to move"
+                )
             }
         }
     }
@@ -280,7 +283,11 @@ impl Excitation {
     }
 
     /// Condition number of the base regressor stacked over 100 instants of the period.
-    fn condition_number<const N: usize>(&self, model: &ReferenceModel<N>, columns: &[usize]) -> f64 {
+    fn condition_number<const N: usize>(
+        &self,
+        model: &ReferenceModel<N>,
+        columns: &[usize],
+    ) -> f64 {
         const INSTANTS: usize = 100;
         let mut standard = DMatrix::zeros(INSTANTS * N, 11 * N);
         for k in 0..INSTANTS {
@@ -378,7 +385,10 @@ mod tests {
                 let state = excitation.at::<6>(10.0 * f64::from(k) / 20_011.0);
                 for (j, joint) in robot.joints.iter().enumerate() {
                     assert!(state.q[j].abs() <= PI, "seed {seed}, joint {j}");
-                    assert!(state.qd[j].abs() <= joint.limits.velocity, "seed {seed}, joint {j}");
+                    assert!(
+                        state.qd[j].abs() <= joint.limits.velocity,
+                        "seed {seed}, joint {j}"
+                    );
                     assert!(
                         state.qdd[j].abs() <= joint.limits.acceleration,
                         "seed {seed}, joint {j}"

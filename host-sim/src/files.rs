@@ -88,7 +88,8 @@ mod tests {
 
     #[test]
     fn an_unfinished_file_leaves_nothing_behind() {
-        let directory = std::env::temp_dir().join(format!("foretorque-files-{}", std::process::id()));
+        let directory =
+            std::env::temp_dir().join(format!("foretorque-files-{}", std::process::id()));
         let target = directory.join("half.csv");
         let mut file = WholeFile::create(&target).expect("creates");
         file.write_all(b"half").expect("writes");

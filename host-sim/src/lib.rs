@@ -1,5 +1,13 @@
 //! Simulator and workbench of foretorque.
 
+pub mod control;
 pub mod dynamics;
+pub mod excitation;
+pub mod files;
 pub mod generate;
+pub mod metrics;
+pub mod plant;
+pub mod report;
 pub mod robot;
+pub mod table;
+pub mod trajectory;

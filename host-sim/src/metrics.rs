@@ -130,10 +130,17 @@ mod tests {
         let mut error = TorqueError::<2>::default();
         // Joint 1 errs by 10 % of its torque, joint 2 by 20 % of its own: sqrt((0.01 + 0.04) / 2).
         for sign in [1.0, -1.0] {
-            error.add(&vector![100.0, 1.0], &vector![100.0 + 10.0 * sign, 0.8], &vector![1.0, 0.0]);
+            error.add(
+                &vector![100.0, 1.0],
+                &vector![100.0 + 10.0 * sign, 0.8],
+                &vector![1.0, 0.0],
+            );
         }
         assert!((error.nrmse() - 0.025_f64.sqrt()).abs() < 1e-12);
-        assert!((error.nrmse_moving() - 0.1).abs() < 1e-12, "joint 2 stands still");
+        assert!(
+            (error.nrmse_moving() - 0.1).abs() < 1e-12,
+            "joint 2 stands still"
+        );
         assert!((error.rmse_nm()[0] - 10.0).abs() < 1e-12);
     }
 

@@ -3,8 +3,8 @@
 //! `t_s`, then `q1_rad…`, `qd1_rad_s…`, `qdd1_rad_s2…`, `tau1_nm…`; further columns are ignored on reading. A name that
 //! ends in `.gz` is compressed. Every error names file, line and column.
 
-use crate::files::{WholeFile, at};
 use crate::dynamics::{Joints, State};
+use crate::files::{WholeFile, at};
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
 use flate2::write::GzEncoder;
@@ -172,9 +172,15 @@ impl<const N: usize> StateReader<N> {
             .flexible(true)
             .trim(csv::Trim::All)
             .from_reader(bytes);
-        let header = reader.headers().map_err(|error| unreadable(path, &error))?.clone();
+        let header = reader
+            .headers()
+            .map_err(|error| unreadable(path, &error))?
+            .clone();
         let find = |column: &str| {
-            let mut places = header.iter().enumerate().filter(|(_, name)| *name == column);
+            let mut places = header
+                .iter()
+                .enumerate()
+                .filter(|(_, name)| *name == column);
             match (places.next(), places.next()) {
                 (Some(_), Some(_)) => Err(TableError::RepeatedColumn {
                     path: path.to_owned(),
@@ -255,12 +261,16 @@ impl<const N: usize> StateReader<N> {
             });
         }
         let zero = Joints::zeros();
-        let mut motion = State {
+        let mut motion: State<N> = State {
             q: zero,
             qd: zero,
             qdd: zero,
         };
-        let places = motion.q.iter_mut().chain(&mut motion.qd).chain(&mut motion.qdd);
+        let places = motion
+            .q
+            .iter_mut()
+            .chain(&mut motion.qd)
+            .chain(&mut motion.qdd);
         for (place, (index, column)) in places.zip(&self.fields) {
             *place = number(*index, column)?;
         }
@@ -357,7 +367,9 @@ pub fn state_columns(joints: usize) -> Vec<String> {
 
 /// One column a joint: `name1_unit…`.
 pub fn joint_columns(name: &str, unit: &str, joints: usize) -> Vec<String> {
-    (1..=joints).map(|joint| format!("{name}{joint}_{unit}")).collect()
+    (1..=joints)
+        .map(|joint| format!("{name}{joint}_{unit}"))
+        .collect()
 }
 
 fn is_compressed(path: &Path) -> bool {
@@ -381,7 +393,8 @@ mod tests {
 
     impl Directory {
         fn new(name: &str) -> Self {
-            let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
+            let path =
+                std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
             fs::create_dir_all(&path).expect("creates");
             Self(path)
         }
@@ -397,8 +410,14 @@ mod tests {
     fn errors_name_file_line_and_column() {
         let directory = Directory::new("table-errors");
         let cases = [
-            ("t_s,q1_rad,qd1_rad_s\n", "states.csv:1: column qdd1_rad_s2 is missing"),
-            ("q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0\n", "states.csv:1: column t_s is missing"),
+            (
+                "t_s,q1_rad,qd1_rad_s\n",
+                "states.csv:1: column qdd1_rad_s2 is missing",
+            ),
+            (
+                "q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0\n",
+                "states.csv:1: column t_s is missing",
+            ),
             (
                 "t_s,q1_rad,q1_rad,qd1_rad_s,qdd1_rad_s2\n",
                 "states.csv:1: column q1_rad appears twice",
@@ -432,7 +451,9 @@ mod tests {
             let error = StateReader::<1>::open(&path, TimeColumn::Required)
                 .and_then(StateReader::read_all)
                 .expect_err(expected);
-            let message = error.to_string().replace(&format!("{}/", directory.0.display()), "");
+            let message = error
+                .to_string()
+                .replace(&format!("{}/", directory.0.display()), "");
             assert_eq!(message, expected);
             assert_eq!(message.lines().count(), 1);
         }
@@ -446,7 +467,9 @@ mod tests {
             let mut header = vec!["t_s".to_owned(), "tau1_nm".to_owned()];
             header.extend(state_columns(1));
             let mut writer = TableWriter::create(&path, &header).expect("creates");
-            writer.row([0.0, 9.0, 0.1, -1.0 / 3.0, 1e-17]).expect("writes");
+            writer
+                .row([0.0, 9.0, 0.1, -1.0 / 3.0, 1e-17])
+                .expect("writes");
             writer.row([0.1 + 0.2, 9.0, 2.0, 3.0, 4.0]).expect("writes");
             writer.finish().expect("finishes");
             let rows = StateReader::<1>::open(&path, TimeColumn::Required)

@@ -226,7 +226,12 @@ mod tests {
             qdd: Joints::zeros(),
         };
         let path = Trajectory::Sampled(vec![(0.0, state(1.0)), (0.1, state(2.0))]);
-        for (t_s, q, qd) in [(0.0, 1.0, 1.0), (0.05, 1.0, 1.0), (0.1, 2.0, 2.0), (0.3, 2.0, 0.0)] {
+        for (t_s, q, qd) in [
+            (0.0, 1.0, 1.0),
+            (0.05, 1.0, 1.0),
+            (0.1, 2.0, 2.0),
+            (0.3, 2.0, 0.0),
+        ] {
             assert_eq!((path.at(t_s).q[0], path.at(t_s).qd[0]), (q, qd), "{t_s}");
         }
     }
