@@ -1,1 +1,6 @@
 //! Everything that touches the world outside the tick: frames, parameter bank, telemetry, hardware adapters.
+
+pub mod bank;
+pub mod session;
+pub mod telemetry;
+pub mod wire;
