@@ -1,8 +1,11 @@
 //! Simulator and workbench of foretorque.
 
+pub mod board;
+pub mod commands;
 pub mod control;
 pub mod dynamics;
 pub mod excitation;
+pub mod experiment;
 pub mod files;
 pub mod generate;
 pub mod metrics;

@@ -1,17 +1,17 @@
 //! The main job: start from a wrong prior, learn on the board in closed loop, freeze, play a path nobody has seen.
 
-use super::closed_loop::{motion_f32, play};
+use super::closed_loop::{ClosedLoop, motion_f32};
 use super::demo_page;
 use super::demo_record::{
     BeforeAfter, DemoCurves, DemoReport, LearningPoint, LinkFigures, TickInstructions, Tracking,
     UsartFigures, ValidationPoint,
 };
 use super::prior::bank_of;
-use crate::board::Client;
+use crate::board::{BoardError, Client};
 use crate::control::PdConfig;
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::excitation::{Excitation, SearchConfig};
-use crate::metrics::TorqueError;
+use crate::metrics::{TorqueError, TrackingError};
 use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
 use crate::trajectory::Trajectory;
@@ -55,7 +55,7 @@ impl Default for DemoConfig {
 }
 
 /// A stage of the job, as the progress bar shows it: name, ticks done, ticks in all.
-pub type Progress<'p> = &'p mut dyn FnMut(&'static str, usize, usize);
+pub type Progress<'p> = &'p dyn Fn(&'static str, usize, usize);
 
 /// What the job leaves: figures, and the page that shows them.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,6 +82,7 @@ struct World<const N: usize> {
     plant: Plant<N>,
     pd: PdConfig<N>,
     prior: ParameterBank,
+    period_s: f64,
 }
 
 impl<const N: usize> World<N> {
@@ -109,10 +110,24 @@ impl<const N: usize> World<N> {
                 duration_s: config.learning_s,
             },
             validation: Trajectory::validation(robot, config.seed.wrapping_add(2)),
-            plant: Plant::new(&truth, PlantConfig::default(), config.seed).ok_or_else(other_size)?,
+            plant: Plant::new(&truth, PlantConfig::default(), config.seed)
+                .ok_or_else(other_size)?,
             pd: PdConfig::tuned(&nominal, config.pd_bandwidth_hz, config.period_s),
             prior: bank_of::<A, N, P>(&wrong),
+            period_s: config.period_s,
         })
+    }
+
+    /// The excitation over its period: time, s, and motion.
+    fn one_period(&self) -> Vec<(f64, State<N>)> {
+        const POINTS: u32 = 1000;
+        let Trajectory::Excitation { series, .. } = &self.excitation else {
+            return Vec::new();
+        };
+        (0..=POINTS)
+            .map(|k| series.period_s * f64::from(k) / f64::from(POINTS))
+            .map(|t_s| (t_s, series.at(t_s)))
+            .collect()
     }
 
     /// The unseen path at `points` instants, evenly spaced.
@@ -134,69 +149,50 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
     config: &DemoConfig,
     board: &str,
     toolchain: &str,
-    bulk: &mut Client<A, N, P>,
-    usart: Option<&mut Client<A, N, P>>,
+    bulk: &mut Client<N>,
+    usart: Option<&mut Client<N>>,
     progress: Progress<'_>,
 ) -> Result<DemoOutcome, Box<dyn Error>> {
     let world = World::<N>::new::<A, P>(robot, config, progress)?;
-    let period_s = config.period_s;
-    let ticks = |duration_s: f64| (duration_s / period_s).round() as usize;
-    let validation_ticks = ticks(config.validation_s);
-    let learning_ticks = ticks(config.learning_s);
-    let usart_ticks = ticks(config.usart_learning_s);
-    let mut plant = world.plant.clone();
-    let mut curves = DemoCurves::default();
-
-    bulk.upload(&world.prior)?;
+    let ticks = |duration_s: f64| (duration_s / config.period_s).round() as usize;
+    let (validation_ticks, learning_ticks) = (ticks(config.validation_s), ticks(config.learning_s));
     let path = world.grid(validation_ticks, config.validation_s);
+
+    bulk.reset()?;
+    bulk.upload_bank(&world.prior)?;
     let before = predictions(bulk, &path, "torque before", progress)?;
+    // Both kinds of control meet the arm as it is when learning begins: same age, same noise.
+    let (pd_only, pd_only_curve) = track(
+        &mut world.plant.clone(),
+        &world,
+        validation_ticks,
+        None,
+        "PD alone",
+        progress,
+    )?;
+    let (wrong, wrong_curve) = track(
+        &mut world.plant.clone(),
+        &world,
+        validation_ticks,
+        Some(bulk),
+        "wrong model",
+        progress,
+    )?;
+    let earlier = bulk.statistics()?;
 
-    // Each kind of control meets the same arm: its age and its noise are those of the learning run's beginning.
-    let mut track = |plant: &mut Plant<N>,
-                     stage: &'static str,
-                     board: Option<&mut Client<A, N, P>>,
-                     progress: Progress<'_>| {
-        let mut errors = Vec::new();
-        let every = (validation_ticks / PAGE_POINTS).max(1);
-        let tracked = play(
-            plant,
-            &world.pd,
-            &world.validation,
-            period_s,
-            validation_ticks,
-            board,
-            |tick| {
-                if tick.tick % every == 0 {
-                    let error = (tick.desired.q - tick.q) * 1e3;
-                    errors.push((tick.tick as f64 * period_s, error));
-                }
-                report_every(progress, stage, tick.tick, validation_ticks);
-            },
-        );
-        tracked.map(|tracked| (tracked, errors))
-    };
-    let (pd_only, errors) = track(&mut world.plant.clone(), "PD alone", None, progress)?;
-    curves.tracking.pd_only = errors;
-    let (wrong, errors) = track(&mut world.plant.clone(), "wrong model", Some(bulk), progress)?;
-    curves.tracking.before = errors;
-
+    let mut plant = world.plant.clone();
     let watched = world.grid(WATCH_POINTS, config.validation_s);
-    let mut learning_curve = vec![LearningPoint {
-        t_s: 0.0,
-        torque_nrmse: nrmse(bulk, &plant, &watched)?,
-    }];
-    bulk.upload(&world.prior)?;
-    let first_replies = learn(
+    let mut learning_curve = Vec::new();
+    let replies = learn(
         bulk,
         &world,
         &mut plant,
-        period_s,
         learning_ticks,
-        usart_ticks,
         |board, plant, t_s| {
+            let seen = predictions(board, &watched, "learning", &|_, _, _| {})?;
             learning_curve.push(LearningPoint {
                 t_s,
-                torque_nrmse: nrmse(board, plant, &watched)?,
+                torque_nrmse: error_of(plant, &watched, &seen).nrmse(),
             });
             Ok(())
         },
@@ -204,51 +200,40 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         progress,
     )?;
     let after = predictions(bulk, &path, "torque after", progress)?;
-    let mut before_error = TorqueError::<N>::default();
-    let mut after_error = TorqueError::<N>::default();
-    for (k, (t_s, state)) in path.iter().enumerate() {
-        let truth = plant.true_torque(state);
-        let (before, after) = (&before[k], &after[k]);
-        let point = ValidationPoint {
-            t_s: *t_s,
-            truth,
-            before: before.total.cast(),
-            after: after.total.cast(),
-            rigid: after.shares.rigid.cast(),
-            friction: after.shares.friction.cast(),
-            network: after.shares.network.cast(),
-        };
-        before_error.add(&truth, &point.before, &state.qd);
-        after_error.add(&truth, &point.after, &state.qd);
-        if k % (path.len() / PAGE_POINTS).max(1) == 0 {
-            curves.validation.push(point);
-        }
-    }
-    let (learnt, errors) = track(&mut plant, "learnt model", Some(bulk), progress)?;
-    curves.tracking.after = errors;
-    let statistics = bulk.statistics()?;
-
-    let usart = usart
-        .map(|board| {
-            let figures = on_usart(board, &world, config, &first_replies, progress)?;
-            Ok::<_, Box<dyn Error>>(figures)
+    let before_error = error_of(&plant, &path, &before);
+    let after_error = error_of(&plant, &path, &after);
+    let every = (path.len() / PAGE_POINTS).max(1);
+    let validation = (0..path.len())
+        .step_by(every)
+        .map(|k| ValidationPoint {
+            t_s: path[k].0,
+            truth: plant.true_torque(&path[k].1),
+            before: before[k].total.cast(),
+            after: after[k].total.cast(),
+            rigid: after[k].shares.rigid.cast(),
+            friction: after[k].shares.friction.cast(),
+            network: after[k].shares.network.cast(),
         })
+        .collect();
+    let (learnt, learnt_curve) = track(
+        &mut plant,
+        &world,
+        validation_ticks,
+        Some(bulk),
+        "learnt model",
+        progress,
+    )?;
+    let statistics = bulk.statistics()?;
+    let usart = usart
+        .map(|board| on_usart(board, &world, config, &replies, progress))
         .transpose()?;
 
-    if let Trajectory::Excitation { series, .. } = &world.excitation {
-        curves.excitation = (0..=1000)
-            .map(|k| {
-                let t_s = series.period_s * f64::from(k) / 1000.0;
-                (t_s, series.at(t_s))
-            })
-            .collect();
-    }
     let report = DemoReport {
         robot: robot.name.clone(),
         board: board.to_owned(),
         seed: config.seed,
         ticks: learning_ticks,
-        period_s,
+        period_s: config.period_s,
         toolchain: toolchain.to_owned(),
         torque_nrmse_before: before_error.nrmse(),
         torque_nrmse_after: after_error.nrmse(),
@@ -272,28 +257,198 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         learning_curve,
         tick_instructions: instructions(statistics.tick_cost),
         learning_instructions: instructions(statistics.learn_cost),
-        link: link_figures(&statistics),
+        link: link_figures(&[earlier, statistics]),
         usart,
+    };
+    let curves = DemoCurves {
+        excitation: world.one_period(),
+        validation,
+        tracking: Tracking {
+            pd_only: pd_only_curve,
+            before: wrong_curve,
+            after: learnt_curve,
+        },
     };
     let html = demo_page::html(&report, &curves)?;
     Ok(DemoOutcome { report, html })
 }
 
+/// Position error over time: s and mrad.
+type ErrorCurve<const N: usize> = Vec<(f64, Joints<N>)>;
+
+/// Plays the unseen path in closed loop; the error in figures, and as a thinned curve.
+fn track<const N: usize>(
+    plant: &mut Plant<N>,
+    world: &World<N>,
+    ticks: usize,
+    mut board: Option<&mut Client<N>>,
+    stage: &'static str,
+    progress: Progress<'_>,
+) -> Result<(TrackingError<N>, ErrorCurve<N>), BoardError> {
+    let (mut error, mut curve) = (TrackingError::default(), Vec::new());
+    let every = (ticks / PAGE_POINTS).max(1);
+    let mut run = ClosedLoop::new(
+        plant,
+        &world.pd,
+        &world.validation,
+        world.period_s,
+        board.as_deref_mut(),
+    )?;
+    for tick in 0..ticks {
+        let seen = run.tick(plant, board.as_deref_mut())?;
+        let distance = seen.desired.q - seen.q;
+        error.add(&distance);
+        if tick % every == 0 {
+            curve.push((seen.t_s, distance * 1e3));
+        }
+        report_every(progress, stage, tick, ticks);
+    }
+    Ok((error, curve))
+}
+
 /// Bits of one reply: torques and flags.
 type ReplyBits<const N: usize> = ([u32; N], u16);
 
-/// Plays the excitation with learning on, then freezes. Returns the bits of the first `kept` replies.
-#[expect(clippy::too_many_arguments, reason = "one job, called twice, not an interface")]
-fn learn<A: Arm<N, P>, const N: usize, const P: usize>(
-    board: &mut Client<A, N, P>,
+/// From the wrong prior on: plays the excitation with learning on, then freezes. Returns the bits of the replies.
+///
+/// The board starts as after boot, so that every board goes through the very same ticks. `watch` is called every two
+/// seconds of the arm's time.
+fn learn<const N: usize>(
+    board: &mut Client<N>,
     world: &World<N>,
     plant: &mut Plant<N>,
-    period_s: f64,
     ticks: usize,
-    kept: usize,
-    mut watch: impl FnMut(&mut Client<A, N, P>, &Plant<N>, f64) -> Result<(), Box<dyn Error>>,
+    mut watch: impl FnMut(&mut Client<N>, &Plant<N>, f64) -> Result<(), Box<dyn Error>>,
     stage: &'static str,
     progress: Progress<'_>,
 ) -> Result<Vec<ReplyBits<N>>, Box<dyn Error>> {
-    unimplemented!()
+    board.reset()?;
+    board.upload_bank(&world.prior)?;
+    board.learning(true)?;
+    let mut replies = Vec::with_capacity(ticks);
+    let mut run = ClosedLoop::new(
+        plant,
+        &world.pd,
+        &world.excitation,
+        world.period_s,
+        Some(&mut *board),
+    )?;
+    let watch_every = ((WATCH_EVERY_S / world.period_s).round() as usize).max(1);
+    for tick in 0..ticks {
+        if tick > 0 && tick % watch_every == 0 {
+            watch(board, plant, tick as f64 * world.period_s)?;
+        }
+        let seen = run.tick(plant, Some(&mut *board))?;
+        let bits: [f32; N] = seen.feed_forward.into();
+        replies.push((bits.map(f32::to_bits), seen.flags));
+        report_every(progress, stage, tick, ticks);
+    }
+    board.learning(false)?;
+    watch(board, plant, ticks as f64 * world.period_s)?;
+    Ok(replies)
+}
+
+/// The shorter job on the flashable firmware: the first seconds of the long run again, bit for bit.
+fn on_usart<const N: usize>(
+    board: &mut Client<N>,
+    world: &World<N>,
+    config: &DemoConfig,
+    long_run: &[ReplyBits<N>],
+    progress: Progress<'_>,
+) -> Result<UsartFigures, Box<dyn Error>> {
+    let ticks = (config.usart_learning_s / config.period_s).round() as usize;
+    let grid = world.grid(USART_POINTS, config.validation_s);
+    let mut plant = world.plant.clone();
+    board.upload_bank(&world.prior)?;
+    let before = predictions(board, &grid, "USART: torque before", progress)?;
+    let earlier = board.statistics()?;
+    let replies = learn(
+        board,
+        world,
+        &mut plant,
+        ticks,
+        |_, _, _| Ok(()),
+        "USART: learning",
+        progress,
+    )?;
+    let after = predictions(board, &grid, "USART: torque after", progress)?;
+    let statistics = board.statistics()?;
+    let equal = replies
+        .iter()
+        .zip(long_run)
+        .take_while(|(here, there)| here == there);
+    Ok(UsartFigures {
+        ticks,
+        torque_nrmse_before: error_of(&plant, &grid, &before).nrmse(),
+        torque_nrmse_after: error_of(&plant, &grid, &after).nrmse(),
+        grid_points: grid.len(),
+        ticks_with_equal_bits: equal.count(),
+        tick_instructions: instructions(statistics.tick_cost),
+        learning_instructions: instructions(statistics.learn_cost),
+        link: link_figures(&[earlier, statistics]),
+    })
+}
+
+/// What the board would answer along `path`.
+fn predictions<const N: usize>(
+    board: &mut Client<N>,
+    path: &[(f64, State<N>)],
+    stage: &'static str,
+    progress: Progress<'_>,
+) -> Result<Vec<Torque<N>>, BoardError> {
+    path.iter()
+        .enumerate()
+        .map(|(k, (_, state))| {
+            report_every(progress, stage, k, path.len());
+            board.evaluate(&motion_f32(state))
+        })
+        .collect()
+}
+
+/// Error of these torques against what the motion takes at the arm's present age.
+fn error_of<const N: usize>(
+    plant: &Plant<N>,
+    path: &[(f64, State<N>)],
+    torques: &[Torque<N>],
+) -> TorqueError<N> {
+    let mut error = TorqueError::default();
+    for ((_, state), torque) in path.iter().zip(torques) {
+        error.add(&plant.true_torque(state), &torque.total.cast(), &state.qd);
+    }
+    error
+}
+
+fn report_every(progress: Progress<'_>, stage: &'static str, done: usize, all: usize) {
+    if (done + 1).is_multiple_of(256) || done + 1 == all {
+        progress(stage, done + 1, all);
+    }
+}
+
+fn instructions(cost: Cost) -> TickInstructions {
+    TickInstructions {
+        mean: cost.mean,
+        max: cost.max,
+    }
+}
+
+/// Sums the counters of several stretches between resets.
+fn link_figures(stretches: &[Statistics]) -> LinkFigures {
+    let errors = |s: &Statistics| {
+        [
+            s.crc_errors,
+            s.framing_errors,
+            s.foreign_version,
+            s.unknown,
+            s.missed,
+            s.repeated,
+            s.overruns,
+            s.replies_lost,
+        ]
+        .into_iter()
+        .sum::<u32>()
+    };
+    LinkFigures {
+        frames: stretches.iter().map(|s| s.frames).sum(),
+        errors: stretches.iter().map(errors).sum(),
+    }
 }

@@ -108,6 +108,8 @@ pub struct UsartFigures {
     pub ticks_with_equal_bits: usize,
     /// Instructions of a tick.
     pub tick_instructions: TickInstructions,
+    /// Instructions of learning from one tick.
+    pub learning_instructions: TickInstructions,
     /// Frames of its link.
     pub link: LinkFigures,
 }
