@@ -54,6 +54,8 @@ pub struct Statistics {
     pub tick_cost: Cost,
     /// Cost of learning from one lesson, in counts of the board's counter.
     pub learn_cost: Cost,
+    /// Cost of receiving one byte of the line, in counts of the board's counter.
+    pub receive_cost: Cost,
     /// Hottest motor reported in the last round of samples, °C; -128 where not known.
     pub hottest_c: i8,
 }

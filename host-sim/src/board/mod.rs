@@ -3,8 +3,10 @@
 //! In this process ([`native`]), in the emulator or on a serial port: a [`Transport`] carries the bytes, one [`Client`]
 //! speaks the protocol over any of them.
 
+mod child;
 mod client;
 mod native;
+pub mod qemu;
 
 pub use client::{BoardShares, Client, LinkCount, TickReply};
 pub use native::Native;

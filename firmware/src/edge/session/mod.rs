@@ -8,7 +8,7 @@ pub use desk::Desk;
 
 use crate::arm::Arm;
 use crate::edge::bank::{BankError, NETWORK_SEED, ParameterBank, name};
-use crate::edge::telemetry::{CostMeter, Statistics};
+use crate::edge::telemetry::{Cost, CostMeter, Statistics};
 use crate::edge::wire::{
     BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, DecodeError, Decoder,
     FrameBuffer, FullTorqueFrame, HostMessage, NackReason, Pacing, ReplyMode, ResetReason,
@@ -82,6 +82,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize> {
     temperatures_c: [i8; N],
     ticks: u32,
     tick_cost: CostMeter,
+    receive_cost: Cost,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
@@ -106,6 +107,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
             temperatures_c: [SampleFrame::<N>::NO_TEMPERATURE; N],
             ticks: 0,
             tick_cost: CostMeter::new(),
+            receive_cost: Cost::default(),
         })
     }
 
@@ -127,6 +129,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
     /// Counts a missed deadline or a receive overrun of the line.
     pub fn note_overrun(&mut self) {
         self.link.overruns = self.link.overruns.saturating_add(1);
+    }
+
+    /// Counts a reply that the line had no room for.
+    pub fn note_reply_lost(&mut self) {
+        self.link.replies_lost = self.link.replies_lost.saturating_add(1);
+    }
+
+    /// Takes what the owner of the line measured: the cost of receiving one byte.
+    pub fn note_receive_cost(&mut self, cost: Cost) {
+        self.receive_cost = cost;
     }
 
     /// Says hello unasked, as a board does after boot.
@@ -197,6 +209,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
             lessons_lost: desk.lessons_lost,
             tick_cost: self.tick_cost.cost(),
             learn_cost: desk.learn_cost.cost(),
+            receive_cost: self.receive_cost,
             hottest_c: self
                 .temperatures_c
                 .iter()
