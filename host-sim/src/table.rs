@@ -215,6 +215,11 @@ impl<const N: usize> StateReader<N> {
         })
     }
 
+    /// The table says when its rows were taken.
+    pub fn has_time(&self) -> bool {
+        self.time.is_some()
+    }
+
     /// All rows at once.
     ///
     /// Errors: [`TableError`] of the first bad row, or [`TableError::Empty`].
