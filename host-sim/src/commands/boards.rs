@@ -2,6 +2,7 @@
 
 use super::{Failure, unusable};
 use crate::board::qemu::{Emulator, Image, QemuOptions};
+use crate::board::serial::{self, Serial};
 use crate::board::{Client, Native, Transport};
 use crate::robot::Robot;
 use foretorque::arm::Arm;
@@ -77,7 +78,7 @@ impl BoardChoice {
             Self::Native => Box::new(Native::<A, N, P>::new()?),
             Self::Qemu => emulated(Image::Bulk)?,
             Self::QemuUsart => emulated(Image::Joint)?,
-            Self::Serial(port) => crate::board::serial::open(port)?,
+            Self::Serial(port) => Box::new(Serial::open(port, serial::BAUD)?),
         };
         Ok(Client::connect::<A, P>(transport, BOOT)?)
     }
@@ -104,7 +105,8 @@ fn compiler_of(elf: &Path) -> Option<String> {
     marks
         .map(|(place, _)| &bytes[place + MARK.len()..])
         .find_map(|rest| {
-            let end = rest.iter().position(|byte| *byte == 0)?;
+            // The version ends with the commit and its date in brackets; what a packager adds is left out.
+            let end = rest.iter().position(|byte| *byte == b')')? + 1;
             let version = std::str::from_utf8(&rest[..end]).ok()?;
             version
                 .starts_with(|first: char| first.is_ascii_digit())

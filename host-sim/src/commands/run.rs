@@ -79,7 +79,20 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         "learning": arguments.learn,
         "tracking_rms_mrad": tracking.mean_rms_mrad(),
         "tracking_rms_joint_mrad": tracking.rms_mrad(),
-        "statistics": statistics,
+        "link": {
+            "frames": statistics.frames,
+            "crc_errors": statistics.crc_errors,
+            "framing_errors": statistics.framing_errors,
+            "foreign_version": statistics.foreign_version,
+            "unknown": statistics.unknown,
+            "missed": statistics.missed,
+            "repeated": statistics.repeated,
+            "overruns": statistics.overruns,
+        },
+        "late_sets": statistics.late_sets,
+        "lessons_lost": statistics.lessons_lost,
+        "tick_cost": {"mean": statistics.tick_cost.mean, "max": statistics.tick_cost.max},
+        "learning_cost": {"mean": statistics.learn_cost.mean, "max": statistics.learn_cost.max},
     });
     log.finish()?;
     write_whole(&arguments.out.join("bank.bin"), &learnt)?;

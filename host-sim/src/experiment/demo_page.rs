@@ -1,6 +1,6 @@
 //! The page of the main job.
 
-use super::demo_record::{DemoCurves, DemoReport, ValidationPoint};
+use super::demo_record::{DemoCurves, DemoReport, LearningPoint, ValidationPoint};
 use crate::dynamics::{Joints, State};
 use crate::report::page::{self, Section, Tile};
 use crate::report::plot::{self, Curve, Ink, Panel};
@@ -151,10 +151,26 @@ fn learning(report: &DemoReport) -> Result<Section, Box<dyn Error>> {
     };
     Ok(Section {
         heading: "Error while it learns".to_owned(),
-        caption: "Torque error on the unseen path, asked of the board every two seconds while the arm plays the excitation: most of it goes in the first seconds, the rest as the inertias are seen.".to_owned(),
+        caption: format!(
+            "Torque error on the unseen path, asked of the board every second while the arm plays the excitation: it halves within {} of learning.",
+            halved_after(&report.learning_curve)
+        ),
         legend: vec![(Ink::After, "model in force on the board".to_owned())],
         body: plot::grid(&[panel], 1, 1110, 300)?,
     })
+}
+
+/// Time until the error is half of what it was at the beginning, as words.
+fn halved_after(points: &[LearningPoint]) -> String {
+    let Some(first) = points.first() else {
+        return "no time".to_owned();
+    };
+    points
+        .iter()
+        .find(|point| point.torque_nrmse <= 0.5 * first.torque_nrmse)
+        .map_or("more than the whole time".to_owned(), |point| {
+            format!("{:.0} s", point.t_s)
+        })
 }
 
 fn tracking<const N: usize>(
@@ -218,7 +234,7 @@ fn shares<const N: usize>(points: &[ValidationPoint<N>]) -> Result<Section, Box<
     });
     Ok(Section {
         heading: "What the learnt torque is made of".to_owned(),
-        caption: "Rigid body, friction and network add up to the torque: gravity and inertia carry the large joints, friction the wrists, and the network only adds what the two leave over.".to_owned(),
+        caption: "Rigid body, friction and network add up to the torque, each bounded by itself and each visible by itself; the network adds what the other two leave over.".to_owned(),
         legend: vec![
             (Ink::After, "rigid body".to_owned()),
             (Ink::Before, "friction".to_owned()),

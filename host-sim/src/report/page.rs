@@ -109,9 +109,9 @@ const STYLE: &str = "\
 *{box-sizing:border-box}body{margin:0;background:var(--page);color:var(--text);font:16px/1.5 system-ui,-apple-system,\"Segoe UI\",Roboto,sans-serif}
 main{max-width:1160px;margin:0 auto;padding:32px 20px 64px}h1{font-size:1.9rem;margin:0 0 4px;letter-spacing:-.01em}
 h2{font-size:1.2rem;margin:0 0 4px}p{margin:0 0 10px;max-width:80ch;color:var(--quiet)}.lead{font-size:1.05rem;margin-bottom:20px}
-.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(168px,1fr));gap:12px;margin-bottom:20px}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(190px,1fr));gap:12px;margin-bottom:20px}
 .tile,section{background:var(--card);border:1px solid var(--line);border-radius:10px}.tile{padding:14px 16px}
-.tile b{display:block;font-size:1.45rem;font-variant-numeric:tabular-nums}.tile span{color:var(--quiet);font-size:.86rem}
+.tile b{display:block;font-size:1.2rem;font-variant-numeric:tabular-nums}.tile span{color:var(--quiet);font-size:.86rem}
 section{padding:20px 20px 14px;margin-bottom:18px}.legend{display:flex;flex-wrap:wrap;gap:4px 18px;font-size:.88rem;margin-bottom:4px}
 .legend i{display:inline-block;width:18px;height:4px;border-radius:2px;margin-right:6px;vertical-align:middle}
 svg{display:block;width:100%;height:auto}.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}

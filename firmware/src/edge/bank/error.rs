@@ -17,6 +17,7 @@ pub enum BankError {
     /// Made for the arm with this identity.
     WrongArm {
         /// Identity in the bank.
+        #[serde(with = "postcard::fixint::le")]
         found: u32,
     },
     /// A column of the arm is missing; its place in the base set.
@@ -28,7 +29,7 @@ pub enum BankError {
     /// The network has another shape, activation or number of weights.
     NetworkShape,
     /// The weight at this place is not a finite number.
-    Weight(u16),
+    Weight(#[serde(with = "postcard::fixint::le")] u16),
     /// The drive gain of this joint is missing, negative or not finite.
     DriveGain(u8),
     /// A limit of this joint is missing or not usable.

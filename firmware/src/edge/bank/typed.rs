@@ -53,11 +53,11 @@ impl ParameterBank {
         let mut bank = Self {
             arm_hash: A::HASH,
             arm: name(A::NAME),
-            columns: columns.take(MAX_COLUMNS).collect(),
-            drive_gains_nm_a: core::iter::repeat_n(0.0, N.min(MAX_JOINTS)).collect(),
+            columns: bounded(columns),
+            drive_gains_nm_a: bounded(core::iter::repeat_n(0.0, N)),
             network: shape::<N>(),
             weights: Vec::new(),
-            limits: bounds.take(MAX_JOINTS).collect(),
+            limits: bounded(bounds),
         };
         bank.refresh::<A, N, P>(set);
         bank
@@ -85,7 +85,7 @@ impl ParameterBank {
             let output = network.output_weights.iter().chain(&network.output_bias);
             hidden.chain(output).copied()
         });
-        self.weights = weights.take(MAX_WEIGHTS).collect();
+        self.weights = bounded(weights);
     }
 
     /// The typed set of the bank. Friction columns that are not there are zero.
@@ -217,4 +217,15 @@ pub(crate) fn name(text: &str) -> Name {
         }
     }
     name
+}
+
+/// The first `M` items. Collecting into a `heapless::Vec` would panic on one more.
+fn bounded<T, const M: usize>(items: impl Iterator<Item = T>) -> Vec<T, M> {
+    let mut vector = Vec::new();
+    for item in items {
+        if vector.push(item).is_err() {
+            break;
+        }
+    }
+    vector
 }

@@ -42,14 +42,20 @@ impl LinkState {
     pub(super) fn accept(&mut self, sequence: u16, restart: bool) -> Order {
         self.frames = self.frames.saturating_add(1);
         let step = match self.last {
-            Some(last) if !restart => sequence.wrapping_sub(last),
+            // Number 0 is the board's own: a host goes from 65535 on to 1.
+            Some(last) if !restart => sequence
+                .wrapping_sub(last)
+                .wrapping_sub(u16::from(sequence < last)),
             _ => 1,
         };
         if step == 0 || step > u16::MAX - REPEAT_WINDOW {
             self.repeated = self.repeated.saturating_add(1);
             return Order::Repeated;
         }
-        self.missed = self.missed.saturating_add(u32::from(step - 1));
+        // A host that wraps leaves out 0, which is the board's own number.
+        let left_out = u16::from(!restart && self.last.is_some_and(|last| sequence < last));
+        let missed = (step - 1).saturating_sub(left_out);
+        self.missed = self.missed.saturating_add(u32::from(missed));
         self.last = Some(sequence);
         Order::Forward
     }
@@ -62,5 +68,44 @@ impl LinkState {
             DecodeError::Unknown => &mut self.unknown,
         };
         *counter = counter.saturating_add(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn counted(numbers: &[u16]) -> (u32, u32) {
+        let mut link = LinkState::default();
+        for &number in numbers {
+            link.accept(number, false);
+        }
+        (link.missed, link.repeated)
+    }
+
+    #[test]
+    fn gaps_and_repeats_are_counted() {
+        for (numbers, missed_and_repeated) in [
+            (&[1, 2, 3][..], (0, 0)),
+            (&[900, 901], (0, 0)),
+            (&[1, 4], (2, 0)),
+            (&[1, 1, 2], (0, 1)),
+            (&[1, 3, 2, 4], (1, 1)),
+            (&[65534, 65535, 1, 2], (0, 0)),
+            (&[65535, 3], (2, 0)),
+            (&[65535, 1, 65535, 2], (0, 1)),
+            (&[30_000, 100], (35_634, 0)),
+        ] {
+            assert_eq!(counted(numbers), missed_and_repeated, "{numbers:?}");
+        }
+    }
+
+    #[test]
+    fn hello_restarts_the_count() {
+        let mut link = LinkState::default();
+        link.accept(500, false);
+        assert_eq!(link.accept(498, true), Order::Forward);
+        assert_eq!(link.accept(499, false), Order::Forward);
+        assert_eq!((link.missed, link.repeated), (0, 0));
     }
 }

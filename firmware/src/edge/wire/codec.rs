@@ -3,7 +3,7 @@
 use super::{MAX_FRAME, PROTOCOL_VERSION};
 use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc};
-use postcard::ser_flavors::{Cobs, Slice, crc::CrcModifier};
+use postcard::ser_flavors::{Flavor, crc::CrcModifier};
 use serde::Serialize;
 
 /// CRC-32 of frames and parameter banks (ISO-HDLC, the one of zip and Ethernet; 1 KiB of table).
@@ -52,10 +52,71 @@ pub(crate) fn encode_as<'r, M: Serialize>(
         sequence,
         message,
     };
-    let cobs = Cobs::try_new(Slice::new(room)).map_err(|_| EncodeError)?;
+    let cobs = Cobs::new(room);
     postcard::serialize_with_flavor(&frame, CrcModifier::new(cobs, CRC.digest()))
         .map(|frame: &mut [u8]| &*frame)
         .map_err(|_| EncodeError)
+}
+
+/// COBS on the way into the room. The flavor of postcard does the same with indices that can panic.
+struct Cobs<'r> {
+    room: &'r mut [u8],
+    /// Bytes used.
+    length: usize,
+    /// Place of the length byte of the block under way.
+    code: usize,
+    /// What that byte will be: one more than the bytes of the block.
+    run: u8,
+}
+
+impl<'r> Cobs<'r> {
+    fn new(room: &'r mut [u8]) -> Self {
+        Self {
+            room,
+            length: 1,
+            code: 0,
+            run: 1,
+        }
+    }
+
+    fn put(&mut self, place: usize, byte: u8) -> postcard::Result<()> {
+        let slot = self.room.get_mut(place);
+        *slot.ok_or(postcard::Error::SerializeBufferFull)? = byte;
+        Ok(())
+    }
+
+    fn close_block(&mut self) -> postcard::Result<()> {
+        self.put(self.code, self.run)?;
+        self.code = self.length;
+        self.length += 1;
+        self.run = 1;
+        Ok(())
+    }
+}
+
+impl<'r> Flavor for Cobs<'r> {
+    type Output = &'r mut [u8];
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        if byte == 0 {
+            return self.close_block();
+        }
+        self.put(self.length, byte)?;
+        self.length += 1;
+        self.run += 1;
+        if self.run == u8::MAX {
+            return self.close_block();
+        }
+        Ok(())
+    }
+
+    fn finalize(mut self) -> postcard::Result<Self::Output> {
+        self.close_block()?;
+        // The delimiter takes the place that the next block would have begun with.
+        self.put(self.code, 0)?;
+        let frame = self.room.get_mut(..self.length);
+        frame.ok_or(postcard::Error::SerializeBufferFull)
+    }
 }
 
 /// Frames on their way out, in the order they were pushed.
