@@ -1,6 +1,16 @@
 //! Simulator and workbench of foretorque.
 
 pub mod board;
+pub mod commands;
+pub mod control;
 pub mod dynamics;
+pub mod excitation;
+pub mod experiment;
+pub mod files;
 pub mod generate;
+pub mod metrics;
+pub mod plant;
+pub mod report;
 pub mod robot;
+pub mod table;
+pub mod trajectory;

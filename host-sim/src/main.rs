@@ -1,3 +1,13 @@
 //! Command line of foretorque.
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match host_sim::commands::run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,73 @@
+use super::{Failure, unusable};
+use clap::Args;
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::edge::bank::ParameterBank;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Print what a parameter bank holds
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Bank file
+    file: PathBuf,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let bank = read(&arguments.file)?;
+    println!("arm       {} ({:08x})", bank.arm, bank.arm_hash);
+    let network = &bank.network;
+    println!(
+        "network   {} × {}-{}-{} {:?}, {} weights",
+        network.blocks,
+        network.inputs,
+        network.hidden,
+        network.outputs,
+        network.activation,
+        bank.weights.len()
+    );
+    println!(
+        "usable    {}",
+        match bank.set::<Ur5, JOINTS, PARAMETERS>() {
+            Ok(_) => "yes, on the board of this build".to_owned(),
+            Err(error) => format!("not on the board of this build: {error}"),
+        }
+    );
+    println!("\n{:<8} {:>14} {:>14}", "column", "value (SI)", "deviation");
+    for column in &bank.columns {
+        println!(
+            "{:<8} {:>14.6} {:>14.6}",
+            column.id.to_string(),
+            column.value,
+            column.deviation
+        );
+    }
+    println!(
+        "\n{:<8} {:>10} {:>12} {:>14} {:>12}",
+        "joint", "limit N·m", "slew N·m/s", "network share", "gain N·m/A"
+    );
+    for (joint, (limits, gain)) in bank.limits.iter().zip(&bank.drive_gains_nm_a).enumerate() {
+        println!(
+            "{:<8} {:>10} {:>12} {:>14} {:>12}",
+            joint + 1,
+            limits.torque_nm,
+            limits.slew_nm_s,
+            limits.network_share,
+            gain
+        );
+    }
+    Ok(())
+}
+
+/// A bank from its file.
+///
+/// Errors: the file's, or that it is no bank, each with the path.
+pub(super) fn read(path: &Path) -> Result<ParameterBank, Failure> {
+    let bytes = fs::read(path).map_err(|error| crate::files::at(path, error))?;
+    ParameterBank::decode(&bytes).map_err(|error| unusable(format!("{}: {error}", path.display())))
+}
+
+/// The bytes of a bank file.
+pub(super) fn bytes(bank: &ParameterBank) -> Result<Vec<u8>, Failure> {
+    let mut room = vec![0; ParameterBank::MAX_BYTES];
+    Ok(bank.encode(&mut room)?.to_vec())
+}

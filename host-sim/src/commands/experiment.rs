@@ -1,0 +1,122 @@
+use super::boards::{BoardChoice, robot_on_board};
+use super::progress::Bar;
+use super::{Failure, unusable};
+use crate::experiment::demo::{self, DemoConfig};
+use crate::experiment::{DemoReport, EXPERIMENTS};
+use crate::files::write_whole;
+use clap::Args;
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use std::path::PathBuf;
+
+/// Run one of the reproducible studies
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Name of the study
+    #[arg(required_unless_present = "list")]
+    name: Option<String>,
+    /// List the studies
+    #[arg(long)]
+    list: bool,
+    /// Directory for report.json and report.html
+    #[arg(long, value_name = "DIR", required_unless_present = "list")]
+    out: Option<PathBuf>,
+    /// Board of the long run: qemu or native; with qemu the flashable firmware runs beside it, over its USART
+    #[arg(long, default_value = "qemu")]
+    board: BoardChoice,
+    /// Seed of plant, prior, paths and noise
+    #[arg(long, default_value_t = DemoConfig::default().seed)]
+    seed: u64,
+    /// Arm time with learning on, long run, s
+    #[arg(long, default_value_t = DemoConfig::default().learning_s)]
+    learning_s: f64,
+    /// Arm time with learning on, flashable firmware, s
+    #[arg(long, default_value_t = DemoConfig::default().usart_learning_s)]
+    usart_learning_s: f64,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.list {
+        for (name, shows) in EXPERIMENTS {
+            println!("{name:<12} {shows}");
+        }
+        return Ok(());
+    }
+    match (arguments.name.as_deref(), &arguments.out) {
+        (Some("demo"), Some(out)) => run_demo(arguments, out),
+        (name, _) => Err(unusable(format!(
+            "unknown experiment '{}': `experiment --list` shows them",
+            name.unwrap_or_default()
+        ))),
+    }
+}
+
+fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+    let usable = |time_s: f64| time_s.is_finite() && time_s >= 1.0;
+    if !usable(arguments.learning_s) || !usable(arguments.usart_learning_s) {
+        return Err(unusable("times of learning must be at least 1 s"));
+    }
+    if arguments.usart_learning_s > arguments.learning_s {
+        return Err(unusable("--usart-learning-s must not exceed --learning-s"));
+    }
+    let config = DemoConfig {
+        seed: arguments.seed,
+        learning_s: arguments.learning_s,
+        usart_learning_s: arguments.usart_learning_s,
+        ..DemoConfig::default()
+    };
+    let robot = robot_on_board::<Ur5, JOINTS, PARAMETERS>("ur5")?;
+    let mut bulk = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>()?;
+    let mut usart = match arguments.board {
+        BoardChoice::Qemu => Some(BoardChoice::QemuUsart.connect::<Ur5, JOINTS, PARAMETERS>()?),
+        _ => None,
+    };
+    let bar = Bar::new();
+    let outcome = demo::run::<Ur5, JOINTS, PARAMETERS>(
+        &robot,
+        &config,
+        &arguments.board.to_string(),
+        &arguments.board.toolchain(),
+        &mut bulk,
+        usart.as_mut(),
+        &|stage, done, all| bar.show(stage, done, all),
+    )?;
+    drop(bar);
+    let json = serde_json::to_string_pretty(&outcome.report)? + "\n";
+    write_whole(&out.join("report.html"), outcome.html.as_bytes())?;
+    write_whole(&out.join("report.json"), json.as_bytes())?;
+    summarise(&outcome.report);
+    println!("report           {}", out.join("report.html").display());
+    Ok(())
+}
+
+fn summarise(report: &DemoReport) {
+    println!(
+        "torque error     {:.1} % → {:.1} % NRMSE on the unseen path ({:.2} of before), {} ticks of learning",
+        100.0 * report.torque_nrmse_before,
+        100.0 * report.torque_nrmse_after,
+        report.torque_nrmse_after / report.torque_nrmse_before,
+        report.ticks
+    );
+    let tracking = &report.tracking_rms_mrad;
+    println!(
+        "tracking error   {:.2} mrad PD alone, {:.2} with the wrong model, {:.2} with the learnt one",
+        tracking.pd_only, tracking.before, tracking.after
+    );
+    println!(
+        "cost of a tick   {} instructions mean, {} largest",
+        report.tick_instructions.mean, report.tick_instructions.max
+    );
+    println!(
+        "link             {} frames, {} errors",
+        report.link.frames, report.link.errors
+    );
+    if let Some(usart) = &report.usart {
+        println!(
+            "flashable ELF    {:.1} % → {:.1} % in {} ticks over its USART, {} of them with the same bits",
+            100.0 * usart.torque_nrmse_before,
+            100.0 * usart.torque_nrmse_after,
+            usart.ticks,
+            usart.ticks_with_equal_bits
+        );
+    }
+}

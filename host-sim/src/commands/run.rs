@@ -1,0 +1,109 @@
+use super::boards::{BoardChoice, robot_on_board};
+use super::progress::Bar;
+use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
+use super::{Failure, bank};
+use crate::experiment::closed_loop::ClosedLoop;
+use crate::files::write_whole;
+use crate::metrics::TrackingError;
+use crate::table::{TableWriter, joint_columns};
+use clap::Args;
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use std::path::PathBuf;
+
+/// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Robot: a built-in name or a description file
+    #[arg(long)]
+    robot: String,
+    /// Board: native, qemu, qemu-usart or serial:PORT
+    #[arg(long, default_value = "native")]
+    board: BoardChoice,
+    #[command(flatten)]
+    motion: MotionArguments,
+    /// Parameter bank to start from; without it the description's rigid body
+    #[arg(long, value_name = "FILE")]
+    bank: Option<PathBuf>,
+    /// Learn while it runs
+    #[arg(long)]
+    learn: bool,
+    /// Directory for log.csv, report.json and bank.bin, the parameters in force at the end
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let robot = robot_on_board::<Ur5, JOINTS, PARAMETERS>(&arguments.robot)?;
+    let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
+    let mut scene = arguments.motion.scene::<JOINTS>(&robot)?;
+    let mut board = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>()?;
+    if let Some(bank) = &bank {
+        board.upload_bank(bank)?;
+    }
+    board.learning(arguments.learn)?;
+    let mut header = log_header::<JOINTS>();
+    header.extend(joint_columns("feed_forward", "nm", JOINTS));
+    header.push("flags".to_owned());
+    let mut log = TableWriter::create(&arguments.out.join("log.csv"), &header)?;
+    let mut tracking = TrackingError::<JOINTS>::default();
+    let bar = Bar::new();
+    let mut play = ClosedLoop::new(
+        &mut scene.plant,
+        &scene.pd,
+        &scene.trajectory,
+        PERIOD_S,
+        Some(&mut board),
+    )?;
+    for tick in 0..scene.ticks {
+        let record = play.tick(&mut scene.plant, Some(&mut board))?;
+        tracking.add(&(record.desired.q - record.q));
+        let mut row = log_row(&record);
+        row.extend(record.feed_forward.iter().map(|tau| f64::from(*tau)));
+        row.push(f64::from(record.flags));
+        log.row(row)?;
+        if tick % 256 == 0 {
+            bar.show("run", tick, scene.ticks);
+        }
+    }
+    drop(bar);
+    board.learning(false)?;
+    let statistics = board.statistics()?;
+    let learnt = bank::bytes(&board.read_bank()?)?;
+    let report = serde_json::json!({
+        "robot": robot.name,
+        "board": arguments.board.to_string(),
+        "seed": arguments.motion.seed,
+        "ticks": scene.ticks,
+        "period_s": PERIOD_S,
+        "toolchain": arguments.board.toolchain(),
+        "learning": arguments.learn,
+        "tracking_rms_mrad": tracking.mean_rms_mrad(),
+        "tracking_rms_joint_mrad": tracking.rms_mrad(),
+        "link": {
+            "frames": statistics.frames,
+            "crc_errors": statistics.crc_errors,
+            "framing_errors": statistics.framing_errors,
+            "foreign_version": statistics.foreign_version,
+            "unknown": statistics.unknown,
+            "missed": statistics.missed,
+            "repeated": statistics.repeated,
+            "overruns": statistics.overruns,
+        },
+        "late_sets": statistics.late_sets,
+        "lessons_lost": statistics.lessons_lost,
+        "tick_cost": {"mean": statistics.tick_cost.mean, "max": statistics.tick_cost.max},
+        "learning_cost": {"mean": statistics.learn_cost.mean, "max": statistics.learn_cost.max},
+    });
+    log.finish()?;
+    write_whole(&arguments.out.join("bank.bin"), &learnt)?;
+    let text = serde_json::to_string_pretty(&report)? + "\n";
+    write_whole(&arguments.out.join("report.json"), text.as_bytes())?;
+    println!(
+        "{} ticks, tracking error {:.3} mrad RMS, {} link errors",
+        scene.ticks,
+        tracking.mean_rms_mrad(),
+        statistics.crc_errors + statistics.framing_errors + statistics.missed
+    );
+    println!("{}", arguments.out.join("report.json").display());
+    Ok(())
+}

@@ -1,0 +1,181 @@
+use super::progress::Bar;
+use super::{Failure, unusable};
+use crate::control::PdConfig;
+use crate::dynamics::ReferenceModel;
+use crate::excitation::Excitation;
+use crate::experiment::closed_loop::{ClosedLoop, TickRecord};
+use crate::plant::{Plant, PlantConfig};
+use crate::robot::{Perturbation, Robot};
+use crate::table::{StateReader, TableWriter, TimeColumn, joint_columns, state_columns};
+use crate::trajectory::Trajectory;
+use clap::Args;
+use std::fs;
+use std::path::PathBuf;
+
+/// Let the simulated arm play a trajectory under PD control, and log what its sensors say
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Robot: a built-in name or a description file
+    #[arg(long)]
+    robot: String,
+    #[command(flatten)]
+    motion: MotionArguments,
+    /// Log to write: t_s, desired q, qd, qdd, then measured position and torque
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+/// What `simulate` and `run` have in common.
+#[derive(Debug, Args)]
+pub(super) struct MotionArguments {
+    /// A table with t_s, q, qd, qdd; an excitation.json; or `validation`, a seeded path through via points
+    #[arg(long, value_name = "FILE|validation")]
+    trajectory: String,
+    /// Seed of plant, noise and validation path
+    #[arg(long, default_value_t = 1)]
+    pub(super) seed: u64,
+    /// Play this long, s; an excitation repeats, everything else ends by itself
+    #[arg(long)]
+    duration_s: Option<f64>,
+    /// Bandwidth of the PD controller, Hz
+    #[arg(long, default_value_t = 6.0)]
+    pd_bandwidth_hz: f64,
+    /// Standard deviation of the torque noise, share of the torque limit
+    #[arg(long, default_value_t = 0.01)]
+    torque_noise: f64,
+    /// The plant is the description itself, not a variation of it by up to 20 %
+    #[arg(long)]
+    exact: bool,
+}
+
+/// Period of the tick, s.
+pub(super) const PERIOD_S: f64 = 1e-3;
+
+/// Everything a closed loop needs besides a board.
+pub(super) struct Scene<const N: usize> {
+    pub(super) plant: Plant<N>,
+    pub(super) pd: PdConfig<N>,
+    pub(super) trajectory: Trajectory<N>,
+    pub(super) ticks: usize,
+}
+
+impl MotionArguments {
+    /// Plant, controller and trajectory.
+    ///
+    /// Errors: a file that is none, a trajectory of another robot, numbers that make no sense.
+    pub(super) fn scene<const N: usize>(&self, robot: &Robot) -> Result<Scene<N>, Failure> {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        if !self.duration_s.is_none_or(positive) {
+            return Err(unusable("--duration-s must be positive"));
+        }
+        if !positive(self.pd_bandwidth_hz) {
+            return Err(unusable("--pd-bandwidth-hz must be positive"));
+        }
+        if !(self.torque_noise.is_finite() && self.torque_noise >= 0.0) {
+            return Err(unusable("--torque-noise must not be negative"));
+        }
+        let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
+        let truth = if self.exact {
+            robot.clone()
+        } else {
+            robot.perturbed(self.seed, &Perturbation::PLANT)
+        };
+        let config = PlantConfig {
+            torque_noise: self.torque_noise,
+            ..PlantConfig::default()
+        };
+        let nominal = ReferenceModel::<N>::new(robot).ok_or_else(other_size)?;
+        let trajectory = self.trajectory::<N>(robot)?;
+        let duration_s = match &trajectory {
+            Trajectory::Excitation { duration_s, .. } => *duration_s,
+            ends => self
+                .duration_s
+                .unwrap_or(f64::INFINITY)
+                .min(ends.duration_s()),
+        };
+        Ok(Scene {
+            plant: Plant::new(&truth, config, self.seed).ok_or_else(other_size)?,
+            pd: PdConfig::tuned(&nominal, self.pd_bandwidth_hz, PERIOD_S),
+            trajectory,
+            ticks: (duration_s / PERIOD_S).round() as usize,
+        })
+    }
+
+    fn trajectory<const N: usize>(&self, robot: &Robot) -> Result<Trajectory<N>, Failure> {
+        if self.trajectory == "validation" {
+            return Ok(Trajectory::validation(robot, self.seed));
+        }
+        let path = PathBuf::from(&self.trajectory);
+        if path
+            .extension()
+            .is_some_and(|extension| extension == "json")
+        {
+            let text = fs::read_to_string(&path).map_err(|error| crate::files::at(&path, error))?;
+            let series: Excitation = serde_json::from_str(&text)
+                .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
+            series
+                .check(robot)
+                .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
+            let duration_s = self.duration_s.unwrap_or(series.period_s);
+            return Ok(Trajectory::Excitation { series, duration_s });
+        }
+        let rows = StateReader::<N>::open(&path, TimeColumn::Required)?.read_all()?;
+        Ok(Trajectory::sampled(&rows, PERIOD_S))
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let robot = Robot::load(&arguments.robot)?;
+    match robot.joint_count() {
+        6 => simulate::<6>(arguments, &robot),
+        7 => simulate::<7>(arguments, &robot),
+        joints => Err(unusable(format!(
+            "robots of {joints} joints are not supported"
+        ))),
+    }
+}
+
+fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
+    let mut scene = arguments.motion.scene::<N>(robot)?;
+    let mut log = TableWriter::create(&arguments.out, &log_header::<N>())?;
+    let bar = Bar::new();
+    let mut play = ClosedLoop::new(
+        &mut scene.plant,
+        &scene.pd,
+        &scene.trajectory,
+        PERIOD_S,
+        None,
+    )?;
+    for tick in 0..scene.ticks {
+        let record = play.tick(&mut scene.plant, None)?;
+        log.row(log_row(&record))?;
+        if tick % 256 == 0 {
+            bar.show("simulate", tick, scene.ticks);
+        }
+    }
+    log.finish()?;
+    Ok(())
+}
+
+/// Header of a log: q and torque are measured, qd and qdd desired; `desired1_rad…` is where the arm should be.
+pub(super) fn log_header<const N: usize>() -> Vec<String> {
+    let mut header = vec!["t_s".to_owned()];
+    header.extend(state_columns(N));
+    header.extend(joint_columns("tau", "nm", N));
+    header.extend(joint_columns("desired", "rad", N));
+    header
+}
+
+pub(super) fn log_row<const N: usize>(record: &TickRecord<N>) -> Vec<f64> {
+    let mut row = vec![record.t_s];
+    for values in [
+        &record.measured.q,
+        &record.desired.qd,
+        &record.desired.qdd,
+        &record.measured.tau,
+        &record.desired.q,
+    ] {
+        row.extend(values.iter());
+    }
+    row
+}

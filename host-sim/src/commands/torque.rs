@@ -1,0 +1,84 @@
+use super::boards::{BoardChoice, robot_on_board};
+use super::progress::Bar;
+use super::{Failure, bank};
+use crate::experiment::closed_loop::motion_f32;
+use crate::table::{StateReader, TableError, TableWriter, TimeColumn, joint_columns};
+use clap::Args;
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use std::path::PathBuf;
+
+/// Feed-forward torque of every row of a table of states, computed by the firmware
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Robot: a built-in name or a description file
+    #[arg(long)]
+    robot: String,
+    /// Board: native, qemu, qemu-usart or serial:PORT
+    #[arg(long, default_value = "native")]
+    board: BoardChoice,
+    /// Table with q1_rad…, qd1_rad_s…, qdd1_rad_s2… (CSV, or CSV.gz); t_s is optional
+    #[arg(long = "in", value_name = "FILE")]
+    input: PathBuf,
+    /// Table to write: tau1_nm…; with a bank also rigid1_nm…, friction1_nm…, network1_nm…
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Parameter bank to load; without it the rigid-body torque of the description's parameters
+    #[arg(long, value_name = "FILE")]
+    bank: Option<PathBuf>,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    robot_on_board::<Ur5, JOINTS, PARAMETERS>(&arguments.robot)?;
+    let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
+    let states = StateReader::<JOINTS>::open(&arguments.input, TimeColumn::Optional)?;
+    let timed = states.has_time();
+    let mut board = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>()?;
+    if let Some(bank) = &bank {
+        board.upload_bank(bank)?;
+    }
+    let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
+    header.extend(joint_columns("tau", "nm", JOINTS));
+    if bank.is_some() {
+        for share in ["rigid", "friction", "network"] {
+            header.extend(joint_columns(share, "nm", JOINTS));
+        }
+    }
+    let mut table = TableWriter::create(&arguments.out, &header)?;
+    let bar = Bar::new();
+    let mut rows = 0;
+    for state in states {
+        let state = state?;
+        let torque = board.evaluate(&motion_f32(&state.motion))?;
+        let total = match bank {
+            Some(_) => torque.total,
+            None => torque.shares.rigid,
+        };
+        let mut row: Vec<String> = state.t_s.iter().map(f64::to_string).collect();
+        row.extend(total.iter().map(f32::to_string));
+        if bank.is_some() {
+            let shares = [
+                torque.shares.rigid,
+                torque.shares.friction,
+                torque.shares.network,
+            ];
+            row.extend(
+                shares
+                    .iter()
+                    .flat_map(|share| share.iter())
+                    .map(f32::to_string),
+            );
+        }
+        table.row(row)?;
+        rows += 1;
+        if rows % 256 == 0 {
+            bar.show("torque", rows, rows);
+        }
+    }
+    if rows == 0 {
+        return Err(Box::new(TableError::Empty {
+            path: arguments.input.clone(),
+        }));
+    }
+    table.finish()?;
+    Ok(())
+}

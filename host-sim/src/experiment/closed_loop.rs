@@ -1,0 +1,127 @@
+//! The arm under closed-loop control with a board in the loop.
+
+use crate::board::{BoardError, Client};
+use crate::control::{self, PdConfig, PdState};
+use crate::dynamics::{Joints, State};
+use crate::plant::{Measurement, Plant};
+use crate::trajectory::Trajectory;
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+
+/// What happened in one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct TickRecord<const N: usize> {
+    /// Time at the beginning of the tick, s.
+    pub t_s: f64,
+    /// Where the arm should be.
+    pub desired: State<N>,
+    /// Where it is, free of noise, rad.
+    pub q: Joints<N>,
+    /// What its sensors say.
+    pub measured: Measurement<N>,
+    /// Torque asked of the drives in this tick, N·m.
+    pub tau: Joints<N>,
+    /// Feed-forward answered in this tick, in effect in the next, N·m. Zero without a board.
+    pub feed_forward: JointVector<N>,
+    /// Flags that came with it.
+    pub flags: u16,
+}
+
+/// A trajectory that is being played under PD control, with the torque of a board added where there is one.
+///
+/// The latency of the feed-forward is one tick: the request of tick k asks for the torque of tick k + 1 and carries the
+/// motion desired then; what is answered acts from k + 1 on. The PD torque acts at once.
+#[derive(Debug)]
+pub struct ClosedLoop<'t, const N: usize> {
+    pd: &'t PdConfig<N>,
+    controller: PdState<N>,
+    trajectory: &'t Trajectory<N>,
+    period_s: f64,
+    tick: usize,
+    desired: State<N>,
+    answer: JointVector<N>,
+}
+
+impl<'t, const N: usize> ClosedLoop<'t, N> {
+    /// Puts the arm down at rest at the start of `trajectory`. The first tick's feed-forward is what the board says of
+    /// the first desired motion.
+    ///
+    /// Errors: the board's.
+    pub fn new(
+        plant: &mut Plant<N>,
+        pd: &'t PdConfig<N>,
+        trajectory: &'t Trajectory<N>,
+        period_s: f64,
+        board: Option<&mut Client<N>>,
+    ) -> Result<Self, BoardError> {
+        let desired = trajectory.at(0.0);
+        plant.place(&desired.q);
+        let answer = match board {
+            Some(board) => board.evaluate(&motion_f32(&desired))?.total,
+            None => JointVector::zeros(),
+        };
+        Ok(Self {
+            pd,
+            controller: PdState::new(desired.q),
+            trajectory,
+            period_s,
+            tick: 0,
+            desired,
+            answer,
+        })
+    }
+
+    /// Runs one tick. `board` is the one given to [`new`](Self::new), or none as there.
+    ///
+    /// Errors: the board's.
+    pub fn tick(
+        &mut self,
+        plant: &mut Plant<N>,
+        board: Option<&mut Client<N>>,
+    ) -> Result<TickRecord<N>, BoardError> {
+        let desired = self.desired;
+        let measured = plant.measure();
+        let feedback = control::step(
+            self.pd,
+            &mut self.controller,
+            &measured.q,
+            &desired.q,
+            &desired.qd,
+        );
+        let tau = feedback + self.answer.cast::<f64>();
+        let next = self.trajectory.at((self.tick + 1) as f64 * self.period_s);
+        let mut flags = 0;
+        if let Some(board) = board {
+            let reply = board.sample(&JointSample {
+                desired: motion_f32(&next),
+                measured: Some(JointMeasurement {
+                    q: measured.q.cast(),
+                    tau: measured.tau.cast(),
+                }),
+            })?;
+            self.answer = reply.total;
+            flags = reply.flags.0;
+        }
+        let record = TickRecord {
+            t_s: self.tick as f64 * self.period_s,
+            desired,
+            q: *plant.q(),
+            measured,
+            tau,
+            feed_forward: self.answer,
+            flags,
+        };
+        plant.advance(&tau, self.period_s);
+        self.desired = next;
+        self.tick += 1;
+        Ok(record)
+    }
+}
+
+/// A motion as the board reads it.
+pub fn motion_f32<const N: usize>(state: &State<N>) -> JointMotion<N> {
+    JointMotion {
+        q: state.q.cast(),
+        qd: state.qd.cast(),
+        qdd: state.qdd.cast(),
+    }
+}

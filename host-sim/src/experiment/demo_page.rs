@@ -1,0 +1,392 @@
+//! The page of the main job.
+
+use super::demo_record::{DemoCurves, DemoReport, LearningPoint, ValidationPoint};
+use crate::dynamics::{Joints, State};
+use crate::report::page::{self, Section, Tile};
+use crate::report::plot::{self, Curve, Ink, Panel};
+use std::error::Error;
+
+/// Width and height of a panel where two or three stand in a row, CSS pixels.
+const THIRD: (u32, u32) = (370, 250);
+
+pub(super) fn html<const N: usize>(
+    report: &DemoReport,
+    curves: &DemoCurves<N>,
+) -> Result<String, Box<dyn Error>> {
+    let sections = [
+        predicted::<N>(report, &curves.validation)?,
+        learning(report)?,
+        tracking::<N>(report, curves)?,
+        shares::<N>(&curves.validation)?,
+        excitation::<N>(&curves.excitation)?,
+        cost(report),
+        link(report),
+        parameters_of_the_run(report),
+    ];
+    let lead = format!(
+        "A {} whose model is wrong about its masses, inertias and friction moves for {:.0} s; the firmware learns the \
+         difference tick by tick, is frozen, and then meets a path it has never seen. Arm and noise are simulated, the \
+         torque comes from the firmware's own code.",
+        report.robot.to_uppercase(),
+        report.ticks as f64 * report.period_s
+    );
+    Ok(page::html(
+        &format!(
+            "foretorque: {} learns its torque",
+            report.robot.to_uppercase()
+        ),
+        &lead,
+        &tiles(report),
+        &sections,
+    ))
+}
+
+fn tiles(report: &DemoReport) -> Vec<Tile> {
+    let tile = |value: String, label: &str| Tile {
+        value,
+        label: label.to_owned(),
+    };
+    let mut tiles = vec![
+        tile(
+            format!(
+                "{} → {}",
+                percent(report.torque_nrmse_before),
+                percent(report.torque_nrmse_after)
+            ),
+            "torque error on the unseen path, before → after learning (NRMSE)",
+        ),
+        tile(
+            format!(
+                "{:.2} → {:.2} mrad",
+                report.tracking_rms_mrad.pd_only, report.tracking_rms_mrad.after
+            ),
+            "tracking error, PD alone → with learnt feed-forward",
+        ),
+        tile(
+            format!("{:.0} s", report.ticks as f64 * report.period_s),
+            "of arm time with learning on",
+        ),
+    ];
+    if report.tick_instructions.max > 0 {
+        tiles.push(tile(
+            format!("{}", report.tick_instructions.max),
+            "instructions in the longest tick",
+        ));
+    }
+    if let Some(usart) = &report.usart {
+        tiles.push(tile(
+            format!("{} of {}", usart.ticks_with_equal_bits, usart.ticks),
+            "replies of the flashable firmware with the very same bits",
+        ));
+    }
+    tiles
+}
+
+fn percent(ratio: f64) -> String {
+    format!("{:.1} %", 100.0 * ratio)
+}
+
+/// The paper's Fig. 6, with the wrong model beside it.
+fn predicted<const N: usize>(
+    report: &DemoReport,
+    points: &[ValidationPoint<N>],
+) -> Result<Section, Box<dyn Error>> {
+    let panels = joint_panels::<N>("tau / N·m", |j| {
+        vec![
+            curve(Ink::Truth, points, |p| (p.t_s, p.truth[j])),
+            curve(Ink::Before, points, |p| (p.t_s, p.before[j])),
+            curve(Ink::After, points, |p| (p.t_s, p.after[j])),
+        ]
+    });
+    let errors = joint_panels::<N>("error / N·m", |j| {
+        vec![
+            curve(Ink::Before, points, |p| (p.t_s, p.before[j] - p.truth[j])),
+            curve(Ink::After, points, |p| (p.t_s, p.after[j] - p.truth[j])),
+        ]
+    });
+    let rows: Vec<Vec<String>> = (0..N)
+        .map(|j| {
+            let (before, after) = (
+                report.torque_rmse_nm.before[j],
+                report.torque_rmse_nm.after[j],
+            );
+            vec![
+                format!("joint {}", j + 1),
+                format!("{before:.3}"),
+                format!("{after:.3}"),
+                format!("{:.2}", after / before),
+            ]
+        })
+        .collect();
+    Ok(Section {
+        heading: "Predicted and true torque on the unseen path".to_owned(),
+        caption: format!(
+            "The learnt model lies on the noise-free truth where the wrong one misses friction and inertia: the error falls from {} to {} of the joints' RMS torque (the paper's Fig. 6, with its error below).",
+            percent(report.torque_nrmse_before),
+            percent(report.torque_nrmse_after)
+        ),
+        legend: vec![
+            (Ink::Truth, "truth".to_owned()),
+            (Ink::Before, "wrong model".to_owned()),
+            (Ink::After, "learnt model".to_owned()),
+        ],
+        body: plot::grid(&panels, 3, THIRD.0, THIRD.1)?
+            + &plot::grid(&errors, 3, THIRD.0, THIRD.1)?
+            + &page::table(
+                &["RMS torque error", "before / N·m", "after / N·m", "ratio"],
+                &rows,
+            ),
+    })
+}
+
+fn learning(report: &DemoReport) -> Result<Section, Box<dyn Error>> {
+    let panel = Panel {
+        title: String::new(),
+        x_label: "time of learning / s".to_owned(),
+        y_label: "NRMSE / %".to_owned(),
+        curves: vec![curve(Ink::After, &report.learning_curve, |p| {
+            (p.t_s, 100.0 * p.torque_nrmse)
+        })],
+        from_zero: true,
+    };
+    Ok(Section {
+        heading: "Error while it learns".to_owned(),
+        caption: format!(
+            "Torque error on the unseen path, asked of the board every second while the arm plays the excitation: it halves within {} of learning.",
+            halved_after(&report.learning_curve)
+        ),
+        legend: vec![(Ink::After, "model in force on the board".to_owned())],
+        body: plot::grid(&[panel], 1, 1110, 300)?,
+    })
+}
+
+/// Time until the error is half of what it was at the beginning, as words.
+fn halved_after(points: &[LearningPoint]) -> String {
+    let Some(first) = points.first() else {
+        return "no time".to_owned();
+    };
+    points
+        .iter()
+        .find(|point| point.torque_nrmse <= 0.5 * first.torque_nrmse)
+        .map_or("more than the whole time".to_owned(), |point| {
+            format!("{:.0} s", point.t_s)
+        })
+}
+
+fn tracking<const N: usize>(
+    report: &DemoReport,
+    curves: &DemoCurves<N>,
+) -> Result<Section, Box<dyn Error>> {
+    let kinds = &curves.tracking;
+    let panels = joint_panels::<N>("error / mrad", |j| {
+        vec![
+            curve(Ink::Truth, &kinds.pd_only, |(t_s, e)| (*t_s, e[j])),
+            curve(Ink::Before, &kinds.before, |(t_s, e)| (*t_s, e[j])),
+            curve(Ink::After, &kinds.after, |(t_s, e)| (*t_s, e[j])),
+        ]
+    });
+    let joints = &report.tracking_rms_joint_mrad;
+    let mut rows: Vec<Vec<String>> = (0..N)
+        .map(|j| {
+            let figures = [joints.pd_only[j], joints.before[j], joints.after[j]];
+            let mut row = vec![format!("joint {}", j + 1)];
+            row.extend(figures.map(|figure| format!("{figure:.3}")));
+            row
+        })
+        .collect();
+    let mean = &report.tracking_rms_mrad;
+    let mut row = vec!["mean".to_owned()];
+    row.extend([mean.pd_only, mean.before, mean.after].map(|figure| format!("{figure:.3}")));
+    rows.push(row);
+    Ok(Section {
+        heading: "Tracking error on the unseen path".to_owned(),
+        caption: format!(
+            "A PD loop of {:.0} Hz follows {:.1} times as closely with the wrong model's feed-forward and {:.1} times as closely with the learnt one; a real arm will gain less than a simulated one.",
+            report.pd_bandwidth_hz,
+            mean.pd_only / mean.before,
+            mean.pd_only / mean.after
+        ),
+        legend: vec![
+            (Ink::Truth, "PD alone".to_owned()),
+            (Ink::Before, "with the wrong model".to_owned()),
+            (Ink::After, "with the learnt model".to_owned()),
+        ],
+        body: plot::grid(&panels, 3, THIRD.0, THIRD.1)?
+            + &page::table(
+                &[
+                    "RMS error",
+                    "PD alone / mrad",
+                    "wrong model / mrad",
+                    "learnt / mrad",
+                ],
+                &rows,
+            ),
+    })
+}
+
+fn shares<const N: usize>(points: &[ValidationPoint<N>]) -> Result<Section, Box<dyn Error>> {
+    let panels = joint_panels::<N>("tau / N·m", |j| {
+        vec![
+            curve(Ink::After, points, |p| (p.t_s, p.rigid[j])),
+            curve(Ink::Before, points, |p| (p.t_s, p.friction[j])),
+            curve(Ink::Other, points, |p| (p.t_s, p.network[j])),
+        ]
+    });
+    Ok(Section {
+        heading: "What the learnt torque is made of".to_owned(),
+        caption: "Rigid body, friction and network add up to the torque, each bounded by itself and each visible by itself; the network adds what the other two leave over.".to_owned(),
+        legend: vec![
+            (Ink::After, "rigid body".to_owned()),
+            (Ink::Before, "friction".to_owned()),
+            (Ink::Other, "network".to_owned()),
+        ],
+        body: plot::grid(&panels, 3, THIRD.0, THIRD.1)?,
+    })
+}
+
+/// The paper's Fig. 3.
+fn excitation<const N: usize>(points: &[(f64, State<N>)]) -> Result<Section, Box<dyn Error>> {
+    type Pick<const N: usize> = fn(&State<N>) -> &Joints<N>;
+    let rows: [(&str, &str, Pick<N>); 3] = [
+        ("position", "q / rad", |state| &state.q),
+        ("velocity", "qd / rad/s", |state| &state.qd),
+        ("acceleration", "qdd / rad/s²", |state| &state.qdd),
+    ];
+    let panels = rows.map(|(title, y_label, pick)| Panel {
+        title: title.to_owned(),
+        x_label: "t / s".to_owned(),
+        y_label: y_label.to_owned(),
+        curves: (0..N)
+            .map(|j| curve(Ink::Joint(j as u8), points, |(t_s, s)| (*t_s, pick(s)[j])))
+            .collect(),
+        from_zero: false,
+    });
+    Ok(Section {
+        heading: "Excitation".to_owned(),
+        caption: "One period of the Fourier series that the arm plays while it learns (the paper's Fig. 3): every joint moves at its own mix of five harmonics, inside its limits, at rest at both ends.".to_owned(),
+        legend: (0..N)
+            .map(|j| (Ink::Joint(j as u8), format!("joint {}", j + 1)))
+            .collect(),
+        body: plot::grid(&panels, 3, THIRD.0, 290)?,
+    })
+}
+
+fn cost(report: &DemoReport) -> Section {
+    let counted = report.tick_instructions.max > 0;
+    let mut rows = Vec::new();
+    let mut push = |name: &str, figures: super::TickInstructions| {
+        rows.push(vec![
+            name.to_owned(),
+            figures.mean.to_string(),
+            figures.max.to_string(),
+        ]);
+    };
+    push("tick, long run", report.tick_instructions);
+    push(
+        "learning from a tick, long run",
+        report.learning_instructions,
+    );
+    if let Some(usart) = &report.usart {
+        push("tick, flashable firmware", usart.tick_instructions);
+        push(
+            "learning from a tick, flashable firmware",
+            usart.learning_instructions,
+        );
+    }
+    let caption = if counted {
+        "Instructions between a complete request and its reply, and those of learning in the slack behind it, counted by a timer of the emulated board."
+    } else {
+        "The board in this process has no instruction counter; run on the emulated board to see its costs."
+    };
+    Section {
+        heading: "Instructions per tick".to_owned(),
+        caption: caption.to_owned(),
+        legend: Vec::new(),
+        body: page::table(&["instructions", "mean", "largest"], &rows),
+    }
+}
+
+fn link(report: &DemoReport) -> Section {
+    let row = |name: &str, figures: super::LinkFigures| {
+        vec![
+            name.to_owned(),
+            figures.frames.to_string(),
+            figures.errors.to_string(),
+        ]
+    };
+    let mut rows = vec![row(&format!("long run ({})", report.board), report.link)];
+    let mut caption =
+        "Frames the board received, and those that were damaged, foreign, missed or lost."
+            .to_owned();
+    if let Some(usart) = &report.usart {
+        rows.push(row("flashable firmware (USART)", usart.link));
+        caption += &format!(
+            " On the flashable firmware the error on {} points of the unseen path went from {} to {} within {} ticks, and {} of its replies carried the very bits of the long run's.",
+            usart.grid_points,
+            percent(usart.torque_nrmse_before),
+            percent(usart.torque_nrmse_after),
+            usart.ticks,
+            if usart.ticks_with_equal_bits == usart.ticks {
+                "all".to_owned()
+            } else {
+                usart.ticks_with_equal_bits.to_string()
+            }
+        );
+    }
+    Section {
+        heading: "Link".to_owned(),
+        caption,
+        legend: Vec::new(),
+        body: page::table(&["link", "frames", "errors"], &rows),
+    }
+}
+
+fn parameters_of_the_run(report: &DemoReport) -> Section {
+    let row = |name: &str, value: String| vec![name.to_owned(), value];
+    Section {
+        heading: "This run".to_owned(),
+        caption: "What it takes to repeat it: the same seed and firmware give the same figures to the last digit.".to_owned(),
+        legend: Vec::new(),
+        body: page::table(
+            &["", "value"],
+            &[
+                row("robot", report.robot.clone()),
+                row("board", report.board.clone()),
+                row("seed", report.seed.to_string()),
+                row("period", format!("{} ms", report.period_s * 1e3)),
+                row("ticks with learning on", report.ticks.to_string()),
+                row("compiler of the board's code", report.toolchain.clone()),
+                row(
+                    "NRMSE, moving joints only",
+                    format!(
+                        "{} → {}",
+                        percent(report.torque_nrmse_moving_before),
+                        percent(report.torque_nrmse_moving_after)
+                    ),
+                ),
+            ],
+        ),
+    }
+}
+
+fn joint_panels<const N: usize>(
+    y_label: &str,
+    mut curves: impl FnMut(usize) -> Vec<Curve>,
+) -> Vec<Panel> {
+    (0..N)
+        .map(|j| Panel {
+            title: format!("joint {}", j + 1),
+            x_label: "t / s".to_owned(),
+            y_label: y_label.to_owned(),
+            curves: curves(j),
+            from_zero: false,
+        })
+        .collect()
+}
+
+fn curve<T>(ink: Ink, points: &[T], pick: impl Fn(&T) -> (f64, f64)) -> Curve {
+    Curve {
+        ink,
+        points: points.iter().map(pick).collect(),
+    }
+}

@@ -1,0 +1,102 @@
+//! Files that are whole or absent: written beside their final name, renamed when complete.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// A file under construction. Dropped before [`WholeFile::finish`] it leaves nothing behind.
+#[derive(Debug)]
+pub struct WholeFile {
+    writer: Option<BufWriter<File>>,
+    part: PathBuf,
+    target: PathBuf,
+}
+
+impl WholeFile {
+    /// Opens the file's unfinished version, creating the directories above it.
+    ///
+    /// Errors: whatever the file system says, with the path in the message.
+    pub fn create(target: &Path) -> io::Result<Self> {
+        if let Some(parent) = target.parent().filter(|p| !p.as_os_str().is_empty()) {
+            fs::create_dir_all(parent).map_err(|error| at(parent, error))?;
+        }
+        let mut part = target.as_os_str().to_owned();
+        // The process id keeps two runs that write the same file from sharing one unfinished version.
+        part.push(format!(".part{}", std::process::id()));
+        let part = PathBuf::from(part);
+        let file = File::create(&part).map_err(|error| at(target, error))?;
+        Ok(Self {
+            writer: Some(BufWriter::new(file)),
+            part,
+            target: target.to_owned(),
+        })
+    }
+
+    /// Gives the complete file its name.
+    ///
+    /// Errors: whatever the file system says; the file's earlier version is then untouched.
+    pub fn finish(mut self) -> io::Result<()> {
+        if let Some(writer) = self.writer.take() {
+            writer
+                .into_inner()
+                .map_err(|error| at(&self.target, error.into_error()))?;
+        }
+        fs::rename(&self.part, &self.target).map_err(|error| at(&self.target, error))
+    }
+}
+
+impl Write for WholeFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.writer {
+            Some(writer) => writer.write(bytes),
+            None => Err(io::ErrorKind::BrokenPipe.into()),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match &mut self.writer {
+            Some(writer) => writer.flush(),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Drop for WholeFile {
+    fn drop(&mut self) {
+        // After a rename there is no unfinished version any more, and failing to remove one has no better remedy.
+        let _ = fs::remove_file(&self.part);
+    }
+}
+
+/// Writes `contents` to `target` as a whole.
+///
+/// Errors: whatever the file system says, with the path in the message.
+pub fn write_whole(target: &Path, contents: &[u8]) -> io::Result<()> {
+    let mut file = WholeFile::create(target)?;
+    file.write_all(contents)?;
+    file.finish()
+}
+
+/// Adds the path to a file-system error.
+pub(crate) fn at(path: &Path, error: io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unfinished_file_leaves_nothing_behind() {
+        let directory =
+            std::env::temp_dir().join(format!("foretorque-files-{}", std::process::id()));
+        let target = directory.join("half.csv");
+        let mut file = WholeFile::create(&target).expect("creates");
+        file.write_all(b"half").expect("writes");
+        drop(file);
+        assert_eq!(fs::read_dir(&directory).expect("lists").count(), 0);
+        write_whole(&target, b"whole").expect("writes");
+        assert_eq!(fs::read(&target).expect("reads"), b"whole");
+        fs::remove_dir_all(&directory).expect("cleans up");
+    }
+}

@@ -1,0 +1,146 @@
+//! The page around the plots: one file, no script, nothing fetched.
+
+use super::plot::{Ink, style_sheet};
+
+/// A figure in large type at the top of the page.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tile {
+    /// The number with its unit.
+    pub value: String,
+    /// What it is.
+    pub label: String,
+}
+
+/// A part of the page: heading, one sentence on what is seen, legend, body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Section {
+    /// Heading.
+    pub heading: String,
+    /// What is seen, in one sentence.
+    pub caption: String,
+    /// Colours and what they stand for.
+    pub legend: Vec<(Ink, String)>,
+    /// SVG or a table, as HTML.
+    pub body: String,
+}
+
+/// Text made safe for HTML.
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
+/// A table with a header row; the first column is text, the others are numbers.
+pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
+    let cells = |tag: &str, row: &mut dyn Iterator<Item = &str>| -> String {
+        row.map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell)))
+            .collect()
+    };
+    let body: String = rows
+        .iter()
+        .map(|row| {
+            format!(
+                "<tr>{}</tr>\n",
+                cells("td", &mut row.iter().map(String::as_str))
+            )
+        })
+        .collect();
+    format!(
+        "<div class=\"wide\"><table><thead><tr>{}</tr></thead><tbody>\n{body}</tbody></table></div>",
+        cells("th", &mut header.iter().copied())
+    )
+}
+
+/// The whole page.
+pub fn html(title: &str, lead: &str, tiles: &[Tile], sections: &[Section]) -> String {
+    let tiles: String = tiles
+        .iter()
+        .map(|tile| {
+            format!(
+                "<div class=\"tile\"><b>{}</b><span>{}</span></div>\n",
+                escaped(&tile.value),
+                escaped(&tile.label)
+            )
+        })
+        .collect();
+    let sections: String = sections.iter().map(section).collect();
+    format!(
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
+         <meta name=\"color-scheme\" content=\"light dark\">\
+         <title>{title}</title>\n<style>\n{STYLE}{inks}</style></head>\n<body><main>\n\
+         <h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n<div class=\"tiles\">\n{tiles}</div>\n{sections}\
+         </main></body></html>\n",
+        title = escaped(title),
+        lead = escaped(lead),
+        inks = style_sheet(),
+    )
+}
+
+fn section(section: &Section) -> String {
+    let legend: String = section
+        .legend
+        .iter()
+        .map(|(ink, name)| {
+            format!(
+                "<span><i style=\"background:var({})\"></i>{}</span>",
+                ink.variable(),
+                escaped(name)
+            )
+        })
+        .collect();
+    format!(
+        "<section><h2>{}</h2>\n<p>{}</p>\n<div class=\"legend\">{legend}</div>\n{}\n</section>\n",
+        escaped(&section.heading),
+        escaped(&section.caption),
+        section.body
+    )
+}
+
+const STYLE: &str = "\
+:root{--page:#fbfbfa;--card:#fff;--text:#1f2328;--quiet:#59636e;--axis:#8c959f;--grid:#e6e8eb;--line:#d8dce1;
+--truth:#a3abb5;--before:#d9660a;--after:#0b5fd6;--other:#12805c;
+--joint1:#0b5fd6;--joint2:#d9660a;--joint3:#12805c;--joint4:#b4267a;--joint5:#6b46c9;--joint6:#8a6d00;--joint7:#0e7c93;--joint8:#7a4a2b}
+@media (prefers-color-scheme:dark){:root{--page:#101418;--card:#171c22;--text:#e6e9ed;--quiet:#9aa4af;--axis:#6b7580;--grid:#2a313a;--line:#2f3741;
+--truth:#7d8894;--before:#ff9a3d;--after:#6aa9ff;--other:#3ecf9a;
+--joint1:#6aa9ff;--joint2:#ff9a3d;--joint3:#3ecf9a;--joint4:#f472b6;--joint5:#b39bff;--joint6:#e0c04a;--joint7:#4fd1e8;--joint8:#d9a27e}}
+*{box-sizing:border-box}body{margin:0;background:var(--page);color:var(--text);font:16px/1.5 system-ui,-apple-system,\"Segoe UI\",Roboto,sans-serif}
+main{max-width:1160px;margin:0 auto;padding:32px 20px 64px}h1{font-size:1.9rem;margin:0 0 4px;letter-spacing:-.01em}
+h2{font-size:1.2rem;margin:0 0 4px}p{margin:0 0 10px;max-width:80ch;color:var(--quiet)}.lead{font-size:1.05rem;margin-bottom:20px}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(190px,1fr));gap:12px;margin-bottom:20px}
+.tile,section{background:var(--card);border:1px solid var(--line);border-radius:10px}.tile{padding:14px 16px}
+.tile b{display:block;font-size:1.2rem;font-variant-numeric:tabular-nums}.tile span{color:var(--quiet);font-size:.86rem}
+section{padding:20px 20px 14px;margin-bottom:18px}.legend{display:flex;flex-wrap:wrap;gap:4px 18px;font-size:.88rem;margin-bottom:4px}
+.legend i{display:inline-block;width:18px;height:4px;border-radius:2px;margin-right:6px;vertical-align:middle}
+svg{display:block;width:100%;height:auto}.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
+th,td{text-align:right;padding:4px 14px 4px 0;border-bottom:1px solid var(--line)}th{font-weight:600}th:first-child,td:first-child{text-align:left}
+";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_fetches_nothing_and_escapes_its_text() {
+        let page = html(
+            "a < b",
+            "lead & more",
+            &[Tile {
+                value: "1".to_owned(),
+                label: "<one>".to_owned(),
+            }],
+            &[Section {
+                heading: "h".to_owned(),
+                caption: "c".to_owned(),
+                legend: vec![(Ink::After, "\"after\"".to_owned())],
+                body: table(&["name", "x"], &[vec!["<row>".to_owned(), "2".to_owned()]]),
+            }],
+        );
+        for fetched in ["http", "src=", "@import", "url(", "<script"] {
+            assert!(!page.contains(fetched), "{fetched}");
+        }
+        assert!(page.contains("&lt;row&gt;") && page.contains("&lt;one&gt;"));
+    }
+}

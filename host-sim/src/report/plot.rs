@@ -1,0 +1,269 @@
+//! Line plots as SVG that takes its colours from the page, so that it reads in light and in dark.
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use std::error::Error;
+
+/// Colours of the page, by what they stand for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ink {
+    /// What is true, or wanted.
+    Truth,
+    /// The starting model, wrong on purpose.
+    Before,
+    /// The learnt model.
+    After,
+    /// A fourth curve.
+    Other,
+    /// One of up to eight joints, from 0.
+    Joint(u8),
+}
+
+/// A curve of a panel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// Its colour.
+    pub ink: Ink,
+    /// Points, x ascending.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// One pair of axes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Panel {
+    /// Heading.
+    pub title: String,
+    /// Quantity and unit of x.
+    pub x_label: String,
+    /// Quantity and unit of y.
+    pub y_label: String,
+    /// Curves, the first one lowest.
+    pub curves: Vec<Curve>,
+    /// The y axis starts at zero.
+    pub from_zero: bool,
+}
+
+/// Colours of axes and grid; the page's style sheet translates each of these stand-ins, see [`style_sheet`].
+const AXIS: RGBColor = RGBColor(1, 1, 1);
+const GRID: RGBColor = RGBColor(2, 2, 2);
+const TEXT: RGBColor = RGBColor(3, 3, 3);
+
+/// SVG units a CSS pixel: plotters rounds coordinates to whole units.
+const FINE: u32 = 3;
+/// Points a curve keeps for each panel.
+const BUCKETS: usize = 260;
+
+impl Ink {
+    fn stand_in(self) -> RGBColor {
+        let code = match self {
+            Self::Truth => 16,
+            Self::Before => 17,
+            Self::After => 18,
+            Self::Other => 19,
+            Self::Joint(joint) => 32 + joint % 8,
+        };
+        RGBColor(code, code, code)
+    }
+
+    /// Name of the page's CSS variable for this colour.
+    pub fn variable(self) -> String {
+        match self {
+            Self::Truth => "--truth".to_owned(),
+            Self::Before => "--before".to_owned(),
+            Self::After => "--after".to_owned(),
+            Self::Other => "--other".to_owned(),
+            Self::Joint(joint) => format!("--joint{}", joint % 8 + 1),
+        }
+    }
+}
+
+/// CSS rules that give every stand-in colour its variable.
+pub fn style_sheet() -> String {
+    let mut inks = vec![
+        (AXIS, "--axis".to_owned()),
+        (GRID, "--grid".to_owned()),
+        (TEXT, "--text".to_owned()),
+    ];
+    let named = [Ink::Truth, Ink::Before, Ink::After, Ink::Other];
+    let joints = (0..8).map(Ink::Joint);
+    inks.extend(
+        named
+            .into_iter()
+            .chain(joints)
+            .map(|ink| (ink.stand_in(), ink.variable())),
+    );
+    inks.iter()
+        .map(|(RGBColor(r, g, b), variable)| {
+            let hex = format!("#{r:02X}{g:02X}{b:02X}");
+            format!(
+                "svg [stroke=\"{hex}\"]{{stroke:var({variable})}}svg [fill=\"{hex}\"]{{fill:var({variable})}}\n"
+            )
+        })
+        .collect()
+}
+
+/// Panels in rows of `columns`, as one SVG; each panel is `width` × `height` CSS pixels.
+///
+/// Errors: what the plot library says.
+pub fn grid(
+    panels: &[Panel],
+    columns: usize,
+    width: u32,
+    height: u32,
+) -> Result<String, Box<dyn Error>> {
+    let rows = panels.len().div_ceil(columns.max(1));
+    let size = (
+        width * FINE * columns as u32,
+        height * FINE * rows.max(1) as u32,
+    );
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        for (panel, area) in panels
+            .iter()
+            .zip(root.split_evenly((rows.max(1), columns.max(1))))
+        {
+            draw(panel, &area)?;
+        }
+        root.present()?;
+    }
+    // The page scales the drawing to its own width.
+    let shown = format!("<svg width=\"{}\" height=\"{}\"", size.0, size.1);
+    Ok(svg.replacen(&shown, "<svg role=\"img\"", 1))
+}
+
+fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), Box<dyn Error>> {
+    let font = |size: u32| ("sans-serif", size * FINE).into_font().color(&TEXT);
+    let ((x0, x1), (y0, y1)) = ranges(panel);
+    let mut chart = ChartBuilder::on(area)
+        .margin(8 * FINE)
+        .caption(&panel.title, font(14))
+        .x_label_area_size(34 * FINE)
+        .y_label_area_size(52 * FINE)
+        .build_cartesian_2d(x0..x1, y0..y1)?;
+    chart
+        .configure_mesh()
+        .max_light_lines(0)
+        .bold_line_style(GRID.stroke_width(FINE))
+        .axis_style(AXIS.stroke_width(FINE))
+        .label_style(font(11))
+        .axis_desc_style(font(12))
+        .x_labels(6)
+        .y_labels(5)
+        .y_label_formatter(&|value| short(*value, y1 - y0))
+        .x_label_formatter(&|value| short(*value, x1 - x0))
+        .x_desc(&panel.x_label)
+        .y_desc(&panel.y_label)
+        .draw()?;
+    for curve in &panel.curves {
+        let width = if curve.ink == Ink::Truth {
+            2 * FINE + 2
+        } else {
+            FINE + 1
+        };
+        chart.draw_series(LineSeries::new(
+            thinned(&curve.points),
+            curve.ink.stand_in().stroke_width(width),
+        ))?;
+    }
+    Ok(())
+}
+
+/// As many decimals as the span of the axis asks for.
+fn short(value: f64, span: f64) -> String {
+    let decimals = (1.0 - span.log10()).ceil().clamp(0.0, 4.0) as usize;
+    let value = if value.abs() < span * 1e-9 {
+        0.0
+    } else {
+        value
+    };
+    format!("{value:.decimals$}")
+}
+
+fn ranges(panel: &Panel) -> ((f64, f64), (f64, f64)) {
+    let (mut x, mut y) = ((f64::MAX, f64::MIN), (f64::MAX, f64::MIN));
+    for &(px, py) in panel.curves.iter().flat_map(|curve| &curve.points) {
+        if px.is_finite() && py.is_finite() {
+            x = (x.0.min(px), x.1.max(px));
+            y = (y.0.min(py), y.1.max(py));
+        }
+    }
+    if panel.from_zero {
+        y.0 = 0.0;
+    }
+    let widen = |(low, high): (f64, f64), share: f64| {
+        if low > high {
+            (0.0, 1.0)
+        } else {
+            let room = ((high - low) * share).max(1e-9);
+            (low - room, high + room)
+        }
+    };
+    let (x, mut y) = (widen(x, 0.0), widen(y, 0.06));
+    if panel.from_zero {
+        y.0 = 0.0;
+    }
+    (x, y)
+}
+
+/// At most 2 points a bucket: the lowest and the highest, in their order, so that no peak is lost.
+fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    if points.len() <= 2 * BUCKETS {
+        return points.to_vec();
+    }
+    let mut kept = Vec::with_capacity(2 * BUCKETS);
+    for bucket in points.chunks(points.len().div_ceil(BUCKETS)) {
+        let by_height = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
+        if let (Some(low), Some(high)) = (
+            bucket.iter().min_by(by_height),
+            bucket.iter().max_by(by_height),
+        ) {
+            let (first, second) = if low.0 <= high.0 {
+                (low, high)
+            } else {
+                (high, low)
+            };
+            kept.extend([*first, *second]);
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thinning_keeps_every_peak_and_the_order() {
+        let mut points: Vec<(f64, f64)> = (0..30_000)
+            .map(|k| (f64::from(k), (f64::from(k) * 1e-3).sin()))
+            .collect();
+        points[12_345].1 = 50.0;
+        let kept = thinned(&points);
+        assert!(kept.len() <= 2 * BUCKETS);
+        assert!(kept.contains(&(12_345.0, 50.0)));
+        assert!(kept.windows(2).all(|pair| pair[0].0 <= pair[1].0));
+    }
+
+    #[test]
+    fn a_drawing_has_no_colour_that_the_style_sheet_does_not_translate() {
+        let curve = |ink| Curve {
+            ink,
+            points: vec![(0.0, 1.0), (1.0, 2.0)],
+        };
+        let panel = Panel {
+            title: "<tau & more>".to_owned(),
+            x_label: "t / s".to_owned(),
+            y_label: "tau / N·m".to_owned(),
+            curves: vec![curve(Ink::Truth), curve(Ink::Joint(7))],
+            from_zero: false,
+        };
+        let svg = grid(&[panel], 1, 300, 200).expect("draws");
+        let sheet = style_sheet();
+        for piece in svg.split("=\"#").skip(1) {
+            let hex = piece.split('"').next().unwrap_or_default();
+            assert!(sheet.contains(hex), "{hex}");
+        }
+        assert!(!svg.contains("<tau"), "text is escaped");
+    }
+}

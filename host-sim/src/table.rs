@@ -1,0 +1,498 @@
+//! Tables of joint states as CSV: a header row with units in the names, one row an instant.
+//!
+//! `t_s`, then `q1_rad…`, `qd1_rad_s…`, `qdd1_rad_s2…`, `tau1_nm…`; further columns are ignored on reading. A name that
+//! ends in `.gz` is compressed. Every error names file, line and column.
+
+use crate::dynamics::{Joints, State};
+use crate::files::{WholeFile, at};
+use flate2::Compression;
+use flate2::read::MultiGzDecoder;
+use flate2::write::GzEncoder;
+use std::fmt;
+use std::fs::File;
+use std::io::{self, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+
+/// What is wrong with a table.
+#[derive(Debug)]
+pub enum TableError {
+    /// The file cannot be opened or read.
+    File(io::Error),
+    /// The file is no CSV (wrong encoding, broken compression).
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the reader said.
+        reason: String,
+    },
+    /// The header lacks a column.
+    MissingColumn {
+        /// The file.
+        path: PathBuf,
+        /// The first column that is missing.
+        column: String,
+    },
+    /// The header names a column twice.
+    RepeatedColumn {
+        /// The file.
+        path: PathBuf,
+        /// The column.
+        column: String,
+    },
+    /// A row has more or fewer fields than the header.
+    Ragged {
+        /// The file.
+        path: PathBuf,
+        /// Line of the row, from 1.
+        line: u64,
+        /// Fields of the row.
+        found: usize,
+        /// Fields of the header.
+        expected: usize,
+    },
+    /// A field is no finite number.
+    NotANumber {
+        /// The file.
+        path: PathBuf,
+        /// Line of the row, from 1.
+        line: u64,
+        /// Column of the field.
+        column: String,
+        /// What stands there.
+        text: String,
+    },
+    /// Time stands still or runs backwards.
+    Time {
+        /// The file.
+        path: PathBuf,
+        /// Line of the row, from 1.
+        line: u64,
+        /// Time of the row, s.
+        t_s: f64,
+        /// Time of the row before, s.
+        previous_s: f64,
+    },
+    /// There is a header at most.
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl fmt::Display for TableError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(error) => write!(f, "{error}"),
+            Self::Unreadable { path, reason } => write!(f, "{}: {reason}", path.display()),
+            Self::MissingColumn { path, column } => {
+                write!(f, "{}:1: column {column} is missing", path.display())
+            }
+            Self::RepeatedColumn { path, column } => {
+                write!(f, "{}:1: column {column} appears twice", path.display())
+            }
+            Self::Ragged {
+                path,
+                line,
+                found,
+                expected,
+            } => write!(
+                f,
+                "{}:{line}: {found} fields where the header has {expected}",
+                path.display()
+            ),
+            Self::NotANumber {
+                path,
+                line,
+                column,
+                text,
+            } => write!(
+                f,
+                "{}:{line}: column {column}: {text:?} is not a finite number",
+                path.display()
+            ),
+            Self::Time {
+                path,
+                line,
+                t_s,
+                previous_s,
+            } => write!(
+                f,
+                "{}:{line}: column t_s: {t_s} does not come after {previous_s}",
+                path.display()
+            ),
+            Self::Empty { path } => write!(f, "{}: no rows", path.display()),
+        }
+    }
+}
+
+impl std::error::Error for TableError {}
+
+/// One row of a table of states.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StateRow<const N: usize> {
+    /// Time, s, where the table has it.
+    pub t_s: Option<f64>,
+    /// The motion of all joints.
+    pub motion: State<N>,
+}
+
+/// Whether a table must say when its rows were taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeColumn {
+    /// `t_s` is checked where present.
+    Optional,
+    /// `t_s` must be there.
+    Required,
+}
+
+/// Reads a table of the states of `N` joints row by row, in constant memory.
+pub struct StateReader<const N: usize> {
+    path: PathBuf,
+    records: csv::StringRecordsIntoIter<Box<dyn Read>>,
+    width: usize,
+    time: Option<usize>,
+    /// Field index and name of q1…qn, qd1…qdn, qdd1…qddn.
+    fields: Vec<(usize, String)>,
+    previous_s: Option<f64>,
+}
+
+impl<const N: usize> StateReader<N> {
+    /// Opens a table that holds position, velocity and acceleration of all joints.
+    ///
+    /// Errors: [`TableError`] of the header.
+    pub fn open(path: &Path, time: TimeColumn) -> Result<Self, TableError> {
+        let file = File::open(path).map_err(|error| TableError::File(at(path, error)))?;
+        let bytes: Box<dyn Read> = if is_compressed(path) {
+            Box::new(MultiGzDecoder::new(BufReader::new(file)))
+        } else {
+            Box::new(file)
+        };
+        // Ragged rows are reported by this file's own check, which knows the words of this project.
+        let mut reader = csv::ReaderBuilder::new()
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .from_reader(bytes);
+        let header = reader
+            .headers()
+            .map_err(|error| unreadable(path, &error))?
+            .clone();
+        let find = |column: &str| {
+            let mut places = header
+                .iter()
+                .enumerate()
+                .filter(|(_, name)| *name == column);
+            match (places.next(), places.next()) {
+                (Some(_), Some(_)) => Err(TableError::RepeatedColumn {
+                    path: path.to_owned(),
+                    column: column.to_owned(),
+                }),
+                (first, _) => Ok(first.map(|(index, _)| index)),
+            }
+        };
+        let require = |column: String| {
+            find(&column)?
+                .map(|index| (index, column.clone()))
+                .ok_or_else(|| TableError::MissingColumn {
+                    path: path.to_owned(),
+                    column,
+                })
+        };
+        let fields = state_columns(N)
+            .into_iter()
+            .map(require)
+            .collect::<Result<Vec<_>, _>>()?;
+        let time = match time {
+            TimeColumn::Required => Some(require("t_s".to_owned())?.0),
+            TimeColumn::Optional => find("t_s")?,
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            width: header.len(),
+            records: reader.into_records(),
+            time,
+            fields,
+            previous_s: None,
+        })
+    }
+
+    /// The table says when its rows were taken.
+    pub fn has_time(&self) -> bool {
+        self.time.is_some()
+    }
+
+    /// All rows at once.
+    ///
+    /// Errors: [`TableError`] of the first bad row, or [`TableError::Empty`].
+    pub fn read_all(self) -> Result<Vec<StateRow<N>>, TableError> {
+        let path = self.path.clone();
+        let rows = self.collect::<Result<Vec<_>, _>>()?;
+        if rows.is_empty() {
+            return Err(TableError::Empty { path });
+        }
+        Ok(rows)
+    }
+
+    fn parse(&mut self, record: &csv::StringRecord) -> Result<StateRow<N>, TableError> {
+        let line = record.position().map_or(0, csv::Position::line);
+        if record.len() != self.width {
+            return Err(TableError::Ragged {
+                path: self.path.clone(),
+                line,
+                found: record.len(),
+                expected: self.width,
+            });
+        }
+        let number = |index: usize, column: &str| {
+            let text = record.get(index).unwrap_or_default();
+            text.parse::<f64>()
+                .ok()
+                .filter(|value| value.is_finite())
+                .ok_or_else(|| TableError::NotANumber {
+                    path: self.path.clone(),
+                    line,
+                    column: column.to_owned(),
+                    text: text.to_owned(),
+                })
+        };
+        let t_s = self.time.map(|index| number(index, "t_s")).transpose()?;
+        if let (Some(t_s), Some(previous_s)) = (t_s, self.previous_s)
+            && t_s <= previous_s
+        {
+            return Err(TableError::Time {
+                path: self.path.clone(),
+                line,
+                t_s,
+                previous_s,
+            });
+        }
+        let zero = Joints::zeros();
+        let mut motion: State<N> = State {
+            q: zero,
+            qd: zero,
+            qdd: zero,
+        };
+        let places = motion
+            .q
+            .iter_mut()
+            .chain(&mut motion.qd)
+            .chain(&mut motion.qdd);
+        for (place, (index, column)) in places.zip(&self.fields) {
+            *place = number(*index, column)?;
+        }
+        self.previous_s = t_s;
+        Ok(StateRow { t_s, motion })
+    }
+}
+
+impl<const N: usize> Iterator for StateReader<N> {
+    type Item = Result<StateRow<N>, TableError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let record = match self.records.next()? {
+            Ok(record) => record,
+            Err(error) => return Some(Err(unreadable(&self.path, &error))),
+        };
+        Some(self.parse(&record))
+    }
+}
+
+/// Writes a table that is whole or absent.
+pub struct TableWriter {
+    writer: csv::Writer<Sink>,
+}
+
+enum Sink {
+    Plain(WholeFile),
+    Compressed(GzEncoder<WholeFile>),
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Plain(file) => file.write(bytes),
+            Self::Compressed(encoder) => encoder.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::Plain(file) => file.flush(),
+            Self::Compressed(encoder) => encoder.flush(),
+        }
+    }
+}
+
+impl TableWriter {
+    /// Starts a table with its header row.
+    ///
+    /// Errors: the file system's.
+    pub fn create(path: &Path, header: &[String]) -> io::Result<Self> {
+        let file = WholeFile::create(path)?;
+        let sink = if is_compressed(path) {
+            Sink::Compressed(GzEncoder::new(file, Compression::default()))
+        } else {
+            Sink::Plain(file)
+        };
+        let mut writer = csv::Writer::from_writer(sink);
+        writer.write_record(header)?;
+        Ok(Self { writer })
+    }
+
+    /// Adds a row. Numbers are written with as many digits as bring back the same value.
+    ///
+    /// Errors: the file system's, or a row of another width than the header.
+    pub fn row<T: fmt::Display>(&mut self, values: impl IntoIterator<Item = T>) -> io::Result<()> {
+        self.writer
+            .write_record(values.into_iter().map(|value| value.to_string()))?;
+        Ok(())
+    }
+
+    /// Completes the table and gives it its name.
+    ///
+    /// Errors: the file system's.
+    pub fn finish(self) -> io::Result<()> {
+        let sink = self
+            .writer
+            .into_inner()
+            .map_err(|error| io::Error::other(error.to_string()))?;
+        match sink {
+            Sink::Plain(file) => file.finish(),
+            Sink::Compressed(encoder) => encoder.finish()?.finish(),
+        }
+    }
+}
+
+/// `q1_rad…, qd1_rad_s…, qdd1_rad_s2…`
+pub fn state_columns(joints: usize) -> Vec<String> {
+    [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2")]
+        .iter()
+        .flat_map(|(name, unit)| joint_columns(name, unit, joints))
+        .collect()
+}
+
+/// One column a joint: `name1_unit…`.
+pub fn joint_columns(name: &str, unit: &str, joints: usize) -> Vec<String> {
+    (1..=joints)
+        .map(|joint| format!("{name}{joint}_{unit}"))
+        .collect()
+}
+
+fn is_compressed(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "gz")
+}
+
+fn unreadable(path: &Path, error: &csv::Error) -> TableError {
+    TableError::Unreadable {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    /// A directory that goes with the test.
+    struct Directory(PathBuf);
+
+    impl Directory {
+        fn new(name: &str) -> Self {
+            let path =
+                std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
+            fs::create_dir_all(&path).expect("creates");
+            Self(path)
+        }
+    }
+
+    impl Drop for Directory {
+        fn drop(&mut self) {
+            let _ = fs::remove_dir_all(&self.0);
+        }
+    }
+
+    #[test]
+    fn errors_name_file_line_and_column() {
+        let directory = Directory::new("table-errors");
+        let cases = [
+            (
+                "t_s,q1_rad,qd1_rad_s\n",
+                "states.csv:1: column qdd1_rad_s2 is missing",
+            ),
+            (
+                "q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0\n",
+                "states.csv:1: column t_s is missing",
+            ),
+            (
+                "t_s,q1_rad,q1_rad,qd1_rad_s,qdd1_rad_s2\n",
+                "states.csv:1: column q1_rad appears twice",
+            ),
+            (
+                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,0\n1,2,3\n",
+                "states.csv:3: 3 fields where the header has 4",
+            ),
+            (
+                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,0\n1,2,x,4\n",
+                "states.csv:3: column qd1_rad_s: \"x\" is not a finite number",
+            ),
+            (
+                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,NaN\n",
+                "states.csv:2: column qdd1_rad_s2: \"NaN\" is not a finite number",
+            ),
+            (
+                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,\n",
+                "states.csv:2: column qdd1_rad_s2: \"\" is not a finite number",
+            ),
+            (
+                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n1,0,0,0\n2,0,0,0\n2,0,0,0\n",
+                "states.csv:4: column t_s: 2 does not come after 2",
+            ),
+            ("t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n", "states.csv: no rows"),
+            ("", "states.csv:1: column q1_rad is missing"),
+        ];
+        for (text, expected) in cases {
+            let path = directory.0.join("states.csv");
+            fs::write(&path, text).expect("writes");
+            let error = StateReader::<1>::open(&path, TimeColumn::Required)
+                .and_then(StateReader::read_all)
+                .expect_err(expected);
+            let message = error
+                .to_string()
+                .replace(&format!("{}/", directory.0.display()), "");
+            assert_eq!(message, expected);
+            assert_eq!(message.lines().count(), 1);
+        }
+    }
+
+    #[test]
+    fn a_table_comes_back_to_the_last_bit_plain_and_compressed() {
+        let directory = Directory::new("table-round");
+        for name in ["round.csv", "round.csv.gz"] {
+            let path = directory.0.join(name);
+            let mut header = vec!["t_s".to_owned(), "tau1_nm".to_owned()];
+            header.extend(state_columns(1));
+            let mut writer = TableWriter::create(&path, &header).expect("creates");
+            writer
+                .row([0.0, 9.0, 0.1, -1.0 / 3.0, 1e-17])
+                .expect("writes");
+            writer.row([0.1 + 0.2, 9.0, 2.0, 3.0, 4.0]).expect("writes");
+            writer.finish().expect("finishes");
+            let rows = StateReader::<1>::open(&path, TimeColumn::Required)
+                .and_then(StateReader::read_all)
+                .expect("reads");
+            assert_eq!(rows[0].motion.qd[0], -1.0 / 3.0);
+            assert_eq!(rows[0].motion.qdd[0], 1e-17);
+            assert_eq!(rows[1].t_s, Some(0.1 + 0.2));
+        }
+    }
+
+    #[test]
+    fn a_table_that_is_not_finished_does_not_appear() {
+        let directory = Directory::new("table-half");
+        let path = directory.0.join("half.csv");
+        let mut writer = TableWriter::create(&path, &["a".to_owned()]).expect("creates");
+        writer.row([1.0]).expect("writes");
+        drop(writer);
+        assert!(!path.exists());
+    }
+}
