@@ -1,1 +1,3 @@
 //! Simulator and workbench of foretorque.
+
+pub mod robot;
