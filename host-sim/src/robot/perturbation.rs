@@ -2,6 +2,8 @@
 
 use super::{Link, Robot};
 use nalgebra::{Matrix3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 /// How far a robot is taken from its description.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +43,7 @@ impl Robot {
     /// Every link stays a possible body. The plant for acceptance is `robot.perturbed(seed, &Perturbation::PLANT)`, the
     /// wrong prior is that plant perturbed again by [`Perturbation::WRONG_PRIOR`] with another seed.
     pub fn perturbed(&self, seed: u64, spec: &Perturbation) -> Self {
-        let mut random = SplitMix64(seed);
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut robot = self.clone();
         for joint in &mut robot.joints {
             joint.link = perturbed_link(&joint.link, spec.inertial, &mut random);
@@ -60,12 +62,12 @@ impl Robot {
 /// Mass and centre of mass move by up to `size` of themselves (the centre by up to `size` of its distance, in any
 /// direction). The second moments S of the mass become `A S Aᵀ` with `A = 1 + size/2 · noise`: S stays positive
 /// semi-definite, so the link stays a body, its moments move by about `size`, and off-diagonal entries appear.
-fn perturbed_link(link: &Link, size: f64, random: &mut SplitMix64) -> Link {
-    let mass = link.mass * (1.0 + size * random.symmetric());
-    let direction = Vector3::from_fn(|_, _| random.symmetric());
+fn perturbed_link(link: &Link, size: f64, random: &mut ChaCha8Rng) -> Link {
+    let mass = link.mass * (1.0 + size * symmetric(random));
+    let direction = Vector3::from_fn(|_, _| symmetric(random));
     let com = link.com + direction * (size * link.com.norm() / 3.0_f64.sqrt());
     let shape = Matrix3::from_fn(|row, col| {
-        f64::from(u8::from(row == col)) + 0.5 * size * random.symmetric()
+        f64::from(u8::from(row == col)) + 0.5 * size * symmetric(random)
     });
     let moments = shape * link.second_moments() * shape.transpose();
     Link {
@@ -75,17 +77,7 @@ fn perturbed_link(link: &Link, size: f64, random: &mut SplitMix64) -> Link {
     }
 }
 
-/// SplitMix64 (Steele, Lea, Flood 2014): small, seeded, the same on every machine.
-struct SplitMix64(u64);
-
-impl SplitMix64 {
-    /// Uniform in −1 … 1.
-    fn symmetric(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^= z >> 31;
-        (z >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
+/// Uniform in −1 … 1.
+fn symmetric(random: &mut ChaCha8Rng) -> f64 {
+    random.random_range(-1.0..=1.0)
 }
