@@ -3,3 +3,4 @@
 pub mod dynamics;
 pub mod generate;
 pub mod robot;
+pub mod urdf;
