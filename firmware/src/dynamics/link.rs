@@ -20,6 +20,13 @@ pub(super) struct LinkMotion {
 }
 
 impl LinkMotion {
+    const ZERO: Self = Self {
+        omega: Vector::ZERO,
+        alpha: Vector::ZERO,
+        a: Vector::ZERO,
+        u: Matrix::ZERO,
+    };
+
     /// The base: at rest, accelerating with −g, which makes every link feel gravity (Craig 2005, section 6.5).
     #[inline(always)]
     pub(super) fn base<A: Arm<N, P>, const N: usize, const P: usize>() -> Self {
@@ -32,7 +39,8 @@ impl LinkMotion {
         }
     }
 
-    /// Motion of the next link, whose frame sits at `p` and is turned by `rot` (child into parent coordinates).
+    /// Motion of link `joint`, from that of the link before it: its frame sits at p and is turned by `rot` = R, which
+    /// maps its coordinates into those of the link before.
     ///
     /// ```text
     /// ω'  = Rᵀ ω + q̇ z                        eq. 2
@@ -41,7 +49,15 @@ impl LinkMotion {
     /// ```
     /// Craig 2005, eq. 6.45, 6.46, 6.47. The paper prints the transposed frames in eq. 2–5 and exchanges ω and ω̇ in eq. 5.
     #[inline(always)]
-    pub(super) fn next(&self, rot: &Matrix, p: Vector, qd: Term, qdd: Term) -> Self {
+    pub(super) fn next<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        joint: usize,
+        rot: &Matrix,
+        motion: &JointMotion<N>,
+    ) -> Self {
+        let p = origin::<A, N, P>(joint);
+        let qd = Term::variable(motion.qd[joint]);
+        let qdd = Term::variable(motion.qdd[joint]);
         let carried = rot.transposed_times(self.omega);
         let rate = Vector::Z.scale(qd);
         let omega = carried + rate;
@@ -78,10 +94,19 @@ pub(super) fn rotation<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Matrix {
     let pair = sin_cos(q);
     let (s, c) = (Term::variable(pair.sin), Term::variable(pair.cos));
-    Matrix(A::PLACEMENTS[joint].rot_parent_child.map(|row| {
-        let [x, y, z] = Vector::constant(row).0;
-        Vector([x * c + y * s, y * c - x * s, z])
-    }))
+    let [first, second, third] = A::PLACEMENTS[joint].rot_parent_child;
+    Matrix([
+        turned(first, s, c),
+        turned(second, s, c),
+        turned(third, s, c),
+    ])
+}
+
+/// A row of a constant rotation, times `Rz` of the angle with sine `s` and cosine `c`.
+#[inline(always)]
+fn turned(row: [f32; 3], s: Term, c: Term) -> Vector {
+    let [x, y, z] = Vector::constant(row).0;
+    Vector([x * c + y * s, y * c - x * s, z])
 }
 
 /// Rotations and motions of all links, base to tool.
@@ -100,17 +125,12 @@ impl<const N: usize> Chain<N> {
         let base = LinkMotion::base::<A, N, P>();
         let mut chain = Self {
             rot: [Matrix::ZERO; N],
-            link: [base; N],
+            link: [LinkMotion::ZERO; N],
         };
         outward!(I < N {
             let parent = if I == 0 { base } else { chain.link[I.saturating_sub(1)] };
             chain.rot[I] = rotation::<A, N, P>(I, motion.q[I]);
-            chain.link[I] = parent.next(
-                &chain.rot[I],
-                origin::<A, N, P>(I),
-                Term::variable(motion.qd[I]),
-                Term::variable(motion.qdd[I]),
-            );
+            chain.link[I] = parent.next::<A, N, P>(I, &chain.rot[I], motion);
         });
         chain
     }

@@ -32,6 +32,10 @@ pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
 
 /// The row of joint `J`; one instance for each joint, so that what is 0 in its own frame costs nothing.
 #[inline(always)]
+#[expect(
+    clippy::absurd_extreme_comparisons,
+    reason = "the loop is written out joint by joint, the first one too"
+)]
 fn write_row<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
     chain: &Chain<N>,
     motion: &JointMotion<N>,
@@ -40,11 +44,11 @@ fn write_row<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
     let mut s = Vector::Z;
     let mut v = Vector::ZERO;
     outward!(I < N {
-        if I > J {
-            v = chain.rot[I].transposed_times(v + s.cross(origin::<A, N, P>(I)));
-            s = chain.rot[I].transposed_times(s);
-        }
         if I >= J {
+            if I != J {
+                v = chain.rot[I].transposed_times(v + s.cross(origin::<A, N, P>(I)));
+                s = chain.rot[I].transposed_times(s);
+            }
             let entries = power_of_unit_parameters(&chain.link[I], s, v);
             set(row, &BaseSet::<A, N, P>::LINK[I], &entries);
         }

@@ -150,7 +150,8 @@ impl Vector {
 
     #[inline(always)]
     pub(super) fn scale(self, factor: Term) -> Self {
-        Self(self.0.map(|entry| entry * factor))
+        let [x, y, z] = self.0;
+        Self([x * factor, y * factor, z * factor])
     }
 }
 
