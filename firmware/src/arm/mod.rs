@@ -1,6 +1,7 @@
 //! A serial arm of revolute joints as the board sees it: constants of geometry, base-parameter map and limits.
 
 mod identity;
+pub mod panda;
 pub mod ur5;
 
 pub use identity::identity;

@@ -1,0 +1,303 @@
+//! Dynamics against tables made by Pinocchio (`tests/data/pinocchio/README.md`).
+
+use acceptance::arms;
+use acceptance::table::Table;
+use foretorque::arm::{Arm, LINK_PARAMETERS, panda::Panda, ur5::Ur5};
+use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
+use foretorque::joint::{JointMotion, JointVector};
+use host_sim::dynamics::{Joints, ReferenceModel, State};
+use host_sim::robot::Robot;
+
+/// f64 against f64 in another formulation: torques of a few hundred N·m carry 1e-13 N·m of rounding, measured 5e-13.
+const REFERENCE_TOLERANCE: f64 = 1e-10;
+
+/// Regressor entries are tabulated with eleven decimals.
+const TABULATED_TOLERANCE: f64 = 1e-10;
+
+/// f32 torques of the UR5, N·m: three decimal places below the friction of the joint.
+const UR5_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
+
+/// f32 torques of any other arm, in torque limits of the joint: a quarter of what a 17-bit torque command resolves.
+const LIMIT_SHARE: f64 = 1e-6;
+
+/// f32 regressor entries, relative to the largest entry of the row: some ten roundings of 6e-8.
+const ROW_TOLERANCE: f64 = 2e-6;
+
+/// Standard parameters as the tables name them, in the order of eq. 14.
+const NAMES: [&str; LINK_PARAMETERS] = [
+    "m", "mx", "my", "mz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz",
+];
+
+fn description(name: &str) -> Robot {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/data/pinocchio/arms");
+    let file = |extension| format!("{folder}/{name}.{extension}");
+    let loaded = match name {
+        "ur5" | "panda" => Robot::load(name),
+        "oblique" => Robot::load(&file("urdf")),
+        _ => Robot::load(&file("toml")),
+    };
+    loaded.unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn state<const N: usize>(table: &Table, row: usize) -> State<N> {
+    State {
+        q: table.joints::<N>(row, "q", "_rad").into(),
+        qd: table.joints::<N>(row, "qd", "_rad_s").into(),
+        qdd: table.joints::<N>(row, "qdd", "_rad_s2").into(),
+    }
+}
+
+/// The same state as the board gets it; the tables hold states that f32 represents exactly.
+fn motion<const N: usize>(table: &Table, row: usize) -> JointMotion<N> {
+    let state = state::<N>(table, row);
+    let narrow = |x: Joints<N>| JointVector::<N>::from_fn(|joint, _| x[joint] as f32);
+    JointMotion {
+        q: narrow(state.q),
+        qd: narrow(state.qd),
+        qdd: narrow(state.qdd),
+    }
+}
+
+fn regressor_entry(table: &Table, row: usize, joint: usize, standard: usize) -> f64 {
+    let (link, parameter) = (standard / LINK_PARAMETERS, standard % LINK_PARAMETERS);
+    // Left out of the tables: joint j does not feel the links before it.
+    if link < joint {
+        return 0.0;
+    }
+    let name = NAMES[parameter];
+    table.value(row, &format!("y{}_{name}{}", joint + 1, link + 1))
+}
+
+fn reference_agrees<const N: usize>(name: &str, states: usize) {
+    let table = Table::pinocchio(name);
+    assert_eq!(table.len(), states, "{name}");
+    let model = ReferenceModel::<N>::new(&description(name)).expect("as many joints as the table");
+    let (mut tau, mut gravity, mut mass) = (0.0_f64, 0.0_f64, 0.0_f64);
+    for row in 0..table.len() {
+        let state = state::<N>(&table, row);
+        let expected: Joints<N> = table.joints::<N>(row, "tau", "_nm").into();
+        tau = tau.max((model.inverse_dynamics(&state) - expected).amax());
+        let expected: Joints<N> = table.joints::<N>(row, "gravity", "_nm").into();
+        gravity = gravity.max((model.gravity_torques(&state.q) - expected).amax());
+        let matrix = model.mass_matrix(&state.q);
+        for i in 0..N {
+            for j in 0..N {
+                let (upper, lower) = (i.min(j) + 1, i.max(j) + 1);
+                let expected = table.value(row, &format!("m{upper}_{lower}_kg_m2"));
+                mass = mass.max((matrix[(i, j)] - expected).abs());
+            }
+        }
+    }
+    println!(
+        "{name}: reference off by {tau:.1e} N·m, gravity {gravity:.1e} N·m, M {mass:.1e} kg·m²"
+    );
+    assert!(tau <= REFERENCE_TOLERANCE, "{name}: torque off by {tau:e}");
+    assert!(
+        gravity <= REFERENCE_TOLERANCE,
+        "{name}: gravity off by {gravity:e}"
+    );
+    assert!(
+        mass <= REFERENCE_TOLERANCE,
+        "{name}: mass matrix off by {mass:e}"
+    );
+}
+
+fn reference_regressor_agrees<const N: usize>(name: &str) {
+    let (table, expected) = (
+        Table::pinocchio(name),
+        Table::pinocchio(&format!("{name}_regressor")),
+    );
+    assert_eq!(table.len(), expected.len(), "{name}");
+    let model = ReferenceModel::<N>::new(&description(name)).expect("as many joints as the table");
+    let mut worst = 0.0_f64;
+    for row in 0..table.len() {
+        let state = state::<N>(&table, row);
+        let regressor = model.regressor(&state);
+        for joint in 0..N {
+            for standard in 0..LINK_PARAMETERS * N {
+                let entry = regressor_entry(&expected, row, joint, standard);
+                worst = worst.max((regressor[(joint, standard)] - entry).abs());
+            }
+            // The tables end here: Pinocchio's regressor has no rotor columns. A rotor is felt by its own joint.
+            for rotor in 0..N {
+                let entry = if rotor == joint {
+                    state.qdd[joint]
+                } else {
+                    0.0
+                };
+                assert_eq!(
+                    regressor[(joint, LINK_PARAMETERS * N + rotor)],
+                    entry,
+                    "{name}"
+                );
+            }
+        }
+    }
+    println!("{name}: regressor off by {worst:.1e}");
+    assert!(
+        worst <= TABULATED_TOLERANCE,
+        "{name}: regressor off by {worst:e}"
+    );
+}
+
+/// Largest torque error of the board's f32 code over a table, N·m.
+fn board_error<A: Arm<N, P>, const N: usize, const P: usize>() -> Joints<N> {
+    let table = Table::pinocchio(A::NAME);
+    let beta = BaseParameters::<P>::from_fn(|k, _| A::NOMINAL[k]);
+    let mut worst = Joints::<N>::zeros();
+    for row in 0..table.len() {
+        let tau = rnea::<A, N, P>(&beta, &motion(&table, row));
+        let expected = table.joints::<N>(row, "tau", "_nm");
+        for joint in 0..N {
+            let error = (f64::from(tau[joint]) - expected[joint]).abs();
+            // NaN must not pass as small.
+            worst[joint] = if error <= worst[joint] {
+                worst[joint]
+            } else {
+                error
+            };
+        }
+    }
+    worst
+}
+
+fn board_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let worst = board_error::<A, N, P>();
+    let shares = Joints::<N>::from_fn(|joint, _| worst[joint] / f64::from(A::LIMITS[joint].torque));
+    println!(
+        "{}: board off by {:.1e} of the torque limits",
+        A::NAME,
+        shares.max()
+    );
+    for (joint, share) in shares.iter().enumerate() {
+        assert!(
+            *share <= LIMIT_SHARE,
+            "{}: joint {}: {share:e}",
+            A::NAME,
+            joint + 1
+        );
+    }
+}
+
+/// Rows of the board's regressor are the table's columns of the base set.
+fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let (table, expected) = (
+        Table::pinocchio(A::NAME),
+        Table::pinocchio(&format!("{}_regressor", A::NAME)),
+    );
+    let flags = A::COLUMNS.iter().flat_map(|columns| columns.inertial);
+    let independent: Vec<usize> = flags
+        .enumerate()
+        .filter_map(|(standard, is_base)| is_base.then_some(standard))
+        .collect();
+    let mut worst = 0.0_f64;
+    for state in 0..table.len() {
+        let motion = motion::<N>(&table, state);
+        for joint in 0..N {
+            let row = regressor_row::<A, N, P>(joint, &motion);
+            let entries = independent
+                .iter()
+                .map(|&c| regressor_entry(&expected, state, joint, c));
+            let entries: Vec<f64> = entries.collect();
+            let scale = entries
+                .iter()
+                .fold(1.0_f64, |max, entry| max.max(entry.abs()));
+            for (value, entry) in row.iter().zip(&entries) {
+                let error = (f64::from(*value) - entry).abs() / scale;
+                worst = if error <= worst { worst } else { error };
+            }
+            let rotors = (0..N).filter(|&rotor| A::COLUMNS[rotor].rotor);
+            for (value, rotor) in row.iter().skip(independent.len()).zip(rotors) {
+                let entry = if rotor == joint {
+                    motion.qdd[joint]
+                } else {
+                    0.0
+                };
+                assert_eq!(*value, entry, "{}", A::NAME);
+            }
+        }
+    }
+    println!(
+        "{}: board's regressor off by {worst:.1e} of its largest entry",
+        A::NAME
+    );
+    assert!(worst <= ROW_TOLERANCE, "{}: {worst:e}", A::NAME);
+}
+
+#[test]
+fn reference_dynamics_agree_with_pinocchio() {
+    reference_agrees::<6>("ur5", 2000);
+    reference_agrees::<7>("panda", 200);
+    reference_agrees::<1>("random_1_a", 200);
+    reference_agrees::<1>("random_1_b", 200);
+    reference_agrees::<2>("random_2_a", 200);
+    reference_agrees::<2>("random_2_b", 200);
+    reference_agrees::<4>("random_4_a", 200);
+    reference_agrees::<4>("random_4_b", 200);
+    reference_agrees::<6>("random_6_a", 200);
+    reference_agrees::<6>("random_6_b", 200);
+    reference_agrees::<7>("random_7_a", 200);
+    reference_agrees::<7>("random_7_b", 200);
+}
+
+#[test]
+fn untidy_urdf_is_read_as_pinocchio_reads_it() {
+    reference_agrees::<4>("oblique", 200);
+}
+
+#[test]
+fn reference_regressor_agrees_with_pinocchio_column_by_column() {
+    reference_regressor_agrees::<6>("ur5");
+    reference_regressor_agrees::<7>("panda");
+    reference_regressor_agrees::<1>("random_1_a");
+    reference_regressor_agrees::<1>("random_1_b");
+    reference_regressor_agrees::<2>("random_2_a");
+    reference_regressor_agrees::<2>("random_2_b");
+    reference_regressor_agrees::<4>("random_4_a");
+    reference_regressor_agrees::<4>("random_4_b");
+    reference_regressor_agrees::<6>("random_6_a");
+    reference_regressor_agrees::<6>("random_6_b");
+    reference_regressor_agrees::<7>("random_7_a");
+    reference_regressor_agrees::<7>("random_7_b");
+}
+
+#[test]
+fn board_torques_of_the_ur5_agree_with_pinocchio() {
+    let worst = board_error::<Ur5, 6, 40>();
+    println!("ur5: board off by {:.1e} N·m", worst.transpose());
+    for (joint, (error, tolerance)) in worst.iter().zip(&UR5_TOLERANCE).enumerate() {
+        assert!(error <= tolerance, "joint {}: {error:e} N·m", joint + 1);
+    }
+}
+
+#[test]
+fn board_torques_of_other_arms_agree_with_pinocchio() {
+    board_agrees::<Panda, 7, 48>();
+    board_agrees::<arms::oblique::Oblique, 4, 27>();
+    board_agrees::<arms::random_1_a::Random1A, 1, 3>();
+    board_agrees::<arms::random_1_b::Random1B, 1, 3>();
+    board_agrees::<arms::random_2_a::Random2A, 2, 11>();
+    board_agrees::<arms::random_2_b::Random2B, 2, 11>();
+    board_agrees::<arms::random_4_a::Random4A, 4, 27>();
+    board_agrees::<arms::random_4_b::Random4B, 4, 27>();
+    board_agrees::<arms::random_6_a::Random6A, 6, 43>();
+    board_agrees::<arms::random_6_b::Random6B, 6, 43>();
+    board_agrees::<arms::random_7_a::Random7A, 7, 51>();
+    board_agrees::<arms::random_7_b::Random7B, 7, 51>();
+}
+
+#[test]
+fn board_regressor_rows_are_the_base_columns_of_pinocchio() {
+    board_rows_agree::<Ur5, 6, 40>();
+    board_rows_agree::<Panda, 7, 48>();
+    board_rows_agree::<arms::random_1_a::Random1A, 1, 3>();
+    board_rows_agree::<arms::random_1_b::Random1B, 1, 3>();
+    board_rows_agree::<arms::random_2_a::Random2A, 2, 11>();
+    board_rows_agree::<arms::random_2_b::Random2B, 2, 11>();
+    board_rows_agree::<arms::random_4_a::Random4A, 4, 27>();
+    board_rows_agree::<arms::random_4_b::Random4B, 4, 27>();
+    board_rows_agree::<arms::random_6_a::Random6A, 6, 43>();
+    board_rows_agree::<arms::random_6_b::Random6B, 6, 43>();
+    board_rows_agree::<arms::random_7_a::Random7A, 7, 51>();
+    board_rows_agree::<arms::random_7_b::Random7B, 7, 51>();
+}
