@@ -2,9 +2,11 @@
 
 mod identity;
 pub mod panda;
+mod standard;
 pub mod ur5;
 
 pub use identity::identity;
+pub use standard::{LinkInertia, base_parameters};
 
 /// Constant placement of a joint frame in its parent frame, before the joint turns it about its own z axis.
 ///
