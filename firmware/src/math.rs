@@ -30,9 +30,10 @@ pub fn sin_cos(x: f32) -> SinCos {
     // 12 significant bits: k · HIGH is exact for |k| < 2¹².
     const HALF_PI_HIGH: f32 = 1.570_312_5;
     const HALF_PI_LOW: f32 = 4.838_268e-4;
-    // Minimax over |r| ≤ π/4: 1.8e-9 for the sine, 3.2e-8 for the cosine.
+    // Minimax over |r| ≤ π/4: 1.8e-9 for the sine, 4.9e-8 for the cosine, weighted so that little of it is left near π/4,
+    // where rounding is largest.
     const S: [f32; 3] = [-1.666_665_1e-1, 8.331_976e-3, -1.949_529e-4];
-    const C: [f32; 3] = [-4.999_989_4e-1, 4.165_627_4e-2, -1.359_753_5e-3];
+    const C: [f32; 3] = [-4.999_986_3e-1, 4.165_471e-2, -1.358_025_7e-3];
 
     let rounded = x * TWO_OVER_PI + ROUND;
     let quadrant = rounded.to_bits();
@@ -124,14 +125,14 @@ mod tests {
     fn sin_cos_keeps_its_bound_within_one_turn() {
         // Every float in the range: `cargo run --release -p host-sim --example sweep_math`.
         let worst = worst_sin_cos(core::f32::consts::TAU, 331);
-        println!("{worst:e}");
+
         assert!(worst <= 1.2e-7, "{worst:e}");
     }
 
     #[test]
     fn sin_cos_keeps_its_bound_up_to_a_thousand() {
         let worst = worst_sin_cos(1000.0, 337);
-        println!("{worst:e}");
+
         assert!(worst <= 5e-7, "{worst:e}");
     }
 

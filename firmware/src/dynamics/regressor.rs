@@ -66,7 +66,7 @@ fn power_of_unit_parameters(motion: &LinkMotion, s: Vector, v: Vector) -> [Term;
     let [wx, wy, wz] = motion.omega.0;
     let [ax, ay, az] = motion.alpha.0;
     let [u_x, u_y, u_z] = motion.u.0;
-    let ([uxx, uxy, uxz], [uyx, uyy, uyz], [uzx, uzy, uzz]) = (u_x.0, u_y.0, u_z.0);
+    let ([_, uxy, uxz], [uyx, _, uyz], [uzx, uzy, _]) = (u_x.0, u_y.0, u_z.0);
     let [sx, sy, sz] = s.0;
     let (xy, xz, yz) = (wx * wy, wx * wz, wy * wz);
     // F = U c and n = c × v̇, so that v · F + s · n = c · (Uᵀ v + v̇ × s).
@@ -79,9 +79,9 @@ fn power_of_unit_parameters(motion: &LinkMotion, s: Vector, v: Vector) -> [Term;
         sx * ax + sy * xz - sz * xy,
         sy * ay + sz * xy - sx * yz,
         sz * az + sx * yz - sy * xz,
-        sy * uzy - sx * uzx + sz * (uxx - uyy),
-        sx * uyx - sz * uyz + sy * (uzz - uxx),
-        sz * uxz - sy * uxy + sx * (uyy - uzz),
+        sy * uzy - sx * uzx + sz * (wx * wx - wy * wy),
+        sx * uyx - sz * uyz + sy * (wz * wz - wx * wx),
+        sz * uxz - sy * uxy + sx * (wy * wy - wz * wz),
     ]
 }
 

@@ -114,19 +114,19 @@ impl LinkParameters {
 
     /// Force and moment about the link origin that give this link its motion, in the link frame.
     ///
-    /// `I ω̇ + ω × (I ω)` written out by parameter: Ixy, Ixz and Iyz meet entries of U and differences of its diagonal.
+    /// `I ω̇ + ω × (I ω)` written out by parameter: most of what meets Ixy, Ixz and Iyz are entries of U.
     #[inline(always)]
     fn wrench(&self, motion: &LinkMotion) -> Wrench {
         let [wx, wy, wz] = motion.omega.0;
         let [ax, ay, az] = motion.alpha.0;
         let [u_x, u_y, u_z] = motion.u.0;
-        let ([uxx, uxy, uxz], [uyx, uyy, uyz], [uzx, uzy, uzz]) = (u_x.0, u_y.0, u_z.0);
+        let ([_, uxy, uxz], [uyx, _, uyz], [uzx, uzy, _]) = (u_x.0, u_y.0, u_z.0);
         let [xx, yy, zz] = self.diagonal;
         let [xy, xz, yz] = self.products;
         let turning = Vector([
-            xx * ax + (zz - yy) * (wy * wz) + yz * (uyy - uzz) - xy * uzx + xz * uyx,
-            yy * ay + (xx - zz) * (wx * wz) + xz * (uzz - uxx) + xy * uzy - yz * uxy,
-            zz * az + (yy - xx) * (wx * wy) + xy * (uxx - uyy) - xz * uyz + yz * uxz,
+            xx * ax + (zz - yy) * (wy * wz) + yz * (wy * wy - wz * wz) - xy * uzx + xz * uyx,
+            yy * ay + (xx - zz) * (wx * wz) + xz * (wz * wz - wx * wx) + xy * uzy - yz * uxy,
+            zz * az + (yy - xx) * (wx * wy) + xy * (wx * wx - wy * wy) - xz * uyz + yz * uxz,
         ]);
         Wrench {
             f: motion.a.scale(self.mass) + motion.u.times(self.first_moment),
