@@ -28,7 +28,7 @@ impl Arm<JOINTS, PARAMETERS> for Random1B {
         BaseTerm::new(2, 10, 1.0),
     ];
     const LIMITS: [JointLimits; JOINTS] = [
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 10.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 10.0 },
     ];
     const NOMINAL: [f32; PARAMETERS] = [
         0.18594612,

@@ -46,8 +46,8 @@ impl Arm<JOINTS, PARAMETERS> for Random2B {
         BaseTerm::new(10, 21, 1.0),
     ];
     const LIMITS: [JointLimits; JOINTS] = [
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 25.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 11.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 25.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 11.0 },
     ];
     const NOMINAL: [f32; PARAMETERS] = [
         1.4293101,

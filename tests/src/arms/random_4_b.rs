@@ -139,10 +139,10 @@ impl Arm<JOINTS, PARAMETERS> for Random4B {
         BaseTerm::new(26, 43, 1.0),
     ];
     const LIMITS: [JointLimits; JOINTS] = [
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 41.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 44.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 29.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 7.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 41.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 44.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 29.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 7.0 },
     ];
     const NOMINAL: [f32; PARAMETERS] = [
         1.7245471,

@@ -308,12 +308,12 @@ impl Arm<JOINTS, PARAMETERS> for Random6A {
         BaseTerm::new(42, 65, 1.0),
     ];
     const LIMITS: [JointLimits; JOINTS] = [
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 168.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 58.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 30.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 27.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 11.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 6.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 168.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 58.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 30.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 27.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 11.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 6.0 },
     ];
     const NOMINAL: [f32; PARAMETERS] = [
         -5.1036077,

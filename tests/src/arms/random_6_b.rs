@@ -308,12 +308,12 @@ impl Arm<JOINTS, PARAMETERS> for Random6B {
         BaseTerm::new(42, 65, 1.0),
     ];
     const LIMITS: [JointLimits; JOINTS] = [
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 114.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 55.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 41.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 22.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 15.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 13.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 114.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 55.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 41.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 22.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 15.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 13.0 },
     ];
     const NOMINAL: [f32; PARAMETERS] = [
         -2.488712,

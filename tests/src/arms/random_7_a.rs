@@ -421,13 +421,13 @@ impl Arm<JOINTS, PARAMETERS> for Random7A {
         BaseTerm::new(50, 76, 1.0),
     ];
     const LIMITS: [JointLimits; JOINTS] = [
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 147.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 130.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 61.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 44.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 27.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 12.0 },
-        JointLimits { position: (-3.14, 3.14), velocity: 3.15, torque: 8.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 147.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 130.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 61.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 44.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 27.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 12.0 },
+        JointLimits { position: (f32::from_bits(0xc048f5c3 /* -3.14 */), f32::from_bits(0x4048f5c3 /* 3.14 */)), velocity: 3.15, torque: 8.0 },
     ];
     const NOMINAL: [f32; PARAMETERS] = [
         0.18865687,
