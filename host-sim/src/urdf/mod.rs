@@ -11,6 +11,7 @@
 mod chain;
 mod document;
 mod error;
+mod tree;
 
 pub use error::{JointProblem, UrdfError, UrdfProblem};
 

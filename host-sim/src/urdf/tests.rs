@@ -114,6 +114,28 @@ fn axes_other_than_z_are_turned_onto_z_without_moving_the_zero() {
 }
 
 #[test]
+fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
+    let tensor = r#"ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001""#;
+    let nothing = r#"ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0""#;
+    assert_eq!(ARM.matches(tensor).count(), 2);
+    let points = ARM.replace(tensor, nothing);
+    let bolted = parse("t", &points, &TO_HAND).unwrap().robot;
+    assert_eq!(bolted.joints[1].link.mass, 1.5);
+    let only_a_point = points.replacen(
+        r#"<parent link="fore"/><child link="hand"/>"#,
+        r#"<parent link="fore"/><child link="hand"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" velocity="1" effort="1"/>"#,
+        1,
+    );
+    let only_a_point =
+        only_a_point.replacen(r#""wrist" type="fixed""#, r#""wrist" type="revolute""#, 1);
+    assert_eq!(
+        parse("t", &only_a_point, &TO_HAND).unwrap_err().to_string(),
+        "t: link 'hand': inertia is not positive definite"
+    );
+}
+
+#[test]
 fn a_tip_cuts_off_what_it_carries_and_says_so() {
     let selection = Selection {
         base: Some("base"),
@@ -151,7 +173,7 @@ fn what_the_file_does_not_say_is_assumed_in_the_open() {
     for note in [
         "joint 'elbow': angles near right angles are taken as right angles",
         "joint 'elbow' is continuous: its range is taken as ±2π rad",
-        "joint 'shoulder' has no acceleration limit: 10 rad/s² is taken",
+        "no acceleration limit at joints 'shoulder', 'elbow': 10 rad/s² is taken",
         "drives are not described: rotor inertias 0, gains 1 N·m/A, 17-bit encoders",
     ] {
         assert!(import.notes.iter().any(|n| n == note), "{:?}", import.notes);
