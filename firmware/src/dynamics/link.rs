@@ -3,7 +3,7 @@
 use super::term::{Matrix, Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
 use crate::joint::JointMotion;
-use crate::math::sin_cos;
+use crate::math::{LARGEST_ANGLE, sin_cos};
 use core::marker::PhantomData;
 
 /// Motion of a link frame, expressed in that frame.
@@ -77,6 +77,15 @@ fn acceleration_field(omega: Vector, alpha: Vector) -> Matrix {
         Vector([xy + az, -(xx + zz), yz - ax]),
         Vector([xz - ay, yz + ax, -(xx + yy)]),
     ])
+}
+
+/// The angle is a number whose sine and cosine are exact enough.
+///
+/// Beside its meaning this branch pays for itself: it ends a basic block at each joint. In one block for the whole arm
+/// the compiler's scheduler mixes the joints and spills registers (measured on the UR5: 1117 instructions instead of 948).
+#[inline(always)]
+pub(super) fn is_angle(q: f32) -> bool {
+    q.abs() <= LARGEST_ANGLE
 }
 
 /// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)`.

@@ -15,6 +15,7 @@ use nalgebra::SVector;
 ///
 /// * `joint` 0 to N − 1; any other gives a row of zeros
 ///
+/// Assumes: angles within ±1000 rad ([`super::rnea`] refuses others).///
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link from `joint` on.
 pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,

@@ -1,7 +1,7 @@
 //! Inverse dynamics by the recursive Newton–Euler algorithm.
 
 use super::BaseParameters;
-use super::link::{BaseSet, LinkMotion, origin, rotation};
+use super::link::{BaseSet, LinkMotion, is_angle, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
@@ -21,6 +21,7 @@ use crate::joint::{JointMotion, JointVector};
 /// * `beta` base parameters, order of [`Arm::COLUMNS`]
 /// * `motion` q, qd, qdd of all joints, rad, rad/s, rad/s²
 ///
+/// Limits: an angle beyond ±1000 rad or NaN makes every torque NaN.
 /// Cost: about 100 multiply-adds a joint at right angles, and one `sin_cos` a joint.
 pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
@@ -32,6 +33,9 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     // about its origin.
     let mut wrench = [Wrench::ZERO; N];
     outward!(I < N {
+        if !is_angle(motion.q[I]) {
+            return JointVector::repeat(f32::NAN);
+        }
         rot[I] = rotation::<A, N, P>(I, motion.q[I]);
         link = link.next::<A, N, P>(I, &rot[I], motion);
         wrench[I] = LinkParameters::of::<A, N, P>(beta, I).wrench(&link);
