@@ -1,12 +1,12 @@
 //! Dynamics against tables made by Pinocchio (`tests/data/pinocchio/README.md`).
 
-use acceptance::arms;
+use acceptance::arms::{description, oblique::Oblique};
+use acceptance::each_arm;
 use acceptance::table::Table;
-use foretorque::arm::{Arm, LINK_PARAMETERS, panda::Panda, ur5::Ur5};
+use foretorque::arm::{Arm, LINK_PARAMETERS, ur5::Ur5};
 use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
 use host_sim::dynamics::{Joints, ReferenceModel, State};
-use host_sim::robot::Robot;
 
 /// f64 against f64 in another formulation: torques of a few hundred N·m carry some 1e-13 N·m of rounding.
 const REFERENCE_TOLERANCE: f64 = 1e-10;
@@ -17,7 +17,7 @@ const TABULATED_TOLERANCE: f64 = 1e-10;
 /// f32 torques of the UR5, N·m: three decimal places below the friction of the joint.
 const UR5_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
 
-/// f32 torques of any other arm, in torque limits of the joint: a quarter of what a 17-bit torque command resolves.
+/// f32 torques of any arm, in torque limits of the joint: a quarter of what a 17-bit torque command resolves.
 const LIMIT_SHARE: f64 = 1e-6;
 
 /// f32 regressor entries, relative to the largest entry of the row: some ten roundings of 6e-8.
@@ -38,17 +38,6 @@ fn largest<const N: usize>(errors: &Joints<N>) -> f64 {
 const NAMES: [&str; LINK_PARAMETERS] = [
     "m", "mx", "my", "mz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz",
 ];
-
-fn description(name: &str) -> Robot {
-    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/data/pinocchio/arms");
-    let file = |extension| format!("{folder}/{name}.{extension}");
-    let loaded = match name {
-        "ur5" | "panda" => Robot::load(name),
-        "oblique" => Robot::load(&file("urdf")),
-        _ => Robot::load(&file("toml")),
-    };
-    loaded.unwrap_or_else(|error| panic!("{error}"))
-}
 
 fn state<const N: usize>(table: &Table, row: usize) -> State<N> {
     State {
@@ -79,8 +68,10 @@ fn regressor_entry(table: &Table, row: usize, joint: usize, standard: usize) -> 
     table.value(row, &format!("y{}_{name}{}", joint + 1, link + 1))
 }
 
-fn reference_agrees<const N: usize>(name: &str, states: usize) {
+fn reference_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let name = A::NAME;
     let table = Table::pinocchio(name);
+    let states = if name == "ur5" { 2000 } else { 200 };
     assert_eq!(table.len(), states, "{name}");
     let model = ReferenceModel::<N>::new(&description(name)).expect("as many joints as the table");
     let (mut tau, mut gravity, mut mass) = (0.0_f64, 0.0_f64, 0.0_f64);
@@ -116,7 +107,8 @@ fn reference_agrees<const N: usize>(name: &str, states: usize) {
     );
 }
 
-fn reference_regressor_agrees<const N: usize>(name: &str) {
+fn reference_regressor_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let name = A::NAME;
     let (table, expected) = (
         Table::pinocchio(name),
         Table::pinocchio(&format!("{name}_regressor")),
@@ -235,39 +227,18 @@ fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
 
 #[test]
 fn reference_dynamics_agree_with_pinocchio() {
-    reference_agrees::<6>("ur5", 2000);
-    reference_agrees::<7>("panda", 200);
-    reference_agrees::<1>("random_1_a", 200);
-    reference_agrees::<1>("random_1_b", 200);
-    reference_agrees::<2>("random_2_a", 200);
-    reference_agrees::<2>("random_2_b", 200);
-    reference_agrees::<4>("random_4_a", 200);
-    reference_agrees::<4>("random_4_b", 200);
-    reference_agrees::<6>("random_6_a", 200);
-    reference_agrees::<6>("random_6_b", 200);
-    reference_agrees::<7>("random_7_a", 200);
-    reference_agrees::<7>("random_7_b", 200);
+    each_arm!(reference_agrees);
 }
 
 #[test]
 fn untidy_urdf_is_read_as_pinocchio_reads_it() {
-    reference_agrees::<4>("oblique", 200);
+    reference_agrees::<Oblique, 4, 27>();
+    board_agrees::<Oblique, 4, 27>();
 }
 
 #[test]
 fn reference_regressor_agrees_with_pinocchio_column_by_column() {
-    reference_regressor_agrees::<6>("ur5");
-    reference_regressor_agrees::<7>("panda");
-    reference_regressor_agrees::<1>("random_1_a");
-    reference_regressor_agrees::<1>("random_1_b");
-    reference_regressor_agrees::<2>("random_2_a");
-    reference_regressor_agrees::<2>("random_2_b");
-    reference_regressor_agrees::<4>("random_4_a");
-    reference_regressor_agrees::<4>("random_4_b");
-    reference_regressor_agrees::<6>("random_6_a");
-    reference_regressor_agrees::<6>("random_6_b");
-    reference_regressor_agrees::<7>("random_7_a");
-    reference_regressor_agrees::<7>("random_7_b");
+    each_arm!(reference_regressor_agrees);
 }
 
 #[test]
@@ -280,33 +251,11 @@ fn board_torques_of_the_ur5_agree_with_pinocchio() {
 }
 
 #[test]
-fn board_torques_of_other_arms_agree_with_pinocchio() {
-    board_agrees::<Panda, 7, 48>();
-    board_agrees::<arms::oblique::Oblique, 4, 27>();
-    board_agrees::<arms::random_1_a::Random1A, 1, 3>();
-    board_agrees::<arms::random_1_b::Random1B, 1, 3>();
-    board_agrees::<arms::random_2_a::Random2A, 2, 11>();
-    board_agrees::<arms::random_2_b::Random2B, 2, 11>();
-    board_agrees::<arms::random_4_a::Random4A, 4, 27>();
-    board_agrees::<arms::random_4_b::Random4B, 4, 27>();
-    board_agrees::<arms::random_6_a::Random6A, 6, 43>();
-    board_agrees::<arms::random_6_b::Random6B, 6, 43>();
-    board_agrees::<arms::random_7_a::Random7A, 7, 51>();
-    board_agrees::<arms::random_7_b::Random7B, 7, 51>();
+fn board_torques_of_every_arm_agree_with_pinocchio() {
+    each_arm!(board_agrees);
 }
 
 #[test]
 fn board_regressor_rows_are_the_base_columns_of_pinocchio() {
-    board_rows_agree::<Ur5, 6, 40>();
-    board_rows_agree::<Panda, 7, 48>();
-    board_rows_agree::<arms::random_1_a::Random1A, 1, 3>();
-    board_rows_agree::<arms::random_1_b::Random1B, 1, 3>();
-    board_rows_agree::<arms::random_2_a::Random2A, 2, 11>();
-    board_rows_agree::<arms::random_2_b::Random2B, 2, 11>();
-    board_rows_agree::<arms::random_4_a::Random4A, 4, 27>();
-    board_rows_agree::<arms::random_4_b::Random4B, 4, 27>();
-    board_rows_agree::<arms::random_6_a::Random6A, 6, 43>();
-    board_rows_agree::<arms::random_6_b::Random6B, 6, 43>();
-    board_rows_agree::<arms::random_7_a::Random7A, 7, 51>();
-    board_rows_agree::<arms::random_7_b::Random7B, 7, 51>();
+    each_arm!(board_rows_agree);
 }
