@@ -407,3 +407,26 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
             .starts_with("t: not a URDF: ")
     );
 }
+
+#[test]
+fn a_damaged_file_is_read_or_refused_but_never_panics() {
+    for (at, letter) in ARM.char_indices() {
+        let damaged = format!("{}{}", &ARM[..at], &ARM[at + letter.len_utf8()..]);
+        let _ = parse("t", &damaged, &TO_HAND);
+    }
+    // Numbers whose squares no longer fit.
+    for huge in ["1e200", "1e308", "-1e308"] {
+        for name in ["value", "ixx", "xyz", "rpy", "upper"] {
+            let start = format!("{name}=\"");
+            for (at, _) in ARM.match_indices(&start) {
+                let at = at + start.len();
+                let end = at + ARM[at..].find([' ', '"']).unwrap();
+                let damaged = format!("{}{huge}{}", &ARM[..at], &ARM[end..]);
+                if let Ok(import) = parse("t", &damaged, &TO_HAND) {
+                    let standard = import.robot.standard_parameters();
+                    assert!(standard.iter().all(|x| x.is_finite()), "{damaged}");
+                }
+            }
+        }
+    }
+}
