@@ -6,6 +6,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Err("usage: write_arm ROBOT FILE.rs".into());
     };
     let robot = host_sim::robot::Robot::load(&robot)?;
-    std::fs::write(file, host_sim::generate::arm_module(&robot))?;
+    host_sim::generate::write_arm_module(&robot, file.as_ref())?;
     Ok(())
 }

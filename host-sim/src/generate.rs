@@ -3,6 +3,7 @@
 use crate::robot::{LINK_PARAMETERS, Robot};
 use foretorque::arm::{LinkColumns, Placement, identity};
 use std::fmt::Write;
+use std::path::Path;
 
 /// Source text of the firmware module for a robot: geometry, base-parameter map, limits, nominal parameters.
 ///
@@ -81,6 +82,43 @@ pub fn arm_module(robot: &Robot) -> String {
     out
 }
 
+/// Writes the module of a robot to `file` and declares it in the `mod.rs` beside it, if there is one.
+///
+/// After that the firmware has the arm: `firmware/src/arm/NAME.rs` needs no other edit. The module is called like the
+/// file.
+///
+/// Errors: of the file system; a file name that no module can have is [`std::io::ErrorKind::InvalidInput`].
+pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
+    let module = file
+        .file_stem()
+        .and_then(|stem| stem.to_str())
+        .unwrap_or_default();
+    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    let starts_with_letter = module.starts_with(|c: char| c.is_ascii_lowercase());
+    let is_rust = file.extension().is_some_and(|extension| extension == "rs");
+    if !(module.chars().all(plain) && starts_with_letter && is_rust) {
+        return Err(std::io::Error::new(
+            std::io::ErrorKind::InvalidInput,
+            "must be called like a Rust module: lower-case letters, digits and underscores, then .rs",
+        ));
+    }
+    std::fs::write(file, arm_module(robot))?;
+    let parent = file.with_file_name("mod.rs");
+    let Ok(text) = std::fs::read_to_string(&parent) else {
+        return Ok(());
+    };
+    let declaration = format!("pub mod {module};");
+    if text.lines().any(|line| line == declaration) {
+        return Ok(());
+    }
+    // Before the first module, or where that would be: after the inner docs.
+    let at = text.lines().position(|line| line.contains("mod "));
+    let at = at.or_else(|| text.lines().position(|line| !line.starts_with("//!")));
+    let mut lines: Vec<&str> = text.lines().collect();
+    lines.insert(at.unwrap_or(lines.len()), &declaration);
+    std::fs::write(parent, lines.join("\n") + "\n")
+}
+
 /// Identity of a robot's arm, as the firmware built from [`arm_module`] will state it.
 pub fn arm_hash(robot: &Robot) -> u32 {
     let columns = link_columns(robot, &robot.base_map().columns);
@@ -131,17 +169,41 @@ fn link_columns(robot: &Robot, independent: &[usize]) -> Vec<LinkColumns> {
         .collect()
 }
 
-/// A number as Rust source; fractions of a turn by their names, as the lints want them.
+/// A number as Rust source. Fractions of a turn go by their names; near misses, such as a limit of 3.14, by their bits,
+/// because the lints take them for misspelt constants.
 fn number(value: f64) -> String {
-    use core::f32::consts::{FRAC_PI_2, PI, TAU};
+    use core::f32::consts::*;
     let value = value as f32;
     let names = [("FRAC_PI_2", FRAC_PI_2), ("PI", PI), ("TAU", TAU)];
-    match names.iter().find(|(_, named)| *named == value.abs()) {
-        Some((name, _)) => {
-            let sign = if value < 0.0 { "-" } else { "" };
-            format!("{sign}core::f32::consts::{name}")
-        }
-        None => format!("{value:?}"),
+    if let Some((name, _)) = names.iter().find(|(_, named)| *named == value.abs()) {
+        let sign = if value < 0.0 { "-" } else { "" };
+        return format!("{sign}core::f32::consts::{name}");
+    }
+    let known = [
+        E,
+        FRAC_1_PI,
+        FRAC_1_SQRT_2,
+        FRAC_2_PI,
+        FRAC_2_SQRT_PI,
+        FRAC_PI_2,
+        FRAC_PI_3,
+        FRAC_PI_4,
+        FRAC_PI_6,
+        FRAC_PI_8,
+        LN_2,
+        LN_10,
+        LOG2_10,
+        LOG2_E,
+        LOG10_2,
+        LOG10_E,
+        PI,
+        SQRT_2,
+        TAU,
+    ];
+    if known.iter().any(|named| (named - value.abs()).abs() < 5e-3) {
+        format!("f32::from_bits({:#010x} /* {value} */)", value.to_bits())
+    } else {
+        format!("{value:?}")
     }
 }
 

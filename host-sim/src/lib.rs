@@ -14,3 +14,4 @@ pub mod report;
 pub mod robot;
 pub mod table;
 pub mod trajectory;
+pub mod urdf;

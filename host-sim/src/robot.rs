@@ -4,19 +4,28 @@
 //! is a constant [`Placement`] in frame i−1 followed by `Rz(q_i)`. Standard Denavit–Hartenberg rows are converted once,
 //! when the file is read.
 
+mod body;
 mod file;
 mod perturbation;
+mod placement;
 
 pub use perturbation::Perturbation;
 
+use crate::urdf::{self, UrdfError};
 use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
 /// Number of standard inertial parameters of a link, in the order of eq. 14.
 pub const LINK_PARAMETERS: usize = 10;
 
+/// Most joints an arm may have: the board unrolls its recursions up to here.
+pub const MAX_JOINTS: usize = 8;
+
 /// Descriptions that need no file, by name.
-const BUILT_IN: [(&str, &str); 1] = [("ur5", include_str!("../robots/ur5.toml"))];
+const BUILT_IN: [(&str, &str); 2] = [
+    ("ur5", include_str!("../robots/ur5.toml")),
+    ("panda", include_str!("../robots/panda.urdf")),
+];
 
 /// Why a robot description was refused.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +53,8 @@ pub enum RobotError {
         /// What is wrong with it.
         problem: String,
     },
+    /// The file is a URDF that does not describe one arm.
+    Urdf(UrdfError),
 }
 
 impl std::fmt::Display for RobotError {
@@ -63,6 +74,7 @@ impl std::fmt::Display for RobotError {
                 field,
                 problem,
             } => write!(f, "{file}: {field}: {problem}"),
+            Self::Urdf(error) => write!(f, "{error}"),
         }
     }
 }
@@ -181,7 +193,7 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// A built-in robot by name, or a description file by path.
+    /// A built-in robot by name, or a description or URDF file by path.
     ///
     /// Errors: [`RobotError`], naming the file and the field.
     ///
@@ -202,10 +214,15 @@ impl Robot {
         Self::parse(name_or_path, &text)
     }
 
-    /// A robot from the text of a description; `file` is only used in messages.
+    /// A robot from the text of a description or of a URDF with a single arm; `file` is only used in messages.
     ///
-    /// Errors: [`RobotError::Syntax`] and [`RobotError::Field`].
+    /// Errors: [`RobotError::Syntax`], [`RobotError::Field`], [`RobotError::Urdf`].
     pub fn parse(file: &str, text: &str) -> Result<Self, RobotError> {
+        // TOML never begins with '<', XML always does.
+        if text.trim_start().starts_with('<') {
+            let import = urdf::parse(file, text, &urdf::Selection::default());
+            return import.map(|arm| arm.robot).map_err(RobotError::Urdf);
+        }
         file::parse(file, text)
     }
 

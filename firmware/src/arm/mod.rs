@@ -1,9 +1,12 @@
 //! A serial arm of revolute joints as the board sees it: constants of geometry, base-parameter map and limits.
 
 mod identity;
+pub mod panda;
+mod standard;
 pub mod ur5;
 
 pub use identity::identity;
+pub use standard::{LinkInertia, base_parameters};
 
 /// Constant placement of a joint frame in its parent frame, before the joint turns it about its own z axis.
 ///

@@ -1,11 +1,10 @@
 //! The description file: TOML, units in the names of the fields.
 
-use super::{Drive, Friction, Joint, Limits, Link, LogColumns, Placement, Robot, RobotError};
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use super::{
+    Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot, RobotError,
+};
+use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
-
-/// Most joints an arm may have: the board unrolls its recursions up to here.
-const MAX_JOINTS: usize = 8;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -138,10 +137,7 @@ pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
     };
     let mut joints = Vec::with_capacity(raw.joints.len());
     // What the DH row of the link before leaves to be done ahead of this joint's rotation.
-    let mut link_end = Placement {
-        rot_parent_child: Matrix3::identity(),
-        origin: Vector3::zeros(),
-    };
+    let mut link_end = Placement::identity();
     for (index, joint) in raw.joints.iter().enumerate() {
         let at = |field: &str| format!("joints[{index}].{field}");
         let (placement, end) = match (&joint.dh, &joint.frame) {
@@ -183,12 +179,10 @@ pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
 
 /// The part of a standard DH row that belongs to the link: `Tx(a) Rx(alpha)`, from Craig's frame to the DH frame.
 fn dh_link_end(dh: &DhFile) -> Placement {
-    Placement {
-        rot_parent_child: snapped(
-            Rotation3::from_axis_angle(&Vector3::x_axis(), dh.alpha_rad).into_inner(),
-        ),
-        origin: Vector3::new(dh.a_m, 0.0, 0.0),
-    }
+    Placement::from_xyz_rpy(
+        Vector3::new(dh.a_m, 0.0, 0.0),
+        Vector3::new(dh.alpha_rad, 0.0, 0.0),
+    )
 }
 
 fn placement_of_frame(
@@ -198,23 +192,10 @@ fn placement_of_frame(
 ) -> Result<Placement, RobotError> {
     check.finite(field, &frame.xyz_m)?;
     check.finite(field, &frame.rpy_rad)?;
-    let [roll, pitch, yaw] = frame.rpy_rad;
-    Ok(Placement {
-        rot_parent_child: snapped(Rotation3::from_euler_angles(roll, pitch, yaw).into_inner()),
-        origin: Vector3::from(frame.xyz_m),
-    })
-}
-
-/// Entries within 1e-12 of 0 and ±1 become exact: a right angle written in decimals must cost nothing on the board.
-fn snapped(rotation: Matrix3<f64>) -> Matrix3<f64> {
-    rotation.map(|entry| {
-        let nearest = entry.round();
-        if (entry - nearest).abs() < 1e-12 {
-            nearest + 0.0
-        } else {
-            entry
-        }
-    })
+    Ok(Placement::from_xyz_rpy(
+        frame.xyz_m.into(),
+        frame.rpy_rad.into(),
+    ))
 }
 
 fn link_in_craig_frame(
@@ -231,24 +212,15 @@ fn link_in_craig_frame(
         &[i.xx, i.yy, i.zz, i.xy, i.xz, i.yz],
     )?;
     let inertia = Matrix3::new(i.xx, i.xy, i.xz, i.xy, i.yy, i.yz, i.xz, i.yz, i.zz);
-    let moments = inertia.symmetric_eigenvalues();
-    check.that(
-        moments.min() > 0.0,
-        &at("link.inertia_kg_m2"),
-        "is not positive definite",
-    )?;
-    // Rounded data-sheet figures may miss the inequality in their last digit.
-    check.that(
-        2.0 * moments.max() <= moments.sum() * (1.0 + 1e-6),
-        &at("link.inertia_kg_m2"),
-        "breaks the triangle inequality: no body has these principal moments",
-    )?;
-    let rot = end.rot_parent_child;
-    Ok(Link {
+    if let Some(problem) = Link::inertia_problem(&inertia) {
+        return Err(check.error(&at("link.inertia_kg_m2"), problem));
+    }
+    let in_dh_frame = Link {
         mass: link.mass_kg,
-        com: end.origin + rot * Vector3::from(link.com_m),
-        inertia_com: rot * inertia * rot.transpose(),
-    })
+        com: link.com_m.into(),
+        inertia_com: inertia,
+    };
+    Ok(in_dh_frame.placed(end))
 }
 
 fn drive(
@@ -321,24 +293,6 @@ fn limits(
         acceleration: limits.acceleration_rad_s2,
         torque: limits.torque_nm,
     })
-}
-
-impl Placement {
-    /// The frame that coincides with its parent.
-    pub fn identity() -> Self {
-        Self {
-            rot_parent_child: Matrix3::identity(),
-            origin: Vector3::zeros(),
-        }
-    }
-
-    /// This placement followed by another one.
-    pub fn then(&self, next: &Self) -> Self {
-        Self {
-            rot_parent_child: self.rot_parent_child * next.rot_parent_child,
-            origin: self.origin + self.rot_parent_child * next.origin,
-        }
-    }
 }
 
 /// Turns a violated condition into an error that names file and field.

@@ -102,7 +102,7 @@ fn bad_descriptions_are_refused_with_file_and_field() {
         assert_eq!(error.to_string(), message);
     }
     let missing = Robot::load("no_such_robot").unwrap_err().to_string();
-    assert!(missing.starts_with("unknown robot 'no_such_robot': not one of [ur5]"));
+    assert!(missing.starts_with("unknown robot 'no_such_robot': not one of [ur5, panda]"));
     assert!(Robot::parse("t", "name = 3").is_err());
     assert!(Robot::parse("t", "name = \"x\"\njoints = []").is_err());
 }

@@ -1,0 +1,178 @@
+//! The path from base to tip, brought into Craig's link frames.
+
+use super::document::{Document, JointElement};
+use super::tree::Tree;
+use super::{Import, JointProblem, Selection, UrdfProblem};
+use crate::robot::{Drive, Friction, Joint, Limits, MAX_JOINTS, Placement, Robot};
+use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
+use std::f64::consts::TAU;
+
+/// What a URDF does not say.
+const ENCODER_BITS: u32 = 17;
+const ACCELERATION: f64 = 10.0;
+const CONTINUOUS_RANGE: (f64, f64) = (-TAU, TAU);
+
+/// Builds the arm that the selection picks from the tree.
+pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Import, UrdfProblem> {
+    let tree = Tree::of(document)?;
+    let base = tree.base(selection)?;
+    let path = match selection.tip {
+        Some(name) => tree.path_to(base, tree.link(name, "--tip")?)?,
+        None => tree.only_path(base)?,
+    };
+    let tip = path.last().map_or(base, |&joint| tree.child[joint]);
+    let end = selection.tip.map(|_| tip);
+    let moving = path.iter().filter(|&&joint| !tree.is_fixed(joint)).count();
+    if !(1..=MAX_JOINTS).contains(&moving) {
+        return Err(UrdfProblem::JointCount(moving));
+    }
+    let mut notes = tree.left_out(base, &path, end);
+    let mut joints: Vec<Joint> = Vec::with_capacity(moving);
+    // Frame of the current link in the frame of the joint that moves it (in the base frame at first).
+    let mut link_frame = Placement::identity();
+    for &index in &path {
+        let element = &document.joints[index];
+        if element.squared {
+            notes.push(format!(
+                "joint '{}': angles near right angles are taken as right angles",
+                element.name
+            ));
+        }
+        let joint_frame = link_frame.then(&element.origin);
+        if tree.is_fixed(index) {
+            link_frame = joint_frame;
+            continue;
+        }
+        let turn = usable(element).and_then(z_onto_axis);
+        let turn = turn.map_err(|problem| UrdfProblem::Joint {
+            joint: element.name.clone(),
+            problem,
+        })?;
+        // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
+        link_frame = turn.inverse();
+        let link = tree.lumped(index, &link_frame, end)?;
+        joints.push(Joint {
+            name: element.name.clone(),
+            placement: joint_frame.then(&turn).snapped(),
+            link,
+            drive: Drive {
+                rotor_inertia: 0.0,
+                gain: 1.0,
+                encoder_bits: ENCODER_BITS,
+            },
+            friction: friction(element),
+            limits: limits(element, &mut notes).map_err(|problem| UrdfProblem::Joint {
+                joint: element.name.clone(),
+                problem: JointProblem::Limit(problem),
+            })?,
+        });
+    }
+    let without: Vec<&str> = path
+        .iter()
+        .filter(|&&joint| !tree.is_fixed(joint))
+        .map(|&joint| &document.joints[joint])
+        .filter(|joint| joint.limit.acceleration.is_none())
+        .map(|joint| joint.name.as_str())
+        .collect();
+    if !without.is_empty() {
+        notes.push(format!(
+            "no acceleration limit at joints '{}': {ACCELERATION} rad/s² is taken",
+            without.join("', '")
+        ));
+    }
+    notes.push(format!(
+        "drives are not described: rotor inertias 0, gains 1 N·m/A, {ENCODER_BITS}-bit encoders"
+    ));
+    let robot = Robot {
+        name: plain_name(&document.name),
+        gravity: Vector3::new(0.0, 0.0, -9.81),
+        joints,
+        flange: link_frame.snapped(),
+        log_columns: None,
+    };
+    Ok(Import { robot, notes })
+}
+
+fn usable(joint: &JointElement) -> Result<&JointElement, JointProblem> {
+    if !matches!(joint.kind.as_str(), "revolute" | "continuous") {
+        Err(JointProblem::Type(joint.kind.clone()))
+    } else if joint.mimic {
+        Err(JointProblem::Mimic)
+    } else {
+        Ok(joint)
+    }
+}
+
+/// The smallest rotation A with A z = axis; it permutes axes when the axis is one of ±x, ±y, ±z.
+fn z_onto_axis(joint: &JointElement) -> Result<Placement, JointProblem> {
+    let axis = Unit::try_new(joint.axis, 1e-9).ok_or(JointProblem::Axis)?;
+    let half_turn = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+    let rot = Rotation3::rotation_between(&Vector3::z(), &axis);
+    let turn = Placement {
+        // No smallest rotation onto −z: about x by convention.
+        rot_parent_child: rot.map_or(half_turn, Rotation3::into_inner),
+        origin: Vector3::zeros(),
+    };
+    Ok(turn.snapped())
+}
+
+fn friction(joint: &JointElement) -> Friction {
+    let (viscous, coulomb) = joint.friction;
+    Friction {
+        viscous,
+        coulomb,
+        stribeck_ratio: 0.0,
+        stribeck_velocity: 1.0,
+        cogging: 0.0,
+        cogging_cycles_rev: 0.0,
+    }
+}
+
+fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, String> {
+    let limit = &joint.limit;
+    let positive = |name: &str, value: Option<f64>| match value {
+        Some(value) if value > 0.0 => Ok(value),
+        Some(value) => Err(format!("has the {name} limit {value}, must be positive")),
+        None => Err(format!("has no {name} limit")),
+    };
+    let position = match (joint.kind.as_str(), limit.lower, limit.upper) {
+        (_, Some(lower), Some(upper)) if lower < upper => (lower, upper),
+        ("continuous", ..) => {
+            notes.push(format!(
+                "joint '{}' is continuous: its range is taken as ±2π rad",
+                joint.name
+            ));
+            CONTINUOUS_RANGE
+        }
+        _ => return Err("needs a lower limit below its upper limit".to_owned()),
+    };
+    let acceleration = match limit.acceleration {
+        Some(_) => positive("acceleration", limit.acceleration)?,
+        None => ACCELERATION,
+    };
+    Ok(Limits {
+        position,
+        velocity: positive("velocity", limit.velocity)?,
+        acceleration,
+        torque: positive("effort", limit.effort)?,
+    })
+}
+
+/// Lower-case letters, digits and underscores, a letter first: what the name of a Rust module allows.
+fn plain_name(name: &str) -> String {
+    let plain: String = name
+        .chars()
+        .map(|c| {
+            if c.is_ascii_alphanumeric() {
+                c.to_ascii_lowercase()
+            } else {
+                '_'
+            }
+        })
+        .collect();
+    if plain.starts_with(|c: char| c.is_ascii_lowercase()) {
+        plain
+    } else {
+        format!("arm_{plain}")
+    }
+}

@@ -1,0 +1,253 @@
+//! The elements of a URDF that matter to dynamics, as they are written.
+
+use super::UrdfProblem;
+use crate::robot::{Link, Placement};
+use nalgebra::{Matrix3, Vector3};
+use roxmltree::Node;
+use std::f64::consts::FRAC_PI_2;
+
+/// Angles this close to a multiple of π/2 are that multiple. URDF files write right angles as 1.5708 or 1.57079632679;
+/// taken literally, such an arm has inertial parameters that are independent by a hair, which no torque sensor can
+/// tell apart and f32 cannot carry, and pays for every entry that ought to be zero.
+const RIGHT_ANGLE_TOLERANCE: f64 = 1e-5;
+
+/// All links and joints of a file.
+pub(super) struct Document {
+    pub(super) name: String,
+    pub(super) links: Vec<LinkElement>,
+    pub(super) joints: Vec<JointElement>,
+}
+
+/// A link.
+pub(super) struct LinkElement {
+    pub(super) name: String,
+    /// Mass distribution in the link frame, unchecked.
+    pub(super) inertial: Option<Link>,
+}
+
+/// A joint.
+pub(super) struct JointElement {
+    pub(super) name: String,
+    pub(super) kind: String,
+    pub(super) parent: String,
+    pub(super) child: String,
+    /// Joint frame in the frame of the parent link.
+    pub(super) origin: Placement,
+    /// The origin as written has angles that were taken for right ones.
+    pub(super) squared: bool,
+    pub(super) axis: Vector3<f64>,
+    pub(super) mimic: bool,
+    pub(super) limit: LimitElement,
+    /// Viscous (N·m·s/rad) and Coulomb (N·m) friction.
+    pub(super) friction: (f64, f64),
+}
+
+/// The limits of a joint, as far as they are given.
+#[derive(Default)]
+pub(super) struct LimitElement {
+    pub(super) lower: Option<f64>,
+    pub(super) upper: Option<f64>,
+    pub(super) velocity: Option<f64>,
+    pub(super) effort: Option<f64>,
+    pub(super) acceleration: Option<f64>,
+}
+
+/// Reads all links and joints.
+pub(super) fn read(text: &str) -> Result<Document, UrdfProblem> {
+    let xml =
+        roxmltree::Document::parse(text).map_err(|error| UrdfProblem::Syntax(error.to_string()))?;
+    let root = xml.root_element();
+    if root.tag_name().name() != "robot" {
+        let found = root.tag_name().name();
+        return Err(UrdfProblem::Syntax(format!("<{found}> instead of <robot>")));
+    }
+    let is_macro = |node: Node<'_, '_>| {
+        node.tag_name()
+            .namespace()
+            .is_some_and(|n| n.ends_with("xacro"))
+    };
+    if root.descendants().any(is_macro) {
+        return Err(UrdfProblem::Xacro);
+    }
+    let links = children(root, "link")
+        .map(link)
+        .collect::<Result<Vec<_>, _>>()?;
+    // Transmissions have <joint> elements too, but not directly under <robot>.
+    let joints = children(root, "joint")
+        .map(joint)
+        .collect::<Result<Vec<_>, _>>()?;
+    unique(links.iter().map(|link| link.name.as_str()))?;
+    unique(joints.iter().map(|joint| joint.name.as_str()))?;
+    Ok(Document {
+        name: root.attribute("name").unwrap_or_default().to_owned(),
+        links,
+        joints,
+    })
+}
+
+fn unique<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), UrdfProblem> {
+    let mut seen = std::collections::HashSet::new();
+    for name in names {
+        if !seen.insert(name) {
+            return Err(UrdfProblem::Duplicate(name.to_owned()));
+        }
+    }
+    Ok(())
+}
+
+fn link(node: Node<'_, '_>) -> Result<LinkElement, UrdfProblem> {
+    let inertial = match child(node, "inertial") {
+        Some(inertial) => inertia(inertial)?,
+        None => None,
+    };
+    Ok(LinkElement {
+        name: required(node, "name")?.to_owned(),
+        inertial,
+    })
+}
+
+/// Mass distribution of an `<inertial>`, in the link frame; `None` when everything in it is zero.
+fn inertia(node: Node<'_, '_>) -> Result<Option<Link>, UrdfProblem> {
+    let mass = number(required_child(node, "mass")?, "value")?;
+    let tensor = required_child(node, "inertia")?;
+    let entry = |name| number(tensor, name);
+    let (xx, yy, zz) = (entry("ixx")?, entry("iyy")?, entry("izz")?);
+    let (xy, xz, yz) = (entry("ixy")?, entry("ixz")?, entry("iyz")?);
+    let written = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+    if mass == 0.0 && written == Matrix3::zeros() {
+        return Ok(None);
+    }
+    let (frame, _) = origin(node)?;
+    let rot = frame.rot_parent_child;
+    Ok(Some(Link {
+        mass,
+        com: frame.origin,
+        inertia_com: rot * written * rot.transpose(),
+    }))
+}
+
+fn joint(node: Node<'_, '_>) -> Result<JointElement, UrdfProblem> {
+    let (origin, squared) = origin(node)?;
+    let axis = match child(node, "axis") {
+        Some(axis) => vector(axis, "xyz")?.unwrap_or(Vector3::x()),
+        // The default of the format.
+        None => Vector3::x(),
+    };
+    let limit = match child(node, "limit") {
+        Some(limit) => LimitElement {
+            lower: optional(limit, "lower")?,
+            upper: optional(limit, "upper")?,
+            velocity: optional(limit, "velocity")?,
+            effort: optional(limit, "effort")?,
+            acceleration: optional(limit, "acceleration")?,
+        },
+        None => LimitElement::default(),
+    };
+    let friction = match child(node, "dynamics") {
+        Some(dynamics) => (
+            optional(dynamics, "damping")?.unwrap_or(0.0),
+            optional(dynamics, "friction")?.unwrap_or(0.0),
+        ),
+        None => (0.0, 0.0),
+    };
+    Ok(JointElement {
+        name: required(node, "name")?.to_owned(),
+        kind: required(node, "type")?.to_owned(),
+        parent: required(required_child(node, "parent")?, "link")?.to_owned(),
+        child: required(required_child(node, "child")?, "link")?.to_owned(),
+        origin,
+        squared,
+        axis,
+        mimic: child(node, "mimic").is_some(),
+        limit,
+        friction,
+    })
+}
+
+/// The `<origin>` of an element, and whether angles in it were taken for right ones.
+fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), UrdfProblem> {
+    let Some(node) = child(node, "origin") else {
+        return Ok((Placement::identity(), false));
+    };
+    let xyz = vector(node, "xyz")?.unwrap_or_default();
+    let written = vector(node, "rpy")?.unwrap_or_default();
+    let rpy = written.map(squared);
+    // Up to 1e-9 rad is the rounding of a number that was meant to be exact, and not worth a word.
+    let moved = (rpy - written).amax() > 1e-9;
+    Ok((Placement::from_xyz_rpy(xyz, rpy), moved))
+}
+
+/// The angle, or the multiple of π/2 it is meant to be.
+fn squared(angle: f64) -> f64 {
+    let nearest = (angle / FRAC_PI_2).round() * FRAC_PI_2;
+    if (angle - nearest).abs() < RIGHT_ANGLE_TOLERANCE {
+        nearest
+    } else {
+        angle
+    }
+}
+
+fn children<'a, 'input>(
+    node: Node<'a, 'input>,
+    name: &'static str,
+) -> impl Iterator<Item = Node<'a, 'input>> {
+    node.children().filter(move |node| node.has_tag_name(name))
+}
+
+fn child<'a, 'input>(node: Node<'a, 'input>, name: &'static str) -> Option<Node<'a, 'input>> {
+    children(node, name).next()
+}
+
+fn problem(node: Node<'_, '_>, what: &str) -> UrdfProblem {
+    let line = node.document().text_pos_at(node.range().start).row;
+    let element = node.tag_name().name();
+    UrdfProblem::Element {
+        line,
+        problem: format!("<{element}> {what}"),
+    }
+}
+
+fn required_child<'a, 'input>(
+    node: Node<'a, 'input>,
+    name: &'static str,
+) -> Result<Node<'a, 'input>, UrdfProblem> {
+    child(node, name).ok_or_else(|| problem(node, &format!("has no <{name}>")))
+}
+
+fn required<'a>(node: Node<'a, '_>, name: &str) -> Result<&'a str, UrdfProblem> {
+    node.attribute(name)
+        .ok_or_else(|| problem(node, &format!("has no attribute '{name}'")))
+}
+
+fn number(node: Node<'_, '_>, name: &str) -> Result<f64, UrdfProblem> {
+    let text = required(node, name)?;
+    parse_number(text).ok_or_else(|| problem(node, &format!("{name}=\"{text}\" is not a number")))
+}
+
+fn optional(node: Node<'_, '_>, name: &str) -> Result<Option<f64>, UrdfProblem> {
+    match node.attribute(name) {
+        Some(_) => number(node, name).map(Some),
+        None => Ok(None),
+    }
+}
+
+fn vector(node: Node<'_, '_>, name: &str) -> Result<Option<Vector3<f64>>, UrdfProblem> {
+    let Some(text) = node.attribute(name) else {
+        return Ok(None);
+    };
+    let values: Option<Vec<f64>> = text.split_whitespace().map(parse_number).collect();
+    match values.as_deref() {
+        Some(&[x, y, z]) => Ok(Some(Vector3::new(x, y, z))),
+        _ => Err(problem(
+            node,
+            &format!("{name}=\"{text}\" is not three numbers"),
+        )),
+    }
+}
+
+fn parse_number(text: &str) -> Option<f64> {
+    text.trim()
+        .parse()
+        .ok()
+        .filter(|value: &f64| value.is_finite())
+}

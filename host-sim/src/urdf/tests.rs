@@ -1,0 +1,432 @@
+use super::*;
+use crate::dynamics::{Joints, ReferenceModel, State};
+use crate::robot::Placement;
+use nalgebra::{Matrix3, Vector3};
+use std::f64::consts::FRAC_PI_2;
+
+/// A shoulder and an elbow about y, a hand with two fingers bolted to the forearm, and a camera on the upper arm.
+const ARM: &str = r#"<robot name="Two-Link">
+  <link name="world"/>
+  <joint name="stand" type="fixed"><parent link="world"/><child link="base"/><origin xyz="0 0 1"/></joint>
+  <link name="base"/>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+    <origin xyz="0 0 0.5"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="3" effort="40"/>
+  </joint>
+  <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.03"/></inertial></link>
+  <joint name="camera_mount" type="fixed"><parent link="upper"/><child link="camera"/><origin xyz="0 0 0.1"/></joint>
+  <link name="camera"><inertial><mass value="1"/>
+    <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
+  <joint name="elbow" type="continuous"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0.4 0 0" rpy="1.5708 0 0"/><axis xyz="0 0 1"/><limit velocity="3" effort="20"/>
+    <dynamics damping="0.5" friction="0.25"/>
+  </joint>
+  <link name="fore"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
+  <joint name="wrist" type="fixed"><parent link="fore"/><child link="hand"/><origin xyz="0.3 0 0"/></joint>
+  <link name="hand"><inertial><mass value="0.5"/>
+    <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
+  <joint name="left_finger" type="prismatic"><parent link="hand"/><child link="left"/></joint>
+  <link name="left"/>
+  <joint name="right_finger" type="prismatic"><parent link="hand"/><child link="right"/>
+    <mimic joint="left_finger"/></joint>
+  <link name="right"/>
+</robot>"#;
+
+const TO_HAND: Selection<'static> = Selection {
+    base: None,
+    tip: Some("hand"),
+};
+
+fn gravity_torques(robot: &Robot) -> Joints<2> {
+    let model = ReferenceModel::<2>::new(robot).unwrap();
+    model.gravity_torques(&Joints::zeros())
+}
+
+#[test]
+fn bolted_links_become_part_of_the_link_that_moves_them() {
+    let import = parse("t", ARM, &TO_HAND).unwrap();
+    let robot = &import.robot;
+    assert_eq!(robot.name, "two_link");
+    let upper = &robot.joints[0].link;
+    assert_eq!(upper.mass, 3.0);
+    // About y only the two masses 2/3 kg·(0.2² + 0.1²) m² apart and their own tensors count; y is the joint's z.
+    let expected = 0.03 + 0.001 + 2.0 / 3.0 * (0.2 * 0.2 + 0.1 * 0.1);
+    assert!(
+        (upper.inertia_com.m33 - expected).abs() < 1e-15,
+        "{upper:?}"
+    );
+    assert_eq!(robot.joints[1].link.mass, 1.5);
+    // Held out level: 9.81 (2·0.2 + 1·0.5 + 0.5·0.7) about the shoulder, 9.81 (1·0.1 + 0.5·0.3) about the elbow. The
+    // shoulder turns about +y, which lowers the arm; the elbow about −y once its frame is rolled by 90°.
+    let tau = gravity_torques(robot);
+    let expected = Joints::<2>::new(-9.81 * 1.25, 9.81 * 0.25);
+    assert!((tau - expected).amax() < 1e-12, "{tau}");
+}
+
+#[test]
+fn axes_other_than_z_are_turned_onto_z_without_moving_the_zero() {
+    // A door whose hinge points along each axis in turn must feel M and G of a body turning about that axis.
+    for axis in [
+        Vector3::x(),
+        -Vector3::x(),
+        Vector3::y(),
+        -Vector3::y(),
+        Vector3::z(),
+        -Vector3::z(),
+        Vector3::new(1.0, -2.0, 0.5),
+    ] {
+        let text = format!(
+            r#"<robot name="door"><link name="wall"/>
+            <joint name="hinge" type="revolute"><parent link="wall"/><child link="leaf"/>
+              <axis xyz="{} {} {}"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+            <link name="leaf"><inertial><origin xyz="0.3 0.2 -0.1"/><mass value="2"/>
+              <inertia ixx="0.1" iyy="0.12" izz="0.14" ixy="0.01" ixz="0.02" iyz="-0.03"/></inertial></link>
+            </robot>"#,
+            axis.x, axis.y, axis.z
+        );
+        let robot = parse("t", &text, &Selection::default()).unwrap().robot;
+        let model = ReferenceModel::<1>::new(&robot).unwrap();
+        let unit = axis.normalize();
+        let (com, mass) = (Vector3::new(0.3, 0.2, -0.1), 2.0);
+        let tensor = Matrix3::new(0.1, 0.01, 0.02, 0.01, 0.12, -0.03, 0.02, -0.03, 0.14);
+        let inertia = unit.dot(&(tensor * unit)) + mass * unit.cross(&com).norm_squared();
+        for q in [0.0, 0.7, -2.0] {
+            let turn = nalgebra::Rotation3::new(unit * q);
+            let lift = unit
+                .cross(&(turn * com))
+                .dot(&Vector3::new(0.0, 0.0, mass * 9.81));
+            let state = State {
+                q: Joints::<1>::new(q),
+                qd: Joints::<1>::new(1.5),
+                qdd: Joints::<1>::new(2.0),
+            };
+            let tau = model.inverse_dynamics(&state)[0];
+            assert!((tau - (2.0 * inertia + lift)).abs() < 1e-12, "{axis} {q}");
+        }
+        let exact = robot.joints[0]
+            .placement
+            .rot_parent_child
+            .iter()
+            .all(|x| x.fract() == 0.0);
+        assert_eq!(exact, axis.amax() == axis.norm(), "{axis}");
+    }
+}
+
+#[test]
+fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
+    let tensor = r#"ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001""#;
+    let nothing = r#"ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0""#;
+    assert_eq!(ARM.matches(tensor).count(), 2);
+    let points = ARM.replace(tensor, nothing);
+    let bolted = parse("t", &points, &TO_HAND).unwrap().robot;
+    assert_eq!(bolted.joints[1].link.mass, 1.5);
+    let only_a_point = points.replacen(
+        r#"<parent link="fore"/><child link="hand"/>"#,
+        r#"<parent link="fore"/><child link="hand"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" velocity="1" effort="1"/>"#,
+        1,
+    );
+    let only_a_point =
+        only_a_point.replacen(r#""wrist" type="fixed""#, r#""wrist" type="revolute""#, 1);
+    assert_eq!(
+        parse("t", &only_a_point, &TO_HAND).unwrap_err().to_string(),
+        "t: link 'hand': inertia is not positive definite"
+    );
+}
+
+#[test]
+fn a_tip_cuts_off_what_it_carries_and_says_so() {
+    let selection = Selection {
+        base: Some("base"),
+        tip: Some("fore"),
+    };
+    let import = parse("t", ARM, &selection).unwrap();
+    assert_eq!(import.robot.joints[1].link.mass, 1.0);
+    // The base frame is that of the base link, not of the world it stands in.
+    assert_eq!(
+        import.robot.joints[0].placement.origin,
+        Vector3::new(0.0, 0.0, 0.5)
+    );
+    let left_out = "left out: link 'hand' on joint 'wrist' and all it carries".to_owned();
+    assert!(import.notes.contains(&left_out), "{:?}", import.notes);
+    let whole = parse("t", ARM, &TO_HAND).unwrap();
+    assert_eq!(whole.robot.joints[0].placement.origin.z, 1.5);
+    assert!(!whole.notes.contains(&left_out));
+    for finger in ["left", "right"] {
+        let note =
+            format!("left out: link '{finger}' on joint '{finger}_finger' and all it carries");
+        assert!(whole.notes.contains(&note), "{:?}", whole.notes);
+    }
+}
+
+#[test]
+fn what_the_file_does_not_say_is_assumed_in_the_open() {
+    let import = parse("t", ARM, &TO_HAND).unwrap();
+    let elbow = &import.robot.joints[1];
+    assert_eq!(elbow.limits.position, (-4.0 * FRAC_PI_2, 4.0 * FRAC_PI_2));
+    assert_eq!(
+        (elbow.friction.viscous, elbow.friction.coulomb),
+        (0.5, 0.25)
+    );
+    assert_eq!(elbow.drive.rotor_inertia, 0.0);
+    for note in [
+        "joint 'elbow': angles near right angles are taken as right angles",
+        "joint 'elbow' is continuous: its range is taken as ±2π rad",
+        "no acceleration limit at joints 'shoulder', 'elbow': 10 rad/s² is taken",
+        "drives are not described: rotor inertias 0, gains 1 N·m/A, 17-bit encoders",
+    ] {
+        assert!(import.notes.iter().any(|n| n == note), "{:?}", import.notes);
+    }
+    let flange = import.robot.flange;
+    assert_eq!(flange.origin, Vector3::new(0.3, 0.0, 0.0));
+}
+
+#[test]
+fn panda_reaches_where_its_manufacturer_says() {
+    // All joints at zero: x = a7, z = d1 + d3 + d5 − flange (table of the manufacturer).
+    let robot = Robot::load("panda").unwrap();
+    let joints = robot.joints.iter();
+    let flange = joints.fold(Placement::identity(), |frame, joint| {
+        frame.then(&joint.placement)
+    });
+    let flange = flange.then(&robot.flange);
+    let expected = Vector3::new(0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107);
+    assert!((flange.origin - expected).norm() < 1e-15, "{flange:?}");
+    let mut entries = robot
+        .joints
+        .iter()
+        .flat_map(|joint| joint.placement.rot_parent_child.iter());
+    assert!(
+        entries.all(|entry| entry.fract() == 0.0),
+        "a right angle is not exact"
+    );
+}
+
+#[test]
+fn what_is_not_an_arm_is_refused_with_one_line() {
+    let swap = |good: &str, bad: &str| {
+        assert!(ARM.contains(good), "{good}");
+        ARM.replacen(good, bad, 1)
+    };
+    let two_fingers = "t: the tree branches at link 'fore' (joints 'left_finger', 'right_finger'): choose the arm's end with --tip";
+    let cases = [
+        (ARM.to_owned(), None, None, two_fingers),
+        (
+            ARM.to_owned(),
+            None,
+            Some("left"),
+            "t: joint 'left_finger' is prismatic: only revolute, continuous and fixed joints are supported",
+        ),
+        (
+            ARM.to_owned(),
+            None,
+            Some("nose"),
+            "t: --tip names link 'nose', which does not exist",
+        ),
+        (
+            ARM.to_owned(),
+            Some("cellar"),
+            Some("hand"),
+            "t: --base names link 'cellar', which does not exist",
+        ),
+        (
+            ARM.to_owned(),
+            Some("hand"),
+            Some("base"),
+            "t: link 'base' is not carried by link 'hand'",
+        ),
+        (
+            ARM.to_owned(),
+            Some("fore"),
+            Some("hand"),
+            "t: no moving joint between base and tip",
+        ),
+        (
+            swap(r#""elbow" type="continuous""#, r#""elbow" type="floating""#),
+            None,
+            Some("hand"),
+            "t: joint 'elbow' is floating: only revolute, continuous and fixed joints are supported",
+        ),
+        (
+            swap(
+                r#""shoulder" type="revolute""#,
+                r#""shoulder" type="planar""#,
+            ),
+            None,
+            Some("hand"),
+            "t: joint 'shoulder' is planar: only revolute, continuous and fixed joints are supported",
+        ),
+        (
+            swap("<dynamics", r#"<mimic joint="shoulder"/><dynamics"#),
+            None,
+            Some("hand"),
+            "t: joint 'elbow' mimics another joint: an arm's joints move on their own",
+        ),
+        (
+            swap(r#"<axis xyz="0 1 0"/>"#, r#"<axis xyz="0 0 0"/>"#),
+            None,
+            Some("hand"),
+            "t: joint 'shoulder' has an axis of length zero",
+        ),
+        (
+            swap(r#"<mass value="2"/>"#, r#"<mass value="0"/>"#),
+            None,
+            Some("hand"),
+            "t: link 'upper': mass is 0, must be positive",
+        ),
+        (
+            swap(r#"<mass value="2"/>"#, ""),
+            None,
+            Some("hand"),
+            "t: line 8: <inertial> has no <mass>",
+        ),
+        (
+            swap(r#"<mass value="2"/>"#, r#"<mass value="2 kg"/>"#),
+            None,
+            Some("hand"),
+            "t: line 8: <mass> value=\"2 kg\" is not a number",
+        ),
+        (
+            swap(r#"iyy="0.03" "#, ""),
+            None,
+            Some("hand"),
+            "t: line 9: <inertia> has no attribute 'iyy'",
+        ),
+        (
+            swap(r#"iyy="0.03""#, r#"iyy="0.3""#),
+            None,
+            Some("hand"),
+            "t: link 'upper': inertia breaks the triangle inequality: no body has these principal moments",
+        ),
+        (
+            swap(r#"ixx="0.01" ixy="0""#, r#"ixx="0.01" ixy="0.02""#),
+            None,
+            Some("hand"),
+            "t: link 'upper': inertia is not positive definite",
+        ),
+        (
+            swap(r#"xyz="0 0 0.5""#, r#"xyz="0 0.5""#),
+            None,
+            Some("hand"),
+            "t: line 6: <origin> xyz=\"0 0.5\" is not three numbers",
+        ),
+        (
+            swap(r#"lower="-2" upper="2""#, ""),
+            None,
+            Some("hand"),
+            "t: joint 'shoulder' needs a lower limit below its upper limit",
+        ),
+        (
+            swap(r#"effort="40""#, ""),
+            None,
+            Some("hand"),
+            "t: joint 'shoulder' has no effort limit",
+        ),
+        (
+            swap(r#"velocity="3""#, r#"velocity="0""#),
+            None,
+            Some("hand"),
+            "t: joint 'shoulder' has the velocity limit 0, must be positive",
+        ),
+        (
+            swap(r#"<child link="upper"/>"#, r#"<child link="uper"/>"#),
+            None,
+            Some("hand"),
+            "t: joint 'shoulder' names link 'uper', which does not exist",
+        ),
+        (
+            swap(r#"<child link="camera"/>"#, r#"<child link="fore"/>"#),
+            None,
+            Some("hand"),
+            "t: link 'fore' closes a loop or has two parents, only a tree is an arm",
+        ),
+        (
+            swap(r#"<parent link="base"/>"#, r#"<parent link="fore"/>"#),
+            None,
+            Some("hand"),
+            "t: link 'upper' closes a loop or has two parents, only a tree is an arm",
+        ),
+        (
+            swap(r#"<link name="camera">"#, r#"<link name="upper">"#),
+            None,
+            Some("hand"),
+            "t: the name 'upper' is used twice",
+        ),
+        (
+            swap(
+                r#"<link name="base"/>"#,
+                r#"<link name="base"/><link name="loose"/>"#,
+            ),
+            None,
+            Some("hand"),
+            "t: links 'world', 'loose' have no parent: choose one with --base",
+        ),
+        (
+            swap(
+                r#"<robot name="Two-Link">"#,
+                r#"<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/>"#,
+            ),
+            None,
+            None,
+            "t: contains xacro macros: expand them first (xacro FILE)",
+        ),
+        (
+            "<sdf/>".to_owned(),
+            None,
+            None,
+            "t: not a URDF: <sdf> instead of <robot>",
+        ),
+    ];
+    for (text, base, tip, message) in cases {
+        let error = parse("t", &text, &Selection { base, tip }).unwrap_err();
+        assert_eq!(error.to_string(), message);
+    }
+    let start = ARM.find(r#"<link name="fore">"#).unwrap();
+    let end = ARM.find(r#"<joint name="wrist""#).unwrap();
+    let weightless = format!("{}<link name=\"fore\"/>{}", &ARM[..start], &ARM[end..]);
+    let selection = Selection {
+        base: None,
+        tip: Some("fore"),
+    };
+    assert_eq!(
+        parse("t", &weightless, &selection).unwrap_err().to_string(),
+        "t: link 'fore' is moved by joint 'elbow' but has no inertial data"
+    );
+    let missing = load(Path::new("/no/such.urdf"), &selection)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        missing.starts_with("/no/such.urdf: cannot be read: "),
+        "{missing}"
+    );
+    assert!(
+        parse("t", "<robot", &selection)
+            .unwrap_err()
+            .to_string()
+            .starts_with("t: not a URDF: ")
+    );
+}
+
+#[test]
+fn a_damaged_file_is_read_or_refused_but_never_panics() {
+    for (at, letter) in ARM.char_indices() {
+        let damaged = format!("{}{}", &ARM[..at], &ARM[at + letter.len_utf8()..]);
+        let _ = parse("t", &damaged, &TO_HAND);
+    }
+    // Numbers whose squares no longer fit.
+    for huge in ["1e200", "1e308", "-1e308"] {
+        for name in ["value", "ixx", "xyz", "rpy", "upper"] {
+            let start = format!("{name}=\"");
+            for (at, _) in ARM.match_indices(&start) {
+                let at = at + start.len();
+                let end = at + ARM[at..].find([' ', '"']).unwrap();
+                let damaged = format!("{}{huge}{}", &ARM[..at], &ARM[end..]);
+                if let Ok(import) = parse("t", &damaged, &TO_HAND) {
+                    let standard = import.robot.standard_parameters();
+                    assert!(standard.iter().all(|x| x.is_finite()), "{damaged}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! The tree of links: which path is the arm, and what moves as one body.
+
+use super::document::Document;
+use super::{Selection, UrdfProblem};
+use crate::robot::{Link, Placement};
+use nalgebra::Matrix3;
+
+/// Links and joints by index; every joint knows its links, every link the joints it carries.
+pub(super) struct Tree<'a> {
+    document: &'a Document,
+    parent: Vec<usize>,
+    /// The link that each joint moves.
+    pub(super) child: Vec<usize>,
+    carried: Vec<Vec<usize>>,
+    carrier: Vec<Option<usize>>,
+}
+
+impl<'a> Tree<'a> {
+    pub(super) fn of(document: &'a Document) -> Result<Self, UrdfProblem> {
+        let count = document.links.len();
+        let mut tree = Self {
+            document,
+            parent: Vec::new(),
+            child: Vec::new(),
+            carried: vec![Vec::new(); count],
+            carrier: vec![None; count],
+        };
+        for (index, joint) in document.joints.iter().enumerate() {
+            let named_by = format!("joint '{}'", joint.name);
+            let parent = tree.link(&joint.parent, &named_by)?;
+            let child = tree.link(&joint.child, &named_by)?;
+            tree.parent.push(parent);
+            tree.child.push(child);
+            tree.carried[parent].push(index);
+            if tree.carrier[child].replace(index).is_some() {
+                return Err(UrdfProblem::NotATree(joint.child.clone()));
+            }
+        }
+        // One parent each: whoever has more ancestors than there are links stands on a loop.
+        for start in 0..count {
+            let ancestors = std::iter::successors(Some(start), |&link| tree.below(link));
+            if ancestors.take(count + 1).count() > count {
+                return Err(UrdfProblem::NotATree(document.links[start].name.clone()));
+            }
+        }
+        Ok(tree)
+    }
+
+    pub(super) fn link(&self, name: &str, named_by: &str) -> Result<usize, UrdfProblem> {
+        let found = self
+            .document
+            .links
+            .iter()
+            .position(|link| link.name == name);
+        found.ok_or_else(|| UrdfProblem::UnknownLink {
+            link: name.to_owned(),
+            named_by: named_by.to_owned(),
+        })
+    }
+
+    fn name(&self, link: usize) -> String {
+        self.document.links[link].name.clone()
+    }
+
+    /// The link that carries this one.
+    fn below(&self, link: usize) -> Option<usize> {
+        self.carrier[link].map(|joint| self.parent[joint])
+    }
+
+    pub(super) fn is_fixed(&self, joint: usize) -> bool {
+        self.document.joints[joint].kind == "fixed"
+    }
+
+    pub(super) fn base(&self, selection: &Selection<'_>) -> Result<usize, UrdfProblem> {
+        if let Some(name) = selection.base {
+            return self.link(name, "--base");
+        }
+        let mut roots = (0..self.carrier.len()).filter(|&link| self.carrier[link].is_none());
+        match (roots.next(), roots.next()) {
+            (Some(root), None) => Ok(root),
+            (Some(first), Some(second)) => Err(UrdfProblem::Roots(
+                [first, second]
+                    .into_iter()
+                    .chain(roots)
+                    .map(|link| self.name(link))
+                    .collect(),
+            )),
+            (None, _) => Err(UrdfProblem::Syntax("no links".to_owned())),
+        }
+    }
+
+    /// Joints from base to tip.
+    pub(super) fn path_to(&self, base: usize, tip: usize) -> Result<Vec<usize>, UrdfProblem> {
+        let mut path = Vec::new();
+        let mut link = tip;
+        while link != base {
+            let Some(joint) = self.carrier[link] else {
+                return Err(UrdfProblem::NotBelow {
+                    base: self.name(base),
+                    tip: self.name(tip),
+                });
+            };
+            path.push(joint);
+            link = self.parent[joint];
+        }
+        path.reverse();
+        Ok(path)
+    }
+
+    /// Joints from base to the end of a tree in which no link carries more than one moving joint, itself or through
+    /// what is bolted to it.
+    pub(super) fn only_path(&self, base: usize) -> Result<Vec<usize>, UrdfProblem> {
+        let mut end = base;
+        loop {
+            let body = self.rigid_body(end, Placement::identity(), None);
+            let moving: Vec<usize> = self.moving_joints(&body).collect();
+            match moving[..] {
+                [] => break,
+                [joint] => end = self.child[joint],
+                _ => {
+                    return Err(UrdfProblem::Branch {
+                        link: self.name(end),
+                        joints: moving
+                            .iter()
+                            .map(|&joint| self.document.joints[joint].name.clone())
+                            .collect(),
+                    });
+                }
+            }
+        }
+        // A chain of fixed joints at the end leads to the flange; a fork of them does not.
+        while let [joint] = self.carried[end][..] {
+            end = self.child[joint];
+        }
+        self.path_to(base, end)
+    }
+
+    /// Links that move as one with `link`, which lies at `frame`; nothing beyond the link `end`.
+    fn rigid_body(
+        &self,
+        link: usize,
+        frame: Placement,
+        end: Option<usize>,
+    ) -> Vec<(usize, Placement)> {
+        let mut body = vec![(link, frame)];
+        let mut next = 0;
+        while let Some(&(link, frame)) = body.get(next) {
+            next += 1;
+            if Some(link) == end {
+                continue;
+            }
+            for &joint in self.carried[link]
+                .iter()
+                .filter(|&&joint| self.is_fixed(joint))
+            {
+                let origin = &self.document.joints[joint].origin;
+                body.push((self.child[joint], frame.then(origin)));
+            }
+        }
+        body
+    }
+
+    fn moving_joints(&self, body: &[(usize, Placement)]) -> impl Iterator<Item = usize> {
+        body.iter()
+            .flat_map(|&(link, _)| self.carried[link].iter().copied())
+            .filter(|&joint| !self.is_fixed(joint))
+    }
+
+    /// One link for everything that joint `joint` moves as one body.
+    pub(super) fn lumped(
+        &self,
+        joint: usize,
+        frame: &Placement,
+        end: Option<usize>,
+    ) -> Result<Link, UrdfProblem> {
+        let moved = self.child[joint];
+        let not_a_body = |link: usize, reason: String| UrdfProblem::NotABody {
+            link: self.name(link),
+            reason,
+        };
+        let inertia_reason = |link: &Link| {
+            Link::inertia_problem(&link.inertia_com).map(|problem| format!("inertia {problem}"))
+        };
+        let mut parts = Vec::new();
+        for (link, frame) in self.rigid_body(moved, *frame, end) {
+            let element = &self.document.links[link];
+            let Some(part) = &element.inertial else {
+                continue;
+            };
+            // A sensor bolted on may be given as a point of mass; the body as a whole may not.
+            let is_point = link != moved && part.inertia_com == Matrix3::zeros();
+            let reason = if part.mass <= 0.0 {
+                Some(format!("mass is {}, must be positive", part.mass))
+            } else if is_point {
+                None
+            } else {
+                inertia_reason(part)
+            };
+            if let Some(reason) = reason {
+                return Err(not_a_body(link, reason));
+            }
+            parts.push(part.placed(&frame));
+        }
+        let body = Link::lumped(&parts).ok_or_else(|| UrdfProblem::NoInertia {
+            link: self.name(moved),
+            joint: self.document.joints[joint].name.clone(),
+        })?;
+        match inertia_reason(&body) {
+            Some(reason) => Err(not_a_body(moved, reason)),
+            None => Ok(body),
+        }
+    }
+
+    /// What is not part of the arm, in words.
+    pub(super) fn left_out(&self, base: usize, path: &[usize], end: Option<usize>) -> Vec<String> {
+        let moved = path
+            .iter()
+            .filter(|&&joint| !self.is_fixed(joint))
+            .map(|&joint| self.child[joint]);
+        let mut notes = Vec::new();
+        for link in std::iter::once(base).chain(moved) {
+            let body = self.rigid_body(link, Placement::identity(), end);
+            let beside = self
+                .moving_joints(&body)
+                .filter(|joint| !path.contains(joint));
+            let on_end = body.iter().filter(|(link, _)| Some(*link) == end);
+            let on_end = on_end.flat_map(|&(link, _)| self.carried[link].iter().copied());
+            let on_end = on_end.filter(|&joint| self.is_fixed(joint));
+            notes.extend(beside.chain(on_end).map(|joint| {
+                let joint = &self.document.joints[joint];
+                format!(
+                    "left out: link '{}' on joint '{}' and all it carries",
+                    joint.child, joint.name
+                )
+            }));
+        }
+        notes
+    }
+}

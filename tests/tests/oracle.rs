@@ -1,0 +1,261 @@
+//! Dynamics against tables made by Pinocchio (`tests/data/pinocchio/README.md`).
+
+use acceptance::arms::{description, oblique::Oblique};
+use acceptance::each_arm;
+use acceptance::table::Table;
+use foretorque::arm::{Arm, LINK_PARAMETERS, ur5::Ur5};
+use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
+use foretorque::joint::{JointMotion, JointVector};
+use host_sim::dynamics::{Joints, ReferenceModel, State};
+
+/// f64 against f64 in another formulation: torques of a few hundred N·m carry some 1e-13 N·m of rounding.
+const REFERENCE_TOLERANCE: f64 = 1e-10;
+
+/// Regressor entries are tabulated with eleven decimals.
+const TABULATED_TOLERANCE: f64 = 1e-10;
+
+/// f32 torques of the UR5, N·m: three decimal places below the friction of the joint.
+const UR5_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
+
+/// f32 torques of any arm, in torque limits of the joint: a quarter of what a 17-bit torque command resolves.
+const LIMIT_SHARE: f64 = 1e-6;
+
+/// f32 regressor entries, relative to the largest entry of the row: some ten roundings of 6e-8.
+const ROW_TOLERANCE: f64 = 2e-6;
+
+/// The worse of two errors; not a number is the worst of all.
+fn worse(a: f64, b: f64) -> f64 {
+    if a.is_nan() || a > b { a } else { b }
+}
+
+fn largest<const N: usize>(errors: &Joints<N>) -> f64 {
+    errors
+        .iter()
+        .fold(0.0, |worst, error| worse(worst, error.abs()))
+}
+
+/// Standard parameters as the tables name them, in the order of eq. 14.
+const NAMES: [&str; LINK_PARAMETERS] = [
+    "m", "mx", "my", "mz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz",
+];
+
+fn state<const N: usize>(table: &Table, row: usize) -> State<N> {
+    State {
+        q: table.joints::<N>(row, "q", "_rad").into(),
+        qd: table.joints::<N>(row, "qd", "_rad_s").into(),
+        qdd: table.joints::<N>(row, "qdd", "_rad_s2").into(),
+    }
+}
+
+/// The same state as the board gets it; the tables hold states that f32 represents exactly.
+fn motion<const N: usize>(table: &Table, row: usize) -> JointMotion<N> {
+    let state = state::<N>(table, row);
+    let narrow = |x: Joints<N>| JointVector::<N>::from_fn(|joint, _| x[joint] as f32);
+    JointMotion {
+        q: narrow(state.q),
+        qd: narrow(state.qd),
+        qdd: narrow(state.qdd),
+    }
+}
+
+fn regressor_entry(table: &Table, row: usize, joint: usize, standard: usize) -> f64 {
+    let (link, parameter) = (standard / LINK_PARAMETERS, standard % LINK_PARAMETERS);
+    // Left out of the tables: joint j does not feel the links before it.
+    if link < joint {
+        return 0.0;
+    }
+    let name = NAMES[parameter];
+    table.value(row, &format!("y{}_{name}{}", joint + 1, link + 1))
+}
+
+fn reference_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let name = A::NAME;
+    let table = Table::pinocchio(name);
+    let states = if name == "ur5" { 2000 } else { 200 };
+    assert_eq!(table.len(), states, "{name}");
+    let model = ReferenceModel::<N>::new(&description(name)).expect("as many joints as the table");
+    let (mut tau, mut gravity, mut mass) = (0.0_f64, 0.0_f64, 0.0_f64);
+    for row in 0..table.len() {
+        let state = state::<N>(&table, row);
+        let expected: Joints<N> = table.joints::<N>(row, "tau", "_nm").into();
+        tau = worse(tau, largest(&(model.inverse_dynamics(&state) - expected)));
+        let expected: Joints<N> = table.joints::<N>(row, "gravity", "_nm").into();
+        gravity = worse(
+            gravity,
+            largest(&(model.gravity_torques(&state.q) - expected)),
+        );
+        let matrix = model.mass_matrix(&state.q);
+        for i in 0..N {
+            for j in 0..N {
+                let (upper, lower) = (i.min(j) + 1, i.max(j) + 1);
+                let expected = table.value(row, &format!("m{upper}_{lower}_kg_m2"));
+                mass = worse(mass, (matrix[(i, j)] - expected).abs());
+            }
+        }
+    }
+    println!(
+        "{name}: reference off by {tau:.1e} N·m, gravity {gravity:.1e} N·m, M {mass:.1e} kg·m²"
+    );
+    assert!(tau <= REFERENCE_TOLERANCE, "{name}: torque off by {tau:e}");
+    assert!(
+        gravity <= REFERENCE_TOLERANCE,
+        "{name}: gravity off by {gravity:e}"
+    );
+    assert!(
+        mass <= REFERENCE_TOLERANCE,
+        "{name}: mass matrix off by {mass:e}"
+    );
+}
+
+fn reference_regressor_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let name = A::NAME;
+    let (table, expected) = (
+        Table::pinocchio(name),
+        Table::pinocchio(&format!("{name}_regressor")),
+    );
+    assert_eq!(table.len(), expected.len(), "{name}");
+    let model = ReferenceModel::<N>::new(&description(name)).expect("as many joints as the table");
+    let mut worst = 0.0_f64;
+    for row in 0..table.len() {
+        let state = state::<N>(&table, row);
+        let regressor = model.regressor(&state);
+        for joint in 0..N {
+            for standard in 0..LINK_PARAMETERS * N {
+                let entry = regressor_entry(&expected, row, joint, standard);
+                worst = worse(worst, (regressor[(joint, standard)] - entry).abs());
+            }
+            // The tables end here: Pinocchio's regressor has no rotor columns. A rotor is felt by its own joint.
+            for rotor in 0..N {
+                let entry = if rotor == joint {
+                    state.qdd[joint]
+                } else {
+                    0.0
+                };
+                assert_eq!(
+                    regressor[(joint, LINK_PARAMETERS * N + rotor)],
+                    entry,
+                    "{name}"
+                );
+            }
+        }
+    }
+    println!("{name}: regressor off by {worst:.1e}");
+    assert!(
+        worst <= TABULATED_TOLERANCE,
+        "{name}: regressor off by {worst:e}"
+    );
+}
+
+/// Largest torque error of the board's f32 code over a table, N·m.
+fn board_error<A: Arm<N, P>, const N: usize, const P: usize>() -> Joints<N> {
+    let table = Table::pinocchio(A::NAME);
+    let beta = BaseParameters::<P>::from_fn(|k, _| A::NOMINAL[k]);
+    let mut worst = Joints::<N>::zeros();
+    for row in 0..table.len() {
+        let tau = rnea::<A, N, P>(&beta, &motion(&table, row));
+        let expected = table.joints::<N>(row, "tau", "_nm");
+        for joint in 0..N {
+            let error = (f64::from(tau[joint]) - expected[joint]).abs();
+            worst[joint] = worse(worst[joint], error);
+        }
+    }
+    worst
+}
+
+fn board_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let worst = board_error::<A, N, P>();
+    let shares = Joints::<N>::from_fn(|joint, _| worst[joint] / f64::from(A::LIMITS[joint].torque));
+    println!(
+        "{}: board off by {:.1e} of the torque limits",
+        A::NAME,
+        largest(&shares)
+    );
+    for (joint, share) in shares.iter().enumerate() {
+        assert!(
+            *share <= LIMIT_SHARE,
+            "{}: joint {}: {share:e}",
+            A::NAME,
+            joint + 1
+        );
+    }
+}
+
+/// Rows of the board's regressor are the table's columns of the base set.
+fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let (table, expected) = (
+        Table::pinocchio(A::NAME),
+        Table::pinocchio(&format!("{}_regressor", A::NAME)),
+    );
+    let flags = A::COLUMNS.iter().flat_map(|columns| columns.inertial);
+    let independent: Vec<usize> = flags
+        .enumerate()
+        .filter_map(|(standard, is_base)| is_base.then_some(standard))
+        .collect();
+    let mut worst = 0.0_f64;
+    for state in 0..table.len() {
+        let motion = motion::<N>(&table, state);
+        for joint in 0..N {
+            let row = regressor_row::<A, N, P>(joint, &motion);
+            let entries = independent
+                .iter()
+                .map(|&c| regressor_entry(&expected, state, joint, c));
+            let entries: Vec<f64> = entries.collect();
+            let scale = entries
+                .iter()
+                .fold(1.0_f64, |max, entry| max.max(entry.abs()));
+            for (value, entry) in row.iter().zip(&entries) {
+                let error = (f64::from(*value) - entry).abs() / scale;
+                worst = worse(worst, error);
+            }
+            let rotors = (0..N).filter(|&rotor| A::COLUMNS[rotor].rotor);
+            for (value, rotor) in row.iter().skip(independent.len()).zip(rotors) {
+                let entry = if rotor == joint {
+                    motion.qdd[joint]
+                } else {
+                    0.0
+                };
+                assert_eq!(*value, entry, "{}", A::NAME);
+            }
+        }
+    }
+    println!(
+        "{}: board's regressor off by {worst:.1e} of its largest entry",
+        A::NAME
+    );
+    assert!(worst <= ROW_TOLERANCE, "{}: {worst:e}", A::NAME);
+}
+
+#[test]
+fn reference_dynamics_agree_with_pinocchio() {
+    each_arm!(reference_agrees);
+}
+
+#[test]
+fn untidy_urdf_is_read_as_pinocchio_reads_it() {
+    reference_agrees::<Oblique, 4, 27>();
+    board_agrees::<Oblique, 4, 27>();
+}
+
+#[test]
+fn reference_regressor_agrees_with_pinocchio_column_by_column() {
+    each_arm!(reference_regressor_agrees);
+}
+
+#[test]
+fn board_torques_of_the_ur5_agree_with_pinocchio() {
+    let worst = board_error::<Ur5, 6, 40>();
+    println!("ur5: board off by {:.1e} N·m", worst.transpose());
+    for (joint, (error, tolerance)) in worst.iter().zip(&UR5_TOLERANCE).enumerate() {
+        assert!(error <= tolerance, "joint {}: {error:e} N·m", joint + 1);
+    }
+}
+
+#[test]
+fn board_torques_of_every_arm_agree_with_pinocchio() {
+    each_arm!(board_agrees);
+}
+
+#[test]
+fn board_regressor_rows_are_the_base_columns_of_pinocchio() {
+    each_arm!(board_rows_agree);
+}
