@@ -288,10 +288,6 @@ fn cost(report: &DemoReport) -> Section {
     );
     if let Some(usart) = &report.usart {
         push("tick, flashable firmware", usart.tick_instructions);
-        push(
-            "learning from a tick, flashable firmware",
-            usart.learning_instructions,
-        );
     }
     let caption = if counted {
         "Instructions between a complete request and its reply, and those of learning in the slack behind it, counted by a timer of the emulated board."
