@@ -1,6 +1,6 @@
 //! Boards: whatever runs the firmware's session at the other end of a byte link.
 //!
-//! In this process ([`native`]), in the emulator or on a serial port: a [`Transport`] carries the bytes, one [`Client`]
+//! In this process ([`Native`]), in the emulator or on a serial port: a [`Transport`] carries the bytes, one [`Client`]
 //! speaks the protocol over any of them.
 
 mod child;

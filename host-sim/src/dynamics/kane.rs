@@ -157,7 +157,7 @@ impl<const N: usize> ReferenceModel<N> {
     /// Joint torque regressor: N rows; ten columns a link in the order of eq. 14, then N rotor columns, so that
     /// `regressor · robot.standard_parameters() = inverse_dynamics`.
     ///
-    /// Link wrench about its origin o, in the link frame, with U = [α]× + [ω]×²:
+    /// Link wrench about its origin o, in the link frame, with `U = [α]× + [ω]×²`:
     /// `F = m a + U (m c)`, `n_o = (m c) × a + I α + ω × I ω`; joint j feels `z_j · (n_o + (o − o_j) × F)`.
     pub fn regressor(&self, state: &State<N>) -> DMatrix<f64> {
         let mut rows = DMatrix::zeros(N, (LINK_PARAMETERS + 1) * N);

@@ -42,10 +42,7 @@ impl LinkState {
     pub(super) fn accept(&mut self, sequence: u16, restart: bool) -> Order {
         self.frames = self.frames.saturating_add(1);
         let step = match self.last {
-            // Number 0 is the board's own: a host goes from 65535 on to 1.
-            Some(last) if !restart => sequence
-                .wrapping_sub(last)
-                .wrapping_sub(u16::from(sequence < last)),
+            Some(last) if !restart => sequence.wrapping_sub(last),
             _ => 1,
         };
         if step == 0 || step > u16::MAX - REPEAT_WINDOW {
