@@ -10,6 +10,7 @@ mod run;
 mod simulate;
 mod torque;
 
+use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use std::error::Error;
 
@@ -51,11 +52,11 @@ enum Command {
     Experiment(experiment::Arguments),
 }
 
-/// Reads the command line and does what it says. Help and usage errors end the process as clap sees fit.
+/// Reads the command line and does what it says. Asking for help or the version ends the process.
 ///
 /// Errors: whatever stopped the command.
 pub fn run() -> Result<(), Failure> {
-    match CommandLine::parse().command {
+    match parsed(std::env::args_os())?.command {
         Command::Torque(arguments) => torque::run(&arguments),
         Command::Excite(arguments) => excite::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
@@ -66,6 +67,24 @@ pub fn run() -> Result<(), Failure> {
     }
 }
 
+/// The command line; what is wrong with it as one line, without the usage that clap adds.
+fn parsed(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<CommandLine, Failure> {
+    CommandLine::try_parse_from(arguments).map_err(|error| {
+        if !error.use_stderr()
+            || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
+        {
+            error.exit();
+        }
+        let text = error.to_string();
+        let first = text.split("\n\n").next().unwrap_or_default();
+        let words: Vec<&str> = first
+            .trim_start_matches("error: ")
+            .split_whitespace()
+            .collect();
+        unusable(words.join(" ") + " (see --help)")
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -74,5 +93,23 @@ mod tests {
     #[test]
     fn the_command_line_has_no_contradictions() {
         CommandLine::command().debug_assert();
+    }
+
+    #[test]
+    fn a_wrong_command_line_is_told_in_one_line() {
+        let cases = [
+            ("host-sim frobnicate", "'frobnicate'"),
+            (
+                "host-sim torque --robot ur5 --board quemu --in a --out b",
+                "'quemu'",
+            ),
+            ("host-sim torque", "--robot <ROBOT>"),
+        ];
+        for (line, names) in cases {
+            let arguments = line.split(' ').map(Into::into);
+            let message = parsed(arguments).expect_err(line).to_string();
+            assert_eq!(message.lines().count(), 1, "{message}");
+            assert!(message.contains(names), "{message}");
+        }
     }
 }
