@@ -1,3 +1,146 @@
 //! Set-up, demo and test of foretorque in one command each.
 
-fn main() {}
+mod demo;
+mod setup;
+mod shell;
+mod test;
+mod toolchain;
+
+use std::process::ExitCode;
+
+use anyhow::Result;
+use lexopt::prelude::*;
+
+use setup::Way;
+
+const HELP: &str = "\
+Set-up, demo and test of foretorque in one command each.
+
+Usage: cargo xtask <COMMAND> [OPTIONS]
+
+Commands:
+  setup   Bring what the other commands need: the board's Rust target, the emulator, clippy and rustfmt
+  demo    Set up, build, run the main job in the emulator and write target/foretorque/demo/report.html
+  test    Set up, pass every gate (format, lints, builds, tests, docs) and end with counts
+
+Options:
+      --toolchain <WAY>  How the board's toolchain is had; without it the first of these that works:
+                           installed  a toolchain already here that builds for the board
+                           rustup     `rustup target add`, bounded in time
+                           debian     Debian's rustc and sources: core is built once and linked as a toolchain
+      --check            setup only: change nothing, list what is here and what is missing, fail if anything is
+  -h, --help             Print this help
+
+The debian way leaves one directory, $XDG_DATA_HOME/foretorque (~/.local/share/foretorque), and a rustup toolchain
+named foretorque-arm that points into it. To remove both: `rustup toolchain uninstall foretorque-arm`, then delete
+the directory.
+";
+
+/// What the command line asks for.
+#[derive(Debug, PartialEq)]
+enum Request {
+    Help,
+    Setup { forced: Option<Way>, check: bool },
+    Demo { forced: Option<Way> },
+    Test { forced: Option<Way> },
+}
+
+/// Reads the command line; the error is one line fit for the user.
+fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
+    let (mut command, mut forced, mut check) = (None, None, false);
+    while let Some(arg) = args.next()? {
+        match arg {
+            Short('h') | Long("help") => return Ok(Request::Help),
+            Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
+            Long("check") => check = true,
+            Value(name) if command.is_none() => command = Some(name.string()?),
+            other => return Err(other.unexpected()),
+        }
+    }
+    let request = match command.as_deref() {
+        None | Some("help") => Request::Help,
+        Some("setup") => Request::Setup { forced, check },
+        Some("demo") => Request::Demo { forced },
+        Some("test") => Request::Test { forced },
+        Some(other) => return Err(format!("there is no command `{other}`").into()),
+    };
+    if check && !matches!(request, Request::Setup { .. }) {
+        return Err("--check belongs to `cargo xtask setup`".into());
+    }
+    Ok(request)
+}
+
+fn main() -> ExitCode {
+    let request = match parse(lexopt::Parser::from_env()) {
+        Ok(request) => request,
+        Err(error) => {
+            eprintln!("error: {error}\n\n{HELP}");
+            return ExitCode::from(2);
+        }
+    };
+    let outcome = match request {
+        Request::Help => {
+            print!("{HELP}");
+            Ok(())
+        }
+        Request::Setup {
+            forced,
+            check: true,
+        } => setup::check(forced),
+        Request::Setup {
+            forced,
+            check: false,
+        } => setup::run(forced).map(drop),
+        Request::Demo { forced } => demo::run(forced),
+        Request::Test { forced } => test::run(forced),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(line: &str) -> Result<Request, String> {
+        parse(lexopt::Parser::from_args(line.split_whitespace())).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_command_takes_its_options_on_either_side() {
+        let forced = Some(Way::Debian);
+        assert_eq!(
+            request("setup --toolchain debian --check"),
+            Ok(Request::Setup {
+                forced,
+                check: true
+            })
+        );
+        assert_eq!(
+            request("--toolchain=debian demo"),
+            Ok(Request::Demo { forced })
+        );
+        assert_eq!(request("test"), Ok(Request::Test { forced: None }));
+        assert_eq!(request(""), Ok(Request::Help));
+        assert_eq!(request("test --help"), Ok(Request::Help));
+    }
+
+    #[test]
+    fn a_mistyped_line_is_refused_by_name() {
+        for (line, named) in [
+            ("tset", "tset"),
+            ("test setup", "setup"),
+            ("setup --tolchain rustup", "tolchain"),
+            ("setup --toolchain nix", "installed, rustup or debian"),
+            ("demo --check", "--check"),
+        ] {
+            let error = request(line).unwrap_err();
+            assert!(error.contains(named), "`{line}` gave `{error}`");
+        }
+    }
+}

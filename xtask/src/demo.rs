@@ -1,0 +1,34 @@
+//! The main job in one command.
+
+use std::time::Instant;
+
+use anyhow::Result;
+
+use crate::setup::{self, Way};
+use crate::shell::{self, command};
+
+/// Where the demo's report goes, from the workspace's root.
+const OUT: &str = "target/foretorque/demo";
+
+/// Sets up, builds both sides, and runs the demo experiment on the board's ELF files.
+pub(crate) fn run(forced: Option<Way>) -> Result<()> {
+    let start = Instant::now();
+    let tools = setup::run(forced)?;
+    shell::run(tools.board.board_cargo("build").arg("--bins"))?;
+    shell::run(command("cargo").args(["build", "--release", "-p", "host-sim"]))?;
+    println!("demo: built after {:.1} s", start.elapsed().as_secs_f64());
+    shell::run(command("cargo").args([
+        "run",
+        "--quiet",
+        "--release",
+        "-p",
+        "host-sim",
+        "--",
+        "experiment",
+        "demo",
+        "--out",
+        OUT,
+    ]))?;
+    println!("demo: {:.1} s in all", start.elapsed().as_secs_f64());
+    Ok(())
+}

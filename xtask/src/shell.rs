@@ -1,0 +1,146 @@
+//! Running other programs: shown, captured, or bounded in time. None of them gets a standard input to wait on.
+
+use std::fmt::Write as _;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail};
+
+/// The workspace's root directory.
+pub(crate) fn root() -> PathBuf {
+    let manifest_dir = Path::new(env!("CARGO_MANIFEST_DIR"));
+    manifest_dir.parent().unwrap_or(manifest_dir).to_path_buf()
+}
+
+/// A command that runs in the workspace's root.
+pub(crate) fn command(program: &str) -> Command {
+    let mut command = Command::new(program);
+    // `cargo run` exports the cargo it is; a toolchain of another name must find its own.
+    command
+        .current_dir(root())
+        .env_remove("CARGO")
+        .stdin(Stdio::null());
+    command
+}
+
+/// The command as one would type it, without its environment.
+pub(crate) fn line(command: &Command) -> String {
+    let mut line = command.get_program().to_string_lossy().into_owned();
+    for arg in command.get_args() {
+        let _ = write!(line, " {}", arg.to_string_lossy());
+    }
+    line
+}
+
+/// Runs with the output shown; an exit code other than zero is an error.
+pub(crate) fn run(command: &mut Command) -> Result<()> {
+    let status = command
+        .status()
+        .with_context(|| format!("cannot start `{}`", line(command)))?;
+    if !status.success() {
+        bail!("`{}` failed ({status})", line(command));
+    }
+    Ok(())
+}
+
+/// Standard output of a command that succeeds in silence; `None` when it cannot start or fails.
+pub(crate) fn capture(command: &mut Command) -> Option<String> {
+    let output = command.output().ok()?;
+    output
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// Runs in silence for at most `limit`, then ends the child; the error carries the child's own first `error` line.
+pub(crate) fn run_bounded(command: &mut Command, limit: Duration) -> Result<()> {
+    command
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .env_remove("RUST_BACKTRACE");
+    let mut child = command
+        .spawn()
+        .with_context(|| format!("cannot start `{}`", line(command)))?;
+    let mut pipe = child
+        .stderr
+        .take()
+        .context("the child has no standard error")?;
+    // Read beside the wait: a full pipe would block the child for ever.
+    let reader = thread::spawn(move || {
+        let mut text = String::new();
+        let _ = pipe.read_to_string(&mut text);
+        text
+    });
+    let start = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        if start.elapsed() > limit {
+            child.kill()?;
+            child.wait()?;
+            bail!(
+                "`{}` gave no result within {} s and was ended",
+                line(command),
+                limit.as_secs()
+            );
+        }
+        thread::sleep(Duration::from_millis(20));
+    };
+    if !status.success() {
+        let text = reader.join().unwrap_or_default();
+        let reason = text
+            .lines()
+            .find(|line| line.starts_with("error"))
+            .unwrap_or("error: no reason given");
+        // rustup writes its whole chain of causes on that line.
+        let reason: String = reason.chars().take(160).collect();
+        bail!("`{}`: {reason}", line(command));
+    }
+    Ok(())
+}
+
+/// Says what begins, does it, and says how long it took.
+pub(crate) fn timed<T>(what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    println!("set-up: {what}");
+    let start = Instant::now();
+    let outcome = work();
+    let verdict = if outcome.is_ok() {
+        "done"
+    } else {
+        "did not work"
+    };
+    println!(
+        "set-up: {verdict} after {:.1} s",
+        start.elapsed().as_secs_f64()
+    );
+    outcome
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_child_that_hangs_is_ended_at_its_limit() {
+        let start = Instant::now();
+        let error =
+            run_bounded(command("sleep").arg("600"), Duration::from_millis(100)).unwrap_err();
+        assert!(start.elapsed() < Duration::from_secs(60));
+        assert!(error.to_string().contains("was ended"), "{error}");
+    }
+
+    #[test]
+    fn a_failing_child_is_quoted_with_its_reason() {
+        let script = "echo noise >&2; echo 'error: no route to host' >&2; exit 1";
+        let error =
+            run_bounded(command("sh").args(["-c", script]), Duration::from_secs(60)).unwrap_err();
+        assert!(
+            error.to_string().ends_with("error: no route to host"),
+            "{error}"
+        );
+    }
+}

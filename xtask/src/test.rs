@@ -1,0 +1,232 @@
+//! Every gate in one command. A failing gate does not hide the ones after it.
+
+use std::io::{BufRead as _, BufReader};
+use std::iter::Sum;
+use std::ops::Add;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+use anyhow::{Context as _, Result, bail};
+
+use crate::setup::{self, Way};
+use crate::shell::{self, command, line};
+use crate::toolchain::Tools;
+
+/// What a gate gave.
+struct Outcome {
+    name: &'static str,
+    passed: bool,
+    seconds: f64,
+}
+
+/// Tests that passed and failed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Counts {
+    passed: u32,
+    failed: u32,
+}
+
+impl Add for Counts {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            passed: self.passed + other.passed,
+            failed: self.failed + other.failed,
+        }
+    }
+}
+
+impl Sum for Counts {
+    fn sum<I: Iterator<Item = Self>>(counts: I) -> Self {
+        counts.fold(Self::default(), Self::add)
+    }
+}
+
+/// Sets up, passes every gate, and ends with a table of the gates and the counts of the tests.
+pub(crate) fn run(forced: Option<Way>) -> Result<()> {
+    let start = Instant::now();
+    let tools = setup::run(forced)?;
+    let mut outcomes = vec![Outcome {
+        name: "set-up",
+        passed: true,
+        seconds: start.elapsed().as_secs_f64(),
+    }];
+
+    for (name, mut gate) in builds(tools) {
+        outcomes.push(pass(name, || shell::run(&mut gate)));
+    }
+    // After the builds, because the tests run the board's ELF files.
+    let mut counts = Counts::default();
+    outcomes.push(pass("tests", || {
+        let (seen, ended_well) =
+            count_tests(command("cargo").args(["test", "--workspace", "--no-fail-fast"]))?;
+        counts = attribute(seen, ended_well);
+        if !ended_well {
+            bail!("`cargo test` failed");
+        }
+        Ok(())
+    }));
+    let mut docs = command("cargo");
+    docs.args(["doc", "--workspace", "--no-deps"])
+        .env("RUSTDOCFLAGS", "-D warnings");
+    outcomes.push(pass("docs", || shell::run(&mut docs)));
+
+    println!("\n{:<16} {:<7} {:>8}", "gate", "result", "seconds");
+    for Outcome {
+        name,
+        passed,
+        seconds,
+    } in &outcomes
+    {
+        println!(
+            "{name:<16} {:<7} {seconds:>8.1}",
+            if *passed { "ok" } else { "FAILED" }
+        );
+    }
+    println!(
+        "{:<16} {:<7} {:>8.1}\n",
+        "all",
+        "",
+        start.elapsed().as_secs_f64()
+    );
+    println!("{} passed, {} failed", counts.passed, counts.failed);
+    let failed: Vec<_> = outcomes
+        .iter()
+        .filter(|outcome| !outcome.passed)
+        .map(|outcome| outcome.name)
+        .collect();
+    if !failed.is_empty() {
+        bail!("failed: {}", failed.join(", "));
+    }
+    Ok(())
+}
+
+/// The gates that only build or look, cheapest first.
+fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
+    const STRICT: [&str; 3] = ["--", "-D", "warnings"];
+    let mut fmt = tools.fmt.tool("cargo");
+    fmt.args(["fmt", "--all", "--check"]);
+    let mut clippy = tools.clippy.tool("cargo");
+    clippy
+        .args(["clippy", "--workspace", "--all-targets"])
+        .args(STRICT);
+    let mut board_clippy = tools.board_clippy.board_cargo("clippy");
+    board_clippy.args(["--lib", "--bins"]).args(STRICT);
+    let mut no_std = tools.board.board_cargo("build");
+    no_std.arg("--lib");
+    let mut firmware = tools.board.board_cargo("build");
+    firmware.arg("--bins");
+    vec![
+        ("format", fmt),
+        ("clippy, host", clippy),
+        ("clippy, board", board_clippy),
+        ("no_std library", no_std),
+        ("firmware", firmware),
+    ]
+}
+
+fn pass(name: &'static str, gate: impl FnOnce() -> Result<()>) -> Outcome {
+    println!("\n== {name}");
+    let start = Instant::now();
+    let outcome = gate();
+    if let Err(error) = &outcome {
+        println!("== {name}: {error:#}");
+    }
+    Outcome {
+        name,
+        passed: outcome.is_ok(),
+        seconds: start.elapsed().as_secs_f64(),
+    }
+}
+
+/// Runs `cargo test` with its output shown; what its result lines sum to, and whether it ended well.
+fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
+    let mut child = cargo
+        .stdout(Stdio::piped())
+        .spawn()
+        .with_context(|| format!("cannot start `{}`", line(cargo)))?;
+    let pipe = child
+        .stdout
+        .take()
+        .context("cargo has no standard output")?;
+    let mut seen = Counts::default();
+    for bytes in BufReader::new(pipe).split(b'\n') {
+        let bytes = bytes?;
+        let text = String::from_utf8_lossy(&bytes);
+        println!("{text}");
+        seen = seen + parse_result(&text).unwrap_or_default();
+    }
+    Ok((seen, child.wait()?.success()))
+}
+
+/// The counts of one line such as `test result: ok. 3 passed; 0 failed; 1 ignored; …`.
+fn parse_result(line: &str) -> Option<Counts> {
+    let (_, rest) = line
+        .trim()
+        .strip_prefix("test result: ")?
+        .split_once(". ")?;
+    let number = |word: &str| {
+        rest.split("; ")
+            .find_map(|part| part.trim().strip_suffix(word)?.trim().parse().ok())
+    };
+    Some(Counts {
+        passed: number("passed")?,
+        failed: number("failed")?,
+    })
+}
+
+/// A test program that crashed or did not compile prints no result line: it counts as one failure all the same.
+fn attribute(seen: Counts, ended_well: bool) -> Counts {
+    let silent = !ended_well && seen.failed == 0;
+    Counts {
+        failed: seen.failed + u32::from(silent),
+        ..seen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn result_lines_add_up_and_other_lines_do_not() {
+        let output = "
+running 3 tests
+test a ... ok
+test test result: ok. 9 passed; 9 failed ... ok
+test result: ok. 3 passed; 0 failed; 1 ignored; 0 measured; 0 filtered out; finished in 0.01s
+test result: FAILED. 12 passed; 2 failed; 0 ignored; 0 measured; 0 filtered out; finished in 1.20s
+all doctests ran in 0.31s; merged doctests compilation took 0.20s
+test result: nonsense";
+        let sum: Counts = output.lines().filter_map(parse_result).sum();
+        assert_eq!(
+            sum,
+            Counts {
+                passed: 15,
+                failed: 2
+            }
+        );
+    }
+
+    #[test]
+    fn a_test_program_that_dies_without_a_result_line_is_a_failure() {
+        let seen = Counts {
+            passed: 7,
+            failed: 0,
+        };
+        assert_eq!(
+            attribute(seen, false),
+            Counts {
+                passed: 7,
+                failed: 1
+            }
+        );
+        assert_eq!(attribute(seen, true), seen);
+        let counted = Counts {
+            passed: 7,
+            failed: 2,
+        };
+        assert_eq!(attribute(counted, false), counted);
+    }
+}

@@ -1,0 +1,68 @@
+//! The one place that knows how the board's code is compiled: which cargo, which target, which profile.
+
+use std::env;
+use std::process::Command;
+
+use crate::shell;
+
+/// The board's Rust target: Cortex-M4 with its single-precision FPU.
+pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// The board's cargo profile.
+pub(crate) const PROFILE: &str = "firmware";
+
+/// Name under which set-up links the toolchain it builds. The variable lets a trial run keep clear of the real one.
+pub(crate) fn linked_name() -> String {
+    env::var("FORETORQUE_TOOLCHAIN_NAME").unwrap_or_else(|_| "foretorque-arm".into())
+}
+
+/// A Rust toolchain that set-up may have found or made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Toolchain {
+    /// The one `cargo xtask` itself runs in.
+    Host,
+    /// The one set-up built from Debian's packages.
+    Linked,
+}
+
+impl Toolchain {
+    /// One of its programs, run in the workspace's root.
+    pub(crate) fn tool(self, program: &str) -> Command {
+        match self {
+            Toolchain::Host => shell::command(program),
+            Toolchain::Linked => {
+                let mut command = shell::command("rustup");
+                command.args(["run", &linked_name(), program]);
+                command
+            }
+        }
+    }
+
+    /// `cargo SUBCOMMAND` for the board's package, target and profile.
+    pub(crate) fn board_cargo(self, subcommand: &str) -> Command {
+        let mut command = self.tool("cargo");
+        command.args([
+            subcommand,
+            "--profile",
+            PROFILE,
+            "--target",
+            TARGET,
+            "-p",
+            "foretorque",
+        ]);
+        command
+    }
+}
+
+/// Which toolchain does what in this workspace.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Tools {
+    /// Compiles and links for the board.
+    pub(crate) board: Toolchain,
+    /// Lints the board's code.
+    pub(crate) board_clippy: Toolchain,
+    /// Lints the host's code.
+    pub(crate) clippy: Toolchain,
+    /// Formats everything.
+    pub(crate) fmt: Toolchain,
+}
