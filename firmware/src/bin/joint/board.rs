@@ -1,0 +1,30 @@
+//! The board in one file: chip constants, clocks and pins. Another board changes this file only.
+//!
+//! STM32F405RG on a joint controller of the ODrive v3 class. Sources: RM0090 (reference manual), DS8626 (data sheet).
+
+/// Crystal, Hz (DS8626 5.3.9: 4 to 26 MHz; boards of this class carry 8 MHz).
+pub(crate) const HSE_HZ: u32 = 8_000_000;
+/// Internal oscillator, Hz, ± 1 % at room temperature (DS8626 table 41).
+pub(crate) const HSI_HZ: u32 = 16_000_000;
+/// Processor clock from the PLL, Hz: the most the chip allows at voltage scale 1, its reset state (DS8626 table 14).
+pub(crate) const PLL_HZ: u32 = 168_000_000;
+/// Input of the PLL after division by M, Hz: RM0090 7.3.2 recommends 2 MHz against jitter.
+pub(crate) const PLL_INPUT_HZ: u32 = 2_000_000;
+/// Factor N: 2 MHz × 168 = 336 MHz, inside 100 to 432 MHz (RM0090 7.3.2).
+pub(crate) const PLL_N: u16 = 168;
+/// Factor Q: 336 MHz / 7 = 48 MHz for USB and the random number generator.
+pub(crate) const PLL_Q: u8 = 7;
+/// Wait states of the flash at 168 MHz and 2.7 to 3.6 V (RM0090 table 10).
+pub(crate) const FLASH_WAIT_STATES: u8 = 5;
+/// Reads of a ready flag before a clock source is given up. One read takes at least three cycles at 16 MHz, so this
+/// is more than 18 ms; the crystal needs about 2 ms (DS8626 table 39), the PLL at most 0.3 ms (table 43).
+pub(crate) const CLOCK_POLLS: u32 = 100_000;
+/// Division of the slow peripheral bus while the PLL runs: 42 MHz, its maximum (DS8626 table 14).
+pub(crate) const APB1_DIVIDER: u32 = 4;
+
+/// Bit rate of the link. USART2 sits on APB1; eight-fold oversampling reaches it from 42 MHz (divider 21/8, exact)
+/// and from the bare 16 MHz oscillator (divider 8/8, exact).
+pub(crate) const LINK_BAUD: u32 = 2_000_000;
+
+/// Torque enable of the motor stage: PB12, active high, pulled low on the board (EN_GATE of a DRV8301).
+pub(crate) const ENABLE_PIN: u8 = 12;

@@ -1,0 +1,115 @@
+//! The way out: outputs safe, reason kept over the reset, restart. Nothing here waits.
+
+use core::mem::MaybeUninit;
+use core::panic::PanicInfo;
+use core::sync::atomic::{Ordering, compiler_fence};
+
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::{ExceptionFrame, exception};
+use embedded_hal::digital::{ErrorType, OutputPin};
+use foretorque::edge::hal::TorqueEnable;
+use stm32f4xx_hal::pac::GPIOB;
+
+use crate::board;
+
+/// Why the board restarted itself. The number is what the link reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(crate) enum Reason {
+    /// It did not: power on, the reset pin, a debugger.
+    None = 0,
+    /// A panic; the place is the line of the source.
+    Panic = 1,
+    /// A hard fault; the place is the address of the instruction.
+    HardFault = 2,
+    /// An interrupt or exception without a handler; the place is its number.
+    Unexpected = 3,
+}
+
+/// What is kept over a reset: a mark, reason, place, and their check word. The linker leaves the section alone at
+/// start-up, and a reset does not clear the RAM (RM0090 6.1).
+#[unsafe(link_section = ".uninit.reason")]
+static mut KEPT: MaybeUninit<[u32; 4]> = MaybeUninit::uninit();
+
+/// Says that [`KEPT`] was written by this firmware: power-on leaves anything there.
+const MARK: u32 = 0x7041_5553;
+
+/// Torque enable, PB12: a pin without state, because a fault handler must be able to make one out of nothing.
+pub(crate) struct EnablePin;
+
+impl ErrorType for EnablePin {
+    type Error = core::convert::Infallible;
+}
+
+impl OutputPin for EnablePin {
+    fn set_low(&mut self) -> Result<(), Self::Error> {
+        write_set_reset(1 << (board::ENABLE_PIN + 16));
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Self::Error> {
+        write_set_reset(1 << board::ENABLE_PIN);
+        Ok(())
+    }
+}
+
+fn write_set_reset(bits: u32) {
+    // SAFETY: BSRR is write-only and changes the named bits in one access (RM0090 8.4.7); no other code drives them.
+    unsafe { (*GPIOB::ptr()).bsrr().write(|w| w.bits(bits)) };
+}
+
+/// Why the board restarted last time, and where; forgets it.
+pub(crate) fn take() -> (Reason, u32) {
+    let kept = &raw mut KEPT;
+    // SAFETY: called once, from `init`, with interrupts off; any bit pattern is a valid [u32; 4].
+    let [mark, reason, place, check] = unsafe { kept.cast::<[u32; 4]>().read_volatile() };
+    // SAFETY: as above.
+    unsafe { kept.cast::<[u32; 4]>().write_volatile([0; 4]) };
+    if mark != MARK || check != mark ^ reason ^ place {
+        return (Reason::None, 0);
+    }
+    let reason = match reason {
+        1 => Reason::Panic,
+        2 => Reason::HardFault,
+        3 => Reason::Unexpected,
+        _ => Reason::None,
+    };
+    (reason, place)
+}
+
+/// Makes the outputs safe, keeps the reason and restarts. The torque stays off until somebody arms the board anew.
+pub(crate) fn leave(reason: Reason, place: u32) -> ! {
+    cortex_m::interrupt::disable();
+    // The constructor is what switches off; an infallible pin cannot refuse.
+    let _ = TorqueEnable::new(EnablePin);
+    let kept = &raw mut KEPT;
+    // SAFETY: interrupts are off and this does not return: nobody else looks at the words again before the reset.
+    unsafe {
+        kept.cast::<[u32; 4]>().write_volatile([
+            MARK,
+            reason as u32,
+            place,
+            MARK ^ reason as u32 ^ place,
+        ])
+    };
+    compiler_fence(Ordering::SeqCst);
+    SCB::sys_reset()
+}
+
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    leave(
+        Reason::Panic,
+        info.location().map_or(0, |place| place.line()),
+    )
+}
+
+#[exception]
+unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
+    leave(Reason::HardFault, frame.pc())
+}
+
+#[exception]
+unsafe fn DefaultHandler(number: i16) {
+    leave(Reason::Unexpected, number as u32)
+}
