@@ -1,1 +1,5 @@
 //! Simulator and workbench of foretorque.
+
+pub mod dynamics;
+pub mod generate;
+pub mod robot;

@@ -1,6 +1,9 @@
 //! A serial arm of revolute joints as the board sees it: constants of geometry, base-parameter map and limits.
 
+mod identity;
 pub mod ur5;
+
+pub use identity::identity;
 
 /// Constant placement of a joint frame in its parent frame, before the joint turns it about its own z axis.
 ///
@@ -48,12 +51,23 @@ pub struct BaseTerm {
     pub weight: f32,
 }
 
+impl BaseTerm {
+    /// One entry, for tables.
+    pub const fn new(base: usize, standard: usize, weight: f32) -> Self {
+        Self {
+            base,
+            standard,
+            weight,
+        }
+    }
+}
+
 /// Constants of an arm with `N` revolute joints and `P` base parameters (rotor inertias after the links).
 pub trait Arm<const N: usize, const P: usize>: 'static {
     /// Name of the arm, as in its description file.
     const NAME: &'static str;
     /// Identity of geometry and base-parameter set; both sides of a link compare it.
-    const HASH: u32;
+    const HASH: u32 = identity(&Self::GRAVITY, &Self::PLACEMENTS, &Self::COLUMNS);
     /// Acceleration of gravity, expressed in the base frame, 3 × m/s².
     const GRAVITY: [f32; 3];
     /// Placement of every joint.

@@ -1,0 +1,11 @@
+//! Writes an arm module: `cargo run -p host-sim --example write_arm -- ROBOT FILE.rs`.
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let (Some(robot), Some(file)) = (arguments.next(), arguments.next()) else {
+        return Err("usage: write_arm ROBOT FILE.rs".into());
+    };
+    let robot = host_sim::robot::Robot::load(&robot)?;
+    std::fs::write(file, host_sim::generate::arm_module(&robot))?;
+    Ok(())
+}

@@ -1,0 +1,150 @@
+//! The base parameters: which standard parameters torque can see, and how the others hide in them.
+
+use super::{Joints, ReferenceModel, State};
+use crate::robot::{LINK_PARAMETERS, Robot};
+use nalgebra::{DMatrix, DVector};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Random states behind the rank decision; each gives N equations, 4 times as many as there are unknowns.
+const STATES: usize = 44;
+
+/// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Dependent
+/// columns leave about 1e-15 here, independent ones above 1e-3 (UR5).
+const INDEPENDENT: f64 = 1e-9;
+
+/// Weights are products of lengths and direction cosines; what stands behind this digit is rounding of the solution.
+/// Cutting it off makes the map the same on every machine.
+const WEIGHT_GRID: f64 = 1e-12;
+
+/// One entry of the map from standard to base parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseMapTerm {
+    /// Index of the base parameter.
+    pub base: usize,
+    /// Index of the standard parameter, in the order of [`Robot::standard_parameters`].
+    pub standard: usize,
+    /// Weight of the standard parameter in the base parameter.
+    pub weight: f64,
+}
+
+/// The map from the 10 N + N standard parameters to the base set.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaseMap {
+    /// Standard parameters that stand for the base set: the first independent columns of the regressor from left to
+    /// right, joint 1 to N, rotor inertias last.
+    pub columns: Vec<usize>,
+    /// Non-zero entries of B in beta = B·x, sorted by base index.
+    pub terms: Vec<BaseMapTerm>,
+    /// Residual of W = W_b B over all random states, relative to the largest entry of W.
+    pub residual: f64,
+}
+
+impl BaseMap {
+    /// Finds the base set of a robot numerically; it depends on geometry and gravity direction only. `None` when the
+    /// robot has not `N` joints.
+    ///
+    /// Modified Gram–Schmidt from left to right, twice for orthogonality to rounding; then W_b B = W by back-substitution.
+    pub fn of<const N: usize>(robot: &Robot) -> Option<Self> {
+        let model = ReferenceModel::<N>::new(robot)?;
+        let w = stacked_regressor(&model);
+        let mut basis: Vec<DVector<f64>> = Vec::new();
+        let mut columns = Vec::new();
+        // A column that is zero in exact arithmetic still has the rounding of the right angles in it.
+        let scale = w.amax();
+        // Coefficients of every column in the orthonormal basis (R of the QR factorisation).
+        let mut coefficients = DMatrix::<f64>::zeros(w.ncols(), w.ncols());
+        for c in 0..w.ncols() {
+            let mut rest: DVector<f64> = w.column(c).into_owned();
+            let length = rest.norm();
+            for _ in 0..2 {
+                for (b, direction) in basis.iter().enumerate() {
+                    let share = direction.dot(&rest);
+                    coefficients[(b, c)] += share;
+                    rest.axpy(-share, direction, 1.0);
+                }
+            }
+            let new = rest.norm();
+            if length > INDEPENDENT * scale && new > INDEPENDENT * length {
+                coefficients[(basis.len(), c)] = new;
+                columns.push(c);
+                basis.push(rest / new);
+            }
+        }
+        let rank = columns.len();
+        let triangle = DMatrix::from_fn(rank, rank, |b, k| coefficients[(b, columns[k])]);
+        let weights = triangle.solve_upper_triangular(&coefficients.rows(0, rank).into_owned())?;
+        let weights = weights.map(|weight| (weight / WEIGHT_GRID).round() * WEIGHT_GRID);
+        let w_base = w.select_columns(&columns);
+        let residual = (&w_base * &weights - &w).amax() / w.amax();
+        let terms = (0..rank)
+            .flat_map(|base| (0..w.ncols()).map(move |standard| (base, standard)))
+            .filter(|&at| weights[at] != 0.0)
+            .map(|(base, standard)| BaseMapTerm {
+                base,
+                standard,
+                weight: weights[(base, standard)],
+            })
+            .collect();
+        Some(Self {
+            columns,
+            terms,
+            residual,
+        })
+    }
+
+    /// Number of base parameters.
+    pub fn rank(&self) -> usize {
+        self.columns.len()
+    }
+
+    /// Base parameters of a robot with this geometry: beta = B·x.
+    pub fn base_parameters(&self, robot: &Robot) -> Vec<f64> {
+        let standard = robot.standard_parameters();
+        let mut beta = vec![0.0; self.rank()];
+        for term in &self.terms {
+            beta[term.base] += term.weight * standard[term.standard];
+        }
+        beta
+    }
+}
+
+/// Base map of a robot of any size the board supports.
+impl Robot {
+    /// [`BaseMap::of`] for the robot's own number of joints.
+    pub fn base_map(&self) -> BaseMap {
+        let map = match self.joint_count() {
+            1 => BaseMap::of::<1>(self),
+            2 => BaseMap::of::<2>(self),
+            3 => BaseMap::of::<3>(self),
+            4 => BaseMap::of::<4>(self),
+            5 => BaseMap::of::<5>(self),
+            6 => BaseMap::of::<6>(self),
+            7 => BaseMap::of::<7>(self),
+            8 => BaseMap::of::<8>(self),
+            _ => None,
+        };
+        map.expect("a description is refused unless it has 1 to 8 joints")
+    }
+
+    /// Base parameters of this robot.
+    pub fn base_parameters(&self) -> Vec<f64> {
+        self.base_map().base_parameters(self)
+    }
+}
+
+fn stacked_regressor<const N: usize>(model: &ReferenceModel<N>) -> DMatrix<f64> {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut w = DMatrix::zeros(STATES * N, (LINK_PARAMETERS + 1) * N);
+    for state in 0..STATES {
+        let mut draw = |size: f64| Joints::<N>::from_fn(|_, _| random.random_range(-size..=size));
+        // Velocities and accelerations of a size at which inertia, velocity and gravity terms weigh alike.
+        let sample = State {
+            q: draw(std::f64::consts::PI),
+            qd: draw(3.0),
+            qdd: draw(10.0),
+        };
+        model.regressor_into(&sample, &mut w, state * N);
+    }
+    w
+}

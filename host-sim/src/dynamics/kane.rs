@@ -1,0 +1,281 @@
+//! Kane's equations through centre-of-mass Jacobians, world frame.
+
+use crate::robot::{LINK_PARAMETERS, Placement, Robot};
+use nalgebra::{DMatrix, Matrix3, Rotation3, SMatrix, SVector, Vector3};
+
+/// One value for each joint, f64.
+pub type Joints<const N: usize> = SVector<f64, N>;
+
+/// Position, velocity and acceleration of all joints: rad, rad/s, rad/s².
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State<const N: usize> {
+    /// Joint positions, rad.
+    pub q: Joints<N>,
+    /// Joint velocities, rad/s.
+    pub qd: Joints<N>,
+    /// Joint accelerations, rad/s².
+    pub qdd: Joints<N>,
+}
+
+/// One link: where its joint sits and how its mass is distributed.
+#[derive(Clone, Copy, Debug)]
+struct Body {
+    placement: Placement,
+    mass: f64,
+    com: Vector3<f64>,
+    inertia_com: Matrix3<f64>,
+    rotor_inertia: f64,
+}
+
+/// Rigid-body dynamics of an arm with `N` revolute joints.
+#[derive(Clone, Debug)]
+pub struct ReferenceModel<const N: usize> {
+    bodies: [Body; N],
+    gravity: Vector3<f64>,
+}
+
+/// World-frame kinematics of all links. `rot[k]` maps link k coordinates into the world, `axis[k]` is joint axis k,
+/// `origin[k]` a point on it; accelerations of the origins carry −g.
+struct Kinematics<const N: usize> {
+    rot: [Matrix3<f64>; N],
+    axis: [Vector3<f64>; N],
+    origin: [Vector3<f64>; N],
+    omega: [Vector3<f64>; N],
+    alpha: [Vector3<f64>; N],
+    acceleration: [Vector3<f64>; N],
+}
+
+impl<const N: usize> ReferenceModel<N> {
+    /// The model of a robot; `None` when it has not `N` joints.
+    pub fn new(robot: &Robot) -> Option<Self> {
+        let bodies: Vec<Body> = robot
+            .joints
+            .iter()
+            .map(|joint| Body {
+                placement: joint.placement,
+                mass: joint.link.mass,
+                com: joint.link.com,
+                inertia_com: joint.link.inertia_com,
+                rotor_inertia: joint.drive.rotor_inertia,
+            })
+            .collect();
+        Some(Self {
+            bodies: bodies.try_into().ok()?,
+            gravity: robot.gravity,
+        })
+    }
+
+    /// Torques τ = M(q)·qdd + V(q, qd) + G(q) (eq. 12), N·m.
+    pub fn inverse_dynamics(&self, state: &State<N>) -> Joints<N> {
+        let kinematics = self.kinematics(state);
+        let mut tau = self.project(&kinematics);
+        for (j, body) in self.bodies.iter().enumerate() {
+            tau[j] += body.rotor_inertia * state.qdd[j];
+        }
+        tau
+    }
+
+    /// Gravity torques G(q), N·m.
+    pub fn gravity_torques(&self, q: &Joints<N>) -> Joints<N> {
+        self.bias(q, &Joints::zeros())
+    }
+
+    /// Bias torques h = V(q, qd) + G(q), N·m.
+    pub fn bias(&self, q: &Joints<N>, qd: &Joints<N>) -> Joints<N> {
+        self.mass_matrix_and_bias(q, qd).1
+    }
+
+    /// Mass matrix M(q) with the rotor inertias on its diagonal, kg·m².
+    pub fn mass_matrix(&self, q: &Joints<N>) -> SMatrix<f64, N, N> {
+        self.mass_matrix_and_bias(q, &Joints::zeros()).0
+    }
+
+    /// M(q) and h(q, qd) from one pass over the kinematics: what a forward simulation needs at each step.
+    ///
+    /// `M = Σ_k m_k J_ckᵀ J_ck + J_ωkᵀ I_k J_ωk + diag(rotor)`, the Jacobians of the centres of mass.
+    pub fn mass_matrix_and_bias(
+        &self,
+        q: &Joints<N>,
+        qd: &Joints<N>,
+    ) -> (SMatrix<f64, N, N>, Joints<N>) {
+        let kinematics = self.kinematics(&State {
+            q: *q,
+            qd: *qd,
+            qdd: Joints::zeros(),
+        });
+        let mut mass = SMatrix::<f64, N, N>::zeros();
+        for (k, body) in self.bodies.iter().enumerate() {
+            let rot = &kinematics.rot[k];
+            let com = kinematics.origin[k] + rot * body.com;
+            let inertia = rot * body.inertia_com * rot.transpose();
+            let mut partial = [Vector3::zeros(); N];
+            for j in 0..=k {
+                let axis = &kinematics.axis[j];
+                partial[j] = axis.cross(&(com - kinematics.origin[j]));
+                let momentum = body.mass * partial[j];
+                let spin = inertia * axis;
+                for i in 0..=j {
+                    mass[(i, j)] += partial[i].dot(&momentum) + kinematics.axis[i].dot(&spin);
+                }
+            }
+        }
+        for j in 0..N {
+            for i in 0..j {
+                mass[(j, i)] = mass[(i, j)];
+            }
+            mass[(j, j)] += self.bodies[j].rotor_inertia;
+        }
+        (mass, self.project(&kinematics))
+    }
+
+    /// Kinetic plus potential energy, J; the potential is zero with all centres of mass at the base origin.
+    pub fn energy(&self, q: &Joints<N>, qd: &Joints<N>) -> f64 {
+        let kinematics = self.kinematics(&State {
+            q: *q,
+            qd: *qd,
+            qdd: Joints::zeros(),
+        });
+        let mut energy = 0.0;
+        let mut velocity = Vector3::zeros();
+        for (k, body) in self.bodies.iter().enumerate() {
+            if k > 0 {
+                let lever = kinematics.origin[k] - kinematics.origin[k - 1];
+                velocity += kinematics.omega[k - 1].cross(&lever);
+            }
+            let (rot, omega) = (&kinematics.rot[k], &kinematics.omega[k]);
+            let lever = rot * body.com;
+            let speed = velocity + omega.cross(&lever);
+            let spin = rot.transpose() * omega;
+            energy += 0.5 * body.mass * speed.norm_squared()
+                + 0.5 * spin.dot(&(body.inertia_com * spin))
+                + 0.5 * body.rotor_inertia * qd[k] * qd[k]
+                - body.mass * self.gravity.dot(&(kinematics.origin[k] + lever));
+        }
+        energy
+    }
+
+    /// Joint torque regressor: N rows; ten columns a link in the order of eq. 14, then N rotor columns, so that
+    /// `regressor · robot.standard_parameters() = inverse_dynamics`.
+    ///
+    /// Link wrench about its origin o, in the link frame, with U = [α]× + [ω]×²:
+    /// `F = m a + U (m c)`, `n_o = (m c) × a + I α + ω × I ω`; joint j feels `z_j · (n_o + (o − o_j) × F)`.
+    pub fn regressor(&self, state: &State<N>) -> DMatrix<f64> {
+        let mut rows = DMatrix::zeros(N, (LINK_PARAMETERS + 1) * N);
+        self.regressor_into(state, &mut rows, 0);
+        rows
+    }
+
+    /// [`Self::regressor`] written into `target` from row `first_row` on, for stacking long logs. The rows must be zero.
+    ///
+    /// Panics when `target` is smaller than N rows below `first_row` or than 11 N columns.
+    pub fn regressor_into(&self, state: &State<N>, target: &mut DMatrix<f64>, first_row: usize) {
+        let kinematics = self.kinematics(state);
+        for k in 0..N {
+            let world_to_link = kinematics.rot[k].transpose();
+            let a = world_to_link * kinematics.acceleration[k];
+            let w = world_to_link * kinematics.omega[k];
+            let alpha = world_to_link * kinematics.alpha[k];
+            let (force, moment) = unit_wrenches(&a, &w, &alpha);
+            for j in 0..=k {
+                let axis = world_to_link * kinematics.axis[j];
+                let lever = world_to_link * (kinematics.origin[k] - kinematics.origin[j]);
+                let partial = axis.cross(&lever);
+                for c in 0..LINK_PARAMETERS {
+                    target[(first_row + j, LINK_PARAMETERS * k + c)] =
+                        axis.dot(&moment[c]) + partial.dot(&force[c]);
+                }
+            }
+            target[(first_row + k, LINK_PARAMETERS * N + k)] = state.qdd[k];
+        }
+    }
+
+    fn kinematics(&self, state: &State<N>) -> Kinematics<N> {
+        let zero = [Vector3::zeros(); N];
+        let mut out = Kinematics {
+            rot: [Matrix3::identity(); N],
+            axis: zero,
+            origin: zero,
+            omega: zero,
+            alpha: zero,
+            acceleration: zero,
+        };
+        let mut rot = Matrix3::identity();
+        let mut origin = Vector3::zeros();
+        let mut omega = Vector3::zeros();
+        let mut alpha = Vector3::zeros();
+        // An arm at rest on a base that accelerates with −g feels the same forces as one in the field g.
+        let mut acceleration = -self.gravity;
+        for (k, body) in self.bodies.iter().enumerate() {
+            let step = rot * body.placement.origin;
+            origin += step;
+            acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
+            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), state.q[k]);
+            rot = rot * body.placement.rot_parent_child * turn.matrix();
+            let axis: Vector3<f64> = rot.column(2).into_owned();
+            alpha += axis * state.qdd[k] + omega.cross(&axis) * state.qd[k];
+            omega += axis * state.qd[k];
+            out.rot[k] = rot;
+            out.axis[k] = axis;
+            out.origin[k] = origin;
+            out.omega[k] = omega;
+            out.alpha[k] = alpha;
+            out.acceleration[k] = acceleration;
+        }
+        out
+    }
+
+    /// Generalised inertia forces: every link's `m a_c` and `I α + ω × I ω` on the partial velocities of each joint.
+    fn project(&self, kinematics: &Kinematics<N>) -> Joints<N> {
+        let mut tau = Joints::zeros();
+        for (k, body) in self.bodies.iter().enumerate() {
+            let rot = &kinematics.rot[k];
+            let (omega, alpha) = (&kinematics.omega[k], &kinematics.alpha[k]);
+            let lever = rot * body.com;
+            let acceleration = kinematics.acceleration[k]
+                + alpha.cross(&lever)
+                + omega.cross(&omega.cross(&lever));
+            let force = body.mass * acceleration;
+            let spin = rot.transpose() * omega;
+            let moment = rot
+                * (body.inertia_com * (rot.transpose() * alpha)
+                    + spin.cross(&(body.inertia_com * spin)));
+            let com = kinematics.origin[k] + lever;
+            for j in 0..=k {
+                let axis = &kinematics.axis[j];
+                let partial = axis.cross(&(com - kinematics.origin[j]));
+                tau[j] += partial.dot(&force) + axis.dot(&moment);
+            }
+        }
+        tau
+    }
+}
+
+/// Force and moment about the link origin made by each standard parameter at value one, in the link frame.
+fn unit_wrenches(
+    a: &Vector3<f64>,
+    w: &Vector3<f64>,
+    alpha: &Vector3<f64>,
+) -> (
+    [Vector3<f64>; LINK_PARAMETERS],
+    [Vector3<f64>; LINK_PARAMETERS],
+) {
+    let mut force = [Vector3::zeros(); LINK_PARAMETERS];
+    let mut moment = [Vector3::zeros(); LINK_PARAMETERS];
+    force[0] = *a;
+    for axis in 0..3 {
+        let first_moment = Vector3::ith(axis, 1.0);
+        force[1 + axis] = alpha.cross(&first_moment) + w.cross(&w.cross(&first_moment));
+        moment[1 + axis] = first_moment.cross(a);
+    }
+    // Ixx, Iyy, Izz, Ixy, Ixz, Iyz
+    for (c, (i, j)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+        .into_iter()
+        .enumerate()
+    {
+        let mut inertia = Matrix3::zeros();
+        inertia[(i, j)] = 1.0;
+        inertia[(j, i)] = 1.0;
+        moment[4 + c] = inertia * alpha + w.cross(&(inertia * w));
+    }
+    (force, moment)
+}

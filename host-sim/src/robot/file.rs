@@ -1,0 +1,400 @@
+//! The description file: TOML, units in the names of the fields.
+
+use super::{Drive, Friction, Joint, Limits, Link, LogColumns, Placement, Robot, RobotError};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use serde::Deserialize;
+
+/// Most joints an arm may have: the board unrolls its recursions up to here.
+const MAX_JOINTS: usize = 8;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotFile {
+    name: String,
+    #[serde(default = "earth")]
+    gravity_m_s2: [f64; 3],
+    joints: Vec<JointFile>,
+    flange: Option<FrameFile>,
+    log_columns: Option<LogColumns>,
+}
+
+fn earth() -> [f64; 3] {
+    [0.0, 0.0, -9.81]
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct JointFile {
+    name: String,
+    dh: Option<DhFile>,
+    frame: Option<FrameFile>,
+    link: LinkFile,
+    drive: DriveFile,
+    friction: FrictionFile,
+    limits: LimitsFile,
+}
+
+/// A standard Denavit–Hartenberg row, `T = Rz(q) Tz(d) Tx(a) Rx(alpha)`.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DhFile {
+    d_m: f64,
+    a_m: f64,
+    alpha_rad: f64,
+}
+
+/// Joint frame in the frame before it, roll–pitch–yaw about fixed axes: `R = Rz(yaw) Ry(pitch) Rx(roll)`.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FrameFile {
+    xyz_m: [f64; 3],
+    rpy_rad: [f64; 3],
+}
+
+/// Mass distribution in the DH frame of the link, or in the joint frame where the joint is given by a `frame`.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LinkFile {
+    mass_kg: f64,
+    com_m: [f64; 3],
+    inertia_kg_m2: InertiaFile,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct InertiaFile {
+    xx: f64,
+    yy: f64,
+    zz: f64,
+    #[serde(default)]
+    xy: f64,
+    #[serde(default)]
+    xz: f64,
+    #[serde(default)]
+    yz: f64,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DriveFile {
+    #[serde(default)]
+    rotor_inertia_kg_m2: f64,
+    #[serde(default = "one")]
+    gain_nm_a: f64,
+    encoder_bits: u32,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FrictionFile {
+    viscous_nm_s_rad: f64,
+    coulomb_nm: f64,
+    #[serde(default)]
+    stribeck_ratio: f64,
+    #[serde(default = "one")]
+    stribeck_velocity_rad_s: f64,
+    #[serde(default)]
+    cogging_nm: f64,
+    #[serde(default)]
+    cogging_cycles_rev: f64,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LimitsFile {
+    position_rad: [f64; 2],
+    velocity_rad_s: f64,
+    acceleration_rad_s2: f64,
+    torque_nm: f64,
+}
+
+/// Reads, checks and converts a description.
+pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
+    let raw: RobotFile = toml::from_str(text).map_err(|error| syntax(file, text, &error))?;
+    let check = Check { file };
+    let name_is_plain = raw
+        .name
+        .chars()
+        .all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+    let starts_with_letter = raw.name.starts_with(|c: char| c.is_ascii_lowercase());
+    check.that(
+        name_is_plain && starts_with_letter,
+        "name",
+        "must be lower-case letters, digits and underscores, a letter first",
+    )?;
+    check.finite("gravity_m_s2", &raw.gravity_m_s2)?;
+    check.that(
+        (1..=MAX_JOINTS).contains(&raw.joints.len()),
+        "joints",
+        &format!("{} joints, must be 1 to {MAX_JOINTS}", raw.joints.len()),
+    )?;
+    let flange = match &raw.flange {
+        Some(frame) => Some(placement_of_frame(frame, &check, "flange")?),
+        None => None,
+    };
+    let mut joints = Vec::with_capacity(raw.joints.len());
+    // What the DH row of the link before leaves to be done ahead of this joint's rotation.
+    let mut link_end = Placement {
+        rot_parent_child: Matrix3::identity(),
+        origin: Vector3::zeros(),
+    };
+    for (index, joint) in raw.joints.iter().enumerate() {
+        let at = |field: &str| format!("joints[{index}].{field}");
+        let (placement, end) = match (&joint.dh, &joint.frame) {
+            (Some(dh), None) => {
+                check.finite(&at("dh"), &[dh.d_m, dh.a_m, dh.alpha_rad])?;
+                let lift = Vector3::new(0.0, 0.0, dh.d_m);
+                let placement = Placement {
+                    rot_parent_child: link_end.rot_parent_child,
+                    origin: link_end.origin + link_end.rot_parent_child * lift,
+                };
+                (placement, dh_link_end(dh))
+            }
+            (None, Some(frame)) => {
+                let here = placement_of_frame(frame, &check, &at("frame"))?;
+                (link_end.then(&here), Placement::identity())
+            }
+            _ => {
+                return Err(check.error(&at("dh"), "give exactly one of 'dh' and 'frame'"));
+            }
+        };
+        joints.push(Joint {
+            name: joint.name.clone(),
+            placement,
+            link: link_in_craig_frame(&joint.link, &end, &check, &at)?,
+            drive: drive(&joint.drive, &check, &at)?,
+            friction: friction(&joint.friction, &check, &at)?,
+            limits: limits(&joint.limits, &check, &at)?,
+        });
+        link_end = end;
+    }
+    Ok(Robot {
+        name: raw.name,
+        gravity: Vector3::from(raw.gravity_m_s2),
+        joints,
+        flange: flange.map_or(link_end, |flange| link_end.then(&flange)),
+        log_columns: raw.log_columns,
+    })
+}
+
+/// The part of a standard DH row that belongs to the link: `Tx(a) Rx(alpha)`, from Craig's frame to the DH frame.
+fn dh_link_end(dh: &DhFile) -> Placement {
+    Placement {
+        rot_parent_child: snapped(
+            Rotation3::from_axis_angle(&Vector3::x_axis(), dh.alpha_rad).into_inner(),
+        ),
+        origin: Vector3::new(dh.a_m, 0.0, 0.0),
+    }
+}
+
+fn placement_of_frame(
+    frame: &FrameFile,
+    check: &Check<'_>,
+    field: &str,
+) -> Result<Placement, RobotError> {
+    check.finite(field, &frame.xyz_m)?;
+    check.finite(field, &frame.rpy_rad)?;
+    let [roll, pitch, yaw] = frame.rpy_rad;
+    Ok(Placement {
+        rot_parent_child: snapped(Rotation3::from_euler_angles(roll, pitch, yaw).into_inner()),
+        origin: Vector3::from(frame.xyz_m),
+    })
+}
+
+/// Entries within 1e-12 of 0 and ±1 become exact: a right angle written in decimals must cost nothing on the board.
+fn snapped(rotation: Matrix3<f64>) -> Matrix3<f64> {
+    rotation.map(|entry| {
+        let nearest = entry.round();
+        if (entry - nearest).abs() < 1e-12 {
+            nearest + 0.0
+        } else {
+            entry
+        }
+    })
+}
+
+fn link_in_craig_frame(
+    link: &LinkFile,
+    end: &Placement,
+    check: &Check<'_>,
+    at: &dyn Fn(&str) -> String,
+) -> Result<Link, RobotError> {
+    let i = &link.inertia_kg_m2;
+    check.positive(&at("link.mass_kg"), link.mass_kg)?;
+    check.finite(&at("link.com_m"), &link.com_m)?;
+    check.finite(
+        &at("link.inertia_kg_m2"),
+        &[i.xx, i.yy, i.zz, i.xy, i.xz, i.yz],
+    )?;
+    let inertia = Matrix3::new(i.xx, i.xy, i.xz, i.xy, i.yy, i.yz, i.xz, i.yz, i.zz);
+    let moments = inertia.symmetric_eigenvalues();
+    check.that(
+        moments.min() > 0.0,
+        &at("link.inertia_kg_m2"),
+        "is not positive definite",
+    )?;
+    // Rounded data-sheet figures may miss the inequality in their last digit.
+    check.that(
+        2.0 * moments.max() <= moments.sum() * (1.0 + 1e-6),
+        &at("link.inertia_kg_m2"),
+        "breaks the triangle inequality: no body has these principal moments",
+    )?;
+    let rot = end.rot_parent_child;
+    Ok(Link {
+        mass: link.mass_kg,
+        com: end.origin + rot * Vector3::from(link.com_m),
+        inertia_com: rot * inertia * rot.transpose(),
+    })
+}
+
+fn drive(
+    drive: &DriveFile,
+    check: &Check<'_>,
+    at: &dyn Fn(&str) -> String,
+) -> Result<Drive, RobotError> {
+    check.not_negative(&at("drive.rotor_inertia_kg_m2"), drive.rotor_inertia_kg_m2)?;
+    check.positive(&at("drive.gain_nm_a"), drive.gain_nm_a)?;
+    check.that(
+        (8..=32).contains(&drive.encoder_bits),
+        &at("drive.encoder_bits"),
+        "must be 8 to 32",
+    )?;
+    Ok(Drive {
+        rotor_inertia: drive.rotor_inertia_kg_m2,
+        gain: drive.gain_nm_a,
+        encoder_bits: drive.encoder_bits,
+    })
+}
+
+fn friction(
+    friction: &FrictionFile,
+    check: &Check<'_>,
+    at: &dyn Fn(&str) -> String,
+) -> Result<Friction, RobotError> {
+    check.not_negative(&at("friction.viscous_nm_s_rad"), friction.viscous_nm_s_rad)?;
+    check.not_negative(&at("friction.coulomb_nm"), friction.coulomb_nm)?;
+    check.not_negative(&at("friction.stribeck_ratio"), friction.stribeck_ratio)?;
+    check.positive(
+        &at("friction.stribeck_velocity_rad_s"),
+        friction.stribeck_velocity_rad_s,
+    )?;
+    check.not_negative(&at("friction.cogging_nm"), friction.cogging_nm)?;
+    check.not_negative(
+        &at("friction.cogging_cycles_rev"),
+        friction.cogging_cycles_rev,
+    )?;
+    Ok(Friction {
+        viscous: friction.viscous_nm_s_rad,
+        coulomb: friction.coulomb_nm,
+        stribeck_ratio: friction.stribeck_ratio,
+        stribeck_velocity: friction.stribeck_velocity_rad_s,
+        cogging: friction.cogging_nm,
+        cogging_cycles_rev: friction.cogging_cycles_rev,
+    })
+}
+
+fn limits(
+    limits: &LimitsFile,
+    check: &Check<'_>,
+    at: &dyn Fn(&str) -> String,
+) -> Result<Limits, RobotError> {
+    let [lower, upper] = limits.position_rad;
+    check.finite(&at("limits.position_rad"), &limits.position_rad)?;
+    check.that(
+        lower < upper,
+        &at("limits.position_rad"),
+        "lower end must be below upper end",
+    )?;
+    check.positive(&at("limits.velocity_rad_s"), limits.velocity_rad_s)?;
+    check.positive(
+        &at("limits.acceleration_rad_s2"),
+        limits.acceleration_rad_s2,
+    )?;
+    check.positive(&at("limits.torque_nm"), limits.torque_nm)?;
+    Ok(Limits {
+        position: (lower, upper),
+        velocity: limits.velocity_rad_s,
+        acceleration: limits.acceleration_rad_s2,
+        torque: limits.torque_nm,
+    })
+}
+
+impl Placement {
+    /// The frame that coincides with its parent.
+    pub fn identity() -> Self {
+        Self {
+            rot_parent_child: Matrix3::identity(),
+            origin: Vector3::zeros(),
+        }
+    }
+
+    /// This placement followed by another one.
+    pub fn then(&self, next: &Self) -> Self {
+        Self {
+            rot_parent_child: self.rot_parent_child * next.rot_parent_child,
+            origin: self.origin + self.rot_parent_child * next.origin,
+        }
+    }
+}
+
+/// Turns a violated condition into an error that names file and field.
+struct Check<'a> {
+    file: &'a str,
+}
+
+impl Check<'_> {
+    fn error(&self, field: &str, problem: &str) -> RobotError {
+        RobotError::Field {
+            file: self.file.to_owned(),
+            field: field.to_owned(),
+            problem: problem.to_owned(),
+        }
+    }
+
+    fn that(&self, condition: bool, field: &str, problem: &str) -> Result<(), RobotError> {
+        if condition {
+            Ok(())
+        } else {
+            Err(self.error(field, problem))
+        }
+    }
+
+    fn finite(&self, field: &str, values: &[f64]) -> Result<(), RobotError> {
+        self.that(
+            values.iter().all(|value| value.is_finite()),
+            field,
+            "is not a finite number",
+        )
+    }
+
+    fn positive(&self, field: &str, value: f64) -> Result<(), RobotError> {
+        self.that(
+            value.is_finite() && value > 0.0,
+            field,
+            &format!("is {value}, must be positive"),
+        )
+    }
+
+    fn not_negative(&self, field: &str, value: f64) -> Result<(), RobotError> {
+        self.that(
+            value.is_finite() && value >= 0.0,
+            field,
+            &format!("is {value}, must not be negative"),
+        )
+    }
+}
+
+fn syntax(file: &str, text: &str, error: &toml::de::Error) -> RobotError {
+    let line = error
+        .span()
+        .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+    let first = error.message().lines().next().unwrap_or("not TOML");
+    RobotError::Syntax {
+        file: file.to_owned(),
+        reason: format!("line {line}: {first}"),
+    }
+}
