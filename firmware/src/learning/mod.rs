@@ -1,6 +1,20 @@
 //! Incremental learning in the slack of the tick.
+//!
+//! The tick hands over one [`Lesson`] a tick; the [`Learner`] works through them at its own pace and lays a finished
+//! [`ParameterSet`] on the [`Exchange`] desk after every round of `N` ticks, in which each joint had one row. The tick
+//! takes the set at a fixed tick of the next round, never earlier, so the torque does not depend on how fast the
+//! learner was.
 
-use crate::feedforward::ParameterSet;
+mod conditioning;
+mod config;
+mod learner;
+mod parameters;
+
+pub use conditioning::{Conditioned, DELAY, MeasurementWindow, TAPS};
+pub use config::{ConfigError, LearnerConfig};
+pub use learner::{Learner, LearnerState, LearnerStatistics};
+pub use parameters::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet, network_inputs};
+
 use crate::joint::JointMeasurement;
 
 /// What one tick hands to the learner.
@@ -19,6 +33,22 @@ pub struct Lesson<const N: usize> {
 pub struct Exchange<const N: usize, const P: usize> {
     /// A finished set on its way to the tick, with the tick at whose end its round closed.
     pub published: Option<(u32, ParameterSet<N, P>)>,
-    /// A set that replaces the learner's own (a bank was loaded, the state was reset).
-    pub reload: Option<ParameterSet<N, P>>,
+    /// A set that replaces the learner's own (a bank was loaded, the state was reset), with the first tick it holds for.
+    pub reload: Option<(u32, ParameterSet<N, P>)>,
+}
+
+impl<const N: usize, const P: usize> Exchange<N, P> {
+    /// An empty desk.
+    pub const fn new() -> Self {
+        Self {
+            published: None,
+            reload: None,
+        }
+    }
+}
+
+impl<const N: usize, const P: usize> Default for Exchange<N, P> {
+    fn default() -> Self {
+        Self::new()
+    }
 }

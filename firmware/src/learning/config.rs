@@ -1,0 +1,171 @@
+use crate::arm::Arm;
+use crate::dynamics::FrictionParameters;
+use crate::network::StepParameters;
+
+/// A configuration that cannot work, with the field that is wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConfigError {
+    /// The field must be a positive, finite number.
+    NotPositive(&'static str),
+    /// The learning rate of the field is outside `0..1`.
+    RateOutOfRange(&'static str),
+}
+
+impl core::fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NotPositive(field) => write!(f, "{field} must be positive and finite"),
+            Self::RateOutOfRange(field) => write!(f, "{field} must lie between 0 and 1"),
+        }
+    }
+}
+
+impl core::error::Error for ConfigError {}
+
+/// How the learner learns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LearnerConfig<const N: usize, const P: usize> {
+    /// Ticks per second, 1/s.
+    pub inv_period: f32,
+    /// Step of the linear parameters, as a fraction of the step that would cancel the residual of the row.
+    pub rate: f32,
+    /// Standard deviation of the torque measurement, in units of the torque limit: rows that excite less than this
+    /// move nothing.
+    pub noise: f32,
+    /// Prior standard deviations of the base parameters, in their units.
+    pub rigid_sigma: [f32; P],
+    /// Prior standard deviations of the friction parameters.
+    pub friction_sigma: [FrictionParameters; N],
+    /// Half-width of the box around the prior, in standard deviations.
+    pub box_sigmas: f32,
+    /// Rows of a joint slower than this are skipped (stiction is not a function of velocity), rad/s.
+    pub velocity_gate: f32,
+    /// Bound of the residual that a row may act with, in units of the torque limit.
+    pub residual_clip: f32,
+    /// Step of the networks; errors in units of the torque limit.
+    pub network: StepParameters,
+}
+
+impl<const N: usize, const P: usize> LearnerConfig<N, P> {
+    /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
+    /// numbers of its own: an inertial parameter of link `j` is uncertain by 30 % of its nominal value plus what 2 %
+    /// of the joint's torque limit would hold up against gravity (first moments) or accelerate at 10 rad/s²
+    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 2 % of the limit.
+    ///
+    /// * `period_s` period of the tick, s
+    ///
+    /// ```text
+    /// const CONFIG: LearnerConfig<6, 40> = LearnerConfig::for_arm::<Ur5>(1e-3);
+    /// ```
+    pub const fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
+        Self {
+            inv_period: 1.0 / period_s,
+            rate: 0.02,
+            noise: 0.01,
+            rigid_sigma: rigid_sigma::<A, N, P>(),
+            friction_sigma: friction_sigma::<A, N, P>(),
+            box_sigmas: 4.0,
+            velocity_gate: 0.05,
+            residual_clip: 0.1,
+            network: StepParameters {
+                learning_rate: 0.01,
+                error_clip: 0.03,
+            },
+        }
+    }
+
+    /// Every field is usable.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let positive = [
+            ("inv_period", self.inv_period),
+            ("noise", self.noise),
+            ("box_sigmas", self.box_sigmas),
+            ("velocity_gate", self.velocity_gate),
+            ("residual_clip", self.residual_clip),
+            ("network.error_clip", self.network.error_clip),
+        ];
+        let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
+        let friction = self.friction_sigma.iter();
+        let viscous = friction
+            .clone()
+            .map(|s| ("friction_sigma.viscous", s.viscous));
+        let coulomb = friction.map(|s| ("friction_sigma.coulomb", s.coulomb));
+        for (field, value) in positive
+            .into_iter()
+            .chain(rigid)
+            .chain(viscous)
+            .chain(coulomb)
+        {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(ConfigError::NotPositive(field));
+            }
+        }
+        for (field, rate) in [
+            ("rate", self.rate),
+            ("network.learning_rate", self.network.learning_rate),
+        ] {
+            if !(0.0..1.0).contains(&rate) {
+                return Err(ConfigError::RateOutOfRange(field));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Share of the torque limit that an unknown inertial parameter may account for.
+const INERTIAL_DOUBT: f32 = 0.02;
+/// Doubt in proportion to the nominal value.
+const RELATIVE_DOUBT: f32 = 0.3;
+/// Acceleration at which an unknown inertia shows, rad/s².
+const DOUBT_ACCELERATION: f32 = 10.0;
+/// Gravity for the scale of first moments, m/s². Only a scale: it does not follow the arm's mounting.
+const DOUBT_GRAVITY: f32 = 9.81;
+
+const fn rigid_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
+    let mut sigma = [0.0; P];
+    let mut column = 0;
+    // Columns of the links first, rotor inertias after them: the order of the base set.
+    let mut joint = 0;
+    while joint < N {
+        let doubt = INERTIAL_DOUBT * A::LIMITS[joint].torque;
+        let mut k = 0;
+        while k < A::COLUMNS[joint].inertial.len() {
+            if A::COLUMNS[joint].inertial[k] && column < P {
+                let scale = if k < 4 {
+                    DOUBT_GRAVITY
+                } else {
+                    DOUBT_ACCELERATION
+                };
+                sigma[column] = RELATIVE_DOUBT * A::NOMINAL[column].abs() + doubt / scale;
+                column += 1;
+            }
+            k += 1;
+        }
+        joint += 1;
+    }
+    let mut joint = 0;
+    while joint < N {
+        if A::COLUMNS[joint].rotor && column < P {
+            let doubt = INERTIAL_DOUBT * A::LIMITS[joint].torque;
+            sigma[column] = RELATIVE_DOUBT * A::NOMINAL[column].abs() + doubt / DOUBT_ACCELERATION;
+            column += 1;
+        }
+        joint += 1;
+    }
+    sigma
+}
+
+const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [FrictionParameters; N] {
+    let mut sigma = [FrictionParameters {
+        viscous: 0.0,
+        coulomb: 0.0,
+    }; N];
+    let mut joint = 0;
+    while joint < N {
+        let limits = A::LIMITS[joint];
+        sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
+        sigma[joint].coulomb = 0.02 * limits.torque;
+        joint += 1;
+    }
+    sigma
+}

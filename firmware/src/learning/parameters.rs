@@ -1,0 +1,59 @@
+use crate::arm::Arm;
+use crate::dynamics::{BaseParameters, FrictionParameters};
+use crate::math::tanh;
+use crate::network::BpNetwork;
+use nalgebra::SVector;
+
+/// Inputs of a joint's network: `qd/2`, `tanh(qd/0.03)`, `tanh(qd/0.15)` (qd in rad/s).
+pub const NETWORK_INPUTS: usize = 3;
+/// Hidden units of a joint's network.
+pub const NETWORK_HIDDEN: usize = 6;
+/// The network of one joint. All joints together are one block-masked network, 18-36-6 for six joints.
+pub type JointNetwork = BpNetwork<NETWORK_INPUTS, NETWORK_HIDDEN, 1>;
+
+/// Everything that is learnt: what the tick reads and the learner writes, swapped whole at a tick boundary.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ParameterSet<const N: usize, const P: usize> {
+    /// Base parameters of the rigid body.
+    pub rigid: BaseParameters<P>,
+    /// Friction of every joint.
+    pub friction: [FrictionParameters; N],
+    /// Residual network of every joint; its output is in units of the joint's torque limit.
+    pub network: [JointNetwork; N],
+}
+
+impl<const N: usize, const P: usize> ParameterSet<N, P> {
+    /// The description's rigid body, no friction, and networks that say nothing yet: random hidden layers (joint `j`
+    /// from `seed + j`) under output layers of zeros.
+    pub fn nominal<A: Arm<N, P>>(seed: u32) -> Self {
+        Self {
+            rigid: A::NOMINAL.into(),
+            friction: [FrictionParameters {
+                viscous: 0.0,
+                coulomb: 0.0,
+            }; N],
+            network: core::array::from_fn(|joint| {
+                JointNetwork::silent(seed.wrapping_add(joint as u32))
+            }),
+        }
+    }
+
+    /// Every number of the set is finite.
+    pub fn is_finite(&self) -> bool {
+        let rigid = self.rigid.iter().all(|p| p.is_finite());
+        let friction = self
+            .friction
+            .iter()
+            .all(|f| f.viscous.is_finite() && f.coulomb.is_finite());
+        rigid && friction && self.network.iter().all(JointNetwork::is_finite)
+    }
+}
+
+/// Inputs of a joint's network for the joint velocity `qd` (rad/s).
+///
+/// Physical inputs only: a network that also saw positions would memorise paths. The two widths of the smoothed sign
+/// are what a Stribeck curve needs; `qd/2` scales velocity to order one.
+#[inline]
+pub fn network_inputs(qd: f32) -> SVector<f32, NETWORK_INPUTS> {
+    SVector::from([0.5 * qd, tanh(qd * (1.0 / 0.03)), tanh(qd * (1.0 / 0.15))])
+}

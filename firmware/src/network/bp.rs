@@ -1,0 +1,205 @@
+use super::activation::{Activation, Relu};
+use super::random::{RandomStart, square_root};
+use core::marker::PhantomData;
+use nalgebra::{SMatrix, SVector};
+
+/// A back-propagation network with one hidden layer: `I` inputs, `H` hidden units, `O` linear outputs.
+///
+/// ```text
+/// a = activation(W1 x + b1)        y = W2 a + b2
+/// ```
+///
+/// Dense at any width (18-32-6 is the paper's form). A block-masked network, in which an output sees only its own
+/// inputs and hidden units, is an array of small networks: the same weights without the zeros.
+///
+/// Weights are stored column by column (all weights that leave one unit lie together), so both passes sweep memory
+/// forwards and add into accumulators.
+///
+/// ```
+/// use foretorque::network::{BpNetwork, Tanh};
+/// use nalgebra::SVector;
+/// let network: BpNetwork<3, 6, 2, Tanh> = BpNetwork::random(1);
+/// let y = network.forward(&SVector::from([0.1, -0.2, 0.3]));
+/// assert!(y.iter().all(|y| y.is_finite()));
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BpNetwork<const I: usize, const H: usize, const O: usize, A: Activation = Relu> {
+    /// Weights of the hidden layer `W1`, one row a unit.
+    pub hidden_weights: SMatrix<f32, H, I>,
+    /// Thresholds of the hidden layer `b1`.
+    pub hidden_bias: SVector<f32, H>,
+    /// Weights of the output layer `W2`, one row an output.
+    pub output_weights: SMatrix<f32, O, H>,
+    /// Thresholds of the output layer `b2`.
+    pub output_bias: SVector<f32, O>,
+    /// The activation is part of what the weights mean, so it is part of the type.
+    pub activation: PhantomData<A>,
+}
+
+impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I, H, O, A> {
+    /// Number of weights and thresholds.
+    pub const WEIGHTS: usize = H * I + H + O * H + O;
+
+    /// The network whose weights are all zero; its output is zero.
+    pub fn zeros() -> Self {
+        Self {
+            hidden_weights: SMatrix::zeros(),
+            hidden_bias: SVector::zeros(),
+            output_weights: SMatrix::zeros(),
+            output_bias: SVector::zeros(),
+            activation: PhantomData,
+        }
+    }
+
+    /// A random start: weights uniform in `±sqrt(6 / fan_in)` for the hidden layer [He 2015] and in
+    /// `±sqrt(6 / (H + O))` for the output layer [Glorot 2010], thresholds zero. The same seed gives the same bits.
+    pub fn random(seed: u32) -> Self {
+        let mut start = RandomStart::new(seed);
+        let mut network = Self::silent_from(&mut start);
+        let reach = square_root(6.0 / (H + O) as f32);
+        for weight in network.output_weights.iter_mut() {
+            *weight = reach * start.symmetric();
+        }
+        network
+    }
+
+    /// A random hidden layer under an output layer of zeros: the network says nothing until it has learnt something.
+    pub fn silent(seed: u32) -> Self {
+        Self::silent_from(&mut RandomStart::new(seed))
+    }
+
+    fn silent_from(start: &mut RandomStart) -> Self {
+        let mut network = Self::zeros();
+        let reach = square_root(6.0 / I as f32);
+        for weight in network.hidden_weights.iter_mut() {
+            *weight = reach * start.symmetric();
+        }
+        network
+    }
+
+    /// Output of the network for input `x`.
+    ///
+    /// Cost: `I H + H O` multiply-adds and `H` activations.
+    #[inline]
+    pub fn forward(&self, x: &SVector<f32, I>) -> SVector<f32, O> {
+        self.output(&self.hidden(x))
+    }
+
+    /// Outputs of the hidden units for input `x`.
+    #[inline]
+    pub fn hidden(&self, x: &SVector<f32, I>) -> SVector<f32, H> {
+        let mut a = self.hidden_bias;
+        sweep(&self.hidden_weights, x, &mut a);
+        for a in a.iter_mut() {
+            *a = A::value(*a);
+        }
+        a
+    }
+
+    /// Output of the network for hidden outputs `a`.
+    #[inline]
+    pub fn output(&self, a: &SVector<f32, H>) -> SVector<f32, O> {
+        let mut y = self.output_bias;
+        sweep(&self.output_weights, a, &mut y);
+        y
+    }
+
+    /// Every weight and threshold is a finite number.
+    pub fn is_finite(&self) -> bool {
+        // One sum instead of a test per weight: 0 × finite is 0, 0 × anything else is not a number.
+        let hidden: f32 = self.hidden_weights.iter().map(|w| w * 0.0).sum();
+        let output: f32 = self.output_weights.iter().map(|w| w * 0.0).sum();
+        let bias: f32 = self.hidden_bias.iter().map(|w| w * 0.0).sum();
+        let offset: f32 = self.output_bias.iter().map(|w| w * 0.0).sum();
+        hidden + output + bias + offset == 0.0
+    }
+}
+
+/// Accumulators kept in registers while the columns go by.
+const BLOCK: usize = 8;
+
+/// `y += W x`, eight rows at a time, each block sweeping all columns.
+///
+/// Every element adds its products in the order of the columns whatever the block, so the bits do not depend on it.
+#[inline]
+fn sweep<const R: usize, const C: usize>(
+    weights: &SMatrix<f32, R, C>,
+    x: &SVector<f32, C>,
+    y: &mut SVector<f32, R>,
+) {
+    let [x] = &x.data.0;
+    let [y] = &mut y.data.0;
+    let (blocks, rest) = y.as_chunks_mut::<BLOCK>();
+    let full = blocks.len();
+    for (index, block) in blocks.iter_mut().enumerate() {
+        let mut sums = *block;
+        for (column, &x) in weights.data.0.iter().zip(x) {
+            if let Some(column) = column.as_chunks::<BLOCK>().0.get(index) {
+                for (sum, weight) in sums.iter_mut().zip(column) {
+                    *sum += weight * x;
+                }
+            }
+        }
+        *block = sums;
+    }
+    for (column, &x) in weights.data.0.iter().zip(x) {
+        for (sum, weight) in rest.iter_mut().zip(column.iter().skip(full * BLOCK)) {
+            *sum += weight * x;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::network::{Sigmoid, Tanh};
+
+    #[test]
+    fn the_blocked_sweep_is_the_matrix_product() {
+        let network: BpNetwork<18, 35, 6, Tanh> = BpNetwork::random(7);
+        let x = SVector::<f32, 18>::from_fn(|i, _| (i as f32 * 0.7).sin());
+        let a = (network.hidden_weights * x + network.hidden_bias).map(Tanh::value);
+        let y = network.output_weights * a + network.output_bias;
+        assert!((network.forward(&x) - y).amax() < 1e-5);
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_weights_and_another_seed_others() {
+        type Net = BpNetwork<3, 6, 1>;
+        assert_eq!(Net::random(5), Net::random(5));
+        assert_ne!(Net::random(5), Net::random(6));
+    }
+
+    #[test]
+    fn random_weights_fill_their_range() {
+        let network: BpNetwork<18, 32, 6, Sigmoid> = BpNetwork::random(3);
+        let reach = (6.0f32 / 18.0).sqrt();
+        let largest = network.hidden_weights.amax();
+        assert!(largest <= reach && largest > 0.95 * reach, "{largest}");
+        let mean = network.hidden_weights.sum() / 576.0;
+        assert!(mean.abs() < 0.05, "{mean}");
+    }
+
+    #[test]
+    fn a_silent_network_says_nothing() {
+        let network: BpNetwork<3, 6, 1> = BpNetwork::silent(9);
+        assert_eq!(network.forward(&SVector::from([1.0, -2.0, 3.0]))[0], 0.0);
+    }
+
+    #[test]
+    fn one_bad_weight_is_noticed_in_every_layer() {
+        type Net = BpNetwork<3, 6, 1>;
+        let spoil: [fn(&mut Net); 4] = [
+            |n| n.hidden_weights[(5, 2)] = f32::NAN,
+            |n| n.hidden_bias[5] = f32::INFINITY,
+            |n| n.output_weights[(0, 5)] = f32::NEG_INFINITY,
+            |n| n.output_bias[0] = f32::NAN,
+        ];
+        assert!(Net::random(1).is_finite());
+        for spoil in spoil {
+            let mut network = Net::random(1);
+            spoil(&mut network);
+            assert!(!network.is_finite());
+        }
+    }
+}
