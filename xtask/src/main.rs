@@ -1,5 +1,6 @@
 //! Set-up, demo and test of foretorque in one command each.
 
+mod bench;
 mod demo;
 mod setup;
 mod shell;
@@ -43,6 +44,7 @@ enum Request {
     Setup { forced: Option<Way>, check: bool },
     Demo { forced: Option<Way> },
     Test { forced: Option<Way> },
+    Bench { forced: Option<Way> },
 }
 
 /// Reads the command line; the error is one line fit for the user.
@@ -61,6 +63,7 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
         None | Some("help") => Request::Help,
         Some("setup") => Request::Setup { forced, check },
         Some("demo") => Request::Demo { forced },
+        Some("bench") => Request::Bench { forced },
         Some("test") => Request::Test { forced },
         Some(other) => return Err(format!("there is no command `{other}`").into()),
     };
@@ -92,6 +95,7 @@ fn main() -> ExitCode {
             check: false,
         } => setup::run(forced).map(drop),
         Request::Demo { forced } => demo::run(forced),
+        Request::Bench { forced } => bench::run(),
         Request::Test { forced } => test::run(forced),
     };
     match outcome {

@@ -16,7 +16,7 @@ use nalgebra::SVector;
 const PERIOD: f32 = 1e-3;
 /// Ticks before the first measured call: the learner's window of measurements is full by then.
 const WARM_UP: u32 = 48;
-/// Standard deviation of the measured torque, in units of the torque limit.
+/// Bound of the noise on the measured torque, in units of the torque limit.
 const NOISE: f32 = 0.01;
 
 /// Everything a row reads or writes. A row takes what it needs; the rest costs it nothing.
@@ -80,6 +80,8 @@ impl Stage {
         };
         for _ in 0..WARM_UP {
             stage.vary();
+            // With learning off a lesson only fills the window of measurements.
+            stage.lesson.enabled = false;
             stage.learner.learn(&stage.lesson, &mut stage.exchange);
         }
         Some(stage)
@@ -98,10 +100,9 @@ impl Stage {
 
         let tick = self.lesson.tick.wrapping_add(1);
         let wave = wave(tick);
-        let mut tau = evaluate::<Ur5, JOINTS, PARAMETERS>(&self.set, &wave).total;
+        let mut tau = wave.q;
         for (tau, limits) in tau.iter_mut().zip(&Ur5::LIMITS) {
-            // Uniform noise of the wanted standard deviation reaches sqrt(3) times as far.
-            *tau += random.within(1.732 * NOISE * limits.torque);
+            *tau = limits.torque * (0.2 * *tau + random.within(NOISE));
         }
         let measured = Some(JointMeasurement { q: wave.q, tau });
         self.sample = JointSample {
