@@ -80,7 +80,10 @@ pub(crate) fn install(emulator: bool, rust: bool) -> Result<()> {
         "-o",
         "Acquire::http::Timeout=30",
     ];
-    run(as_root(&["apt-get", "update"])?.args(patience))?;
+    // One broken source among many fails the update; the lists of the others may still suffice.
+    if let Err(error) = run(as_root(&["apt-get", "update"])?.args(patience)) {
+        println!("set-up: {error:#}; going on with the lists that are here");
+    }
     let mut packages = Vec::new();
     if emulator {
         packages.push("qemu-system-arm");
@@ -134,11 +137,12 @@ fn choose_packages(policy: &str, oldest: (u32, u32)) -> Option<[&'static str; 4]
 /// leaves no toolchain, or the old one. The caller holds the lock on `home`.
 pub(crate) fn build_toolchain(home: &Path) -> Result<()> {
     sweep(home)?;
-    let stage = home.join(format!("{STAGE_PREFIX}{}", process::id()));
+    let guard = Stage(home.join(format!("{STAGE_PREFIX}{}", process::id())));
+    let stage = guard.0.as_path();
     let built = stage.join("toolchain");
     let place = home.join(linked_name());
-    compile_core(&stage)?;
-    assemble(&stage, &built, &place)?;
+    compile_core(stage)?;
+    assemble(stage, &built, &place)?;
     let mut rustc = command(RUSTC);
     rustc.arg("--sysroot").arg(&built);
     builds_for_board(rustc)?;
@@ -150,11 +154,19 @@ pub(crate) fn build_toolchain(home: &Path) -> Result<()> {
         .with_context(|| format!("cannot move the toolchain to {}", place.display()))?;
     run(command("rustup")
         .args(["toolchain", "link", &linked_name()])
-        .arg(&place))?;
-    fs::remove_dir_all(&stage).with_context(|| format!("cannot remove {}", stage.display()))
+        .arg(&place))
 }
 
 const STAGE_PREFIX: &str = ".building-";
+
+/// Where a toolchain is made; gone when dropped, whether the making worked or not.
+struct Stage(PathBuf);
+
+impl Drop for Stage {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
 
 /// Removes what interrupted runs left: whoever holds the lock knows that nobody works there any more.
 fn sweep(home: &Path) -> Result<()> {

@@ -80,7 +80,11 @@ pub(crate) enum Need {
 impl fmt::Display for Need {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Need::Target => write!(f, "the Rust target {TARGET} (`rustup target add {TARGET}`)"),
+            Need::Target => write!(
+                f,
+                "the Rust target {TARGET} (`rustup target add {TARGET}`; where rustup cannot reach its server, \
+                 the packages rustc-web rust-web-src rust-web-clippy rustfmt-web of Debian's security archive)"
+            ),
             Need::Clippy => write!(f, "clippy (`rustup component add clippy`)"),
             Need::Rustfmt => write!(f, "rustfmt (`rustup component add rustfmt`)"),
             Need::Emulator => write!(
