@@ -63,12 +63,13 @@ pub fn arm_module(robot: &Robot) -> String {
     line("    const LIMITS: [JointLimits; JOINTS] = [");
     for joint in &robot.joints {
         let (lower, upper) = joint.limits.position;
-        let limits = foretorque::arm::JointLimits {
-            position: (lower as f32, upper as f32),
-            velocity: joint.limits.velocity as f32,
-            torque: joint.limits.torque as f32,
-        };
-        line(&format!("        {limits:?},"));
+        line(&format!(
+            "        JointLimits {{ position: ({}, {}), velocity: {}, torque: {} }},",
+            number(lower),
+            number(upper),
+            number(joint.limits.velocity),
+            number(joint.limits.torque)
+        ));
     }
     line("    ];");
     line("    const NOMINAL: [f32; PARAMETERS] = [");
@@ -128,6 +129,20 @@ fn link_columns(robot: &Robot, independent: &[usize]) -> Vec<LinkColumns> {
             rotor: independent.contains(&(rotors + link)),
         })
         .collect()
+}
+
+/// A number as Rust source; fractions of a turn by their names, as the lints want them.
+fn number(value: f64) -> String {
+    use core::f32::consts::{FRAC_PI_2, PI, TAU};
+    let value = value as f32;
+    let names = [("FRAC_PI_2", FRAC_PI_2), ("PI", PI), ("TAU", TAU)];
+    match names.iter().find(|(_, named)| *named == value.abs()) {
+        Some((name, _)) => {
+            let sign = if value < 0.0 { "-" } else { "" };
+            format!("{sign}core::f32::consts::{name}")
+        }
+        None => format!("{value:?}"),
+    }
 }
 
 /// `ur5` becomes `Ur5`, `my_arm` becomes `MyArm`.

@@ -1,4 +1,5 @@
 //! Simulator and workbench of foretorque.
+pub mod board;
 
 pub mod dynamics;
 pub mod generate;

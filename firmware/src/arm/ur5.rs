@@ -138,12 +138,12 @@ impl Arm<JOINTS, PARAMETERS> for Ur5 {
         BaseTerm::new(39, 65, 1.0),
     ];
     const LIMITS: [JointLimits; JOINTS] = [
-        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 150.0 },
-        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 150.0 },
-        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 150.0 },
-        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 28.0 },
-        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 28.0 },
-        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 28.0 },
+        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 150.0 },
+        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 150.0 },
+        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 150.0 },
+        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
+        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
+        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
     ];
     const NOMINAL: [f32; PARAMETERS] = [
         3.3960273,

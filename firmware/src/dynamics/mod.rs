@@ -1,8 +1,13 @@
 //! Inverse dynamics on the base parameters. Knows nothing of learning.
 
+#[macro_use]
+mod unroll;
+
 mod friction;
+mod link;
 mod regressor;
 mod rnea;
+mod term;
 
 pub use friction::{FRICTION_COLUMNS, FrictionParameters, friction, friction_row};
 pub use regressor::regressor_row;

@@ -1,11 +1,131 @@
+//! Inverse dynamics by the recursive Newton–Euler algorithm.
+
 use super::BaseParameters;
+use super::link::{BaseSet, Chain, LinkMotion, origin};
+use super::term::{Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
 
-/// Joint torques of the rigid body, N × N·m.
+/// Joint torques of the rigid body, N × N·m, rotor inertias and gravity included; positive accelerates +q.
+///
+/// Recursive Newton–Euler (Craig 2005, section 6.5; eq. 1–11), outward for motion, inward for wrenches, on parameters
+/// that are linear in the torque: m, m·c and the inertia about the link origin. Taken about the origin, eq. 6–8 become
+///
+/// ```text
+/// F = m v̇ + U (m c)                            for eq. 7
+/// n = (m c) × v̇ + I ω̇ + ω × (I ω)              for eq. 8 and P_c × F of eq. 10
+/// ```
+/// The torque depends on the base parameters only (eq. 16), so the base set stands at its independent entries and all
+/// other parameters are zero: the same torque for fewer operations.
+///
+/// * `beta` base parameters, order of [`Arm::COLUMNS`]
+/// * `motion` q, qd, qdd of all joints, rad, rad/s, rad/s²
+///
+/// Cost: about 100 multiply-adds a joint at right angles, and one `sin_cos` a joint.
 pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
-    _beta: &BaseParameters<P>,
-    _motion: &JointMotion<N>,
+    beta: &BaseParameters<P>,
+    motion: &JointMotion<N>,
 ) -> JointVector<N> {
-    JointVector::zeros()
+    let chain = Chain::outward::<A, P>(motion);
+    let mut tau = JointVector::zeros();
+    // Wrench that link I takes from the link before it, expressed in frame I, about its origin.
+    let mut wrench = [Wrench::ZERO; N];
+    inward!(I < N {
+        let own = LinkParameters::of::<A, N, P>(beta, I).wrench(&chain.link[I]);
+        wrench[I] = own;
+        if I + 1 < N {
+            let outer = (I + 1) % N;
+            // eq. 9 and 10
+            let f = chain.rot[outer].times(wrench[outer].f);
+            let n = chain.rot[outer].times(wrench[outer].n) + origin::<A, N, P>(outer).cross(f);
+            wrench[I] = Wrench { f: own.f + f, n: own.n + n };
+        }
+        // eq. 11, and the rotor, which turns with the joint alone.
+        let rotor = parameter(beta, BaseSet::<A, N, P>::ROTOR[I]);
+        tau[I] = (wrench[I].n.dot(Vector::Z) + rotor * Term::variable(motion.qdd[I])).value();
+    });
+    tau
+}
+
+/// A base parameter as a term: zero, known while compiling, when it is not in the base set.
+#[inline(always)]
+fn parameter<const P: usize>(beta: &BaseParameters<P>, index: Option<usize>) -> Term {
+    match index {
+        Some(index) => Term::variable(beta[index]),
+        None => Term::ZERO,
+    }
+}
+
+/// Force f and moment n about the origin of the frame they are expressed in.
+#[derive(Clone, Copy)]
+struct Wrench {
+    f: Vector,
+    n: Vector,
+}
+
+impl Wrench {
+    const ZERO: Self = Self {
+        f: Vector::ZERO,
+        n: Vector::ZERO,
+    };
+}
+
+/// Inertial parameters of one link about its origin.
+struct LinkParameters {
+    mass: Term,
+    first_moment: Vector,
+    /// Ixx, Iyy, Izz.
+    diagonal: [Term; 3],
+    /// Ixy, Ixz, Iyz.
+    products: [Term; 3],
+}
+
+impl LinkParameters {
+    #[inline(always)]
+    fn of<A: Arm<N, P>, const N: usize, const P: usize>(
+        beta: &BaseParameters<P>,
+        link: usize,
+    ) -> Self {
+        let [m, mx, my, mz, xx, yy, zz, xy, xz, yz] = BaseSet::<A, N, P>::LINK[link];
+        Self {
+            mass: parameter(beta, m),
+            first_moment: Vector([
+                parameter(beta, mx),
+                parameter(beta, my),
+                parameter(beta, mz),
+            ]),
+            diagonal: [
+                parameter(beta, xx),
+                parameter(beta, yy),
+                parameter(beta, zz),
+            ],
+            products: [
+                parameter(beta, xy),
+                parameter(beta, xz),
+                parameter(beta, yz),
+            ],
+        }
+    }
+
+    /// Force and moment about the link origin that give this link its motion, in the link frame.
+    ///
+    /// `I ω̇ + ω × (I ω)` written out by parameter: Ixy, Ixz and Iyz meet entries of U and differences of its diagonal.
+    #[inline(always)]
+    fn wrench(&self, motion: &LinkMotion) -> Wrench {
+        let [wx, wy, wz] = motion.omega.0;
+        let [ax, ay, az] = motion.alpha.0;
+        let [u_x, u_y, u_z] = motion.u.0;
+        let ([uxx, uxy, uxz], [uyx, uyy, uyz], [uzx, uzy, uzz]) = (u_x.0, u_y.0, u_z.0);
+        let [xx, yy, zz] = self.diagonal;
+        let [xy, xz, yz] = self.products;
+        let turning = Vector([
+            xx * ax + (zz - yy) * (wy * wz) + yz * (uyy - uzz) - xy * uzx + xz * uyx,
+            yy * ay + (xx - zz) * (wx * wz) + xz * (uzz - uxx) + xy * uzy - yz * uxy,
+            zz * az + (yy - xx) * (wx * wy) + xy * (uxx - uyy) - xz * uyz + yz * uxz,
+        ]);
+        Wrench {
+            f: motion.a.scale(self.mass) + motion.u.times(self.first_moment),
+            n: self.first_moment.cross(motion.a) + turning,
+        }
+    }
 }

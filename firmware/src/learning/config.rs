@@ -68,7 +68,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             velocity_gate: 0.05,
             residual_clip: 0.1,
             network: StepParameters {
-                learning_rate: 0.01,
+                learning_rate: 0.003,
                 error_clip: 0.03,
             },
         }

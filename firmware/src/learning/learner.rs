@@ -4,6 +4,7 @@ use super::parameters::{ParameterSet, network_inputs};
 use super::{Exchange, Lesson};
 use crate::arm::Arm;
 use crate::dynamics::{friction_row, regressor_row};
+use crate::limits::cut;
 use core::marker::PhantomData;
 use nalgebra::SVector;
 
@@ -189,7 +190,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if !(residual.is_finite() && power.is_finite()) {
             return Verdict::Rejected;
         }
-        let clipped = residual.clamp(-config.residual_clip, config.residual_clip);
+        let (clipped, _) = cut(residual, config.residual_clip);
         let gain = config.rate * clipped / power * scale;
         for (((theta, &row), &sigma), &prior) in candidate
             .rigid

@@ -65,7 +65,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     ) -> SVector<f32, O> {
         let a = self.hidden(x);
         let error = self.output(&a) - target;
-        let clipped = error.map(|e| e.clamp(-step.error_clip, step.error_clip));
+        let clipped = error.map(|e| clip(e, step.error_clip));
         let deltas = self.propagate_back(&a, clipped);
         let sensitivity = 1.0 + squared(&a) + (1.0 + squared(x)) * self.hidden_sensitivity(&a);
         let rate = step.learning_rate / (1.0 + sensitivity);
@@ -117,6 +117,18 @@ fn descend<const R: usize, const C: usize>(
         for (weight, delta) in column.iter_mut().zip(delta.iter()) {
             *weight -= scale * delta;
         }
+    }
+}
+
+/// `value` cut to ±`bound`. Not `f32::clamp`, which panics when the bound is not a number.
+#[inline]
+fn clip(value: f32, bound: f32) -> f32 {
+    if value > bound {
+        bound
+    } else if value < -bound {
+        -bound
+    } else {
+        value
     }
 }
 

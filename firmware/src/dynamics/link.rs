@@ -1,0 +1,192 @@
+//! One link: how it moves, and the wrench that takes.
+
+use super::term::{Matrix, Term, Vector};
+use crate::arm::{Arm, LINK_PARAMETERS};
+use crate::joint::JointMotion;
+use crate::math::sin_cos;
+use core::marker::PhantomData;
+
+/// Motion of a link frame, expressed in that frame.
+#[derive(Clone, Copy)]
+pub(super) struct LinkMotion {
+    /// Angular velocity ω, rad/s.
+    pub(super) omega: Vector,
+    /// Angular acceleration ω̇, rad/s².
+    pub(super) alpha: Vector,
+    /// Acceleration of the origin v̇ less gravity, m/s².
+    pub(super) a: Vector,
+    /// `U = [ω̇]× + [ω]×[ω]×`: a point at r in this link accelerates with `v̇ + U r`.
+    pub(super) u: Matrix,
+}
+
+impl LinkMotion {
+    const ZERO: Self = Self {
+        omega: Vector::ZERO,
+        alpha: Vector::ZERO,
+        a: Vector::ZERO,
+        u: Matrix::ZERO,
+    };
+
+    /// The base: at rest, accelerating with −g, which makes every link feel gravity (Craig 2005, section 6.5).
+    #[inline(always)]
+    pub(super) fn base<A: Arm<N, P>, const N: usize, const P: usize>() -> Self {
+        let [x, y, z] = A::GRAVITY;
+        Self {
+            omega: Vector::ZERO,
+            alpha: Vector::ZERO,
+            a: Vector::constant([-x, -y, -z]),
+            u: Matrix::ZERO,
+        }
+    }
+
+    /// Motion of the next link, whose frame sits at `p` and is turned by `rot` (child into parent coordinates).
+    ///
+    /// ```text
+    /// ω'  = Rᵀ ω + q̇ z                        eq. 2
+    /// ω̇'  = Rᵀ ω̇ + (Rᵀ ω) × q̇ z + q̈ z         eq. 3
+    /// v̇'  = Rᵀ (v̇ + ω̇ × p + ω × (ω × p))      eq. 5
+    /// ```
+    /// Craig 2005, eq. 6.45, 6.46, 6.47. The paper prints the transposed frames in eq. 2–5 and exchanges ω and ω̇ in eq. 5.
+    #[inline(always)]
+    pub(super) fn next(&self, rot: &Matrix, p: Vector, qd: Term, qdd: Term) -> Self {
+        let carried = rot.transposed_times(self.omega);
+        let rate = Vector::Z.scale(qd);
+        let omega = carried + rate;
+        let alpha = rot.transposed_times(self.alpha) + carried.cross(rate) + Vector::Z.scale(qdd);
+        let a = rot.transposed_times(self.a + self.u.times(p));
+        Self {
+            omega,
+            alpha,
+            a,
+            u: acceleration_field(omega, alpha),
+        }
+    }
+}
+
+/// `U = [ω̇]× + [ω]×[ω]× = [ω̇]× + ω ωᵀ − (ω·ω) 1`.
+#[inline(always)]
+fn acceleration_field(omega: Vector, alpha: Vector) -> Matrix {
+    let [wx, wy, wz] = omega.0;
+    let [ax, ay, az] = alpha.0;
+    let (xx, yy, zz) = (wx * wx, wy * wy, wz * wz);
+    let (xy, xz, yz) = (wx * wy, wx * wz, wy * wz);
+    Matrix([
+        Vector([-(yy + zz), xy - az, xz + ay]),
+        Vector([xy + az, -(xx + zz), yz - ax]),
+        Vector([xz - ay, yz + ax, -(xx + yy)]),
+    ])
+}
+
+/// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)`.
+#[inline(always)]
+pub(super) fn rotation<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
+    q: f32,
+) -> Matrix {
+    let pair = sin_cos(q);
+    let (s, c) = (Term::variable(pair.sin), Term::variable(pair.cos));
+    let [first, second, third] = A::PLACEMENTS[joint].rot_parent_child;
+    Matrix([
+        turned(first, s, c),
+        turned(second, s, c),
+        turned(third, s, c),
+    ])
+}
+
+/// A row of a constant rotation, times `Rz` of the angle with sine `s` and cosine `c`.
+#[inline(always)]
+fn turned(row: [f32; 3], s: Term, c: Term) -> Vector {
+    let [x, y, z] = Vector::constant(row).0;
+    Vector([x * c + y * s, y * c - x * s, z])
+}
+
+/// Rotations and motions of all links, base to tool.
+#[derive(Clone, Copy)]
+pub(super) struct Chain<const N: usize> {
+    /// `rot[i]` maps coordinates of link i into link i − 1.
+    pub(super) rot: [Matrix; N],
+    /// Motion of every link.
+    pub(super) link: [LinkMotion; N],
+}
+
+impl<const N: usize> Chain<N> {
+    /// The outward recursion, eq. 1–5.
+    #[inline(always)]
+    pub(super) fn outward<A: Arm<N, P>, const P: usize>(motion: &JointMotion<N>) -> Self {
+        let base = LinkMotion::base::<A, N, P>();
+        let mut chain = Self {
+            rot: [Matrix::ZERO; N],
+            link: [LinkMotion::ZERO; N],
+        };
+        outward!(I < N {
+            let parent = if I == 0 { base } else { chain.link[I.saturating_sub(1)] };
+            chain.rot[I] = rotation::<A, N, P>(I, motion.q[I]);
+            chain.link[I] = parent.next(
+                &chain.rot[I],
+                origin::<A, N, P>(I),
+                Term::variable(motion.qd[I]),
+                Term::variable(motion.qdd[I]),
+            );
+        });
+        chain
+    }
+}
+
+/// Origin of joint `joint`'s frame in its parent's.
+#[inline(always)]
+pub(super) fn origin<A: Arm<N, P>, const N: usize, const P: usize>(joint: usize) -> Vector {
+    Vector::constant(A::PLACEMENTS[joint].origin)
+}
+
+/// Where the standard parameters of an arm sit in its base set.
+pub(super) struct BaseSet<A, const N: usize, const P: usize>(PhantomData<A>);
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> BaseSet<A, N, P> {
+    /// Base index of each link parameter; those that are not in the base set are zero in every torque.
+    pub(super) const LINK: [[Option<usize>; LINK_PARAMETERS]; N] = {
+        let mut index = [[None; LINK_PARAMETERS]; N];
+        let mut next = 0;
+        let mut link = 0;
+        while link < N {
+            let mut k = 0;
+            while k < LINK_PARAMETERS {
+                if A::COLUMNS[link].inertial[k] {
+                    index[link][k] = Some(next);
+                    next += 1;
+                }
+                k += 1;
+            }
+            link += 1;
+        }
+        index
+    };
+
+    /// Base index of each rotor inertia.
+    pub(super) const ROTOR: [Option<usize>; N] = {
+        let mut index = [None; N];
+        let mut next = 0;
+        let mut joint = 0;
+        while joint < N {
+            let mut k = 0;
+            while k < LINK_PARAMETERS {
+                next += A::COLUMNS[joint].inertial[k] as usize;
+                k += 1;
+            }
+            joint += 1;
+        }
+        joint = 0;
+        while joint < N {
+            if A::COLUMNS[joint].rotor {
+                index[joint] = Some(next);
+                next += 1;
+            }
+            joint += 1;
+        }
+        assert!(
+            next == P,
+            "P must be the number of base parameters of the arm"
+        );
+        assert!(N <= super::unroll::MAX_JOINTS, "too many joints");
+        index
+    };
+}

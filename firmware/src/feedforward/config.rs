@@ -1,0 +1,63 @@
+use crate::arm::{Arm, JointLimits};
+use crate::learning::ConfigError;
+
+/// How the tick behaves; derived from the arm's limits and the period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeedForwardConfig<const N: usize> {
+    /// Limits of the joints; a desired motion outside them is cut to them, a torque too.
+    pub limits: [JointLimits; N],
+    /// Largest desired acceleration that is believed, rad/s²; beyond it the motion is cut.
+    pub acceleration_limit: f32,
+    /// Largest change of the torque in one tick, N × N·m.
+    pub slew_per_tick: [f32; N],
+    /// Ticks for which the torque is held when no usable sample comes; then it goes to zero at the slew limit.
+    pub hold_ticks: u32,
+}
+
+/// Defaults of the tick: from zero to the torque limit in 20 ms, torque held for 10 ms without samples.
+const SLEW_TIME_S: f32 = 0.02;
+const HOLD_TIME_S: f32 = 0.01;
+const ACCELERATION_LIMIT: f32 = 100.0;
+
+impl<const N: usize> FeedForwardConfig<N> {
+    /// Defaults for an arm: its data-sheet limits, the full torque in 20 ms, 10 ms of holding.
+    ///
+    /// * `period_s` period of the tick, s
+    pub const fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
+        let mut slew_per_tick = [0.0; N];
+        let mut joint = 0;
+        while joint < N {
+            slew_per_tick[joint] = A::LIMITS[joint].torque * period_s / SLEW_TIME_S;
+            joint += 1;
+        }
+        Self {
+            limits: A::LIMITS,
+            acceleration_limit: ACCELERATION_LIMIT,
+            slew_per_tick,
+            // At least one tick: a single lost sample must not make the torque dip.
+            hold_ticks: (HOLD_TIME_S / period_s) as u32 + 1,
+        }
+    }
+
+    /// Every field is usable.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let limits = self.limits.iter();
+        let torque = limits.clone().map(|l| ("limits.torque", l.torque));
+        let velocity = limits.clone().map(|l| ("limits.velocity", l.velocity));
+        let range = limits.map(|l| ("limits.position", l.position.1 - l.position.0));
+        let slew = self.slew_per_tick.iter().map(|&s| ("slew_per_tick", s));
+        let acceleration = [("acceleration_limit", self.acceleration_limit)];
+        for (field, value) in torque
+            .chain(velocity)
+            .chain(range)
+            .chain(slew)
+            .chain(acceleration)
+        {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(ConfigError::NotPositive(field));
+            }
+        }
+        Ok(())
+    }
+}
+

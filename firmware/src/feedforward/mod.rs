@@ -1,0 +1,108 @@
+//! The one room where dynamics, network and learning meet.
+//!
+//! `tau = rigid(β) + friction(φ) + network(w)` of the *active* set for the *desired* motion, each share checked and
+//! bounded on its own, then limits.
+
+mod config;
+mod shares;
+mod step;
+
+#[cfg(test)]
+mod simulation;
+#[cfg(test)]
+mod tests;
+
+pub use crate::learning::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet};
+pub use config::FeedForwardConfig;
+pub use shares::{LEARNED_BOUND, NETWORK_BOUND, Shares, evaluate};
+pub use step::{FeedForwardScratch, FeedForwardState, adopt, step, step_stale};
+
+use crate::arm::Arm;
+use crate::joint::{JointMeasurement, JointSample, JointVector};
+use crate::learning::{ConfigError, Exchange, Lesson};
+use crate::limits::Flags;
+use core::marker::PhantomData;
+
+/// Output of one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Torque<const N: usize> {
+    /// The torque to add to the drives' set-points, after limits, N × N·m.
+    pub total: JointVector<N>,
+    /// Its shares, before limits.
+    pub shares: Shares<N>,
+    /// What happened.
+    pub flags: Flags,
+    /// Counter of the tick.
+    pub tick: u32,
+}
+
+/// The feed-forward of one arm: configuration, state and scratch in one place.
+pub struct FeedForward<A: Arm<N, P>, const N: usize, const P: usize> {
+    config: FeedForwardConfig<N>,
+    state: FeedForwardState<N, P>,
+    scratch: FeedForwardScratch<N>,
+    arm: PhantomData<A>,
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
+    /// A feed-forward at tick 0, learning frozen, with `set` active and committed.
+    ///
+    /// Errors: the first field of `config` that cannot work.
+    pub fn new(config: FeedForwardConfig<N>, set: ParameterSet<N, P>) -> Result<Self, ConfigError> {
+        config.validate()?;
+        Ok(Self {
+            config,
+            state: FeedForwardState::new(set),
+            scratch: FeedForwardScratch::new(),
+            arm: PhantomData,
+        })
+    }
+
+    /// The torque of one tick; see [`step`].
+    pub fn step(&mut self, sample: &JointSample<N>) -> Torque<N> {
+        step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
+    }
+
+    /// A tick without a sample; see [`step_stale`].
+    pub fn step_stale(&mut self) -> Torque<N> {
+        step_stale(&self.config, &mut self.state)
+    }
+
+    /// The lesson of the tick that has just run; to be called once after every step.
+    pub fn lesson(&self, measured: Option<JointMeasurement<N>>) -> Lesson<N> {
+        Lesson {
+            tick: self.state.last.tick,
+            measured,
+            enabled: self.state.learning,
+        }
+    }
+
+    /// Takes a finished set from the desk; to be called before every step. See [`adopt`].
+    pub fn adopt(&mut self, exchange: &mut Exchange<N, P>) {
+        adopt(&mut self.state, exchange);
+    }
+
+    /// Makes `set` active and committed from the next tick on, and sends it to the learner.
+    pub fn load(&mut self, set: ParameterSet<N, P>, exchange: &mut Exchange<N, P>) {
+        self.state.active = set;
+        self.state.committed = set;
+        self.state.loaded_at = self.state.tick;
+        exchange.published = None;
+        exchange.reload = Some((self.state.tick, set));
+    }
+
+    /// Switches learning on or off (frozen) from the next tick on.
+    pub fn set_learning(&mut self, enabled: bool) {
+        self.state.learning = enabled;
+    }
+
+    /// What survives from tick to tick: active and committed set, counters.
+    pub fn state(&self) -> &FeedForwardState<N, P> {
+        &self.state
+    }
+
+    /// How the tick behaves.
+    pub fn config(&self) -> &FeedForwardConfig<N> {
+        &self.config
+    }
+}

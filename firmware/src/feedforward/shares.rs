@@ -1,0 +1,128 @@
+use super::Torque;
+use crate::arm::Arm;
+use crate::dynamics::{friction, rnea};
+use crate::joint::{JointMotion, JointVector};
+use crate::learning::{ParameterSet, network_inputs};
+use crate::limits::{Flags, cut};
+
+/// Bound of the network share, in units of the joint's torque limit. Never optional.
+pub const NETWORK_BOUND: f32 = 0.10;
+/// Bound of all that was learnt since the committed set, in units of the joint's torque limit. Never optional.
+pub const LEARNED_BOUND: f32 = 0.20;
+/// A rigid-body share beyond this many torque limits is a fault of the parameters, not a demanding motion.
+const RIGID_PLAUSIBLE: f32 = 10.0;
+/// A friction share beyond this many torque limits is a fault of the parameters.
+const FRICTION_PLAUSIBLE: f32 = 2.0;
+
+/// The shares whose sum is the feed-forward torque, before limits. N × N·m each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shares<const N: usize> {
+    /// Rigid-body torque.
+    pub rigid: JointVector<N>,
+    /// Friction torque.
+    pub friction: JointVector<N>,
+    /// What the network adds, clipped.
+    pub network: JointVector<N>,
+}
+
+impl<const N: usize> Shares<N> {
+    /// No torque.
+    pub fn zero() -> Self {
+        Self {
+            rigid: JointVector::zeros(),
+            friction: JointVector::zeros(),
+            network: JointVector::zeros(),
+        }
+    }
+
+    /// Sum of the shares, N × N·m.
+    pub fn total(&self) -> JointVector<N> {
+        self.rigid + self.friction + self.network
+    }
+}
+
+/// Shares and total of `set` for `motion`, without limits other than the network's bound, without state.
+pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
+    set: &ParameterSet<N, P>,
+    motion: &JointMotion<N>,
+) -> Torque<N> {
+    let mut flags = Flags::NONE;
+    let shares = shares::<A, N, P>(set, motion, &mut flags);
+    let total = shares.total();
+    flags |= Flags::when(!total.iter().all(|tau| tau.is_finite()), Flags::NOT_FINITE);
+    Torque {
+        total,
+        shares,
+        flags,
+        tick: 0,
+    }
+}
+
+#[inline]
+pub(super) fn shares<A: Arm<N, P>, const N: usize, const P: usize>(
+    set: &ParameterSet<N, P>,
+    motion: &JointMotion<N>,
+    flags: &mut Flags,
+) -> Shares<N> {
+    let mut network = JointVector::<N>::zeros();
+    let joints = set.network.iter().zip(&A::LIMITS).zip(motion.qd.iter());
+    for (share, ((net, limits), &qd)) in network.iter_mut().zip(joints) {
+        let [[output]] = net.forward(&network_inputs(qd)).data.0;
+        let (bounded, was_cut) = cut(output, NETWORK_BOUND);
+        *share = bounded * limits.torque;
+        *flags |= Flags::when(was_cut, Flags::NETWORK_CLIPPED);
+    }
+    Shares {
+        rigid: rnea::<A, N, P>(&set.rigid, motion),
+        friction: friction(&set.friction, &motion.qd),
+        network,
+    }
+}
+
+/// Makes every share of `joint` in `active` sound and returns their sum, bounded around the committed set's.
+#[inline]
+pub(super) fn select_joint<const N: usize>(
+    active: &mut Shares<N>,
+    committed: &Shares<N>,
+    joint: usize,
+    torque_limit: f32,
+    flags: &mut Flags,
+) -> f32 {
+    let shares = [
+        (&mut active.rigid, &committed.rigid, RIGID_PLAUSIBLE),
+        (
+            &mut active.friction,
+            &committed.friction,
+            FRICTION_PLAUSIBLE,
+        ),
+        (&mut active.network, &committed.network, NETWORK_BOUND),
+    ];
+    let mut sum = 0.0;
+    let mut reference = 0.0;
+    for (active, committed, plausible) in shares {
+        let (Some(active), Some(&committed)) = (active.get_mut(joint), committed.get(joint)) else {
+            continue;
+        };
+        let bound = plausible * torque_limit;
+        // A comparison with a not-a-number is false: it counts as implausible.
+        let committed_sound = committed.abs() <= bound;
+        let stand_in = if committed_sound { committed } else { 0.0 };
+        let sound = active.abs() <= bound;
+        if !sound {
+            *flags |= Flags::when(!active.is_finite(), Flags::NOT_FINITE);
+            *flags |= if committed_sound {
+                Flags::SHARE_FALLBACK
+            } else {
+                Flags::WITHDRAWN
+            };
+            *active = stand_in;
+        }
+        sum += *active;
+        // Without a sound committed share there is nothing to measure the learnt change against.
+        reference += if committed_sound { committed } else { *active };
+    }
+    let (learned, was_cut) = cut(sum - reference, LEARNED_BOUND * torque_limit);
+    *flags |= Flags::when(was_cut, Flags::LEARNED_CLIPPED);
+    if was_cut { reference + learned } else { sum }
+}
+

@@ -1,0 +1,232 @@
+use super::config::FeedForwardConfig;
+use super::shares::{Shares, select_joint, shares};
+use super::Torque;
+use crate::arm::Arm;
+use crate::joint::{JointMotion, JointSample, JointVector};
+use crate::learning::{Exchange, ParameterSet};
+use crate::limits::{Flags, cut, limit};
+
+/// What survives from tick to tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeedForwardState<const N: usize, const P: usize> {
+    /// The set the torque is computed from.
+    pub active: ParameterSet<N, P>,
+    /// The set that stands in for it: the one that was last loaded.
+    pub committed: ParameterSet<N, P>,
+    /// Counter of the tick to come.
+    pub tick: u32,
+    /// Learning is switched on.
+    pub learning: bool,
+    /// How often a set was not there when it was to be adopted.
+    pub late_sets: u32,
+    pub(super) last: Torque<N>,
+    stale_ticks: u32,
+    pub(super) loaded_at: u32,
+    adoption: Flags,
+}
+
+impl<const N: usize, const P: usize> FeedForwardState<N, P> {
+    /// At tick 0, torque zero, learning frozen, with `set` both active and committed.
+    pub fn new(set: ParameterSet<N, P>) -> Self {
+        Self {
+            active: set,
+            committed: set,
+            tick: 0,
+            learning: false,
+            late_sets: 0,
+            last: Torque {
+                total: JointVector::zeros(),
+                shares: Shares::zero(),
+                flags: Flags::NONE,
+                tick: 0,
+            },
+            stale_ticks: 0,
+            loaded_at: 0,
+            adoption: Flags::NONE,
+        }
+    }
+}
+
+/// Working memory of one tick: the shares by the active and by the committed set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeedForwardScratch<const N: usize> {
+    active: Shares<N>,
+    committed: Shares<N>,
+}
+
+impl<const N: usize> FeedForwardScratch<N> {
+    /// Room for one tick.
+    pub fn new() -> Self {
+        Self {
+            active: Shares::zero(),
+            committed: Shares::zero(),
+        }
+    }
+}
+
+impl<const N: usize> Default for FeedForwardScratch<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The feed-forward torque of one tick.
+///
+/// The desired motion is cut to the limits first. A desired motion that is not finite is no motion: the tick is then as
+/// good as [`step_stale`]. Of each share of each joint the active set's value counts if it is finite and plausible, the
+/// committed set's if not, and none if that is bad too. The sum may differ from the committed set's by `LEARNED_BOUND`,
+/// and leaves through saturation and slew.
+///
+/// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
+///
+/// Cost: both sets are evaluated in every tick, so that a fallback costs no more than its absence.
+pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+    scratch: &mut FeedForwardScratch<N>,
+    sample: &JointSample<N>,
+) -> Torque<N> {
+    let mut flags = Flags::when(sample.measured.is_none(), Flags::NO_MEASUREMENT);
+    let Some(desired) = within_limits(config, &sample.desired, &mut flags) else {
+        return hold(config, state, flags | Flags::NOT_FINITE);
+    };
+    let mut ignored = Flags::NONE;
+    scratch.active = shares::<A, N, P>(&state.active, &desired, &mut flags);
+    scratch.committed = shares::<A, N, P>(&state.committed, &desired, &mut ignored);
+    let mut target = JointVector::<N>::zeros();
+    let joints = config.limits.iter().zip(target.iter_mut());
+    for (joint, (limits, target)) in joints.enumerate() {
+        let bound = limits.torque;
+        *target = select_joint(
+            &mut scratch.active,
+            &scratch.committed,
+            joint,
+            bound,
+            &mut flags,
+        );
+    }
+    state.stale_ticks = 0;
+    finish(config, state, target, scratch.active, flags)
+}
+
+/// A tick without a sample: the torque is held for `hold_ticks`, then goes to zero at the slew limit.
+pub fn step_stale<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+) -> Torque<N> {
+    hold(config, state, Flags::NO_MEASUREMENT)
+}
+
+/// `motion` cut to the limits; `None` if a number in it is not finite.
+#[inline]
+fn within_limits<const N: usize>(
+    config: &FeedForwardConfig<N>,
+    motion: &JointMotion<N>,
+    flags: &mut Flags,
+) -> Option<JointMotion<N>> {
+    let mut bounded = *motion;
+    let joints = bounded
+        .q
+        .iter_mut()
+        .zip(bounded.qd.iter_mut())
+        .zip(bounded.qdd.iter_mut());
+    for (limits, ((q, qd), qdd)) in config.limits.iter().zip(joints) {
+        if !(q.is_finite() && qd.is_finite() && qdd.is_finite()) {
+            return None;
+        }
+        let (lower, upper) = limits.position;
+        let inside = if *q > upper {
+            upper
+        } else if *q < lower {
+            lower
+        } else {
+            *q
+        };
+        let (velocity, fast) = cut(*qd, limits.velocity);
+        let (acceleration, abrupt) = cut(*qdd, config.acceleration_limit);
+        *flags |= Flags::when(inside != *q || fast || abrupt, Flags::DESIRED_CLAMPED);
+        (*q, *qd, *qdd) = (inside, velocity, acceleration);
+    }
+    Some(bounded)
+}
+
+fn hold<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+    flags: Flags,
+) -> Torque<N> {
+    let flags = flags | Flags::STALE_SAMPLE;
+    let last = state.last;
+    if state.stale_ticks < config.hold_ticks {
+        state.stale_ticks += 1;
+        return finish(config, state, last.total, last.shares, flags);
+    }
+    finish(
+        config,
+        state,
+        JointVector::zeros(),
+        Shares::zero(),
+        flags | Flags::WITHDRAWN,
+    )
+}
+
+/// Limits, flags of the state, and the step of the counter.
+#[inline]
+fn finish<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+    target: JointVector<N>,
+    shares: Shares<N>,
+    flags: Flags,
+) -> Torque<N> {
+    let mut flags = flags | state.adoption | Flags::when(state.learning, Flags::LEARNING_ON);
+    let mut total = state.last.total;
+    let bounds = config.limits.iter().zip(&config.slew_per_tick);
+    for ((total, &target), (limits, &slew)) in total.iter_mut().zip(target.iter()).zip(bounds) {
+        let (torque, limited) = limit(target, *total, limits.torque, slew);
+        *total = torque;
+        flags |= limited;
+    }
+    state.last = Torque {
+        total,
+        shares,
+        flags,
+        tick: state.tick,
+    };
+    state.adoption = Flags::NONE;
+    state.tick = state.tick.wrapping_add(1);
+    state.last
+}
+
+/// Takes a finished set from the desk, if the tick to come is one at which sets are taken: `tick % N == N / 2`.
+///
+/// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
+/// learning is on, counts as late; what was published before the last [`FeedForward::load`] is dropped.
+pub fn adopt<const N: usize, const P: usize>(
+    state: &mut FeedForwardState<N, P>,
+    exchange: &mut Exchange<N, P>,
+) {
+    let rounds = N as u32;
+    if state.tick % rounds != rounds / 2 {
+        return;
+    }
+    let due = state.tick.wrapping_sub(rounds / 2 + 1);
+    // The first round after a start or a load may be cut short, so nothing is due from it.
+    let expected = state.learning && state.tick.wrapping_sub(state.loaded_at) >= 2 * rounds;
+    match exchange.published.take() {
+        Some((closed, set)) if closed.wrapping_sub(state.loaded_at) < u32::MAX / 2 => {
+            state.active = set;
+            state.adoption |= Flags::SET_ADOPTED;
+            if closed != due {
+                state.adoption |= Flags::SET_LATE;
+                state.late_sets = state.late_sets.saturating_add(1);
+            }
+        }
+        _ if expected => {
+            state.adoption |= Flags::SET_LATE;
+            state.late_sets = state.late_sets.saturating_add(1);
+        }
+        _ => {}
+    }
+}
+

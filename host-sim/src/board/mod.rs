@@ -1,0 +1,3 @@
+//! Boards.
+mod child;
+pub mod qemu;

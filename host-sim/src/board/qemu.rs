@@ -1,0 +1,275 @@
+//! The firmware in the emulator: the flashable ELF over its USART, or the bulk ELF over two pipes.
+
+use std::fmt;
+use std::io;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::socket::{AddressFamily, SockFlag, SockType, socketpair};
+use nix::unistd::pipe2;
+
+use super::child::Guarded;
+
+/// The emulator's program.
+const EMULATOR: &str = "qemu-system-arm";
+/// How long the end of a dying emulator is waited for.
+const FUNERAL: Duration = Duration::from_secs(2);
+
+/// Which firmware, and so which link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Image {
+    /// The flashable firmware, over USART2.
+    Joint,
+    /// The same tick around two pipes (semihosting), for long runs.
+    Bulk,
+}
+
+impl Image {
+    /// Name of the binary.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Joint => "joint",
+            Self::Bulk => "bulk",
+        }
+    }
+
+    /// Where the board build leaves the ELF: `target/thumbv7em-none-eabihf/firmware/` under the workspace root.
+    pub fn default_elf(self) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../target/thumbv7em-none-eabihf/firmware")
+            .join(self.name())
+    }
+}
+
+/// How the emulator is run.
+#[derive(Clone, Debug)]
+pub struct QemuOptions {
+    /// The firmware.
+    pub image: Image,
+    /// Its ELF.
+    pub elf: PathBuf,
+    /// Virtual time per instruction, 2^shift ns, without which runs do not repeat. 3 is 125 million instructions a
+    /// second, about what 168 MHz give on silicon. `None` lets virtual time follow the clock on the wall.
+    pub icount_shift: Option<u8>,
+    /// Core shared by the emulator and the calling thread: they take turns, and waking a neighbour core costs more
+    /// than the turn itself. `None` leaves both where they are.
+    pub core: Option<usize>,
+    /// File for the raw defmt stream of the flashable firmware.
+    pub log: Option<PathBuf>,
+}
+
+impl QemuOptions {
+    /// Repeatable, on one core, without a log.
+    pub fn new(image: Image) -> Self {
+        Self {
+            image,
+            elf: image.default_elf(),
+            icount_shift: Some(3),
+            core: nix::sched::sched_getcpu().ok(),
+            log: None,
+        }
+    }
+}
+
+/// What can go wrong with an emulated board.
+#[derive(Debug)]
+pub enum EmulatorError {
+    /// The emulator is not installed.
+    NotInstalled,
+    /// The firmware is not built.
+    NoFirmware(PathBuf),
+    /// It could not be started.
+    Start(io::Error),
+    /// It ended while it was needed: how, and its last words.
+    Died(String),
+    /// It neither reads nor answers.
+    Silent(Duration),
+    /// The link to it broke.
+    Link(io::Error),
+}
+
+impl fmt::Display for EmulatorError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotInstalled => write!(f, "{EMULATOR} is not installed: run `cargo xtask setup`"),
+            Self::NoFirmware(elf) => write!(
+                f,
+                "no firmware at {}: build it with `cargo xtask build` or `cargo build --profile firmware \
+                 --target thumbv7em-none-eabihf -p foretorque`",
+                elf.display()
+            ),
+            Self::Start(error) => write!(f, "{EMULATOR} did not start: {error}"),
+            Self::Died(how) => write!(f, "the emulator died: {how}"),
+            Self::Silent(waited) => {
+                write!(f, "the emulated board was silent for {:.1} s", waited.as_secs_f64())
+            }
+            Self::Link(error) => write!(f, "link to the emulator: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for EmulatorError {}
+
+/// A board in the emulator. Going out of scope ends the emulator.
+#[derive(Debug)]
+pub struct Emulator {
+    process: Guarded,
+    /// Bytes to the board.
+    to_board: OwnedFd,
+    /// Bytes from the board; `None` when the link is one socket for both directions.
+    from_board: Option<OwnedFd>,
+    icount_shift: Option<u8>,
+}
+
+impl Emulator {
+    /// Starts the emulator; the board says hello a moment later.
+    pub fn start(options: &QemuOptions) -> Result<Self, EmulatorError> {
+        if !options.elf.is_file() {
+            return Err(EmulatorError::NoFirmware(options.elf.clone()));
+        }
+        let mut command = Command::new(EMULATOR);
+        command
+            .args(["-machine", "netduinoplus2", "-display", "none", "-monitor", "none", "-nodefaults"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .arg("-kernel")
+            .arg(&options.elf);
+        if let Some(shift) = options.icount_shift {
+            command.arg("-icount").arg(format!("shift={shift},sleep=off"));
+        }
+        let (to_board, from_board, kept) = match options.image {
+            Image::Joint => usart_link(&mut command, options.log.as_deref())?,
+            Image::Bulk => pipe_link(&mut command)?,
+        };
+        let process = Guarded::start(command, kept, options.core).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => EmulatorError::NotInstalled,
+            _ => EmulatorError::Start(error),
+        })?;
+        for end in std::iter::once(&to_board).chain(&from_board) {
+            fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
+        }
+        Ok(Self { process, to_board, from_board, icount_shift: options.icount_shift })
+    }
+
+    /// Process id of the emulator.
+    pub fn process_id(&self) -> u32 {
+        self.process.id()
+    }
+
+    /// Executed instructions for a stretch the board counted; the count itself when runs do not repeat anyway.
+    pub fn instructions(&self, counts: u32) -> u32 {
+        counts >> self.icount_shift.unwrap_or(0)
+    }
+
+    /// Sends all bytes. Errors: [`EmulatorError::Silent`] when the board takes nothing for `patience`.
+    pub fn write(&mut self, mut bytes: &[u8], patience: Duration) -> Result<(), EmulatorError> {
+        while !bytes.is_empty() {
+            match nix::unistd::write(&self.to_board, bytes) {
+                Ok(sent) => bytes = &bytes[sent..],
+                Err(nix::Error::EINTR) => {}
+                Err(nix::Error::EAGAIN) => {
+                    if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, patience)? {
+                        return Err(self.missed(patience));
+                    }
+                }
+                Err(error) => return Err(self.broken(error)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits for bytes and returns how many came. Errors: [`EmulatorError::Silent`] when none came for `patience`.
+    pub fn read(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, EmulatorError> {
+        loop {
+            let end = self.from_board.as_ref().unwrap_or(&self.to_board);
+            if !ready(end.as_fd(), PollFlags::POLLIN, patience)? {
+                return Err(self.missed(patience));
+            }
+            match nix::unistd::read(end, buffer) {
+                Ok(0) => return Err(self.broken(nix::Error::EPIPE)),
+                Ok(count) => return Ok(count),
+                Err(nix::Error::EINTR | nix::Error::EAGAIN) => {}
+                Err(error) => return Err(self.broken(error)),
+            }
+        }
+    }
+
+    /// Hangs up and waits for the emulator to end by itself, as the bulk firmware does. True when it did so well.
+    pub fn hang_up(self, patience: Duration) -> Result<bool, EmulatorError> {
+        let Self { mut process, to_board, from_board, .. } = self;
+        drop((to_board, from_board));
+        Ok(process.ended(patience).map_err(EmulatorError::Link)?.is_some_and(|status| status.success()))
+    }
+
+    /// Why nothing came in time.
+    fn missed(&mut self, patience: Duration) -> EmulatorError {
+        match self.process.ended(Duration::ZERO) {
+            Ok(None) => EmulatorError::Silent(patience),
+            _ => self.broken(nix::Error::EPIPE),
+        }
+    }
+
+    /// Why the link is gone: nearly always because the emulator is.
+    fn broken(&mut self, error: nix::Error) -> EmulatorError {
+        match self.process.ended(FUNERAL) {
+            Ok(Some(status)) => {
+                let last = self.process.last_line().unwrap_or_else(|| "it said nothing".into());
+                EmulatorError::Died(format!("{status}; {last}"))
+            }
+            _ => link(error),
+        }
+    }
+}
+
+fn link(error: nix::Error) -> EmulatorError {
+    EmulatorError::Link(error.into())
+}
+
+/// Waits until `end` can be read or written. False after `patience`.
+fn ready(end: BorrowedFd<'_>, what: PollFlags, patience: Duration) -> Result<bool, EmulatorError> {
+    let deadline = Instant::now() + patience;
+    loop {
+        let left = deadline.saturating_duration_since(Instant::now());
+        // Rounded up, or the last millisecond would be spent spinning.
+        let milliseconds = i32::try_from(left.as_micros().div_ceil(1000)).unwrap_or(i32::MAX);
+        let timeout = PollTimeout::try_from(milliseconds).unwrap_or(PollTimeout::MAX);
+        match poll(&mut [PollFd::new(end, what)], timeout) {
+            Ok(0) if left.is_zero() => return Ok(false),
+            Ok(0) | Err(nix::Error::EINTR) => {}
+            Ok(_) => return Ok(true),
+            Err(error) => return Err(link(error)),
+        }
+    }
+}
+
+/// To the board, from the board, and what the emulator inherits.
+type Ends = (OwnedFd, Option<OwnedFd>, Vec<OwnedFd>);
+
+/// USART2 on a socket, the log on USART3. Nothing of it has a name in the file system, so nothing can be left there.
+fn usart_link(command: &mut Command, log: Option<&Path>) -> Result<Ends, EmulatorError> {
+    let (ours, theirs) =
+        socketpair(AddressFamily::Unix, SockType::Stream, None, SockFlag::SOCK_CLOEXEC).map_err(link)?;
+    command
+        .arg("-chardev")
+        .arg(format!("socket,id=link,fd={}", theirs.as_raw_fd()))
+        .args(["-serial", "null", "-serial", "chardev:link", "-serial"])
+        .arg(log.map_or_else(|| "null".into(), |path| format!("file:{}", path.display())));
+    Ok((ours, None, vec![theirs]))
+}
+
+/// Two pipes, which the firmware opens through semihosting under the names their descriptors have.
+fn pipe_link(command: &mut Command) -> Result<Ends, EmulatorError> {
+    let (board_reads, we_write) = pipe2(OFlag::O_CLOEXEC).map_err(link)?;
+    let (we_read, board_writes) = pipe2(OFlag::O_CLOEXEC).map_err(link)?;
+    command.arg("-semihosting-config").arg(format!(
+        "enable=on,target=native,arg=bulk,arg=/dev/fd/{},arg=/dev/fd/{}",
+        board_reads.as_raw_fd(),
+        board_writes.as_raw_fd()
+    ));
+    Ok((we_write, Some(we_read), vec![board_reads, board_writes]))
+}

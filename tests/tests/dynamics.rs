@@ -1,0 +1,117 @@
+//! The firmware's f32 dynamics against the host's f64 reference.
+
+use foretorque::arm::{Arm, ur5::Ur5};
+use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
+use foretorque::joint::{JointMotion, JointVector};
+use host_sim::dynamics::{Joints, ReferenceModel, State};
+use host_sim::robot::{Perturbation, Robot};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Largest torque error allowed, N·m: three decimal places below the friction of the joint.
+const TORQUE_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
+
+fn random_motion(random: &mut ChaCha8Rng) -> (JointMotion<6>, State<6>) {
+    let mut draw = |size: f32| JointVector::<6>::from_fn(|_, _| random.random_range(-size..=size));
+    let motion = JointMotion {
+        q: draw(core::f32::consts::TAU),
+        qd: draw(core::f32::consts::PI),
+        qdd: draw(10.0),
+    };
+    let state = State {
+        q: motion.q.map(f64::from),
+        qd: motion.qd.map(f64::from),
+        qdd: motion.qdd.map(f64::from),
+    };
+    (motion, state)
+}
+
+fn worst_error(robot: &Robot, samples: usize) -> Joints<6> {
+    let beta = robot.base_parameters();
+    let beta = BaseParameters::<40>::from_fn(|k, _| beta[k] as f32);
+    let model = ReferenceModel::<6>::new(robot).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(20);
+    let mut worst = Joints::<6>::zeros();
+    for _ in 0..samples {
+        let (motion, state) = random_motion(&mut random);
+        let tau = rnea::<Ur5, 6, 40>(&beta, &motion).map(f64::from);
+        worst = worst.sup(&(tau - model.inverse_dynamics(&state)).abs());
+    }
+    worst
+}
+
+#[test]
+fn rnea_agrees_with_the_reference_over_random_states() {
+    let ur5 = Robot::load("ur5").unwrap();
+    for robot in [ur5.clone(), ur5.perturbed(1, &Perturbation::PLANT)] {
+        let worst = worst_error(&robot, 100_000);
+        println!("{:e}", worst.transpose());
+        for j in 0..6 {
+            assert!(
+                worst[j] <= TORQUE_TOLERANCE[j],
+                "joint {}: {}",
+                j + 1,
+                worst[j]
+            );
+        }
+    }
+}
+
+#[test]
+fn regressor_rows_times_base_parameters_are_the_torques() {
+    let beta = BaseParameters::<40>::from_row_slice(&Ur5::NOMINAL);
+    let mut random = ChaCha8Rng::seed_from_u64(21);
+    for _ in 0..10_000 {
+        let (motion, _) = random_motion(&mut random);
+        let tau = rnea::<Ur5, 6, 40>(&beta, &motion);
+        for j in 0..6 {
+            let row = regressor_row::<Ur5, 6, 40>(j, &motion);
+            let error = f64::from(row.dot(&beta) - tau[j]).abs();
+            assert!(error <= TORQUE_TOLERANCE[j], "joint {}: {error}", j + 1);
+        }
+    }
+}
+
+#[test]
+fn regressor_rows_are_those_of_the_reference() {
+    let robot = Robot::load("ur5").unwrap();
+    let model = ReferenceModel::<6>::new(&robot).unwrap();
+    let columns = robot.base_map().columns;
+    let mut random = ChaCha8Rng::seed_from_u64(22);
+    for _ in 0..2_000 {
+        let (motion, state) = random_motion(&mut random);
+        let truth = model.regressor(&state);
+        for j in 0..6 {
+            let row = regressor_row::<Ur5, 6, 40>(j, &motion);
+            for (k, column) in columns.iter().enumerate() {
+                let truth = truth[(j, *column)];
+                let error = (f64::from(row[k]) - truth).abs();
+                // Entries are sums of products of up to 30 rad/s²-sized terms: 2e-5 is a few of their last digits.
+                assert!(error <= 2e-5 * (1.0 + truth.abs()), "{j} {column}: {error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn gravity_vanishes_when_links_are_massless() {
+    let mut random = ChaCha8Rng::seed_from_u64(23);
+    let (motion, _) = random_motion(&mut random);
+    let tau = rnea::<Ur5, 6, 40>(&BaseParameters::zeros(), &motion);
+    assert_eq!(tau, JointVector::<6>::zeros());
+}
+
+#[test]
+fn torques_at_rest_and_without_gravity_share_are_zero() {
+    // Only inertias, no first moments: an arm at rest needs no torque.
+    let mut beta = BaseParameters::<40>::from_row_slice(&Ur5::NOMINAL);
+    for link in 1..6 {
+        beta[7 * link - 6] = 0.0;
+        beta[7 * link - 5] = 0.0;
+    }
+    let motion = JointMotion {
+        q: JointVector::<6>::new(0.3, -1.2, 0.8, 2.0, -0.4, 1.0),
+        ..JointMotion::zero()
+    };
+    assert_eq!(rnea::<Ur5, 6, 40>(&beta, &motion).amax(), 0.0);
+}
