@@ -29,7 +29,7 @@ pub fn sin_cos(x: f32) -> SinCos {
     const TWO_OVER_PI: f32 = core::f32::consts::FRAC_2_PI;
     // 12 significant bits: k · HIGH is exact for |k| < 2¹².
     const HALF_PI_HIGH: f32 = 1.570_312_5;
-    const HALF_PI_LOW: f32 = 4.838_267_9e-4;
+    const HALF_PI_LOW: f32 = 4.838_268e-4;
     // Minimax over |r| ≤ π/4: 1.8e-9 for the sine, 3.2e-8 for the cosine.
     const S: [f32; 3] = [-1.666_665_1e-1, 8.331_976e-3, -1.949_529e-4];
     const C: [f32; 3] = [-4.999_989_4e-1, 4.165_627_4e-2, -1.359_753_5e-3];

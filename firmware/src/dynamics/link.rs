@@ -39,7 +39,8 @@ impl LinkMotion {
         }
     }
 
-    /// Motion of the next link, whose frame sits at `p` and is turned by `rot` (child into parent coordinates).
+    /// Motion of link `joint`, from that of the link before it: its frame sits at p and is turned by `rot` = R, which
+    /// maps its coordinates into those of the link before.
     ///
     /// ```text
     /// ω'  = Rᵀ ω + q̇ z                        eq. 2
@@ -48,7 +49,15 @@ impl LinkMotion {
     /// ```
     /// Craig 2005, eq. 6.45, 6.46, 6.47. The paper prints the transposed frames in eq. 2–5 and exchanges ω and ω̇ in eq. 5.
     #[inline(always)]
-    pub(super) fn next(&self, rot: &Matrix, p: Vector, qd: Term, qdd: Term) -> Self {
+    pub(super) fn next<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        joint: usize,
+        rot: &Matrix,
+        motion: &JointMotion<N>,
+    ) -> Self {
+        let p = origin::<A, N, P>(joint);
+        let qd = Term::variable(motion.qd[joint]);
+        let qdd = Term::variable(motion.qdd[joint]);
         let carried = rot.transposed_times(self.omega);
         let rate = Vector::Z.scale(qd);
         let omega = carried + rate;
@@ -121,12 +130,7 @@ impl<const N: usize> Chain<N> {
         outward!(I < N {
             let parent = if I == 0 { base } else { chain.link[I.saturating_sub(1)] };
             chain.rot[I] = rotation::<A, N, P>(I, motion.q[I]);
-            chain.link[I] = parent.next(
-                &chain.rot[I],
-                origin::<A, N, P>(I),
-                Term::variable(motion.qd[I]),
-                Term::variable(motion.qdd[I]),
-            );
+            chain.link[I] = parent.next::<A, N, P>(I, &chain.rot[I], motion);
         });
         chain
     }

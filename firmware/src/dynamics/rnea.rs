@@ -1,8 +1,8 @@
 //! Inverse dynamics by the recursive Newton–Euler algorithm.
 
 use super::BaseParameters;
-use super::link::{BaseSet, Chain, LinkMotion, origin};
-use super::term::{Term, Vector};
+use super::link::{BaseSet, LinkMotion, origin, rotation};
+use super::term::{Matrix, Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
 
@@ -26,19 +26,24 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     motion: &JointMotion<N>,
 ) -> JointVector<N> {
-    let chain = Chain::outward::<A, P>(motion);
-    let mut tau = JointVector::zeros();
-    // Wrench that link I takes from the link before it, expressed in frame I, about its origin.
+    let mut link = LinkMotion::base::<A, N, P>();
+    let mut rot = [Matrix::ZERO; N];
+    // First what each link needs for its own motion, then what it takes from the link before it: expressed in frame I,
+    // about its origin.
     let mut wrench = [Wrench::ZERO; N];
+    outward!(I < N {
+        rot[I] = rotation::<A, N, P>(I, motion.q[I]);
+        link = link.next::<A, N, P>(I, &rot[I], motion);
+        wrench[I] = LinkParameters::of::<A, N, P>(beta, I).wrench(&link);
+    });
+    let mut tau = JointVector::zeros();
     inward!(I < N {
-        let own = LinkParameters::of::<A, N, P>(beta, I).wrench(&chain.link[I]);
-        wrench[I] = own;
         if I + 1 < N {
             let outer = (I + 1) % N;
             // eq. 9 and 10
-            let f = chain.rot[outer].times(wrench[outer].f);
-            let n = chain.rot[outer].times(wrench[outer].n) + origin::<A, N, P>(outer).cross(f);
-            wrench[I] = Wrench { f: own.f + f, n: own.n + n };
+            let f = rot[outer].times(wrench[outer].f);
+            let n = rot[outer].times(wrench[outer].n) + origin::<A, N, P>(outer).cross(f);
+            wrench[I] = Wrench { f: wrench[I].f + f, n: wrench[I].n + n };
         }
         // eq. 11, and the rotor, which turns with the joint alone.
         let rotor = parameter(beta, BaseSet::<A, N, P>::ROTOR[I]);
