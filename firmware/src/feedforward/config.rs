@@ -60,4 +60,3 @@ impl<const N: usize> FeedForwardConfig<N> {
         Ok(())
     }
 }
-

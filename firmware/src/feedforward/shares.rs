@@ -125,4 +125,3 @@ pub(super) fn select_joint<const N: usize>(
     *flags |= Flags::when(was_cut, Flags::LEARNED_CLIPPED);
     if was_cut { reference + learned } else { sum }
 }
-

@@ -1,6 +1,6 @@
+use super::Torque;
 use super::config::FeedForwardConfig;
 use super::shares::{Shares, select_joint, shares};
-use super::Torque;
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointSample, JointVector};
 use crate::learning::{Exchange, ParameterSet};
@@ -229,4 +229,3 @@ pub fn adopt<const N: usize, const P: usize>(
         _ => {}
     }
 }
-

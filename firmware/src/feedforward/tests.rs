@@ -96,7 +96,11 @@ fn a_broken_share_is_replaced_by_the_committed_one_and_the_others_go_on() {
         spoil(&mut tick.state.active);
         let torque = settled(&mut tick, &motion);
         assert_eq!(torque.shares, whole);
-        assert!(torque.flags.contains(Flags::SHARE_FALLBACK | Flags::NOT_FINITE));
+        assert!(
+            torque
+                .flags
+                .contains(Flags::SHARE_FALLBACK | Flags::NOT_FINITE)
+        );
         assert!(!torque.flags.contains(Flags::WITHDRAWN));
     }
 }
@@ -125,12 +129,22 @@ fn what_was_learnt_is_bounded_around_the_committed_set() {
     tick.state.active.rigid *= 3.0;
     tick.state.active.network[0].output_bias[0] = 5.0;
     let torque = settled(&mut tick, &motion);
-    assert!(torque.flags.contains(Flags::LEARNED_CLIPPED | Flags::NETWORK_CLIPPED));
+    assert!(
+        torque
+            .flags
+            .contains(Flags::LEARNED_CLIPPED | Flags::NETWORK_CLIPPED)
+    );
     for j in 0..N {
         let bound = LEARNED_BOUND * Ur5::LIMITS[j].torque;
-        assert!((torque.total[j] - committed[j]).abs() <= bound * 1.001, "joint {j}");
+        assert!(
+            (torque.total[j] - committed[j]).abs() <= bound * 1.001,
+            "joint {j}"
+        );
     }
-    assert_eq!(torque.shares.network[0], NETWORK_BOUND * Ur5::LIMITS[0].torque);
+    assert_eq!(
+        torque.shares.network[0],
+        NETWORK_BOUND * Ur5::LIMITS[0].torque
+    );
 }
 
 #[test]
@@ -165,7 +179,11 @@ fn a_desired_motion_that_is_not_finite_is_no_sample() {
     settled(&mut starved, &motion(0.3));
     for _ in 0..40 {
         let torque = fed.step(&sample(broken));
-        assert!(torque.flags.contains(Flags::STALE_SAMPLE | Flags::NOT_FINITE));
+        assert!(
+            torque
+                .flags
+                .contains(Flags::STALE_SAMPLE | Flags::NOT_FINITE)
+        );
         assert_eq!(torque.total, starved.step_stale().total);
     }
 }
@@ -195,8 +213,12 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
             wild(&mut friction.coulomb, &mut bits);
         }
         for net in &mut start.network {
-            net.hidden_weights.iter_mut().for_each(|v| wild(v, &mut bits));
-            net.output_weights.iter_mut().for_each(|v| wild(v, &mut bits));
+            net.hidden_weights
+                .iter_mut()
+                .for_each(|v| wild(v, &mut bits));
+            net.output_weights
+                .iter_mut()
+                .for_each(|v| wild(v, &mut bits));
             net.output_bias.iter_mut().for_each(|v| wild(v, &mut bits));
         }
         let mut tick = tick(set());
@@ -206,7 +228,12 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
         }
         for step in 0..4 {
             let mut desired = motion(round as f32);
-            for value in desired.q.iter_mut().chain(desired.qd.iter_mut()).chain(desired.qdd.iter_mut()) {
+            for value in desired
+                .q
+                .iter_mut()
+                .chain(desired.qd.iter_mut())
+                .chain(desired.qdd.iter_mut())
+            {
                 if step % 2 == 1 {
                     wild(value, &mut bits);
                 }
@@ -214,13 +241,20 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
             let torque = tick.step(&sample(desired));
             finite_motion += usize::from(!torque.flags.contains(Flags::STALE_SAMPLE));
             for j in 0..N {
-                assert!(torque.total[j].abs() <= Ur5::LIMITS[j].torque, "round {round}: {torque:?}");
-                let shares = torque.shares.rigid[j] + torque.shares.friction[j] + torque.shares.network[j];
+                assert!(
+                    torque.total[j].abs() <= Ur5::LIMITS[j].torque,
+                    "round {round}: {torque:?}"
+                );
+                let shares =
+                    torque.shares.rigid[j] + torque.shares.friction[j] + torque.shares.network[j];
                 assert!(shares.is_finite(), "round {round}: {torque:?}");
             }
         }
     }
-    assert!(finite_motion > 40_000, "the test hardly reached the shares: {finite_motion}");
+    assert!(
+        finite_motion > 40_000,
+        "the test hardly reached the shares: {finite_motion}"
+    );
 }
 
 #[test]
@@ -234,7 +268,11 @@ fn a_set_is_adopted_at_the_middle_of_the_next_round_and_at_no_other_tick() {
         tick.adopt(&mut exchange);
         let torque = tick.step(&sample(motion(0.0)));
         let due = count >= 9 && count % 6 == 3;
-        assert_eq!(torque.flags.contains(Flags::SET_ADOPTED), due, "tick {count}");
+        assert_eq!(
+            torque.flags.contains(Flags::SET_ADOPTED),
+            due,
+            "tick {count}"
+        );
         assert_eq!(tick.state().active == learnt, count >= 9, "tick {count}");
         if count % 6 == 5 {
             exchange.published = Some((count, learnt));
@@ -275,7 +313,10 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
     let mut loaded = set();
     loaded.friction[1].coulomb = 4.0;
     tick.load(loaded, &mut exchange);
-    assert_eq!((tick.state().active, tick.state().committed), (loaded, loaded));
+    assert_eq!(
+        (tick.state().active, tick.state().committed),
+        (loaded, loaded)
+    );
     assert_eq!(exchange.reload, Some((8, loaded)));
     // The learner was still busy with a lesson from before the load.
     exchange.published = Some((5, set()));
@@ -294,6 +335,12 @@ fn a_configuration_that_cannot_work_is_refused() {
     let mut range = good;
     range.limits[0].position = (1.0, -1.0);
     assert!(good.validate().is_ok());
-    assert_eq!(slew.validate(), Err(ConfigError::NotPositive("slew_per_tick")));
-    assert_eq!(range.validate(), Err(ConfigError::NotPositive("limits.position")));
+    assert_eq!(
+        slew.validate(),
+        Err(ConfigError::NotPositive("slew_per_tick"))
+    );
+    assert_eq!(
+        range.validate(),
+        Err(ConfigError::NotPositive("limits.position"))
+    );
 }

@@ -40,6 +40,8 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub box_sigmas: f32,
     /// Rows of a joint slower than this are skipped (stiction is not a function of velocity), rad/s.
     pub velocity_gate: f32,
+    /// Rows in which any joint seems to accelerate faster are refused, rad/s²: the encoder is at fault, not the model.
+    pub acceleration_limit: f32,
     /// Bound of the residual that a row may act with, in units of the torque limit.
     pub residual_clip: f32,
     /// Step of the networks; errors in units of the torque limit.
@@ -66,6 +68,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             friction_sigma: friction_sigma::<A, N, P>(),
             box_sigmas: 4.0,
             velocity_gate: 0.05,
+            acceleration_limit: 100.0,
             residual_clip: 0.1,
             network: StepParameters {
                 learning_rate: 0.003,
@@ -81,6 +84,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("noise", self.noise),
             ("box_sigmas", self.box_sigmas),
             ("velocity_gate", self.velocity_gate),
+            ("acceleration_limit", self.acceleration_limit),
             ("residual_clip", self.residual_clip),
             ("network.error_clip", self.network.error_clip),
         ];

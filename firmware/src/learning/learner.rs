@@ -1,10 +1,9 @@
 use super::conditioning::{Conditioned, MeasurementWindow};
 use super::config::{ConfigError, LearnerConfig};
+use super::nlms;
 use super::parameters::{ParameterSet, network_inputs};
 use super::{Exchange, Lesson};
 use crate::arm::Arm;
-use crate::dynamics::{friction_row, regressor_row};
-use crate::limits::cut;
 use core::marker::PhantomData;
 use nalgebra::SVector;
 
@@ -135,98 +134,43 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         count(verdict);
     }
 
-    /// ```text
-    /// e   = clip((tau − φᵀθ) / limit)                 residual of the linear model
-    /// φ'_i = φ_i σ_i / limit                          row in units of prior standard deviations
-    /// θ_i ← box(θ_i + rate · σ_i φ'_i e / (noise² + |φ'|²))
-    /// w   ← one step of the network towards e
-    /// ```
-    /// [Haykin 2002, ch. 6 (normalised LMS)], in the scaled parameters θ/σ.
+    /// The linear parameters take what they can explain; the joint's network is trained on what remained before.
     fn row(&mut self, joint: usize, seen: &Conditioned<N>) -> Verdict {
-        let config = &self.config;
-        let candidate = &mut self.state.candidate;
-        let prior = &self.state.prior;
-        let (Some(limits), Some(&qd), Some(&tau)) = (
-            A::LIMITS.get(joint),
-            seen.motion.qd.get(joint),
-            seen.tau.get(joint),
-        ) else {
-            return Verdict::Rejected;
-        };
-        let (Some(friction), Some(friction_prior), Some(friction_sigma), Some(network)) = (
-            candidate.friction.get_mut(joint),
-            prior.friction.get(joint),
-            config.friction_sigma.get(joint),
-            candidate.network.get_mut(joint),
-        ) else {
-            return Verdict::Rejected;
-        };
-        if qd.abs() < config.velocity_gate {
+        let speed = seen.motion.qd.get(joint).copied().unwrap_or(0.0);
+        if speed.abs() < self.config.velocity_gate {
             return Verdict::Gated;
         }
-        let moves = seen.motion.qd.iter().zip(&A::LIMITS);
-        if !moves.fold(true, |ok, (qd, limits)| {
-            ok & (qd.abs() <= 2.0 * limits.velocity)
-        }) || tau.abs() > 2.0 * limits.torque
-        {
+        if !plausible::<A, N, P>(seen, self.config.acceleration_limit) {
             return Verdict::Rejected;
         }
-        let scale = 1.0 / limits.torque;
-        let row = regressor_row::<A, N, P>(joint, &seen.motion);
-        let [viscous, coulomb] = friction_row(qd);
-        let explained =
-            dot(&row, &candidate.rigid) + viscous * friction.viscous + coulomb * friction.coulomb;
-        let residual = (tau - explained) * scale;
-        let viscous_scaled = viscous * friction_sigma.viscous * scale;
-        let coulomb_scaled = coulomb * friction_sigma.coulomb * scale;
-        let mut power = config.noise * config.noise
-            + viscous_scaled * viscous_scaled
-            + coulomb_scaled * coulomb_scaled;
-        for (&row, &sigma) in row.iter().zip(&config.rigid_sigma) {
-            let scaled = row * sigma * scale;
-            power += scaled * scaled;
-        }
-        // Infinite or not-a-number anywhere above ends up in one of these two.
-        if !(residual.is_finite() && power.is_finite()) {
+        let LearnerState {
+            prior, candidate, ..
+        } = &mut self.state;
+        let Some(residual) = nlms::correct::<A, N, P>(&self.config, prior, candidate, joint, seen)
+        else {
             return Verdict::Rejected;
+        };
+        if let Some(network) = candidate.network.get_mut(joint) {
+            let target = SVector::from([residual]);
+            network.update(&network_inputs(speed), &target, &self.config.network);
         }
-        let (clipped, _) = cut(residual, config.residual_clip);
-        let gain = config.rate * clipped / power * scale;
-        for (((theta, &row), &sigma), &prior) in candidate
-            .rigid
-            .iter_mut()
-            .zip(row.iter())
-            .zip(&config.rigid_sigma)
-            .zip(prior.rigid.iter())
-        {
-            *theta = boxed(
-                *theta + gain * sigma * sigma * row,
-                prior,
-                config.box_sigmas * sigma,
-            );
-        }
-        let sigma = friction_sigma.viscous;
-        let step = gain * sigma * sigma * viscous;
-        friction.viscous = positive(boxed(
-            friction.viscous + step,
-            friction_prior.viscous,
-            config.box_sigmas * sigma,
-        ));
-        let sigma = friction_sigma.coulomb;
-        let step = gain * sigma * sigma * coulomb;
-        friction.coulomb = positive(boxed(
-            friction.coulomb + step,
-            friction_prior.coulomb,
-            config.box_sigmas * sigma,
-        ));
-        // The network refuses by itself what is not finite.
-        network.update(
-            &network_inputs(qd),
-            &SVector::from([residual]),
-            &config.network,
-        );
         Verdict::Accepted
     }
+}
+
+/// Nothing in `seen` is beyond what the arm can do. A model fitted to the impossible is worth nothing; a wild encoder
+/// shows in the acceleration first.
+fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
+    seen: &Conditioned<N>,
+    acceleration_limit: f32,
+) -> bool {
+    let motion = seen.motion.qd.iter().zip(seen.motion.qdd.iter());
+    let mut joints = motion.zip(seen.tau.iter()).zip(&A::LIMITS);
+    joints.all(|(((qd, qdd), tau), limits)| {
+        qd.abs() <= 2.0 * limits.velocity
+            && qdd.abs() <= acceleration_limit
+            && tau.abs() <= 2.0 * limits.torque
+    })
 }
 
 /// What became of a row.
@@ -245,20 +189,227 @@ fn count(counter: &mut u32) {
     *counter = counter.saturating_add(1);
 }
 
-fn dot<const P: usize>(a: &SVector<f32, P>, b: &SVector<f32, P>) -> f32 {
-    a.iter().zip(b.iter()).map(|(a, b)| a * b).sum()
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::ur5::Ur5;
+    use crate::joint::{JointMeasurement, JointVector};
 
-fn boxed(value: f32, centre: f32, reach: f32) -> f32 {
-    if value > centre + reach {
-        centre + reach
-    } else if value < centre - reach {
-        centre - reach
-    } else {
-        value
+    const N: usize = 6;
+    const P: usize = 40;
+
+    fn learner() -> Learner<Ur5, N, P> {
+        let config = LearnerConfig::for_arm::<Ur5>(1e-3);
+        Learner::new(config, ParameterSet::nominal::<Ur5>(1)).unwrap()
     }
-}
 
-fn positive(value: f32) -> f32 {
-    if value > 0.0 { value } else { 0.0 }
+    fn measured(tick: u32, speed: f32, tau: f32) -> JointMeasurement<N> {
+        let t = tick as f32 * 1e-3;
+        JointMeasurement {
+            q: JointVector::from_fn(|j, _| (speed * t + j as f32).sin()),
+            tau: JointVector::from_element(tau),
+        }
+    }
+
+    fn lesson(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> Lesson<N> {
+        Lesson {
+            tick,
+            measured,
+            enabled,
+        }
+    }
+
+    /// Lessons `ticks` of a moving arm that always measures 20 N·m.
+    fn teach(learner: &mut Learner<Ur5, N, P>, ticks: core::ops::Range<u32>, enabled: bool) {
+        for tick in ticks {
+            learner.study(&lesson(tick, Some(measured(tick, 2.0, 20.0)), enabled));
+        }
+    }
+
+    #[test]
+    fn frozen_nothing_is_learnt_but_the_window_runs_on() {
+        let mut learner = learner();
+        teach(&mut learner, 0..100, false);
+        assert_eq!(learner.state.candidate, learner.state.prior);
+        assert_eq!(learner.state.statistics, LearnerStatistics::default());
+        teach(&mut learner, 100..101, true);
+        assert_eq!(learner.state.statistics.accepted, 1);
+        assert_ne!(learner.state.candidate, learner.state.prior);
+    }
+
+    #[test]
+    fn a_measurement_that_is_missing_or_not_finite_changes_nothing() {
+        let mut bad_torque = measured(60, 2.0, 20.0);
+        bad_torque.tau[0] = f32::NAN;
+        let mut bad_position = measured(60, 2.0, 20.0);
+        bad_position.q[5] = f32::INFINITY;
+        for bad in [None, Some(bad_torque), Some(bad_position)] {
+            let mut learner = learner();
+            teach(&mut learner, 0..60, true);
+            let before = learner.state.candidate;
+            learner.study(&lesson(60, bad, true));
+            teach(&mut learner, 61..91, true);
+            assert_eq!(learner.state.candidate, before);
+            teach(&mut learner, 91..92, true);
+            assert_ne!(learner.state.candidate, before);
+        }
+    }
+
+    #[test]
+    fn a_lost_lesson_is_a_gap() {
+        let mut learner = learner();
+        teach(&mut learner, 0..60, true);
+        let before = learner.state.statistics;
+        teach(&mut learner, 61..91, true);
+        assert_eq!(learner.state.statistics.accepted, before.accepted);
+        assert_eq!(learner.state.statistics.incomplete, before.incomplete + 30);
+    }
+
+    #[test]
+    fn each_tick_teaches_the_network_of_its_own_joint_only() {
+        let mut learner = learner();
+        teach(&mut learner, 0..30, true);
+        for tick in 30..36 {
+            let before = learner.state.candidate;
+            teach(&mut learner, tick..tick + 1, true);
+            for joint in 0..N {
+                let moved = learner.state.candidate.network[joint] != before.network[joint];
+                assert_eq!(
+                    moved,
+                    joint == tick as usize % N,
+                    "joint {joint} at tick {tick}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_joint_that_hardly_moves_teaches_nothing() {
+        let mut learner = learner();
+        for tick in 0..100 {
+            learner.study(&lesson(tick, Some(measured(tick, 0.04, 20.0)), true));
+        }
+        assert_eq!(learner.state.candidate, learner.state.prior);
+        assert_eq!(learner.state.statistics.gated, 70);
+    }
+
+    #[test]
+    fn an_encoder_gone_wild_or_an_impossible_torque_is_rejected() {
+        let mut learner = learner();
+        for tick in 0..100 {
+            let mut wild = measured(tick, 2.0, 20.0);
+            wild.q[4] = tick as f32;
+            learner.study(&lesson(tick, Some(wild), true));
+        }
+        for tick in 100..200 {
+            learner.study(&lesson(tick, Some(measured(tick, 2.0, 1e30)), true));
+        }
+        assert_eq!(learner.state.candidate, learner.state.prior);
+        assert_eq!(learner.state.statistics.accepted, 0);
+        assert!(learner.state.statistics.rejected > 100);
+    }
+
+    #[test]
+    fn one_glitch_of_one_encoder_teaches_nothing_to_any_joint() {
+        let (mut clean, mut glitched) = (learner(), learner());
+        for tick in 0..200 {
+            let good = measured(tick, 2.0, 20.0);
+            let mut bad = good;
+            if tick == 100 {
+                bad.q[3] += 0.2;
+            }
+            clean.study(&lesson(tick, Some(good), !(100..=130).contains(&tick)));
+            glitched.study(&lesson(tick, Some(bad), true));
+        }
+        // A few places of the window weigh nothing in the acceleration; those rows are as good as the others.
+        assert!(glitched.state.statistics.rejected >= 15);
+        let apart = glitched.state.candidate.rigid - clean.state.candidate.rigid;
+        let moved = clean.state.candidate.rigid - clean.state.prior.rigid;
+        assert!(
+            apart.amax() < 0.2 * moved.amax(),
+            "{} of {}",
+            apart.amax(),
+            moved.amax()
+        );
+    }
+
+    #[test]
+    fn a_lying_torque_sensor_cannot_push_the_parameters_out_of_their_box() {
+        let mut learner = learner();
+        teach(&mut learner, 0..60_000, true);
+        let LearnerState {
+            prior, candidate, ..
+        } = &learner.state;
+        let config = &learner.config;
+        let mut at_the_edge = 0;
+        for i in 0..P {
+            let moved = (candidate.rigid[i] - prior.rigid[i]).abs() / config.rigid_sigma[i];
+            assert!(
+                moved <= config.box_sigmas * 1.0001,
+                "parameter {i} by {moved}"
+            );
+            at_the_edge += usize::from(moved > config.box_sigmas * 0.999);
+        }
+        for joint in 0..N {
+            let friction = candidate.friction[joint];
+            let sigma = config.friction_sigma[joint];
+            assert!((0.0..=config.box_sigmas * sigma.viscous).contains(&friction.viscous));
+            assert!((0.0..=config.box_sigmas * sigma.coulomb).contains(&friction.coulomb));
+        }
+        assert!(at_the_edge > 0, "the box was never touched");
+        assert!(candidate.is_finite());
+    }
+
+    #[test]
+    fn sets_are_published_when_a_round_closes_and_only_then() {
+        let mut learner = learner();
+        for tick in 0..60 {
+            let mut exchange = Exchange::new();
+            learner.learn(
+                &lesson(tick, Some(measured(tick, 2.0, 20.0)), true),
+                &mut exchange,
+            );
+            let published = exchange.published.map(|(tick, _)| tick);
+            assert_eq!(published, (tick % 6 == 5).then_some(tick));
+        }
+        assert_eq!(learner.state.statistics.published, 10);
+    }
+
+    #[test]
+    fn a_reloaded_set_is_taken_with_the_first_lesson_it_holds_for() {
+        let mut learner = learner();
+        let mut loaded = ParameterSet::nominal::<Ur5>(9);
+        loaded.friction[0].coulomb = 3.0;
+        let mut exchange = Exchange::new();
+        exchange.reload = Some((42, loaded));
+        for tick in 40..44 {
+            learner.learn(&lesson(tick, None, true), &mut exchange);
+            assert_eq!(learner.state.prior == loaded, tick >= 42, "tick {tick}");
+            assert_eq!(learner.state.candidate == loaded, tick >= 42, "tick {tick}");
+            assert_eq!(exchange.reload.is_none(), tick >= 42, "tick {tick}");
+        }
+    }
+
+    #[test]
+    fn a_configuration_that_cannot_work_is_refused() {
+        let good = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
+        let mut sigma = good;
+        sigma.rigid_sigma[7] = 0.0;
+        let mut rate = good;
+        rate.network.learning_rate = f32::NAN;
+        assert_eq!(good.validate(), Ok(()));
+        assert_eq!(
+            sigma.validate(),
+            Err(ConfigError::NotPositive("rigid_sigma"))
+        );
+        assert_eq!(
+            rate.validate(),
+            Err(ConfigError::RateOutOfRange("network.learning_rate"))
+        );
+        assert!(
+            LearnerConfig::<N, P>::for_arm::<Ur5>(0.0)
+                .validate()
+                .is_err()
+        );
+    }
 }

@@ -8,6 +8,7 @@
 mod conditioning;
 mod config;
 mod learner;
+mod nlms;
 mod parameters;
 
 pub use conditioning::{Conditioned, DELAY, MeasurementWindow, TAPS};
