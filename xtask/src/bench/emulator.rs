@@ -16,10 +16,10 @@ use crate::shell;
 /// No run takes longer than a few seconds; one that does hangs.
 const LIMIT: Duration = Duration::from_secs(120);
 
-/// The row whose count is what a bracket around a function costs that returns at once.
+/// The row whose function returns at once: what it is counted beyond its own instructions is the bracket.
 const EMPTY: &str = "empty";
 
-/// Executed instructions of every call of a row.
+/// Executed instructions of every call of a row, the bracket's own included.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Counts {
     pub(crate) name: String,
@@ -27,11 +27,6 @@ pub(crate) struct Counts {
 }
 
 impl Counts {
-    pub(crate) fn mean(&self) -> f64 {
-        let sum: u64 = self.calls.iter().map(|&count| u64::from(count)).sum();
-        sum as f64 / self.calls.len().max(1) as f64
-    }
-
     pub(crate) fn max(&self) -> u32 {
         self.calls.iter().copied().max().unwrap_or(0)
     }
@@ -72,7 +67,13 @@ pub(crate) fn trace(
 fn machine(elf: &Path, calls: u32) -> Command {
     let mut command = shell::command("qemu-system-arm");
     command
-        .args(["-machine", "netduinoplus2", "-nographic", "-monitor", "none"])
+        .args([
+            "-machine",
+            "netduinoplus2",
+            "-nographic",
+            "-monitor",
+            "none",
+        ])
         .args(["-serial", "none", "-semihosting-config"])
         .arg(format!("enable=on,target=native,arg={calls}"))
         .arg("-kernel")
@@ -113,7 +114,7 @@ fn bounded<T: Send>(
     })
 }
 
-/// Lines `name count`, one a call; the bracket's own share is taken off.
+/// Lines `name count`, one a call.
 fn read_counts(text: &str) -> Result<Vec<Counts>> {
     let mut rows: Vec<Counts> = Vec::new();
     let mut places = BTreeMap::new();
@@ -135,21 +136,13 @@ fn read_counts(text: &str) -> Result<Vec<Counts>> {
         rows.first().is_some_and(|row| row.name == EMPTY),
         "the bench program did not begin with row `{EMPTY}`"
     );
-    let empty = rows.remove(0);
-    // The empty function's own return is part of any function.
-    let bracket = empty.max().saturating_sub(1);
+    let mut empty = rows[0].calls.iter();
+    let first = empty.next();
     ensure!(
-        empty.calls.iter().all(|&count| count == bracket + 1),
+        empty.all(|count| Some(count) == first),
         "the empty row does not always cost the same: {:?}",
-        empty.calls
+        rows[0].calls
     );
-    for row in &mut rows {
-        for count in &mut row.calls {
-            *count = count
-                .checked_sub(bracket)
-                .with_context(|| format!("`{}` costs less than nothing", row.name))?;
-        }
-    }
     Ok(rows)
 }
 
@@ -158,12 +151,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_bracket_is_taken_off_every_call() {
+    fn calls_are_kept_by_row_and_in_order() {
         let rows = read_counts("empty 11\nempty 11\nsin_cos 50\nsin_cos 54\n").unwrap();
-        assert_eq!(rows.len(), 1);
-        assert_eq!(rows[0].calls, [40, 44]);
-        assert_eq!(rows[0].mean(), 42.0);
-        assert_eq!(rows[0].max(), 44);
+        assert_eq!(rows.len(), 2);
+        assert_eq!(rows[1].calls, [50, 54]);
+        assert_eq!(rows[1].max(), 54);
     }
 
     #[test]

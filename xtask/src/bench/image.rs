@@ -13,7 +13,7 @@ use super::thumb::{self, Instruction};
 
 /// Where the STM32F405 has flash and static RAM (memory.x).
 pub(crate) const FLASH: Range<u32> = 0x0800_0000..0x0810_0000;
-const RAM: Range<u32> = 0x2000_0000..0x2002_0000;
+pub(crate) const RAM: Range<u32> = 0x2000_0000..0x2002_0000;
 
 /// A function of the symbol table.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -109,9 +109,7 @@ impl Image {
 
     /// The function that holds `address`.
     pub(crate) fn at(&self, address: u32) -> Option<&Function> {
-        let end = self
-            .functions
-            .partition_point(|f| f.code.start <= address);
+        let end = self.functions.partition_point(|f| f.code.start <= address);
         self.functions[..end]
             .iter()
             .rev()
@@ -165,7 +163,9 @@ impl Image {
         const SYSTICK: u32 = 15;
         // RM0090 table 62: 82 interrupts behind the 16 words of the core.
         const VECTORS: u32 = 16 + 82;
-        let default = self.function("DefaultHandler_").or(self.function("DefaultHandler"));
+        let default = self
+            .function("DefaultHandler_")
+            .or(self.function("DefaultHandler"));
         (SYSTICK..VECTORS)
             .filter_map(|number| {
                 let address = self.word(FLASH.start + 4 * number)?;

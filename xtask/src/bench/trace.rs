@@ -110,7 +110,8 @@ fn read_line(line: &[u8], step: &mut Step) -> bool {
     }
     // `R04=00000000 R05=…`: four registers of 13 characters each.
     if let [b'R', tens, ones, b'=', ..] = line {
-        let first = 10 * usize::from(tens.wrapping_sub(b'0')) + usize::from(ones.wrapping_sub(b'0'));
+        let first =
+            10 * usize::from(tens.wrapping_sub(b'0')) + usize::from(ones.wrapping_sub(b'0'));
         for (place, register) in step.registers.iter_mut().skip(first).take(4).enumerate() {
             if let Some(value) = number(4 + 13 * place) {
                 *register = value;
@@ -199,8 +200,14 @@ mod tests {
     #[test]
     fn a_step_is_read_from_the_lines_of_the_log() {
         let mut step = Step::default();
-        assert!(!read_line(b"R00=00000001 R01=0000000a R02=00000000 R03=ffffffff\n", &mut step));
-        assert!(!read_line(b"R12=20016da8 R13=20016cb8 R14=0800552d R15=08000268\n", &mut step));
+        assert!(!read_line(
+            b"R00=00000001 R01=0000000a R02=00000000 R03=ffffffff\n",
+            &mut step
+        ));
+        assert!(!read_line(
+            b"R12=20016da8 R13=20016cb8 R14=0800552d R15=08000268\n",
+            &mut step
+        ));
         assert!(read_line(b"XPSR=21004800 --C- T priv-thread\n", &mut step));
         assert_eq!(step.register(3), u32::MAX);
         assert_eq!(step.register(SP), 0x2001_6cb8);

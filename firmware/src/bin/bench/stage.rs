@@ -24,7 +24,11 @@ pub(crate) struct Stage {
     random: Random,
     pub(crate) set: ParameterSet<JOINTS, PARAMETERS>,
     pub(crate) motion: JointMotion<JOINTS>,
+    pub(crate) angle: f32,
+    pub(crate) joint: usize,
+    pub(crate) sin_cos: SinCos,
     pub(crate) tau: JointVector<JOINTS>,
+    pub(crate) rows: [SVector<f32, PARAMETERS>; JOINTS],
     pub(crate) paper: BpNetwork<18, 32, 6>,
     pub(crate) input: SVector<f32, 18>,
     pub(crate) target: SVector<f32, 6>,
@@ -55,7 +59,11 @@ impl Stage {
             random: Random(0x9E37_79B9),
             set,
             motion: JointMotion::zero(),
+            angle: 0.0,
+            joint: 0,
+            sin_cos: SinCos { sin: 0.0, cos: 1.0 },
             tau: JointVector::zeros(),
+            rows: [SVector::zeros(); JOINTS],
             paper: BpNetwork::random(1),
             input: SVector::zeros(),
             target: SVector::zeros(),
@@ -95,6 +103,8 @@ impl Stage {
             self.motion.qd[joint] = random.within(limits.velocity);
             self.motion.qdd[joint] = random.within(10.0);
         }
+        self.angle = random.within(TAU);
+        self.joint = (self.joint + 1) % JOINTS;
         self.input.apply(|x| *x = random.within(1.0));
         self.target.apply(|x| *x = random.within(1.0));
 

@@ -191,12 +191,7 @@ impl Instruction {
     fn undefined() -> Self {
         Self {
             flow: Flow::Stop,
-            ..Self::new(
-                "udf",
-                Class::Undefined,
-                Registers::NONE,
-                Registers::NONE,
-            )
+            ..Self::new("udf", Class::Undefined, Registers::NONE, Registers::NONE)
         }
     }
 

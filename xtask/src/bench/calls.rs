@@ -1,0 +1,264 @@
+//! Walks the code of a linked ELF from an entry: which functions it can reach, and how deep its stack can get.
+//!
+//! Sound as far as it succeeds: every path through every function is followed, conditional instructions both ways, and
+//! anything whose target or stack movement the code does not fix is a [`Doubt`], never a guess.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::ops::Range;
+
+use super::image::Image;
+use super::thumb::{Class, Flow, Stack};
+
+/// What the walk could not decide.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Doubt {
+    /// The function in which it lies.
+    pub(crate) function: String,
+    address: u32,
+    kind: Kind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    IndirectCall,
+    IndirectJump,
+    UnknownStack,
+    TwoDepths,
+    NoCode,
+    Recursion,
+}
+
+impl fmt::Display for Doubt {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let what = match self.kind {
+            Kind::IndirectCall => "calls through a pointer",
+            Kind::IndirectJump => "jumps through a pointer",
+            Kind::UnknownStack => "moves the stack by an amount the code does not fix",
+            Kind::TwoDepths => "comes to one place with two depths of stack",
+            Kind::NoCode => "leads to no code",
+            Kind::Recursion => "calls itself, directly or through others",
+        };
+        write!(f, "{} {what} at {:#010x}", self.function, self.address)
+    }
+}
+
+/// One function on its own.
+#[derive(Clone, Debug, Default)]
+struct Node {
+    /// Deepest stack of its own, bytes.
+    own: u32,
+    /// Functions it goes on to, and how deep the stack is then.
+    calls: BTreeSet<(u32, u32)>,
+}
+
+/// Everything that can be reached from an entry.
+#[derive(Debug)]
+pub(crate) struct Walk<'a> {
+    image: &'a Image,
+    nodes: BTreeMap<u32, Node>,
+    /// Empty if the walk saw everything.
+    pub(crate) doubts: BTreeSet<Doubt>,
+}
+
+/// The deepest stack, and the functions on the way there with the stack each adds.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Depth {
+    pub(crate) bytes: u32,
+    pub(crate) path: Vec<(String, u32)>,
+}
+
+impl<'a> Walk<'a> {
+    /// Walks from the function at each of `entries`.
+    pub(crate) fn from(image: &'a Image, entries: &[u32]) -> Self {
+        let mut walk = Self {
+            image,
+            nodes: BTreeMap::new(),
+            doubts: BTreeSet::new(),
+        };
+        let mut open = entries.to_vec();
+        while let Some(entry) = open.pop() {
+            if walk.nodes.contains_key(&entry) {
+                continue;
+            }
+            let node = walk.function(entry);
+            open.extend(node.calls.iter().map(|(target, _)| target));
+            walk.nodes.insert(entry, node);
+        }
+        walk
+    }
+
+    /// Every name of every function that can be reached.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.nodes.keys().flat_map(|&entry| self.image.names(entry))
+    }
+
+    /// The way from an entry to the function at `target`, as names.
+    pub(crate) fn way_to(&self, name: &str, entries: &[u32]) -> Vec<String> {
+        let mut from: BTreeMap<u32, Option<u32>> = entries.iter().map(|&e| (e, None)).collect();
+        let mut open: Vec<u32> = entries.to_vec();
+        let mut next = 0;
+        while let Some(&entry) = open.get(next) {
+            next += 1;
+            if self.image.names(entry).any(|n| n == name) {
+                let back = std::iter::successors(Some(entry), |at| *from.get(at)?);
+                let mut way: Vec<_> = back.map(|at| self.name(at)).collect();
+                way.reverse();
+                return way;
+            }
+            for &(target, _) in self.nodes.get(&entry).iter().flat_map(|node| &node.calls) {
+                from.entry(target).or_insert_with(|| {
+                    open.push(target);
+                    Some(entry)
+                });
+            }
+        }
+        Vec::new()
+    }
+
+    /// The deepest stack from `entry` on. Recursion is added to the doubts.
+    pub(crate) fn depth(&mut self, entry: u32) -> Depth {
+        let mut known = BTreeMap::new();
+        self.deepest(entry, &mut Vec::new(), &mut known)
+    }
+
+    fn deepest(
+        &mut self,
+        entry: u32,
+        above: &mut Vec<u32>,
+        known: &mut BTreeMap<u32, Depth>,
+    ) -> Depth {
+        if let Some(depth) = known.get(&entry) {
+            return depth.clone();
+        }
+        if above.contains(&entry) {
+            self.doubt(entry, entry, Kind::Recursion);
+            return Depth::default();
+        }
+        let node = self.nodes.get(&entry).cloned().unwrap_or_default();
+        let mut worst = Depth {
+            bytes: node.own,
+            path: vec![(self.name(entry), node.own)],
+        };
+        above.push(entry);
+        for (target, depth) in node.calls {
+            let below = self.deepest(target, above, known);
+            if depth + below.bytes > worst.bytes {
+                worst.bytes = depth + below.bytes;
+                worst.path = vec![(self.name(entry), depth)];
+                worst.path.extend(below.path);
+            }
+        }
+        above.pop();
+        known.insert(entry, worst.clone());
+        worst
+    }
+
+    fn name(&self, address: u32) -> String {
+        let name = self.image.names(address).next();
+        name.map_or_else(|| format!("{address:#010x}"), str::to_owned)
+    }
+
+    fn doubt(&mut self, entry: u32, address: u32, kind: Kind) {
+        let function = self.name(entry);
+        self.doubts.insert(Doubt {
+            function,
+            address,
+            kind,
+        });
+    }
+
+    /// Follows every path through the function at `entry`.
+    fn function(&mut self, entry: u32) -> Node {
+        let mut node = Node::default();
+        let Some(code) = self.image.at(entry).map(|f| f.code.clone()) else {
+            self.doubt(entry, entry, Kind::NoCode);
+            return node;
+        };
+        // Where to go on: address, depth of the stack, conditional instructions still to come.
+        let mut open = vec![(entry, 0u32, 0u32)];
+        let mut seen: BTreeMap<u32, u32> = BTreeMap::new();
+        while let Some((address, depth, conditional)) = open.pop() {
+            if !code.contains(&address) {
+                // A tail call, or the end behind a call that does not return.
+                continue;
+            }
+            match seen.insert(address, depth) {
+                None => {}
+                Some(before) if before == depth => continue,
+                Some(_) => {
+                    self.doubt(entry, address, Kind::TwoDepths);
+                    continue;
+                }
+            }
+            let Some(instruction) = self.image.instruction(address) else {
+                self.doubt(entry, address, Kind::NoCode);
+                continue;
+            };
+            let next = address + instruction.size;
+            let after = match instruction.stack {
+                Stack::Kept => depth,
+                Stack::Moved(bytes) => depth.saturating_add_signed(-bytes),
+                Stack::Lost => {
+                    self.doubt(entry, address, Kind::UnknownStack);
+                    depth
+                }
+            };
+            node.own = node.own.max(after);
+            let left = match instruction.class {
+                Class::IfThen { count } => count,
+                _ => conditional.saturating_sub(1),
+            };
+            let mut targets = Vec::new();
+            match instruction.flow {
+                Flow::Next | Flow::Return | Flow::Stop => {}
+                Flow::Jump(target) | Flow::Branch(target) => targets.push(target),
+                Flow::Call(target) => {
+                    node.calls.insert((target, after));
+                }
+                Flow::CallIndirect => self.doubt(entry, address, Kind::IndirectCall),
+                Flow::JumpIndirect => self.doubt(entry, address, Kind::IndirectJump),
+                Flow::Table { halfwords } => targets = self.table(address, halfwords, &code),
+            }
+            for &target in &targets {
+                if code.contains(&target) {
+                    open.push((target, after, 0));
+                } else {
+                    node.calls.insert((target, after));
+                }
+            }
+            let ends = matches!(
+                instruction.flow,
+                Flow::Jump(_) | Flow::JumpIndirect | Flow::Table { .. } | Flow::Return | Flow::Stop
+            );
+            if !ends {
+                open.push((next, after, left));
+            } else if conditional > 0 {
+                // Its condition may fail; then it did nothing, to the stack neither.
+                open.push((next, depth, left));
+            }
+        }
+        node
+    }
+
+    /// Targets of a table branch at `address` in `code`. The table ends where the first of its targets begins, or
+    /// earlier if constants follow it: those, read as offsets, point out of the function.
+    fn table(&self, address: u32, halfwords: bool, code: &Range<u32>) -> Vec<u32> {
+        let base = address + 4;
+        let mut targets: Vec<u32> = Vec::new();
+        for entry in (base..).step_by(if halfwords { 2 } else { 1 }) {
+            let offset = if halfwords {
+                self.image.halfword(entry).map(u32::from)
+            } else {
+                self.image.byte(entry).map(u32::from)
+            };
+            let target = offset.map(|offset| base + 2 * offset);
+            let ended = targets.iter().any(|&first| entry >= first);
+            match target {
+                Some(target) if !ended && code.contains(&target) => targets.push(target),
+                _ => break,
+            }
+        }
+        targets
+    }
+}
