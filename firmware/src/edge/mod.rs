@@ -1,3 +1,7 @@
 //! Everything that touches the world outside the tick: frames, parameter bank, telemetry, hardware adapters.
 
+pub mod bank;
 pub mod hal;
+pub mod session;
+pub mod telemetry;
+pub mod wire;

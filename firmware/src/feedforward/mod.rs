@@ -91,6 +91,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         exchange.reload = Some((self.state.tick, set));
     }
 
+    /// Replaces the configuration from the next tick on; the state stays.
+    ///
+    /// Errors: the first field of `config` that cannot work; then nothing has changed.
+    pub fn configure(&mut self, config: FeedForwardConfig<N>) -> Result<(), ConfigError> {
+        config.validate()?;
+        self.config = config;
+        Ok(())
+    }
+
     /// Switches learning on or off (frozen) from the next tick on.
     pub fn set_learning(&mut self, enabled: bool) {
         self.state.learning = enabled;

@@ -12,12 +12,15 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::socket::{AddressFamily, SockFlag, SockType, socketpair};
 use nix::unistd::pipe2;
 
+use super::Transport;
 use super::child::Guarded;
 
 /// The emulator's program.
 const EMULATOR: &str = "qemu-system-arm";
 /// How long the end of a dying emulator is waited for.
 const FUNERAL: Duration = Duration::from_secs(2);
+/// How long a board may take no bytes.
+pub const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Which firmware, and so which link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +51,8 @@ impl Image {
 /// How the emulator is run.
 #[derive(Clone, Debug)]
 pub struct QemuOptions {
+    /// The program.
+    pub emulator: PathBuf,
     /// The firmware.
     pub image: Image,
     /// Its ELF.
@@ -58,6 +63,8 @@ pub struct QemuOptions {
     /// Core shared by the emulator and the calling thread: they take turns, and waking a neighbour core costs more
     /// than the turn itself. `None` leaves both where they are.
     pub core: Option<usize>,
+    /// How long the board may take to say its first byte.
+    pub boot: Duration,
     /// File for the raw defmt stream of the flashable firmware.
     pub log: Option<PathBuf>,
 }
@@ -66,10 +73,12 @@ impl QemuOptions {
     /// Repeatable, on one core, without a log.
     pub fn new(image: Image) -> Self {
         Self {
+            emulator: EMULATOR.into(),
             image,
             elf: image.default_elf(),
             icount_shift: Some(3),
             core: nix::sched::sched_getcpu().ok(),
+            boot: Duration::from_secs(10),
             log: None,
         }
     }
@@ -78,15 +87,17 @@ impl QemuOptions {
 /// What can go wrong with an emulated board.
 #[derive(Debug)]
 pub enum EmulatorError {
-    /// The emulator is not installed.
-    NotInstalled,
+    /// There is no such program.
+    NotInstalled(PathBuf),
     /// The firmware is not built.
     NoFirmware(PathBuf),
     /// It could not be started.
     Start(io::Error),
     /// It ended while it was needed: how, and its last words.
     Died(String),
-    /// It neither reads nor answers.
+    /// It said no hello after start-up.
+    NoHello(Duration),
+    /// It takes no bytes.
     Silent(Duration),
     /// The link to it broke.
     Link(io::Error),
@@ -95,17 +106,24 @@ pub enum EmulatorError {
 impl fmt::Display for EmulatorError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NotInstalled => write!(f, "{EMULATOR} is not installed: run `cargo xtask setup`"),
+            Self::NotInstalled(program) => {
+                write!(f, "{} is not installed: run `cargo xtask setup`", program.display())
+            }
             Self::NoFirmware(elf) => write!(
                 f,
                 "no firmware at {}: build it with `cargo xtask build` or `cargo build --profile firmware \
                  --target thumbv7em-none-eabihf -p foretorque`",
                 elf.display()
             ),
-            Self::Start(error) => write!(f, "{EMULATOR} did not start: {error}"),
+            Self::Start(error) => write!(f, "the emulator did not start: {error}"),
             Self::Died(how) => write!(f, "the emulator died: {how}"),
+            Self::NoHello(waited) => write!(
+                f,
+                "the emulated board said no hello within {:.1} s: is the ELF a firmware of this project?",
+                waited.as_secs_f64()
+            ),
             Self::Silent(waited) => {
-                write!(f, "the emulated board was silent for {:.1} s", waited.as_secs_f64())
+                write!(f, "the emulated board took no bytes for {:.1} s", waited.as_secs_f64())
             }
             Self::Link(error) => write!(f, "link to the emulator: {error}"),
         }
@@ -122,18 +140,20 @@ pub struct Emulator {
     to_board: OwnedFd,
     /// Bytes from the board; `None` when the link is one socket for both directions.
     from_board: Option<OwnedFd>,
-    icount_shift: Option<u8>,
+    image: Image,
 }
 
 impl Emulator {
-    /// Starts the emulator; the board says hello a moment later.
+    /// Starts the emulator and waits for the first byte of the board's hello, before which the board hears nothing.
+    ///
+    /// Errors: every variant of [`EmulatorError`], and then no emulator is left.
     pub fn start(options: &QemuOptions) -> Result<Self, EmulatorError> {
         if !options.elf.is_file() {
             return Err(EmulatorError::NoFirmware(options.elf.clone()));
         }
-        let mut command = Command::new(EMULATOR);
+        let mut command = Command::new(&options.emulator);
         command
-            .args(["-machine", "netduinoplus2", "-display", "none", "-monitor", "none", "-nodefaults"])
+            .args(["-machine", "netduinoplus2", "-display", "none", "-monitor", "none"])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -147,13 +167,17 @@ impl Emulator {
             Image::Bulk => pipe_link(&mut command)?,
         };
         let process = Guarded::start(command, kept, options.core).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => EmulatorError::NotInstalled,
+            io::ErrorKind::NotFound => EmulatorError::NotInstalled(options.emulator.clone()),
             _ => EmulatorError::Start(error),
         })?;
-        for end in std::iter::once(&to_board).chain(&from_board) {
+        let mut emulator = Self { process, to_board, from_board, image: options.image };
+        for end in std::iter::once(&emulator.to_board).chain(&emulator.from_board) {
             fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
         }
-        Ok(Self { process, to_board, from_board, icount_shift: options.icount_shift })
+        if !emulator.audible(options.boot)? {
+            return Err(EmulatorError::NoHello(options.boot));
+        }
+        Ok(emulator)
     }
 
     /// Process id of the emulator.
@@ -161,20 +185,15 @@ impl Emulator {
         self.process.id()
     }
 
-    /// Executed instructions for a stretch the board counted; the count itself when runs do not repeat anyway.
-    pub fn instructions(&self, counts: u32) -> u32 {
-        counts >> self.icount_shift.unwrap_or(0)
-    }
-
-    /// Sends all bytes. Errors: [`EmulatorError::Silent`] when the board takes nothing for `patience`.
-    pub fn write(&mut self, mut bytes: &[u8], patience: Duration) -> Result<(), EmulatorError> {
+    /// Sends all bytes. Errors: [`EmulatorError::Silent`] when the board takes nothing for [`PATIENCE`].
+    pub fn write(&mut self, mut bytes: &[u8]) -> Result<(), EmulatorError> {
         while !bytes.is_empty() {
             match nix::unistd::write(&self.to_board, bytes) {
                 Ok(sent) => bytes = &bytes[sent..],
                 Err(nix::Error::EINTR) => {}
                 Err(nix::Error::EAGAIN) => {
-                    if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, patience)? {
-                        return Err(self.missed(patience));
+                    if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, PATIENCE)? {
+                        return Err(EmulatorError::Silent(PATIENCE));
                     }
                 }
                 Err(error) => return Err(self.broken(error)),
@@ -183,14 +202,13 @@ impl Emulator {
         Ok(())
     }
 
-    /// Waits for bytes and returns how many came. Errors: [`EmulatorError::Silent`] when none came for `patience`.
+    /// Waits at most `patience` for bytes and returns how many came; 0 when none did.
     pub fn read(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, EmulatorError> {
         loop {
-            let end = self.from_board.as_ref().unwrap_or(&self.to_board);
-            if !ready(end.as_fd(), PollFlags::POLLIN, patience)? {
-                return Err(self.missed(patience));
+            if !self.audible(patience)? {
+                return Ok(0);
             }
-            match nix::unistd::read(end, buffer) {
+            match nix::unistd::read(self.ear(), buffer) {
                 Ok(0) => return Err(self.broken(nix::Error::EPIPE)),
                 Ok(count) => return Ok(count),
                 Err(nix::Error::EINTR | nix::Error::EAGAIN) => {}
@@ -206,12 +224,14 @@ impl Emulator {
         Ok(process.ended(patience).map_err(EmulatorError::Link)?.is_some_and(|status| status.success()))
     }
 
-    /// Why nothing came in time.
-    fn missed(&mut self, patience: Duration) -> EmulatorError {
-        match self.process.ended(Duration::ZERO) {
-            Ok(None) => EmulatorError::Silent(patience),
-            _ => self.broken(nix::Error::EPIPE),
-        }
+    /// Where the board's bytes come from.
+    fn ear(&self) -> &OwnedFd {
+        self.from_board.as_ref().unwrap_or(&self.to_board)
+    }
+
+    /// Bytes, or the end of them, come within `patience`.
+    fn audible(&self, patience: Duration) -> Result<bool, EmulatorError> {
+        ready(self.ear().as_fd(), PollFlags::POLLIN, patience)
     }
 
     /// Why the link is gone: nearly always because the emulator is.
@@ -223,6 +243,20 @@ impl Emulator {
             }
             _ => link(error),
         }
+    }
+}
+
+impl Transport for Emulator {
+    fn name(&self) -> String {
+        format!("qemu ({})", self.image.name())
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.write(bytes).map_err(io::Error::other)
+    }
+
+    fn receive(&mut self, room: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.read(room, timeout).map_err(io::Error::other)
     }
 }
 

@@ -2,24 +2,72 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
+#[path = "../joint/board.rs"]
+#[expect(dead_code, reason = "the arm is the board's; pins and clocks are not needed without silicon")]
+mod board;
+#[cfg(target_os = "none")]
+#[path = "../joint/counter.rs"]
+#[expect(dead_code, reason = "the emulator has no cycle counter")]
+mod counter;
+#[cfg(target_os = "none")]
 mod semihost;
 
 #[cfg(target_os = "none")]
 mod run {
-    use panic_never as _;
-    use stm32f4xx_hal as _;
+    use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::wire::{Capabilities, FrameBuffer, ResetReason};
+    use foretorque::learning::{Learner, LearnerConfig};
+    use stm32f4xx_hal::pac;
 
+    use crate::board::{Arm, JOINTS, PARAMETERS};
+    use crate::counter;
     use crate::semihost::{Streams, exit};
 
+    /// Runs until the host hangs up. Ends the emulator with an error when it could not start.
     #[cortex_m_rt::entry]
     fn main() -> ! {
-        let Some(streams) = Streams::open() else { exit(false) };
-        let mut well = streams.write(b"hello\0");
-        let mut buffer = [0u8; 512];
-        while well && let Some(bytes) = streams.read(&mut buffer) {
-            well = streams.write(bytes);
+        exit(run().is_some())
+    }
+
+    fn run() -> Option<()> {
+        let streams = Streams::open()?;
+        let counter = counter::start_instructions(&pac::Peripherals::take()?.TIM2);
+        let board = BoardDescription {
+            capabilities: Capabilities::LEARNING,
+            counter,
+            // Virtual time is not the chip's: there is no honest number.
+            counter_hz: 0,
+            now: counter::now,
+            reset_reason: ResetReason::Unknown,
+            ..BoardDescription::plain()
+        };
+        let mut session = Session::<Arm, JOINTS, PARAMETERS>::new(board).ok()?;
+        let period_s = session.configuration().period_us as f32 * 1e-6;
+        let prior = session.feed_forward().state().active;
+        let mut learner: Learner<Arm, _, _> =
+            Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior).ok()?;
+        let mut desk = Desk::new();
+        let mut out = FrameBuffer::new();
+        let mut buffer = [0u8; 1024];
+
+        session.greet(&mut out);
+        loop {
+            if !out.is_empty() && !streams.write(out.as_bytes()) {
+                return Some(());
+            }
+            out.clear();
+            desk.work(&mut learner, counter::now);
+            let Some(bytes) = streams.read(&mut buffer) else {
+                return Some(());
+            };
+            session.receive(bytes, &mut desk, &mut out);
         }
-        exit(well)
+    }
+
+    /// Says nothing of where: the emulator's exit status tells the host, and a debugger the rest.
+    #[panic_handler]
+    fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+        exit(false)
     }
 }
 

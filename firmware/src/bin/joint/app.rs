@@ -1,26 +1,57 @@
 //! The schedule: who may interrupt whom.
+//!
+//! | priority | task | woken by | deadline |
+//! |---|---|---|---|
+//! | 4 | `byte`: one byte from or to the link | USART2 | 5 µs, the next byte at 2 Mbaud |
+//! | 4 | `timer`: notes that a tick is due | SysTick | the period |
+//! | 3 | `tick`: decode, feed-forward, reply | the end of a frame, or `timer` | the period |
+//! | 2 | `learn`: one lesson a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
+//! | 0 | `idle`: log | every interrupt | none |
+//!
+//! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
+    use core::sync::atomic::{AtomicU32, Ordering};
+
+    use foretorque::edge::hal::TorqueEnable;
+    use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::wire::{Capabilities, FrameBuffer};
+    use foretorque::learning::{Learner, LearnerConfig};
     use heapless::spsc::{Consumer, Producer, Queue};
+    use stm32f4xx_hal::gpio::PinState;
     use stm32f4xx_hal::pac::Interrupt;
     use stm32f4xx_hal::prelude::*;
 
+    use crate::board::{Arm, JOINTS, PARAMETERS};
     use crate::clock::{self, ClockSource};
-    use crate::fault::{self, EnablePin};
+    use crate::fault::{self, EnablePin, Reason};
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
+    use crate::pace::{self, Pace};
     use crate::{counter, log};
-    use foretorque::edge::hal::TorqueEnable;
+
+    /// Ticks between two lines of the log.
+    const LOG_EVERY: u32 = 1000;
+    /// Bytes handed to the session at once.
+    const CHUNK: usize = 64;
+
+    /// Ticks run, for the log.
+    static TICKS: AtomicU32 = AtomicU32::new(0);
 
     #[shared]
-    struct Shared {}
+    struct Shared {
+        desk: Desk<JOINTS, PARAMETERS>,
+    }
 
     #[local]
     struct Local {
         wire: Wire,
+        session: Session<Arm, JOINTS, PARAMETERS>,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
-        enable: TorqueEnable<EnablePin>,
+        out: FrameBuffer,
+        pace: Pace,
+        learner: Learner<Arm, JOINTS, PARAMETERS>,
         drain: Option<log::Drain>,
     }
 
@@ -30,52 +61,66 @@ mod app {
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
+        let reset_reason = fault::reset_reason(reason, &cx.device.RCC);
         let clocks = clock::start(&cx.device.RCC, &cx.device.FLASH);
         let emulated = clocks.source == ClockSource::Emulated;
 
-        // Torque off before anything else can go wrong; the pin is driven low before it becomes an output.
-        let Ok(enable) = TorqueEnable::new(EnablePin);
+        // Switched off by its constructor; nothing in this firmware switches it on before a host can arm the board.
+        let Ok(_enable) = TorqueEnable::new(EnablePin);
         cx.device.RCC.apb1enr().modify(|_, w| {
-            w.usart2en()
-                .enabled()
-                .usart3en()
-                .enabled()
-                .tim2en()
-                .enabled()
+            w.usart2en().enabled().usart3en().enabled().tim2en().enabled()
         });
         let mut rcc = cx.device.RCC.constrain();
         let gpioa = cx.device.GPIOA.split(&mut rcc);
         let gpiob = cx.device.GPIOB.split(&mut rcc);
-        gpiob
-            .pb12
-            .into_push_pull_output_in_state(stm32f4xx_hal::gpio::PinState::Low);
+        gpiob.pb12.into_push_pull_output_in_state(PinState::Low);
         gpioa.pa2.into_alternate::<7>();
         gpioa.pa3.into_alternate::<7>().internal_pull_up(true);
 
         let mut core = cx.core;
-        counter::start(&mut core, &cx.device.TIM2, emulated);
+        let (counter, counter_hz) = if emulated {
+            (counter::start_instructions(&cx.device.TIM2), 0)
+        } else {
+            (counter::start_cycles(&mut core), clocks.cpu_hz)
+        };
         let drain = emulated.then(|| log::Drain::start(cx.device.USART3));
         defmt::info!(
-            "boot: clock {=u8} at {=u32} Hz, last reset {=u8} at {=u32:#x}",
+            "boot: clock {=u8} at {=u32} Hz, last left by {=u8} at {=u32:#x}",
             clocks.source as u8,
             clocks.cpu_hz,
             reason as u8,
             place
         );
 
+        let board = BoardDescription {
+            capabilities: Capabilities::LEARNING | Capabilities::TIMER,
+            counter,
+            counter_hz,
+            now: counter::now,
+            reset_reason,
+            ..BoardDescription::plain()
+        };
+        let Ok(mut session) = Session::new(board) else {
+            fault::leave(Reason::Setup, line!());
+        };
+        let period_s = session.configuration().period_us as f32 * 1e-6;
+        let prior = session.feed_forward().state().active;
+        let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
+            fault::leave(Reason::Setup, line!());
+        };
+        let mut pace = Pace::new(core.SYST, clocks.cpu_hz);
+        pace.follow(session.configuration());
+
         let (receive_in, received) = cx.local.receive_ring.split();
         let (mut waiting, transmit_out) = cx.local.transmit_ring.split();
         let wire = Wire::start(cx.device.USART2, clocks.apb1_hz, receive_in, transmit_out);
-        link::send(&mut waiting, b"hello\0");
+        let mut out = FrameBuffer::new();
+        session.greet(&mut out);
+        link::send(&mut waiting, out.as_bytes());
+        out.clear();
         (
-            Shared {},
-            Local {
-                wire,
-                received,
-                waiting,
-                enable,
-                drain,
-            },
+            Shared { desk: Desk::new() },
+            Local { wire, session, received, waiting, out, pace, learner, drain },
         )
     }
 
@@ -86,27 +131,85 @@ mod app {
         }
     }
 
-    #[task(binds = EXTI1, priority = 3, local = [received, waiting, enable])]
-    fn tick(cx: tick::Context) {
-        while let Some(byte) = cx.local.received.dequeue() {
-            link::send(cx.local.waiting, &[byte]);
+    #[task(binds = SysTick, priority = 4)]
+    fn timer(_: timer::Context) {
+        pace::elapsed();
+        rtic::pend(Interrupt::EXTI1);
+    }
+
+    #[task(
+        binds = EXTI1,
+        priority = 3,
+        local = [session, received, waiting, out, pace, troubles: u32 = 0],
+        shared = [desk]
+    )]
+    fn tick(mut cx: tick::Context) {
+        let tick::LocalResources { session, received, waiting, out, pace, troubles, .. } = cx.local;
+        let waiting_lessons = cx.shared.desk.lock(|desk| {
+            if pace::take_due() {
+                session.timer_tick(desk, out);
+            }
+            loop {
+                let mut chunk = [0; CHUNK];
+                let mut count = 0;
+                for slot in &mut chunk {
+                    let Some(byte) = received.dequeue() else { break };
+                    *slot = byte;
+                    count += 1;
+                }
+                session.receive(chunk.get(..count).unwrap_or_default(), desk, out);
+                if !out.is_empty() && !link::send(waiting, out.as_bytes()) {
+                    session.note_reply_lost();
+                }
+                out.clear();
+                if count == 0 {
+                    break;
+                }
+            }
+            desk.waiting()
+        });
+        if waiting_lessons > 0 {
+            rtic::pend(Interrupt::EXTI2);
+        }
+        pace.follow(session.configuration());
+        session.note_receive_cost(link::receive_cost());
+        // What went wrong below the frames since the last tick. Counters wrap; only their difference counts.
+        let now = link::troubles().wrapping_add(pace::missed());
+        while *troubles != now {
+            *troubles = troubles.wrapping_add(1);
+            session.note_overrun();
+        }
+        TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
+    }
+
+    #[task(binds = EXTI2, priority = 2, local = [learner], shared = [desk])]
+    fn learn(mut cx: learn::Context) {
+        let learner = cx.local.learner;
+        while let Some(lesson) = cx.shared.desk.lock(|desk| desk.begin(learner)) {
+            let start = counter::now();
+            learner.study(&lesson);
+            let cost = counter::now().wrapping_sub(start);
+            cx.shared.desk.lock(|desk| desk.finish(learner, cost));
         }
     }
 
     #[idle(local = [drain])]
     fn idle(cx: idle::Context) -> ! {
-        let mut said = 0;
+        let mut logged = 0;
         loop {
-            let bytes = RECEIVED.bytes.load(core::sync::atomic::Ordering::Relaxed);
-            if bytes - said > 1000 {
-                said = bytes;
+            let ticks = TICKS.load(Ordering::Relaxed);
+            if ticks.wrapping_sub(logged) >= LOG_EVERY {
+                logged = ticks;
+                let cost = link::receive_cost();
                 defmt::info!(
-                    "received {=u32} bytes, counts {=u32}, max {=u32}",
-                    bytes,
-                    RECEIVED.counts.load(core::sync::atomic::Ordering::Relaxed),
-                    RECEIVED
-                        .counts_max
-                        .load(core::sync::atomic::Ordering::Relaxed)
+                    "tick {=u32}: {=u32} bytes in at {=u32} counts (max {=u32}), {=u32} lost, {=u32} overruns, {=u32} ticks missed",
+                    ticks,
+                    RECEIVED.bytes.load(Ordering::Relaxed),
+                    cost.mean,
+                    cost.max,
+                    RECEIVED.lost.load(Ordering::Relaxed),
+                    RECEIVED.overruns.load(Ordering::Relaxed),
+                    pace::missed()
                 );
             }
             if let Some(drain) = cx.local.drain {

@@ -1,34 +1,61 @@
 //! What a stretch of code costs: processor cycles on silicon, executed instructions in the emulator.
 
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::arch::asm;
+use core::sync::atomic::{AtomicU8, Ordering};
 
-use stm32f4xx_hal::pac;
+use foretorque::edge::wire::CounterKind;
+use stm32f4xx_hal::pac::TIM2;
 
-/// The emulator's cycle counter reads zero; its TIM2 counts nanoseconds of virtual time, which under
-/// `-icount shift=S` are executed instructions × 2^S.
-static EMULATED: AtomicBool = AtomicBool::new(false);
+const NONE: u8 = 0;
+const CYCLES: u8 = 1;
+const INSTRUCTIONS: u8 = 2;
 
-/// Starts the counter that works on this machine.
-pub(crate) fn start(core: &mut cortex_m::Peripherals, timer: &pac::TIM2, emulated: bool) {
-    EMULATED.store(emulated, Ordering::Relaxed);
-    if emulated {
-        timer.psc().reset();
-        // SAFETY: every value of the reload register is allowed; the largest makes differences wrap at 2^32.
-        timer.arr().write(|w| unsafe { w.bits(u32::MAX) });
-        timer.cr1().write(|w| w.cen().enabled());
-    } else {
-        core.DCB.enable_trace();
-        core.DWT.enable_cycle_counter();
+/// Which counter works here.
+static KIND: AtomicU8 = AtomicU8::new(NONE);
+
+/// No-operations between the two reads of [`scale`]; far more than the instructions of a read.
+const KNOWN: u32 = 256;
+
+/// Starts the cycle counter of the core.
+pub(crate) fn start_cycles(core: &mut cortex_m::Peripherals) -> CounterKind {
+    core.DCB.enable_trace();
+    core.DWT.enable_cycle_counter();
+    KIND.store(CYCLES, Ordering::Relaxed);
+    CounterKind::Cycles
+}
+
+/// Starts the emulator's counter. Its cycle counter reads zero, but TIM2 counts nanoseconds of virtual time, which under
+/// `-icount shift=S` are executed instructions × 2^S; the prescaler takes the 2^S out.
+///
+/// Without `-icount` virtual time says nothing about instructions, and costs are not counted.
+pub(crate) fn start_instructions(timer: &TIM2) -> CounterKind {
+    timer.psc().reset();
+    timer.cr1().write(|w| w.cen().enabled());
+    let (first, second) = (elapsed(timer), elapsed(timer));
+    let scale = first / KNOWN;
+    if first != second || !scale.is_power_of_two() || scale > 1 << 10 {
+        return CounterKind::None;
     }
+    timer.psc().write(|w| w.psc().set((scale - 1) as u16));
+    KIND.store(INSTRUCTIONS, Ordering::Relaxed);
+    CounterKind::Instructions
 }
 
 /// The free-running count; only wrapping differences mean something.
 #[inline(always)]
 pub(crate) fn now() -> u32 {
-    if EMULATED.load(Ordering::Relaxed) {
-        // SAFETY: a read of a counter nobody writes after `start`; it has no side effect.
-        unsafe { &*pac::TIM2::ptr() }.cnt().read().bits()
-    } else {
-        cortex_m::peripheral::DWT::cycle_count()
+    match KIND.load(Ordering::Relaxed) {
+        CYCLES => cortex_m::peripheral::DWT::cycle_count(),
+        // SAFETY: a read of a counter nobody writes after the start; it has no side effect.
+        INSTRUCTIONS => unsafe { &*TIM2::ptr() }.cnt().read().bits(),
+        _ => 0,
     }
+}
+
+/// Counts that [`KNOWN`] no-operations and one read of the timer take.
+fn elapsed(timer: &TIM2) -> u32 {
+    let start = timer.cnt().read().bits();
+    // SAFETY: does nothing, 256 times.
+    unsafe { asm!(".rept 256", "nop", ".endr", options(nomem, nostack, preserves_flags)) };
+    timer.cnt().read().bits().wrapping_sub(start)
 }

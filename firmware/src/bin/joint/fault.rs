@@ -8,7 +8,8 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, exception};
 use embedded_hal::digital::{ErrorType, OutputPin};
 use foretorque::edge::hal::TorqueEnable;
-use stm32f4xx_hal::pac::GPIOB;
+use foretorque::edge::wire::ResetReason;
+use stm32f4xx_hal::pac::{GPIOB, RCC};
 
 use crate::board;
 
@@ -24,6 +25,8 @@ pub(crate) enum Reason {
     HardFault = 2,
     /// An interrupt or exception without a handler; the place is its number.
     Unexpected = 3,
+    /// A configuration built into the firmware was refused; the place is the line of the source.
+    Setup = 4,
 }
 
 /// What is kept over a reset: a mark, reason, place, and their check word. The linker leaves the section alone at
@@ -72,9 +75,28 @@ pub(crate) fn take() -> (Reason, u32) {
         1 => Reason::Panic,
         2 => Reason::HardFault,
         3 => Reason::Unexpected,
+        4 => Reason::Setup,
         _ => Reason::None,
     };
     (reason, place)
+}
+
+/// Why the board started, for the link: what was kept, else what the chip remembers (RM0090 7.3.21), and forgets.
+///
+/// The emulator's chip remembers nothing.
+pub(crate) fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
+    let chip = rcc.csr().read();
+    rcc.csr().modify(|_, w| w.rmvf().set_bit());
+    match kept {
+        Reason::Panic | Reason::Setup => ResetReason::Panic,
+        Reason::HardFault | Reason::Unexpected => ResetReason::Fault,
+        Reason::None if chip.porrstf().bit_is_set() => ResetReason::PowerOn,
+        Reason::None if chip.wdgrstf().bit_is_set() || chip.wwdgrstf().bit_is_set() => ResetReason::Watchdog,
+        Reason::None if chip.sftrstf().bit_is_set() => ResetReason::Software,
+        // Every reset also pulls the pin, so its flag means something only when it stands alone.
+        Reason::None if chip.padrstf().bit_is_set() => ResetReason::Pin,
+        Reason::None => ResetReason::Unknown,
+    }
 }
 
 /// Makes the outputs safe, keeps the reason and restarts. The torque stays off until somebody arms the board anew.

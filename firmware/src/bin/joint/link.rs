@@ -2,6 +2,7 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
+use foretorque::edge::telemetry::Cost;
 use heapless::spsc::{Consumer, Producer};
 use stm32f4xx_hal::pac::{Interrupt, USART2};
 
@@ -21,8 +22,10 @@ pub(crate) struct ReceiveCounters {
     pub(crate) lost: AtomicU32,
     /// Overruns of the receive register: the interrupt came too late.
     pub(crate) overruns: AtomicU32,
-    /// Counts spent on received bytes, from the first to the last instruction of the handler.
+    /// Counts spent on the last `counted` bytes or so: both are halved before they would wrap.
     pub(crate) counts: AtomicU32,
+    /// Bytes that `counts` is about.
+    pub(crate) counted: AtomicU32,
     /// Most counts spent on one byte.
     pub(crate) counts_max: AtomicU32,
 }
@@ -33,6 +36,7 @@ pub(crate) static RECEIVED: ReceiveCounters = ReceiveCounters {
     lost: AtomicU32::new(0),
     overruns: AtomicU32::new(0),
     counts: AtomicU32::new(0),
+    counted: AtomicU32::new(0),
     counts_max: AtomicU32::new(0),
 };
 
@@ -96,11 +100,7 @@ impl Wire {
                 Err(_) => add(&RECEIVED.lost, 1),
             }
             delimiter = byte == 0;
-            let spent = counter::now().wrapping_sub(start);
-            add(&RECEIVED.counts, spent);
-            if spent > RECEIVED.counts_max.load(Ordering::Relaxed) {
-                RECEIVED.counts_max.store(spent, Ordering::Relaxed);
-            }
+            note_cost(counter::now().wrapping_sub(start));
         }
         self.transmit();
         delimiter
@@ -125,21 +125,31 @@ impl Wire {
     }
 }
 
-/// Queues a reply and wakes the interrupt, which does the sending. Returns the number of bytes that found no room.
-pub(crate) fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> usize {
-    let room = waiting.capacity() - waiting.len();
-    if bytes.len() > room {
-        // Half a frame is worth nothing to the other side.
-        return bytes.len();
+/// Queues frames and wakes the interrupt, which does the sending. False when they found no room; then none is sent,
+/// because half a frame is worth nothing to the other side.
+pub(crate) fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
+    if bytes.len() > waiting.capacity() - waiting.len() {
+        return false;
     }
-    for &byte in bytes {
-        if waiting.enqueue(byte).is_err() {
-            break;
-        }
-    }
+    let queued = bytes.iter().all(|&byte| waiting.enqueue(byte).is_ok());
     // The emulator raises no interrupt for a free transmit register: pend it by hand, on silicon a nudge too many.
     rtic::pend(Interrupt::USART2);
-    0
+    queued
+}
+
+/// Cost of receiving one byte, in counts, without the processor's own entry and exit (12 cycles each).
+pub(crate) fn receive_cost() -> Cost {
+    let counted = RECEIVED.counted.load(Ordering::Relaxed).max(1);
+    Cost {
+        mean: RECEIVED.counts.load(Ordering::Relaxed) / counted,
+        max: RECEIVED.counts_max.load(Ordering::Relaxed),
+    }
+}
+
+/// Bytes lost by the ring and overruns of the register, together. Wraps.
+pub(crate) fn troubles() -> u32 {
+    let lost = RECEIVED.lost.load(Ordering::Relaxed);
+    lost.wrapping_add(RECEIVED.overruns.load(Ordering::Relaxed))
 }
 
 /// Adds without a lock: there is one writer.
@@ -149,4 +159,17 @@ fn add(counter: &AtomicU32, amount: u32) {
         counter.load(Ordering::Relaxed).wrapping_add(amount),
         Ordering::Relaxed,
     );
+}
+
+/// Takes the cost of one byte; its own is not in it.
+#[inline(always)]
+fn note_cost(spent: u32) {
+    let half = RECEIVED.counts.load(Ordering::Relaxed) >> 31;
+    let counts = (RECEIVED.counts.load(Ordering::Relaxed) >> half) + spent;
+    let counted = (RECEIVED.counted.load(Ordering::Relaxed) >> half) + 1;
+    RECEIVED.counts.store(counts, Ordering::Relaxed);
+    RECEIVED.counted.store(counted, Ordering::Relaxed);
+    if spent > RECEIVED.counts_max.load(Ordering::Relaxed) {
+        RECEIVED.counts_max.store(spent, Ordering::Relaxed);
+    }
 }

@@ -15,6 +15,8 @@ mod fault;
 mod link;
 #[cfg(target_os = "none")]
 mod log;
+#[cfg(target_os = "none")]
+mod pace;
 
 #[cfg(not(target_os = "none"))]
 fn main() {

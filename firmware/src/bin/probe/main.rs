@@ -1,11 +1,63 @@
-//! probe
+//! The proof that nothing the board runs every tick can panic: this does not link when a panic can be reached.
+//!
+//! It calls every public entry of the tick with values the compiler cannot see through. To find a culprit, replace
+//! `panic_never` by a handler of one's own and look for callers of `core::panicking` in the disassembly.
 #![cfg_attr(target_os = "none", no_std, no_main)]
+
 #[cfg(target_os = "none")]
-use {panic_never as _, stm32f4xx_hal as _};
+#[path = "../joint/board.rs"]
+#[expect(dead_code, reason = "the arm is the board's; pins and clocks are not needed here")]
+mod board;
+
 #[cfg(target_os = "none")]
-#[cortex_m_rt::entry]
-fn main() -> ! {
-    loop {}
+mod proof {
+    use core::hint::black_box;
+
+    use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage};
+    use foretorque::learning::{Learner, LearnerConfig};
+    use {panic_never as _, stm32f4xx_hal as _};
+
+    use crate::board::{Arm, JOINTS, PARAMETERS};
+
+    #[cortex_m_rt::entry]
+    fn main() -> ! {
+        loop {
+            run();
+        }
+    }
+
+    fn run() -> Option<()> {
+        let mut session = black_box(Session::<Arm, JOINTS, PARAMETERS>::new(black_box(BoardDescription::plain())).ok()?);
+        let set = black_box(session.feed_forward().state().active);
+        let mut learner: Learner<Arm, _, _> = Learner::new(LearnerConfig::for_arm::<Arm>(black_box(1e-3)), set).ok()?;
+        let mut desk = black_box(Desk::new());
+        let mut out = black_box(FrameBuffer::new());
+        let mut bytes = black_box([0u8; 64]);
+        loop {
+            // Everything the link can say: decode, tick, bank, statistics, reset.
+            session.receive(black_box(&bytes), &mut desk, &mut out);
+            session.timer_tick(&mut desk, &mut out);
+            session.note_overrun();
+            session.greet(&mut out);
+            // The learner as the board runs it, and as the other owners do.
+            while let Some(lesson) = desk.begin(&mut learner) {
+                learner.study(&lesson);
+                desk.finish(&mut learner, black_box(1));
+            }
+            desk.work(&mut learner, || black_box(0));
+            black_box(session.statistics(&desk));
+            // The host's half, for people who put both on a board.
+            let mut decoder = Decoder::new();
+            let message = decoder.push(black_box(0))?.ok()?.message::<HostMessage<JOINTS>>().ok()?;
+            out.push(black_box(1), &message).ok()?;
+            let answer = decoder.push(black_box(0))?.ok()?.message::<BoardMessage<JOINTS>>().ok()?;
+            out.push(black_box(1), &answer).ok()?;
+            bytes = black_box(bytes);
+            black_box(out.as_bytes());
+            out.clear();
+        }
+    }
 }
 
 #[cfg(not(target_os = "none"))]

@@ -1,0 +1,149 @@
+//! The parameter bank: one versioned, checksummed format for file, wire and store.
+//!
+//! `"FTPB"`, format version, postcard of [`ParameterBank`], CRC-32. Columns are listed by identity, so a bank says what
+//! it holds, and friction columns that come later read as zero from a bank that does not have them.
+
+mod column;
+mod error;
+mod typed;
+
+pub use column::{ColumnId, ColumnKind, rigid_columns};
+pub use error::BankError;
+pub use typed::NETWORK_SEED;
+pub(crate) use typed::name;
+
+use crate::edge::wire::Name;
+use heapless::Vec;
+use postcard::ser_flavors::{Slice, crc::CrcModifier};
+use serde::{Deserialize, Serialize};
+
+/// Most joints of an arm.
+pub const MAX_JOINTS: usize = 8;
+/// Most linear columns. A larger room does not change the format.
+pub const MAX_COLUMNS: usize = 96;
+/// Most network weights.
+pub const MAX_WEIGHTS: usize = 256;
+
+const MAGIC: [u8; 4] = *b"FTPB";
+const VERSION: u8 = 1;
+const PREFIX: usize = MAGIC.len() + 1;
+const CRC_BYTES: usize = 4;
+
+/// One linear parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Column {
+    /// What it is.
+    pub id: ColumnId,
+    /// Its value, in the unit of its kind.
+    pub value: f32,
+    /// Its standard deviation, in the same unit.
+    pub deviation: f32,
+}
+
+/// Activation of the hidden layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ActivationKind {
+    /// Rectifier, eq. 19.
+    Relu,
+    /// Sigmoid, eq. 18.
+    Sigmoid,
+    /// Hyperbolic tangent.
+    Tanh,
+}
+
+/// Shape of the network of one joint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NetworkShape {
+    /// Activation of the hidden layer.
+    pub activation: ActivationKind,
+    /// Inputs.
+    pub inputs: u8,
+    /// Hidden units.
+    pub hidden: u8,
+    /// Outputs.
+    pub outputs: u8,
+    /// Number of such networks, side by side.
+    pub blocks: u8,
+}
+
+/// Limits of one joint that the bank may set, inside those of the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JointBounds {
+    /// Largest torque, N·m.
+    pub torque_nm: f32,
+    /// Largest rate of the torque, N·m/s.
+    pub slew_nm_s: f32,
+    /// Largest share of the network, as a part of the arm's torque limit.
+    pub network_share: f32,
+}
+
+/// All parameters of one arm: what is loaded, learnt, stored and sent.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ParameterBank {
+    /// Identity of the arm.
+    #[serde(with = "postcard::fixint::le")]
+    pub arm_hash: u32,
+    /// Name of the arm.
+    pub arm: Name,
+    /// Linear parameters: rigid body, then friction.
+    pub columns: Vec<Column, MAX_COLUMNS>,
+    /// Drive gain of every joint, N·m/A; 0 where it is not known.
+    pub drive_gains_nm_a: Vec<f32, MAX_JOINTS>,
+    /// Shape of the networks.
+    pub network: NetworkShape,
+    /// Weights, network by network: hidden weights (all that leave one input together), hidden thresholds, output
+    /// weights (all that leave one hidden unit together), output thresholds.
+    pub weights: Vec<f32, MAX_WEIGHTS>,
+    /// Limits of every joint.
+    pub limits: Vec<JointBounds, MAX_JOINTS>,
+}
+
+impl ParameterBank {
+    /// Largest serialised bank, in bytes.
+    pub const MAX_BYTES: usize = PREFIX
+        + (4 + 1 + 24)
+        + (1 + 10 * MAX_COLUMNS)
+        + (1 + 4 * MAX_JOINTS)
+        + 5
+        + (2 + 4 * MAX_WEIGHTS)
+        + (1 + 12 * MAX_JOINTS)
+        + CRC_BYTES;
+
+    /// The serialised bank, at the front of `room`.
+    ///
+    /// Errors: [`BankError::TooLong`]; cannot fail with [`MAX_BYTES`](Self::MAX_BYTES) of room.
+    pub fn encode<'r>(&self, room: &'r mut [u8]) -> Result<&'r [u8], BankError> {
+        let flavor = CrcModifier::new(Slice::new(room), crate::edge::wire::CRC.digest());
+        postcard::serialize_with_flavor(&(MAGIC, VERSION, self), flavor)
+            .map(|bytes: &mut [u8]| &*bytes)
+            .map_err(|_| BankError::TooLong)
+    }
+
+    /// The bank in `bytes`, which must be all of it and nothing else. Does not judge its content.
+    ///
+    /// Errors: in this order, [`NotABank`](BankError::NotABank), [`Version`](BankError::Version),
+    /// [`Checksum`](BankError::Checksum), [`Malformed`](BankError::Malformed).
+    pub fn decode(bytes: &[u8]) -> Result<Self, BankError> {
+        let rest = bytes.strip_prefix(&MAGIC).ok_or(BankError::NotABank)?;
+        let &version = rest.first().ok_or(BankError::NotABank)?;
+        if version != VERSION {
+            return Err(BankError::Version(version));
+        }
+        let (content, checksum) = bytes
+            .split_last_chunk::<CRC_BYTES>()
+            .ok_or(BankError::NotABank)?;
+        if crate::edge::wire::CRC.checksum(content) != u32::from_le_bytes(*checksum) {
+            return Err(BankError::Checksum);
+        }
+        let body = content.get(PREFIX..).ok_or(BankError::NotABank)?;
+        match postcard::take_from_bytes(body) {
+            Ok((bank, [])) => Ok(bank),
+            _ => Err(BankError::Malformed),
+        }
+    }
+
+    /// The column with this identity.
+    pub fn column(&self, id: ColumnId) -> Option<&Column> {
+        self.columns.iter().find(|column| column.id == id)
+    }
+}

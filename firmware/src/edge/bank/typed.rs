@@ -1,0 +1,231 @@
+//! Between the self-describing bank and the typed set of one arm.
+
+use super::column::{ColumnId, ColumnKind, id, rigid_columns};
+use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
+use super::{MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS};
+use crate::arm::Arm;
+use crate::edge::wire::Name;
+use crate::feedforward::{FeedForwardConfig, NETWORK_BOUND};
+use crate::learning::{JointNetwork, LearnerConfig, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet};
+use heapless::Vec;
+
+/// Seed of the random hidden layers of a bank nobody has trained yet.
+pub const NETWORK_SEED: u32 = 1;
+
+impl ParameterBank {
+    /// The bank of an arm nobody has identified yet: the description's rigid body, no friction, silent networks, drive
+    /// gains not known, the arm's limits. Standard deviations are those of [`LearnerConfig::for_arm`].
+    pub fn nominal<A: Arm<N, P>, const N: usize, const P: usize>() -> Self {
+        Self::from_set::<A, N, P>(&ParameterSet::nominal::<A>(NETWORK_SEED))
+    }
+
+    /// The bank of `set`, everything else as in [`nominal`](Self::nominal).
+    pub fn from_set<A: Arm<N, P>, const N: usize, const P: usize>(
+        set: &ParameterSet<N, P>,
+    ) -> Self {
+        const {
+            assert!(N <= MAX_JOINTS);
+            assert!(P + 2 * N <= MAX_COLUMNS);
+            assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS);
+        }
+        let doubts = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
+        let rigid = rigid_columns::<A, N, P>().zip(doubts.rigid_sigma);
+        let friction = doubts.friction_sigma.into_iter().enumerate();
+        let friction = friction.flat_map(|(joint, doubt)| {
+            [
+                (id(ColumnKind::Fv, joint), doubt.viscous),
+                (id(ColumnKind::Fc, joint), doubt.coulomb),
+            ]
+        });
+        let columns = rigid.chain(friction).map(|(id, deviation)| Column {
+            id,
+            value: 0.0,
+            deviation,
+        });
+        // One second is as good as any: the slew limit of a tick of one second is the slew limit in N·m/s.
+        let limits = FeedForwardConfig::<N>::for_arm::<A, P>(1.0);
+        let bounds = limits.limits.iter().zip(limits.slew_per_tick);
+        let bounds = bounds.map(|(limits, slew_nm_s)| JointBounds {
+            torque_nm: limits.torque,
+            slew_nm_s,
+            network_share: NETWORK_BOUND,
+        });
+        let mut bank = Self {
+            arm_hash: A::HASH,
+            arm: name(A::NAME),
+            columns: bounded(columns),
+            drive_gains_nm_a: bounded(core::iter::repeat_n(0.0, N)),
+            network: shape::<N>(),
+            weights: Vec::new(),
+            limits: bounded(bounds),
+        };
+        bank.refresh::<A, N, P>(set);
+        bank
+    }
+
+    /// Puts the values of `set` into the bank and leaves all else as it is.
+    pub fn refresh<A: Arm<N, P>, const N: usize, const P: usize>(
+        &mut self,
+        set: &ParameterSet<N, P>,
+    ) {
+        let rigid = rigid_columns::<A, N, P>().zip(set.rigid.iter().copied());
+        let friction = set.friction.iter().enumerate().flat_map(|(joint, f)| {
+            [
+                (id(ColumnKind::Fv, joint), f.viscous),
+                (id(ColumnKind::Fc, joint), f.coulomb),
+            ]
+        });
+        for (id, value) in rigid.chain(friction) {
+            if let Some(column) = self.columns.iter_mut().find(|column| column.id == id) {
+                column.value = value;
+            }
+        }
+        let weights = set.network.iter().flat_map(|network| {
+            let hidden = network.hidden_weights.iter().chain(&network.hidden_bias);
+            let output = network.output_weights.iter().chain(&network.output_bias);
+            hidden.chain(output).copied()
+        });
+        self.weights = bounded(weights);
+    }
+
+    /// The typed set of the bank. Friction columns that are not there are zero.
+    ///
+    /// Errors: the first thing that makes the bank no bank for `A`.
+    pub fn set<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+    ) -> Result<ParameterSet<N, P>, BankError> {
+        if self.arm_hash != A::HASH {
+            return Err(BankError::WrongArm {
+                found: self.arm_hash,
+            });
+        }
+        self.check_columns::<A, N, P>()?;
+        let mut set = ParameterSet::nominal::<A>(NETWORK_SEED);
+        for (place, (id, value)) in rigid_columns::<A, N, P>()
+            .zip(set.rigid.iter_mut())
+            .enumerate()
+        {
+            *value = self
+                .column(id)
+                .ok_or(BankError::MissingColumn(place as u8))?
+                .value;
+        }
+        for (joint, friction) in set.friction.iter_mut().enumerate() {
+            friction.viscous = self.value(id(ColumnKind::Fv, joint));
+            friction.coulomb = self.value(id(ColumnKind::Fc, joint));
+        }
+        if self.network != shape::<N>() || self.weights.len() != N * JointNetwork::WEIGHTS {
+            return Err(BankError::NetworkShape);
+        }
+        if let Some(place) = self.weights.iter().position(|weight| !weight.is_finite()) {
+            return Err(BankError::Weight(place as u16));
+        }
+        let mut weights = self.weights.iter();
+        for network in &mut set.network {
+            let hidden = network
+                .hidden_weights
+                .iter_mut()
+                .chain(&mut network.hidden_bias);
+            let output = network
+                .output_weights
+                .iter_mut()
+                .chain(&mut network.output_bias);
+            for (slot, weight) in hidden.chain(output).zip(weights.by_ref()) {
+                *slot = *weight;
+            }
+        }
+        Ok(set)
+    }
+
+    /// Drive gain of every joint, N·m/A; 0 where it is not known. Errors: [`BankError::DriveGain`].
+    pub fn drive_gains<const N: usize>(&self) -> Result<[f32; N], BankError> {
+        let mut gains = [0.0; N];
+        for (joint, gain) in gains.iter_mut().enumerate() {
+            *gain = match self.drive_gains_nm_a.get(joint) {
+                Some(&gain) if gain.is_finite() && gain >= 0.0 => gain,
+                _ => return Err(BankError::DriveGain(joint as u8)),
+            };
+        }
+        Ok(gains)
+    }
+
+    /// How the tick shall behave at `period_s`: the arm's limits, tightened by those of the bank.
+    ///
+    /// Errors: [`BankError::Limit`] when a limit is not positive, or wider than the arm's, or the network's bound is not
+    /// the one this firmware is built with.
+    pub fn feed_forward_config<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        period_s: f32,
+    ) -> Result<FeedForwardConfig<N>, BankError> {
+        let mut config = FeedForwardConfig::for_arm::<A, P>(period_s);
+        let joints = config.limits.iter_mut().zip(&mut config.slew_per_tick);
+        for (joint, (limits, slew)) in joints.enumerate() {
+            let error = BankError::Limit(joint as u8);
+            let bounds = self.limits.get(joint).ok_or(error)?;
+            let torque = bounds.torque_nm > 0.0 && bounds.torque_nm <= limits.torque;
+            let rate = bounds.slew_nm_s > 0.0 && bounds.slew_nm_s.is_finite();
+            if !torque || !rate || bounds.network_share != NETWORK_BOUND {
+                return Err(error);
+            }
+            limits.torque = bounds.torque_nm;
+            *slew = bounds.slew_nm_s * period_s;
+        }
+        config.validate().map_err(|_| BankError::Limit(0))?;
+        Ok(config)
+    }
+
+    fn value(&self, id: ColumnId) -> f32 {
+        self.column(id).map_or(0.0, |column| column.value)
+    }
+
+    /// Every column is known, there once, and a number.
+    fn check_columns<A: Arm<N, P>, const N: usize, const P: usize>(&self) -> Result<(), BankError> {
+        for (place, column) in self.columns.iter().enumerate() {
+            let friction = matches!(column.id.kind, ColumnKind::Fv | ColumnKind::Fc)
+                && usize::from(column.id.joint) < N;
+            let known = friction || rigid_columns::<A, N, P>().any(|id| id == column.id);
+            let first = self.columns.iter().position(|other| other.id == column.id) == Some(place);
+            if !known || !first {
+                return Err(BankError::UnknownColumn(place as u8));
+            }
+            let deviation = column.deviation.is_finite() && column.deviation >= 0.0;
+            if !column.value.is_finite() || !deviation {
+                return Err(BankError::Column(place as u8));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The shape this firmware is built with.
+fn shape<const N: usize>() -> NetworkShape {
+    NetworkShape {
+        activation: ActivationKind::Relu,
+        inputs: NETWORK_INPUTS as u8,
+        hidden: NETWORK_HIDDEN as u8,
+        outputs: 1,
+        blocks: N as u8,
+    }
+}
+
+/// The front of `text` that fits a name.
+pub(crate) fn name(text: &str) -> Name {
+    let mut name = Name::new();
+    for letter in text.chars() {
+        if name.push(letter).is_err() {
+            break;
+        }
+    }
+    name
+}
+
+/// The first `M` items. Collecting into a `heapless::Vec` would panic on one more.
+fn bounded<T, const M: usize>(items: impl Iterator<Item = T>) -> Vec<T, M> {
+    let mut vector = Vec::new();
+    for item in items {
+        if vector.push(item).is_err() {
+            break;
+        }
+    }
+    vector
+}

@@ -1,0 +1,98 @@
+use crate::arm::Arm;
+use crate::edge::telemetry::CostMeter;
+use crate::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
+use heapless::spsc::Queue;
+
+/// A new period for the learner, which then starts over from a set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Restart<const N: usize, const P: usize> {
+    period_s: f32,
+    set: ParameterSet<N, P>,
+}
+
+/// What tick and learner share: lessons one way, learnt sets the other.
+///
+/// Where they run at different priorities this is the one locked resource, and every lock is a copy at most. The learner's
+/// task is
+///
+/// ```text
+/// while let Some(lesson) = lock(|desk| desk.begin(&mut learner)) {
+///     learner.study(&lesson);                               // the tick may run in the middle of it
+///     lock(|desk| desk.finish(&mut learner, cost));
+/// }
+/// ```
+pub struct Desk<const N: usize, const P: usize> {
+    lessons: Queue<Lesson<N>, 16>,
+    pub(super) exchange: Exchange<N, P>,
+    restart: Option<Restart<N, P>>,
+    pub(super) lessons_lost: u32,
+    pub(super) learn_cost: CostMeter,
+}
+
+impl<const N: usize, const P: usize> Desk<N, P> {
+    /// An empty desk.
+    pub const fn new() -> Self {
+        Self {
+            lessons: Queue::new(),
+            exchange: Exchange::new(),
+            restart: None,
+            lessons_lost: 0,
+            learn_cost: CostMeter::new(),
+        }
+    }
+
+    /// Lessons waiting.
+    pub fn waiting(&self) -> usize {
+        self.lessons.len()
+    }
+
+    /// The next lesson, and whatever the learner has to take over before it. Touches `learner` for one copy at most.
+    pub fn begin<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) -> Option<Lesson<N>> {
+        if let Some(Restart { period_s, set }) = self.restart.take() {
+            // A period that the session has accepted makes a configuration that the learner accepts.
+            if let Ok(fresh) = Learner::new(LearnerConfig::for_arm::<A>(period_s), set) {
+                *learner = fresh;
+            }
+        }
+        let lesson = self.lessons.dequeue()?;
+        learner.collect(lesson.tick, &mut self.exchange);
+        Some(lesson)
+    }
+
+    /// Takes over what the learner made of the lesson. `cost` counts on the board's counter; 0 where there is none.
+    pub fn finish<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>, cost: u32) {
+        self.learn_cost.note(cost);
+        // What was learnt for ticks before a restart must not meet the ticks after it.
+        if self.restart.is_none() {
+            learner.publish(&mut self.exchange);
+        }
+    }
+
+    /// Works through all lessons waiting, where tick and learner take turns. `now` is the board's counter.
+    pub fn work<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>, now: fn() -> u32) {
+        while let Some(lesson) = self.begin(learner) {
+            let start = now();
+            learner.study(&lesson);
+            self.finish(learner, now().wrapping_sub(start));
+        }
+    }
+
+    pub(super) fn post(&mut self, lesson: Lesson<N>) {
+        if self.lessons.enqueue(lesson).is_err() {
+            self.lessons_lost = self.lessons_lost.saturating_add(1);
+        }
+    }
+
+    /// Forgets all lessons and sets; the learner starts over from `set` at `period_s`.
+    pub(super) fn restart(&mut self, period_s: f32, set: ParameterSet<N, P>) {
+        while self.lessons.dequeue().is_some() {}
+        self.exchange = Exchange::new();
+        self.restart = Some(Restart { period_s, set });
+    }
+}
+
+impl<const N: usize, const P: usize> Default for Desk<N, P> {
+    fn default() -> Self {
+        Self::new()
+    }
+}

@@ -1,0 +1,88 @@
+use crate::edge::bank::{BankError, ParameterBank};
+use crate::edge::wire::{CHUNK, CRC, Chunk, NackReason};
+
+/// One parameter bank on its way up or down, in one room.
+pub(super) struct Transfer {
+    bytes: [u8; ParameterBank::MAX_BYTES],
+    length: usize,
+    direction: Direction,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Direction {
+    Idle,
+    Up,
+    Down,
+}
+
+impl Transfer {
+    pub(super) const fn new() -> Self {
+        Self {
+            bytes: [0; ParameterBank::MAX_BYTES],
+            length: 0,
+            direction: Direction::Idle,
+        }
+    }
+
+    pub(super) fn abort(&mut self) {
+        self.direction = Direction::Idle;
+        self.length = 0;
+    }
+
+    /// Takes the next piece. Offset 0 begins anew; a piece that is there already is taken again without harm, so that a
+    /// host whose acknowledgement was lost may repeat it.
+    pub(super) fn write(&mut self, offset: u16, chunk: &[u8]) -> Result<(), NackReason> {
+        if offset == 0 {
+            self.direction = Direction::Up;
+            self.length = 0;
+        } else if self.direction != Direction::Up {
+            return Err(NackReason::Gap { expected: 0 });
+        }
+        let start = usize::from(offset);
+        let end = start + chunk.len();
+        if start > self.length {
+            let expected = self.length as u16;
+            return Err(NackReason::Gap { expected });
+        }
+        let room = self.bytes.get_mut(start..end).ok_or(NackReason::TooLong)?;
+        for (slot, byte) in room.iter_mut().zip(chunk) {
+            *slot = *byte;
+        }
+        self.length = end;
+        Ok(())
+    }
+
+    /// The uploaded bank, if it is all there. The upload is over, whatever comes of it.
+    pub(super) fn commit(&mut self, length: u16, crc: u32) -> Result<ParameterBank, NackReason> {
+        let complete = self.direction == Direction::Up && self.length == usize::from(length);
+        let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        let bank = if complete && CRC.checksum(bytes) == crc {
+            ParameterBank::decode(bytes).map_err(NackReason::Bank)
+        } else {
+            Err(NackReason::Checksum)
+        };
+        self.abort();
+        bank
+    }
+
+    /// Keeps `bank` for reading; an unfinished upload is dropped.
+    pub(super) fn snapshot(&mut self, bank: &ParameterBank) -> Result<(), BankError> {
+        self.abort();
+        self.length = bank.encode(&mut self.bytes)?.len();
+        self.direction = Direction::Down;
+        Ok(())
+    }
+
+    /// Length of the snapshot, and the piece of it at `offset`; empty behind its end.
+    pub(super) fn read(&self, offset: u16) -> Result<(u16, Chunk), NackReason> {
+        if self.direction != Direction::Down {
+            return Err(NackReason::Gap { expected: 0 });
+        }
+        let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        let rest = bytes.get(usize::from(offset)..).unwrap_or_default();
+        Ok((
+            self.length as u16,
+            rest.iter().copied().take(CHUNK).collect(),
+        ))
+    }
+}

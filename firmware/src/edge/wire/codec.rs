@@ -1,0 +1,168 @@
+//! Message to bytes.
+
+use super::{MAX_FRAME, PROTOCOL_VERSION};
+use core::fmt;
+use crc::{CRC_32_ISO_HDLC, Crc};
+use postcard::ser_flavors::{Flavor, crc::CrcModifier};
+use serde::Serialize;
+
+/// CRC-32 of frames and parameter banks (ISO-HDLC, the one of zip and Ethernet; 1 KiB of table).
+pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+#[derive(Serialize)]
+struct Frame<'a, M> {
+    version: u8,
+    #[serde(with = "postcard::fixint::le")]
+    sequence: u16,
+    message: &'a M,
+}
+
+/// The message does not fit the room it was given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EncodeError;
+
+impl fmt::Display for EncodeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("no room for the frame")
+    }
+}
+
+impl core::error::Error for EncodeError {}
+
+/// The bytes of one frame, delimiter included, at the front of `room`.
+///
+/// Errors: [`EncodeError`] when the frame is longer than `room`.
+pub fn encode<'r, M: Serialize>(
+    sequence: u16,
+    message: &M,
+    room: &'r mut [u8],
+) -> Result<&'r [u8], EncodeError> {
+    encode_as(PROTOCOL_VERSION, sequence, message, room)
+}
+
+/// [`encode`] with the version spoken freely: what a board of another generation would send.
+pub(crate) fn encode_as<'r, M: Serialize>(
+    version: u8,
+    sequence: u16,
+    message: &M,
+    room: &'r mut [u8],
+) -> Result<&'r [u8], EncodeError> {
+    let frame = Frame {
+        version,
+        sequence,
+        message,
+    };
+    let cobs = Cobs::new(room);
+    postcard::serialize_with_flavor(&frame, CrcModifier::new(cobs, CRC.digest()))
+        .map(|frame: &mut [u8]| &*frame)
+        .map_err(|_| EncodeError)
+}
+
+/// COBS on the way into the room. The flavor of postcard does the same with indices that can panic.
+struct Cobs<'r> {
+    room: &'r mut [u8],
+    /// Bytes used.
+    length: usize,
+    /// Place of the length byte of the block under way.
+    code: usize,
+    /// What that byte will be: one more than the bytes of the block.
+    run: u8,
+}
+
+impl<'r> Cobs<'r> {
+    fn new(room: &'r mut [u8]) -> Self {
+        Self {
+            room,
+            length: 1,
+            code: 0,
+            run: 1,
+        }
+    }
+
+    fn put(&mut self, place: usize, byte: u8) -> postcard::Result<()> {
+        let slot = self.room.get_mut(place);
+        *slot.ok_or(postcard::Error::SerializeBufferFull)? = byte;
+        Ok(())
+    }
+
+    fn close_block(&mut self) -> postcard::Result<()> {
+        self.put(self.code, self.run)?;
+        self.code = self.length;
+        self.length += 1;
+        self.run = 1;
+        Ok(())
+    }
+}
+
+impl<'r> Flavor for Cobs<'r> {
+    type Output = &'r mut [u8];
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        if byte == 0 {
+            return self.close_block();
+        }
+        self.put(self.length, byte)?;
+        self.length += 1;
+        self.run += 1;
+        if self.run == u8::MAX {
+            return self.close_block();
+        }
+        Ok(())
+    }
+
+    fn finalize(mut self) -> postcard::Result<Self::Output> {
+        self.close_block()?;
+        // The delimiter takes the place that the next block would have begun with.
+        self.put(self.code, 0)?;
+        let frame = self.room.get_mut(..self.length);
+        frame.ok_or(postcard::Error::SerializeBufferFull)
+    }
+}
+
+/// Frames on their way out, in the order they were pushed.
+#[derive(Clone, Debug)]
+pub struct FrameBuffer {
+    bytes: [u8; Self::CAPACITY],
+    length: usize,
+}
+
+impl FrameBuffer {
+    /// Room in bytes: four of the largest frames.
+    pub const CAPACITY: usize = 4 * MAX_FRAME;
+
+    /// An empty buffer.
+    pub const fn new() -> Self {
+        Self {
+            bytes: [0; Self::CAPACITY],
+            length: 0,
+        }
+    }
+
+    /// The bytes to send.
+    pub fn as_bytes(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or_default()
+    }
+
+    /// Nothing is waiting.
+    pub const fn is_empty(&self) -> bool {
+        self.length == 0
+    }
+
+    /// Forgets what was sent.
+    pub fn clear(&mut self) {
+        self.length = 0;
+    }
+
+    /// Appends one frame. Errors: [`EncodeError`] when it does not fit; the frames before it stay.
+    pub fn push<M: Serialize>(&mut self, sequence: u16, message: &M) -> Result<(), EncodeError> {
+        let room = self.bytes.get_mut(self.length..).unwrap_or_default();
+        self.length += encode(sequence, message, room)?.len();
+        Ok(())
+    }
+}
+
+impl Default for FrameBuffer {
+    fn default() -> Self {
+        Self::new()
+    }
+}

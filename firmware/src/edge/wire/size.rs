@@ -1,0 +1,42 @@
+//! Sizes of the cyclic frames and the share of a link that they take.
+
+/// Version, sequence number and message tag.
+pub const HEADER: usize = 4;
+/// CRC-32, COBS byte and delimiter.
+pub const TRAILER: usize = 6;
+/// Bits on an asynchronous line for one byte: start, eight data, stop.
+pub const BITS_PER_BYTE: u64 = 10;
+
+/// Wire size of a frame whose message has `content` bytes behind the tag.
+pub const fn frame(content: usize) -> usize {
+    HEADER + content + TRAILER
+}
+
+/// Wire size of a sample of `joints` joints: flags, temperature, and 3 + 3 + 2 + 3 + 3 bytes a joint.
+pub const fn sample(joints: usize) -> usize {
+    frame(2 + 14 * joints)
+}
+
+/// Wire size of a torque with the shares of one joint: tick, flags, total, three shares.
+pub const fn torque(joints: usize) -> usize {
+    frame(4 + 2 + 4 * joints + 3 * 4)
+}
+
+/// Wire size of a torque with all shares.
+pub const fn full_torque(joints: usize) -> usize {
+    frame(4 + 2 + 16 * joints)
+}
+
+/// Sample of six joints: the cyclic request of the link, B.
+pub const SAMPLE_6: usize = sample(6);
+/// Torque of six joints: the cyclic reply of the link, B.
+pub const TORQUE_6: usize = torque(6);
+
+/// Part of one direction of a line that frames of `bytes` at `rate_hz` leave free, in per mille.
+pub const fn headroom_permille(bytes: usize, rate_hz: u64, baud: u64) -> i64 {
+    1000 - (1000 * bytes as u64 * BITS_PER_BYTE * rate_hz / baud) as i64
+}
+
+const _: () = assert!(SAMPLE_6 <= 96 && TORQUE_6 <= 64);
+const _: () = assert!(headroom_permille(sample(7), 1000, 2_000_000) >= 300);
+const _: () = assert!(headroom_permille(full_torque(7), 1000, 2_000_000) >= 300);

@@ -1,0 +1,373 @@
+use super::{BoardError, Transport};
+use foretorque::arm::Arm;
+use foretorque::edge::bank::ParameterBank;
+use foretorque::edge::telemetry::Statistics;
+use foretorque::edge::wire::{
+    BoardHello, BoardMessage, CHUNK, Chunk, Configuration, DecodeError, Decoder, FrameBuffer,
+    HostMessage, SampleFrame,
+};
+use foretorque::feedforward::{Shares, Torque};
+use foretorque::joint::{JointMotion, JointSample, JointVector};
+use foretorque::limits::Flags;
+use std::time::{Duration, Instant};
+
+/// How often a question that may be asked twice without harm is asked.
+const ATTEMPTS: usize = 3;
+/// How long one hello is waited for while a board may still be booting.
+const HELLO_TIMEOUT: Duration = Duration::from_millis(300);
+
+/// Shares of the torque of one tick, N·m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BoardShares<const N: usize> {
+    /// Those of one joint: rigid body, friction, network.
+    Joint(usize, [f32; 3]),
+    /// All of them.
+    All(Shares<N>),
+}
+
+/// Torque of one tick, as the board answered it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickReply<const N: usize> {
+    /// Counter of the tick.
+    pub tick: u32,
+    /// What happened.
+    pub flags: Flags,
+    /// The torque, N × N·m, bit for bit.
+    pub total: JointVector<N>,
+    /// What it is made of.
+    pub shares: BoardShares<N>,
+}
+
+/// What the host saw of the link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkCount {
+    /// Frames sent.
+    pub sent: u64,
+    /// Good frames received.
+    pub received: u64,
+    /// Damaged or foreign frames received.
+    pub errors: u64,
+    /// Good frames that answered no open question.
+    pub stray: u64,
+    /// Questions that found no answer in time.
+    pub timeouts: u64,
+}
+
+/// Speaks the protocol with a board of `N` joints over any [`Transport`].
+pub struct Client<const N: usize> {
+    transport: Box<dyn Transport>,
+    decoder: Decoder,
+    request: FrameBuffer,
+    sequence: u16,
+    /// Bytes received and not yet decoded.
+    bytes: Vec<u8>,
+    next: usize,
+    timeout: Duration,
+    count: LinkCount,
+    hello: BoardHello,
+}
+
+impl<const N: usize> Client<N> {
+    /// Greets the board and makes sure that it drives arm `A` and speaks this protocol.
+    ///
+    /// * `boot` how long the board may take to answer its first hello
+    ///
+    /// Errors: [`BoardError::Timeout`], [`BoardError::WrongProtocol`], [`BoardError::WrongRobot`],
+    /// [`BoardError::Closed`].
+    pub fn connect<A: Arm<N, P>, const P: usize>(
+        transport: Box<dyn Transport>,
+        boot: Duration,
+    ) -> Result<Self, BoardError> {
+        Self::connect_as(transport, A::NAME, A::HASH, boot)
+    }
+
+    /// [`connect`](Self::connect) with name and identity of the arm as values.
+    pub fn connect_as(
+        transport: Box<dyn Transport>,
+        arm: &str,
+        arm_hash: u32,
+        boot: Duration,
+    ) -> Result<Self, BoardError> {
+        let mut client = Self {
+            transport,
+            decoder: Decoder::new(),
+            request: FrameBuffer::new(),
+            sequence: 0,
+            bytes: Vec::new(),
+            next: 0,
+            timeout: Duration::from_secs(2),
+            count: LinkCount::default(),
+            hello: nobody(),
+        };
+        client.hello = client.greet(boot)?;
+        let found = &client.hello;
+        if found.arm_hash != arm_hash || usize::from(found.joints) != N {
+            return Err(BoardError::WrongRobot {
+                wanted: format!("{arm} ({arm_hash:08x})"),
+                found: format!(
+                    "{} ({:08x}, {} joints)",
+                    found.arm, found.arm_hash, found.joints
+                ),
+            });
+        }
+        Ok(client)
+    }
+
+    /// How long an answer is waited for.
+    pub fn set_timeout(&mut self, timeout: Duration) {
+        self.timeout = timeout;
+    }
+
+    /// Who the board said it is.
+    pub fn hello(&self) -> &BoardHello {
+        &self.hello
+    }
+
+    /// What the host saw of the link so far.
+    pub fn link_count(&self) -> LinkCount {
+        self.count
+    }
+
+    /// Runs one tick with `sample` and returns its torque.
+    ///
+    /// Errors: as below; after [`BoardError::Timeout`] the sample counts as lost and the next one may follow.
+    pub fn sample(&mut self, sample: &JointSample<N>) -> Result<TickReply<N>, BoardError> {
+        self.sample_frame(&SampleFrame::new(sample))
+    }
+
+    /// [`sample`](Self::sample) for a frame made elsewhere: with currents, or temperatures.
+    pub fn sample_frame(&mut self, frame: &SampleFrame<N>) -> Result<TickReply<N>, BoardError> {
+        let sequence = self.post(&HostMessage::Sample(*frame))?;
+        match self.wait_for(sequence, self.timeout)? {
+            BoardMessage::Torque(reply) => Ok(TickReply {
+                tick: reply.tick,
+                flags: Flags(reply.flags),
+                total: reply.total.into(),
+                shares: BoardShares::Joint(reply.tick as usize % N, reply.shares),
+            }),
+            BoardMessage::FullTorque(reply) => {
+                let torque = Torque::from(&reply);
+                Ok(TickReply {
+                    tick: torque.tick,
+                    flags: torque.flags,
+                    total: torque.total,
+                    shares: BoardShares::All(torque.shares),
+                })
+            }
+            other => Err(refused(other)),
+        }
+    }
+
+    /// Shares of the board's active set for `motion`; changes nothing on the board.
+    pub fn evaluate(&mut self, motion: &JointMotion<N>) -> Result<Torque<N>, BoardError> {
+        match self.ask(&HostMessage::Evaluate(motion.into()))? {
+            BoardMessage::Evaluated(frame) => Ok(Torque::from(&frame)),
+            other => Err(refused(other)),
+        }
+    }
+
+    /// Sets period, pacing and reply mode; the board's tick starts over at 0.
+    pub fn configure(&mut self, configuration: Configuration) -> Result<(), BoardError> {
+        self.command(&HostMessage::Configure(configuration))?;
+        self.hello.configuration = configuration;
+        Ok(())
+    }
+
+    /// Switches learning on or off.
+    pub fn learning(&mut self, on: bool) -> Result<(), BoardError> {
+        self.command(&HostMessage::Learning { on })
+    }
+
+    /// The board's counters.
+    pub fn statistics(&mut self) -> Result<Statistics, BoardError> {
+        match self.ask(&HostMessage::Statistics)? {
+            BoardMessage::Statistics(statistics) => Ok(statistics),
+            other => Err(refused(other)),
+        }
+    }
+
+    /// Brings the board back to the state after boot.
+    pub fn reset(&mut self) -> Result<(), BoardError> {
+        self.command(&HostMessage::Reset)?;
+        self.hello.configuration = Configuration::default();
+        Ok(())
+    }
+
+    /// Sends `bank` and has the board take it over, whole or not at all. Learning must be off.
+    pub fn upload_bank(&mut self, bank: &ParameterBank) -> Result<(), BoardError> {
+        let mut room = [0; ParameterBank::MAX_BYTES];
+        let bytes = bank.encode(&mut room).map_err(BoardError::Bank)?;
+        for (place, chunk) in bytes.chunks(CHUNK).enumerate() {
+            self.command(&HostMessage::BankWrite {
+                offset: (place * CHUNK) as u16,
+                bytes: chunk.iter().copied().collect(),
+            })?;
+        }
+        // Not asked twice: the first commit ends the upload, so a second would be refused although the first was good.
+        let sequence = self.post(&HostMessage::BankCommit {
+            length: bytes.len() as u16,
+            crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
+        })?;
+        acknowledged(self.wait_for(sequence, self.timeout)?)
+    }
+
+    /// The bank in force on the board, what it has learnt included.
+    pub fn read_bank(&mut self) -> Result<ParameterBank, BoardError> {
+        let mut bank = Vec::new();
+        loop {
+            let wanted = bank.len() as u16;
+            let (length, piece) = self.read_chunk(wanted)?;
+            bank.extend_from_slice(&piece);
+            if bank.len() >= usize::from(length) || piece.is_empty() {
+                return ParameterBank::decode(&bank).map_err(BoardError::Bank);
+            }
+        }
+    }
+
+    fn read_chunk(&mut self, wanted: u16) -> Result<(u16, Chunk), BoardError> {
+        match self.ask(&HostMessage::BankRead { offset: wanted })? {
+            BoardMessage::BankChunk {
+                offset,
+                length,
+                bytes,
+            } if offset == wanted => Ok((length, bytes)),
+            other => Err(refused(other)),
+        }
+    }
+
+    fn greet(&mut self, boot: Duration) -> Result<BoardHello, BoardError> {
+        let deadline = Instant::now() + boot;
+        // Whatever a predecessor left half said on the line ends here.
+        self.transmit(&[0])?;
+        loop {
+            let sequence = self.post(&HostMessage::Hello)?;
+            match self.wait_for(sequence, HELLO_TIMEOUT) {
+                Ok(BoardMessage::Hello(hello)) => return Ok(hello),
+                Ok(_) => return Err(BoardError::UnexpectedAnswer),
+                // The board has just booted, and may not have heard the question.
+                Err(BoardError::Timeout(_) | BoardError::Restarted(_))
+                    if Instant::now() < deadline => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn command(&mut self, message: &HostMessage<N>) -> Result<(), BoardError> {
+        acknowledged(self.ask(message)?)
+    }
+
+    /// Asks a question that may be asked twice without harm.
+    fn ask(&mut self, message: &HostMessage<N>) -> Result<BoardMessage<N>, BoardError> {
+        let mut attempt = 1;
+        loop {
+            let sequence = self.post(message)?;
+            match self.wait_for(sequence, self.timeout) {
+                Err(BoardError::Timeout(_)) if attempt < ATTEMPTS => attempt += 1,
+                answer => return answer,
+            }
+        }
+    }
+
+    fn post(&mut self, message: &HostMessage<N>) -> Result<u16, BoardError> {
+        // Number 0 is the board's own: what it says unasked.
+        self.sequence = self.sequence.checked_add(1).unwrap_or(1);
+        self.request.clear();
+        self.request
+            .push(self.sequence, message)
+            .expect("every message of the protocol fits an empty frame buffer");
+        let frame = self.request.as_bytes().to_vec();
+        self.transmit(&frame)?;
+        self.count.sent += 1;
+        Ok(self.sequence)
+    }
+
+    fn transmit(&mut self, bytes: &[u8]) -> Result<(), BoardError> {
+        let sent = self.transport.send(bytes);
+        sent.map_err(|error| BoardError::Closed(self.transport.name(), error))
+    }
+
+    /// The answer to question `sequence`.
+    fn wait_for(
+        &mut self,
+        sequence: u16,
+        timeout: Duration,
+    ) -> Result<BoardMessage<N>, BoardError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            while let Some(&byte) = self.bytes.get(self.next) {
+                self.next += 1;
+                let received = match self.decoder.push(byte) {
+                    None => continue,
+                    Some(frame) => frame.and_then(|frame| {
+                        Ok((frame.sequence, frame.message::<BoardMessage<N>>()?))
+                    }),
+                };
+                match received {
+                    Ok((from, answer)) => {
+                        self.count.received += 1;
+                        match answer {
+                            answer if from == sequence => return Ok(answer),
+                            BoardMessage::Hello(hello) if from == 0 => {
+                                return Err(BoardError::Restarted(hello.reset_reason));
+                            }
+                            _ => self.count.stray += 1,
+                        }
+                    }
+                    Err(DecodeError::ForeignVersion(version)) => {
+                        return Err(BoardError::WrongProtocol(version));
+                    }
+                    Err(_) => self.count.errors += 1,
+                }
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            // A board that talks without pause must not keep the question open for ever.
+            if left.is_zero() || !self.fill(left)? {
+                self.count.timeouts += 1;
+                return Err(BoardError::Timeout(self.transport.name()));
+            }
+        }
+    }
+
+    /// Waits for bytes; `false` when none came in time.
+    fn fill(&mut self, timeout: Duration) -> Result<bool, BoardError> {
+        self.bytes.resize(FrameBuffer::CAPACITY, 0);
+        self.next = 0;
+        let received = self.transport.receive(&mut self.bytes, timeout);
+        self.bytes.truncate(*received.as_ref().unwrap_or(&0));
+        match received {
+            Ok(count) => Ok(count > 0),
+            Err(error) => Err(BoardError::Closed(self.transport.name(), error)),
+        }
+    }
+}
+
+fn acknowledged<const N: usize>(answer: BoardMessage<N>) -> Result<(), BoardError> {
+    match answer {
+        BoardMessage::Ack => Ok(()),
+        other => Err(refused(other)),
+    }
+}
+
+fn refused<const N: usize>(answer: BoardMessage<N>) -> BoardError {
+    match answer {
+        BoardMessage::Nack(reason) => BoardError::Refused(reason),
+        _ => BoardError::UnexpectedAnswer,
+    }
+}
+
+/// Stands where the board's hello will stand.
+fn nobody() -> BoardHello {
+    use foretorque::edge::wire::{Capabilities, CounterKind, Name, ResetReason};
+    BoardHello {
+        arm_hash: 0,
+        arm: Name::new(),
+        joints: 0,
+        base_columns: 0,
+        firmware: Name::new(),
+        capabilities: Capabilities::default(),
+        counter: CounterKind::None,
+        counter_hz: 0,
+        configuration: Configuration::default(),
+        reset_reason: ResetReason::Unknown,
+    }
+}
