@@ -102,6 +102,19 @@ fn gravity_vanishes_when_links_are_massless() {
 }
 
 #[test]
+fn an_angle_that_is_no_angle_gives_no_torque() {
+    let beta = BaseParameters::<40>::from_row_slice(&Ur5::NOMINAL);
+    for angle in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1001.0] {
+        for joint in 0..6 {
+            let mut motion = JointMotion::zero();
+            motion.q[joint] = angle;
+            let tau = rnea::<Ur5, 6, 40>(&beta, &motion);
+            assert!(tau.iter().all(|torque| torque.is_nan()));
+        }
+    }
+}
+
+#[test]
 fn torques_at_rest_and_without_gravity_share_are_zero() {
     // Only inertias, no first moments: an arm at rest needs no torque.
     let mut beta = BaseParameters::<40>::from_row_slice(&Ur5::NOMINAL);

@@ -1,6 +1,6 @@
 //! Rows of the joint torque regressor.
 
-use super::link::{BaseSet, Chain, LinkMotion, origin};
+use super::link::{BaseSet, LinkMotion, origin, rotation};
 use super::term::{Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
 use crate::joint::JointMotion;
@@ -15,49 +15,47 @@ use nalgebra::SVector;
 ///
 /// * `joint` 0 to N − 1; any other gives a row of zeros
 ///
+/// Assumes: angles within ±1000 rad ([`super::rnea`] refuses others).///
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link from `joint` on.
 pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
-    let chain = Chain::outward::<A, P>(motion);
-    let mut row = SVector::zeros();
     outward!(J < N {
         if joint == J {
-            write_row::<A, N, P, J>(&chain, motion, &mut row);
+            return row_of::<A, N, P, J>(motion);
         }
     });
-    row
+    SVector::zeros()
 }
 
 /// The row of joint `J`; one instance for each joint, so that what is 0 in its own frame costs nothing.
-#[inline(always)]
 #[expect(
     clippy::absurd_extreme_comparisons,
     reason = "the loop is written out joint by joint, the first one too"
 )]
-fn write_row<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
-    chain: &Chain<N>,
+fn row_of<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
     motion: &JointMotion<N>,
-    row: &mut SVector<f32, P>,
-) {
+) -> SVector<f32, P> {
+    let mut row = SVector::zeros();
+    let mut link = LinkMotion::base::<A, N, P>();
     let mut s = Vector::Z;
     let mut v = Vector::ZERO;
     outward!(I < N {
+        let rot = rotation::<A, N, P>(I, motion.q[I]);
+        link = link.next::<A, N, P>(I, &rot, motion);
         if I >= J {
             if I != J {
-                v = chain.rot[I].transposed_times(v + s.cross(origin::<A, N, P>(I)));
-                s = chain.rot[I].transposed_times(s);
+                v = rot.transposed_times(v + s.cross(origin::<A, N, P>(I)));
+                s = rot.transposed_times(s);
             }
-            let entries = power_of_unit_parameters(&chain.link[I], s, v);
-            set(row, &BaseSet::<A, N, P>::LINK[I], &entries);
+            let entries = power_of_unit_parameters(&link, s, v);
+            set(&mut row, &BaseSet::<A, N, P>::LINK[I], &entries);
         }
     });
-    set(
-        row,
-        &[BaseSet::<A, N, P>::ROTOR[J]],
-        &[Term::variable(motion.qdd[J])],
-    );
+    let rotor = &[BaseSet::<A, N, P>::ROTOR[J]];
+    set(&mut row, rotor, &[Term::variable(motion.qdd[J])]);
+    row
 }
 
 /// `s · n + v · F` for each parameter of a link at value one, in the order of eq. 14.
@@ -66,7 +64,7 @@ fn power_of_unit_parameters(motion: &LinkMotion, s: Vector, v: Vector) -> [Term;
     let [wx, wy, wz] = motion.omega.0;
     let [ax, ay, az] = motion.alpha.0;
     let [u_x, u_y, u_z] = motion.u.0;
-    let ([uxx, uxy, uxz], [uyx, uyy, uyz], [uzx, uzy, uzz]) = (u_x.0, u_y.0, u_z.0);
+    let ([_, uxy, uxz], [uyx, _, uyz], [uzx, uzy, _]) = (u_x.0, u_y.0, u_z.0);
     let [sx, sy, sz] = s.0;
     let (xy, xz, yz) = (wx * wy, wx * wz, wy * wz);
     // F = U c and n = c × v̇, so that v · F + s · n = c · (Uᵀ v + v̇ × s).
@@ -79,9 +77,9 @@ fn power_of_unit_parameters(motion: &LinkMotion, s: Vector, v: Vector) -> [Term;
         sx * ax + sy * xz - sz * xy,
         sy * ay + sz * xy - sx * yz,
         sz * az + sx * yz - sy * xz,
-        sy * uzy - sx * uzx + sz * (uxx - uyy),
-        sx * uyx - sz * uyz + sy * (uzz - uxx),
-        sz * uxz - sy * uxy + sx * (uyy - uzz),
+        sy * uzy - sx * uzx + sz * (wx * wx - wy * wy),
+        sx * uyx - sz * uyz + sy * (wz * wz - wx * wx),
+        sz * uxz - sy * uxy + sx * (wy * wy - wz * wz),
     ]
 }
 

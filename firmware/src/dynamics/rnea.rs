@@ -1,7 +1,7 @@
 //! Inverse dynamics by the recursive Newton–Euler algorithm.
 
 use super::BaseParameters;
-use super::link::{BaseSet, LinkMotion, origin, rotation};
+use super::link::{BaseSet, LinkMotion, is_angle, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
@@ -21,6 +21,7 @@ use crate::joint::{JointMotion, JointVector};
 /// * `beta` base parameters, order of [`Arm::COLUMNS`]
 /// * `motion` q, qd, qdd of all joints, rad, rad/s, rad/s²
 ///
+/// Limits: an angle beyond ±1000 rad or NaN makes every torque NaN.
 /// Cost: about 100 multiply-adds a joint at right angles, and one `sin_cos` a joint.
 pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
@@ -32,6 +33,9 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     // about its origin.
     let mut wrench = [Wrench::ZERO; N];
     outward!(I < N {
+        if !is_angle(motion.q[I]) {
+            return JointVector::repeat(f32::NAN);
+        }
         rot[I] = rotation::<A, N, P>(I, motion.q[I]);
         link = link.next::<A, N, P>(I, &rot[I], motion);
         wrench[I] = LinkParameters::of::<A, N, P>(beta, I).wrench(&link);
@@ -114,19 +118,19 @@ impl LinkParameters {
 
     /// Force and moment about the link origin that give this link its motion, in the link frame.
     ///
-    /// `I ω̇ + ω × (I ω)` written out by parameter: Ixy, Ixz and Iyz meet entries of U and differences of its diagonal.
+    /// `I ω̇ + ω × (I ω)` written out by parameter: most of what meets Ixy, Ixz and Iyz are entries of U.
     #[inline(always)]
     fn wrench(&self, motion: &LinkMotion) -> Wrench {
         let [wx, wy, wz] = motion.omega.0;
         let [ax, ay, az] = motion.alpha.0;
         let [u_x, u_y, u_z] = motion.u.0;
-        let ([uxx, uxy, uxz], [uyx, uyy, uyz], [uzx, uzy, uzz]) = (u_x.0, u_y.0, u_z.0);
+        let ([_, uxy, uxz], [uyx, _, uyz], [uzx, uzy, _]) = (u_x.0, u_y.0, u_z.0);
         let [xx, yy, zz] = self.diagonal;
         let [xy, xz, yz] = self.products;
         let turning = Vector([
-            xx * ax + (zz - yy) * (wy * wz) + yz * (uyy - uzz) - xy * uzx + xz * uyx,
-            yy * ay + (xx - zz) * (wx * wz) + xz * (uzz - uxx) + xy * uzy - yz * uxy,
-            zz * az + (yy - xx) * (wx * wy) + xy * (uxx - uyy) - xz * uyz + yz * uxz,
+            xx * ax + (zz - yy) * (wy * wz) + yz * (wy * wy - wz * wz) - xy * uzx + xz * uyx,
+            yy * ay + (xx - zz) * (wx * wz) + xz * (wz * wz - wx * wx) + xy * uzy - yz * uxy,
+            zz * az + (yy - xx) * (wx * wy) + xy * (wx * wx - wy * wy) - xz * uyz + yz * uxz,
         ]);
         Wrench {
             f: motion.a.scale(self.mass) + motion.u.times(self.first_moment),

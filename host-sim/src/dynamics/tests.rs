@@ -11,8 +11,8 @@ fn ur5() -> Robot {
 fn random_state(random: &mut ChaCha8Rng) -> State<6> {
     let mut draw = |size: f64| Joints::<6>::from_fn(|_, _| random.random_range(-size..=size));
     State {
-        q: draw(6.28),
-        qd: draw(3.14),
+        q: draw(std::f64::consts::TAU),
+        qd: draw(std::f64::consts::PI),
         qdd: draw(10.0),
     }
 }
