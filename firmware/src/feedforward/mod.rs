@@ -37,6 +37,32 @@ pub struct Torque<const N: usize> {
 }
 
 /// The feed-forward of one arm: configuration, state and scratch in one place.
+///
+/// One tick, with the learner that works in its slack:
+/// ```
+/// use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+/// use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet};
+/// use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+/// use foretorque::learning::{Exchange, Learner, LearnerConfig};
+///
+/// const PERIOD_S: f32 = 1e-3;
+/// let set = ParameterSet::nominal::<Ur5>(1);
+/// let config = FeedForwardConfig::for_arm::<Ur5, PARAMETERS>(PERIOD_S);
+/// let mut feedforward = FeedForward::<Ur5, JOINTS, PARAMETERS>::new(config, set)?;
+/// let mut learner = Learner::<Ur5, JOINTS, PARAMETERS>::new(LearnerConfig::for_arm::<Ur5>(PERIOD_S), set)?;
+/// let mut exchange = Exchange::new();
+/// feedforward.set_learning(true);
+///
+/// let measured = Some(JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() });
+/// feedforward.adopt(&mut exchange);
+/// let torque = feedforward.step(&JointSample { desired: JointMotion::zero(), measured });
+/// learner.learn(&feedforward.lesson(measured), &mut exchange);
+///
+/// // At q = 0 the arm lies stretched out: the shoulder holds it up, from rest by the slew limit.
+/// assert!(torque.shares.rigid[1].abs() > 30.0);
+/// assert_eq!(torque.total[1].abs(), feedforward.config().slew_per_tick[1]);
+/// # Ok::<(), foretorque::learning::ConfigError>(())
+/// ```
 pub struct FeedForward<A: Arm<N, P>, const N: usize, const P: usize> {
     config: FeedForwardConfig<N>,
     state: FeedForwardState<N, P>,

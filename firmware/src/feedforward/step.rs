@@ -201,7 +201,7 @@ fn finish<const N: usize, const P: usize>(
 /// Takes a finished set from the desk, if the tick to come is one at which sets are taken: `tick % N == N / 2`.
 ///
 /// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
-/// learning is on, counts as late; what was published before the last [`FeedForward::load`] is dropped.
+/// learning is on, counts as late; what was published before the last [`FeedForward::load`](super::FeedForward::load) is dropped.
 pub fn adopt<const N: usize, const P: usize>(
     state: &mut FeedForwardState<N, P>,
     exchange: &mut Exchange<N, P>,

@@ -61,7 +61,7 @@ impl<const N: usize> MeasurementWindow<N> {
             self.reset();
             return;
         };
-        for (q, &value) in self.q.iter_mut().zip(measured.q.iter()) {
+        for (q, &value) in self.q.iter_mut().zip(measured.q.as_slice()) {
             let (first, second) = q.split_at_mut(TAPS);
             for half in [first, second] {
                 if let Some(slot) = half.get_mut(self.next) {
@@ -121,14 +121,11 @@ fn fit(window: &[f32; TAPS]) -> (f32, f32, f32) {
     let mut sum = 0.0;
     let mut first_moment = 0.0;
     let mut second_moment = 0.0;
-    let mut distance = 0.0;
     // Pairs at the same distance from the middle: the even sums see their sum, the odd one their difference.
-    let later = window.iter().skip(DELAY + 1);
-    let earlier = window.iter().rev().skip(DELAY + 1);
-    for (later, earlier) in later.zip(earlier) {
-        distance += 1.0;
-        let after = later - centre;
-        let before = earlier - centre;
+    for k in 1..=DELAY {
+        let distance = k as f32;
+        let after = window[DELAY + k] - centre;
+        let before = window[DELAY - k] - centre;
         let even = after + before;
         sum += even;
         first_moment += distance * (after - before);

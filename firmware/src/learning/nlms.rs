@@ -35,8 +35,8 @@ pub(super) fn correct<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut explained = viscous * friction.viscous + coulomb * friction.coulomb;
     let mut power =
         square(viscous * friction_sigma.viscous) + square(coulomb * friction_sigma.coulomb);
-    let columns = row.iter().zip(&config.rigid_sigma);
-    for ((&phi, &sigma), &theta) in columns.zip(candidate.rigid.iter()) {
+    let columns = row.as_slice().iter().zip(&config.rigid_sigma);
+    for ((&phi, &sigma), &theta) in columns.zip(candidate.rigid.as_slice()) {
         explained += phi * theta;
         power += square(phi * sigma);
     }
@@ -54,8 +54,13 @@ pub(super) fn correct<A: Arm<N, P>, const N: usize, const P: usize>(
         let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
         if outside { prior + bounded } else { moved }
     };
-    let columns = row.iter().zip(&config.rigid_sigma).zip(prior.rigid.iter());
-    for (theta, ((&phi, &sigma), &prior)) in candidate.rigid.iter_mut().zip(columns) {
+    let columns = row
+        .as_slice()
+        .iter()
+        .zip(&config.rigid_sigma)
+        .zip(prior.rigid.as_slice());
+    for (theta, ((&phi, &sigma), &prior)) in candidate.rigid.as_mut_slice().iter_mut().zip(columns)
+    {
         *theta = corrected(*theta, prior, sigma, phi);
     }
     let sigma = friction_sigma.viscous;

@@ -1,6 +1,6 @@
 use super::activation::Activation;
 use super::bp::BpNetwork;
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 
 /// How an incremental step is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +18,8 @@ struct Deltas<const H: usize, const O: usize> {
     output: SVector<f32, O>,
     /// `d` at the inputs of the hidden units.
     hidden: SVector<f32, H>,
+    /// `Σ_h slope(a_h)² |W2_h|²`: how far the outputs move with the inputs of the hidden units.
+    sensitivity: f32,
 }
 
 impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I, H, O, A> {
@@ -67,15 +69,15 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         let error = self.output(&a) - target;
         let clipped = error.map(|e| clip(e, step.error_clip));
         let deltas = self.propagate_back(&a, clipped);
-        let sensitivity = 1.0 + squared(&a) + (1.0 + squared(x)) * self.hidden_sensitivity(&a);
+        let sensitivity = 1.0 + squared(&a) + (1.0 + squared(x)) * deltas.sensitivity;
         let rate = step.learning_rate / (1.0 + sensitivity);
         // A sum of the step's factors is finite only if each is; the weights are touched after that, never before.
-        let probe = 0.0 * (rate + deltas.hidden.sum() + deltas.output.sum() + squared(x));
+        let probe = 0.0 * (rate + sum(&deltas.hidden) + sum(&deltas.output) + squared(x));
         if probe == 0.0 {
-            descend(&mut self.output_weights.data.0, &a, &deltas.output, rate);
-            self.output_bias -= deltas.output * rate;
-            descend(&mut self.hidden_weights.data.0, x, &deltas.hidden, rate);
-            self.hidden_bias -= deltas.hidden * rate;
+            descend(&mut self.output_weights, &a, &deltas.output, rate);
+            descend_bias(&mut self.output_bias, &deltas.output, rate);
+            descend(&mut self.hidden_weights, x, &deltas.hidden, rate);
+            descend_bias(&mut self.hidden_bias, &deltas.hidden, rate);
         }
         error
     }
@@ -84,39 +86,61 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     #[inline]
     fn propagate_back(&self, a: &SVector<f32, H>, output: SVector<f32, O>) -> Deltas<H, O> {
         let mut hidden = *a;
-        for (delta, column) in hidden.iter_mut().zip(&self.output_weights.data.0) {
-            let back: f32 = column.iter().zip(output.iter()).map(|(w, d)| w * d).sum();
-            *delta = A::slope(*delta) * back;
+        let mut sensitivity = 0.0;
+        let columns = &self.output_weights.data.0;
+        for (delta, column) in hidden.as_mut_slice().iter_mut().zip(columns) {
+            let mut back = 0.0;
+            let mut reach = 0.0;
+            for (weight, output) in column.iter().zip(output.as_slice()) {
+                back += weight * output;
+                reach += weight * weight;
+            }
+            let slope = A::slope(*delta);
+            sensitivity += slope * slope * reach;
+            *delta = slope * back;
         }
-        Deltas { output, hidden }
-    }
-
-    /// `Σ_h slope(a_h)² |W2_h|²`: how far the outputs move with the inputs of the hidden units.
-    #[inline]
-    fn hidden_sensitivity(&self, a: &SVector<f32, H>) -> f32 {
-        let mut sum = 0.0;
-        for (&a, column) in a.iter().zip(&self.output_weights.data.0) {
-            let slope = A::slope(a);
-            let reach: f32 = column.iter().map(|w| w * w).sum();
-            sum += slope * slope * reach;
+        Deltas {
+            output,
+            hidden,
+            sensitivity,
         }
-        sum
     }
 }
 
 /// `W ← W − rate · delta sourceᵀ`, column by column.
 #[inline]
 fn descend<const R: usize, const C: usize>(
-    columns: &mut [[f32; R]; C],
+    weights: &mut SMatrix<f32, R, C>,
     source: &SVector<f32, C>,
     delta: &SVector<f32, R>,
     rate: f32,
 ) {
-    for (column, source) in columns.iter_mut().zip(source.iter()) {
+    let columns = &mut weights.data.0;
+    let (eights, rest) = delta.as_slice().as_chunks::<8>();
+    // Eight deltas stay in registers while the columns go by.
+    for (index, delta) in eights.iter().enumerate() {
+        for (column, source) in columns.iter_mut().zip(source.as_slice()) {
+            let scale = rate * source;
+            if let Some(weights) = column.as_chunks_mut::<8>().0.get_mut(index) {
+                for (weight, delta) in weights.iter_mut().zip(delta) {
+                    *weight -= scale * delta;
+                }
+            }
+        }
+    }
+    for (column, source) in columns.iter_mut().zip(source.as_slice()) {
         let scale = rate * source;
-        for (weight, delta) in column.iter_mut().zip(delta.iter()) {
+        for (weight, delta) in column.as_chunks_mut::<8>().1.iter_mut().zip(rest) {
             *weight -= scale * delta;
         }
+    }
+}
+
+/// `b ← b − rate · delta`.
+#[inline]
+fn descend_bias<const R: usize>(bias: &mut SVector<f32, R>, delta: &SVector<f32, R>, rate: f32) {
+    for (bias, delta) in bias.as_mut_slice().iter_mut().zip(delta.as_slice()) {
+        *bias -= rate * delta;
     }
 }
 
@@ -134,7 +158,12 @@ fn clip(value: f32, bound: f32) -> f32 {
 
 #[inline]
 fn squared<const R: usize>(v: &SVector<f32, R>) -> f32 {
-    v.iter().map(|v| v * v).sum()
+    v.as_slice().iter().map(|v| v * v).sum()
+}
+
+#[inline]
+fn sum<const R: usize>(v: &SVector<f32, R>) -> f32 {
+    v.as_slice().iter().sum()
 }
 
 #[cfg(test)]
