@@ -10,6 +10,15 @@ use std::ops::Range;
 use super::image::Image;
 use super::thumb::{Class, Flow, Stack};
 
+/// Where calls through a pointer lead that the code alone does not say. Each is a promise of the source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Promise {
+    /// Part of the name of the functions that call.
+    pub(crate) inside: &'static str,
+    /// The only function they are ever given.
+    pub(crate) leads_to: &'static str,
+}
+
 /// What the walk could not decide.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Doubt {
@@ -56,6 +65,7 @@ struct Node {
 #[derive(Debug)]
 pub(crate) struct Walk<'a> {
     image: &'a Image,
+    promises: &'a [Promise],
     nodes: BTreeMap<u32, Node>,
     /// Empty if the walk saw everything.
     pub(crate) doubts: BTreeSet<Doubt>,
@@ -70,9 +80,10 @@ pub(crate) struct Depth {
 
 impl<'a> Walk<'a> {
     /// Walks from the function at each of `entries`.
-    pub(crate) fn from(image: &'a Image, entries: &[u32]) -> Self {
+    pub(crate) fn from(image: &'a Image, promises: &'a [Promise], entries: &[u32]) -> Self {
         let mut walk = Self {
             image,
+            promises,
             nodes: BTreeMap::new(),
             doubts: BTreeSet::new(),
         };
@@ -216,7 +227,12 @@ impl<'a> Walk<'a> {
                 Flow::Call(target) => {
                     node.calls.insert((target, after));
                 }
-                Flow::CallIndirect => self.doubt(entry, address, Kind::IndirectCall),
+                Flow::CallIndirect => match self.promised(entry) {
+                    Some(target) => {
+                        node.calls.insert((target, after));
+                    }
+                    None => self.doubt(entry, address, Kind::IndirectCall),
+                },
                 Flow::JumpIndirect => self.doubt(entry, address, Kind::IndirectJump),
                 Flow::Table { halfwords } => targets = self.table(address, halfwords, &code),
             }
@@ -239,6 +255,13 @@ impl<'a> Walk<'a> {
             }
         }
         node
+    }
+
+    /// Where a call through a pointer in the function at `entry` leads, if somebody promised.
+    fn promised(&self, entry: u32) -> Option<u32> {
+        let name = self.name(entry);
+        let promise = self.promises.iter().find(|p| name.contains(p.inside))?;
+        Some(self.image.function(promise.leads_to)?.code.start)
     }
 
     /// Targets of a table branch at `address` in `code`. The table ends where the first of its targets begins, or

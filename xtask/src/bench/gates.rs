@@ -2,8 +2,14 @@
 
 use anyhow::{Result, bail, ensure};
 
-use super::calls::Walk;
+use super::calls::{Promise, Walk};
 use super::image::Image;
+
+/// The session reads time through a function it is given at start-up, and `joint` gives it one.
+pub(crate) const PROMISES: [Promise; 1] = [Promise {
+    inside: "Session<",
+    leads_to: "counter::now",
+}];
 
 /// A family of functions that no handler may reach.
 struct Forbidden {
@@ -73,7 +79,7 @@ pub(crate) fn check(image: &Image) -> Result<usize> {
         .map(|(_, function)| function.code.start)
         .collect();
     ensure!(!entries.is_empty(), "the firmware binds no interrupt");
-    let walk = Walk::from(image, &entries);
+    let walk = Walk::from(image, &PROMISES, &entries);
     // A pointer may lead anywhere: what cannot be followed cannot be cleared.
     if let Some(doubt) = walk.doubts.first() {
         bail!("a handler cannot be judged: {doubt}");
