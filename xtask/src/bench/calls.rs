@@ -285,3 +285,89 @@ impl<'a> Walk<'a> {
         targets
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LEAF: u32 = 0x0800_1000;
+    const CALLER: u32 = 0x0800_1100;
+    /// push {r7, lr}; sub sp, #8; add sp, #8; pop {r7, pc}
+    const LEAF_CODE: &[u16] = &[0xB580, 0xB082, 0xB002, 0xBD80];
+
+    /// `bl to` at `from`, for distances below 2 KiB backwards.
+    fn call(from: u32, to: u32) -> [u16; 2] {
+        let half = to.wrapping_sub(from + 4) >> 1;
+        [0xF7FF, 0xF800 | half as u16 & 0x7FF]
+    }
+
+    fn depth_and_doubts(image: &Image, promises: &[Promise]) -> (u32, Vec<Kind>) {
+        let mut walk = Walk::from(image, promises, &[CALLER]);
+        let bytes = walk.depth(CALLER).bytes;
+        (bytes, walk.doubts.iter().map(|doubt| doubt.kind).collect())
+    }
+
+    #[test]
+    fn frames_add_up_along_the_deepest_way() {
+        let [high, low] = call(CALLER + 2, LEAF);
+        // push {r4, lr}; bl leaf; pop {r4, pc}
+        let caller = [0xB510, high, low, 0xBD10];
+        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_doubts(&image, &[]), (8 + 16, vec![]));
+        let walk = Walk::from(&image, &[], &[CALLER]);
+        assert_eq!(walk.way_to("leaf", &[CALLER]), ["caller", "leaf"]);
+    }
+
+    #[test]
+    fn a_tail_call_has_given_its_frame_back() {
+        // push {r4, lr}; pop.w {r4, lr}; b leaf
+        let mut caller = [0xB510, 0xE8BD, 0x4010, 0xE000];
+        let half = LEAF.wrapping_sub(CALLER + 6 + 4) >> 1;
+        caller[3] |= half as u16 & 0x7FF;
+        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_doubts(&image, &[]), (16, vec![]));
+    }
+
+    #[test]
+    fn a_pointer_is_a_doubt_unless_its_target_is_promised() {
+        // push {r4, lr}; blx r0; pop {r4, pc}
+        let caller = [0xB510, 0x4780, 0xBD10];
+        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_doubts(&image, &[]), (8, vec![Kind::IndirectCall]));
+        let promise = Promise {
+            inside: "caller",
+            leads_to: "leaf",
+        };
+        assert_eq!(depth_and_doubts(&image, &[promise]), (8 + 16, vec![]));
+    }
+
+    #[test]
+    fn recursion_and_stacks_of_unknown_size_are_doubts() {
+        let [high, low] = call(CALLER + 2, CALLER);
+        let itself = [0xB510, high, low, 0xBD10];
+        let image = Image::of_code(&[("caller", CALLER, &itself)]);
+        assert_eq!(depth_and_doubts(&image, &[]).1, [Kind::Recursion]);
+        // sub.w sp, sp, r0; bx lr
+        let image = Image::of_code(&[("caller", CALLER, &[0xEBAD, 0x0D00, 0x4770])]);
+        assert_eq!(depth_and_doubts(&image, &[]).1, [Kind::UnknownStack]);
+    }
+
+    #[test]
+    fn what_follows_a_conditional_return_is_followed_too() {
+        // it eq; bxeq lr; push {r4, lr}; pop {r4, pc}
+        let image = Image::of_code(&[("caller", CALLER, &[0xBF08, 0x4770, 0xB510, 0xBD10])]);
+        assert_eq!(depth_and_doubts(&image, &[]), (8, vec![]));
+    }
+
+    #[test]
+    fn every_case_of_a_table_is_followed_and_constants_behind_it_are_not() {
+        // tbh [pc, r0, lsl #1] with cases at +8 and +10, then a constant that points nowhere
+        let caller = [
+            0xE8DF, 0xF010, 4, 5, 0xBF00, 0x7FFF, // table of two, padding, constant
+            0x4770, // bx lr
+            0xB510, 0xBD10, // push {r4, lr}; pop {r4, pc}
+        ];
+        let image = Image::of_code(&[("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_doubts(&image, &[]), (8, vec![]));
+    }
+}

@@ -79,14 +79,18 @@ pub(crate) fn check(image: &Image) -> Result<usize> {
         .map(|(_, function)| function.code.start)
         .collect();
     ensure!(!entries.is_empty(), "the firmware binds no interrupt");
-    let walk = Walk::from(image, &PROMISES, &entries);
+    judge(image, &entries)
+}
+
+fn judge(image: &Image, entries: &[u32]) -> Result<usize> {
+    let walk = Walk::from(image, &PROMISES, entries);
     // A pointer may lead anywhere: what cannot be followed cannot be cleared.
     if let Some(doubt) = walk.doubts.first() {
         bail!("a handler cannot be judged: {doubt}");
     }
     for Forbidden { what, belongs } in &FORBIDDEN {
         if let Some(name) = walk.names().find(|name| belongs(name)) {
-            let way = walk.way_to(name, &entries).join(" → ");
+            let way = walk.way_to(name, entries).join(" → ");
             bail!("a handler can reach {what}: {way}");
         }
     }
@@ -119,6 +123,25 @@ mod tests {
             assert!(is_soft_double(name), "{name}");
         }
         assert!(is_allocator("__rust_alloc"));
+    }
+
+    #[test]
+    fn a_panic_behind_a_handler_is_refused_with_the_way_to_it() {
+        const PANIC: u32 = 0x0800_1000;
+        const HANDLER: u32 = 0x0800_1100;
+        // push {r7, lr}; bl panic; udf
+        let handler = [0xB580, 0xF7FF, 0xFF7D, 0xDE00];
+        let image = Image::of_code(&[
+            ("core::panicking::panic", PANIC, &[0xE7FE]),
+            ("EXTI1", HANDLER, &handler),
+        ]);
+        let error = judge(&image, &[HANDLER]).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "a handler can reach a panic: EXTI1 → core::panicking::panic"
+        );
+        let image = Image::of_code(&[("EXTI1", HANDLER, &[0x4770])]);
+        assert_eq!(judge(&image, &[HANDLER]).unwrap(), 1);
     }
 
     #[test]

@@ -175,4 +175,23 @@ impl Image {
             })
             .collect()
     }
+
+    /// An image of hand-written functions: name, address, halfwords.
+    #[cfg(test)]
+    pub(crate) fn of_code(functions: &[(&str, u32, &[u16])]) -> Self {
+        let bytes = |code: &[u16]| code.iter().flat_map(|half| half.to_le_bytes()).collect();
+        let function = |&(name, start, code): &(&str, u32, &[u16])| Function {
+            name: name.into(),
+            code: start..start + 2 * code.len() as u32,
+        };
+        Self {
+            functions: functions.iter().map(function).collect(),
+            segments: functions
+                .iter()
+                .map(|&(_, start, code)| (start, bytes(code)))
+                .collect(),
+            flash_bytes: 0,
+            ram_bytes: 0,
+        }
+    }
 }
