@@ -47,8 +47,10 @@ pub(crate) struct Row {
     cycles: f64,
     /// The same with the flash model.
     flash_cycles: f64,
-    /// Bound of the stack below the caller's.
+    /// Bound of the stack below the caller's, from the code.
     stack_bytes: u32,
+    /// Deepest stack that was seen in a traced call.
+    stack_seen: u32,
     /// Executed instructions by name over the traced calls, most frequent first.
     mix: Vec<(&'static str, u32)>,
 }
@@ -179,10 +181,10 @@ fn row(image: &Image, counts: &Counts, calls: &[Call], bracket: u32) -> Result<R
         .function(&format!("rows::{name}"))
         .context("a row without a function")?;
     let stack_bytes = memory::bounded_depth(image, function.code.start)?.bytes;
-    let deepest = calls.iter().map(|call| call.stack_bytes).max().unwrap_or(0);
+    let stack_seen = calls.iter().map(|call| call.stack_bytes).max().unwrap_or(0);
     ensure!(
-        deepest <= stack_bytes,
-        "`{name}` was seen {deepest} B deep, beyond its bound of {stack_bytes} B: the walk is wrong"
+        stack_seen <= stack_bytes,
+        "`{name}` was seen {stack_seen} B deep, beyond its bound of {stack_bytes} B: the walk is wrong"
     );
     // The first call only fills the modelled caches.
     let steady = calls.get(1..).unwrap_or_default();
@@ -203,6 +205,7 @@ fn row(image: &Image, counts: &Counts, calls: &[Call], bracket: u32) -> Result<R
         cycles: mean(|call| call.cycles.estimate),
         flash_cycles: mean(|call| call.cycles.flash),
         stack_bytes,
+        stack_seen,
         mix,
     })
 }

@@ -82,7 +82,7 @@ pub(crate) fn table(rows: &[Row], memory: &Memory, budget: &Budget) -> String {
             row.worst,
             row.cycles,
             row.flash_cycles,
-            row.stack_bytes,
+            format!("{}/{}", row.stack_bytes, row.stack_seen),
             number(limit.map(|line| line.limit)),
             number(anchor.and_then(|a| a.reach.0).map(u64::from)),
             number(anchor.map(|a| u64::from(a.peer.0))),
@@ -95,7 +95,7 @@ pub(crate) fn table(rows: &[Row], memory: &Memory, budget: &Budget) -> String {
     let _ = writeln!(
         text,
         "instr: executed in the emulator, mean; est.cyc: estimate at zero wait states; est.flash: with a model of the \
-         flash at 168 MHz;\nstack B: bound from the code, met by the trace. Estimates of cycles are never measurements \
+         flash at 168 MHz;\nstack: bound from the code / deepest seen. Estimates of cycles are never measurements \
          on silicon.\n\nfirmware: {} B flash, {} B static RAM; worst stack of the tick {} B, of everything nested {} B",
         memory.flash_bytes, memory.ram_bytes, memory.stack_bytes, memory.nested_bytes
     );

@@ -1,6 +1,5 @@
 //! One function a row, kept apart by its address being taken: nothing about its inputs is known when it is compiled.
 
-
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::dynamics::{friction, regressor_row, rnea};
 use foretorque::learning::network_inputs;

@@ -3,7 +3,10 @@
 
 #[cfg(target_os = "none")]
 #[path = "../joint/board.rs"]
-#[expect(dead_code, reason = "the arm is the board's; pins and clocks are not needed without silicon")]
+#[expect(
+    dead_code,
+    reason = "the arm is the board's; pins and clocks are not needed without silicon"
+)]
 mod board;
 #[cfg(target_os = "none")]
 #[path = "../joint/counter.rs"]

@@ -25,7 +25,10 @@ impl Streams {
         if unsafe { syscall1(nr::GET_CMDLINE, block.as_mut_ptr() as usize) } != 0 {
             return None;
         }
-        let mut words = line.get(..block[1])?.split(|&byte| byte == b' ' || byte == 0).skip(1);
+        let mut words = line
+            .get(..block[1])?
+            .split(|&byte| byte == b' ' || byte == 0)
+            .skip(1);
         let input = open(words.next()?, READ)?;
         let output = open(words.next()?, WRITE)?;
         Some(Self { input, output })
@@ -37,7 +40,11 @@ impl Streams {
         // SAFETY: the block names a handle, a buffer and its length; the host writes inside the buffer only.
         let missing = unsafe { syscall1(nr::READ, block.as_ptr() as usize) };
         let count = buffer.len().checked_sub(missing)?;
-        if count == 0 { None } else { buffer.get(..count) }
+        if count == 0 {
+            None
+        } else {
+            buffer.get(..count)
+        }
     }
 
     /// Sends all bytes. False when the host has closed its end.
@@ -61,7 +68,11 @@ fn open(name: &[u8], mode: usize) -> Option<usize> {
 
 /// Ends the emulator.
 pub(crate) fn exit(well: bool) -> ! {
-    debug::exit(if well { debug::EXIT_SUCCESS } else { debug::EXIT_FAILURE });
+    debug::exit(if well {
+        debug::EXIT_SUCCESS
+    } else {
+        debug::EXIT_FAILURE
+    });
     loop {
         cortex_m::asm::wfi();
     }

@@ -68,7 +68,12 @@ mod app {
         // Switched off by its constructor; nothing in this firmware switches it on before a host can arm the board.
         let Ok(_enable) = TorqueEnable::new(EnablePin);
         cx.device.RCC.apb1enr().modify(|_, w| {
-            w.usart2en().enabled().usart3en().enabled().tim2en().enabled()
+            w.usart2en()
+                .enabled()
+                .usart3en()
+                .enabled()
+                .tim2en()
+                .enabled()
         });
         let mut rcc = cx.device.RCC.constrain();
         let gpioa = cx.device.GPIOA.split(&mut rcc);
@@ -120,7 +125,16 @@ mod app {
         out.clear();
         (
             Shared { desk: Desk::new() },
-            Local { wire, session, received, waiting, out, pace, learner, drain },
+            Local {
+                wire,
+                session,
+                received,
+                waiting,
+                out,
+                pace,
+                learner,
+                drain,
+            },
         )
     }
 
@@ -144,7 +158,15 @@ mod app {
         shared = [desk]
     )]
     fn tick(mut cx: tick::Context) {
-        let tick::LocalResources { session, received, waiting, out, pace, troubles, .. } = cx.local;
+        let tick::LocalResources {
+            session,
+            received,
+            waiting,
+            out,
+            pace,
+            troubles,
+            ..
+        } = cx.local;
         let waiting_lessons = cx.shared.desk.lock(|desk| {
             if pace::take_due() {
                 session.timer_tick(desk, out);
@@ -153,7 +175,9 @@ mod app {
                 let mut chunk = [0; CHUNK];
                 let mut count = 0;
                 for slot in &mut chunk {
-                    let Some(byte) = received.dequeue() else { break };
+                    let Some(byte) = received.dequeue() else {
+                        break;
+                    };
                     *slot = byte;
                     count += 1;
                 }

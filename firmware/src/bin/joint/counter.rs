@@ -56,6 +56,13 @@ pub(crate) fn now() -> u32 {
 fn elapsed(timer: &TIM2) -> u32 {
     let start = timer.cnt().read().bits();
     // SAFETY: does nothing, 256 times.
-    unsafe { asm!(".rept 256", "nop", ".endr", options(nomem, nostack, preserves_flags)) };
+    unsafe {
+        asm!(
+            ".rept 256",
+            "nop",
+            ".endr",
+            options(nomem, nostack, preserves_flags)
+        )
+    };
     timer.cnt().read().bits().wrapping_sub(start)
 }

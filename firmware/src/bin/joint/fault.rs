@@ -91,7 +91,9 @@ pub(crate) fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
         Reason::Panic | Reason::Setup => ResetReason::Panic,
         Reason::HardFault | Reason::Unexpected => ResetReason::Fault,
         Reason::None if chip.porrstf().bit_is_set() => ResetReason::PowerOn,
-        Reason::None if chip.wdgrstf().bit_is_set() || chip.wwdgrstf().bit_is_set() => ResetReason::Watchdog,
+        Reason::None if chip.wdgrstf().bit_is_set() || chip.wwdgrstf().bit_is_set() => {
+            ResetReason::Watchdog
+        }
         Reason::None if chip.sftrstf().bit_is_set() => ResetReason::Software,
         // Every reset also pulls the pin, so its flag means something only when it stands alone.
         Reason::None if chip.padrstf().bit_is_set() => ResetReason::Pin,

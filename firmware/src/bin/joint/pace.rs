@@ -40,7 +40,8 @@ impl Pace {
         DUE.store(false, Ordering::Relaxed);
         if wanted.pacing == Pacing::SysTick {
             self.timer.set_clock_source(SystClkSource::External);
-            self.timer.set_reload(wanted.period_us * self.counts_per_us - 1);
+            self.timer
+                .set_reload(wanted.period_us * self.counts_per_us - 1);
             self.timer.clear_current();
             self.timer.enable_interrupt();
             self.timer.enable_counter();
@@ -51,7 +52,10 @@ impl Pace {
 /// The timer's interrupt.
 pub(crate) fn elapsed() {
     if DUE.swap(true, Ordering::Relaxed) {
-        MISSED.store(MISSED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        MISSED.store(
+            MISSED.load(Ordering::Relaxed).wrapping_add(1),
+            Ordering::Relaxed,
+        );
     }
 }
 

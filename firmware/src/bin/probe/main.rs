@@ -6,7 +6,10 @@
 
 #[cfg(target_os = "none")]
 #[path = "../joint/board.rs"]
-#[expect(dead_code, reason = "the arm is the board's; pins and clocks are not needed here")]
+#[expect(
+    dead_code,
+    reason = "the arm is the board's; pins and clocks are not needed here"
+)]
 mod board;
 
 #[cfg(target_os = "none")]
@@ -28,9 +31,12 @@ mod proof {
     }
 
     fn run() -> Option<()> {
-        let mut session = black_box(Session::<Arm, JOINTS, PARAMETERS>::new(black_box(BoardDescription::plain())).ok()?);
+        let mut session = black_box(
+            Session::<Arm, JOINTS, PARAMETERS>::new(black_box(BoardDescription::plain())).ok()?,
+        );
         let set = black_box(session.feed_forward().state().active);
-        let mut learner: Learner<Arm, _, _> = Learner::new(LearnerConfig::for_arm::<Arm>(black_box(1e-3)), set).ok()?;
+        let mut learner: Learner<Arm, _, _> =
+            Learner::new(LearnerConfig::for_arm::<Arm>(black_box(1e-3)), set).ok()?;
         let mut desk = black_box(Desk::new());
         let mut out = black_box(FrameBuffer::new());
         let mut bytes = black_box([0u8; 64]);
@@ -49,9 +55,17 @@ mod proof {
             black_box(session.statistics(&desk));
             // The host's half, for people who put both on a board.
             let mut decoder = Decoder::new();
-            let message = decoder.push(black_box(0))?.ok()?.message::<HostMessage<JOINTS>>().ok()?;
+            let message = decoder
+                .push(black_box(0))?
+                .ok()?
+                .message::<HostMessage<JOINTS>>()
+                .ok()?;
             out.push(black_box(1), &message).ok()?;
-            let answer = decoder.push(black_box(0))?.ok()?.message::<BoardMessage<JOINTS>>().ok()?;
+            let answer = decoder
+                .push(black_box(0))?
+                .ok()?
+                .message::<BoardMessage<JOINTS>>()
+                .ok()?;
             out.push(black_box(1), &answer).ok()?;
             bytes = black_box(bytes);
             black_box(out.as_bytes());
