@@ -1,5 +1,4 @@
 //! The client and the board in this process, through real frames.
-#![expect(missing_docs, reason = "a test")]
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;

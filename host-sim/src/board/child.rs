@@ -16,7 +16,7 @@ use nix::sys::signal::Signal;
 use nix::unistd::Pid;
 
 /// Lines of the emulator's stderr that are kept.
-const KEPT_LINES: usize = 20;
+const KEPT_LINES: usize = 60;
 
 /// A running emulator: killed and reaped when this goes out of scope, killed by the kernel when this process dies.
 #[derive(Debug)]
@@ -30,7 +30,11 @@ pub(crate) struct Guarded {
 
 impl Guarded {
     /// Starts `command`, which inherits `kept` under the same numbers; `core` pins it and the calling thread together.
-    pub(crate) fn start(mut command: Command, kept: Vec<OwnedFd>, core: Option<usize>) -> io::Result<Self> {
+    pub(crate) fn start(
+        mut command: Command,
+        kept: Vec<OwnedFd>,
+        core: Option<usize>,
+    ) -> io::Result<Self> {
         let numbers: Vec<RawFd> = kept.iter().map(AsRawFd::as_raw_fd).collect();
         let parent = Pid::this();
         let set = core.map(only).transpose()?;
@@ -55,9 +59,17 @@ impl Guarded {
         let mut child = spawn(command)?;
         drop(kept);
         let said = Arc::new(Mutex::new(VecDeque::new()));
-        let reader = child.stderr.take().map(|stderr| listen(stderr, Arc::clone(&said)));
+        let reader = child
+            .stderr
+            .take()
+            .map(|stderr| listen(stderr, Arc::clone(&said)));
         let affinity = core.map(join_core).transpose()?;
-        Ok(Self { child, said, reader, affinity })
+        Ok(Self {
+            child,
+            said,
+            reader,
+            affinity,
+        })
     }
 
     /// Process id of the emulator.
@@ -79,9 +91,12 @@ impl Guarded {
         }
     }
 
-    /// The last thing the emulator said on stderr.
-    pub(crate) fn last_line(&self) -> Option<String> {
-        self.said.lock().unwrap_or_else(PoisonError::into_inner).back().cloned()
+    /// What the emulator said last of itself on stderr, else its last line there: when it gives up it also lists all
+    /// registers.
+    pub(crate) fn last_words(&self) -> Option<String> {
+        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = said.iter().rev().find(|line| line.starts_with("qemu"));
+        own.or(said.back()).cloned()
     }
 }
 

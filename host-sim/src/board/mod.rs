@@ -7,6 +7,7 @@ mod child;
 mod client;
 mod native;
 pub mod qemu;
+pub mod serial;
 
 pub use client::{BoardShares, Client, LinkCount, TickReply};
 pub use native::Native;

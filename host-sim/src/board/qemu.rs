@@ -107,7 +107,11 @@ impl fmt::Display for EmulatorError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NotInstalled(program) => {
-                write!(f, "{} is not installed: run `cargo xtask setup`", program.display())
+                write!(
+                    f,
+                    "{} is not installed: run `cargo xtask setup`",
+                    program.display()
+                )
             }
             Self::NoFirmware(elf) => write!(
                 f,
@@ -123,7 +127,11 @@ impl fmt::Display for EmulatorError {
                 waited.as_secs_f64()
             ),
             Self::Silent(waited) => {
-                write!(f, "the emulated board took no bytes for {:.1} s", waited.as_secs_f64())
+                write!(
+                    f,
+                    "the emulated board took no bytes for {:.1} s",
+                    waited.as_secs_f64()
+                )
             }
             Self::Link(error) => write!(f, "link to the emulator: {error}"),
         }
@@ -141,6 +149,8 @@ pub struct Emulator {
     /// Bytes from the board; `None` when the link is one socket for both directions.
     from_board: Option<OwnedFd>,
     image: Image,
+    /// What the board said while it was waited for, not yet read.
+    greeting: Vec<u8>,
 }
 
 impl Emulator {
@@ -153,31 +163,51 @@ impl Emulator {
         }
         let mut command = Command::new(&options.emulator);
         command
-            .args(["-machine", "netduinoplus2", "-display", "none", "-monitor", "none"])
+            .args([
+                "-machine",
+                "netduinoplus2",
+                "-display",
+                "none",
+                "-monitor",
+                "none",
+            ])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .arg("-kernel")
             .arg(&options.elf);
         if let Some(shift) = options.icount_shift {
-            command.arg("-icount").arg(format!("shift={shift},sleep=off"));
+            command
+                .arg("-icount")
+                .arg(format!("shift={shift},sleep=off"));
         }
         let (to_board, from_board, kept) = match options.image {
             Image::Joint => usart_link(&mut command, options.log.as_deref())?,
             Image::Bulk => pipe_link(&mut command)?,
         };
-        let process = Guarded::start(command, kept, options.core).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => EmulatorError::NotInstalled(options.emulator.clone()),
-            _ => EmulatorError::Start(error),
-        })?;
-        let mut emulator = Self { process, to_board, from_board, image: options.image };
+        let process =
+            Guarded::start(command, kept, options.core).map_err(|error| match error.kind() {
+                io::ErrorKind::NotFound => EmulatorError::NotInstalled(options.emulator.clone()),
+                _ => EmulatorError::Start(error),
+            })?;
+        let mut emulator = Self {
+            process,
+            to_board,
+            from_board,
+            image: options.image,
+            greeting: Vec::new(),
+        };
         for end in std::iter::once(&emulator.to_board).chain(&emulator.from_board) {
             fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
         }
-        if !emulator.audible(options.boot)? {
-            return Err(EmulatorError::NoHello(options.boot));
+        let mut room = [0; 256];
+        match emulator.read(&mut room, options.boot)? {
+            0 => Err(EmulatorError::NoHello(options.boot)),
+            count => {
+                emulator.greeting.extend_from_slice(&room[..count]);
+                Ok(emulator)
+            }
         }
-        Ok(emulator)
     }
 
     /// Process id of the emulator.
@@ -204,6 +234,12 @@ impl Emulator {
 
     /// Waits at most `patience` for bytes and returns how many came; 0 when none did.
     pub fn read(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, EmulatorError> {
+        if !self.greeting.is_empty() {
+            let count = buffer.len().min(self.greeting.len());
+            buffer[..count].copy_from_slice(&self.greeting[..count]);
+            self.greeting.drain(..count);
+            return Ok(count);
+        }
         loop {
             if !self.audible(patience)? {
                 return Ok(0);
@@ -219,9 +255,17 @@ impl Emulator {
 
     /// Hangs up and waits for the emulator to end by itself, as the bulk firmware does. True when it did so well.
     pub fn hang_up(self, patience: Duration) -> Result<bool, EmulatorError> {
-        let Self { mut process, to_board, from_board, .. } = self;
+        let Self {
+            mut process,
+            to_board,
+            from_board,
+            ..
+        } = self;
         drop((to_board, from_board));
-        Ok(process.ended(patience).map_err(EmulatorError::Link)?.is_some_and(|status| status.success()))
+        Ok(process
+            .ended(patience)
+            .map_err(EmulatorError::Link)?
+            .is_some_and(|status| status.success()))
     }
 
     /// Where the board's bytes come from.
@@ -238,7 +282,10 @@ impl Emulator {
     fn broken(&mut self, error: nix::Error) -> EmulatorError {
         match self.process.ended(FUNERAL) {
             Ok(Some(status)) => {
-                let last = self.process.last_line().unwrap_or_else(|| "it said nothing".into());
+                let last = self
+                    .process
+                    .last_words()
+                    .unwrap_or_else(|| "it said nothing".into());
                 EmulatorError::Died(format!("{status}; {last}"))
             }
             _ => link(error),
@@ -286,8 +333,13 @@ type Ends = (OwnedFd, Option<OwnedFd>, Vec<OwnedFd>);
 
 /// USART2 on a socket, the log on USART3. Nothing of it has a name in the file system, so nothing can be left there.
 fn usart_link(command: &mut Command, log: Option<&Path>) -> Result<Ends, EmulatorError> {
-    let (ours, theirs) =
-        socketpair(AddressFamily::Unix, SockType::Stream, None, SockFlag::SOCK_CLOEXEC).map_err(link)?;
+    let (ours, theirs) = socketpair(
+        AddressFamily::Unix,
+        SockType::Stream,
+        None,
+        SockFlag::SOCK_CLOEXEC,
+    )
+    .map_err(link)?;
     command
         .arg("-chardev")
         .arg(format!("socket,id=link,fd={}", theirs.as_raw_fd()))

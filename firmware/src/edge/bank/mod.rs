@@ -147,3 +147,6 @@ impl ParameterBank {
         self.columns.iter().find(|column| column.id == id)
     }
 }
+
+#[cfg(test)]
+mod tests;

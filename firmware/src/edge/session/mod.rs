@@ -1,5 +1,6 @@
 //! The board's side of the link, without the link: bytes in, ticks run, bytes out.
 
+mod commands;
 mod desk;
 mod link;
 mod transfer;
@@ -7,12 +8,12 @@ mod transfer;
 pub use desk::Desk;
 
 use crate::arm::Arm;
-use crate::edge::bank::{BankError, NETWORK_SEED, ParameterBank, name};
+use crate::edge::bank::{NETWORK_SEED, ParameterBank, name};
 use crate::edge::telemetry::{Cost, CostMeter, Statistics};
 use crate::edge::wire::{
     BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, DecodeError, Decoder,
-    FrameBuffer, FullTorqueFrame, HostMessage, NackReason, Pacing, ReplyMode, ResetReason,
-    SampleFrame, TorqueFrame,
+    FrameBuffer, FullTorqueFrame, HostMessage, Pacing, ReplyMode, ResetReason, SampleFrame,
+    TorqueFrame,
 };
 use crate::feedforward::{FeedForward, FeedForwardConfig, evaluate};
 use crate::joint::JointMotion;
@@ -327,112 +328,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
             reset_reason: self.board.reset_reason,
         }
     }
-
-    fn frozen(&self) -> Result<(), NackReason> {
-        if self.feed_forward.state().learning {
-            Err(NackReason::LearningOn)
-        } else {
-            Ok(())
-        }
-    }
-
-    fn set_learning(&mut self, on: bool) -> Result<(), NackReason> {
-        if on && !self.board.capabilities.contains(Capabilities::LEARNING) {
-            return Err(NackReason::NotCapable);
-        }
-        if on {
-            // An upload is for a board that does not learn; half of one must not wait for the learning to end.
-            self.transfer.abort();
-        }
-        self.feed_forward.set_learning(on);
-        Ok(())
-    }
-
-    fn configure(
-        &mut self,
-        wanted: Configuration,
-        desk: &mut Desk<N, P>,
-    ) -> Result<(), NackReason> {
-        self.frozen()?;
-        if !Configuration::PERIODS_US.contains(&wanted.period_us) {
-            return Err(NackReason::Period);
-        }
-        if wanted.pacing == Pacing::SysTick
-            && !self.board.capabilities.contains(Capabilities::TIMER)
-        {
-            return Err(NackReason::NotCapable);
-        }
-        let set = self.feed_forward.state().active;
-        self.restart(wanted, set, desk)
-    }
-
-    /// The tick starts over at 0 with `set`, and so does the learner. Changes nothing when it fails.
-    fn restart(
-        &mut self,
-        configuration: Configuration,
-        set: ParameterSet<N, P>,
-        desk: &mut Desk<N, P>,
-    ) -> Result<(), NackReason> {
-        let period_s = seconds(&configuration);
-        let config = self.bank.feed_forward_config::<A, N, P>(period_s);
-        let config = config.map_err(NackReason::Bank)?;
-        self.feed_forward = FeedForward::new(config, set).map_err(|_| NackReason::Period)?;
-        self.configuration = configuration;
-        self.newest = None;
-        desk.restart(period_s, set);
-        Ok(())
-    }
-
-    /// Takes over the uploaded bank, all of it or nothing.
-    fn commit(&mut self, length: u16, crc: u32, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
-        self.frozen()?;
-        let bank = self.transfer.commit(length, crc)?;
-        let set = bank.set::<A, N, P>().map_err(NackReason::Bank)?;
-        let gains = bank.drive_gains().map_err(NackReason::Bank)?;
-        let config = bank.feed_forward_config::<A, N, P>(seconds(&self.configuration));
-        let config = config.map_err(NackReason::Bank)?;
-        self.feed_forward
-            .configure(config)
-            .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
-        self.feed_forward.load(set, &mut desk.exchange);
-        self.gains = gains;
-        self.bank = bank;
-        Ok(())
-    }
-
-    fn read(&mut self, offset: u16) -> Result<BoardMessage<N>, NackReason> {
-        if offset == 0 {
-            self.bank
-                .refresh::<A, N, P>(&self.feed_forward.state().active);
-            self.transfer
-                .snapshot(&self.bank)
-                .map_err(NackReason::Bank)?;
-        }
-        let (length, bytes) = self.transfer.read(offset)?;
-        Ok(BoardMessage::BankChunk {
-            offset,
-            length,
-            bytes,
-        })
-    }
-
-    fn reset(&mut self, sequence: u16, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
-        self.bank = ParameterBank::nominal::<A, N, P>();
-        self.gains = [0.0; N];
-        self.transfer.abort();
-        let set = ParameterSet::nominal::<A>(NETWORK_SEED);
-        self.restart(Configuration::default(), set, desk)?;
-        self.decoder = Decoder::new();
-        self.link = LinkState::after(sequence);
-        self.temperatures_c = [SampleFrame::<N>::NO_TEMPERATURE; N];
-        self.ticks = 0;
-        self.tick_cost = CostMeter::new();
-        desk.lessons_lost = 0;
-        desk.learn_cost = CostMeter::new();
-        Ok(())
-    }
 }
 
 fn seconds(configuration: &Configuration) -> f32 {
     configuration.period_us as f32 * 1e-6
 }
+
+#[cfg(test)]
+mod tests;

@@ -5,18 +5,24 @@
 
 mod codec;
 mod decoder;
+mod frames;
+mod identity;
 mod message;
 mod scaled;
 pub mod size;
 
 pub(crate) use codec::CRC;
+#[cfg(test)]
+pub(crate) use codec::encode_as;
 pub use codec::{EncodeError, FrameBuffer, encode};
 pub use decoder::{DecodeError, Decoder, FrameView};
-pub use message::{
-    BoardHello, BoardMessage, CHUNK, Capabilities, Chunk, Configuration, CounterKind,
-    EvaluatedFrame, FullTorqueFrame, HostMessage, MotionFrame, NackReason, Name, Pacing, ReplyMode,
-    ResetReason, SampleFlags, SampleFrame, TorqueFrame,
+pub use frames::{
+    EvaluatedFrame, FullTorqueFrame, MotionFrame, SampleFlags, SampleFrame, TorqueFrame,
 };
+pub use identity::{
+    BoardHello, Capabilities, Configuration, CounterKind, Pacing, ReplyMode, ResetReason,
+};
+pub use message::{BoardMessage, CHUNK, Chunk, HostMessage, NackReason, Name};
 pub use scaled::{Acceleration, Effort, I16, I24, Position, Velocity};
 
 /// Version of the protocol. It changes whenever a frame of the old version would be read differently or not at all.

@@ -158,6 +158,7 @@ fn statistics() -> impl Strategy<Value = Statistics> {
             lessons_lost: c,
             tick_cost: Cost { mean: d, max: a },
             learn_cost: Cost { mean: b, max: c },
+            receive_cost: Cost { mean: c, max: d },
             hottest_c,
         }
     })

@@ -1,0 +1,261 @@
+//! What the messages of a tick carry.
+
+use super::{Acceleration, Effort, Position, Velocity};
+use crate::feedforward::{Shares, Torque};
+use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use crate::limits::Flags;
+use serde::{Deserialize, Serialize};
+use serde_big_array::BigArray;
+
+/// What a sample carries besides the desired motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SampleFlags(pub u8);
+
+impl SampleFlags {
+    /// Position and effort were measured in this cycle.
+    pub const MEASURED: Self = Self(1 << 0);
+    /// The effort is motor current in A; the board multiplies by the drive gain of its bank.
+    pub const CURRENT: Self = Self(1 << 1);
+
+    /// Every flag of `other` is set.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+}
+
+/// Input of one tick.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SampleFrame<const N: usize> {
+    /// What is in it.
+    pub flags: SampleFlags,
+    /// Motor temperature of joint `sequence % N`, °C; [`NO_TEMPERATURE`](Self::NO_TEMPERATURE) where not known.
+    pub temperature_c: i8,
+    /// Desired positions for the tick in which the torque takes effect.
+    #[serde(with = "BigArray")]
+    pub desired_q: [Position; N],
+    /// Desired velocities.
+    #[serde(with = "BigArray")]
+    pub desired_qd: [Velocity; N],
+    /// Desired accelerations.
+    #[serde(with = "BigArray")]
+    pub desired_qdd: [Acceleration; N],
+    /// Measured positions.
+    #[serde(with = "BigArray")]
+    pub q: [Position; N],
+    /// Measured torques in N·m, or currents in A.
+    #[serde(with = "BigArray")]
+    pub effort: [Effort; N],
+}
+
+impl<const N: usize> SampleFrame<N> {
+    /// Temperature that says "not known".
+    pub const NO_TEMPERATURE: i8 = i8::MIN;
+
+    /// The frame of a sample whose effort is a torque. Values out of range saturate, NaN stays NaN.
+    pub fn new(sample: &JointSample<N>) -> Self {
+        let still = JointMeasurement {
+            q: JointVector::zeros(),
+            tau: JointVector::zeros(),
+        };
+        let measured = sample.measured.unwrap_or(still);
+        let desired = &sample.desired;
+        Self {
+            flags: match sample.measured {
+                Some(_) => SampleFlags::MEASURED,
+                None => SampleFlags::default(),
+            },
+            temperature_c: Self::NO_TEMPERATURE,
+            desired_q: array(&desired.q).map(Position::encode),
+            desired_qd: array(&desired.qd).map(Velocity::encode),
+            desired_qdd: array(&desired.qdd).map(Acceleration::encode),
+            q: array(&measured.q).map(Position::encode),
+            effort: array(&measured.tau).map(Effort::encode),
+        }
+    }
+
+    /// The same with motor currents, A, in the place of the measured torques.
+    pub fn with_current(mut self, current: &JointVector<N>) -> Self {
+        self.flags = SampleFlags(self.flags.0 | SampleFlags::CURRENT.0);
+        self.effort = array(current).map(Effort::encode);
+        self
+    }
+
+    /// The same with the motor temperature of joint `sequence % N`, °C.
+    pub fn with_temperature(mut self, temperature_c: i8) -> Self {
+        self.temperature_c = temperature_c;
+        self
+    }
+
+    /// The sample as the tick wants it.
+    ///
+    /// * `gains` drive gains, N × N·m/A; where one that is needed is not positive, nothing counts as measured
+    pub fn sample(&self, gains: &[f32; N]) -> JointSample<N> {
+        let current = self.flags.contains(SampleFlags::CURRENT);
+        let known = !current || gains.iter().all(|&gain| gain > 0.0);
+        let effort = JointVector::from(self.effort.map(Effort::decode));
+        let measured =
+            (self.flags.contains(SampleFlags::MEASURED) && known).then(|| JointMeasurement {
+                q: self.q.map(Position::decode).into(),
+                tau: if current {
+                    effort.component_mul(&JointVector::from(*gains))
+                } else {
+                    effort
+                },
+            });
+        JointSample {
+            desired: JointMotion {
+                q: self.desired_q.map(Position::decode).into(),
+                qd: self.desired_qd.map(Velocity::decode).into(),
+                qdd: self.desired_qdd.map(Acceleration::decode).into(),
+            },
+            measured,
+        }
+    }
+}
+
+/// A motion in full precision.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MotionFrame<const N: usize> {
+    /// Positions, rad.
+    #[serde(with = "BigArray")]
+    pub q: [f32; N],
+    /// Velocities, rad/s.
+    #[serde(with = "BigArray")]
+    pub qd: [f32; N],
+    /// Accelerations, rad/s².
+    #[serde(with = "BigArray")]
+    pub qdd: [f32; N],
+}
+
+impl<const N: usize> From<&JointMotion<N>> for MotionFrame<N> {
+    fn from(motion: &JointMotion<N>) -> Self {
+        Self {
+            q: array(&motion.q),
+            qd: array(&motion.qd),
+            qdd: array(&motion.qdd),
+        }
+    }
+}
+
+impl<const N: usize> From<&MotionFrame<N>> for JointMotion<N> {
+    fn from(frame: &MotionFrame<N>) -> Self {
+        Self {
+            q: frame.q.into(),
+            qd: frame.qd.into(),
+            qdd: frame.qdd.into(),
+        }
+    }
+}
+
+/// Torque of one tick with the shares of joint `tick % N`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TorqueFrame<const N: usize> {
+    /// Counter of the tick.
+    #[serde(with = "postcard::fixint::le")]
+    pub tick: u32,
+    /// [`Flags`] of the tick.
+    #[serde(with = "postcard::fixint::le")]
+    pub flags: u16,
+    /// The torque, N·m, every bit of it.
+    #[serde(with = "BigArray")]
+    pub total: [f32; N],
+    /// Rigid-body, friction and network share of joint `tick % N`, N·m.
+    pub shares: [f32; 3],
+}
+
+impl<const N: usize> From<&Torque<N>> for TorqueFrame<N> {
+    fn from(torque: &Torque<N>) -> Self {
+        let joint = torque.tick as usize % N;
+        let Shares {
+            rigid,
+            friction,
+            network,
+        } = &torque.shares;
+        Self {
+            tick: torque.tick,
+            flags: torque.flags.0,
+            total: array(&torque.total),
+            shares: [rigid, friction, network]
+                .map(|share| share.get(joint).copied().unwrap_or(0.0)),
+        }
+    }
+}
+
+/// Torque of one tick with all shares.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FullTorqueFrame<const N: usize> {
+    /// Counter of the tick.
+    #[serde(with = "postcard::fixint::le")]
+    pub tick: u32,
+    /// The torque and its shares.
+    pub torque: EvaluatedFrame<N>,
+}
+
+impl<const N: usize> From<&Torque<N>> for FullTorqueFrame<N> {
+    fn from(torque: &Torque<N>) -> Self {
+        Self {
+            tick: torque.tick,
+            torque: torque.into(),
+        }
+    }
+}
+
+impl<const N: usize> From<&FullTorqueFrame<N>> for Torque<N> {
+    fn from(frame: &FullTorqueFrame<N>) -> Self {
+        Self {
+            tick: frame.tick,
+            ..Self::from(&frame.torque)
+        }
+    }
+}
+
+/// A torque and its shares in full precision, N·m.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvaluatedFrame<const N: usize> {
+    /// [`Flags`].
+    #[serde(with = "postcard::fixint::le")]
+    pub flags: u16,
+    /// Sum of the shares, after limits where there is a tick.
+    #[serde(with = "BigArray")]
+    pub total: [f32; N],
+    /// Rigid-body share.
+    #[serde(with = "BigArray")]
+    pub rigid: [f32; N],
+    /// Friction share.
+    #[serde(with = "BigArray")]
+    pub friction: [f32; N],
+    /// Network share.
+    #[serde(with = "BigArray")]
+    pub network: [f32; N],
+}
+
+impl<const N: usize> From<&Torque<N>> for EvaluatedFrame<N> {
+    fn from(torque: &Torque<N>) -> Self {
+        Self {
+            flags: torque.flags.0,
+            total: array(&torque.total),
+            rigid: array(&torque.shares.rigid),
+            friction: array(&torque.shares.friction),
+            network: array(&torque.shares.network),
+        }
+    }
+}
+
+impl<const N: usize> From<&EvaluatedFrame<N>> for Torque<N> {
+    fn from(frame: &EvaluatedFrame<N>) -> Self {
+        Self {
+            total: frame.total.into(),
+            shares: Shares {
+                rigid: frame.rigid.into(),
+                friction: frame.friction.into(),
+                network: frame.network.into(),
+            },
+            flags: Flags(frame.flags),
+            tick: 0,
+        }
+    }
+}
+
+fn array<const N: usize>(vector: &JointVector<N>) -> [f32; N] {
+    (*vector).into()
+}
