@@ -27,7 +27,7 @@ pub struct SinCos {
 /// Absolute error: ≤ 1.2e-7 for |x| ≤ 2π, ≤ 5e-7 for |x| ≤ 1000. NaN and ±∞ give NaN. Beyond 1000 the result loses
 /// digits: callers keep within [`LARGEST_ANGLE`].
 /// Cost: 10 multiplications, 9 additions, no branch.
-#[inline]
+#[inline(always)]
 pub fn sin_cos(x: f32) -> SinCos {
     const TWO_OVER_PI: f32 = core::f32::consts::FRAC_2_PI;
     // 12 significant bits: k · HIGH is exact for |k| < 2¹².
