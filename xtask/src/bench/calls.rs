@@ -265,7 +265,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Targets of a table branch at `address` in `code`. The table ends where the first of its targets begins, or
-    /// earlier if constants follow it: those, read as offsets, point out of the function.
+    /// earlier if padding or constants follow it: those, read as offsets, point into the table or out of the function.
     fn table(&self, address: u32, halfwords: bool, code: &Range<u32>) -> Vec<u32> {
         let base = address + 4;
         let mut targets: Vec<u32> = Vec::new();
@@ -278,7 +278,9 @@ impl<'a> Walk<'a> {
             let target = offset.map(|offset| base + 2 * offset);
             let ended = targets.iter().any(|&first| entry >= first);
             match target {
-                Some(target) if !ended && code.contains(&target) => targets.push(target),
+                Some(target) if !ended && target > entry && code.contains(&target) => {
+                    targets.push(target);
+                }
                 _ => break,
             }
         }
@@ -367,6 +369,10 @@ mod tests {
             0x4770, // bx lr
             0xB510, 0xBD10, // push {r4, lr}; pop {r4, pc}
         ];
+        let image = Image::of_code(&[("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_doubts(&image, &[]), (8, vec![]));
+        // tbb [pc, r0] with three cases, the first of them a return, and a byte of padding
+        let caller = [0xE8DF, 0xF000, 0x0302, 0x0002, 0x4770, 0xB510, 0xBD10];
         let image = Image::of_code(&[("caller", CALLER, &caller)]);
         assert_eq!(depth_and_doubts(&image, &[]), (8, vec![]));
     }
