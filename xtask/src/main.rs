@@ -137,6 +137,13 @@ mod tests {
             Ok(Request::Demo { forced })
         );
         assert_eq!(request("test"), Ok(Request::Test { forced: None }));
+        assert_eq!(
+            request("bench --accept"),
+            Ok(Request::Bench {
+                forced: None,
+                accept: true
+            })
+        );
         assert_eq!(request(""), Ok(Request::Help));
         assert_eq!(request("test --help"), Ok(Request::Help));
     }
