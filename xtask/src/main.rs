@@ -1,5 +1,6 @@
-//! Set-up, demo and test of foretorque in one command each.
+//! Set-up, demo, bench and test of foretorque in one command each.
 
+mod bench;
 mod demo;
 mod setup;
 mod shell;
@@ -14,13 +15,14 @@ use lexopt::prelude::*;
 use setup::Way;
 
 const HELP: &str = "\
-Set-up, demo and test of foretorque in one command each.
+Set-up, demo, bench and test of foretorque in one command each.
 
 Usage: cargo xtask <COMMAND> [OPTIONS]
 
 Commands:
   setup   Bring what the other commands need: the board's Rust target, the emulator, clippy and rustfmt
   demo    Set up, build, run the main job in the emulator and write target/foretorque/demo/report.html
+  bench   Set up, measure what the firmware costs, compare with docs/budget.md, write target/foretorque/bench.json
   test    Set up, pass every gate (format, lints, builds, tests, docs) and end with counts
 
 Options:
@@ -29,6 +31,7 @@ Options:
                            rustup     `rustup target add`, bounded in time
                            debian     Debian's rustc and sources: core is built once and linked as a toolchain
       --check            setup only: change nothing, list what is here and what is missing, fail if anything is
+      --accept           bench only: write docs/budget.md anew; limits may go down, never up
   -h, --help             Print this help
 
 The debian way leaves one directory, $XDG_DATA_HOME/foretorque (~/.local/share/foretorque), and a rustup toolchain
@@ -43,16 +46,19 @@ enum Request {
     Setup { forced: Option<Way>, check: bool },
     Demo { forced: Option<Way> },
     Test { forced: Option<Way> },
+    Bench { forced: Option<Way>, accept: bool },
 }
 
 /// Reads the command line; the error is one line fit for the user.
 fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
-    let (mut command, mut forced, mut check) = (None, None, false);
+    let (mut command, mut forced) = (None, None);
+    let (mut check, mut accept) = (false, false);
     while let Some(arg) = args.next()? {
         match arg {
             Short('h') | Long("help") => return Ok(Request::Help),
             Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
             Long("check") => check = true,
+            Long("accept") => accept = true,
             Value(name) if command.is_none() => command = Some(name.string()?),
             other => return Err(other.unexpected()),
         }
@@ -61,11 +67,15 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
         None | Some("help") => Request::Help,
         Some("setup") => Request::Setup { forced, check },
         Some("demo") => Request::Demo { forced },
+        Some("bench") => Request::Bench { forced, accept },
         Some("test") => Request::Test { forced },
         Some(other) => return Err(format!("there is no command `{other}`").into()),
     };
     if check && !matches!(request, Request::Setup { .. }) {
         return Err("--check belongs to `cargo xtask setup`".into());
+    }
+    if accept && !matches!(request, Request::Bench { .. }) {
+        return Err("--accept belongs to `cargo xtask bench`".into());
     }
     Ok(request)
 }
@@ -92,6 +102,7 @@ fn main() -> ExitCode {
             check: false,
         } => setup::run(forced).map(drop),
         Request::Demo { forced } => demo::run(forced),
+        Request::Bench { forced, accept } => bench::run(forced, accept),
         Request::Test { forced } => test::run(forced),
     };
     match outcome {
@@ -126,6 +137,13 @@ mod tests {
             Ok(Request::Demo { forced })
         );
         assert_eq!(request("test"), Ok(Request::Test { forced: None }));
+        assert_eq!(
+            request("bench --accept"),
+            Ok(Request::Bench {
+                forced: None,
+                accept: true
+            })
+        );
         assert_eq!(request(""), Ok(Request::Help));
         assert_eq!(request("test --help"), Ok(Request::Help));
     }
@@ -138,6 +156,7 @@ mod tests {
             ("setup --tolchain rustup", "tolchain"),
             ("setup --toolchain nix", "installed, rustup or debian"),
             ("demo --check", "--check"),
+            ("test --accept", "--accept"),
         ] {
             let error = request(line).unwrap_err();
             assert!(error.contains(named), "`{line}` gave `{error}`");

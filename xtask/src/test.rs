@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
 
+use crate::bench;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
 use crate::toolchain::Tools;
@@ -56,6 +57,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     for (name, mut gate) in builds(tools) {
         outcomes.push(pass(name, || shell::run(&mut gate)));
     }
+    outcomes.push(pass("linked firmware", bench::check_firmware));
     // After the builds, because the tests run the board's ELF files.
     let mut counts = Counts::default();
     outcomes.push(pass("tests", || {

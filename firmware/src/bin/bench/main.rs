@@ -1,0 +1,45 @@
+//! The kernels of the tick, called over seeded inputs: what `cargo xtask bench` counts and traces in the emulator.
+//!
+//! One line `name count` leaves over semihosting for every call of every row. The count is that of TIM2, which under
+//! `-icount shift=0` advances by one for each executed instruction. The semihosting command line is the number of
+//! calls of each row.
+#![cfg_attr(target_os = "none", no_std, no_main)]
+
+#[cfg(target_os = "none")]
+mod machine;
+#[cfg(target_os = "none")]
+mod rows;
+#[cfg(target_os = "none")]
+mod stage;
+
+#[cfg(target_os = "none")]
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    use cortex_m_semihosting::{debug, hprintln};
+
+    machine::start_counter();
+    let calls = machine::calls();
+    for row in rows::ROWS {
+        // Every row starts from the same stage, so that a row added or removed does not move the others.
+        let Some(mut stage) = stage::Stage::new() else {
+            hprintln!("the configuration of the tick does not validate");
+            debug::exit(debug::EXIT_FAILURE);
+            break;
+        };
+        for _ in 0..calls {
+            stage.vary();
+            let count = machine::count(row.run, &mut stage);
+            hprintln!("{} {}", row.name, count);
+        }
+    }
+    debug::exit(debug::EXIT_SUCCESS);
+    loop {
+        cortex_m::asm::nop();
+    }
+}
+
+#[cfg(not(target_os = "none"))]
+fn main() {
+    eprintln!("bench is firmware: `cargo xtask bench` builds and runs it");
+    std::process::exit(2);
+}

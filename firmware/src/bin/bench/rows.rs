@@ -1,0 +1,61 @@
+//! One function a row, kept apart by its address being taken: nothing about its inputs is known when it is compiled.
+
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::dynamics::{friction, regressor_row, rnea};
+use foretorque::learning::network_inputs;
+use foretorque::math;
+
+use crate::stage::Stage;
+
+/// One measured function.
+pub(crate) struct Row {
+    pub(crate) name: &'static str,
+    pub(crate) run: fn(&mut Stage),
+}
+
+macro_rules! rows {
+    ($($name:ident($stage:pat) $body:expr;)*) => {
+        $(
+            #[inline(never)]
+            fn $name($stage: &mut Stage) {
+                $body
+            }
+        )*
+        pub(crate) static ROWS: &[Row] = &[$(Row { name: stringify!($name), run: $name }),*];
+    };
+}
+
+// The host subtracts the first row: what a call costs whose function returns at once.
+rows! {
+    empty(_) ();
+    sin_cos(s) s.sin_cos = math::sin_cos(s.angle);
+    rnea_ur5(s) s.tau = rnea::<Ur5, JOINTS, PARAMETERS>(&s.set.rigid, &s.motion);
+    regressor_row_ur5(s) s.rows[0] = regressor_row::<Ur5, JOINTS, PARAMETERS>(s.joint, &s.motion);
+    regressor_ur5(s) s.regressor();
+    friction_ur5(s) s.tau = friction(&s.set.friction, &s.motion.qd);
+    bp_18_32_6_forward(s) s.output = s.paper.forward(&s.input);
+    bp_18_32_6_update(s) s.output = s.paper.update(&s.input, &s.target, &s.step);
+    block_network(s) s.block_network();
+    feedforward_step(s) s.torque = s.feedforward.step(&s.sample);
+    learning_step(s) s.learner.learn(&s.lesson, &mut s.exchange);
+}
+
+impl Stage {
+    /// All rows of the regressor, one after another.
+    #[inline(always)]
+    fn regressor(&mut self) {
+        for (joint, row) in self.rows.iter_mut().enumerate() {
+            *row = regressor_row::<Ur5, JOINTS, PARAMETERS>(joint, &self.motion);
+        }
+    }
+
+    /// The residual networks of all joints, their inputs included.
+    #[inline(always)]
+    fn block_network(&mut self) {
+        let joints = self.set.network.iter().zip(self.motion.qd.iter());
+        for (tau, (network, &qd)) in self.tau.iter_mut().zip(joints) {
+            let [[output]] = network.forward(&network_inputs(qd)).data.0;
+            *tau = output;
+        }
+    }
+}

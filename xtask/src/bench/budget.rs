@@ -1,0 +1,268 @@
+//! The committed budget: `docs/budget.md` is both the page people read and the table this program compares with.
+
+use std::fmt::Write as _;
+use std::fs;
+
+use anyhow::{Context as _, Result, bail, ensure};
+
+use crate::shell;
+
+/// The page, from the workspace's root.
+pub(crate) const PAGE: &str = "docs/budget.md";
+
+/// Room for a compiler that is not the budget's, in parts of a limit: 1.95 and 1.96 differ by up to 2 %.
+const FOREIGN_MARGIN: f64 = 0.05;
+
+/// Room that a newly accepted value gets.
+const FRESH_MARGIN: f64 = 0.02;
+
+/// One line of the table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Line {
+    /// `row, unit`.
+    pub(crate) quantity: String,
+    pub(crate) value: u64,
+    pub(crate) limit: u64,
+    pub(crate) how: String,
+}
+
+/// One measured quantity.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Measured {
+    pub(crate) quantity: String,
+    pub(crate) value: u64,
+    pub(crate) how: &'static str,
+}
+
+/// The committed table and the compiler whose code it measured.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Budget {
+    pub(crate) toolchain: String,
+    pub(crate) lines: Vec<Line>,
+}
+
+/// What a comparison found, one sentence each.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Verdict {
+    /// The build fails for these.
+    pub(crate) exceeded: Vec<String>,
+    /// Worth saying.
+    pub(crate) notes: Vec<String>,
+}
+
+impl Budget {
+    pub(crate) fn read() -> Result<Self> {
+        let path = shell::root().join(PAGE);
+        let text =
+            fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        Self::parse(&text).with_context(|| format!("{PAGE} is not a budget"))
+    }
+
+    pub(crate) fn write(&self) -> Result<()> {
+        let path = shell::root().join(PAGE);
+        fs::write(&path, self.page()).with_context(|| format!("cannot write {}", path.display()))
+    }
+
+    fn parse(text: &str) -> Result<Self> {
+        let toolchain = text
+            .lines()
+            .find_map(|line| line.strip_prefix("Toolchain: "))
+            .context("there is no line `Toolchain: …`")?;
+        let mut lines = Vec::new();
+        for row in text.lines().filter(|line| line.starts_with("| `")) {
+            let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
+            let [quantity, value, limit, how] = cells[..] else {
+                bail!("not four cells: {row}");
+            };
+            let number = |cell: &str| {
+                cell.parse()
+                    .with_context(|| format!("`{cell}` is no number in: {row}"))
+            };
+            lines.push(Line {
+                quantity: quantity.replace('`', ""),
+                value: number(value)?,
+                limit: number(limit)?,
+                how: how.into(),
+            });
+        }
+        Ok(Self {
+            toolchain: toolchain.trim().into(),
+            lines,
+        })
+    }
+
+    pub(crate) fn line(&self, quantity: &str) -> Option<&Line> {
+        self.lines.iter().find(|line| line.quantity == quantity)
+    }
+
+    /// Compares with what `toolchain` gave.
+    pub(crate) fn compare(&self, toolchain: &str, measured: &[Measured]) -> Verdict {
+        let mut verdict = Verdict::default();
+        let foreign = release(toolchain) != release(&self.toolchain);
+        let margin = if foreign { FOREIGN_MARGIN } else { 0.0 };
+        if foreign {
+            verdict.notes.push(format!(
+                "compiled by {toolchain}, budgeted for {}: every limit is widened by {:.0} %",
+                self.toolchain,
+                100.0 * FOREIGN_MARGIN
+            ));
+        }
+        for Measured {
+            quantity, value, ..
+        } in measured
+        {
+            let Some(line) = self.line(quantity) else {
+                verdict
+                    .exceeded
+                    .push(format!("{quantity}: {value} has no budget"));
+                continue;
+            };
+            let limit = line.limit as f64 * (1.0 + margin);
+            if *value as f64 > limit {
+                let over = format!(
+                    "{quantity}: {value} exceeds {limit:.0} (was {})",
+                    line.value
+                );
+                verdict.exceeded.push(over);
+            } else if foreign {
+                // Its differences are the compiler's, not a change of the code.
+            } else if *value < line.value {
+                let better = format!("{quantity}: improved from {} to {value}", line.value);
+                verdict.notes.push(better);
+            } else if *value > line.value {
+                let worse = format!(
+                    "{quantity}: grew from {} to {value}, within {}",
+                    line.value, line.limit
+                );
+                verdict.notes.push(worse);
+            }
+        }
+        for line in &self.lines {
+            if !measured.iter().any(|m| m.quantity == line.quantity) {
+                let gone = format!("{}: is in the budget and was not measured", line.quantity);
+                verdict.exceeded.push(gone);
+            }
+        }
+        verdict
+    }
+
+    /// The table with the measured values. A limit follows an improvement down and never goes up by itself: raising one
+    /// is a change somebody makes by hand.
+    pub(crate) fn accept(&self, toolchain: &str, measured: &[Measured]) -> Result<Self> {
+        let mut lines = Vec::new();
+        for Measured {
+            quantity,
+            value,
+            how,
+        } in measured
+        {
+            let fresh = (*value as f64 * (1.0 + FRESH_MARGIN)).ceil() as u64;
+            let limit = self
+                .line(quantity)
+                .map_or(fresh, |line| line.limit.min(fresh));
+            ensure!(
+                *value <= limit,
+                "{quantity}: {value} exceeds {limit}; whoever wants that raises the limit in {PAGE} by hand"
+            );
+            lines.push(Line {
+                quantity: quantity.clone(),
+                value: *value,
+                limit,
+                how: (*how).into(),
+            });
+        }
+        Ok(Self {
+            toolchain: toolchain.into(),
+            lines,
+        })
+    }
+
+    fn page(&self) -> String {
+        let mut page = String::from(INTRODUCTION);
+        let _ = writeln!(page, "\nToolchain: {}\n", self.toolchain);
+        page.push_str("| quantity | value | limit | how measured |\n|---|---:|---:|---|\n");
+        for Line {
+            quantity,
+            value,
+            limit,
+            how,
+        } in &self.lines
+        {
+            let _ = writeln!(page, "| `{quantity}` | {value} | {limit} | {how} |");
+        }
+        page
+    }
+}
+
+/// `rustc 1.96.0` of a version line: who packaged it does not matter.
+fn release(line: &str) -> Vec<&str> {
+    line.split_whitespace().take(2).collect()
+}
+
+const INTRODUCTION: &str = "\
+# Budget
+
+What the firmware may cost. `cargo xtask bench` measures every line, fails where a value exceeds its limit, and says so
+where one has improved. `cargo xtask bench --accept` writes this page anew: values as measured, limits at most 2 % above
+them and never higher than before. A limit is raised by hand, in a change that says why.
+
+Instructions are executed instructions in the emulator, the same on every run: the mean over calls with varying inputs.
+Cycles are *estimates* for a Cortex-M4 with zero-wait memory, from the executed instructions and the cycle tables of
+ARM DDI 0439; nothing here was measured on silicon. Bytes are those of the flashable firmware. A compiler other than the
+one named here gets 5 % more.
+";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured(value: u64) -> Vec<Measured> {
+        vec![Measured {
+            quantity: "rnea_ur5, instructions".into(),
+            value,
+            how: "emulator",
+        }]
+    }
+
+    fn budget() -> Budget {
+        Budget::default()
+            .accept("rustc 1.96.0", &measured(1000))
+            .unwrap()
+    }
+
+    #[test]
+    fn the_page_is_the_table() {
+        assert_eq!(budget().lines[0].limit, 1020);
+        assert_eq!(Budget::parse(&budget().page()).unwrap(), budget());
+    }
+
+    #[test]
+    fn a_value_beyond_its_limit_fails_and_a_better_one_is_named() {
+        let verdict = |toolchain: &str, value| budget().compare(toolchain, &measured(value));
+        assert_eq!(verdict("rustc 1.96.0", 1000), Verdict::default());
+        assert_eq!(verdict("rustc 1.96.0", 1021).exceeded.len(), 1);
+        assert_eq!(verdict("rustc 1.96.0", 1020).exceeded.len(), 0);
+        assert!(verdict("rustc 1.96.0", 900).notes[0].contains("improved from 1000 to 900"));
+        let foreign = verdict("rustc 1.95.0", 1070);
+        assert_eq!(foreign.exceeded.len(), 0);
+        assert!(foreign.notes[0].contains("rustc 1.95.0"));
+        assert_eq!(verdict("rustc 1.95.0", 1072).exceeded.len(), 1);
+    }
+
+    #[test]
+    fn a_quantity_without_a_budget_or_a_measurement_fails() {
+        assert_eq!(
+            Budget::default().compare("x", &measured(1)).exceeded.len(),
+            1
+        );
+        assert_eq!(budget().compare("rustc 1.96.0", &[]).exceeded.len(), 1);
+    }
+
+    #[test]
+    fn accepting_lowers_limits_and_never_raises_them() {
+        let accept = |value| budget().accept("rustc 1.96.0", &measured(value));
+        assert_eq!(accept(900).unwrap().lines[0].limit, 918);
+        assert_eq!(accept(1015).unwrap().lines[0].limit, 1020);
+        assert!(accept(1021).is_err());
+    }
+}

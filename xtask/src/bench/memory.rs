@@ -1,0 +1,66 @@
+//! Flash, static RAM and the worst stack of the flashable firmware, from its linked ELF alone.
+
+use anyhow::{Context as _, Result, ensure};
+
+use super::calls::{Depth, Walk};
+use super::gates::PROMISES;
+use super::image::{Image, RAM};
+
+/// The interrupt in which the tick runs.
+const TICK: &str = "EXTI1";
+
+/// What the core pushes when it takes an exception: 26 words with the float registers, and one to align
+/// (DDI 0403E.e, B1.5.7).
+const EXCEPTION_FRAME: u32 = 4 * (26 + 1);
+
+/// Bytes of the firmware.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Memory {
+    /// Code, constants and start values.
+    pub(crate) flash_bytes: u32,
+    /// Static variables.
+    pub(crate) ram_bytes: u32,
+    /// Bound of the tick's stack, its exception frame included.
+    pub(crate) stack_bytes: u32,
+    /// Bound of the whole stack: the main program and one of every handler on top of each other.
+    pub(crate) nested_bytes: u32,
+    /// Where the tick is deepest.
+    pub(crate) deepest: Depth,
+}
+
+impl Memory {
+    pub(crate) fn of(image: &Image) -> Result<Self> {
+        let tick = image
+            .function(TICK)
+            .with_context(|| format!("the firmware has no function `{TICK}` for the tick"))?;
+        let deepest = bounded_depth(image, tick.code.start)?;
+        let main = image.function("main").context("there is no main")?;
+        let mut nested_bytes = bounded_depth(image, main.code.start)?.bytes;
+        for (_, handler) in image.handlers() {
+            nested_bytes += EXCEPTION_FRAME + bounded_depth(image, handler.code.start)?.bytes;
+        }
+        let used = image.ram_bytes + nested_bytes;
+        let size = RAM.end - RAM.start;
+        ensure!(
+            used <= size,
+            "variables and stack can need {used} of {size} bytes of RAM"
+        );
+        Ok(Self {
+            flash_bytes: image.flash_bytes,
+            ram_bytes: image.ram_bytes,
+            stack_bytes: EXCEPTION_FRAME + deepest.bytes,
+            nested_bytes,
+            deepest,
+        })
+    }
+}
+
+/// The deepest stack from `entry` on; an error if the code does not fix it.
+pub(crate) fn bounded_depth(image: &Image, entry: u32) -> Result<Depth> {
+    let mut walk = Walk::from(image, &PROMISES, &[entry]);
+    let depth = walk.depth(entry);
+    if let Some(doubt) = walk.doubts.first() {
+        anyhow::bail!("the stack is not bounded: {doubt}");
+    }
+    Ok(depth)
+}
