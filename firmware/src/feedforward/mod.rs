@@ -36,6 +36,18 @@ pub struct Torque<const N: usize> {
     pub tick: u32,
 }
 
+impl<const N: usize> Torque<N> {
+    /// No torque, before the first tick.
+    fn zero() -> Self {
+        Self {
+            total: JointVector::zeros(),
+            shares: Shares::zero(),
+            flags: Flags::NONE,
+            tick: 0,
+        }
+    }
+}
+
 /// The feed-forward of one arm: configuration, state and scratch in one place.
 ///
 /// One tick, with the learner that works in its slack:
@@ -123,6 +135,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     pub fn configure(&mut self, config: FeedForwardConfig<N>) -> Result<(), ConfigError> {
         config.validate()?;
         self.config = config;
+        Ok(())
+    }
+
+    /// Starts over at tick 0 with `set`, as [`new`](Self::new) does.
+    ///
+    /// Errors: the first field of `config` that cannot work; then nothing has changed.
+    pub fn restart(
+        &mut self,
+        config: FeedForwardConfig<N>,
+        set: &ParameterSet<N, P>,
+    ) -> Result<(), ConfigError> {
+        self.configure(config)?;
+        self.state = FeedForwardState::new(*set);
         Ok(())
     }
 

@@ -34,12 +34,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             tick: 0,
             learning: false,
             late_sets: 0,
-            last: Torque {
-                total: JointVector::zeros(),
-                shares: Shares::zero(),
-                flags: Flags::NONE,
-                tick: 0,
-            },
+            last: Torque::zero(),
             stale_ticks: 0,
             loaded_at: 0,
             adoption: Flags::NONE,

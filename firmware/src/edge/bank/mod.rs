@@ -5,6 +5,7 @@
 
 mod column;
 mod error;
+mod format;
 mod typed;
 
 pub use column::{ColumnId, ColumnKind, rigid_columns};
@@ -14,7 +15,6 @@ pub(crate) use typed::name;
 
 use crate::edge::wire::Name;
 use heapless::Vec;
-use postcard::ser_flavors::{Slice, crc::CrcModifier};
 use serde::{Deserialize, Serialize};
 
 /// Most joints of an arm.
@@ -23,11 +23,6 @@ pub const MAX_JOINTS: usize = 8;
 pub const MAX_COLUMNS: usize = 96;
 /// Most network weights.
 pub const MAX_WEIGHTS: usize = 256;
-
-const MAGIC: [u8; 4] = *b"FTPB";
-const VERSION: u8 = 1;
-const PREFIX: usize = MAGIC.len() + 1;
-const CRC_BYTES: usize = 4;
 
 /// One linear parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,6 +61,17 @@ pub struct NetworkShape {
     pub blocks: u8,
 }
 
+impl NetworkShape {
+    /// No network.
+    pub(crate) const NONE: Self = Self {
+        activation: ActivationKind::Relu,
+        inputs: 0,
+        hidden: 0,
+        outputs: 0,
+        blocks: 0,
+    };
+}
+
 /// Limits of one joint that the bank may set, inside those of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JointBounds {
@@ -78,7 +84,7 @@ pub struct JointBounds {
 }
 
 /// All parameters of one arm: what is loaded, learnt, stored and sent.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ParameterBank {
     /// Identity of the arm.
     #[serde(with = "postcard::fixint::le")]
@@ -99,49 +105,6 @@ pub struct ParameterBank {
 }
 
 impl ParameterBank {
-    /// Largest serialised bank, in bytes.
-    pub const MAX_BYTES: usize = PREFIX
-        + (4 + 1 + 24)
-        + (1 + 10 * MAX_COLUMNS)
-        + (1 + 4 * MAX_JOINTS)
-        + 5
-        + (2 + 4 * MAX_WEIGHTS)
-        + (1 + 12 * MAX_JOINTS)
-        + CRC_BYTES;
-
-    /// The serialised bank, at the front of `room`.
-    ///
-    /// Errors: [`BankError::TooLong`]; cannot fail with [`MAX_BYTES`](Self::MAX_BYTES) of room.
-    pub fn encode<'r>(&self, room: &'r mut [u8]) -> Result<&'r [u8], BankError> {
-        let flavor = CrcModifier::new(Slice::new(room), crate::edge::wire::CRC.digest());
-        postcard::serialize_with_flavor(&(MAGIC, VERSION, self), flavor)
-            .map(|bytes: &mut [u8]| &*bytes)
-            .map_err(|_| BankError::TooLong)
-    }
-
-    /// The bank in `bytes`, which must be all of it and nothing else. Does not judge its content.
-    ///
-    /// Errors: in this order, [`NotABank`](BankError::NotABank), [`Version`](BankError::Version),
-    /// [`Checksum`](BankError::Checksum), [`Malformed`](BankError::Malformed).
-    pub fn decode(bytes: &[u8]) -> Result<Self, BankError> {
-        let rest = bytes.strip_prefix(&MAGIC).ok_or(BankError::NotABank)?;
-        let &version = rest.first().ok_or(BankError::NotABank)?;
-        if version != VERSION {
-            return Err(BankError::Version(version));
-        }
-        let (content, checksum) = bytes
-            .split_last_chunk::<CRC_BYTES>()
-            .ok_or(BankError::NotABank)?;
-        if crate::edge::wire::CRC.checksum(content) != u32::from_le_bytes(*checksum) {
-            return Err(BankError::Checksum);
-        }
-        let body = content.get(PREFIX..).ok_or(BankError::NotABank)?;
-        match postcard::take_from_bytes(body) {
-            Ok((bank, [])) => Ok(bank),
-            _ => Err(BankError::Malformed),
-        }
-    }
-
     /// The column with this identity.
     pub fn column(&self, id: ColumnId) -> Option<&Column> {
         self.columns.iter().find(|column| column.id == id)

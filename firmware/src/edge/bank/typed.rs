@@ -23,6 +23,15 @@ impl ParameterBank {
     pub fn from_set<A: Arm<N, P>, const N: usize, const P: usize>(
         set: &ParameterSet<N, P>,
     ) -> Self {
+        let mut bank = Self::empty();
+        bank.describe::<A, N, P>();
+        bank.refresh::<A, N, P>(set);
+        bank
+    }
+
+    /// Becomes the bank of an arm nobody has identified yet, all values zero.
+    #[inline(never)]
+    pub(crate) fn describe<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
         const {
             assert!(N <= MAX_JOINTS);
             assert!(P + 2 * N <= MAX_COLUMNS);
@@ -50,20 +59,17 @@ impl ParameterBank {
             slew_nm_s,
             network_share: NETWORK_BOUND,
         });
-        let mut bank = Self {
-            arm_hash: A::HASH,
-            arm: name(A::NAME),
-            columns: bounded(columns),
-            drive_gains_nm_a: bounded(core::iter::repeat_n(0.0, N)),
-            network: shape::<N>(),
-            weights: Vec::new(),
-            limits: bounded(bounds),
-        };
-        bank.refresh::<A, N, P>(set);
-        bank
+        self.arm_hash = A::HASH;
+        self.arm = name(A::NAME);
+        fill(&mut self.columns, columns);
+        fill(&mut self.drive_gains_nm_a, core::iter::repeat_n(0.0, N));
+        self.network = shape::<N>();
+        self.weights.clear();
+        fill(&mut self.limits, bounds);
     }
 
     /// Puts the values of `set` into the bank and leaves all else as it is.
+    #[inline(never)]
     pub fn refresh<A: Arm<N, P>, const N: usize, const P: usize>(
         &mut self,
         set: &ParameterSet<N, P>,
@@ -85,7 +91,7 @@ impl ParameterBank {
             let output = network.output_weights.iter().chain(&network.output_bias);
             hidden.chain(output).copied()
         });
-        self.weights = bounded(weights);
+        fill(&mut self.weights, weights);
     }
 
     /// The typed set of the bank. Friction columns that are not there are zero.
@@ -219,13 +225,12 @@ pub(crate) fn name(text: &str) -> Name {
     name
 }
 
-/// The first `M` items. Collecting into a `heapless::Vec` would panic on one more.
-fn bounded<T, const M: usize>(items: impl Iterator<Item = T>) -> Vec<T, M> {
-    let mut vector = Vec::new();
+/// Replaces the content of `room` by the first `M` items. Collecting into a `heapless::Vec` would panic on one more.
+fn fill<T, const M: usize>(room: &mut Vec<T, M>, items: impl Iterator<Item = T>) {
+    room.clear();
     for item in items {
-        if vector.push(item).is_err() {
+        if room.push(item).is_err() {
             break;
         }
     }
-    vector
 }

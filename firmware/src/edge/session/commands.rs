@@ -3,13 +3,12 @@
 use super::link::LinkState;
 use super::{Session, seconds};
 use crate::arm::Arm;
-use crate::edge::bank::{BankError, NETWORK_SEED, ParameterBank};
+use crate::edge::bank::{BankError, NETWORK_SEED};
 use crate::edge::session::Desk;
 use crate::edge::telemetry::CostMeter;
 use crate::edge::wire::{
     BoardMessage, Capabilities, Configuration, Decoder, NackReason, Pacing, SampleFrame,
 };
-use crate::feedforward::FeedForward;
 use crate::learning::ParameterSet;
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
@@ -33,6 +32,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
         Ok(())
     }
 
+    #[inline(never)]
     pub(super) fn configure(
         &mut self,
         wanted: Configuration,
@@ -48,27 +48,30 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
             return Err(NackReason::NotCapable);
         }
         let set = self.feed_forward.state().active;
-        self.restart(wanted, set, desk)
+        self.restart(wanted, &set, desk)
     }
 
     /// The tick starts over at 0 with `set`, and so does the learner. Changes nothing when it fails.
     fn restart(
         &mut self,
         configuration: Configuration,
-        set: ParameterSet<N, P>,
+        set: &ParameterSet<N, P>,
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
         let period_s = seconds(&configuration);
         let config = self.bank.feed_forward_config::<A, N, P>(period_s);
         let config = config.map_err(NackReason::Bank)?;
-        self.feed_forward = FeedForward::new(config, set).map_err(|_| NackReason::Period)?;
+        self.feed_forward
+            .restart(config, set)
+            .map_err(|_| NackReason::Period)?;
         self.configuration = configuration;
         self.newest = None;
-        desk.restart(period_s, set);
+        desk.restart(period_s, *set);
         Ok(())
     }
 
     /// Takes over the uploaded bank, all of it or nothing.
+    #[inline(never)]
     pub(super) fn commit(
         &mut self,
         length: u16,
@@ -76,20 +79,22 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
         self.frozen()?;
-        let bank = self.transfer.commit(length, crc)?;
-        let set = bank.set::<A, N, P>().map_err(NackReason::Bank)?;
-        let gains = bank.drive_gains().map_err(NackReason::Bank)?;
-        let config = bank.feed_forward_config::<A, N, P>(seconds(&self.configuration));
+        self.transfer.commit(length, crc, &mut self.incoming)?;
+        let gains = self.incoming.drive_gains().map_err(NackReason::Bank)?;
+        let set = self.incoming.set::<A, N, P>().map_err(NackReason::Bank)?;
+        let period_s = seconds(&self.configuration);
+        let config = self.incoming.feed_forward_config::<A, N, P>(period_s);
         let config = config.map_err(NackReason::Bank)?;
         self.feed_forward
             .configure(config)
             .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
         self.feed_forward.load(set, &mut desk.exchange);
         self.gains = gains;
-        self.bank = bank;
+        core::mem::swap(&mut self.bank, &mut self.incoming);
         Ok(())
     }
 
+    #[inline(never)]
     pub(super) fn read(&mut self, offset: u16) -> Result<BoardMessage<N>, NackReason> {
         if offset == 0 {
             self.bank
@@ -106,12 +111,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
         })
     }
 
+    #[inline(never)]
     pub(super) fn reset(&mut self, sequence: u16, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
-        self.bank = ParameterBank::nominal::<A, N, P>();
+        let set = ParameterSet::nominal::<A>(NETWORK_SEED);
+        self.bank.describe::<A, N, P>();
+        self.bank.refresh::<A, N, P>(&set);
         self.gains = [0.0; N];
         self.transfer.abort();
-        let set = ParameterSet::nominal::<A>(NETWORK_SEED);
-        self.restart(Configuration::default(), set, desk)?;
+        self.restart(Configuration::default(), &set, desk)?;
         self.decoder = Decoder::new();
         self.link = LinkState::after(sequence);
         self.temperatures_c = [SampleFrame::<N>::NO_TEMPERATURE; N];

@@ -76,6 +76,8 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize> {
     feed_forward: FeedForward<A, N, P>,
     gains: [f32; N],
     bank: ParameterBank,
+    /// Room for a bank on its way in, which is not believed before all of it is.
+    incoming: ParameterBank,
     transfer: Transfer,
     /// The newest sample that no timer tick has used yet, with its sequence number.
     newest: Option<(u16, SampleFrame<N>)>,
@@ -102,6 +104,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
             feed_forward: FeedForward::new(config, ParameterSet::nominal::<A>(NETWORK_SEED))?,
             gains: [0.0; N],
             bank,
+            incoming: ParameterBank::empty(),
             transfer: Transfer::new(),
             newest: None,
             last_sequence: 0,

@@ -52,17 +52,22 @@ impl Transfer {
         Ok(())
     }
 
-    /// The uploaded bank, if it is all there. The upload is over, whatever comes of it.
-    pub(super) fn commit(&mut self, length: u16, crc: u32) -> Result<ParameterBank, NackReason> {
+    /// Reads the uploaded bank into `room`, if it is all there. The upload is over, whatever comes of it.
+    pub(super) fn commit(
+        &mut self,
+        length: u16,
+        crc: u32,
+        room: &mut ParameterBank,
+    ) -> Result<(), NackReason> {
         let complete = self.direction == Direction::Up && self.length == usize::from(length);
         let bytes = self.bytes.get(..self.length).unwrap_or_default();
-        let bank = if complete && CRC.checksum(bytes) == crc {
-            ParameterBank::decode(bytes).map_err(NackReason::Bank)
+        let read = if complete && CRC.checksum(bytes) == crc {
+            room.decode_into(bytes).map_err(NackReason::Bank)
         } else {
             Err(NackReason::Checksum)
         };
         self.abort();
-        bank
+        read
     }
 
     /// Keeps `bank` for reading; an unfinished upload is dropped.
