@@ -40,8 +40,9 @@ pub fn sin_cos(x: f32) -> SinCos {
 
     let rounded = x * TWO_OVER_PI + ROUND;
     let quadrant = rounded.to_bits();
-    let k = rounded - ROUND;
-    let r = (x - k * HALF_PI_HIGH) - k * HALF_PI_LOW;
+    // −k, not k: `rounded - ROUND` would be compiled as the sum with −ROUND, one constant more to load.
+    let minus_k = ROUND - rounded;
+    let r = (x + minus_k * HALF_PI_HIGH) + minus_k * HALF_PI_LOW;
     let z = r * r;
     let sin_r = r + r * z * (S[0] + z * (S[1] + z * S[2]));
     let cos_r = 1.0 + z * (C[0] + z * (C[1] + z * C[2]));
@@ -52,7 +53,7 @@ pub fn sin_cos(x: f32) -> SinCos {
     };
     SinCos {
         sin: f32::from_bits(sin.to_bits() ^ ((quadrant << 30) & SIGN)),
-        cos: f32::from_bits(cos.to_bits() ^ ((quadrant.wrapping_add(1) << 30) & SIGN)),
+        cos: f32::from_bits(cos.to_bits() ^ (((quadrant ^ (quadrant << 1)) << 30) & SIGN)),
     }
 }
 
