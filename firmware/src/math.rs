@@ -56,8 +56,14 @@ pub fn sin_cos(x: f32) -> SinCos {
 const QUARTER_TURNS: [SinCos; 4] = [
     SinCos { sin: 0.0, cos: 1.0 },
     SinCos { sin: 1.0, cos: 0.0 },
-    SinCos { sin: 0.0, cos: -1.0 },
-    SinCos { sin: -1.0, cos: 0.0 },
+    SinCos {
+        sin: 0.0,
+        cos: -1.0,
+    },
+    SinCos {
+        sin: -1.0,
+        cos: 0.0,
+    },
 ];
 
 /// e to the power of `x`.
