@@ -39,22 +39,32 @@ pub fn sin_cos(x: f32) -> SinCos {
     const C: [f32; 3] = [-4.999_986_3e-1, 4.165_471e-2, -1.358_025_7e-3];
 
     let rounded = x * TWO_OVER_PI + ROUND;
-    let quadrant = rounded.to_bits();
-    let k = rounded - ROUND;
-    let r = (x - k * HALF_PI_HIGH) - k * HALF_PI_LOW;
+    // −k, not k: `rounded - ROUND` would be compiled as the sum with −ROUND, one constant more to load.
+    let minus_k = ROUND - rounded;
+    let r = (x + minus_k * HALF_PI_HIGH) + minus_k * HALF_PI_LOW;
     let z = r * r;
     let sin_r = r + r * z * (S[0] + z * (S[1] + z * S[2]));
     let cos_r = 1.0 + z * (C[0] + z * (C[1] + z * C[2]));
-    let (sin, cos) = if quadrant & 1 == 0 {
-        (sin_r, cos_r)
-    } else {
-        (cos_r, sin_r)
-    };
+    let turn = QUARTER_TURNS[(rounded.to_bits() & 3) as usize];
     SinCos {
-        sin: f32::from_bits(sin.to_bits() ^ ((quadrant << 30) & SIGN)),
-        cos: f32::from_bits(cos.to_bits() ^ ((quadrant.wrapping_add(1) << 30) & SIGN)),
+        sin: sin_r * turn.cos + cos_r * turn.sin,
+        cos: cos_r * turn.cos - sin_r * turn.sin,
     }
 }
+
+/// Sine and cosine of 0, 1, 2 and 3 quarter turns.
+const QUARTER_TURNS: [SinCos; 4] = [
+    SinCos { sin: 0.0, cos: 1.0 },
+    SinCos { sin: 1.0, cos: 0.0 },
+    SinCos {
+        sin: 0.0,
+        cos: -1.0,
+    },
+    SinCos {
+        sin: -1.0,
+        cos: 0.0,
+    },
+];
 
 /// e to the power of `x`.
 ///

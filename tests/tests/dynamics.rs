@@ -1,7 +1,7 @@
 //! The firmware's f32 dynamics against the host's f64 reference.
 
 use foretorque::arm::{Arm, ur5::Ur5};
-use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
+use foretorque::dynamics::{BaseParameters, regressor, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
 use host_sim::dynamics::{Joints, ReferenceModel, State};
 use host_sim::robot::{Perturbation, Robot};
@@ -68,6 +68,24 @@ fn regressor_rows_times_base_parameters_are_the_torques() {
             let row = regressor_row::<Ur5, 6, 40>(j, &motion);
             let error = f64::from(row.dot(&beta) - tau[j]).abs();
             assert!(error <= TORQUE_TOLERANCE[j], "joint {}: {error}", j + 1);
+        }
+    }
+}
+
+#[test]
+fn the_regressor_times_base_parameters_is_the_torque_and_its_rows_are_the_single_rows() {
+    let beta = BaseParameters::<40>::from_row_slice(&Ur5::NOMINAL);
+    let mut random = ChaCha8Rng::seed_from_u64(25);
+    for _ in 0..10_000 {
+        let (motion, _) = random_motion(&mut random);
+        let rows = regressor::<Ur5, 6, 40>(&motion);
+        let errors = (rows * beta - rnea::<Ur5, 6, 40>(&beta, &motion)).map(f64::from);
+        for j in 0..6 {
+            let error = errors[j].abs();
+            assert!(error <= TORQUE_TOLERANCE[j], "joint {}: {error}", j + 1);
+            // The same operations in the same order: the same bits.
+            let row = regressor_row::<Ur5, 6, 40>(j, &motion);
+            assert_eq!(rows.row(j).transpose(), row);
         }
     }
 }

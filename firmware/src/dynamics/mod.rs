@@ -10,7 +10,7 @@ mod rnea;
 mod term;
 
 pub use friction::{FRICTION_COLUMNS, FrictionParameters, friction, friction_row};
-pub use regressor::regressor_row;
+pub use regressor::{regressor, regressor_row};
 pub use rnea::rnea;
 
 use nalgebra::SVector;

@@ -1,21 +1,16 @@
-//! Rows of the joint torque regressor.
+//! The joint torque regressor: one row, or all of them.
 
 use super::link::{BaseSet, LinkMotion, origin, rotation};
-use super::term::{Term, Vector};
+use super::term::{Matrix, Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
 use crate::joint::JointMotion;
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 
-/// Row `joint` of the joint torque regressor over the base set: `tau[joint] = row · beta` (eq. 13–16).
-///
-/// A unit of one link parameter makes a force F and a moment n about the link origin; joint r feels them through its
-/// partial velocities at that origin, `s · n + v · F`, where s is the axis of joint r and v the velocity a unit rate of
-/// joint r gives the link origin. Both are carried outward from joint r, expressed in the frame of each link:
-/// `s' = Rᵀ s`, `v' = Rᵀ (v + s × p)`.
+/// Row `joint` of the [`regressor`]: `tau[joint] = row · beta`.
 ///
 /// * `joint` 0 to N − 1; any other gives a row of zeros
 ///
-/// Assumes: angles within ±1000 rad ([`super::rnea`] refuses others).///
+/// Assumes: angles within ±1000 rad ([`super::rnea`] refuses others).
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link from `joint` on.
 pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
@@ -37,62 +32,119 @@ pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
 fn row_of<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
-    let mut row = SVector::zeros();
+    // Not `SVector::zeros()`, which hides the array: its entries would be cleared by memset and copied at the end.
+    let mut row = SVector::from([0.0; P]);
     let mut link = LinkMotion::base::<A, N, P>();
-    let mut s = Vector::Z;
-    let mut v = Vector::ZERO;
+    let mut axis = JointAxis::OWN;
     outward!(I < N {
         let rot = rotation::<A, N, P>(I, motion.q[I]);
         link = link.next::<A, N, P>(I, &rot, motion);
         if I >= J {
             if I != J {
-                v = rot.transposed_times(v + s.cross(origin::<A, N, P>(I)));
-                s = rot.transposed_times(s);
+                axis = axis.carried(&rot, origin::<A, N, P>(I));
             }
-            let entries = power_of_unit_parameters(&link, s, v);
-            set(&mut row, &BaseSet::<A, N, P>::LINK[I], &entries);
+            let entries = axis.power_of_unit_parameters(&link);
+            for (index, entry) in BaseSet::<A, N, P>::LINK[I].iter().zip(entries) {
+                if let Some(index) = *index {
+                    row[index] = entry.value();
+                }
+            }
         }
     });
-    let rotor = &[BaseSet::<A, N, P>::ROTOR[J]];
-    set(&mut row, rotor, &[Term::variable(motion.qdd[J])]);
+    if let Some(index) = BaseSet::<A, N, P>::ROTOR[J] {
+        row[index] = motion.qdd[J];
+    }
     row
 }
 
-/// `s · n + v · F` for each parameter of a link at value one, in the order of eq. 14.
-#[inline(always)]
-fn power_of_unit_parameters(motion: &LinkMotion, s: Vector, v: Vector) -> [Term; LINK_PARAMETERS] {
-    let [wx, wy, wz] = motion.omega.0;
-    let [ax, ay, az] = motion.alpha.0;
-    let [u_x, u_y, u_z] = motion.u.0;
-    let ([_, uxy, uxz], [uyx, _, uyz], [uzx, uzy, _]) = (u_x.0, u_y.0, u_z.0);
-    let [sx, sy, sz] = s.0;
-    let (xy, xz, yz) = (wx * wy, wx * wz, wy * wz);
-    // F = U c and n = c × v̇, so that v · F + s · n = c · (Uᵀ v + v̇ × s).
-    let first = motion.u.transposed_times(v) + motion.a.cross(s);
-    [
-        v.dot(motion.a),
-        first.0[0],
-        first.0[1],
-        first.0[2],
-        sx * ax + sy * xz - sz * xy,
-        sy * ay + sz * xy - sx * yz,
-        sz * az + sx * yz - sy * xz,
-        sy * uzy - sx * uzx + sz * (wx * wx - wy * wy),
-        sx * uyx - sz * uyz + sy * (wz * wz - wx * wx),
-        sz * uxz - sy * uxy + sx * (wy * wy - wz * wz),
-    ]
+/// The joint torque regressor over the base set: `tau = Y beta` (eq. 13–16), one row for each joint.
+///
+/// A unit of one link parameter makes a force F and a moment n about the link origin; joint r feels them through its
+/// partial velocities at that origin, `s · n + v · F` [Kane and Levinson 1985, section 4.4].
+///
+/// Assumes: angles within ±1000 rad ([`super::rnea`] refuses others).
+/// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link and joint before it.
+#[expect(
+    clippy::absurd_extreme_comparisons,
+    reason = "the loop is written out joint by joint, the first one too"
+)]
+pub fn regressor<A: Arm<N, P>, const N: usize, const P: usize>(
+    motion: &JointMotion<N>,
+) -> SMatrix<f32, N, P> {
+    let mut rows = SMatrix::from([[0.0; N]; P]);
+    let mut link = LinkMotion::base::<A, N, P>();
+    let mut axes = [JointAxis::OWN; N];
+    outward!(I < N {
+        let rot = rotation::<A, N, P>(I, motion.q[I]);
+        link = link.next::<A, N, P>(I, &rot, motion);
+        outward!(J < N {
+            if J <= I {
+                if J != I {
+                    axes[J] = axes[J].carried(&rot, origin::<A, N, P>(I));
+                }
+                let entries = axes[J].power_of_unit_parameters(&link);
+                for (index, entry) in BaseSet::<A, N, P>::LINK[I].iter().zip(entries) {
+                    if let Some(index) = *index {
+                        rows[(J, index)] = entry.value();
+                    }
+                }
+            }
+        });
+        if let Some(index) = BaseSet::<A, N, P>::ROTOR[I] {
+            rows[(I, index)] = motion.qdd[I];
+        }
+    });
+    rows
 }
 
-/// Puts entries where the base set has them.
-#[inline(always)]
-fn set<const P: usize, const K: usize>(
-    row: &mut SVector<f32, P>,
-    index: &[Option<usize>; K],
-    entries: &[Term; K],
-) {
-    for (index, entry) in index.iter().zip(entries) {
-        if let Some(index) = *index {
-            row[index] = entry.value();
+/// The partial velocities of one joint at the origin of a link: what a unit rate of the joint gives it, in its frame.
+#[derive(Clone, Copy)]
+struct JointAxis {
+    /// Angular velocity: the axis of the joint.
+    s: Vector,
+    /// Velocity of the origin.
+    v: Vector,
+}
+
+impl JointAxis {
+    /// At the joint's own link.
+    const OWN: Self = Self {
+        s: Vector::Z,
+        v: Vector::ZERO,
+    };
+
+    /// At the next link, whose frame sits at p and is turned by `rot` = R: `s' = Rᵀ s`, `v' = Rᵀ (v + s × p)`.
+    #[inline(always)]
+    fn carried(self, rot: &Matrix, p: Vector) -> Self {
+        Self {
+            s: rot.transposed_times(self.s),
+            v: rot.transposed_times(self.v + self.s.cross(p)),
         }
+    }
+
+    /// `s · n + v · F` for each parameter of a link at value one, in the order of eq. 14.
+    #[inline(always)]
+    fn power_of_unit_parameters(self, motion: &LinkMotion) -> [Term; LINK_PARAMETERS] {
+        let Self { s, v } = self;
+        let [wx, wy, wz] = motion.omega.0;
+        let [ax, ay, az] = motion.alpha.0;
+        let [u_x, u_y, u_z] = motion.u.0;
+        let ([_, uxy, uxz], [uyx, _, uyz], [uzx, uzy, _]) = (u_x.0, u_y.0, u_z.0);
+        let [sx, sy, sz] = s.0;
+        let (xy, xz, yz) = (wx * wy, wx * wz, wy * wz);
+        // F = U c and n = c × v̇, so that v · F + s · n = c · (Uᵀ v + v̇ × s).
+        let first = motion.u.transposed_times(v) + motion.a.cross(s);
+        [
+            v.dot(motion.a),
+            first.0[0],
+            first.0[1],
+            first.0[2],
+            sx * ax + sy * xz - sz * xy,
+            sy * ay + sz * xy - sx * yz,
+            sz * az + sx * yz - sy * xz,
+            sy * uzy - sx * uzx + sz * (wx * wx - wy * wy),
+            sx * uyx - sz * uyz + sy * (wz * wz - wx * wx),
+            sz * uxz - sy * uxy + sx * (wy * wy - wz * wz),
+        ]
     }
 }

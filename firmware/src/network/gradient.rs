@@ -20,6 +20,10 @@ struct Deltas<const H: usize, const O: usize> {
     hidden: SVector<f32, H>,
     /// `Σ_h slope(a_h)² |W2_h|²`: how far the outputs move with the inputs of the hidden units.
     sensitivity: f32,
+    /// `|a|²`.
+    power: f32,
+    /// Sum of `hidden`: finite only if each is.
+    sum: f32,
 }
 
 impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I, H, O, A> {
@@ -69,10 +73,10 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         let error = self.output(&a) - target;
         let clipped = error.map(|e| clip(e, step.error_clip));
         let deltas = self.propagate_back(&a, clipped);
-        let sensitivity = 1.0 + squared(&a) + (1.0 + squared(x)) * deltas.sensitivity;
+        let sensitivity = 1.0 + deltas.power + (1.0 + squared(x)) * deltas.sensitivity;
         let rate = step.learning_rate / (1.0 + sensitivity);
         // A sum of the step's factors is finite only if each is; the weights are touched after that, never before.
-        let probe = 0.0 * (rate + sum(&deltas.hidden) + sum(&deltas.output) + squared(x));
+        let probe = 0.0 * (rate + deltas.sum + sum(&deltas.output) + squared(x));
         if probe == 0.0 {
             descend(&mut self.output_weights, &a, &deltas.output, rate);
             descend_bias(&mut self.output_bias, &deltas.output, rate);
@@ -85,24 +89,31 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// The deltas of output errors `output`, where the hidden outputs are `a`.
     #[inline]
     fn propagate_back(&self, a: &SVector<f32, H>, output: SVector<f32, O>) -> Deltas<H, O> {
-        let mut hidden = *a;
         let mut sensitivity = 0.0;
+        let mut power = 0.0;
+        let mut sum = 0.0;
         let columns = &self.output_weights.data.0;
-        for (delta, column) in hidden.as_mut_slice().iter_mut().zip(columns) {
+        let a: &[f32; H] = &a.data.0[0];
+        let hidden = core::array::from_fn(|unit| {
             let mut back = 0.0;
             let mut reach = 0.0;
-            for (weight, output) in column.iter().zip(output.as_slice()) {
+            for (weight, output) in columns[unit].iter().zip(output.as_slice()) {
                 back += weight * output;
                 reach += weight * weight;
             }
-            let slope = A::slope(*delta);
+            let slope = A::slope(a[unit]);
+            let delta = slope * back;
             sensitivity += slope * slope * reach;
-            *delta = slope * back;
-        }
+            power += a[unit] * a[unit];
+            sum += delta;
+            delta
+        });
         Deltas {
             output,
-            hidden,
+            hidden: SVector::from(hidden),
             sensitivity,
+            power,
+            sum,
         }
     }
 }
@@ -122,9 +133,7 @@ fn descend<const R: usize, const C: usize>(
         for (column, source) in columns.iter_mut().zip(source.as_slice()) {
             let scale = rate * source;
             if let Some(weights) = column.as_chunks_mut::<8>().0.get_mut(index) {
-                for (weight, delta) in weights.iter_mut().zip(delta) {
-                    *weight -= scale * delta;
-                }
+                *weights = core::array::from_fn(|k| weights[k] - scale * delta[k]);
             }
         }
     }
