@@ -4,8 +4,11 @@ use super::{Failure, unusable};
 use crate::board::qemu::{Emulator, Image, QemuOptions};
 use crate::board::serial::{self, Serial};
 use crate::board::{Client, Native, Transport};
+use crate::generate::arm_hash;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
+use foretorque::arm::panda::Panda;
+use foretorque::arm::ur5::Ur5;
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -114,21 +117,49 @@ fn compiler_of(elf: &Path) -> Option<String> {
         })
 }
 
-/// The description of a robot that the firmware has an arm for.
+/// Work for a robot that the firmware has an arm for.
+pub(super) trait OnArm {
+    /// What comes out.
+    type Output;
+
+    /// Does the work with the firmware's arm `A` of `robot`.
+    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
+        self,
+        robot: &Robot,
+    ) -> Result<Self::Output, Failure>;
+}
+
+/// Does `work` with the firmware's arm of the robot called `name`. Which of these arms a board drives, the board says.
 ///
-/// Errors: unknown robot, or one without firmware.
-pub(super) fn robot_on_board<A: Arm<N, P>, const N: usize, const P: usize>(
-    name: &str,
-) -> Result<Robot, Failure> {
+/// Errors: unknown robot, one without an arm in the firmware, or another geometry under the name of one; those of the
+/// work.
+pub(super) fn on_arm<W: OnArm>(name: &str, work: W) -> Result<W::Output, Failure> {
     let robot = Robot::load(name)?;
-    if robot.name != A::NAME || robot.joint_count() != N {
+    match robot.name.as_str() {
+        name if name == Ur5::NAME => checked::<Ur5, _, _, W>(&robot, work),
+        name if name == Panda::NAME => checked::<Panda, _, _, W>(&robot, work),
+        other => Err(unusable(format!(
+            "robot '{other}': the firmware has no arm of that name, only {} and {}; `host-sim generate` makes one",
+            Ur5::NAME,
+            Panda::NAME
+        ))),
+    }
+}
+
+fn checked<A: Arm<N, P>, const N: usize, const P: usize, W: OnArm>(
+    robot: &Robot,
+    work: W,
+) -> Result<W::Output, Failure> {
+    let described = arm_hash(robot);
+    if described != A::HASH {
         return Err(unusable(format!(
-            "robot '{}': the boards of this build drive '{}' only; `host-sim generate` makes the constants for another",
+            "robot '{}': description ({described:08x}) and firmware ({:08x}) are different arms of that name; \
+             `host-sim generate` makes the firmware's from the description",
             robot.name,
-            A::NAME
+            A::HASH
         )));
     }
-    Ok(robot)
+    work.on::<A, N, P>(robot)
 }
 
 #[cfg(test)]
