@@ -306,6 +306,40 @@ fn the_emulated_board_says_that_it_drives_another_robot() {
 }
 
 #[test]
+fn the_log_of_the_flashable_firmware_is_text() {
+    let room = room("log");
+    succeeds(
+        &room,
+        "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log board.log",
+    );
+    let log = fs::read_to_string(room.join("board.log")).expect("it was written");
+    let hello = format!(
+        "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
+        Ur5::HASH
+    );
+    let start = [
+        "info: boot: clock Emulated at 168000000 Hz, started by Unknown, left before by None at 0x0",
+        &hello,
+    ];
+    let lines: Vec<&str> = log.lines().collect();
+    assert_eq!(lines[..2], start);
+    assert!(lines[2].starts_with("info: tick 1"), "{log}");
+    assert!(
+        lines[2].ends_with(" 0 lost, 0 overruns, 0 ticks missed"),
+        "{log}"
+    );
+    assert_eq!(lines.len(), 3);
+    let mut made = files(&room);
+    made.sort();
+    assert_eq!(made, ["board.log", "out"]);
+    let said = fails(
+        &room,
+        "run --robot ur5 --trajectory validation --out out --log board.log",
+    );
+    assert!(said.contains("--log: board native has none"), "{said}");
+}
+
+#[test]
 fn an_arm_module_is_generated_from_a_urdf() {
     let room = room("generate");
     let urdf = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/panda.urdf");

@@ -1,9 +1,11 @@
 //! Which board, and how it is reached.
 
 use super::{Failure, unusable};
+use crate::board::log::Messages;
 use crate::board::qemu::{Emulator, Image, QemuOptions};
 use crate::board::serial::{self, Serial};
 use crate::board::{Client, Native, Transport};
+use crate::files::write_whole;
 use crate::generate::arm_hash;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
@@ -70,12 +72,17 @@ impl BoardChoice {
 
     /// Starts the board and greets it.
     ///
+    /// * `stream` file for the raw log of the flashable firmware
+    ///
     /// Errors: emulator or firmware missing, port busy or missing, a board of another robot or protocol.
     pub(super) fn connect<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
+        stream: Option<&Path>,
     ) -> Result<Client<N>, Failure> {
         let emulated = |image| -> Result<Box<dyn Transport>, Failure> {
-            Ok(Box::new(Emulator::start(&QemuOptions::new(image))?))
+            let mut options = QemuOptions::new(image);
+            options.log = stream.map(Path::to_owned);
+            Ok(Box::new(Emulator::start(&options)?))
         };
         let transport = match self {
             Self::Native => Box::new(Native::<A, N, P>::new()?),
@@ -84,6 +91,18 @@ impl BoardChoice {
             Self::Serial(port) => Box::new(Serial::open(port, serial::BAUD)?),
         };
         Ok(Client::connect::<A, P>(transport, BOOT)?)
+    }
+
+    /// Writes the log in `stream` as text into `file`, and removes the stream.
+    ///
+    /// Errors: of the files; a stream that is no log of the board's firmware.
+    pub(super) fn write_log(&self, stream: &Path, file: &Path) -> Result<(), Failure> {
+        let elf = self.elf().unwrap_or_default();
+        let bytes = |path: &Path| fs::read(path).map_err(|error| crate::files::at(path, error));
+        let lines = Messages::of(&bytes(&elf)?)?.lines(&bytes(stream)?)?;
+        fs::remove_file(stream)?;
+        write_whole(file, (lines.join("\n") + "\n").as_bytes())?;
+        Ok(())
     }
 
     /// Version of the compiler that made the board's code, as its ELF says.

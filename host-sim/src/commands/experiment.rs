@@ -67,9 +67,9 @@ fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure>
         ..DemoConfig::default()
     };
     let robot = Robot::load(Ur5::NAME)?;
-    let mut bulk = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>()?;
+    let mut bulk = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
     let mut usart = match arguments.board {
-        BoardChoice::Qemu => Some(BoardChoice::QemuUsart.connect::<Ur5, JOINTS, PARAMETERS>()?),
+        BoardChoice::Qemu => Some(BoardChoice::QemuUsart.connect::<Ur5, JOINTS, PARAMETERS>(None)?),
         _ => None,
     };
     let bar = Bar::new();

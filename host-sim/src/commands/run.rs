@@ -1,7 +1,7 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
-use super::{Failure, bank};
+use super::{Failure, bank, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::files::write_whole;
 use crate::metrics::TrackingError;
@@ -28,13 +28,37 @@ pub(super) struct Arguments {
     /// Learn while it runs
     #[arg(long)]
     learn: bool,
+    /// Write the log of the firmware as text (qemu-usart only)
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
     /// Directory for log.csv, report.json and bank.bin, the parameters in force at the end
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    on_arm(&arguments.robot, arguments)
+    if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
+        return Err(unusable(format!(
+            "--log: board {} has none, only qemu-usart",
+            arguments.board
+        )));
+    }
+    let outcome = on_arm(&arguments.robot, arguments);
+    if let (Some(stream), Some(log)) = (arguments.stream(), &arguments.log) {
+        // Of a run that failed the log is of the more interest, but its own failure of less.
+        let written = arguments.board.write_log(&stream, log);
+        return outcome.and(written);
+    }
+    outcome
+}
+
+impl Arguments {
+    /// Where the emulator puts the raw log.
+    fn stream(&self) -> Option<PathBuf> {
+        self.log
+            .as_ref()
+            .map(|log| log.with_added_extension("defmt"))
+    }
 }
 
 impl OnArm for &Arguments {
@@ -54,7 +78,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Result<(), Failure> {
     let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let mut board = arguments.board.connect::<A, N, P>()?;
+    let mut board = arguments
+        .board
+        .connect::<A, N, P>(arguments.stream().as_deref())?;
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }

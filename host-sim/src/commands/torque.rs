@@ -46,7 +46,7 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
     let states = StateReader::<N>::open(&arguments.input, TimeColumn::Optional)?;
     let timed = states.has_time();
-    let mut board = arguments.board.connect::<A, N, P>()?;
+    let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }
