@@ -4,6 +4,7 @@ use core::ops::{BitOr, BitOrAssign};
 
 /// What happened in one tick, as a set of bits. The bit positions are part of the wire format.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Flags(pub u16);
 
 impl Flags {

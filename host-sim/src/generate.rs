@@ -1,5 +1,6 @@
 //! Writes the constants of an arm as a module of the firmware.
 
+use crate::files::{at, write_whole};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use foretorque::arm::{LinkColumns, Placement, identity};
 use std::fmt::Write;
@@ -97,12 +98,13 @@ pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
     let starts_with_letter = module.starts_with(|c: char| c.is_ascii_lowercase());
     let is_rust = file.extension().is_some_and(|extension| extension == "rs");
     if !(module.chars().all(plain) && starts_with_letter && is_rust) {
-        return Err(std::io::Error::new(
+        let error = std::io::Error::new(
             std::io::ErrorKind::InvalidInput,
             "must be called like a Rust module: lower-case letters, digits and underscores, then .rs",
-        ));
+        );
+        return Err(at(file, error));
     }
-    std::fs::write(file, arm_module(robot))?;
+    write_whole(file, arm_module(robot).as_bytes())?;
     let parent = file.with_file_name("mod.rs");
     let Ok(text) = std::fs::read_to_string(&parent) else {
         return Ok(());
@@ -116,7 +118,7 @@ pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
     let at = at.or_else(|| text.lines().position(|line| !line.starts_with("//!")));
     let mut lines: Vec<&str> = text.lines().collect();
     lines.insert(at.unwrap_or(lines.len()), &declaration);
-    std::fs::write(parent, lines.join("\n") + "\n")
+    write_whole(&parent, (lines.join("\n") + "\n").as_bytes())
 }
 
 /// Identity of a robot's arm, as the firmware built from [`arm_module`] will state it.

@@ -3,7 +3,7 @@
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::edge::wire::{
     BoardMessage, Configuration, CounterKind, Decoder, FrameBuffer, HostMessage, Pacing, ReplyMode,
-    SampleFrame,
+    SampleFrame, size,
 };
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use host_sim::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
@@ -173,6 +173,8 @@ fn costs_repeat_from_run_to_run() {
     assert_eq!(first.tick_cost, second.tick_cost);
     assert_eq!(first.receive_cost, second.receive_cost);
     assert!(first.tick_cost.mean > 1000 && first.receive_cost.mean > 10);
+    // What docs/protocol.md allots to the interrupt.
+    assert!(u64::from(first.receive_cost.max) <= size::RECEIVE_INSTRUCTIONS);
     assert_eq!(
         (first.late_sets, first.lessons_lost, first.overruns),
         (0, 0, 0)

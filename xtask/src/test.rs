@@ -115,7 +115,9 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
         .args(STRICT);
     let mut board_clippy = tools.board_clippy.board_cargo("clippy");
     board_clippy.args(["--lib", "--bins"]).args(STRICT);
-    let mut no_std = tools.board.board_cargo("build");
+    let mut plain_clippy = tools.board_clippy.board_library_cargo("clippy");
+    plain_clippy.arg("--lib").args(STRICT);
+    let mut no_std = tools.board.board_library_cargo("build");
     no_std.arg("--lib");
     let mut firmware = tools.board.board_cargo("build");
     firmware.arg("--bins");
@@ -123,6 +125,7 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
         ("format", fmt),
         ("clippy, host", clippy),
         ("clippy, board", board_clippy),
+        ("clippy, no log", plain_clippy),
         ("no_std library", no_std),
         ("firmware", firmware),
     ]

@@ -38,8 +38,8 @@ impl Toolchain {
         }
     }
 
-    /// `cargo SUBCOMMAND` for the board's package, target and profile.
-    pub(crate) fn board_cargo(self, subcommand: &str) -> Command {
+    /// `cargo SUBCOMMAND` for the board's library, as others may take it: without the log.
+    pub(crate) fn board_library_cargo(self, subcommand: &str) -> Command {
         let mut command = self.tool("cargo");
         command.args([
             subcommand,
@@ -50,6 +50,13 @@ impl Toolchain {
             "-p",
             "foretorque",
         ]);
+        command
+    }
+
+    /// `cargo SUBCOMMAND` for the board's package, target and profile, with the log that its binaries write.
+    pub(crate) fn board_cargo(self, subcommand: &str) -> Command {
+        let mut command = self.board_library_cargo(subcommand);
+        command.args(["--features", "defmt"]);
         command
     }
 }

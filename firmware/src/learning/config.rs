@@ -4,6 +4,7 @@ use crate::network::StepParameters;
 
 /// A configuration that cannot work, with the field that is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ConfigError {
     /// The field must be a positive, finite number.
     NotPositive(&'static str),

@@ -5,6 +5,7 @@
 
 mod child;
 mod client;
+pub mod log;
 mod native;
 pub mod qemu;
 pub mod serial;

@@ -67,6 +67,8 @@ pub struct QemuOptions {
     pub boot: Duration,
     /// File for the raw defmt stream of the flashable firmware.
     pub log: Option<PathBuf>,
+    /// File for the accesses to parts of the chip that the emulator does not model, pins among them.
+    pub trace: Option<PathBuf>,
 }
 
 impl QemuOptions {
@@ -80,6 +82,7 @@ impl QemuOptions {
             core: nix::sched::sched_getcpu().ok(),
             boot: Duration::from_secs(10),
             log: None,
+            trace: None,
         }
     }
 }
@@ -115,8 +118,7 @@ impl fmt::Display for EmulatorError {
             }
             Self::NoFirmware(elf) => write!(
                 f,
-                "no firmware at {}: build it with `cargo xtask build` or `cargo build --profile firmware \
-                 --target thumbv7em-none-eabihf -p foretorque`",
+                "no firmware at {}: build it with `cargo firmware`",
                 elf.display()
             ),
             Self::Start(error) => write!(f, "the emulator did not start: {error}"),
@@ -176,6 +178,9 @@ impl Emulator {
             .stderr(Stdio::piped())
             .arg("-kernel")
             .arg(&options.elf);
+        if let Some(trace) = &options.trace {
+            command.args(["-d", "unimp", "-D"]).arg(trace);
+        }
         if let Some(shift) = options.icount_shift {
             command
                 .arg("-icount")

@@ -1,7 +1,8 @@
 use super::{Failure, unusable};
 use clap::Args;
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::bank::ParameterBank;
+use foretorque::arm::panda::{self, Panda};
+use foretorque::arm::ur5::{self, Ur5};
+use foretorque::edge::bank::{BankError, ParameterBank};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -27,9 +28,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     );
     println!(
         "usable    {}",
-        match bank.set::<Ur5, JOINTS, PARAMETERS>() {
-            Ok(_) => "yes, on the board of this build".to_owned(),
-            Err(error) => format!("not on the board of this build: {error}"),
+        match usable(&bank) {
+            Ok(()) => format!("yes, on a board that drives {}", bank.arm),
+            Err(error) => format!("no: {error}"),
         }
     );
     println!("\n{:<8} {:>14} {:>14}", "column", "value (SI)", "deviation");
@@ -56,6 +57,16 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         );
     }
     Ok(())
+}
+
+/// The bank is one for an arm of the firmware.
+fn usable(bank: &ParameterBank) -> Result<(), BankError> {
+    match bank.set::<Ur5, { ur5::JOINTS }, { ur5::PARAMETERS }>() {
+        Err(BankError::WrongArm { .. }) => bank
+            .set::<Panda, { panda::JOINTS }, { panda::PARAMETERS }>()
+            .map(drop),
+        judged => judged.map(drop),
+    }
 }
 
 /// A bank from its file.

@@ -1,11 +1,16 @@
 //! Which board, and how it is reached.
 
 use super::{Failure, unusable};
+use crate::board::log::Messages;
 use crate::board::qemu::{Emulator, Image, QemuOptions};
 use crate::board::serial::{self, Serial};
 use crate::board::{Client, Native, Transport};
+use crate::files::write_whole;
+use crate::generate::arm_hash;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
+use foretorque::arm::panda::Panda;
+use foretorque::arm::ur5::Ur5;
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -67,12 +72,17 @@ impl BoardChoice {
 
     /// Starts the board and greets it.
     ///
+    /// * `stream` file for the raw log of the flashable firmware
+    ///
     /// Errors: emulator or firmware missing, port busy or missing, a board of another robot or protocol.
     pub(super) fn connect<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
+        stream: Option<&Path>,
     ) -> Result<Client<N>, Failure> {
         let emulated = |image| -> Result<Box<dyn Transport>, Failure> {
-            Ok(Box::new(Emulator::start(&QemuOptions::new(image))?))
+            let mut options = QemuOptions::new(image);
+            options.log = stream.map(Path::to_owned);
+            Ok(Box::new(Emulator::start(&options)?))
         };
         let transport = match self {
             Self::Native => Box::new(Native::<A, N, P>::new()?),
@@ -81,6 +91,18 @@ impl BoardChoice {
             Self::Serial(port) => Box::new(Serial::open(port, serial::BAUD)?),
         };
         Ok(Client::connect::<A, P>(transport, BOOT)?)
+    }
+
+    /// Writes the log in `stream` as text into `file`, and removes the stream.
+    ///
+    /// Errors: of the files; a stream that is no log of the board's firmware.
+    pub(super) fn write_log(&self, stream: &Path, file: &Path) -> Result<(), Failure> {
+        let elf = self.elf().unwrap_or_default();
+        let bytes = |path: &Path| fs::read(path).map_err(|error| crate::files::at(path, error));
+        let lines = Messages::of(&bytes(&elf)?)?.lines(&bytes(stream)?)?;
+        fs::remove_file(stream)?;
+        write_whole(file, (lines.join("\n") + "\n").as_bytes())?;
+        Ok(())
     }
 
     /// Version of the compiler that made the board's code, as its ELF says.
@@ -114,21 +136,49 @@ fn compiler_of(elf: &Path) -> Option<String> {
         })
 }
 
-/// The description of a robot that the firmware has an arm for.
+/// Work for a robot that the firmware has an arm for.
+pub(super) trait OnArm {
+    /// What comes out.
+    type Output;
+
+    /// Does the work with the firmware's arm `A` of `robot`.
+    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
+        self,
+        robot: &Robot,
+    ) -> Result<Self::Output, Failure>;
+}
+
+/// Does `work` with the firmware's arm of the robot called `name`. Which of these arms a board drives, the board says.
 ///
-/// Errors: unknown robot, or one without firmware.
-pub(super) fn robot_on_board<A: Arm<N, P>, const N: usize, const P: usize>(
-    name: &str,
-) -> Result<Robot, Failure> {
+/// Errors: unknown robot, one without an arm in the firmware, or another geometry under the name of one; those of the
+/// work.
+pub(super) fn on_arm<W: OnArm>(name: &str, work: W) -> Result<W::Output, Failure> {
     let robot = Robot::load(name)?;
-    if robot.name != A::NAME || robot.joint_count() != N {
+    match robot.name.as_str() {
+        name if name == Ur5::NAME => checked::<Ur5, _, _, W>(&robot, work),
+        name if name == Panda::NAME => checked::<Panda, _, _, W>(&robot, work),
+        other => Err(unusable(format!(
+            "robot '{other}': the firmware has no arm of that name, only {} and {}; `host-sim generate` makes one",
+            Ur5::NAME,
+            Panda::NAME
+        ))),
+    }
+}
+
+fn checked<A: Arm<N, P>, const N: usize, const P: usize, W: OnArm>(
+    robot: &Robot,
+    work: W,
+) -> Result<W::Output, Failure> {
+    let described = arm_hash(robot);
+    if described != A::HASH {
         return Err(unusable(format!(
-            "robot '{}': the boards of this build drive '{}' only; `host-sim generate` makes the constants for another",
+            "robot '{}': description ({described:08x}) and firmware ({:08x}) are different arms of that name; \
+             `host-sim generate` makes the firmware's from the description",
             robot.name,
-            A::NAME
+            A::HASH
         )));
     }
-    Ok(robot)
+    work.on::<A, N, P>(robot)
 }
 
 #[cfg(test)]

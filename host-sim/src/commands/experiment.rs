@@ -1,10 +1,12 @@
-use super::boards::{BoardChoice, robot_on_board};
+use super::boards::BoardChoice;
 use super::progress::Bar;
 use super::{Failure, unusable};
 use crate::experiment::demo::{self, DemoConfig};
 use crate::experiment::{DemoReport, EXPERIMENTS};
 use crate::files::write_whole;
+use crate::robot::Robot;
 use clap::Args;
+use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use std::path::PathBuf;
 
@@ -64,10 +66,10 @@ fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure>
         usart_learning_s: arguments.usart_learning_s,
         ..DemoConfig::default()
     };
-    let robot = robot_on_board::<Ur5, JOINTS, PARAMETERS>("ur5")?;
-    let mut bulk = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>()?;
+    let robot = Robot::load(Ur5::NAME)?;
+    let mut bulk = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
     let mut usart = match arguments.board {
-        BoardChoice::Qemu => Some(BoardChoice::QemuUsart.connect::<Ur5, JOINTS, PARAMETERS>()?),
+        BoardChoice::Qemu => Some(BoardChoice::QemuUsart.connect::<Ur5, JOINTS, PARAMETERS>(None)?),
         _ => None,
     };
     let bar = Bar::new();

@@ -1,7 +1,7 @@
 use super::Failure;
-use crate::files::write_whole;
-use crate::generate::arm_module;
+use crate::generate::write_arm_module;
 use crate::robot::Robot;
+use crate::urdf::{self, Selection};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -9,15 +9,43 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
-    #[arg(long)]
-    robot: String,
-    /// Module to write
+    #[arg(long, required_unless_present = "urdf", conflicts_with = "urdf")]
+    robot: Option<String>,
+    /// URDF file; one path of links in it is the arm
+    #[arg(long, value_name = "FILE")]
+    urdf: Option<PathBuf>,
+    /// Link of the URDF that the arm stands on; without it the root of the tree
+    #[arg(long, value_name = "LINK", conflicts_with = "robot")]
+    base: Option<String>,
+    /// Link of the URDF that the arm ends at; needed where the tree branches
+    #[arg(long, value_name = "LINK", conflicts_with = "robot")]
+    tip: Option<String>,
+    /// Module to write, called like the arm; the mod.rs beside it, if there is one, gets its declaration
     #[arg(long, value_name = "FILE.rs")]
     out: PathBuf,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let robot = Robot::load(&arguments.robot)?;
-    write_whole(&arguments.out, arm_module(&robot).as_bytes())?;
+    let robot = match &arguments.urdf {
+        Some(file) => {
+            let selection = Selection {
+                base: arguments.base.as_deref(),
+                tip: arguments.tip.as_deref(),
+            };
+            let import = urdf::load(file, &selection)?;
+            for note in &import.notes {
+                println!("note: {note}");
+            }
+            import.robot
+        }
+        None => Robot::load(arguments.robot.as_deref().unwrap_or_default())?,
+    };
+    write_arm_module(&robot, &arguments.out)?;
+    println!(
+        "{}: arm '{}' of {} joints",
+        arguments.out.display(),
+        robot.name,
+        robot.joint_count()
+    );
     Ok(())
 }

@@ -1,13 +1,14 @@
-use super::boards::{BoardChoice, robot_on_board};
+use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
-use super::{Failure, bank};
+use super::{Failure, bank, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::files::write_whole;
 use crate::metrics::TrackingError;
+use crate::robot::Robot;
 use crate::table::{TableWriter, joint_columns};
 use clap::Args;
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::arm::Arm;
 use std::path::PathBuf;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
@@ -27,25 +28,68 @@ pub(super) struct Arguments {
     /// Learn while it runs
     #[arg(long)]
     learn: bool,
+    /// Write the log of the firmware as text (qemu-usart only)
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
     /// Directory for log.csv, report.json and bank.bin, the parameters in force at the end
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let robot = robot_on_board::<Ur5, JOINTS, PARAMETERS>(&arguments.robot)?;
+    if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
+        return Err(unusable(format!(
+            "--log: board {} has none, only qemu-usart",
+            arguments.board
+        )));
+    }
+    let outcome = on_arm(&arguments.robot, arguments);
+    if let (Some(stream), Some(log)) = (arguments.stream(), &arguments.log) {
+        // Of a run that failed the log is of the more interest, but its own failure of less.
+        let written = arguments.board.write_log(&stream, log);
+        return outcome.and(written);
+    }
+    outcome
+}
+
+impl Arguments {
+    /// Where the emulator puts the raw log.
+    fn stream(&self) -> Option<PathBuf> {
+        self.log
+            .as_ref()
+            .map(|log| log.with_added_extension("defmt"))
+    }
+}
+
+impl OnArm for &Arguments {
+    type Output = ();
+
+    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
+        self,
+        robot: &Robot,
+    ) -> Result<(), Failure> {
+        play::<A, N, P>(self, robot)
+    }
+}
+
+fn play<A: Arm<N, P>, const N: usize, const P: usize>(
+    arguments: &Arguments,
+    robot: &Robot,
+) -> Result<(), Failure> {
     let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
-    let mut scene = arguments.motion.scene::<JOINTS>(&robot)?;
-    let mut board = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>()?;
+    let mut scene = arguments.motion.scene::<N>(robot)?;
+    let mut board = arguments
+        .board
+        .connect::<A, N, P>(arguments.stream().as_deref())?;
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }
     board.learning(arguments.learn)?;
-    let mut header = log_header::<JOINTS>();
-    header.extend(joint_columns("feed_forward", "nm", JOINTS));
+    let mut header = log_header::<N>();
+    header.extend(joint_columns("feed_forward", "nm", N));
     header.push("flags".to_owned());
     let mut log = TableWriter::create(&arguments.out.join("log.csv"), &header)?;
-    let mut tracking = TrackingError::<JOINTS>::default();
+    let mut tracking = TrackingError::<N>::default();
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,

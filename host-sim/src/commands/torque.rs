@@ -1,10 +1,11 @@
-use super::boards::{BoardChoice, robot_on_board};
+use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::{Failure, bank};
 use crate::experiment::closed_loop::motion_f32;
+use crate::robot::Robot;
 use crate::table::{StateReader, TableError, TableWriter, TimeColumn, joint_columns};
 use clap::Args;
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::arm::Arm;
 use std::path::PathBuf;
 
 /// Feed-forward torque of every row of a table of states, computed by the firmware
@@ -28,19 +29,32 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    robot_on_board::<Ur5, JOINTS, PARAMETERS>(&arguments.robot)?;
+    on_arm(&arguments.robot, arguments)
+}
+
+impl OnArm for &Arguments {
+    type Output = ();
+
+    fn on<A: Arm<N, P>, const N: usize, const P: usize>(self, _: &Robot) -> Result<(), Failure> {
+        torque::<A, N, P>(self)
+    }
+}
+
+fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
+    arguments: &Arguments,
+) -> Result<(), Failure> {
     let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
-    let states = StateReader::<JOINTS>::open(&arguments.input, TimeColumn::Optional)?;
+    let states = StateReader::<N>::open(&arguments.input, TimeColumn::Optional)?;
     let timed = states.has_time();
-    let mut board = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>()?;
+    let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }
     let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
-    header.extend(joint_columns("tau", "nm", JOINTS));
+    header.extend(joint_columns("tau", "nm", N));
     if bank.is_some() {
         for share in ["rigid", "friction", "network"] {
-            header.extend(joint_columns(share, "nm", JOINTS));
+            header.extend(joint_columns(share, "nm", N));
         }
     }
     let mut table = TableWriter::create(&arguments.out, &header)?;

@@ -76,6 +76,6 @@ mod run {
 
 #[cfg(not(target_os = "none"))]
 fn main() {
-    eprintln!("bulk is firmware: build it with --target thumbv7em-none-eabihf --profile firmware");
+    eprintln!("bulk is firmware: build it with `cargo firmware`");
     std::process::exit(2);
 }

@@ -14,6 +14,7 @@
 mod app {
     use core::sync::atomic::{AtomicU32, Ordering};
 
+    use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
     use foretorque::edge::session::{BoardDescription, Desk, Session};
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
@@ -90,10 +91,11 @@ mod app {
         };
         let drain = emulated.then(|| log::Drain::start(cx.device.USART3));
         defmt::info!(
-            "boot: clock {=u8} at {=u32} Hz, last left by {=u8} at {=u32:#x}",
-            clocks.source as u8,
+            "boot: clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            clocks.source,
             clocks.cpu_hz,
-            reason as u8,
+            reset_reason,
+            reason,
             place
         );
 
@@ -123,6 +125,13 @@ mod app {
         session.greet(&mut out);
         link::send(&mut waiting, out.as_bytes());
         out.clear();
+        defmt::info!(
+            "hello: arm {=str} {=u32:#x}, {} counter, {}",
+            Arm::NAME,
+            Arm::HASH,
+            counter,
+            session.configuration()
+        );
         (
             Shared { desk: Desk::new() },
             Local {

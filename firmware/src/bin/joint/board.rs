@@ -3,9 +3,7 @@
 //! STM32F405RG on a joint controller of the ODrive v3 class. Sources: RM0090 (reference manual), DS8626 (data sheet).
 
 /// The arm this firmware is for, its joints and its base parameters.
-pub(crate) type Arm = foretorque::arm::ur5::Ur5;
-pub(crate) const JOINTS: usize = 6;
-pub(crate) const PARAMETERS: usize = 40;
+pub(crate) use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
 
 /// Crystal, Hz (DS8626 5.3.9: 4 to 26 MHz; boards of this class carry 8 MHz).
 pub(crate) const HSE_HZ: u32 = 8_000_000;

@@ -4,18 +4,17 @@ use stm32f4xx_hal::pac::{FLASH, RCC};
 
 use crate::board;
 
-/// Where the processor clock comes from, best first. The number is what the link reports.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
+/// Where the processor clock comes from, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub(crate) enum ClockSource {
     /// Crystal and PLL.
-    Crystal = 0,
+    Crystal,
     /// Internal oscillator and PLL: the crystal did not start. Tick and baud rate are good to 1 % only.
-    Internal = 1,
+    Internal,
     /// Internal oscillator alone: the PLL did not lock.
-    Bare = 2,
+    Bare,
     /// The emulator, which models no clocks and counts SysTick at the speed of the PLL.
-    Emulated = 3,
+    Emulated,
 }
 
 /// Result of the bring-up.

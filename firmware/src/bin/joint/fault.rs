@@ -1,11 +1,12 @@
 //! The way out: outputs safe, reason kept over the reset, restart. Nothing here waits.
 
+use core::arch::naked_asm;
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 use core::sync::atomic::{Ordering, compiler_fence};
 
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{ExceptionFrame, exception};
+use cortex_m_rt::exception;
 use embedded_hal::digital::{ErrorType, OutputPin};
 use foretorque::edge::hal::TorqueEnable;
 use foretorque::edge::wire::ResetReason;
@@ -13,8 +14,8 @@ use stm32f4xx_hal::pac::{GPIOB, RCC};
 
 use crate::board;
 
-/// Why the board restarted itself. The number is what the link reports.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Why the board restarted itself. The number is what is kept over the reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 #[repr(u8)]
 pub(crate) enum Reason {
     /// It did not: power on, the reset pin, a debugger.
@@ -27,6 +28,8 @@ pub(crate) enum Reason {
     Unexpected = 3,
     /// A configuration built into the firmware was refused; the place is the line of the source.
     Setup = 4,
+    /// The stack ran out of its region; there is no place.
+    Stack = 5,
 }
 
 /// What is kept over a reset: a mark, reason, place, and their check word. The linker leaves the section alone at
@@ -76,6 +79,7 @@ pub(crate) fn take() -> (Reason, u32) {
         2 => Reason::HardFault,
         3 => Reason::Unexpected,
         4 => Reason::Setup,
+        5 => Reason::Stack,
         _ => Reason::None,
     };
     (reason, place)
@@ -89,7 +93,7 @@ pub(crate) fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
     rcc.csr().modify(|_, w| w.rmvf().set_bit());
     match kept {
         Reason::Panic | Reason::Setup => ResetReason::Panic,
-        Reason::HardFault | Reason::Unexpected => ResetReason::Fault,
+        Reason::HardFault | Reason::Unexpected | Reason::Stack => ResetReason::Fault,
         Reason::None if chip.porrstf().bit_is_set() => ResetReason::PowerOn,
         Reason::None if chip.wdgrstf().bit_is_set() || chip.wwdgrstf().bit_is_set() => {
             ResetReason::Watchdog
@@ -128,9 +132,42 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     )
 }
 
-#[exception]
-unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    leave(Reason::HardFault, frame.pc())
+/// Bytes that the core pushes at most when an exception comes: eight registers and the state of the FPU.
+const FRAME_BYTES: u32 = 104;
+
+/// The entry of the hard fault. It pushes nothing before it has a stack again, because the stack may be what failed:
+/// passes the stack pointer on, and starts the stack over, for nothing returns from here.
+// SAFETY: the name is that of the vector, and no other handler has it.
+#[unsafe(naked)]
+#[unsafe(export_name = "HardFault")]
+extern "C" fn hard_fault_entry() -> ! {
+    naked_asm!(
+        "mov r0, sp",
+        // The interrupted instruction: word 6 of what the core pushed, if that is inside the region of the stack.
+        "ldr r2, =_stack_end",
+        "movs r1, #0",
+        "cmp r0, r2",
+        "blo 1f",
+        "ldr r1, [r0, #24]",
+        "1:",
+        "ldr r3, =_stack_start",
+        "mov sp, r3",
+        "b {handler}",
+        handler = sym hard_fault,
+    )
+}
+
+/// * `pointer` stack pointer after the exception came      * `place` address of the interrupted instruction
+extern "C" fn hard_fault(pointer: u32, place: u32) -> ! {
+    unsafe extern "C" {
+        static _stack_end: u8;
+    }
+    // An overflowing stack faults where it leaves the region, and the core cannot push below that either.
+    let end = (&raw const _stack_end) as u32;
+    if pointer < end + FRAME_BYTES {
+        leave(Reason::Stack, 0);
+    }
+    leave(Reason::HardFault, place)
 }
 
 #[exception]

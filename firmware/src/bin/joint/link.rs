@@ -89,6 +89,7 @@ impl Wire {
         let start = counter::now();
         let status = self.usart.sr().read();
         let mut delimiter = false;
+        let mut received = false;
         if status.rxne().bit_is_set() || status.ore().bit_is_set() {
             // Reading status and then data also clears the error flags (RM0090 30.6.1).
             let byte = self.usart.dr().read().bits() as u8;
@@ -100,14 +101,20 @@ impl Wire {
                 Err(_) => add(&RECEIVED.lost, 1),
             }
             delimiter = byte == 0;
+            received = true;
+        }
+        // A byte that finds some to send shares its interrupt with them, and says nothing of receiving.
+        let sent = self.transmit();
+        if received && !sent {
             note_cost(counter::now().wrapping_sub(start));
         }
-        self.transmit();
         delimiter
     }
 
-    /// Moves waiting bytes into the transmit register while it is free: one on silicon, all in the emulator.
-    fn transmit(&mut self) {
+    /// Moves waiting bytes into the transmit register while it is free: one on silicon, all in the emulator. True when
+    /// there was one.
+    fn transmit(&mut self) -> bool {
+        let mut sent = false;
         while self.usart.sr().read().txe().bit_is_set() {
             match self.waiting.dequeue() {
                 // SAFETY: the data register takes any byte.
@@ -117,11 +124,13 @@ impl Wire {
                     .write(|w| unsafe { w.bits(u16::from(byte)) }),
                 None => {
                     self.usart.cr1().modify(|_, w| w.txeie().disabled());
-                    return;
+                    return sent;
                 }
             };
+            sent = true;
         }
         self.usart.cr1().modify(|_, w| w.txeie().enabled());
+        true
     }
 }
 
@@ -137,7 +146,7 @@ pub(crate) fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
     queued
 }
 
-/// Cost of receiving one byte, in counts, without the processor's own entry and exit (12 cycles each).
+/// Cost of receiving one byte, in counts, without what `size::RECEIVE_OVERHEAD` of the protocol adds.
 pub(crate) fn receive_cost() -> Cost {
     let counted = RECEIVED.counted.load(Ordering::Relaxed).max(1);
     Cost {

@@ -20,6 +20,6 @@ mod pace;
 
 #[cfg(not(target_os = "none"))]
 fn main() {
-    eprintln!("joint is firmware: build it with --target thumbv7em-none-eabihf --profile firmware");
+    eprintln!("joint is firmware: build it with `cargo firmware`");
     std::process::exit(2);
 }

@@ -76,6 +76,6 @@ mod proof {
 
 #[cfg(not(target_os = "none"))]
 fn main() {
-    eprintln!("probe is firmware: build it with --target thumbv7em-none-eabihf --profile firmware");
+    eprintln!("probe is firmware: build it with `cargo firmware`");
     std::process::exit(2);
 }

@@ -3,6 +3,7 @@ use serde::{Deserialize, Serialize};
 
 /// Why a parameter bank was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BankError {
     /// The bytes are no parameter bank at all.
     NotABank,

@@ -151,6 +151,14 @@ fn a_bank_that_does_not_fit_the_arm_is_refused_with_the_place() {
         verdict(|b| b.limits[0].slew_nm_s = 0.0),
         Some(BankError::Limit(0))
     );
+    let widest = nominal().limits[3].slew_nm_s;
+    assert_eq!(verdict(|b| b.limits[3].slew_nm_s = 0.5 * widest), None);
+    for wider in [widest.next_up(), f32::INFINITY, f32::NAN] {
+        assert_eq!(
+            verdict(|b| b.limits[3].slew_nm_s = wider),
+            Some(BankError::Limit(3))
+        );
+    }
     assert_eq!(verdict(|b| _ = b.limits.pop()), Some(BankError::Limit(5)));
 }
 

@@ -51,9 +51,7 @@ impl ParameterBank {
             value: 0.0,
             deviation,
         });
-        // One second is as good as any: the slew limit of a tick of one second is the slew limit in N·m/s.
-        let limits = FeedForwardConfig::<N>::for_arm::<A, P>(1.0);
-        let bounds = limits.limits.iter().zip(limits.slew_per_tick);
+        let bounds = A::LIMITS.into_iter().zip(slew_nm_s::<A, N, P>());
         let bounds = bounds.map(|(limits, slew_nm_s)| JointBounds {
             torque_nm: limits.torque,
             slew_nm_s,
@@ -157,19 +155,22 @@ impl ParameterBank {
 
     /// How the tick shall behave at `period_s`: the arm's limits, tightened by those of the bank.
     ///
-    /// Errors: [`BankError::Limit`] when a limit is not positive, or wider than the arm's, or the network's bound is not
-    /// the one this firmware is built with.
+    /// Torque and rate of the torque can only be tightened: neither may exceed what [`FeedForwardConfig::for_arm`] allows.
+    ///
+    /// Errors: [`BankError::Limit`] when a limit is not positive, or wider than the firmware's, or the network's bound is
+    /// not the one this firmware is built with.
     pub fn feed_forward_config<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
         period_s: f32,
     ) -> Result<FeedForwardConfig<N>, BankError> {
         let mut config = FeedForwardConfig::for_arm::<A, P>(period_s);
+        let widest_nm_s = slew_nm_s::<A, N, P>();
         let joints = config.limits.iter_mut().zip(&mut config.slew_per_tick);
-        for (joint, (limits, slew)) in joints.enumerate() {
+        for (joint, ((limits, slew), widest)) in joints.zip(widest_nm_s).enumerate() {
             let error = BankError::Limit(joint as u8);
             let bounds = self.limits.get(joint).ok_or(error)?;
             let torque = bounds.torque_nm > 0.0 && bounds.torque_nm <= limits.torque;
-            let rate = bounds.slew_nm_s > 0.0 && bounds.slew_nm_s.is_finite();
+            let rate = bounds.slew_nm_s > 0.0 && bounds.slew_nm_s <= widest;
             if !torque || !rate || bounds.network_share != NETWORK_BOUND {
                 return Err(error);
             }
@@ -201,6 +202,12 @@ impl ParameterBank {
         }
         Ok(())
     }
+}
+
+/// Largest rate of the torque this firmware is built with, N × N·m/s.
+fn slew_nm_s<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; N] {
+    // The largest change in a tick of one second.
+    FeedForwardConfig::for_arm::<A, P>(1.0).slew_per_tick
 }
 
 /// The shape this firmware is built with.

@@ -19,6 +19,7 @@ struct Frame<'a, M> {
 
 /// The message does not fit the room it was given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EncodeError;
 
 impl fmt::Display for EncodeError {

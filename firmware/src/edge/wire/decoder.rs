@@ -11,6 +11,7 @@ const HEADER_BYTES: usize = 3;
 
 /// Why a frame was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum DecodeError {
     /// Longer than any frame of the protocol, or cut short.
     Framing,

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// What starts a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Pacing {
     /// A sample runs a tick and is answered at once.
     Link,
@@ -14,6 +15,7 @@ pub enum Pacing {
 
 /// How much of the torque is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ReplyMode {
     /// The shares of one joint a tick: [`TorqueFrame`](super::TorqueFrame).
     Decimated,
@@ -23,6 +25,7 @@ pub enum ReplyMode {
 
 /// How the board runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Configuration {
     /// Period of the tick, µs.
     #[serde(with = "postcard::fixint::le")]
@@ -51,6 +54,7 @@ impl Default for Configuration {
 
 /// What the cost counter of a board counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CounterKind {
     /// Nothing: costs are zero.
     None,
@@ -62,6 +66,7 @@ pub enum CounterKind {
 
 /// Why the board started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetReason {
     /// Not known.
     Unknown,

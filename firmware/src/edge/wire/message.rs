@@ -93,6 +93,7 @@ pub enum BoardMessage<const N: usize> {
 
 /// Why something was not done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum NackReason {
     /// Only while learning is off.
     LearningOn,

@@ -513,6 +513,18 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
         );
         assert_eq!(row(page, &std::format!("| {name} |")), wanted);
     }
+    let heading = page.find("| receive interrupt |").unwrap();
+    for (name, joints) in [("request, 6 joints", 6), ("request, 7 joints", 7)] {
+        let share = size::receive_permille(size::sample(joints), 1000);
+        let wanted = std::format!(
+            "| {name} | ≤ {} | {} | {}.{} % |",
+            size::RECEIVE_INSTRUCTIONS,
+            size::RECEIVE_INSTRUCTIONS + size::RECEIVE_OVERHEAD,
+            share / 10,
+            share % 10
+        );
+        assert_eq!(row(&page[heading..], &std::format!("| {name} |")), wanted);
+    }
     for (name, resolution, range) in [
         ("position", Position::RESOLUTION, Position::MAX),
         ("velocity", Velocity::RESOLUTION, Velocity::MAX),

@@ -1,0 +1,105 @@
+//! However the program ends, no emulator outlives it, and no report is left half written.
+
+use nix::sys::signal::{SigHandler, Signal, kill, signal};
+use nix::unistd::Pid;
+use std::fs;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// State and parent of a process; `None` when there is no such process.
+fn status(id: i32) -> Option<(char, i32)> {
+    let stat = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+    // The name, in brackets, may contain anything.
+    let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
+    Some((fields.next()?.chars().next()?, fields.next()?.parse().ok()?))
+}
+
+fn runs(id: i32) -> bool {
+    // A process that ended may wait for somebody to ask how.
+    status(id).is_some_and(|(state, _)| !matches!(state, 'Z' | 'X'))
+}
+
+/// A child of `parent`.
+fn child_of(parent: i32) -> Option<i32> {
+    let processes = fs::read_dir("/proc").expect("the system has /proc");
+    let ids = processes.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    ids.into_iter()
+        .find(|&id| status(id).is_some_and(|(_, of)| of == parent))
+}
+
+fn soon<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(Instant::now() < deadline, "{what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Starts a run of an hour on an emulated board.
+fn start(board: &str, out: &PathBuf) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
+    command
+        .args(["run", "--robot", "ur5", "--trajectory"])
+        .arg(out.with_extension("json"))
+        .args(["--duration-s", "3600", "--board", board, "--out"])
+        .arg(out)
+        .stderr(Stdio::null())
+        .stdout(Stdio::null());
+    // A test that was started in the background would pass its deafness to Ctrl-C on.
+    let hear = || {
+        // SAFETY: the default action is no handler that could do harm.
+        unsafe { signal(Signal::SIGINT, SigHandler::SigDfl) }?;
+        Ok(())
+    };
+    // SAFETY: between fork and exec the closure makes one system call; it allocates nothing.
+    unsafe { command.pre_exec(hear) };
+    command.spawn().expect("the program starts")
+}
+
+#[test]
+fn an_emulator_ends_with_the_program_however_that_ends() {
+    let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("orphans");
+    let _ = fs::remove_dir_all(&room);
+    let excited = Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .args(["excite", "--robot", "ur5", "--candidates", "1", "--out"])
+        .arg(room.join("excitation"))
+        .output()
+        .expect("the program starts");
+    assert!(excited.status.success());
+    for (place, (board, end)) in [
+        ("qemu-usart", Signal::SIGKILL),
+        ("qemu-usart", Signal::SIGINT),
+        ("qemu", Signal::SIGKILL),
+        ("qemu", Signal::SIGTERM),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let out = room.join(format!("{place}"));
+        let made = room.join("excitation/excitation.json");
+        fs::copy(made, out.with_extension("json")).expect("it was written");
+        let mut program = start(board, &out);
+        let id = program.id() as i32;
+        // In the middle of the run: the log is under way.
+        soon("the run begins", || {
+            let mut files = fs::read_dir(&out).ok()?;
+            files.next().map(drop)
+        });
+        let emulator = soon("the emulator runs", || child_of(id));
+        assert!(runs(emulator));
+        kill(Pid::from_raw(id), end).expect("it is ours");
+        let status = program.wait().expect("it is ours");
+        assert_eq!(status.signal(), Some(end as i32));
+        soon("the emulator is gone", || (!runs(emulator)).then_some(()));
+        for name in ["report.json", "log.csv", "bank.bin"] {
+            assert!(!out.join(name).exists(), "{name} of a run that never ended");
+        }
+    }
+}
