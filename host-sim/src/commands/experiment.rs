@@ -1,8 +1,8 @@
 use super::boards::{BoardChoice, robot_on_board};
 use super::progress::Bar;
 use super::{Failure, unusable};
-use crate::experiment::demo::{self, DemoConfig};
-use crate::experiment::{DemoReport, EXPERIMENTS};
+use crate::experiment::EXPERIMENTS;
+use crate::experiment::demo::{self, DemoConfig, DemoReport};
 use crate::files::write_whole;
 use clap::Args;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
