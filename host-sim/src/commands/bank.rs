@@ -1,3 +1,4 @@
+use super::terminal::say;
 use super::{Failure, unusable};
 use clap::Args;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
@@ -14,9 +15,12 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let bank = read(&arguments.file)?;
-    println!("arm       {} ({:08x})", bank.arm, bank.arm_hash);
+    say(format_args!(
+        "arm       {} ({:08x})",
+        bank.arm, bank.arm_hash
+    ))?;
     let network = &bank.network;
-    println!(
+    say(format_args!(
         "network   {} × {}-{}-{} {:?}, {} weights",
         network.blocks,
         network.inputs,
@@ -24,36 +28,39 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         network.outputs,
         network.activation,
         bank.weights.len()
-    );
-    println!(
+    ))?;
+    say(format_args!(
         "usable    {}",
         match bank.set::<Ur5, JOINTS, PARAMETERS>() {
             Ok(_) => "yes, on the board of this build".to_owned(),
             Err(error) => format!("not on the board of this build: {error}"),
         }
-    );
-    println!("\n{:<8} {:>14} {:>14}", "column", "value (SI)", "deviation");
+    ))?;
+    say(format_args!(
+        "\n{:<8} {:>14} {:>14}",
+        "column", "value (SI)", "deviation"
+    ))?;
     for column in &bank.columns {
-        println!(
+        say(format_args!(
             "{:<8} {:>14.6} {:>14.6}",
             column.id.to_string(),
             column.value,
             column.deviation
-        );
+        ))?;
     }
-    println!(
+    say(format_args!(
         "\n{:<8} {:>10} {:>12} {:>14} {:>12}",
         "joint", "limit N·m", "slew N·m/s", "network share", "gain N·m/A"
-    );
+    ))?;
     for (joint, (limits, gain)) in bank.limits.iter().zip(&bank.drive_gains_nm_a).enumerate() {
-        println!(
+        say(format_args!(
             "{:<8} {:>10} {:>12} {:>14} {:>12}",
             joint + 1,
             limits.torque_nm,
             limits.slew_nm_s,
             limits.network_share,
             gain
-        );
+        ))?;
     }
     Ok(())
 }
