@@ -6,7 +6,7 @@ fn main() -> ExitCode {
     match host_sim::commands::run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("error: {failure}");
+            host_sim::commands::complain(&failure);
             ExitCode::FAILURE
         }
     }

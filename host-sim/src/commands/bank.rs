@@ -1,3 +1,4 @@
+use super::terminal::say;
 use super::{Failure, unusable};
 use clap::Args;
 use foretorque::arm::panda::{self, Panda};
@@ -15,9 +16,12 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let bank = read(&arguments.file)?;
-    println!("arm       {} ({:08x})", bank.arm, bank.arm_hash);
+    say(format_args!(
+        "arm       {} ({:08x})",
+        bank.arm, bank.arm_hash
+    ))?;
     let network = &bank.network;
-    println!(
+    say(format_args!(
         "network   {} × {}-{}-{} {:?}, {} weights",
         network.blocks,
         network.inputs,
@@ -25,36 +29,39 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         network.outputs,
         network.activation,
         bank.weights.len()
-    );
-    println!(
+    ))?;
+    say(format_args!(
         "usable    {}",
         match usable(&bank) {
             Ok(()) => format!("yes, on a board that drives {}", bank.arm),
             Err(error) => format!("no: {error}"),
         }
-    );
-    println!("\n{:<8} {:>14} {:>14}", "column", "value (SI)", "deviation");
+    ))?;
+    say(format_args!(
+        "\n{:<8} {:>14} {:>14}",
+        "column", "value (SI)", "deviation"
+    ))?;
     for column in &bank.columns {
-        println!(
+        say(format_args!(
             "{:<8} {:>14.6} {:>14.6}",
             column.id.to_string(),
             column.value,
             column.deviation
-        );
+        ))?;
     }
-    println!(
+    say(format_args!(
         "\n{:<8} {:>10} {:>12} {:>14} {:>12}",
         "joint", "limit N·m", "slew N·m/s", "network share", "gain N·m/A"
-    );
+    ))?;
     for (joint, (limits, gain)) in bank.limits.iter().zip(&bank.drive_gains_nm_a).enumerate() {
-        println!(
+        say(format_args!(
             "{:<8} {:>10} {:>12} {:>14} {:>12}",
             joint + 1,
             limits.torque_nm,
             limits.slew_nm_s,
             limits.network_share,
             gain
-        );
+        ))?;
     }
     Ok(())
 }

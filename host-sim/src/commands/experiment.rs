@@ -1,8 +1,9 @@
 use super::boards::BoardChoice;
 use super::progress::Bar;
+use super::terminal::say;
 use super::{Failure, unusable};
-use crate::experiment::demo::{self, DemoConfig};
-use crate::experiment::{DemoReport, EXPERIMENTS};
+use crate::experiment::EXPERIMENTS;
+use crate::experiment::demo::{self, DemoConfig, DemoReport};
 use crate::files::write_whole;
 use crate::robot::Robot;
 use clap::Args;
@@ -39,7 +40,7 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.list {
         for (name, shows) in EXPERIMENTS {
-            println!("{name:<12} {shows}");
+            say(format_args!("{name:<12} {shows}"))?;
         }
         return Ok(());
     }
@@ -86,39 +87,43 @@ fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure>
     let json = serde_json::to_string_pretty(&outcome.report)? + "\n";
     write_whole(&out.join("report.html"), outcome.html.as_bytes())?;
     write_whole(&out.join("report.json"), json.as_bytes())?;
-    summarise(&outcome.report);
-    println!("report           {}", out.join("report.html").display());
+    summarise(&outcome.report)?;
+    say(format_args!(
+        "report           {}",
+        out.join("report.html").display()
+    ))?;
     Ok(())
 }
 
-fn summarise(report: &DemoReport) {
-    println!(
+fn summarise(report: &DemoReport) -> std::io::Result<()> {
+    say(format_args!(
         "torque error     {:.1} % → {:.1} % NRMSE on the unseen path ({:.2} of before), {} ticks of learning",
         100.0 * report.torque_nrmse_before,
         100.0 * report.torque_nrmse_after,
         report.torque_nrmse_after / report.torque_nrmse_before,
         report.ticks
-    );
+    ))?;
     let tracking = &report.tracking_rms_mrad;
-    println!(
+    say(format_args!(
         "tracking error   {:.2} mrad PD alone, {:.2} with the wrong model, {:.2} with the learnt one",
         tracking.pd_only, tracking.before, tracking.after
-    );
-    println!(
+    ))?;
+    say(format_args!(
         "cost of a tick   {} instructions mean, {} largest",
         report.tick_instructions.mean, report.tick_instructions.max
-    );
-    println!(
+    ))?;
+    say(format_args!(
         "link             {} frames, {} errors",
         report.link.frames, report.link.errors
-    );
+    ))?;
     if let Some(usart) = &report.usart {
-        println!(
+        say(format_args!(
             "flashable ELF    {:.1} % → {:.1} % in {} ticks over its USART, {} of them with the same bits",
             100.0 * usart.torque_nrmse_before,
             100.0 * usart.torque_nrmse_after,
             usart.ticks,
             usart.ticks_with_equal_bits
-        );
+        ))?;
     }
+    Ok(())
 }

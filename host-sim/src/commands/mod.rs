@@ -8,7 +8,10 @@ mod generate;
 mod progress;
 mod run;
 mod simulate;
+mod terminal;
 mod torque;
+
+pub use terminal::complain;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};

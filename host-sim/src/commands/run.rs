@@ -1,6 +1,7 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
+use super::terminal::say;
 use super::{Failure, bank, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::files::write_whole;
@@ -142,12 +143,15 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     write_whole(&arguments.out.join("bank.bin"), &learnt)?;
     let text = serde_json::to_string_pretty(&report)? + "\n";
     write_whole(&arguments.out.join("report.json"), text.as_bytes())?;
-    println!(
+    say(format_args!(
         "{} ticks, tracking error {:.3} mrad RMS, {} link errors",
         scene.ticks,
         tracking.mean_rms_mrad(),
         statistics.crc_errors + statistics.framing_errors + statistics.missed
-    );
-    println!("{}", arguments.out.join("report.json").display());
+    ))?;
+    say(format_args!(
+        "{}",
+        arguments.out.join("report.json").display()
+    ))?;
     Ok(())
 }

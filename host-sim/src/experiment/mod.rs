@@ -2,11 +2,7 @@
 
 pub mod closed_loop;
 pub mod demo;
-mod demo_page;
-mod demo_record;
 pub mod prior;
-
-pub use demo_record::{DemoReport, LinkFigures, TickInstructions, Tracking, UsartFigures};
 
 /// Names of the studies, each with one line on what it shows.
 pub const EXPERIMENTS: [(&str, &str); 1] = [(

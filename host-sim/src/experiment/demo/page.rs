@@ -1,6 +1,6 @@
 //! The page of the main job.
 
-use super::demo_record::{DemoCurves, DemoReport, LearningPoint, ValidationPoint};
+use super::record::{DemoCurves, DemoReport, LearningPoint, ValidationPoint};
 use crate::dynamics::{Joints, State};
 use crate::report::page::{self, Section, Tile};
 use crate::report::plot::{self, Curve, Ink, Panel};

@@ -1,6 +1,7 @@
 //! What the main job finds out: the figures of `report.json`, and the curves of the page.
 
 use crate::dynamics::{Joints, State};
+use foretorque::edge::telemetry::{Cost, Statistics};
 use serde::Serialize;
 
 /// The figures of `report.json`. Nothing in it depends on the clock on the wall: equal runs give equal files.
@@ -66,6 +67,17 @@ pub struct Tracking<T> {
     pub after: T,
 }
 
+impl<T> Tracking<T> {
+    /// The same figure of all three.
+    pub(super) fn map<U>(&self, figure: impl Fn(&T) -> U) -> Tracking<U> {
+        Tracking {
+            pd_only: figure(&self.pd_only),
+            before: figure(&self.before),
+            after: figure(&self.after),
+        }
+    }
+}
+
 /// One point of the learning curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LearningPoint {
@@ -84,6 +96,15 @@ pub struct TickInstructions {
     pub max: u32,
 }
 
+impl From<Cost> for TickInstructions {
+    fn from(cost: Cost) -> Self {
+        Self {
+            mean: cost.mean,
+            max: cost.max,
+        }
+    }
+}
+
 /// Frames of a link, counted on the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct LinkFigures {
@@ -91,6 +112,30 @@ pub struct LinkFigures {
     pub frames: u32,
     /// Damaged, foreign, missed and lost ones.
     pub errors: u32,
+}
+
+impl LinkFigures {
+    /// Sums the counters of several stretches between resets.
+    pub(super) fn of(stretches: &[Statistics]) -> Self {
+        let errors = |s: &Statistics| {
+            [
+                s.crc_errors,
+                s.framing_errors,
+                s.foreign_version,
+                s.unknown,
+                s.missed,
+                s.repeated,
+                s.overruns,
+                s.replies_lost,
+            ]
+            .into_iter()
+            .sum::<u32>()
+        };
+        Self {
+            frames: stretches.iter().map(|s| s.frames).sum(),
+            errors: stretches.iter().map(errors).sum(),
+        }
+    }
 }
 
 /// The part on the flashable firmware.
