@@ -1,7 +1,8 @@
 //! One function a row, kept apart by its address being taken: nothing about its inputs is known when it is compiled.
 
+use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::dynamics::{friction, regressor_row, rnea};
+use foretorque::dynamics::{friction, regressor, regressor_row, rnea};
 use foretorque::learning::network_inputs;
 use foretorque::math;
 
@@ -30,8 +31,10 @@ rows! {
     empty(_) ();
     sin_cos(s) s.sin_cos = math::sin_cos(s.angle);
     rnea_ur5(s) s.tau = rnea::<Ur5, JOINTS, PARAMETERS>(&s.set.rigid, &s.motion);
-    regressor_row_ur5(s) s.rows[0] = regressor_row::<Ur5, JOINTS, PARAMETERS>(s.joint, &s.motion);
-    regressor_ur5(s) s.regressor();
+    rnea_7dof(s) s.panda_tau =
+        rnea::<Panda, { panda::JOINTS }, { panda::PARAMETERS }>(&s.panda, &s.panda_motion);
+    regressor_row_ur5(s) s.row = regressor_row::<Ur5, JOINTS, PARAMETERS>(s.joint, &s.motion);
+    regressor_ur5(s) s.rows = regressor::<Ur5, JOINTS, PARAMETERS>(&s.motion);
     friction_ur5(s) s.tau = friction(&s.set.friction, &s.motion.qd);
     bp_18_32_6_forward(s) s.output = s.paper.forward(&s.input);
     bp_18_32_6_update(s) s.output = s.paper.update(&s.input, &s.target, &s.step);
@@ -41,14 +44,6 @@ rows! {
 }
 
 impl Stage {
-    /// All rows of the regressor, one after another.
-    #[inline(always)]
-    fn regressor(&mut self) {
-        for (joint, row) in self.rows.iter_mut().enumerate() {
-            *row = regressor_row::<Ur5, JOINTS, PARAMETERS>(joint, &self.motion);
-        }
-    }
-
     /// The residual networks of all joints, their inputs included.
     #[inline(always)]
     fn block_network(&mut self) {

@@ -3,14 +3,15 @@
 use core::f32::consts::TAU;
 
 use foretorque::arm::Arm;
+use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::dynamics::FrictionParameters;
+use foretorque::dynamics::{BaseParameters, FrictionParameters};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 
 /// Period of the tick, s.
 const PERIOD: f32 = 1e-3;
@@ -35,7 +36,11 @@ pub(crate) struct Stage {
     pub(crate) step: StepParameters,
     pub(crate) set: ParameterSet<JOINTS, PARAMETERS>,
     pub(crate) paper: BpNetwork<18, 32, 6>,
-    pub(crate) rows: [SVector<f32, PARAMETERS>; JOINTS],
+    pub(crate) row: SVector<f32, PARAMETERS>,
+    pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
+    pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
+    pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
+    pub(crate) rows: SMatrix<f32, JOINTS, PARAMETERS>,
     pub(crate) sample: JointSample<JOINTS>,
     pub(crate) torque: Torque<JOINTS>,
     pub(crate) feedforward: FeedForward<Ur5, JOINTS, PARAMETERS>,
@@ -66,7 +71,11 @@ impl Stage {
             joint: 0,
             sin_cos: SinCos { sin: 0.0, cos: 1.0 },
             tau: JointVector::zeros(),
-            rows: [SVector::zeros(); JOINTS],
+            row: SVector::zeros(),
+            rows: SMatrix::zeros(),
+            panda: BaseParameters::from(Panda::NOMINAL),
+            panda_motion: JointMotion::zero(),
+            panda_tau: JointVector::zeros(),
             paper: BpNetwork::random(1),
             input: SVector::zeros(),
             target: SVector::zeros(),
@@ -105,6 +114,11 @@ impl Stage {
             self.motion.q[joint] = random.within(TAU);
             self.motion.qd[joint] = random.within(limits.velocity);
             self.motion.qdd[joint] = random.within(10.0);
+        }
+        for (joint, limits) in Panda::LIMITS.iter().enumerate() {
+            self.panda_motion.q[joint] = random.within(TAU);
+            self.panda_motion.qd[joint] = random.within(limits.velocity);
+            self.panda_motion.qdd[joint] = random.within(10.0);
         }
         self.angle = random.within(TAU);
         self.joint = (self.joint + 1) % JOINTS;
