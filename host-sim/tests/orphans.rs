@@ -42,6 +42,17 @@ fn soon<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
+/// Ends the emulator of a test that failed, which nobody else would.
+struct Undertaker(i32);
+
+impl Drop for Undertaker {
+    fn drop(&mut self) {
+        if std::thread::panicking() && runs(self.0) {
+            let _ = kill(Pid::from_raw(self.0), Signal::SIGKILL);
+        }
+    }
+}
+
 /// Starts a run of an hour on an emulated board.
 fn start(board: &str, out: &PathBuf) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
@@ -93,6 +104,7 @@ fn an_emulator_ends_with_the_program_however_that_ends() {
             files.next().map(drop)
         });
         let emulator = soon("the emulator runs", || child_of(id));
+        let _undertaker = Undertaker(emulator);
         assert!(runs(emulator));
         kill(Pid::from_raw(id), end).expect("it is ours");
         let status = program.wait().expect("it is ours");
