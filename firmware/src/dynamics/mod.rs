@@ -3,12 +3,14 @@
 #[macro_use]
 mod unroll;
 
+mod closed_form;
 mod friction;
 mod link;
 mod regressor;
 mod rnea;
 mod term;
 
+pub use closed_form::{gravity_torque, mass_matrix, velocity_torque};
 pub use friction::{FRICTION_COLUMNS, FrictionParameters, friction, friction_row};
 pub use regressor::{regressor, regressor_row};
 pub use rnea::rnea;

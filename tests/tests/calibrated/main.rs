@@ -1,0 +1,60 @@
+//! An arm whose geometry has no round numbers left: the kernels must not live by the zeros of a data sheet.
+
+#[expect(
+    unreachable_pub,
+    reason = "written by the generator for the firmware, where it is reachable"
+)]
+mod arm;
+
+use arm::{JOINTS, PARAMETERS, Ur5Calibrated};
+use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
+use foretorque::dynamics::{BaseParameters, regressor, rnea};
+use foretorque::joint::{JointMotion, JointVector};
+use host_sim::dynamics::{ReferenceModel, State};
+use host_sim::generate::arm_hash;
+use host_sim::robot::Robot;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn description() -> Robot {
+    Robot::load(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/data/ur5_calibrated.toml"
+    ))
+    .unwrap()
+}
+
+#[test]
+fn the_committed_arm_is_that_of_its_description() {
+    assert_eq!(arm_hash(&description()), Ur5Calibrated::HASH);
+}
+
+#[test]
+fn torque_and_regressor_hold_without_structural_zeros() {
+    let model = ReferenceModel::<JOINTS>::new(&description()).unwrap();
+    let beta = BaseParameters::<PARAMETERS>::from_row_slice(&Ur5Calibrated::NOMINAL);
+    let mut random = ChaCha8Rng::seed_from_u64(31);
+    let mut draw =
+        |size: f32| JointVector::<JOINTS>::from_fn(|_, _| random.random_range(-size..=size));
+    for _ in 0..20_000 {
+        let motion = JointMotion {
+            q: draw(core::f32::consts::TAU),
+            qd: draw(core::f32::consts::PI),
+            qdd: draw(10.0),
+        };
+        let truth = model.inverse_dynamics(&State {
+            q: motion.q.map(f64::from),
+            qd: motion.qd.map(f64::from),
+            qdd: motion.qdd.map(f64::from),
+        });
+        let tau = rnea::<Ur5Calibrated, JOINTS, PARAMETERS>(&beta, &motion);
+        let rows = regressor::<Ur5Calibrated, JOINTS, PARAMETERS>(&motion) * beta;
+        for (joint, limits) in Ur5Calibrated::LIMITS.iter().enumerate() {
+            let allowed = 1e-6 * f64::from(limits.torque);
+            let error = (f64::from(tau[joint]) - truth[joint]).abs();
+            assert!(error <= allowed, "joint {}: {error}", joint + 1);
+            let error = (f64::from(rows[joint]) - truth[joint]).abs();
+            assert!(error <= allowed, "regressor {}: {error}", joint + 1);
+        }
+    }
+}
