@@ -6,6 +6,7 @@ use crate::robot::Robot;
 use crate::table::StateRow;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::fmt;
 
 /// Length of the validation path, s.
 pub const VALIDATION_S: f64 = 30.0;
@@ -15,6 +16,39 @@ pub const VALIDATION_PEAK_RAD_S: f64 = 2.7;
 const SEGMENT_S: f64 = 1.5;
 /// Range of the via points around zero, rad.
 const VIA_RANGE_RAD: f64 = 2.0;
+
+/// A motion that asks a joint for more than it can do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BeyondLimits {
+    /// The joint, from 1.
+    pub joint: usize,
+    /// When, s after the trajectory's start.
+    pub t_s: f64,
+    /// What is asked, in `unit`.
+    pub asked: f64,
+    /// The limit, in `unit`.
+    pub limit: f64,
+    /// `rad`, `rad/s` or `rad/s²`.
+    pub unit: &'static str,
+}
+
+impl fmt::Display for BeyondLimits {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            joint,
+            t_s,
+            asked,
+            limit,
+            unit,
+        } = self;
+        write!(
+            f,
+            "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
+        )
+    }
+}
+
+impl std::error::Error for BeyondLimits {}
 
 /// Something to play, with its own clock.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,10 +126,67 @@ impl<const N: usize> Trajectory<N> {
         state
     }
 
+    /// Every motion keeps the joints' limits of position, speed and acceleration.
+    ///
+    /// * `period_s` step in which a series or a path is looked at; of a table every row is
+    ///
+    /// Errors: the first motion that does not.
+    pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), BeyondLimits> {
+        let every = |length_s: f64| {
+            (0..=(length_s / period_s).round() as usize).map(move |k| k as f64 * period_s)
+        };
+        match self {
+            Self::Excitation { series, duration_s } => every(series.period_s.min(*duration_s))
+                .try_for_each(|t_s| within::<N>(robot, t_s, &series.at(t_s))),
+            Self::Via(path) => {
+                every(path.duration_s()).try_for_each(|t_s| within(robot, t_s, &path.at(t_s)))
+            }
+            Self::Sampled(samples) => samples
+                .iter()
+                .try_for_each(|(t_s, state)| within(robot, *t_s, state)),
+        }
+    }
+
     /// Number of ticks of `period_s` it lasts.
     pub fn ticks(&self, period_s: f64) -> usize {
         (self.duration_s() / period_s).round() as usize
     }
+}
+
+/// One motion keeps the limits, up to a rounding in a file of six digits.
+fn within<const N: usize>(robot: &Robot, t_s: f64, state: &State<N>) -> Result<(), BeyondLimits> {
+    for (j, joint) in robot.joints.iter().take(N).enumerate() {
+        let limits = &joint.limits;
+        let (low, high) = limits.position;
+        let end = if state.q[j] < low { low } else { high };
+        let past_end = (low - state.q[j]).max(state.q[j] - high);
+        for (asked, limit, broken, unit) in [
+            (state.q[j], end, past_end, "rad"),
+            (
+                state.qd[j],
+                limits.velocity,
+                state.qd[j].abs() - limits.velocity,
+                "rad/s",
+            ),
+            (
+                state.qdd[j],
+                limits.acceleration,
+                state.qdd[j].abs() - limits.acceleration,
+                "rad/s²",
+            ),
+        ] {
+            if broken > 1e-6 * limit.abs() {
+                return Err(BeyondLimits {
+                    joint: j + 1,
+                    t_s,
+                    asked,
+                    limit,
+                    unit,
+                });
+            }
+        }
+    }
+    Ok(())
 }
 
 /// A path through via points, one quintic a segment and joint: continuous up to the acceleration.
@@ -195,6 +286,35 @@ mod tests {
             let (start, end) = (path.at(0.0), path.at(30.0));
             assert!(start.qd.amax() < 1e-9 && end.qd.amax() < 1e-9);
         }
+    }
+
+    #[test]
+    fn a_motion_beyond_a_limit_is_named_with_joint_and_time() {
+        let robot = Robot::load("ur5").expect("built in");
+        let still = State {
+            q: Joints::<6>::zeros(),
+            qd: Joints::zeros(),
+            qdd: Joints::zeros(),
+        };
+        let (mut far, mut fast, mut hard) = (still, still, still);
+        far.q[1] = -6.4;
+        fast.qd[2] = -3.2;
+        hard.qdd[5] = 10.5;
+        for (motion, joint, unit) in [(far, 2, "rad"), (fast, 3, "rad/s"), (hard, 6, "rad/s²")] {
+            let path = Trajectory::Sampled(vec![(0.0, still), (0.1, motion)]);
+            let broken = path.check(&robot, 1e-3).expect_err(unit);
+            assert_eq!((broken.joint, broken.t_s, broken.unit), (joint, 0.1, unit));
+        }
+        assert!(
+            Trajectory::Sampled(vec![(0.0, still)])
+                .check(&robot, 1e-3)
+                .is_ok()
+        );
+        assert!(
+            Trajectory::<6>::validation(&robot, 1)
+                .check(&robot, 1e-3)
+                .is_ok()
+        );
     }
 
     #[test]

@@ -106,7 +106,7 @@ impl MotionArguments {
             return Ok(Trajectory::validation(robot, self.seed));
         }
         let path = PathBuf::from(&self.trajectory);
-        if path
+        let trajectory = if path
             .extension()
             .is_some_and(|extension| extension == "json")
         {
@@ -117,10 +117,15 @@ impl MotionArguments {
                 .check(robot)
                 .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
             let duration_s = self.duration_s.unwrap_or(series.period_s);
-            return Ok(Trajectory::Excitation { series, duration_s });
-        }
-        let rows = StateReader::<N>::open(&path, TimeColumn::Required)?.read_all()?;
-        Ok(Trajectory::sampled(&rows, PERIOD_S))
+            Trajectory::Excitation { series, duration_s }
+        } else {
+            let rows = StateReader::<N>::open(&path, TimeColumn::Required)?.read_all()?;
+            Trajectory::sampled(&rows, PERIOD_S)
+        };
+        trajectory
+            .check(robot, PERIOD_S)
+            .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
+        Ok(trajectory)
     }
 }
 
