@@ -33,6 +33,8 @@ pub(crate) struct Image {
     pub(crate) flash_bytes: u32,
     /// Bytes of static variables.
     pub(crate) ram_bytes: u32,
+    /// Room that memory.x gives the stack.
+    pub(crate) stack_room: u32,
 }
 
 impl Image {
@@ -65,7 +67,13 @@ impl Image {
         }
         let (symbols, names) = file.symbol_table()?.context("no symbol table")?;
         let mut functions = Vec::new();
+        let (mut stack_start, mut stack_end) = (RAM.end, RAM.start);
         for symbol in symbols {
+            match names.get(symbol.st_name as usize)? {
+                "_stack_start" => stack_start = u32::try_from(symbol.st_value)?,
+                "_stack_end" => stack_end = u32::try_from(symbol.st_value)?,
+                _ => {}
+            }
             if symbol.st_symtype() != STT_FUNC || symbol.is_undefined() {
                 continue;
             }
@@ -91,6 +99,7 @@ impl Image {
             segments,
             flash_bytes,
             ram_bytes,
+            stack_room: stack_start.saturating_sub(stack_end),
         })
     }
 
@@ -192,6 +201,7 @@ impl Image {
                 .collect(),
             flash_bytes: 0,
             ram_bytes: 0,
+            stack_room: 0,
         }
     }
 }

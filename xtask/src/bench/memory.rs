@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result, ensure};
 
 use super::calls::{Depth, Walk};
 use super::gates::PROMISES;
-use super::image::{Image, RAM};
+use super::image::Image;
 
 /// The interrupt in which the tick runs.
 const TICK: &str = "EXTI1";
@@ -39,11 +39,11 @@ impl Memory {
         for (_, handler) in image.handlers() {
             nested_bytes += EXCEPTION_FRAME + bounded_depth(image, handler.code.start)?.bytes;
         }
-        let used = image.ram_bytes + nested_bytes;
-        let size = RAM.end - RAM.start;
+        // That the variables fit beside the stack is the linker's to say.
+        let room = image.stack_room;
         ensure!(
-            used <= size,
-            "variables and stack can need {used} of {size} bytes of RAM"
+            nested_bytes <= room,
+            "the stack can need {nested_bytes} of its {room} bytes"
         );
         Ok(Self {
             flash_bytes: image.flash_bytes,

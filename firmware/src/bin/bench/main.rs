@@ -5,12 +5,20 @@
 //! calls of each row.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
+/// An arm without round numbers, from the acceptance tests: sparsity must not be mistaken for skill.
+#[cfg(target_os = "none")]
+#[expect(unreachable_pub, reason = "written by the generator for a library")]
+#[path = "../../../../tests/tests/calibrated/arm.rs"]
+mod calibrated;
 #[cfg(target_os = "none")]
 mod machine;
 #[cfg(target_os = "none")]
 mod rows;
 #[cfg(target_os = "none")]
 mod stage;
+
+#[cfg(target_os = "none")]
+use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 
 #[cfg(target_os = "none")]
 #[cortex_m_rt::entry]

@@ -11,7 +11,9 @@ use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector}
 use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SVector;
+
+use crate::calibrated::{self, Ur5Calibrated};
 
 /// Period of the tick, s.
 const PERIOD: f32 = 1e-3;
@@ -36,11 +38,10 @@ pub(crate) struct Stage {
     pub(crate) step: StepParameters,
     pub(crate) set: ParameterSet<JOINTS, PARAMETERS>,
     pub(crate) paper: BpNetwork<18, 32, 6>,
-    pub(crate) row: SVector<f32, PARAMETERS>,
+    pub(crate) calibrated: BaseParameters<{ calibrated::PARAMETERS }>,
     pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
     pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
     pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
-    pub(crate) rows: SMatrix<f32, JOINTS, PARAMETERS>,
     pub(crate) sample: JointSample<JOINTS>,
     pub(crate) torque: Torque<JOINTS>,
     pub(crate) feedforward: FeedForward<Ur5, JOINTS, PARAMETERS>,
@@ -71,8 +72,7 @@ impl Stage {
             joint: 0,
             sin_cos: SinCos { sin: 0.0, cos: 1.0 },
             tau: JointVector::zeros(),
-            row: SVector::zeros(),
-            rows: SMatrix::zeros(),
+            calibrated: BaseParameters::from(Ur5Calibrated::NOMINAL),
             panda: BaseParameters::from(Panda::NOMINAL),
             panda_motion: JointMotion::zero(),
             panda_tau: JointVector::zeros(),
