@@ -4,11 +4,12 @@ use super::terminal::say;
 use super::{Failure, unusable};
 use crate::experiment::EXPERIMENTS;
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
-use crate::files::write_whole;
+use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use std::io::Write;
 use std::path::PathBuf;
 
 /// Run one of the reproducible studies
@@ -67,6 +68,8 @@ fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure>
         usart_learning_s: arguments.usart_learning_s,
         ..DemoConfig::default()
     };
+    // A directory that cannot be written is said now, not after the work.
+    let mut json = WholeFile::create(&out.join("report.json"))?;
     let robot = Robot::load(Ur5::NAME)?;
     let mut bulk = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
     let mut usart = match arguments.board {
@@ -84,9 +87,10 @@ fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure>
         &|stage, done, all| bar.show(stage, done, all),
     )?;
     drop(bar);
-    let json = serde_json::to_string_pretty(&outcome.report)? + "\n";
+    serde_json::to_writer_pretty(&mut json, &outcome.report)?;
+    json.write_all(b"\n")?;
     write_whole(&out.join("report.html"), outcome.html.as_bytes())?;
-    write_whole(&out.join("report.json"), json.as_bytes())?;
+    json.finish()?;
     summarise(&outcome.report)?;
     say(format_args!(
         "report           {}",

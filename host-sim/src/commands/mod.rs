@@ -79,10 +79,14 @@ fn parsed(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Com
             error.exit();
         }
         let text = error.to_string();
-        let first = text.split("\n\n").next().unwrap_or_default();
-        let words: Vec<&str> = first
+        // What is wrong comes first, what was perhaps meant follows; the usage does not fit a line.
+        let mut paragraphs = text.split("\n\n").map(str::trim);
+        let wrong = paragraphs.next().unwrap_or_default();
+        let tip = paragraphs.find(|paragraph| paragraph.starts_with("tip:"));
+        let words: Vec<&str> = wrong
             .trim_start_matches("error: ")
             .split_whitespace()
+            .chain(tip.into_iter().flat_map(str::split_whitespace))
             .collect();
         unusable(words.join(" ") + " (see --help)")
     })
@@ -107,6 +111,7 @@ mod tests {
                 "'quemu'",
             ),
             ("host-sim torque", "--robot <ROBOT>"),
+            ("host-sim torqe", "'torque'"),
         ];
         for (line, names) in cases {
             let arguments = line.split(' ').map(Into::into);

@@ -1,11 +1,11 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
-use super::terminal::say;
+use super::terminal::{self, say};
 use super::{Failure, bank, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::files::write_whole;
-use crate::metrics::TrackingError;
+use crate::report::closed_loop::{self, ClosedLoopLog, ClosedLoopReport, LinkReport};
 use crate::robot::Robot;
 use crate::table::{TableWriter, joint_columns};
 use clap::Args;
@@ -32,7 +32,7 @@ pub(super) struct Arguments {
     /// Write the log of the firmware as text (qemu-usart only)
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
-    /// Directory for log.csv, report.json and bank.bin, the parameters in force at the end
+    /// Directory for log.csv, report.json, report.html and bank.bin, the parameters in force at the end
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -90,7 +90,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     header.extend(joint_columns("feed_forward", "nm", N));
     header.push("flags".to_owned());
     let mut log = TableWriter::create(&arguments.out.join("log.csv"), &header)?;
-    let mut tracking = TrackingError::<N>::default();
+    let mut seen = ClosedLoopLog::<N>::new(scene.ticks);
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,
@@ -101,7 +101,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     )?;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
-        tracking.add(&(record.desired.q - record.q));
+        seen.add(&record);
         let mut row = log_row(&record);
         row.extend(record.feed_forward.iter().map(|tau| f64::from(*tau)));
         row.push(f64::from(record.flags));
@@ -114,44 +114,39 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     board.learning(false)?;
     let statistics = board.statistics()?;
     let learnt = bank::bytes(&board.read_bank()?)?;
-    let report = serde_json::json!({
-        "robot": robot.name,
-        "board": arguments.board.to_string(),
-        "seed": arguments.motion.seed,
-        "ticks": scene.ticks,
-        "period_s": PERIOD_S,
-        "toolchain": arguments.board.toolchain(),
-        "learning": arguments.learn,
-        "tracking_rms_mrad": tracking.mean_rms_mrad(),
-        "tracking_rms_joint_mrad": tracking.rms_mrad(),
-        "link": {
-            "frames": statistics.frames,
-            "crc_errors": statistics.crc_errors,
-            "framing_errors": statistics.framing_errors,
-            "foreign_version": statistics.foreign_version,
-            "unknown": statistics.unknown,
-            "missed": statistics.missed,
-            "repeated": statistics.repeated,
-            "overruns": statistics.overruns,
-        },
-        "late_sets": statistics.late_sets,
-        "lessons_lost": statistics.lessons_lost,
-        "tick_cost": {"mean": statistics.tick_cost.mean, "max": statistics.tick_cost.max},
-        "learning_cost": {"mean": statistics.learn_cost.mean, "max": statistics.learn_cost.max},
-    });
+    let report = ClosedLoopReport {
+        robot: robot.name.clone(),
+        board: arguments.board.to_string(),
+        seed: arguments.motion.seed,
+        ticks: scene.ticks,
+        period_s: PERIOD_S,
+        toolchain: arguments.board.toolchain(),
+        learning: arguments.learn,
+        tracking_rms_mrad: seen.tracking_rms_mrad(),
+        tracking_rms_joint_mrad: seen.tracking_rms_joint_mrad(),
+        tracking_peak_joint_mrad: seen.tracking_peak_joint_mrad(),
+        torque_rms_nm: seen.torque_rms_nm(),
+        torque_peak_nm: seen.torque_peak_nm(),
+        feed_forward_rms_nm: seen.feed_forward_rms_nm(),
+        flag_ticks: seen.flag_ticks(),
+        link: LinkReport::from(&statistics),
+        late_sets: statistics.late_sets,
+        lessons_lost: statistics.lessons_lost,
+        tick_cost: statistics.tick_cost.into(),
+        learning_cost: statistics.learn_cost.into(),
+    };
+    let page = closed_loop::html(&report, &seen, &terminal::command_line())?;
     log.finish()?;
     write_whole(&arguments.out.join("bank.bin"), &learnt)?;
+    write_whole(&arguments.out.join("report.html"), page.as_bytes())?;
     let text = serde_json::to_string_pretty(&report)? + "\n";
     write_whole(&arguments.out.join("report.json"), text.as_bytes())?;
     say(format_args!(
         "{} ticks, tracking error {:.3} mrad RMS, {} link errors",
-        scene.ticks,
-        tracking.mean_rms_mrad(),
-        statistics.crc_errors + statistics.framing_errors + statistics.missed
+        report.ticks,
+        report.tracking_rms_mrad,
+        report.link.errors()
     ))?;
-    say(format_args!(
-        "{}",
-        arguments.out.join("report.json").display()
-    ))?;
+    say(arguments.out.join("report.html").display())?;
     Ok(())
 }

@@ -16,6 +16,24 @@ pub fn complain(failure: impl Display) {
     let _ = writeln!(io::stderr(), "error: {failure}");
 }
 
+/// The command that is running, to be typed again from the workspace's root.
+pub(super) fn command_line() -> String {
+    std::env::args_os().skip(1).fold(
+        "cargo run --release -p host-sim --".to_owned(),
+        |line, word| line + " " + &quoted(&word.to_string_lossy()),
+    )
+}
+
+/// A word as a shell reads it back.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
 fn heard(written: io::Result<()>) -> io::Result<()> {
     match written {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
@@ -27,6 +45,19 @@ fn heard(written: io::Result<()>) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn words_survive_the_shell() {
+        for (word, written) in [
+            ("--seed", "--seed"),
+            ("a b", "'a b'"),
+            ("", "''"),
+            ("it's", r"'it'\''s'"),
+            ("$x", "'$x'"),
+        ] {
+            assert_eq!(quoted(word), written);
+        }
+    }
 
     #[test]
     fn a_closed_pipe_is_no_failure_and_a_full_disk_is_one() {

@@ -1,6 +1,6 @@
 //! The arm under closed-loop control with a board in the loop.
 
-use crate::board::{BoardError, Client};
+use crate::board::{BoardError, BoardShares, Client};
 use crate::control::{self, PdConfig, PdState};
 use crate::dynamics::{Joints, State};
 use crate::plant::{Measurement, Plant};
@@ -22,6 +22,8 @@ pub struct TickRecord<const N: usize> {
     pub tau: Joints<N>,
     /// Feed-forward answered in this tick, in effect in the next, N·m. Zero without a board.
     pub feed_forward: JointVector<N>,
+    /// What it is made of, as far as the reply says. None without a board.
+    pub shares: Option<BoardShares<N>>,
     /// Flags that came with it.
     pub flags: u16,
 }
@@ -89,7 +91,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         );
         let tau = feedback + self.answer.cast::<f64>();
         let next = self.trajectory.at((self.tick + 1) as f64 * self.period_s);
-        let mut flags = 0;
+        let (mut shares, mut flags) = (None, 0);
         if let Some(board) = board {
             let reply = board.sample(&JointSample {
                 desired: motion_f32(&next),
@@ -99,6 +101,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
                 }),
             })?;
             self.answer = reply.total;
+            shares = Some(reply.shares);
             flags = reply.flags.0;
         }
         let record = TickRecord {
@@ -108,6 +111,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             measured,
             tau,
             feed_forward: self.answer,
+            shares,
             flags,
         };
         plant.advance(&tau, self.period_s);

@@ -53,6 +53,11 @@ pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
     )
 }
 
+/// A line to type into a shell.
+pub fn command(line: &str) -> String {
+    format!("<pre>{}</pre>\n", escaped(line))
+}
+
 /// The whole page.
 pub fn html(title: &str, lead: &str, tiles: &[Tile], sections: &[Section]) -> String {
     let tiles: String = tiles
@@ -114,7 +119,9 @@ h2{font-size:1.2rem;margin:0 0 4px}p{margin:0 0 10px;max-width:80ch;color:var(--
 .tile b{display:block;font-size:1.2rem;font-variant-numeric:tabular-nums}.tile span{color:var(--quiet);font-size:.86rem}
 section{padding:20px 20px 14px;margin-bottom:18px}.legend{display:flex;flex-wrap:wrap;gap:4px 18px;font-size:.88rem;margin-bottom:4px}
 .legend i{display:inline-block;width:18px;height:4px;border-radius:2px;margin-right:6px;vertical-align:middle}
-svg{display:block;width:100%;height:auto}.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
+.panels{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,var(--least)),1fr));gap:4px 10px;margin-bottom:10px}svg{display:block;width:100%;height:auto}.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
+@media (max-width:520px){main{padding:20px 10px 40px}section{padding:14px 12px 10px}th,td{padding-right:8px;font-size:.82rem}}
+pre{margin:0 0 12px;padding:10px 12px;border:1px solid var(--line);border-radius:6px;white-space:pre-wrap;overflow-wrap:anywhere;font-size:.88rem}
 th,td{text-align:right;padding:4px 14px 4px 0;border-bottom:1px solid var(--line)}th{font-weight:600}th:first-child,td:first-child{text-align:left}
 ";
 

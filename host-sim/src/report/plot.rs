@@ -1,5 +1,6 @@
 //! Line plots as SVG that takes its colours from the page, so that it reads in light and in dark.
 
+use super::page::escaped;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::error::Error;
@@ -102,34 +103,40 @@ pub fn style_sheet() -> String {
         .collect()
 }
 
-/// Panels in rows of `columns`, as one SVG; each panel is `width` × `height` CSS pixels.
+/// Panels, one SVG each, that the page lays out in rows of at most `columns`, fewer where the window is narrow; the
+/// drawing is `width` × `height` CSS pixels before the page scales it.
 ///
 /// Errors: what the plot library says.
 pub fn grid(
     panels: &[Panel],
-    columns: usize,
+    columns: u32,
     width: u32,
     height: u32,
 ) -> Result<String, Box<dyn Error>> {
-    let rows = panels.len().div_ceil(columns.max(1));
-    let size = (
-        width * FINE * columns as u32,
-        height * FINE * rows.max(1) as u32,
-    );
+    // The page is 1078 pixels wide inside: this fits `columns` times and not once more.
+    let least = 900 / columns.max(1);
+    let mut html = format!("<div class=\"panels\" style=\"--least:{least}px\">\n");
+    for panel in panels {
+        html += &single(panel, (width * FINE, height * FINE))?;
+    }
+    Ok(html + "</div>\n")
+}
+
+fn single(panel: &Panel, size: (u32, u32)) -> Result<String, Box<dyn Error>> {
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        for (panel, area) in panels
-            .iter()
-            .zip(root.split_evenly((rows.max(1), columns.max(1))))
-        {
-            draw(panel, &area)?;
-        }
+        draw(panel, &root)?;
         root.present()?;
     }
     // The page scales the drawing to its own width.
     let shown = format!("<svg width=\"{}\" height=\"{}\"", size.0, size.1);
-    Ok(svg.replacen(&shown, "<svg role=\"img\"", 1))
+    let label = escaped(&format!(
+        "{}: {} over {}",
+        panel.title, panel.y_label, panel.x_label
+    ));
+    let scaled = format!("<svg role=\"img\" aria-label=\"{label}\"");
+    Ok(svg.replacen(&shown, &scaled, 1))
 }
 
 fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), Box<dyn Error>> {

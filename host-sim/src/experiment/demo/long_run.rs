@@ -10,7 +10,7 @@ use foretorque::edge::telemetry::Statistics;
 use std::error::Error;
 
 /// Points of the unseen path on which the error is watched while learning goes on.
-const WATCH_POINTS: usize = 250;
+pub(super) const WATCH_POINTS: usize = 250;
 
 /// What the long run saw.
 pub(super) struct LongRun<const N: usize> {
@@ -30,6 +30,8 @@ pub(super) struct LongRun<const N: usize> {
     pub(super) replies: Vec<ReplyBits<N>>,
     /// Counters before the reset with which learning begins, and at the end.
     pub(super) statistics: [Statistics; 2],
+    /// Counters when learning ends, since that reset.
+    pub(super) learnt: Statistics,
 }
 
 /// Takes `bulk` through the whole job.
@@ -78,6 +80,7 @@ pub(super) fn long_run<const N: usize>(
         "learning",
         progress,
     )?;
+    let at_the_end_of_learning = bulk.statistics()?;
     let after = predictions(bulk, &path, "torque after", progress)?;
     let errors = [&before, &after].map(|torques| error_of(&plant, &path, torques));
     let validation = (0..path.len())
@@ -119,5 +122,6 @@ pub(super) fn long_run<const N: usize>(
         validation,
         replies,
         statistics,
+        learnt: at_the_end_of_learning,
     })
 }

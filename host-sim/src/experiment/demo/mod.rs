@@ -1,6 +1,7 @@
 //! The main job: start from a wrong prior, learn on the board in closed loop, freeze, play a path nobody has seen.
 
 mod long_run;
+mod machine_page;
 mod page;
 mod record;
 mod stages;
@@ -8,7 +9,8 @@ mod usart;
 mod world;
 
 pub use record::{
-    BeforeAfter, DemoReport, LearningPoint, LinkFigures, TickInstructions, Tracking, UsartFigures,
+    BeforeAfter, DemoReport, LearningPoint, LinkFigures, TickInstructions, TickPhases, Tracking,
+    UsartFigures,
 };
 
 use crate::board::Client;
@@ -90,7 +92,7 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
     let usart = usart
         .map(|board| usart::run(board, &world, config, &long.replies, progress))
         .transpose()?;
-    let [_, statistics] = &long.statistics;
+    let [frozen, statistics] = &long.statistics;
     let report = DemoReport {
         robot: robot.name.clone(),
         board: board.to_owned(),
@@ -111,12 +113,17 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         pd_bandwidth_hz: config.pd_bandwidth_hz,
         learning_curve: long.learning_curve,
         tick_instructions: statistics.tick_cost.into(),
+        tick_instructions_by_phase: TickPhases {
+            frozen: frozen.tick_cost.into(),
+            learning: long.learnt.tick_cost.into(),
+        },
         learning_instructions: statistics.learn_cost.into(),
         link: LinkFigures::of(&long.statistics),
         usart,
     };
     let curves = DemoCurves {
         excitation: world.one_period(),
+        validation_samples: config.ticks(config.validation_s),
         validation: long.validation,
         tracking: long.tracking_curves,
     };

@@ -1,27 +1,28 @@
 //! The page of the main job.
 
+use super::long_run::WATCH_POINTS;
+use super::machine_page::{cost, link, this_run};
 use super::record::{DemoCurves, DemoReport, LearningPoint, ValidationPoint};
 use crate::dynamics::{Joints, State};
+use crate::metrics::MOVING_RAD_S;
+use crate::report::joints::{THIRD, curve, joint_panels, percent};
 use crate::report::page::{self, Section, Tile};
-use crate::report::plot::{self, Curve, Ink, Panel};
+use crate::report::plot::{self, Ink, Panel};
 use std::error::Error;
-
-/// Width and height of a panel where two or three stand in a row, CSS pixels.
-const THIRD: (u32, u32) = (370, 250);
 
 pub(super) fn html<const N: usize>(
     report: &DemoReport,
     curves: &DemoCurves<N>,
 ) -> Result<String, Box<dyn Error>> {
     let sections = [
-        predicted::<N>(report, &curves.validation)?,
+        predicted::<N>(report, curves)?,
         learning(report)?,
         tracking::<N>(report, curves)?,
         shares::<N>(&curves.validation)?,
         excitation::<N>(&curves.excitation)?,
         cost(report),
         link(report),
-        parameters_of_the_run(report),
+        this_run(report),
     ];
     let lead = format!(
         "A {} whose model is wrong about its masses, inertias and friction moves for {:.0} s; the firmware learns the \
@@ -53,14 +54,14 @@ fn tiles(report: &DemoReport) -> Vec<Tile> {
                 percent(report.torque_nrmse_before),
                 percent(report.torque_nrmse_after)
             ),
-            "torque error on the unseen path, before → after learning (NRMSE)",
+            "torque error on the unseen path, before → after learning (NRMSE, all samples)",
         ),
         tile(
             format!(
                 "{:.2} → {:.2} mrad",
                 report.tracking_rms_mrad.pd_only, report.tracking_rms_mrad.after
             ),
-            "tracking error, PD alone → with learnt feed-forward",
+            "tracking error, mean of the joints' RMS, PD alone → with learnt feed-forward",
         ),
         tile(
             format!("{:.0} s", report.ticks as f64 * report.period_s),
@@ -70,7 +71,7 @@ fn tiles(report: &DemoReport) -> Vec<Tile> {
     if report.tick_instructions.max > 0 {
         tiles.push(tile(
             format!("{}", report.tick_instructions.max),
-            "instructions in the longest tick",
+            "instructions in the longest tick (emulator, not cycles of silicon)",
         ));
     }
     if let Some(usart) = &report.usart {
@@ -82,15 +83,12 @@ fn tiles(report: &DemoReport) -> Vec<Tile> {
     tiles
 }
 
-fn percent(ratio: f64) -> String {
-    format!("{:.1} %", 100.0 * ratio)
-}
-
 /// The paper's Fig. 6, with the wrong model beside it.
 fn predicted<const N: usize>(
     report: &DemoReport,
-    points: &[ValidationPoint<N>],
+    curves: &DemoCurves<N>,
 ) -> Result<Section, Box<dyn Error>> {
+    let points = &curves.validation;
     let panels = joint_panels::<N>("tau / N·m", |j| {
         vec![
             curve(Ink::Truth, points, |p| (p.t_s, p.truth[j])),
@@ -121,19 +119,27 @@ fn predicted<const N: usize>(
     Ok(Section {
         heading: "Predicted and true torque on the unseen path".to_owned(),
         caption: format!(
-            "The learnt model lies on the noise-free truth where the wrong one misses friction and inertia: the error falls from {} to {} of the joints' RMS torque (the paper's Fig. 6, with its error below).",
+            "What the path takes at the arm's present age, free of noise, and what the board answers for it before and after learning (the paper's Fig. 6, with its error below). Over all {samples} samples the error falls from {} to {} of the joints' RMS torque; over those in which the joint moves faster than {MOVING_RAD_S} rad/s, so without stiction, from {} to {}.",
             percent(report.torque_nrmse_before),
-            percent(report.torque_nrmse_after)
+            percent(report.torque_nrmse_after),
+            percent(report.torque_nrmse_moving_before),
+            percent(report.torque_nrmse_moving_after),
+            samples = curves.validation_samples,
         ),
         legend: vec![
-            (Ink::Truth, "truth".to_owned()),
+            (Ink::Truth, "truth (noise-free plant)".to_owned()),
             (Ink::Before, "wrong model".to_owned()),
             (Ink::After, "learnt model".to_owned()),
         ],
         body: plot::grid(&panels, 3, THIRD.0, THIRD.1)?
             + &plot::grid(&errors, 3, THIRD.0, THIRD.1)?
             + &page::table(
-                &["RMS torque error", "before / N·m", "after / N·m", "ratio"],
+                &[
+                    "RMS torque error, all samples",
+                    "before / N·m",
+                    "after / N·m",
+                    "ratio",
+                ],
                 &rows,
             ),
     })
@@ -141,7 +147,7 @@ fn predicted<const N: usize>(
 
 fn learning(report: &DemoReport) -> Result<Section, Box<dyn Error>> {
     let panel = Panel {
-        title: String::new(),
+        title: "torque error, all joints".to_owned(),
         x_label: "time of learning / s".to_owned(),
         y_label: "NRMSE / %".to_owned(),
         curves: vec![curve(Ink::After, &report.learning_curve, |p| {
@@ -152,7 +158,7 @@ fn learning(report: &DemoReport) -> Result<Section, Box<dyn Error>> {
     Ok(Section {
         heading: "Error while it learns".to_owned(),
         caption: format!(
-            "Torque error on the unseen path, asked of the board every second while the arm plays the excitation: it halves within {} of learning.",
+            "Torque error on {WATCH_POINTS} points of the unseen path (moving and still), asked of the board every second while the arm plays the excitation: it halves within {} of learning.",
             halved_after(&report.learning_curve)
         ),
         legend: vec![(Ink::After, "model in force on the board".to_owned())],
@@ -201,7 +207,7 @@ fn tracking<const N: usize>(
     Ok(Section {
         heading: "Tracking error on the unseen path".to_owned(),
         caption: format!(
-            "A PD loop of {:.0} Hz follows {:.1} times as closely with the wrong model's feed-forward and {:.1} times as closely with the learnt one; a real arm will gain less than a simulated one.",
+            "Desired minus true position while a PD loop of {:.0} Hz plays the path: {:.1} times as close with the wrong model's feed-forward and {:.1} times as close with the learnt one, learning off. A real arm will gain less than a simulated one.",
             report.pd_bandwidth_hz,
             mean.pd_only / mean.before,
             mean.pd_only / mean.after
@@ -269,120 +275,4 @@ fn excitation<const N: usize>(points: &[(f64, State<N>)]) -> Result<Section, Box
             .collect(),
         body: plot::grid(&panels, 3, THIRD.0, 290)?,
     })
-}
-
-fn cost(report: &DemoReport) -> Section {
-    let counted = report.tick_instructions.max > 0;
-    let mut rows = Vec::new();
-    let mut push = |name: &str, figures: super::TickInstructions| {
-        rows.push(vec![
-            name.to_owned(),
-            figures.mean.to_string(),
-            figures.max.to_string(),
-        ]);
-    };
-    push("tick, long run", report.tick_instructions);
-    push(
-        "learning from a tick, long run",
-        report.learning_instructions,
-    );
-    if let Some(usart) = &report.usart {
-        push("tick, flashable firmware", usart.tick_instructions);
-    }
-    let caption = if counted {
-        "Instructions between a complete request and its reply, and those of learning in the slack behind it, counted by a timer of the emulated board."
-    } else {
-        "The board in this process has no instruction counter; run on the emulated board to see its costs."
-    };
-    Section {
-        heading: "Instructions per tick".to_owned(),
-        caption: caption.to_owned(),
-        legend: Vec::new(),
-        body: page::table(&["instructions", "mean", "largest"], &rows),
-    }
-}
-
-fn link(report: &DemoReport) -> Section {
-    let row = |name: &str, figures: super::LinkFigures| {
-        vec![
-            name.to_owned(),
-            figures.frames.to_string(),
-            figures.errors.to_string(),
-        ]
-    };
-    let mut rows = vec![row(&format!("long run ({})", report.board), report.link)];
-    let mut caption =
-        "Frames the board received, and those that were damaged, foreign, missed or lost."
-            .to_owned();
-    if let Some(usart) = &report.usart {
-        rows.push(row("flashable firmware (USART)", usart.link));
-        caption += &format!(
-            " On the flashable firmware the error on {} points of the unseen path went from {} to {} within {} ticks, and {} of its replies carried the very bits of the long run's.",
-            usart.grid_points,
-            percent(usart.torque_nrmse_before),
-            percent(usart.torque_nrmse_after),
-            usart.ticks,
-            if usart.ticks_with_equal_bits == usart.ticks {
-                "all".to_owned()
-            } else {
-                usart.ticks_with_equal_bits.to_string()
-            }
-        );
-    }
-    Section {
-        heading: "Link".to_owned(),
-        caption,
-        legend: Vec::new(),
-        body: page::table(&["link", "frames", "errors"], &rows),
-    }
-}
-
-fn parameters_of_the_run(report: &DemoReport) -> Section {
-    let row = |name: &str, value: String| vec![name.to_owned(), value];
-    Section {
-        heading: "This run".to_owned(),
-        caption: "What it takes to repeat it: the same seed and firmware give the same figures to the last digit.".to_owned(),
-        legend: Vec::new(),
-        body: page::table(
-            &["", "value"],
-            &[
-                row("robot", report.robot.clone()),
-                row("board", report.board.clone()),
-                row("seed", report.seed.to_string()),
-                row("period", format!("{} ms", report.period_s * 1e3)),
-                row("ticks with learning on", report.ticks.to_string()),
-                row("compiler of the board's code", report.toolchain.clone()),
-                row(
-                    "NRMSE, moving joints only",
-                    format!(
-                        "{} → {}",
-                        percent(report.torque_nrmse_moving_before),
-                        percent(report.torque_nrmse_moving_after)
-                    ),
-                ),
-            ],
-        ),
-    }
-}
-
-fn joint_panels<const N: usize>(
-    y_label: &str,
-    mut curves: impl FnMut(usize) -> Vec<Curve>,
-) -> Vec<Panel> {
-    (0..N)
-        .map(|j| Panel {
-            title: format!("joint {}", j + 1),
-            x_label: "t / s".to_owned(),
-            y_label: y_label.to_owned(),
-            curves: curves(j),
-            from_zero: false,
-        })
-        .collect()
-}
-
-fn curve<T>(ink: Ink, points: &[T], pick: impl Fn(&T) -> (f64, f64)) -> Curve {
-    Curve {
-        ink,
-        points: points.iter().map(pick).collect(),
-    }
 }

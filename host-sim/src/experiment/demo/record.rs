@@ -39,6 +39,8 @@ pub struct DemoReport {
     pub learning_curve: Vec<LearningPoint>,
     /// Instructions of a tick, from the request's last byte to the reply.
     pub tick_instructions: TickInstructions,
+    /// The same by what the board was doing.
+    pub tick_instructions_by_phase: TickPhases,
     /// Instructions of learning from one tick.
     pub learning_instructions: TickInstructions,
     /// Frames of the long run's link.
@@ -94,6 +96,15 @@ pub struct TickInstructions {
     pub mean: u32,
     /// Largest.
     pub max: u32,
+}
+
+/// Instructions of a tick by what the board was doing in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct TickPhases {
+    /// Learning off.
+    pub frozen: TickInstructions,
+    /// Learning on: the tick also hands its lesson over and adopts learnt sets.
+    pub learning: TickInstructions,
 }
 
 impl From<Cost> for TickInstructions {
@@ -163,6 +174,8 @@ pub struct UsartFigures {
 pub(super) struct DemoCurves<const N: usize> {
     /// One period of the excitation: time, s, and motion.
     pub(super) excitation: Vec<(f64, State<N>)>,
+    /// Samples of the unseen path that the figures count; the curves show some of them.
+    pub(super) validation_samples: usize,
     /// The unseen path.
     pub(super) validation: Vec<ValidationPoint<N>>,
     /// Position error on the unseen path for every kind of control: time, s, and error, mrad.
