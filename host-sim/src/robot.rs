@@ -8,8 +8,10 @@ mod body;
 mod file;
 mod perturbation;
 mod placement;
+mod shape;
 
 pub use perturbation::Perturbation;
+pub use shape::{Capsule, Workspace, segment_distance};
 
 use crate::urdf::{self, UrdfError};
 use nalgebra::{Matrix3, Vector3};
@@ -157,6 +159,10 @@ pub struct Joint {
     pub friction: Friction,
     /// Limits.
     pub limits: Limits,
+    /// What the link takes up in space, in the joint frame.
+    pub capsules: Vec<Capsule>,
+    /// The standard DH frame of the link, at its far end, in the joint frame; `None` where the description gives no DH row.
+    pub dh_frame: Option<Placement>,
 }
 
 /// How columns of a foreign log are called; `{}` stands for the joint number, counted from 1.
@@ -190,6 +196,8 @@ pub struct Robot {
     pub flange: Placement,
     /// Column names of foreign logs, if the description gives any.
     pub log_columns: Option<LogColumns>,
+    /// What the arm must keep clear of.
+    pub workspace: Workspace,
 }
 
 impl Robot {

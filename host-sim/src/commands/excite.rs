@@ -1,36 +1,102 @@
 use super::progress::Bar;
 use super::{Failure, unusable};
-use crate::excitation::{Excitation, SearchConfig};
-use crate::files::write_whole;
+use crate::excitation::{self, Criterion, Excitation, SearchConfig};
+use crate::files::{at, write_whole};
 use crate::robot::Robot;
 use crate::table::{TableWriter, state_columns};
-use clap::Args;
-use std::path::PathBuf;
+use clap::{Args, ValueEnum};
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
 
-/// Excitation trajectory inside the robot's limits: the best of many random Fourier series
+/// Optimised excitation trajectory inside the robot's limits, with a certificate of each
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
     robot: String,
-    /// Directory for excitation.json and excitation.csv
+    /// Directory for excitation.json, excitation.csv and excitation.html
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// What is made small
+    #[arg(long, value_enum, default_value_t = CriterionName::Constrained)]
+    criterion: CriterionName,
+    /// Limit of the condition number for `constrained` (links' base regressor, raw SI, standard DH frames)
+    #[arg(long, default_value_t = 60.0)]
+    condition_limit: f64,
     /// Seed of the search
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Random candidates
-    #[arg(long, default_value_t = 200)]
-    candidates: usize,
+    /// Starts of the search
+    #[arg(long, default_value_t = 8)]
+    starts: usize,
+    /// Most iterations of each of the five rounds of a start
+    #[arg(long, default_value_t = 60)]
+    iterations: usize,
     /// Period of the fundamental, s
     #[arg(long, default_value_t = 10.0)]
     period_s: f64,
+    /// Range of every joint around zero, rad, on top of the description's
+    #[arg(long, default_value_t = std::f64::consts::PI)]
+    range_rad: f64,
+    /// Height of the table under the arm, m, in place of the description's
+    #[arg(long, allow_negative_numbers = true, conflicts_with = "no_table")]
+    table_m: Option<f64>,
+    /// There is no table
+    #[arg(long)]
+    no_table: bool,
+    /// Start from this excitation.json alone; the result is no worse
+    #[arg(long, value_name = "FILE")]
+    improve: Option<PathBuf>,
+    /// Threads; the result does not depend on them [default: all cores]
+    #[arg(long)]
+    threads: Option<NonZeroUsize>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum CriterionName {
+    /// Condition number of the links' base regressor
+    Condition,
+    /// Volume of the confidence ellipsoid
+    DOptimal,
+    /// Predicted torque error on task motion
+    VOptimal,
+    /// V-optimal with the condition number below its limit
+    Constrained,
+}
+
+impl From<CriterionName> for Criterion {
+    fn from(name: CriterionName) -> Self {
+        match name {
+            CriterionName::Condition => Self::Condition,
+            CriterionName::DOptimal => Self::DOptimal,
+            CriterionName::VOptimal => Self::VOptimal,
+            CriterionName::Constrained => Self::Constrained,
+        }
+    }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let robot = Robot::load(&arguments.robot)?;
-    if !(arguments.period_s.is_finite() && arguments.period_s > 0.0) {
-        return Err(unusable("--period-s must be positive"));
+    let mut robot = Robot::load(&arguments.robot)?;
+    let positive = |name: &str, value: f64| {
+        if value.is_finite() && value > 0.0 {
+            Ok(())
+        } else {
+            Err(unusable(format!("--{name} is {value}, must be positive")))
+        }
+    };
+    positive("period-s", arguments.period_s)?;
+    positive("range-rad", arguments.range_rad)?;
+    positive("condition-limit", arguments.condition_limit)?;
+    positive("starts", arguments.starts as f64)?;
+    positive("iterations", arguments.iterations as f64)?;
+    if arguments.no_table {
+        robot.workspace.table_height = None;
+    }
+    if let Some(height) = arguments.table_m {
+        if !height.is_finite() {
+            return Err(unusable("--table-m must be a number"));
+        }
+        robot.workspace.table_height = Some(height);
     }
     match robot.joint_count() {
         6 => search::<6>(arguments, &robot),
@@ -42,38 +108,65 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
+    let given = match &arguments.improve {
+        Some(path) => Some(read(path, robot)?),
+        None => None,
+    };
     let config = SearchConfig {
-        period_s: arguments.period_s,
-        candidates: arguments.candidates,
-        ..SearchConfig::default()
+        // A given trajectory keeps its period.
+        period_s: given.as_ref().map_or(arguments.period_s, |e| e.period_s),
+        criterion: arguments.criterion.into(),
+        condition_limit: arguments.condition_limit,
+        seed: arguments.seed,
+        starts: arguments.starts,
+        iterations: arguments.iterations,
+        range_rad: arguments.range_rad,
+        threads: arguments.threads,
     };
     let bar = Bar::new();
-    let mut done = 0;
-    let excitation = Excitation::search::<N>(robot, arguments.seed, &config, || {
-        done += 1;
-        bar.show("excitation", done, config.candidates);
+    let excitation = excitation::optimise::<N>(robot, &config, given.as_ref(), |done, all| {
+        bar.show("excitation", done, all);
     })?;
     drop(bar);
-    let json = serde_json::to_string_pretty(&excitation)? + "\n";
+    write::<N>(&excitation, &arguments.out)?;
+    if let Some(certificate) = &excitation.certificate {
+        println!(
+            "predicted torque error {:.3} % (10 s, 1 % noise), condition number {:.1} (links' base regressor, {} columns, \
+             standard DH frames, raw SI; {:.1} in the board's frames), {} limits kept on {} points and between them",
+            certificate.predicted_nrmse_percent,
+            certificate.condition_number_dh,
+            certificate.condition_number_columns,
+            certificate.condition_number_board,
+            certificate.limits.len(),
+            certificate.points,
+        );
+    }
+    println!("{}", arguments.out.join("excitation.json").display());
+    Ok(())
+}
+
+fn read(path: &Path, robot: &Robot) -> Result<Excitation, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|error| at(path, error))?;
+    let named = |error: &dyn std::fmt::Display| unusable(format!("{}: {error}", path.display()));
+    let excitation: Excitation = serde_json::from_str(&text).map_err(|error| named(&error))?;
+    excitation.check(robot).map_err(|error| named(&error))?;
+    Ok(excitation)
+}
+
+fn write<const N: usize>(excitation: &Excitation, out: &Path) -> Result<(), Failure> {
     let mut header = vec!["t_s".to_owned()];
     header.extend(state_columns(N));
-    let mut table = TableWriter::create(&arguments.out.join("excitation.csv"), &header)?;
-    for k in 0..=(config.period_s * 1000.0).round() as usize {
+    let mut table = TableWriter::create(&out.join("excitation.csv"), &header)?;
+    for k in 0..=(excitation.period_s * 1000.0).round() as usize {
         let t_s = k as f64 * 1e-3;
         let state = excitation.at::<N>(t_s);
         let values = state.q.iter().chain(&state.qd).chain(&state.qdd);
         table.row(std::iter::once(&t_s).chain(values))?;
     }
-    write_whole(&arguments.out.join("excitation.json"), json.as_bytes())?;
     table.finish()?;
-    let certificate = &excitation.certificate;
-    println!(
-        "condition number {:.1} (base regressor, Craig link frames, raw SI), peaks {:.2} rad, {:.2} rad/s, {:.2} rad/s²",
-        certificate.condition_number,
-        certificate.peak_q_rad,
-        certificate.peak_qd_rad_s,
-        certificate.peak_qdd_rad_s2
-    );
-    println!("{}", arguments.out.join("excitation.json").display());
+    let page = excitation::page::page::<N>(excitation)?;
+    write_whole(&out.join("excitation.html"), page.as_bytes())?;
+    let json = serde_json::to_string_pretty(excitation)? + "\n";
+    write_whole(&out.join("excitation.json"), json.as_bytes())?;
     Ok(())
 }

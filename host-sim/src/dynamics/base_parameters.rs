@@ -48,29 +48,7 @@ impl BaseMap {
     pub fn of<const N: usize>(robot: &Robot) -> Option<Self> {
         let model = ReferenceModel::<N>::new(robot)?;
         let w = stacked_regressor(&model);
-        let mut basis: Vec<DVector<f64>> = Vec::new();
-        let mut columns = Vec::new();
-        // A column that is zero in exact arithmetic still has the rounding of the right angles in it.
-        let scale = w.amax();
-        // Coefficients of every column in the orthonormal basis (R of the QR factorisation).
-        let mut coefficients = DMatrix::<f64>::zeros(w.ncols(), w.ncols());
-        for c in 0..w.ncols() {
-            let mut rest: DVector<f64> = w.column(c).into_owned();
-            let length = rest.norm();
-            for _ in 0..2 {
-                for (b, direction) in basis.iter().enumerate() {
-                    let share = direction.dot(&rest);
-                    coefficients[(b, c)] += share;
-                    rest.axpy(-share, direction, 1.0);
-                }
-            }
-            let new = rest.norm();
-            if length > INDEPENDENT * scale && new > INDEPENDENT * length {
-                coefficients[(basis.len(), c)] = new;
-                columns.push(c);
-                basis.push(rest / new);
-            }
-        }
+        let (columns, coefficients) = independent_columns(&w);
         let rank = columns.len();
         let triangle = DMatrix::from_fn(rank, rank, |b, k| coefficients[(b, columns[k])]);
         let weights = triangle.solve_upper_triangular(&coefficients.rows(0, rank).into_owned())?;
@@ -107,6 +85,34 @@ impl BaseMap {
         }
         beta
     }
+}
+
+/// The first independent columns of `w` from left to right, and the coefficients of every column in their orthonormal
+/// basis (R of the QR factorisation).
+pub(crate) fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
+    let mut basis: Vec<DVector<f64>> = Vec::new();
+    let mut columns = Vec::new();
+    // A column that is zero in exact arithmetic still has the rounding of the right angles in it.
+    let scale = w.amax();
+    let mut coefficients = DMatrix::<f64>::zeros(w.ncols(), w.ncols());
+    for c in 0..w.ncols() {
+        let mut rest: DVector<f64> = w.column(c).into_owned();
+        let length = rest.norm();
+        for _ in 0..2 {
+            for (b, direction) in basis.iter().enumerate() {
+                let share = direction.dot(&rest);
+                coefficients[(b, c)] += share;
+                rest.axpy(-share, direction, 1.0);
+            }
+        }
+        let new = rest.norm();
+        if length > INDEPENDENT * scale && new > INDEPENDENT * length {
+            coefficients[(basis.len(), c)] = new;
+            columns.push(c);
+            basis.push(rest / new);
+        }
+    }
+    (columns, coefficients)
 }
 
 /// Base map of a robot of any size the board supports.

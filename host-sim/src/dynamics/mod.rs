@@ -7,6 +7,7 @@
 mod base_parameters;
 mod kane;
 
+pub(crate) use base_parameters::independent_columns;
 pub use base_parameters::{BaseMap, BaseMapTerm};
 pub use kane::{Joints, ReferenceModel, State};
 

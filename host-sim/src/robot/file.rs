@@ -1,7 +1,8 @@
 //! The description file: TOML, units in the names of the fields.
 
 use super::{
-    Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot, RobotError,
+    Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
+    RobotError, Workspace,
 };
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
@@ -15,6 +16,25 @@ struct RobotFile {
     joints: Vec<JointFile>,
     flange: Option<FrameFile>,
     log_columns: Option<LogColumns>,
+    #[serde(default)]
+    workspace: WorkspaceFile,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WorkspaceFile {
+    table_height_m: Option<f64>,
+    #[serde(default)]
+    clearance_m: f64,
+}
+
+/// Ends and radius in the frame of the link's mass distribution.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CapsuleFile {
+    from_m: [f64; 3],
+    to_m: [f64; 3],
+    radius_m: f64,
 }
 
 fn earth() -> [f64; 3] {
@@ -31,6 +51,8 @@ struct JointFile {
     drive: DriveFile,
     friction: FrictionFile,
     limits: LimitsFile,
+    #[serde(default)]
+    capsules: Vec<CapsuleFile>,
 }
 
 /// A standard Denavit–Hartenberg row, `T = Rz(q) Tz(d) Tx(a) Rx(alpha)`.
@@ -165,10 +187,14 @@ pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
             drive: drive(&joint.drive, &check, &at)?,
             friction: friction(&joint.friction, &check, &at)?,
             limits: limits(&joint.limits, &check, &at)?,
+            capsules: capsules(&joint.capsules, &end, &check, &at)?,
+            dh_frame: joint.dh.is_some().then_some(end),
         });
         link_end = end;
     }
+    let workspace = workspace(&raw.workspace, &check)?;
     Ok(Robot {
+        workspace,
         name: raw.name,
         gravity: Vector3::from(raw.gravity_m_s2),
         joints,
@@ -292,6 +318,41 @@ fn limits(
         velocity: limits.velocity_rad_s,
         acceleration: limits.acceleration_rad_s2,
         torque: limits.torque_nm,
+    })
+}
+
+fn capsules(
+    capsules: &[CapsuleFile],
+    end: &Placement,
+    check: &Check<'_>,
+    at: &dyn Fn(&str) -> String,
+) -> Result<Vec<Capsule>, RobotError> {
+    capsules
+        .iter()
+        .map(|capsule| {
+            check.finite(&at("capsules"), &capsule.from_m)?;
+            check.finite(&at("capsules"), &capsule.to_m)?;
+            check.positive(&at("capsules.radius_m"), capsule.radius_m)?;
+            let placed = |point: [f64; 3]| end.origin + end.rot_parent_child * Vector3::from(point);
+            Ok(Capsule {
+                ends: [placed(capsule.from_m), placed(capsule.to_m)],
+                radius: capsule.radius_m,
+            })
+        })
+        .collect()
+}
+
+fn workspace(workspace: &WorkspaceFile, check: &Check<'_>) -> Result<Workspace, RobotError> {
+    let height = workspace.table_height_m;
+    check.that(
+        height.is_none_or(f64::is_finite),
+        "workspace.table_height_m",
+        "is not a finite number",
+    )?;
+    check.not_negative("workspace.clearance_m", workspace.clearance_m)?;
+    Ok(Workspace {
+        table_height: height,
+        clearance: workspace.clearance_m,
     })
 }
 

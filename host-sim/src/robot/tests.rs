@@ -58,7 +58,7 @@ fn bad_descriptions_are_refused_with_file_and_field() {
         (
             "mass_kg = 3.7",
             "mass = 3.7",
-            "t: line 14: unknown field `mass`, expected one of `mass_kg`, `com_m`, `inertia_kg_m2`",
+            "t: line 22: unknown field `mass`, expected one of `mass_kg`, `com_m`, `inertia_kg_m2`",
         ),
         (
             "xx = 0.0149",

@@ -3,7 +3,7 @@
 use super::document::{Document, JointElement};
 use super::tree::Tree;
 use super::{Import, JointProblem, Selection, UrdfProblem};
-use crate::robot::{Drive, Friction, Joint, Limits, MAX_JOINTS, Placement, Robot};
+use crate::robot::{Drive, Friction, Joint, Limits, MAX_JOINTS, Placement, Robot, Workspace};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use std::f64::consts::TAU;
 
@@ -65,6 +65,9 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
                 joint: element.name.clone(),
                 problem: JointProblem::Limit(problem),
             })?,
+            // Collision shapes of a URDF are meshes as a rule.
+            capsules: Vec::new(),
+            dh_frame: None,
         });
     }
     let without: Vec<&str> = path
@@ -89,6 +92,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         joints,
         flange: link_frame.snapped(),
         log_columns: None,
+        workspace: Workspace::default(),
     };
     Ok(Import { robot, notes })
 }

@@ -3,7 +3,7 @@
 use super::{DemoConfig, Progress};
 use crate::control::PdConfig;
 use crate::dynamics::{ReferenceModel, State};
-use crate::excitation::{Excitation, SearchConfig};
+use crate::excitation::{Excitation, QuickConfig};
 use crate::experiment::prior::bank_of;
 use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
@@ -31,12 +31,12 @@ impl<const N: usize> World<N> {
         let other_size = || format!("robot '{}' has not {N} joints", robot.name);
         let truth = robot.perturbed(config.seed, &Perturbation::PLANT);
         let wrong = truth.perturbed(config.seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
-        let search = SearchConfig {
+        let search = QuickConfig {
             candidates: config.excitation_candidates,
-            ..SearchConfig::default()
+            ..QuickConfig::default()
         };
         let mut done = 0;
-        let series = Excitation::search::<N>(robot, config.seed, &search, || {
+        let series = Excitation::quick::<N>(robot, config.seed, &search, || {
             done += 1;
             progress("excitation", done, search.candidates);
         })?;

@@ -1,0 +1,192 @@
+//! Distances of the links from the table and from each other, and how fast they can change.
+
+use crate::dynamics::Joints;
+use crate::robot::{Capsule, Placement, Robot, segment_distance};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+/// What keeps its distance from what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pair {
+    Table { link: usize },
+    Links { inner: usize, outer: usize },
+}
+
+/// All distances that an arm must keep.
+#[derive(Clone, Debug)]
+pub(super) struct Clearances<const N: usize> {
+    placements: [Placement; N],
+    capsules: Vec<Vec<Capsule>>,
+    names: Vec<String>,
+    pairs: Vec<Pair>,
+    table_height: f64,
+    /// Distance asked for, m.
+    pub(super) asked: f64,
+    /// For each pair and joint: metres by which the distance changes, at most, for one radian.
+    levers: Vec<[f64; N]>,
+}
+
+impl<const N: usize> Clearances<N> {
+    /// Links two or more apart keep clear of each other (neighbours share a joint housing), all but the first of the
+    /// table (it carries the arm and keeps its height). `None` when the robot has not `N` joints.
+    pub(super) fn new(robot: &Robot) -> Option<Self> {
+        let placements: Vec<Placement> = robot.joints.iter().map(|j| j.placement).collect();
+        let capsules: Vec<Vec<Capsule>> = robot.joints.iter().map(|j| j.capsules.clone()).collect();
+        let solid = |k: &usize| !capsules[*k].is_empty();
+        let mut pairs = Vec::new();
+        if robot.workspace.table_height.is_some() {
+            pairs.extend((1..N).filter(solid).map(|link| Pair::Table { link }));
+        }
+        for inner in (0..N).filter(solid) {
+            let outer = (inner + 2..N).filter(solid);
+            pairs.extend(outer.map(|outer| Pair::Links { inner, outer }));
+        }
+        let placements: [Placement; N] = placements.try_into().ok()?;
+        let levers = pairs
+            .iter()
+            .map(|pair| {
+                let (first, link) = match *pair {
+                    Pair::Table { link } => (0, link),
+                    Pair::Links { inner, outer } => (inner + 1, outer),
+                };
+                let reach = capsules[link]
+                    .iter()
+                    .map(Capsule::reach)
+                    .fold(0.0, f64::max);
+                std::array::from_fn(|i| {
+                    if (first..=link).contains(&i) {
+                        let arm = placements[i + 1..=link].iter();
+                        reach + arm.map(|placement| placement.origin.norm()).sum::<f64>()
+                    } else {
+                        0.0
+                    }
+                })
+            })
+            .collect();
+        Some(Self {
+            placements,
+            capsules,
+            names: robot.joints.iter().map(|j| j.name.clone()).collect(),
+            pairs,
+            table_height: robot.workspace.table_height.unwrap_or(f64::NEG_INFINITY),
+            asked: robot.workspace.clearance,
+            levers,
+        })
+    }
+
+    /// Number of distances.
+    pub(super) fn count(&self) -> usize {
+        self.pairs.len()
+    }
+
+    /// What the distance `index` is between.
+    pub(super) fn name(&self, index: usize) -> String {
+        match self.pairs[index] {
+            Pair::Table { link } => format!("{} to table", self.names[link]),
+            Pair::Links { inner, outer } => {
+                format!("{} to {}", self.names[inner], self.names[outer])
+            }
+        }
+    }
+
+    /// Largest speed of the distance `index` at joint speeds bounded by `speeds`, m/s.
+    ///
+    /// A turn of joint i by dq moves what hangs on it by at most dq times its distance from the axis, which no pose makes
+    /// longer than the stretched chain.
+    pub(super) fn rate(&self, index: usize, speeds: &Joints<N>) -> f64 {
+        let levers = self.levers[index].iter();
+        levers.zip(speeds.iter()).map(|(r, qd)| r * qd.abs()).sum()
+    }
+
+    /// All distances at positions `q`, m; negative where the table is cut, never below −(radii) where links meet.
+    pub(super) fn write(&self, q: &Joints<N>, out: &mut [f64]) {
+        let mut poses = [(Matrix3::identity(), Vector3::zeros()); N];
+        let (mut rot, mut origin) = (Matrix3::identity(), Vector3::zeros());
+        for k in 0..N {
+            origin += rot * self.placements[k].origin;
+            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), q[k]);
+            rot = rot * self.placements[k].rot_parent_child * turn.matrix();
+            poses[k] = (rot, origin);
+        }
+        let placed = |k: usize, capsule: &Capsule| {
+            let (rot, origin) = &poses[k];
+            capsule.ends.map(|end| origin + rot * end)
+        };
+        for (distance, pair) in out.iter_mut().zip(&self.pairs) {
+            *distance = f64::INFINITY;
+            match *pair {
+                Pair::Table { link } => {
+                    for capsule in &self.capsules[link] {
+                        let [a, b] = placed(link, capsule);
+                        let height = a.z.min(b.z) - capsule.radius - self.table_height;
+                        *distance = distance.min(height);
+                    }
+                }
+                Pair::Links { inner, outer } => {
+                    for near in &self.capsules[inner] {
+                        let near_ends = placed(inner, near);
+                        for far in &self.capsules[outer] {
+                            let between = segment_distance(&near_ends, &placed(outer, far));
+                            *distance = distance.min(between - near.radius - far.radius);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+
+    fn ur5() -> Clearances<6> {
+        Clearances::new(&Robot::load("ur5").expect("built in")).expect("six joints")
+    }
+
+    #[test]
+    fn a_hanging_ur5_cuts_the_table_and_a_standing_one_is_clear() {
+        let clearances = ur5();
+        let mut distances = vec![0.0; clearances.count()];
+        let half = std::f64::consts::FRAC_PI_2;
+        clearances.write(
+            &Joints::from([0.0, half, 0.0, 0.0, 0.0, 0.0]),
+            &mut distances,
+        );
+        assert!(distances.iter().any(|d| *d < -0.5));
+        clearances.write(
+            &Joints::from([0.0, -half, 0.0, -half, 0.3, 0.0]),
+            &mut distances,
+        );
+        assert!(distances.iter().all(|d| *d > 0.005), "{distances:?}");
+        // The elbow folded: the first wrist lies on the upper arm.
+        clearances.write(
+            &Joints::from([0.0, -half, 3.1, 0.0, 0.3, 0.0]),
+            &mut distances,
+        );
+        let worst = (0..distances.len()).min_by(|a, b| distances[*a].total_cmp(&distances[*b]));
+        assert!(worst.is_some_and(|i| distances[i] < 0.0), "{distances:?}");
+    }
+
+    #[test]
+    fn no_distance_changes_faster_than_its_rate() {
+        let clearances = ur5();
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+        let (mut before, mut after) =
+            (vec![0.0; clearances.count()], vec![0.0; clearances.count()]);
+        for _ in 0..2000 {
+            let q = Joints::<6>::from_fn(|_, _| random.random_range(-3.0..3.0));
+            let step = Joints::<6>::from_fn(|_, _| random.random_range(-0.05..0.05));
+            clearances.write(&q, &mut before);
+            clearances.write(&(q + step), &mut after);
+            for i in 0..clearances.count() {
+                let change = (after[i] - before[i]).abs();
+                assert!(
+                    change <= clearances.rate(i, &step) + 1e-12,
+                    "{}",
+                    clearances.name(i)
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! Rows of the base regressor in the link frames of the description, with rotor and friction columns.
+
+use crate::dynamics::{Joints, ReferenceModel, State, independent_columns};
+use crate::robot::{LINK_PARAMETERS, Placement, Robot};
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Frames in which the inertial parameters of a link are expressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Frames {
+    /// Standard DH frames, at the far ends of the links; joint frames where the description gives none.
+    Dh,
+    /// The joint frames of the board (Craig).
+    Board,
+}
+
+/// Regressor of rigid body and friction over the columns that torque can tell apart.
+///
+/// Columns: base parameters of the links, base rotor inertias, then a viscous and a Coulomb column a joint.
+#[derive(Clone, Debug)]
+pub(super) struct Rows<const N: usize> {
+    placements: [Placement; N],
+    /// Frame of the parameters in the joint frame.
+    frames: [Placement; N],
+    gravity: Vector3<f64>,
+    /// (link, parameter) of every base column of the links.
+    link_columns: Vec<(usize, usize)>,
+    rotor_columns: Vec<usize>,
+}
+
+/// Random states behind the choice of the columns, as many as for the board's base map.
+const STATES: usize = 44;
+
+impl<const N: usize> Rows<N> {
+    /// `None` when the robot has not `N` joints.
+    pub(super) fn new(robot: &Robot, frames: Frames) -> Option<Self> {
+        let placements: Vec<Placement> = robot.joints.iter().map(|j| j.placement).collect();
+        let ends: Vec<Placement> = robot
+            .joints
+            .iter()
+            .map(|joint| match frames {
+                Frames::Dh => joint.dh_frame.unwrap_or_else(Placement::identity),
+                Frames::Board => Placement::identity(),
+            })
+            .collect();
+        let mut rows = Self {
+            placements: placements.try_into().ok()?,
+            frames: ends.try_into().ok()?,
+            gravity: robot.gravity,
+            link_columns: (0..N * LINK_PARAMETERS)
+                .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
+                .collect(),
+            rotor_columns: (0..N).collect(),
+        };
+        let rigid = (LINK_PARAMETERS + 1) * N;
+        let full = rows.stacked(&random_states(STATES));
+        let (columns, _) = independent_columns(&full.columns(0, rigid).into_owned());
+        let links = N * LINK_PARAMETERS;
+        rows.link_columns = columns
+            .iter()
+            .filter(|&&c| c < links)
+            .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
+            .collect();
+        rows.rotor_columns = columns
+            .iter()
+            .filter_map(|c| c.checked_sub(links))
+            .collect();
+        Some(rows)
+    }
+
+    /// Base columns of the links: 36 for the UR5.
+    pub(super) fn link_count(&self) -> usize {
+        self.link_columns.len()
+    }
+
+    /// All columns.
+    pub(super) fn count(&self) -> usize {
+        self.link_columns.len() + self.rotor_columns.len() + 2 * N
+    }
+
+    /// Writes N rows of [`Self::count`] entries into `out`, one after the other. `sign_width`, rad/s, smooths the sign of
+    /// the Coulomb columns.
+    ///
+    /// With U = [α]× + [ω]×², s = z × ω, z the axis and p = z × (o − o_j), all in the parameters' frame of link k:
+    /// `m: p·a`, `m·c: Uᵀp + a × z`, `Iij: z_i α_j + s_i ω_j`, symmetrised.
+    pub(super) fn write(&self, state: &State<N>, sign_width: f64, out: &mut [f64]) {
+        let width = self.count();
+        out.fill(0.0);
+        let mut rot = Matrix3::identity();
+        let mut origin = Vector3::zeros();
+        let (mut omega, mut alpha) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
+        let mut acceleration = -self.gravity;
+        let (mut axes, mut origins) = ([Vector3::zeros(); N], [Vector3::zeros(); N]);
+        let mut next = 0;
+        for k in 0..N {
+            let step = rot * self.placements[k].origin;
+            origin += step;
+            acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
+            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), state.q[k]);
+            rot = rot * self.placements[k].rot_parent_child * turn.matrix();
+            let axis: Vector3<f64> = rot.column(2).into_owned();
+            alpha += axis * state.qdd[k] + omega.cross(&axis) * state.qd[k];
+            omega += axis * state.qd[k];
+            (axes[k], origins[k]) = (axis, origin);
+
+            let lever = rot * self.frames[k].origin;
+            let here = origin + lever;
+            let to_frame = (rot * self.frames[k].rot_parent_child).transpose();
+            let a =
+                to_frame * (acceleration + alpha.cross(&lever) + omega.cross(&omega.cross(&lever)));
+            let (w, al) = (to_frame * omega, to_frame * alpha);
+            let cross = w.cross_matrix();
+            let u = al.cross_matrix() + cross * cross;
+            let first = next;
+            while next < self.link_columns.len() && self.link_columns[next].0 == k {
+                next += 1;
+            }
+            for j in 0..=k {
+                let z = to_frame * axes[j];
+                let p = z.cross(&(to_frame * (here - origins[j])));
+                let s = z.cross(&w);
+                let moment = u.tr_mul(&p) + a.cross(&z);
+                let pair = |i: usize, j: usize| z[i] * al[j] + s[i] * w[j];
+                let entries = [
+                    p.dot(&a),
+                    moment.x,
+                    moment.y,
+                    moment.z,
+                    pair(0, 0),
+                    pair(1, 1),
+                    pair(2, 2),
+                    pair(0, 1) + pair(1, 0),
+                    pair(0, 2) + pair(2, 0),
+                    pair(1, 2) + pair(2, 1),
+                ];
+                for column in first..next {
+                    out[j * width + column] = entries[self.link_columns[column].1];
+                }
+            }
+        }
+        let rotors = self.link_columns.len();
+        for (c, &joint) in self.rotor_columns.iter().enumerate() {
+            out[joint * width + rotors + c] = state.qdd[joint];
+        }
+        let friction = rotors + self.rotor_columns.len();
+        for j in 0..N {
+            out[j * width + friction + 2 * j] = state.qd[j];
+            out[j * width + friction + 2 * j + 1] = (state.qd[j] / sign_width).tanh();
+        }
+    }
+
+    /// The rows of all `states`, stacked.
+    fn stacked(&self, states: &[State<N>]) -> DMatrix<f64> {
+        let width = self.count();
+        let mut block = vec![0.0; N * width];
+        let mut stacked = DMatrix::zeros(states.len() * N, width);
+        for (k, state) in states.iter().enumerate() {
+            self.write(state, 1.0, &mut block);
+            for j in 0..N {
+                for c in 0..width {
+                    stacked[(k * N + j, c)] = block[j * width + c];
+                }
+            }
+        }
+        stacked
+    }
+
+    /// Values of all columns' parameters for this robot: rigid ones by least squares from its exact torques (there is
+    /// nothing else they could be), friction from the description.
+    pub(super) fn parameters(&self, robot: &Robot) -> Option<DVector<f64>> {
+        let model = ReferenceModel::<N>::new(robot)?;
+        let rigid = self.link_columns.len() + self.rotor_columns.len();
+        let states = random_states(STATES);
+        let rows = self.stacked(&states).columns(0, rigid).into_owned();
+        let mut torques = DVector::zeros(N * STATES);
+        for (k, state) in states.iter().enumerate() {
+            torques
+                .rows_mut(k * N, N)
+                .copy_from(&model.inverse_dynamics(state));
+        }
+        let solved = rows.svd(true, true).solve(&torques, 1e-12).ok()?;
+        let mut all = DVector::zeros(self.count());
+        all.rows_mut(0, rigid).copy_from(&solved);
+        for (j, joint) in robot.joints.iter().enumerate() {
+            all[rigid + 2 * j] = joint.friction.viscous;
+            all[rigid + 2 * j + 1] = joint.friction.coulomb;
+        }
+        Some(all)
+    }
+}
+
+/// States at which inertia, velocity and gravity terms weigh alike.
+fn random_states<const N: usize>(count: usize) -> Vec<State<N>> {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    (0..count)
+        .map(|_| {
+            let mut draw = |size: f64| Joints::from_fn(|_, _| random.random_range(-size..=size));
+            State {
+                q: draw(std::f64::consts::PI),
+                qd: draw(3.0),
+                qdd: draw(10.0),
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ur5_has_36_link_columns_in_both_frames_and_they_give_its_torques() {
+        let robot = Robot::load("ur5").expect("built in");
+        let model = ReferenceModel::<6>::new(&robot).expect("six joints");
+        for frames in [Frames::Dh, Frames::Board] {
+            let rows = Rows::<6>::new(&robot, frames).expect("six joints");
+            assert_eq!((rows.link_count(), rows.count()), (36, 36 + 4 + 12));
+            let parameters = rows.parameters(&robot).expect("solves");
+            let mut block = vec![0.0; 6 * rows.count()];
+            for mut state in random_states::<6>(60).into_iter().skip(STATES) {
+                rows.write(&state, 1.0, &mut block);
+                let tau = DMatrix::from_row_slice(6, rows.count(), &block) * &parameters;
+                let expected = model.inverse_dynamics(&state);
+                state.qdd = Joints::zeros();
+                for j in 0..6 {
+                    let friction = &robot.joints[j].friction;
+                    let drag =
+                        friction.viscous * state.qd[j] + friction.coulomb * state.qd[j].tanh();
+                    assert!(
+                        (tau[j] - drag - expected[j]).abs() < 1e-9,
+                        "{frames:?} joint {j}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn board_frames_choose_the_columns_of_the_board() {
+        let robot = Robot::load("ur5").expect("built in");
+        let rows = Rows::<6>::new(&robot, Frames::Board).expect("six joints");
+        let chosen: Vec<usize> = rows
+            .link_columns
+            .iter()
+            .map(|(link, parameter)| link * LINK_PARAMETERS + parameter)
+            .collect();
+        assert_eq!(chosen, robot.base_map().columns[..36]);
+    }
+}

@@ -1,0 +1,413 @@
+//! The search: seeded starts, a quasi-Newton method under growing pressure on the limits, a certificate for each result.
+
+use super::certificate::{Certificate, Provenance, certify};
+use super::clearance::Clearances;
+use super::information::{Criterion, Experiment};
+use super::objective::{INSTANTS, Objective, Pressure};
+use super::rows::{Frames, Rows};
+use super::series::Extremes;
+use super::variables::{Bases, VARIABLES};
+use super::{Excitation, ExcitationError, JointSeries, ORDER};
+use crate::dynamics::Joints;
+use crate::robot::Robot;
+use argmin::core::{CostFunction, Error, Executor, Gradient};
+use argmin::solver::linesearch::MoreThuenteLineSearch;
+use argmin::solver::quasinewton::LBFGS;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::cell::RefCell;
+use std::f64::consts::{PI, TAU};
+use std::num::NonZeroUsize;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
+
+/// Share of the limits that a search uses: what lies between its instants takes 0.2 %.
+const LIMIT_SHARE: f64 = 0.99;
+/// Share of the condition number's limit that a search uses.
+const CONDITION_SHARE: f64 = 0.99;
+/// Room for what lies between the points of the certificate: half its step at most, s.
+const HALF_STEP_S: f64 = 0.5e-3;
+/// Weights of the penalties, one round of the search each. With the last, a limit that binds on one instant in fifty is
+/// exceeded by about 0.3 %.
+const WEIGHTS: [f64; 5] = [3.0, 30.0, 300.0, 3e3, 3e4];
+/// Rounds that press harder when the certificate finds a limit missed.
+const REPAIRS: usize = 4;
+/// Random candidates looked at for each start.
+const POOL: usize = 24;
+/// Pairs that the quasi-Newton method remembers.
+const MEMORY: usize = 20;
+
+/// What a search needs to know.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SearchConfig {
+    /// Period of the fundamental, s.
+    pub period_s: f64,
+    /// What is made small.
+    pub criterion: Criterion,
+    /// Limit of the condition number under [`Criterion::Constrained`].
+    pub condition_limit: f64,
+    /// Seed of the starts.
+    pub seed: u64,
+    /// Starts.
+    pub starts: usize,
+    /// Most iterations of each of the five rounds of a start.
+    pub iterations: usize,
+    /// Range of every joint around zero, rad, on top of the robot's own.
+    pub range_rad: f64,
+    /// Threads; the result does not depend on them. `None`: all cores.
+    pub threads: Option<NonZeroUsize>,
+}
+
+impl Default for SearchConfig {
+    fn default() -> Self {
+        Self {
+            period_s: 10.0,
+            criterion: Criterion::Constrained,
+            condition_limit: 60.0,
+            seed: 1,
+            starts: 8,
+            iterations: 60,
+            range_rad: PI,
+            threads: None,
+        }
+    }
+}
+
+/// The best excitation of all starts, with its certificate; all its limits hold.
+///
+/// With `given`, that trajectory is the only start, and the result is never worse than it unless it misses a limit.
+/// `progress(done, all)` is called from this thread.
+///
+/// Errors: [`ExcitationError`]: a robot that has not `N` joints, an empty range, no start that keeps all limits.
+pub fn optimise<const N: usize>(
+    robot: &Robot,
+    config: &SearchConfig,
+    given: Option<&Excitation>,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<Excitation, ExcitationError> {
+    let search = Search::<N>::new(robot, config)?;
+    let starts = match given {
+        Some(excitation) => vec![search.variables(excitation)],
+        None => search.starts()?,
+    };
+    let rounds = starts.len() * WEIGHTS.len();
+    let next = AtomicUsize::new(0);
+    let (sender, receiver) = mpsc::channel();
+    let threads = config
+        .threads
+        .or_else(|| std::thread::available_parallelism().ok())
+        .map_or(1, NonZeroUsize::get)
+        .min(starts.len());
+    let mut results: Vec<Option<Result<Excitation, ExcitationError>>> = vec![None; starts.len()];
+    progress(0, rounds);
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            let (sender, next, search, starts) = (sender.clone(), &next, &search, &starts);
+            scope.spawn(move || {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(start) = starts.get(index) else {
+                        return;
+                    };
+                    let round_done = || {
+                        // Nobody listens any more only when the caller is gone.
+                        let _ = sender.send((index, None));
+                    };
+                    let result = search.run(start, round_done);
+                    let _ = sender.send((index, Some(result)));
+                }
+            });
+        }
+        drop(sender);
+        let mut done = 0;
+        for (index, result) in receiver {
+            match result {
+                Some(result) => results[index] = Some(result),
+                None => {
+                    done += 1;
+                    progress(done, rounds);
+                }
+            }
+        }
+    });
+    let mut results: Vec<_> = results.into_iter().flatten().collect();
+    if let Some(excitation) = given {
+        let kept = Excitation {
+            seed: config.seed,
+            certificate: None,
+            ..excitation.clone()
+        };
+        results.insert(0, search.certified(kept));
+    }
+    search.best(results)
+}
+
+/// One robot and one task, ready for any number of starts.
+struct Search<'a, const N: usize> {
+    robot: &'a Robot,
+    config: &'a SearchConfig,
+    objective: Objective<N>,
+    bases: Bases,
+    origin: Provenance,
+    /// Clearance asked for, with room for what lies between the certificate's points, m.
+    clearance: Vec<f64>,
+}
+
+impl<'a, const N: usize> Search<'a, N> {
+    fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, ExcitationError> {
+        let other_size = || ExcitationError::Shape {
+            problem: format!("{} joints where {N} are expected", robot.joint_count()),
+        };
+        let rows = Rows::<N>::new(robot, Frames::Dh).ok_or_else(other_size)?;
+        let rooms = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
+        let clearances = Clearances::<N>::new(robot).ok_or_else(other_size)?;
+        let fastest = Joints::<N>::from_fn(|j, _| rooms[j].qd);
+        let clearance = (0..clearances.count())
+            .map(|index| clearances.asked + 0.001 + clearances.rate(index, &fastest) * HALF_STEP_S)
+            .collect();
+        let torque = std::array::from_fn(|j| {
+            let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
+            let beyond = friction.coulomb * friction.stribeck_ratio + friction.cogging;
+            // Rates between points are bounded coarsely: leave a tenth.
+            (0.9 * limit - beyond).max(0.1 * limit)
+        });
+        let experiment = Experiment::new(robot, &rows).ok_or_else(other_size)?;
+        let parameters = rows.parameters(robot).ok_or_else(other_size)?;
+        Ok(Self {
+            objective: Objective::new(
+                rows,
+                experiment,
+                clearances,
+                rooms,
+                torque,
+                parameters,
+                config.criterion,
+                config.condition_limit * CONDITION_SHARE,
+                config.period_s,
+            ),
+            robot,
+            config,
+            bases: Bases::new(),
+            origin: Provenance {
+                criterion: config.criterion,
+                starts: config.starts,
+                condition_limit: config.condition_limit,
+                range_rad: config.range_rad,
+            },
+            clearance,
+        })
+    }
+
+    /// The best of a pool of random candidates, each drawn from its own stream of the seed.
+    fn starts(&self) -> Result<Vec<Vec<f64>>, ExcitationError> {
+        let omega = TAU / self.config.period_s;
+        let pressure = self.pressure(WEIGHTS[0], 0.0);
+        let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
+            .map(|stream| {
+                let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
+                random.set_stream(stream as u64);
+                let variables: Vec<f64> = self
+                    .objective
+                    .rooms
+                    .iter()
+                    .flat_map(|room| {
+                        let share = random.random_range(0.4..1.0);
+                        let series = JointSeries::random(room, omega, INSTANTS, share, &mut random);
+                        self.bases.variables(&series)
+                    })
+                    .collect();
+                (self.objective.value(&variables, &pressure, None), variables)
+            })
+            .collect();
+        // Stable: equal values keep the order of their streams.
+        pool.sort_by(|a, b| a.0.total_cmp(&b.0));
+        pool.truncate(self.config.starts.max(1));
+        Ok(pool.into_iter().map(|(_, variables)| variables).collect())
+    }
+
+    fn variables(&self, excitation: &Excitation) -> Vec<f64> {
+        let series = excitation.joints.iter();
+        series
+            .flat_map(|joint| self.bases.variables(joint))
+            .collect()
+    }
+
+    fn pressure(&self, weight: f64, more_clearance: f64) -> Pressure {
+        Pressure {
+            weight,
+            clearance: self.clearance.iter().map(|c| c + more_clearance).collect(),
+        }
+    }
+
+    /// One start, to its certificate; pressed harder while a limit is missed.
+    fn run(&self, start: &[f64], round_done: impl Fn()) -> Result<Excitation, ExcitationError> {
+        let mut variables = start.to_vec();
+        for weight in WEIGHTS {
+            variables = self.descend(variables, &self.pressure(weight, 0.0));
+            round_done();
+        }
+        let mut excitation = self.certified(self.fitted(&variables))?;
+        let last = WEIGHTS[WEIGHTS.len() - 1];
+        for repair in 1..=REPAIRS {
+            if holds(&excitation) {
+                break;
+            }
+            let pressure = self.pressure(last * 4.0_f64.powi(repair as i32), 0.001 * repair as f64);
+            variables = self.descend(variables, &pressure);
+            excitation = self.certified(self.fitted(&variables))?;
+        }
+        Ok(excitation)
+    }
+
+    fn descend(&self, variables: Vec<f64>, pressure: &Pressure) -> Vec<f64> {
+        let problem = Problem {
+            objective: &self.objective,
+            pressure,
+            last: RefCell::new(None),
+            best: RefCell::new((f64::INFINITY, variables.clone())),
+        };
+        let solver = LBFGS::new(MoreThuenteLineSearch::new(), MEMORY);
+        let iterations = self.config.iterations as u64;
+        // A line search that finds no better point ends a round early; the best point seen counts either way.
+        let _ = Executor::new(&problem, solver)
+            .configure(|state| state.param(variables).max_iters(iterations))
+            .timer(false)
+            .run();
+        problem.best.into_inner().1
+    }
+
+    /// The variables as a trajectory, what exceeds the joints' limits between the instants taken back.
+    fn fitted(&self, variables: &[f64]) -> Excitation {
+        let omega = TAU / self.config.period_s;
+        let room = |room: &Extremes| Extremes {
+            // From the search's share back to nearly the whole limit.
+            q: room.q,
+            qd: room.qd * (1.0 - 1e-6) / LIMIT_SHARE,
+            qdd: room.qdd * (1.0 - 1e-6) / LIMIT_SHARE,
+        };
+        let joints = variables
+            .chunks_exact(VARIABLES)
+            .zip(&self.objective.rooms)
+            .map(|(own, limits)| self.bases.series(own).fitted(&room(limits), omega, 10_000))
+            .collect();
+        Excitation {
+            robot: self.robot.name.clone(),
+            period_s: self.config.period_s,
+            order: ORDER,
+            seed: self.config.seed,
+            joints,
+            certificate: None,
+        }
+    }
+
+    fn certified(&self, excitation: Excitation) -> Result<Excitation, ExcitationError> {
+        let certificate = certify(self.robot, &excitation, &self.objective, &self.origin)?;
+        Ok(Excitation {
+            certificate: Some(Box::new(certificate)),
+            ..excitation
+        })
+    }
+
+    /// The best result that holds; the first of equals.
+    fn best(
+        &self,
+        results: Vec<Result<Excitation, ExcitationError>>,
+    ) -> Result<Excitation, ExcitationError> {
+        let score = |certificate: &Certificate| match self.config.criterion {
+            Criterion::Condition => certificate.condition_number_dh,
+            Criterion::DOptimal => certificate.ln_spread,
+            Criterion::VOptimal | Criterion::Constrained => certificate.predicted_nrmse_percent,
+        };
+        let mut best: Option<(f64, Excitation)> = None;
+        let mut missed: Option<(f64, ExcitationError)> = None;
+        let mut refused = ExcitationError::Unseen;
+        for result in results {
+            let excitation = match result {
+                Ok(excitation) => excitation,
+                Err(error) => {
+                    refused = error;
+                    continue;
+                }
+            };
+            let Some(certificate) = &excitation.certificate else {
+                continue;
+            };
+            if certificate.holds {
+                let score = score(certificate);
+                if best.as_ref().is_none_or(|(lowest, _)| score < *lowest) {
+                    best = Some((score, excitation));
+                }
+            } else if let Some(check) = certificate.worst_limit() {
+                let short = -check.margin / check.allowed.abs().max(0.1);
+                if missed.as_ref().is_none_or(|(least, _)| short < *least) {
+                    let error = ExcitationError::Unkept {
+                        limit: format!("{} of {}", check.limit, check.of),
+                        reached: format!("{:.4} {}", check.worst, check.unit),
+                        asked: format!("{:.4} {}", check.allowed, check.unit),
+                    };
+                    missed = Some((short, error));
+                }
+            }
+        }
+        match (best, missed) {
+            (Some((_, excitation)), _) => Ok(excitation),
+            (None, Some((_, error))) => Err(error),
+            (None, None) => Err(refused),
+        }
+    }
+}
+
+fn holds(excitation: &Excitation) -> bool {
+    let certificate = excitation.certificate.as_ref();
+    certificate.is_some_and(|certificate| certificate.holds)
+}
+
+/// Variables, value and gradient of one look at the objective.
+type Evaluation = (Vec<f64>, f64, Vec<f64>);
+
+/// The objective as the solver sees it. Value and gradient come from one evaluation, asked for one after the other.
+struct Problem<'a, const N: usize> {
+    objective: &'a Objective<N>,
+    pressure: &'a Pressure,
+    last: RefCell<Option<Evaluation>>,
+    best: RefCell<(f64, Vec<f64>)>,
+}
+
+impl<const N: usize> Problem<'_, N> {
+    fn evaluated<T>(&self, variables: &[f64], pick: impl Fn(f64, &[f64]) -> T) -> T {
+        if let Some((known, value, gradient)) = &*self.last.borrow()
+            && known == variables
+        {
+            return pick(*value, gradient);
+        }
+        let mut gradient = vec![0.0; variables.len()];
+        let value = self
+            .objective
+            .value(variables, self.pressure, Some(&mut gradient));
+        let picked = pick(value, &gradient);
+        let mut best = self.best.borrow_mut();
+        if value < best.0 {
+            *best = (value, variables.to_vec());
+        }
+        *self.last.borrow_mut() = Some((variables.to_vec(), value, gradient));
+        picked
+    }
+}
+
+impl<const N: usize> CostFunction for &Problem<'_, N> {
+    type Param = Vec<f64>;
+    type Output = f64;
+
+    fn cost(&self, variables: &Vec<f64>) -> Result<f64, Error> {
+        Ok(self.evaluated(variables, |value, _| value))
+    }
+}
+
+impl<const N: usize> Gradient for &Problem<'_, N> {
+    type Param = Vec<f64>;
+    type Gradient = Vec<f64>;
+
+    fn gradient(&self, variables: &Vec<f64>) -> Result<Vec<f64>, Error> {
+        Ok(self.evaluated(variables, |_, gradient| gradient.to_vec()))
+    }
+}

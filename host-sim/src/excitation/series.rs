@@ -1,0 +1,180 @@
+//! The finite Fourier series of one joint (eq. 17), and how it is brought inside limits.
+
+use super::ExcitationError;
+use crate::robot::Robot;
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+/// Harmonics of the series.
+pub const ORDER: usize = 5;
+
+/// Coefficients of one joint: 2 · 5 + 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JointSeries {
+    /// Offset, rad.
+    pub q0_rad: f64,
+    /// Sine amplitudes of the position line, rad/s.
+    pub a_rad_s: [f64; ORDER],
+    /// Cosine amplitudes of the position line, rad/s.
+    pub b_rad_s: [f64; ORDER],
+}
+
+/// What a series keeps or must keep: range of the position, rad, peaks of speed, rad/s, and acceleration, rad/s².
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Extremes {
+    pub(super) q: (f64, f64),
+    pub(super) qd: f64,
+    pub(super) qdd: f64,
+}
+
+impl Extremes {
+    /// The limits of all joints, their ranges no wider than ±`range_rad`, `share` of each.
+    ///
+    /// Errors: [`ExcitationError::Infeasible`] where the range is empty.
+    pub(super) fn of_limits(
+        robot: &Robot,
+        range_rad: f64,
+        share: f64,
+    ) -> Result<Vec<Self>, ExcitationError> {
+        let room = |(index, joint): (usize, &crate::robot::Joint)| {
+            let limits = &joint.limits;
+            let low = limits.position.0.max(-range_rad);
+            let high = limits.position.1.min(range_rad);
+            let (middle, half) = (0.5 * (low + high), 0.5 * (high - low) * share);
+            // Not a number must be refused, too.
+            if half.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {
+                return Err(ExcitationError::Infeasible { joint: index + 1 });
+            }
+            Ok(Self {
+                q: (middle - half, middle + half),
+                qd: limits.velocity * share,
+                qdd: limits.acceleration * share,
+            })
+        };
+        robot.joints.iter().enumerate().map(room).collect()
+    }
+}
+
+impl JointSeries {
+    /// Position, velocity and acceleration at `t_s`: rad, rad/s, rad/s².
+    pub(super) fn at(&self, t_s: f64, omega: f64) -> (f64, f64, f64) {
+        let (sin1, cos1) = (omega * t_s).sin_cos();
+        let (mut sin, mut cos) = (sin1, cos1);
+        let (mut q, mut qd, mut qdd) = (self.q0_rad, 0.0, 0.0);
+        for l in 0..ORDER {
+            let (a, b) = (self.a_rad_s[l], self.b_rad_s[l]);
+            let rate = omega * (l + 1) as f64;
+            q += (a * sin - b * cos) / rate;
+            qd += a * cos + b * sin;
+            qdd += rate * (b * cos - a * sin);
+            (sin, cos) = (sin * cos1 + cos * sin1, cos * cos1 - sin * sin1);
+        }
+        (q, qd, qdd)
+    }
+
+    /// Bounds of the next two derivatives over all times: jerk, rad/s³, and snap, rad/s⁴.
+    pub(super) fn higher_bounds(&self, omega: f64) -> (f64, f64) {
+        (0..ORDER).fold((0.0, 0.0), |(jerk, snap), l| {
+            let rate = omega * (l + 1) as f64;
+            let size = self.a_rad_s[l].hypot(self.b_rad_s[l]);
+            (jerk + size * rate.powi(2), snap + size * rate.powi(3))
+        })
+    }
+
+    /// Range of the position and peaks of speed and acceleration, those between `points` instants included.
+    ///
+    /// A function whose second derivative is bounded by K exceeds the larger of two neighbouring samples by at most
+    /// K h² / 8 between them.
+    pub(super) fn extremes(&self, omega: f64, points: usize) -> Extremes {
+        let step = TAU / omega / points as f64;
+        let mut seen = Extremes {
+            q: (f64::INFINITY, f64::NEG_INFINITY),
+            qd: 0.0,
+            qdd: 0.0,
+        };
+        for k in 0..points {
+            let (q, qd, qdd) = self.at(k as f64 * step, omega);
+            seen.q = (seen.q.0.min(q), seen.q.1.max(q));
+            seen.qd = seen.qd.max(qd.abs());
+            seen.qdd = seen.qdd.max(qdd.abs());
+        }
+        let (jerk, snap) = self.higher_bounds(omega);
+        let between = step * step / 8.0;
+        seen.qdd += snap * between;
+        seen.qd += jerk * between;
+        seen.q.0 -= seen.qdd * between;
+        seen.q.1 += seen.qdd * between;
+        seen
+    }
+
+    /// A random series that rests at both ends and uses `share` of what some limit allows.
+    ///
+    /// Rest at t = 0, and so at the period's end: Σ a_l = 0 and Σ l b_l = 0.
+    pub(super) fn random(
+        room: &Extremes,
+        omega: f64,
+        points: usize,
+        share: f64,
+        random: &mut ChaCha8Rng,
+    ) -> Self {
+        let mut normal = || random.sample::<f64, _>(StandardNormal);
+        let mut a: [f64; ORDER] = std::array::from_fn(|_| normal());
+        let mut b: [f64; ORDER] = std::array::from_fn(|_| normal());
+        let a_mean = a.iter().sum::<f64>() / ORDER as f64;
+        let weight = |l: usize| (l + 1) as f64;
+        let b_mean = (0..ORDER).map(|l| weight(l) * b[l]).sum::<f64>()
+            / (0..ORDER).map(|l| weight(l).powi(2)).sum::<f64>();
+        for l in 0..ORDER {
+            a[l] -= a_mean;
+            b[l] -= b_mean * weight(l);
+        }
+        let shape = Self {
+            q0_rad: 0.0,
+            a_rad_s: a,
+            b_rad_s: b,
+        };
+        let seen = shape.extremes(omega, points);
+        let scale = share * room.scale(&seen);
+        // The offset is drawn from the room that the swing leaves.
+        let swing = (seen.q.1 - seen.q.0) * scale;
+        let left = ((room.q.1 - room.q.0) - swing).max(0.0);
+        Self {
+            q0_rad: room.q.0 - seen.q.0 * scale + left * random.random::<f64>(),
+            ..shape.scaled(scale)
+        }
+    }
+
+    /// This series inside `room`, its swing shrunk and its offset moved no more than needed.
+    pub(super) fn fitted(&self, room: &Extremes, omega: f64, points: usize) -> Self {
+        let seen = self.extremes(omega, points);
+        let scale = room.scale(&seen).min(1.0);
+        let swing = |end: f64| (end - self.q0_rad) * scale;
+        let (low, high) = (room.q.0 - swing(seen.q.0), room.q.1 - swing(seen.q.1));
+        Self {
+            q0_rad: self.q0_rad.max(low).min(high),
+            ..self.scaled(scale)
+        }
+    }
+
+    /// The same offset, `scale` times the amplitudes.
+    pub(super) fn scaled(&self, scale: f64) -> Self {
+        Self {
+            q0_rad: self.q0_rad,
+            a_rad_s: self.a_rad_s.map(|a| a * scale),
+            b_rad_s: self.b_rad_s.map(|b| b * scale),
+        }
+    }
+}
+
+impl Extremes {
+    /// By how much a swing with the extremes `seen` may be multiplied.
+    fn scale(&self, seen: &Self) -> f64 {
+        let span = |room: &Self| room.q.1 - room.q.0;
+        (self.qd / seen.qd)
+            .min(self.qdd / seen.qdd)
+            .min(span(self) / span(seen))
+    }
+}
