@@ -1,5 +1,7 @@
 //! However the program ends, no emulator outlives it, and no report is left half written.
 
+use host_sim::excitation::{Excitation, QuickConfig};
+use host_sim::robot::Robot;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
 use nix::unistd::Pid;
 use std::fs;
@@ -78,12 +80,14 @@ fn start(board: &str, out: &PathBuf) -> Child {
 fn an_emulator_ends_with_the_program_however_that_ends() {
     let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("orphans");
     let _ = fs::remove_dir_all(&room);
-    let excited = Command::new(env!("CARGO_BIN_EXE_host-sim"))
-        .args(["excite", "--robot", "ur5", "--candidates", "1", "--out"])
-        .arg(room.join("excitation"))
-        .output()
-        .expect("the program starts");
-    assert!(excited.status.success());
+    fs::create_dir_all(&room).expect("the test has a directory");
+    let quick = QuickConfig {
+        candidates: 1,
+        ..QuickConfig::default()
+    };
+    let robot = Robot::load("ur5").expect("it is built in");
+    let excitation = Excitation::quick::<6>(&robot, 1, &quick, || ()).expect("one candidate");
+    let excitation = serde_json::to_vec(&excitation).expect("plain numbers");
     for (place, (board, end)) in [
         ("qemu-usart", Signal::SIGKILL),
         ("qemu-usart", Signal::SIGINT),
@@ -94,8 +98,7 @@ fn an_emulator_ends_with_the_program_however_that_ends() {
     .enumerate()
     {
         let out = room.join(format!("{place}"));
-        let made = room.join("excitation/excitation.json");
-        fs::copy(made, out.with_extension("json")).expect("it was written");
+        fs::write(out.with_extension("json"), &excitation).expect("the directory is ours");
         let mut program = start(board, &out);
         let id = program.id() as i32;
         // In the middle of the run: the log is under way.
