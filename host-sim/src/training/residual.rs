@@ -40,11 +40,36 @@ impl Default for ResidualConfig {
 /// Levenberg–Marquardt steps on the back-propagated Jacobian [Hagan and Menhaj 1994]: 31 weights are few enough to solve
 /// for. A residual counts for no more than three deviations from those at nearly the same speed. Speeds the log does not hold, up to `fastest`,
 /// rad/s, are given the residual at the fastest speed it does hold: a rectifier would continue the last slope.
+///
+/// A network that was trained on every other tenth of the samples and does not improve the tenths between says nothing.
 pub fn train_residual(
     samples: &[(f64, f64)],
     fastest: f64,
     config: &ResidualConfig,
 ) -> (JointNetwork, Vec<f64>) {
+    let tenth = samples.len().div_ceil(10).max(1);
+    let every_other = |first: usize| -> Vec<(f64, f64)> {
+        let blocks = samples.chunks(tenth).skip(first).step_by(2);
+        blocks.flatten().copied().collect()
+    };
+    let (probe, _) = fit(&every_other(0), fastest, config);
+    let unseen = every_other(1);
+    let without: f64 = unseen.iter().map(|(_, residual)| residual * residual).sum();
+    let left = |(qd, residual): &(f64, f64)| {
+        (f64::from(probe.forward(&network_inputs(*qd as f32))[0]) - residual).powi(2)
+    };
+    let with: f64 = unseen.iter().map(left).sum();
+    if with < WORTHWHILE * without {
+        fit(samples, fastest, config)
+    } else {
+        (JointNetwork::silent(config.seed as u32), Vec::new())
+    }
+}
+
+/// A network must leave less than this share of the power of residuals it was not trained on.
+const WORTHWHILE: f64 = 0.98;
+
+fn fit(samples: &[(f64, f64)], fastest: f64, config: &ResidualConfig) -> (JointNetwork, Vec<f64>) {
     let stride = samples.len().div_ceil(config.rows).max(1);
     let mut rows: Vec<(f64, f64)> = samples.iter().copied().step_by(stride).collect();
     if rows.len() < 4 * JointNetwork::WEIGHTS {
@@ -260,5 +285,17 @@ mod tests {
         assert!(ratio < 0.2, "{ratio}");
         assert!(losses.len() > 1);
         assert!(network.forward(&network_inputs(3.0))[0].abs() < 0.003);
+    }
+
+    #[test]
+    fn a_network_that_could_only_learn_noise_says_nothing() {
+        let samples: Vec<(f64, f64)> = (0..2000)
+            .map(|k| {
+                let k = f64::from(k);
+                ((k * 0.0137).sin(), 0.01 * (k * 12.9898).sin())
+            })
+            .collect();
+        let (network, _) = train_residual(&samples, 3.0, &ResidualConfig::default());
+        assert!((0..20).all(|k| network.forward(&network_inputs(0.1 * k as f32 - 1.0))[0] == 0.0));
     }
 }
