@@ -39,6 +39,15 @@ pub enum TableError {
         /// The column.
         column: String,
     },
+    /// The header names a column of a joint the robot does not have.
+    ExtraColumn {
+        /// The file.
+        path: PathBuf,
+        /// The column.
+        column: String,
+        /// Joints of the robot.
+        joints: usize,
+    },
     /// A row has more or fewer fields than the header.
     Ragged {
         /// The file.
@@ -90,6 +99,15 @@ impl fmt::Display for TableError {
             Self::RepeatedColumn { path, column } => {
                 write!(f, "{}:1: column {column} appears twice", path.display())
             }
+            Self::ExtraColumn {
+                path,
+                column,
+                joints,
+            } => write!(
+                f,
+                "{}:1: column {column} is one too many: the robot has {joints} joints",
+                path.display()
+            ),
             Self::Ragged {
                 path,
                 line,
@@ -377,11 +395,11 @@ pub fn joint_columns(name: &str, unit: &str, joints: usize) -> Vec<String> {
         .collect()
 }
 
-fn is_compressed(path: &Path) -> bool {
+pub(crate) fn is_compressed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "gz")
 }
 
-fn unreadable(path: &Path, error: &csv::Error) -> TableError {
+pub(crate) fn unreadable(path: &Path, error: &csv::Error) -> TableError {
     TableError::Unreadable {
         path: path.to_owned(),
         reason: error.to_string(),

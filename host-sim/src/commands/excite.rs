@@ -1,4 +1,5 @@
 use super::progress::Bar;
+use super::terminal::say;
 use super::{Failure, unusable};
 use crate::excitation::{self, Criterion, Excitation, SearchConfig};
 use crate::files::{at, write_whole};
@@ -130,7 +131,7 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
     drop(bar);
     write::<N>(&excitation, &arguments.out)?;
     if let Some(certificate) = &excitation.certificate {
-        println!(
+        say(format_args!(
             "predicted torque error {:.3} % (10 s, 1 % noise), condition number {:.1} (links' base regressor, {} columns, \
              standard DH frames, raw SI; {:.1} in the board's frames), {} limits kept on {} points and between them",
             certificate.predicted_nrmse_percent,
@@ -139,9 +140,12 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
             certificate.condition_number_board,
             certificate.limits.len(),
             certificate.points,
-        );
+        ))?;
     }
-    println!("{}", arguments.out.join("excitation.json").display());
+    say(format_args!(
+        "{}",
+        arguments.out.join("excitation.json").display()
+    ))?;
     Ok(())
 }
 

@@ -2,8 +2,8 @@ use super::boards::BoardChoice;
 use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unusable};
-use crate::experiment::EXPERIMENTS;
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
+use crate::experiment::{EXPERIMENTS, real_ur5};
 use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
 use clap::Args;
@@ -36,6 +36,9 @@ pub(super) struct Arguments {
     /// Arm time with learning on, flashable firmware, s
     #[arg(long, default_value_t = DemoConfig::default().usart_learning_s)]
     usart_learning_s: f64,
+    /// Directory of the logs of real-ur5
+    #[arg(long, value_name = "DIR", default_value = "tests/data/ur5-real")]
+    logs: PathBuf,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
@@ -47,6 +50,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     match (arguments.name.as_deref(), &arguments.out) {
         (Some("demo"), Some(out)) => run_demo(arguments, out),
+        (Some("real-ur5"), Some(out)) => run_real_ur5(arguments, out),
         (name, _) => Err(unusable(format!(
             "unknown experiment '{}': `experiment --list` shows them",
             name.unwrap_or_default()
@@ -94,6 +98,35 @@ fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure>
     summarise(&outcome.report)?;
     say(format_args!(
         "report           {}",
+        out.join("report.html").display()
+    ))?;
+    Ok(())
+}
+
+fn run_real_ur5(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+    let bar = Bar::new();
+    let (report, page) = real_ur5::run(&arguments.logs, arguments.seed, &|done, all| {
+        bar.show("path held out", done, all);
+    })?;
+    drop(bar);
+    let json = serde_json::to_string_pretty(&report)? + "\n";
+    write_whole(&out.join("report.html"), page.as_bytes())?;
+    write_whole(&out.join("report.json"), json.as_bytes())?;
+    for path in &report.paths {
+        say(format_args!(
+            "{:<12} {:.3}",
+            path.path, path.geometric_mean_vs_wls
+        ))?;
+    }
+    say(format_args!(
+        "{} over {}: {:.3}, worst path {:.3}",
+        report.recommended,
+        report.reference,
+        report.geometric_mean_vs_wls,
+        report.worst_path_vs_wls
+    ))?;
+    say(format_args!(
+        "report       {}",
         out.join("report.html").display()
     ))?;
     Ok(())

@@ -1,4 +1,5 @@
 use super::Failure;
+use super::terminal::say;
 use crate::generate::write_arm_module;
 use crate::robot::Robot;
 use crate::urdf::{self, Selection};
@@ -34,18 +35,18 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             };
             let import = urdf::load(file, &selection)?;
             for note in &import.notes {
-                println!("note: {note}");
+                say(format_args!("note: {note}"))?;
             }
             import.robot
         }
         None => Robot::load(arguments.robot.as_deref().unwrap_or_default())?,
     };
     write_arm_module(&robot, &arguments.out)?;
-    println!(
+    say(format_args!(
         "{}: arm '{}' of {} joints",
         arguments.out.display(),
         robot.name,
         robot.joint_count()
-    );
+    ))?;
     Ok(())
 }

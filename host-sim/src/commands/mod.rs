@@ -5,6 +5,7 @@ mod boards;
 mod excite;
 mod experiment;
 mod generate;
+mod identify;
 mod progress;
 mod run;
 mod simulate;
@@ -50,6 +51,7 @@ enum Command {
     Excite(excite::Arguments),
     Simulate(simulate::Arguments),
     Run(run::Arguments),
+    Identify(identify::Arguments),
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
@@ -64,6 +66,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Excite(arguments) => excite::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
+        Command::Identify(arguments) => identify::run(&arguments),
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),

@@ -3,9 +3,16 @@
 pub mod closed_loop;
 pub mod demo;
 pub mod prior;
+pub mod real_ur5;
 
 /// Names of the studies, each with one line on what it shows.
-pub const EXPERIMENTS: [(&str, &str); 1] = [(
-    "demo",
-    "from a wrong prior, learn on the board in closed loop, freeze, play an unseen path",
-)];
+pub const EXPERIMENTS: [(&str, &str); 2] = [
+    (
+        "demo",
+        "from a wrong prior, learn on the board in closed loop, freeze, play an unseen path",
+    ),
+    (
+        "real-ur5",
+        "identify a real UR5 on some paths, validate on the others, every path held out in turn",
+    ),
+];

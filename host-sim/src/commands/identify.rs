@@ -1,0 +1,202 @@
+use super::terminal::say;
+use super::{Failure, unusable};
+use crate::files::write_whole;
+use crate::identification::{
+    ColumnSet, IdentifyConfig, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit, identify,
+    page,
+};
+use crate::robot::{Perturbation, Robot};
+use clap::Args;
+use foretorque::arm::panda::{self, Panda};
+use foretorque::arm::ur5::{self, Ur5};
+use foretorque::edge::bank::ParameterBank;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Identify an arm's parameters from logs, by all methods side by side, and validate them on unseen logs
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Robot: a built-in name or a description file; its log_columns map foreign logs
+    #[arg(long)]
+    robot: String,
+    /// Training log (CSV or CSV.gz); may be given several times
+    #[arg(long = "log", value_name = "FILE", required = true)]
+    logs: Vec<PathBuf>,
+    /// Log of an unseen path to validate on; may be given several times
+    #[arg(long, value_name = "FILE")]
+    validate: Vec<PathBuf>,
+    /// Directory for report.json, report.html and parameters.bank
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Methods, separated by commas: ols, wls, irls, bp_physical, bp_black_box, bp_residual. The physically
+    /// consistent method is not part of this build.
+    #[arg(long, value_delimiter = ',', value_name = "LIST")]
+    methods: Vec<MethodName>,
+    /// Friction columns, joined by '+': coulomb-viscous, offset, stribeck, sqrt, cubic, load, cogging; or full
+    #[arg(long, default_value = "coulomb-viscous")]
+    columns: ColumnSet,
+    /// Cut-off of the zero-phase filter on the motion, Hz; above that on the torque, so that the filter on both sides
+    /// of the equation is the same where it acts
+    #[arg(long, default_value_t = 40.0)]
+    motion_hz: f64,
+    /// Cut-off of the zero-phase filter on torque and regressor, Hz; 0 for none
+    #[arg(long, default_value_t = 20.0)]
+    torque_hz: f64,
+    /// A joint slower than this stands still, rad/s
+    #[arg(long, default_value_t = 0.05)]
+    still_rad_s: f64,
+    /// Robot whose parameters are the truth
+    #[arg(long, value_name = "ROBOT")]
+    truth: Option<String>,
+    /// The truth is the plant that `simulate --seed` made of that robot
+    #[arg(long, value_name = "SEED", requires = "truth")]
+    truth_seed: Option<u64>,
+    /// Seed of random starts and of the 80/20 split
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let robot = Robot::load(&arguments.robot)?;
+    let config = config(arguments, &robot)?;
+    match robot.joint_count() {
+        6 => identify_arm::<6>(arguments, &robot, &config, |outcome| {
+            bank::<Ur5, 6, { ur5::PARAMETERS }>(&robot, outcome)
+        }),
+        7 => identify_arm::<7>(arguments, &robot, &config, |outcome| {
+            bank::<Panda, 7, { panda::PARAMETERS }>(&robot, outcome)
+        }),
+        joints => Err(unusable(format!(
+            "robots of {joints} joints are not supported"
+        ))),
+    }
+}
+
+fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
+    let not_negative = |name: &str, value: f64| {
+        if value.is_finite() && value >= 0.0 {
+            Ok(value)
+        } else {
+            Err(unusable(format!("{name} must not be negative")))
+        }
+    };
+    let torque_hz = not_negative("--torque-hz", arguments.torque_hz)?;
+    let motion_hz = not_negative("--motion-hz", arguments.motion_hz)?;
+    if motion_hz == 0.0 {
+        return Err(unusable("--motion-hz must be positive"));
+    }
+    let truth = match &arguments.truth {
+        Some(name) => {
+            let truth = Robot::load(name)?;
+            if truth.joint_count() != robot.joint_count() {
+                return Err(unusable(format!(
+                    "--truth {name}: another number of joints"
+                )));
+            }
+            Some(match arguments.truth_seed {
+                Some(seed) => truth.perturbed(seed, &Perturbation::PLANT),
+                None => truth,
+            })
+        }
+        None => None,
+    };
+    let methods = if arguments.methods.is_empty() {
+        METHODS.iter().map(|(method, _)| *method).collect()
+    } else {
+        arguments.methods.clone()
+    };
+    Ok(IdentifyConfig {
+        methods,
+        columns: arguments.columns.clone(),
+        prepare: PrepareConfig {
+            motion_hz,
+            torque_hz: (torque_hz > 0.0).then_some(torque_hz),
+            still_rad_s: not_negative("--still-rad-s", arguments.still_rad_s)?,
+        },
+        seed: arguments.seed,
+        truth,
+    })
+}
+
+fn bank<A: foretorque::arm::Arm<N, P>, const N: usize, const P: usize>(
+    robot: &Robot,
+    outcome: &Outcome<N>,
+) -> Option<ParameterBank> {
+    if robot.name != A::NAME {
+        return None;
+    }
+    bank_of_fit::<A, N, P>(
+        robot,
+        &outcome.plain,
+        &outcome.plain_fit.theta,
+        &outcome.plain_fit.deviations(),
+        outcome.networks.as_deref(),
+    )
+}
+
+fn identify_arm<const N: usize>(
+    arguments: &Arguments,
+    robot: &Robot,
+    config: &IdentifyConfig,
+    bank: impl Fn(&Outcome<N>) -> Option<ParameterBank>,
+) -> Result<(), Failure> {
+    let bar = ProgressBar::new_spinner();
+    // A template that does not parse would only cost the line its looks.
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(100));
+    let outcome = identify::<N>(
+        robot,
+        &arguments.logs,
+        &arguments.validate,
+        config,
+        &|message| {
+            bar.set_message(message.to_owned());
+        },
+    );
+    bar.finish_and_clear();
+    let outcome = outcome?;
+    let report = &outcome.report;
+    let json = serde_json::to_string_pretty(report)? + "\n";
+    let html = page::<N>(report, &outcome.trace)?;
+    write_whole(&arguments.out.join("report.html"), html.as_bytes())?;
+    write_whole(&arguments.out.join("report.json"), json.as_bytes())?;
+    for note in &report.notes {
+        say(format_args!("note  {note}"))?;
+    }
+    say(format_args!(
+        "rank {}, condition number {:.1} ({})",
+        report.rank, report.condition_number, report.condition_number_of
+    ))?;
+    for (name, method) in &report.methods {
+        let mut line = format!(
+            "{name:<14} {:>7} epochs {:>8.3} s",
+            method.epochs, method.seconds
+        );
+        for (file, record) in &method.validation {
+            line += &format!(
+                "   {file} {:.3} %",
+                100.0 * record.joints_nrmse_moving_ratio
+            );
+        }
+        say(format_args!("{line}"))?;
+    }
+    match bank(&outcome) {
+        Some(bank) => {
+            let path = arguments.out.join("parameters.bank");
+            write_whole(&path, &super::bank::bytes(&bank)?)?;
+            say(format_args!("bank    {}", path.display()))?;
+        }
+        None => say(format_args!(
+            "no bank: no firmware arm is called '{}'",
+            robot.name
+        ))?,
+    }
+    say(format_args!(
+        "report  {}",
+        arguments.out.join("report.html").display()
+    ))?;
+    Ok(())
+}

@@ -1,0 +1,284 @@
+//! The columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
+
+use crate::dynamics::{ReferenceModel, State};
+use crate::robot::{LINK_PARAMETERS, Robot};
+use nalgebra::DMatrix;
+use std::fmt;
+use std::str::FromStr;
+
+/// Speed at which the smoothed sign of the Coulomb column has reached 76 %, rad/s: the same as on the board, so that a
+/// parameter means the same here and there.
+pub(super) const SIGN_WIDTH_RAD_S: f64 = 0.02;
+/// Widths of the Stribeck pair, rad/s. Two fixed bells span the narrow range of widths drives have, and stay linear.
+const STRIBECK_WIDTHS_RAD_S: [f64; 2] = [0.07, 0.14];
+
+/// One friction term of a joint, linear in its parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrictionColumn {
+    /// `qd`
+    Viscous,
+    /// `tanh(qd / 0.02)`
+    Coulomb,
+    /// `1`
+    Offset,
+    /// `tanh(qd / 0.02) exp(−(qd / w)²)` with w = 0.07 rad/s
+    StribeckNarrow,
+    /// The same with w = 0.14 rad/s
+    StribeckWide,
+    /// `tanh(qd / 0.02) sqrt|qd|`
+    Root,
+    /// `qd³`
+    Cubic,
+    /// `tanh(qd / 0.02) |tau_rigid|`, rigid-body torque of the description
+    Load,
+    /// `sin(z q)`, z cycles a turn from the description
+    CoggingSine,
+    /// `cos(z q)`
+    CoggingCosine,
+}
+
+impl FrictionColumn {
+    /// Short name and unit of the parameter.
+    fn name(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Viscous => ("Fv", "N·m·s/rad"),
+            Self::Coulomb => ("Fc", "N·m"),
+            Self::Offset => ("Fo", "N·m"),
+            Self::StribeckNarrow => ("Fs_narrow", "N·m"),
+            Self::StribeckWide => ("Fs_wide", "N·m"),
+            Self::Root => ("Fr", "N·m·(s/rad)^0.5"),
+            Self::Cubic => ("F3", "N·m·(s/rad)^3"),
+            Self::Load => ("Fl", "1"),
+            Self::CoggingSine => ("Gs", "N·m"),
+            Self::CoggingCosine => ("Gc", "N·m"),
+        }
+    }
+}
+
+/// A choice of friction terms.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ColumnSet(Vec<FrictionColumn>);
+
+/// Words of a column set and what they stand for.
+const WORDS: [(&str, &[FrictionColumn]); 7] = [
+    (
+        "coulomb-viscous",
+        &[FrictionColumn::Viscous, FrictionColumn::Coulomb],
+    ),
+    ("offset", &[FrictionColumn::Offset]),
+    (
+        "stribeck",
+        &[FrictionColumn::StribeckNarrow, FrictionColumn::StribeckWide],
+    ),
+    ("sqrt", &[FrictionColumn::Root]),
+    ("cubic", &[FrictionColumn::Cubic]),
+    ("load", &[FrictionColumn::Load]),
+    (
+        "cogging",
+        &[FrictionColumn::CoggingSine, FrictionColumn::CoggingCosine],
+    ),
+];
+
+impl FromStr for ColumnSet {
+    type Err = String;
+
+    /// `coulomb-viscous`, and any of the other words after it, joined by `+`; or `full` for all of them.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut columns: Vec<FrictionColumn> = WORDS[0].1.to_vec();
+        for word in text.split('+').map(str::trim) {
+            let found: Vec<FrictionColumn> = if word == "full" {
+                WORDS
+                    .iter()
+                    .flat_map(|(_, columns)| *columns)
+                    .copied()
+                    .collect()
+            } else {
+                let known = WORDS.iter().find(|(name, _)| *name == word);
+                let (_, columns) = known.ok_or_else(|| {
+                    let names: Vec<&str> = WORDS.iter().map(|(name, _)| *name).collect();
+                    format!(
+                        "unknown column set '{word}': join any of {} by '+', or take full",
+                        names.join(", ")
+                    )
+                })?;
+                columns.to_vec()
+            };
+            for column in found {
+                if !columns.contains(&column) {
+                    columns.push(column);
+                }
+            }
+        }
+        Ok(Self(columns))
+    }
+}
+
+impl ColumnSet {
+    /// What the board has: viscous and Coulomb friction.
+    pub fn plain() -> Self {
+        Self(WORDS[0].1.to_vec())
+    }
+
+    /// Its terms.
+    pub fn columns(&self) -> &[FrictionColumn] {
+        &self.0
+    }
+}
+
+impl fmt::Display for ColumnSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let words = WORDS
+            .iter()
+            .filter(|(_, columns)| self.0.contains(&columns[0]));
+        let words: Vec<&str> = words.map(|(name, _)| *name).collect();
+        f.write_str(&words.join("+"))
+    }
+}
+
+/// One parameter of the linear model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Parameter {
+    /// Name as in a parameter bank, joints from 1.
+    pub name: String,
+    /// Unit.
+    pub unit: &'static str,
+    /// Friction term and joint, if it is one.
+    pub friction: Option<(FrictionColumn, usize)>,
+}
+
+/// Where every column of the model stands, and which of them each joint's torque can see.
+#[derive(Clone, Debug)]
+pub struct Layout<const N: usize> {
+    /// All parameters: base set, then friction joint by joint.
+    pub parameters: Vec<Parameter>,
+    /// Number of base parameters, which come first.
+    pub base: usize,
+    /// Parameters in each joint's equation: those of its own and later links, its own rotor and friction.
+    pub active: [Vec<usize>; N],
+    /// First entry of each joint in a row of all joints' active columns, and the length of that row.
+    pub offset: [usize; N],
+    /// Length of that row.
+    pub width: usize,
+    set: ColumnSet,
+    /// Standard parameter behind each base parameter.
+    standard: Vec<usize>,
+    model: ReferenceModel<N>,
+    cogging: [f64; N],
+}
+
+impl<const N: usize> Layout<N> {
+    /// The layout for a robot; `None` when it has not `N` joints.
+    pub fn new(robot: &Robot, set: &ColumnSet) -> Option<Self> {
+        const SYMBOLS: [(&str, &str); LINK_PARAMETERS] = [
+            ("m", "kg"),
+            ("mx", "kg·m"),
+            ("my", "kg·m"),
+            ("mz", "kg·m"),
+            ("Ixx", "kg·m²"),
+            ("Iyy", "kg·m²"),
+            ("Izz", "kg·m²"),
+            ("Ixy", "kg·m²"),
+            ("Ixz", "kg·m²"),
+            ("Iyz", "kg·m²"),
+        ];
+        let model = ReferenceModel::<N>::new(robot)?;
+        let standard = robot.base_map().columns;
+        let base = standard.len();
+        let mut parameters = Vec::new();
+        let mut active: [Vec<usize>; N] = std::array::from_fn(|_| Vec::new());
+        for (place, &column) in standard.iter().enumerate() {
+            let (link, (symbol, unit)) = if column < LINK_PARAMETERS * N {
+                let link = column / LINK_PARAMETERS;
+                for seen in active.iter_mut().take(link + 1) {
+                    seen.push(place);
+                }
+                (link, SYMBOLS[column % LINK_PARAMETERS])
+            } else {
+                let joint = column - LINK_PARAMETERS * N;
+                active[joint].push(place);
+                (joint, ("Ia", "kg·m²"))
+            };
+            parameters.push(Parameter {
+                name: format!("{symbol}{}", link + 1),
+                unit,
+                friction: None,
+            });
+        }
+        for (joint, active) in active.iter_mut().enumerate() {
+            for &column in set.columns() {
+                let (symbol, unit) = column.name();
+                active.push(parameters.len());
+                parameters.push(Parameter {
+                    name: format!("{symbol}{}", joint + 1),
+                    unit,
+                    friction: Some((column, joint)),
+                });
+            }
+        }
+        let mut offset = [0; N];
+        let mut width = 0;
+        for (offset, active) in offset.iter_mut().zip(&active) {
+            *offset = width;
+            width += active.len();
+        }
+        Some(Self {
+            parameters,
+            base,
+            active,
+            offset,
+            width,
+            set: set.clone(),
+            standard,
+            model,
+            cogging: std::array::from_fn(|joint| robot.joints[joint].friction.cogging_cycles_rev),
+        })
+    }
+
+    /// Which parameters a poorer layout of the same robot has.
+    pub fn places_of(&self, poorer: &Self) -> Vec<usize> {
+        let names = poorer.parameters.iter();
+        names
+            .filter_map(|wanted| {
+                self.parameters
+                    .iter()
+                    .position(|own| own.name == wanted.name)
+            })
+            .collect()
+    }
+
+    /// Appends the active columns of all joints at `state` to `table`.
+    ///
+    /// * `scratch` N × 11 N matrix, zero at first; entries that are always zero are never written.
+    pub fn append_row(&self, state: &State<N>, scratch: &mut DMatrix<f64>, table: &mut Vec<f64>) {
+        self.model.regressor_into(state, scratch, 0);
+        let rigid = if self.set.columns().contains(&FrictionColumn::Load) {
+            Some(self.model.inverse_dynamics(state))
+        } else {
+            None
+        };
+        for joint in 0..N {
+            let (q, qd) = (state.q[joint], state.qd[joint]);
+            let friction = self.set.columns().len();
+            let inertial = &self.active[joint][..self.active[joint].len() - friction];
+            table.extend(
+                inertial
+                    .iter()
+                    .map(|&place| scratch[(joint, self.standard[place])]),
+            );
+            let sign = (qd / SIGN_WIDTH_RAD_S).tanh();
+            let bell = |width: f64| (-(qd / width).powi(2)).exp();
+            table.extend(self.set.columns().iter().map(|column| match column {
+                FrictionColumn::Viscous => qd,
+                FrictionColumn::Coulomb => sign,
+                FrictionColumn::Offset => 1.0,
+                FrictionColumn::StribeckNarrow => sign * bell(STRIBECK_WIDTHS_RAD_S[0]),
+                FrictionColumn::StribeckWide => sign * bell(STRIBECK_WIDTHS_RAD_S[1]),
+                FrictionColumn::Root => sign * qd.abs().sqrt(),
+                FrictionColumn::Cubic => qd.powi(3),
+                FrictionColumn::Load => sign * rigid.as_ref().map_or(0.0, |tau| tau[joint].abs()),
+                FrictionColumn::CoggingSine => (self.cogging[joint] * q).sin(),
+                FrictionColumn::CoggingCosine => (self.cogging[joint] * q).cos(),
+            }));
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! Least squares in three temperaments: plain, weighted by joint, robust.
+
+use super::columns::Layout;
+use super::filter::median;
+use super::normal::{JointSums, NormalEquations, solve};
+use super::stream::SampleRow;
+use nalgebra::{DMatrix, DVector};
+use std::fmt;
+use std::str::FromStr;
+
+/// A way to identify.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum MethodName {
+    /// Ordinary least squares.
+    Ols,
+    /// Every joint's equations divided by their noise.
+    Wls,
+    /// Iteratively reweighted, Huber's weights, spikes taken out beforehand.
+    Irls,
+    /// One linear BP layer whose weights are the parameters.
+    BpPhysical,
+    /// A BP network on all positions, velocities and accelerations.
+    BpBlackBox,
+    /// The plain linear model and one small BP network a joint for what it leaves.
+    BpResidual,
+}
+
+/// All methods, in the order of the report.
+pub const METHODS: [(MethodName, &str); 6] = [
+    (MethodName::Ols, "ols"),
+    (MethodName::Wls, "wls"),
+    (MethodName::Irls, "irls"),
+    (MethodName::BpPhysical, "bp_physical"),
+    (MethodName::BpBlackBox, "bp_black_box"),
+    (MethodName::BpResidual, "bp_residual"),
+];
+
+impl fmt::Display for MethodName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let known = METHODS.iter().find(|(method, _)| method == self);
+        f.write_str(known.map_or("", |(_, name)| name))
+    }
+}
+
+impl FromStr for MethodName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let names: Vec<&str> = METHODS.iter().map(|(_, name)| *name).collect();
+        match METHODS.iter().find(|(_, name)| *name == text) {
+            Some((method, _)) => Ok(*method),
+            None if text == "consistent" => Err(
+                "the physically consistent method (semidefinite programme) is not part of this build".to_owned(),
+            ),
+            None => Err(format!("unknown method '{text}': one of {}", names.join(", "))),
+        }
+    }
+}
+
+/// Parameters of the linear model with what is known about them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fit<const N: usize> {
+    /// One value a parameter of the layout, SI.
+    pub theta: DVector<f64>,
+    /// Covariance of `theta`.
+    pub covariance: DMatrix<f64>,
+    /// Noise of every joint's equations, N·m.
+    pub sigma: [f64; N],
+    /// Times the equations were solved.
+    pub iterations: usize,
+}
+
+/// Noise may not be estimated smaller than this, N·m: a joint without error would take all the weight.
+const SIGMA_FLOOR: f64 = 1e-9;
+/// Rounds in which weights and parameters settle.
+const WEIGHT_ROUNDS: usize = 4;
+/// Residuals beyond this many standard deviations weigh less [Huber 1981]: 95 % efficiency at the normal distribution.
+const HUBER: f64 = 1.345;
+/// Most rounds of reweighting, and the change of torque error at which they end.
+const IRLS_ROUNDS: usize = 30;
+const IRLS_SETTLED: f64 = 1e-6;
+
+/// Ordinary least squares; the standard deviations allow every joint its own noise. `None` when a parameter is unseen.
+pub(super) fn ols<const N: usize>(sums: &NormalEquations<N>, layout: &Layout<N>) -> Option<Fit<N>> {
+    let (gram, moment) = sums.weighted(layout, &[1.0; N]);
+    let (theta, inverse) = solve(&gram, &moment)?;
+    let sigma = noise(sums, layout, &theta);
+    // (XᵀX)⁻¹ (Σ σ_j² X_jᵀX_j) (XᵀX)⁻¹
+    let (scatter, _) = sums.weighted(layout, &sigma.map(|sigma| 1.0 / sigma));
+    Some(Fit {
+        covariance: &inverse * scatter * &inverse,
+        theta,
+        sigma,
+        iterations: 1,
+    })
+}
+
+/// Weighted least squares: the noise of each joint from the fit before.
+pub(super) fn wls<const N: usize>(sums: &NormalEquations<N>, layout: &Layout<N>) -> Option<Fit<N>> {
+    let mut fit = ols(sums, layout)?;
+    for _ in 0..WEIGHT_ROUNDS {
+        let (gram, moment) = sums.weighted(layout, &fit.sigma);
+        let (theta, covariance) = solve(&gram, &moment)?;
+        fit = Fit {
+            sigma: noise(sums, layout, &theta),
+            theta,
+            covariance,
+            iterations: fit.iterations + 1,
+        };
+    }
+    Some(fit)
+}
+
+/// Huber's estimate over a sample of rows, from the weighted fit of the sums without spikes.
+pub(super) fn irls<const N: usize>(
+    clean: &NormalEquations<N>,
+    sample: &[&SampleRow<N>],
+    layout: &Layout<N>,
+) -> Option<Fit<N>> {
+    let mut fit = wls(clean, layout)?;
+    for _ in 0..IRLS_ROUNDS {
+        let rounds: Vec<(JointSums, f64)> = std::thread::scope(|scope| {
+            let theta = &fit.theta;
+            let joints: Vec<_> = (0..N)
+                .map(|joint| scope.spawn(move || reweighted(joint, sample, layout, theta)))
+                .collect();
+            // A joint that panicked has said so already.
+            joints
+                .into_iter()
+                .filter_map(|joint| joint.join().ok())
+                .collect()
+        });
+        if rounds.len() < N {
+            return None;
+        }
+        let sigma: [f64; N] = std::array::from_fn(|joint| rounds[joint].1.max(SIGMA_FLOOR));
+        let sums = NormalEquations::<N> {
+            joints: rounds.into_iter().map(|(sums, _)| sums).collect(),
+        };
+        let (gram, moment) = sums.weighted(layout, &sigma);
+        let (theta, covariance) = solve(&gram, &moment)?;
+        let step = &theta - &fit.theta;
+        let settled = step.dot(&(&gram * &step)) <= IRLS_SETTLED * IRLS_SETTLED * sums.count();
+        fit = Fit {
+            theta,
+            covariance,
+            sigma,
+            iterations: fit.iterations + 1,
+        };
+        if settled {
+            break;
+        }
+    }
+    Some(fit)
+}
+
+/// One joint's sums under Huber's weights for the residuals of `theta`, and the spread of these residuals, N·m.
+fn reweighted<const N: usize>(
+    joint: usize,
+    sample: &[&SampleRow<N>],
+    layout: &Layout<N>,
+    theta: &DVector<f64>,
+) -> (JointSums, f64) {
+    let active = &layout.active[joint];
+    let own: Vec<f64> = active.iter().map(|&place| theta[place]).collect();
+    let panel = |row: &SampleRow<N>| {
+        layout.offset[joint]..layout.offset[joint] + row.panel.len().min(active.len())
+    };
+    let rows: Vec<(&[f64], f64, f64)> = sample
+        .iter()
+        .filter(|row| row.moving[joint])
+        .map(|row| {
+            let x = &row.panel[panel(row)];
+            let predicted: f64 = x.iter().zip(&own).map(|(x, theta)| x * theta).sum();
+            (x, row.clean[joint], row.clean[joint] - predicted)
+        })
+        .collect();
+    let mut sizes: Vec<f64> = rows.iter().map(|(_, _, residual)| residual.abs()).collect();
+    let sigma = (1.4826 * median(&mut sizes)).max(SIGMA_FLOOR);
+    let mut x = Vec::with_capacity(rows.len() * active.len());
+    let mut tau = Vec::with_capacity(rows.len());
+    for (columns, torque, residual) in rows {
+        let weight = (HUBER * sigma / residual.abs()).min(1.0).sqrt();
+        x.extend(columns.iter().map(|value| weight * value));
+        tau.push(weight * torque);
+    }
+    let mut sums = JointSums::new(active.len());
+    sums.add(&x, &tau);
+    (sums, sigma)
+}
+
+/// RMS residual of each joint, N·m, corrected for the parameters its equations paid for.
+fn noise<const N: usize>(
+    sums: &NormalEquations<N>,
+    layout: &Layout<N>,
+    theta: &DVector<f64>,
+) -> [f64; N] {
+    let rmse = sums.rmse(layout, theta);
+    let share = layout.parameters.len() as f64 / sums.count().max(1.0);
+    rmse.map(|rmse| (rmse / (1.0 - share).max(0.1).sqrt()).max(SIGMA_FLOOR))
+}
+
+impl<const N: usize> Fit<N> {
+    /// Standard deviation of every parameter.
+    pub fn deviations(&self) -> DVector<f64> {
+        self.covariance
+            .diagonal()
+            .map(|variance| variance.max(0.0).sqrt())
+    }
+}
+
+impl<const N: usize> SampleRow<N> {
+    /// Torque of the linear model at one joint, N·m.
+    pub fn linear(&self, layout: &Layout<N>, theta: &DVector<f64>, joint: usize) -> f64 {
+        let columns = &self.panel[layout.offset[joint]..];
+        let active = &layout.active[joint];
+        columns
+            .iter()
+            .zip(active)
+            .map(|(x, &place)| x * theta[place])
+            .sum()
+    }
+}

@@ -1,0 +1,30 @@
+//! From logs of motion and torque to validated parameters.
+//!
+//! `log` (rows, checked) → `filter` and `prepare` (motion, regressor and torque through the same zero-phase filter) →
+//! `normal` (one pass over any number of rows, memory that does not grow) → `methods` → `validation` → `record`.
+
+mod bank;
+mod columns;
+mod filter;
+mod log;
+mod methods;
+mod normal;
+mod page;
+mod prepare;
+mod record;
+mod stream;
+mod study;
+mod validation;
+
+pub use bank::bank_of_fit;
+pub use columns::{ColumnSet, FrictionColumn, Layout, Parameter};
+pub use filter::{Butterworth, despiked};
+pub use log::{LogReader, LogRow};
+pub use methods::{Fit, METHODS, MethodName};
+pub use normal::{IdentificationError, NormalEquations};
+pub use page::page;
+pub use prepare::{MotionSource, Preparation, PrepareConfig, Prepared};
+pub use record::{MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord};
+pub use stream::{Gathered, SampleRow, for_each_prepared};
+pub use study::{IdentifyConfig, Outcome, Progress, identify};
+pub use validation::{Candidate, FileScores};

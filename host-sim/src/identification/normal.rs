@@ -1,0 +1,250 @@
+//! Normal equations, joint by joint, added up over any number of rows.
+//!
+//! One joint's equations keep their own sums `XᵀX`, `Xᵀτ`, `τᵀτ`: a weight for each joint, a column subset, the RMSE of any
+//! parameters and the gradient of the BP network's loss all follow from them without another look at the log. The price
+//! is the square of the condition number, which f64 affords up to about 1e7 (rank decisions are made at 1e4).
+
+use super::columns::Layout;
+use nalgebra::{DMatrix, DMatrixView, DVector};
+use std::fmt;
+
+/// Why parameters cannot be identified.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum IdentificationError {
+    /// No joint moves.
+    NoMotion {
+        /// The logs.
+        logs: String,
+    },
+    /// The motion does not show these parameters.
+    RankDeficient {
+        /// Rank found.
+        rank: usize,
+        /// Parameters wanted.
+        wanted: usize,
+        /// The parameters that cannot be seen.
+        unseen: Vec<String>,
+    },
+}
+
+impl fmt::Display for IdentificationError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoMotion { logs } => write!(f, "{logs}: no joint moves"),
+            Self::RankDeficient {
+                rank,
+                wanted,
+                unseen,
+            } => write!(
+                f,
+                "the excitation is rank deficient ({rank} of {wanted}): it does not show {}",
+                unseen.join(", ")
+            ),
+        }
+    }
+}
+
+impl std::error::Error for IdentificationError {}
+
+/// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Useful
+/// excitations leave 1e-2 and more, encoder noise on a joint that is held still about 1e-5.
+const INDEPENDENT: f64 = 1e-4;
+
+/// Sums of one joint's equations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointSums {
+    /// XᵀX over the joint's active columns.
+    pub gram: DMatrix<f64>,
+    /// Xᵀτ.
+    pub moment: DVector<f64>,
+    /// τᵀτ, N²·m².
+    pub power: f64,
+    /// Number of equations.
+    pub count: f64,
+}
+
+impl JointSums {
+    pub(super) fn new(active: usize) -> Self {
+        Self {
+            gram: DMatrix::zeros(active, active),
+            moment: DVector::zeros(active),
+            power: 0.0,
+            count: 0.0,
+        }
+    }
+
+    /// Adds equations: `x` row after row, `tau` one a row.
+    pub fn add(&mut self, x: &[f64], tau: &[f64]) {
+        if tau.is_empty() {
+            return;
+        }
+        let columns = DMatrixView::from_slice(x, self.moment.len(), tau.len());
+        self.gram.gemm(1.0, &columns, &columns.transpose(), 1.0);
+        let tau = DVector::from_column_slice(tau);
+        self.moment.gemv(1.0, &columns, &tau, 1.0);
+        self.power += tau.norm_squared();
+        self.count += tau.len() as f64;
+    }
+
+    /// Mean square error of these parameters, N²·m².
+    pub fn mean_square(&self, theta: &DVector<f64>) -> f64 {
+        let sum = self.power - 2.0 * self.moment.dot(theta) + theta.dot(&(&self.gram * theta));
+        (sum / self.count.max(1.0)).max(0.0)
+    }
+}
+
+/// Sums of all joints' equations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NormalEquations<const N: usize> {
+    /// One joint after the other.
+    pub joints: Vec<JointSums>,
+}
+
+impl<const N: usize> NormalEquations<N> {
+    /// No equations yet.
+    pub fn new(layout: &Layout<N>) -> Self {
+        let joints = layout
+            .active
+            .iter()
+            .map(|active| JointSums::new(active.len()));
+        Self {
+            joints: joints.collect(),
+        }
+    }
+
+    /// Adds all equations of another part of the log.
+    pub fn merge(&mut self, other: &Self) {
+        for (own, other) in self.joints.iter_mut().zip(&other.joints) {
+            own.gram += &other.gram;
+            own.moment += &other.moment;
+            own.power += other.power;
+            own.count += other.count;
+        }
+    }
+
+    /// The same equations with the columns of a poorer layout only.
+    pub fn subset(&self, layout: &Layout<N>, poorer: &Layout<N>) -> Self {
+        let places = layout.places_of(poorer);
+        let joints = (0..N).map(|joint| {
+            let own: Vec<usize> = poorer.active[joint]
+                .iter()
+                .filter_map(|&place| {
+                    layout.active[joint]
+                        .iter()
+                        .position(|&own| own == places[place])
+                })
+                .collect();
+            let sums = &self.joints[joint];
+            JointSums {
+                gram: sums.gram.select_rows(&own).select_columns(&own),
+                moment: sums.moment.select_rows(&own),
+                power: sums.power,
+                count: sums.count,
+            }
+        });
+        Self {
+            joints: joints.collect(),
+        }
+    }
+
+    /// Equations of all joints.
+    pub fn count(&self) -> f64 {
+        self.joints.iter().map(|joint| joint.count).sum()
+    }
+
+    /// Weighted sums over all parameters: each joint's equations divided by its `sigma`, N·m.
+    pub fn weighted(&self, layout: &Layout<N>, sigma: &[f64; N]) -> (DMatrix<f64>, DVector<f64>) {
+        let size = layout.parameters.len();
+        let mut gram = DMatrix::zeros(size, size);
+        let mut moment = DVector::zeros(size);
+        for ((joint, active), sigma) in self.joints.iter().zip(&layout.active).zip(sigma) {
+            let weight = 1.0 / (sigma * sigma);
+            for (a, &row) in active.iter().enumerate() {
+                moment[row] += weight * joint.moment[a];
+                for (b, &column) in active.iter().enumerate() {
+                    gram[(row, column)] += weight * joint.gram[(a, b)];
+                }
+            }
+        }
+        (gram, moment)
+    }
+
+    /// RMS error of every joint, N·m.
+    pub fn rmse(&self, layout: &Layout<N>, theta: &DVector<f64>) -> [f64; N] {
+        std::array::from_fn(|joint| {
+            let own = DVector::from_iterator(
+                layout.active[joint].len(),
+                layout.active[joint].iter().map(|&place| theta[place]),
+            );
+            self.joints[joint].mean_square(&own).sqrt()
+        })
+    }
+
+    /// Every parameter can be seen. Errors: [`IdentificationError::RankDeficient`], naming the columns that the columns
+    /// left of them explain.
+    pub fn check_rank(&self, layout: &Layout<N>) -> Result<(), IdentificationError> {
+        let (mut rest, _) = self.weighted(layout, &[1.0; N]);
+        let size = rest.nrows();
+        let length: Vec<f64> = (0..size).map(|c| rest[(c, c)]).collect();
+        let mut unseen = Vec::new();
+        for c in 0..size {
+            let new = rest[(c, c)];
+            if length[c] <= 0.0 || new <= INDEPENDENT * INDEPENDENT * length[c] {
+                unseen.push(layout.parameters[c].name.clone());
+                continue;
+            }
+            let column = rest.column(c) / new.sqrt();
+            rest.ger(-1.0, &column, &column, 1.0);
+        }
+        if unseen.is_empty() {
+            Ok(())
+        } else {
+            Err(IdentificationError::RankDeficient {
+                rank: size - unseen.len(),
+                wanted: size,
+                unseen,
+            })
+        }
+    }
+
+    /// Condition number of the raw regressor of the base parameters, SI units; and of all columns at unit length.
+    pub fn condition_numbers(&self, layout: &Layout<N>) -> (f64, f64) {
+        let (gram, _) = self.weighted(layout, &[1.0; N]);
+        let raw = gram.view((0, 0), (layout.base, layout.base)).into_owned();
+        (condition(raw), condition(equilibrated(&gram).0))
+    }
+}
+
+fn condition(gram: DMatrix<f64>) -> f64 {
+    let values = gram.symmetric_eigenvalues();
+    (values.max() / values.min().max(f64::MIN_POSITIVE)).sqrt()
+}
+
+/// The matrix with a unit diagonal, and the reciprocal column lengths that make it so.
+pub(super) fn equilibrated(gram: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
+    let inverse = gram
+        .diagonal()
+        .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
+    let scaled = DMatrix::from_fn(gram.nrows(), gram.ncols(), |r, c| {
+        gram[(r, c)] * inverse[r] * inverse[c]
+    });
+    (scaled, inverse)
+}
+
+/// Solution of `gram · theta = moment` and the inverse of `gram`, by Cholesky's method on columns of unit length; `None`
+/// when `gram` is not positive definite.
+pub(super) fn solve(
+    gram: &DMatrix<f64>,
+    moment: &DVector<f64>,
+) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    let (scaled, inverse) = equilibrated(gram);
+    let cholesky = scaled.cholesky()?;
+    let theta = cholesky
+        .solve(&moment.component_mul(&inverse))
+        .component_mul(&inverse);
+    let scaled_inverse = cholesky.inverse();
+    let covariance = DMatrix::from_fn(gram.nrows(), gram.ncols(), |r, c| {
+        scaled_inverse[(r, c)] * inverse[r] * inverse[c]
+    });
+    Some((theta, covariance))
+}

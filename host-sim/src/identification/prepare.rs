@@ -1,0 +1,194 @@
+//! From a stretch of a log to the rows of the linear model: motion, regressor and torque through the same filter.
+
+use super::columns::Layout;
+use super::filter::{Butterworth, derivative, despiked};
+use super::log::LogRow;
+use crate::dynamics::{Joints, State};
+use nalgebra::DMatrix;
+use std::ops::Range;
+
+/// Where velocities and accelerations come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MotionSource {
+    /// The log's own columns.
+    Logged,
+    /// Central differences of the filtered quantity below.
+    Derived,
+}
+
+/// How a log is prepared.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PrepareConfig {
+    /// Cut-off of the filter on the motion, Hz.
+    pub motion_hz: f64,
+    /// Cut-off of the filter on torque and regressor, Hz; `None` leaves both as they are.
+    pub torque_hz: Option<f64>,
+    /// A joint slower than this stands still, rad/s.
+    pub still_rad_s: f64,
+}
+
+/// What one log is prepared with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Preparation {
+    /// Period of the rows, s.
+    pub period_s: f64,
+    /// Source of the velocities.
+    pub velocity: MotionSource,
+    /// Source of the accelerations.
+    pub acceleration: MotionSource,
+    motion: Option<Butterworth>,
+    torque: Option<Butterworth>,
+}
+
+impl Preparation {
+    /// The filters for rows `period_s` apart. A cut-off that rows this far apart cannot show is no filter at all.
+    pub fn new(
+        config: &PrepareConfig,
+        period_s: f64,
+        velocity: MotionSource,
+        acceleration: MotionSource,
+    ) -> Self {
+        Self {
+            period_s,
+            velocity,
+            acceleration,
+            motion: Butterworth::new(config.motion_hz, period_s),
+            torque: config
+                .torque_hz
+                .and_then(|hz| Butterworth::new(hz, period_s)),
+        }
+    }
+
+    /// Rows a stretch must overlap its neighbours by, so that its core does not depend on where the log was cut.
+    pub fn margin(&self) -> usize {
+        let settling =
+            |filter: &Option<Butterworth>| filter.as_ref().map_or(0, |f| f.settling_rows);
+        settling(&self.motion) + settling(&self.torque) + 4
+    }
+
+    /// Rows at the ends of a log in which the filters still feel the end. A reflection about the end point has no
+    /// acceleration there, so derived accelerations are wrong for about one period of the cut-off.
+    pub fn edge(&self) -> usize {
+        let derived =
+            self.velocity == MotionSource::Derived || self.acceleration == MotionSource::Derived;
+        let periods = |filter: &Option<Butterworth>, periods: f64| {
+            filter.as_ref().map_or(0, |f| {
+                (periods / (f.cutoff_hz() * self.period_s)).ceil() as usize
+            })
+        };
+        periods(&self.motion, if derived { 1.5 } else { 0.25 }) + periods(&self.torque, 0.25)
+    }
+
+    /// Every how many-th row carries news.
+    ///
+    /// White noise through this filter has the variance of a band of 2 × 0.898 cut-offs (∫ dx / (1 + x⁸)² = 0.898).
+    /// Rows taken at just that rate are white again: nothing a slow motion says is lost, and the residuals' variance
+    /// gives the parameters' deviations without correction.
+    pub fn stride(&self) -> usize {
+        self.torque.as_ref().map_or(1, |filter| {
+            let rate_hz = 2.0 * 0.898 * filter.cutoff_hz();
+            ((1.0 / (rate_hz * self.period_s)).round() as usize).max(1)
+        })
+    }
+
+    /// Half width of the running median that finds spikes: 7 ms, in which a joint torque hardly bends, 2 rows at least.
+    fn spike_reach(&self) -> usize {
+        ((0.007 / self.period_s).round() as usize).clamp(2, 7)
+    }
+
+    /// Filters torque-like columns as the torque was.
+    pub fn smooth_torque(&self, table: &mut [f64], width: usize) {
+        if let Some(filter) = &self.torque {
+            filter.smooth(table, width);
+        }
+    }
+
+    /// Smoothed motion of a stretch of rows.
+    pub fn motion<const N: usize>(&self, rows: &[LogRow<N>]) -> Vec<State<N>> {
+        let column = |pick: fn(&LogRow<N>) -> &[f64; N]| -> Vec<f64> {
+            let mut table: Vec<f64> = rows.iter().flat_map(|row| *pick(row)).collect();
+            if let Some(filter) = &self.motion {
+                filter.smooth(&mut table, N);
+            }
+            table
+        };
+        let q = column(|row| &row.q);
+        let qd = match self.velocity {
+            MotionSource::Logged => column(|row| &row.qd),
+            MotionSource::Derived => derivative(&q, N, self.period_s),
+        };
+        let qdd = match self.acceleration {
+            MotionSource::Logged => column(|row| &row.qdd),
+            MotionSource::Derived => derivative(&qd, N, self.period_s),
+        };
+        let joints = |table: &[f64], row: usize| {
+            Joints::<N>::from_column_slice(&table[row * N..(row + 1) * N])
+        };
+        (0..rows.len())
+            .map(|row| State {
+                q: joints(&q, row),
+                qd: joints(&qd, row),
+                qdd: joints(&qdd, row),
+            })
+            .collect()
+    }
+}
+
+/// A stretch of a log, with the rows around it that its filters need.
+#[derive(Clone, Debug)]
+pub struct Stretch<const N: usize> {
+    /// Number of the stretch, over all logs.
+    pub index: usize,
+    /// Rows, margins included.
+    pub rows: Vec<LogRow<N>>,
+    /// The rows that count.
+    pub core: Range<usize>,
+}
+
+/// A stretch that is ready to be fitted.
+#[derive(Clone, Debug)]
+pub struct Prepared<const N: usize> {
+    /// Number of the stretch.
+    pub index: usize,
+    /// Motion of all its rows, margins included.
+    pub states: Vec<State<N>>,
+    /// Active columns of all joints, row after row, filtered.
+    pub panel: Vec<f64>,
+    /// Torques, N a row, filtered, N·m.
+    pub tau: Vec<f64>,
+    /// The same with spikes taken out before filtering, N·m.
+    pub clean: Vec<f64>,
+    /// Spikes taken out.
+    pub spikes: usize,
+    /// The rows that count.
+    pub core: Range<usize>,
+    /// Times of all rows, s.
+    pub t_s: Vec<f64>,
+}
+
+impl<const N: usize> Prepared<N> {
+    /// Prepares a stretch.
+    pub fn new(stretch: &Stretch<N>, preparation: &Preparation, layout: &Layout<N>) -> Self {
+        let states = preparation.motion(&stretch.rows);
+        let mut scratch = DMatrix::zeros(N, (crate::robot::LINK_PARAMETERS + 1) * N);
+        let mut panel = Vec::with_capacity(states.len() * layout.width);
+        for state in &states {
+            layout.append_row(state, &mut scratch, &mut panel);
+        }
+        let mut tau: Vec<f64> = stretch.rows.iter().flat_map(|row| row.tau).collect();
+        let (mut clean, spikes) = despiked(&tau, N, preparation.spike_reach());
+        preparation.smooth_torque(&mut panel, layout.width);
+        preparation.smooth_torque(&mut tau, N);
+        preparation.smooth_torque(&mut clean, N);
+        Self {
+            index: stretch.index,
+            states,
+            panel,
+            tau,
+            clean,
+            spikes,
+            core: stretch.core.clone(),
+            t_s: stretch.rows.iter().map(|row| row.t_s).collect(),
+        }
+    }
+}

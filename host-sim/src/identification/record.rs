@@ -1,0 +1,129 @@
+//! `report.json` of an identification: units in the keys, `null` where a joint never moves.
+
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// How one method does on one unseen log.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ValidationRecord {
+    /// RMS error of every joint while it moves, N·m.
+    pub rmse_moving_nm: Vec<Option<f64>>,
+    /// While it stands still, N·m.
+    pub rmse_still_nm: Vec<Option<f64>>,
+    /// Over all rows, N·m.
+    pub rmse_all_nm: Vec<Option<f64>>,
+    /// RMS error over RMS torque, moving rows.
+    pub nrmse_moving_ratio: Vec<Option<f64>>,
+    /// RMS error over the span of the torque, moving rows.
+    pub rmse_over_range_moving_ratio: Vec<Option<f64>>,
+    /// RMS torque, moving rows, N·m.
+    pub torque_rms_moving_nm: Vec<Option<f64>>,
+    /// Root of the mean over the joints of `nrmse_moving_ratio` squared.
+    pub joints_nrmse_moving_ratio: f64,
+    /// Moving rows of every joint.
+    pub rows_moving: Vec<u64>,
+    /// The part of it that the noise of the training log must cause at least (Cramér–Rao).
+    pub cramer_rao_nrmse_moving_ratio: Option<f64>,
+    /// Against the noise-free torque of the true parameters, where they are known.
+    pub truth_nrmse_moving_ratio: Option<f64>,
+}
+
+/// One identified parameter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ParameterRecord {
+    /// Name, joints from 1.
+    pub name: String,
+    /// Value.
+    pub value: f64,
+    /// Unit.
+    pub unit: String,
+    /// Standard deviation.
+    pub std: f64,
+    /// True value, where known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<f64>,
+}
+
+/// What training and hold-out rows of the same paths say: the paper's split.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SplitRecord {
+    /// RMS error of every joint on the 20 % held out, moving rows, N·m.
+    pub rmse_moving_nm: Vec<Option<f64>>,
+    /// The same over RMS torque.
+    pub nrmse_moving_ratio: Vec<Option<f64>>,
+}
+
+/// One method.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MethodRecord {
+    /// Unseen logs by file name.
+    pub validation: BTreeMap<String, ValidationRecord>,
+    /// The paper's 80/20 split; it flatters.
+    pub split_80_20: SplitRecord,
+    /// Parameters of the linear part.
+    pub parameters: Vec<ParameterRecord>,
+    /// Norm of the error of the base parameters over their norm, where the truth is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base_parameter_error_ratio: Option<f64>,
+    /// Noise of every joint's equations, N·m.
+    pub noise_nm: Vec<f64>,
+    /// Rows it was fitted on.
+    pub rows: usize,
+    /// Epochs or iterations.
+    pub epochs: usize,
+    /// Time of the fit, without reading the logs, s.
+    pub seconds: f64,
+    /// Loss by epoch, thinned: epoch, RMSE as a ratio of the noise (`bp_physical`), of the spread of the torques
+    /// (`bp_black_box`), of the torque limit (`bp_residual`, mean of the joints).
+    pub loss_ratio: Vec<(usize, f64)>,
+    /// Epochs to 1.05 times the loss of weighted least squares (`bp_physical`), accelerated and plain.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub epochs_to_1_05_wls: Option<[Option<usize>; 2]>,
+    /// Norm of the error of the base parameters over their norm, by epoch (`bp_physical`, truth known).
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub base_parameter_error_ratio_by_epoch: Vec<(usize, f64)>,
+}
+
+/// The whole report.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Robot.
+    pub robot: String,
+    /// Version of this program.
+    pub version: String,
+    /// Seed.
+    pub seed: u64,
+    /// Friction columns.
+    pub columns: String,
+    /// Training logs.
+    pub logs: Vec<String>,
+    /// What was derived, cut, or thinned.
+    pub notes: Vec<String>,
+    /// Cut-off of the filter on the motion, Hz.
+    pub motion_cutoff_hz: f64,
+    /// Cut-off of the filter on torque and regressor, Hz; `null` for none.
+    pub torque_cutoff_hz: Option<f64>,
+    /// A joint slower than this stands still, rad/s.
+    pub still_rad_s: f64,
+    /// Rows read, edges left out.
+    pub rows_read: usize,
+    /// Rows in the sums, after thinning to the bandwidth of the filter.
+    pub rows_used: usize,
+    /// Share of the rows in which each joint stands still, left out of its equations.
+    pub still_share_ratio: Vec<f64>,
+    /// Torque spikes found.
+    pub spikes: usize,
+    /// Rank of the regressor with all columns.
+    pub rank: usize,
+    /// Condition number of the raw SI regressor of the base parameters: moving rows, Craig link frames, first
+    /// independent columns from left to right. It does not compare with figures for other frames.
+    pub condition_number: f64,
+    /// What the condition number refers to.
+    pub condition_number_of: String,
+    /// Condition number of all columns at unit length.
+    pub condition_number_equilibrated: f64,
+    /// The method whose parameters went into the bank.
+    pub recommended: String,
+    /// Methods by name.
+    pub methods: BTreeMap<String, MethodRecord>,
+}

@@ -1,0 +1,348 @@
+//! Logs as a stream: one thread reads, all cores prepare, sums and a bounded sample of rows stay.
+
+use super::columns::Layout;
+use super::log::{LogReader, LogRow};
+use super::normal::NormalEquations;
+use super::prepare::{MotionSource, Preparation, PrepareConfig, Prepared, Stretch};
+use crate::dynamics::State;
+use crate::robot::Robot;
+use crate::table::TableError;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::mpsc::sync_channel;
+
+/// Rows of one stretch, margins apart. Large against the margins, small enough for a few of them in memory.
+const STRETCH: usize = 16_384;
+/// Rows from which the period and the trust in logged velocities are found.
+const PREVIEW: usize = 4096;
+/// A step in time of more than this many periods cuts the log.
+const GAP_PERIODS: f64 = 5.0;
+/// Logged velocities farther than this share of their RMS from the derivative of the positions are set-points.
+const VELOCITY_TRUST: f64 = 0.01;
+/// The same for accelerations, which differentiation knows less well.
+const ACCELERATION_TRUST: f64 = 0.03;
+
+/// Prepares a log stretch by stretch on all cores and hands every stretch over in the order of the log, so that sums come
+/// out the same in every run. Memory does not grow with the log.
+///
+/// * `notes` collects what a reader should know: columns derived, gaps
+///
+/// Errors: [`TableError`] of the first bad row; then some stretches may have been handed over.
+pub fn for_each_prepared<const N: usize>(
+    path: &Path,
+    robot: &Robot,
+    layout: &Layout<N>,
+    config: &PrepareConfig,
+    notes: &mut Vec<String>,
+    take: &mut dyn FnMut(&Preparation, Prepared<N>),
+) -> Result<Preparation, TableError> {
+    let mut reader = LogReader::<N>::open(path, robot)?;
+    let mut preview = Vec::with_capacity(PREVIEW);
+    while preview.len() < PREVIEW {
+        match reader.next_row()? {
+            Some(row) => preview.push(row),
+            None => break,
+        }
+    }
+    if preview.len() < 3 {
+        return Err(TableError::Empty {
+            path: path.to_owned(),
+        });
+    }
+    let preparation = choose(&preview, &reader, config, path, notes);
+    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    let (to_workers, stretches) = sync_channel::<Stretch<N>>(workers);
+    let stretches = Mutex::new(stretches);
+    let (finished, results) = sync_channel::<Prepared<N>>(workers);
+    std::thread::scope(|scope| {
+        for _ in 0..workers {
+            let finished = finished.clone();
+            let (stretches, preparation) = (&stretches, &preparation);
+            scope.spawn(move || {
+                loop {
+                    // A poisoned lock means another worker has panicked; the scope reports that.
+                    let Some(stretch) = stretches.lock().ok().and_then(|queue| queue.recv().ok())
+                    else {
+                        return;
+                    };
+                    let prepared = Prepared::new(&stretch, preparation, layout);
+                    if finished.send(prepared).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        drop(finished);
+        let cut = &preparation;
+        let reading =
+            scope.spawn(move || cut_into_stretches(&mut reader, preview, cut, path, &to_workers));
+        let mut waiting = BTreeMap::new();
+        let mut next = 0;
+        for prepared in results {
+            waiting.insert(prepared.index, prepared);
+            while let Some(prepared) = waiting.remove(&next) {
+                take(&preparation, prepared);
+                next += 1;
+            }
+        }
+        match reading.join() {
+            Ok(outcome) => notes.extend(outcome?),
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+        Ok(())
+    })?;
+    Ok(preparation)
+}
+
+/// Period and sources of motion of a log, from its first rows.
+fn choose<const N: usize>(
+    preview: &[LogRow<N>],
+    reader: &LogReader<N>,
+    config: &PrepareConfig,
+    path: &Path,
+    notes: &mut Vec<String>,
+) -> Preparation {
+    let mut steps: Vec<f64> = preview
+        .windows(2)
+        .map(|pair| pair[1].t_s - pair[0].t_s)
+        .collect();
+    let period_s = super::filter::median(&mut steps);
+    let name = path.display();
+    if reader.from_current() {
+        notes.push(format!("{name}: torque is drive gain × motor current"));
+    }
+    // Up to the first gap: derivatives across it would be wrong.
+    let whole = preview
+        .windows(2)
+        .position(|pair| pair[1].t_s - pair[0].t_s > GAP_PERIODS * period_s);
+    let preview = &preview[..whole.map_or(preview.len(), |row| row + 1)];
+    let at = |velocity, acceleration| Preparation::new(config, period_s, velocity, acceleration);
+    let derived = at(MotionSource::Derived, MotionSource::Derived);
+    let distance =
+        |a: &[State<N>], b: &[State<N>], of: fn(&State<N>) -> &nalgebra::SVector<f64, N>| {
+            let edge = derived.edge().min(a.len() / 3);
+            let inner = edge..a.len() - edge;
+            let (mut error, mut size) = (0.0, 0.0);
+            for row in inner {
+                error += (of(&a[row]) - of(&b[row])).norm_squared();
+                size += of(&b[row]).norm_squared();
+            }
+            (error / f64::max(size, f64::MIN_POSITIVE)).sqrt()
+        };
+    let from_positions = derived.motion(preview);
+    let mut source = |there: bool,
+                      what: &str,
+                      trust: f64,
+                      logged: Preparation,
+                      base: &[State<N>],
+                      of: fn(&State<N>) -> &nalgebra::SVector<f64, N>| {
+        if !there {
+            notes.push(format!(
+                "{name}: no {what}, derived by central differences of the filtered motion"
+            ));
+            return MotionSource::Derived;
+        }
+        // Columns somebody mapped are measurements; the project's own may be set-points beside measured positions.
+        let apart = distance(&logged.motion(preview), base, of);
+        if reader.is_mapped() || apart <= trust {
+            return MotionSource::Logged;
+        }
+        notes.push(format!(
+            "{name}: logged {what} are {:.1} % of their RMS off the derivative of the positions, taken for set-points; derived instead",
+            100.0 * apart
+        ));
+        MotionSource::Derived
+    };
+    let velocity = source(
+        reader.has_velocity(),
+        "velocities",
+        VELOCITY_TRUST,
+        at(MotionSource::Logged, MotionSource::Derived),
+        &from_positions,
+        |state| &state.qd,
+    );
+    let from_velocities = at(velocity, MotionSource::Derived).motion(preview);
+    let acceleration = source(
+        reader.has_acceleration(),
+        "accelerations",
+        ACCELERATION_TRUST,
+        at(velocity, MotionSource::Logged),
+        &from_velocities,
+        |state| &state.qdd,
+    );
+    at(velocity, acceleration)
+}
+
+/// Reads the log to its end and sends it on in stretches with margins; returns what is to be said about gaps.
+fn cut_into_stretches<const N: usize>(
+    reader: &mut LogReader<N>,
+    preview: Vec<LogRow<N>>,
+    preparation: &Preparation,
+    path: &Path,
+    to_workers: &std::sync::mpsc::SyncSender<Stretch<N>>,
+) -> Result<Vec<String>, TableError> {
+    let mut notes = Vec::new();
+    let (margin, edge) = (preparation.margin(), preparation.edge());
+    let mut preview = preview.into_iter();
+    // Rows not yet sent with the margin before them; `begin` is where the unsent core starts.
+    let mut rows: Vec<LogRow<N>> = Vec::new();
+    let mut begin = edge;
+    let mut index = 0;
+    let mut send = |rows: Vec<LogRow<N>>, core: std::ops::Range<usize>| {
+        let stretch = Stretch { index, rows, core };
+        index += 1;
+        // The receiver is gone only when a worker has panicked, which the scope reports.
+        let _ = to_workers.send(stretch);
+    };
+    loop {
+        let row = match preview.next() {
+            Some(row) => Some(row),
+            None => reader.next_row()?,
+        };
+        let gap = match (&row, rows.last()) {
+            (Some(row), Some(last)) => {
+                let step = row.t_s - last.t_s;
+                let gap = step > GAP_PERIODS * preparation.period_s;
+                if gap {
+                    notes.push(format!(
+                        "{}:{}: column t_s: gap of {step:.4} s, more than {GAP_PERIODS} periods: split here",
+                        path.display(),
+                        row.line
+                    ));
+                }
+                gap
+            }
+            _ => false,
+        };
+        if gap || row.is_none() {
+            let end = rows.len().saturating_sub(edge);
+            if begin < end {
+                send(std::mem::take(&mut rows), begin..end);
+            }
+            rows.clear();
+            begin = edge;
+        } else if rows.len() >= begin + STRETCH + margin {
+            let end = begin + STRETCH;
+            let keep = end.saturating_sub(margin);
+            let rest = rows[keep..].to_vec();
+            send(std::mem::replace(&mut rows, rest), begin..end);
+            begin = end - keep;
+        }
+        match row {
+            Some(row) => rows.push(row),
+            None => return Ok(notes),
+        }
+    }
+}
+
+/// One row of the bounded sample.
+#[derive(Clone, Debug)]
+pub struct SampleRow<const N: usize> {
+    /// Motion.
+    pub state: State<N>,
+    /// Filtered torque, N·m.
+    pub tau: [f64; N],
+    /// Filtered torque without spikes, N·m.
+    pub clean: [f64; N],
+    /// Which joints move.
+    pub moving: [bool; N],
+    /// Active columns of all joints.
+    pub panel: Box<[f64]>,
+}
+
+/// Most rows of the sample.
+pub(super) const SAMPLE: usize = 60_000;
+
+/// What one pass over the training logs leaves: the sums of all rows, and an evenly thinned sample for methods that
+/// iterate over rows.
+#[derive(Clone, Debug)]
+pub struct Gathered<const N: usize> {
+    /// Sums over all moving rows.
+    pub sums: NormalEquations<N>,
+    /// The same over rows without spikes.
+    pub clean_sums: NormalEquations<N>,
+    /// Every `thinning`-th of the rows that went into the sums.
+    pub sample: Vec<SampleRow<N>>,
+    /// See `sample`.
+    pub thinning: usize,
+    /// Rows that went into the sums.
+    pub rows: usize,
+    /// Rows read, edges left out.
+    pub rows_read: usize,
+    /// Of these, those in which each joint stands still.
+    pub still: [usize; N],
+    /// Spikes found.
+    pub spikes: usize,
+}
+
+impl<const N: usize> Gathered<N> {
+    /// Nothing yet.
+    pub fn new(layout: &Layout<N>) -> Self {
+        Self {
+            sums: NormalEquations::new(layout),
+            clean_sums: NormalEquations::new(layout),
+            sample: Vec::new(),
+            thinning: 1,
+            rows: 0,
+            rows_read: 0,
+            still: [0; N],
+            spikes: 0,
+        }
+    }
+
+    /// Adds a stretch.
+    pub fn add(
+        &mut self,
+        layout: &Layout<N>,
+        config: &PrepareConfig,
+        preparation: &Preparation,
+        prepared: &Prepared<N>,
+    ) {
+        let stride = preparation.stride();
+        self.spikes += prepared.spikes;
+        self.rows_read += prepared.core.len();
+        for row in prepared.core.clone() {
+            for (still, qd) in self.still.iter_mut().zip(prepared.states[row].qd.iter()) {
+                *still += usize::from(qd.abs() <= config.still_rad_s);
+            }
+        }
+        let rows: Vec<usize> = prepared.core.clone().step_by(stride).collect();
+        for (joint, active) in layout.active.iter().enumerate() {
+            let (mut x, mut tau, mut clean) = (Vec::new(), Vec::new(), Vec::new());
+            for &row in &rows {
+                if prepared.states[row].qd[joint].abs() > config.still_rad_s {
+                    let start = row * layout.width + layout.offset[joint];
+                    x.extend_from_slice(&prepared.panel[start..start + active.len()]);
+                    tau.push(prepared.tau[row * N + joint]);
+                    clean.push(prepared.clean[row * N + joint]);
+                }
+            }
+            self.sums.joints[joint].add(&x, &tau);
+            self.clean_sums.joints[joint].add(&x, &clean);
+        }
+        for &row in &rows {
+            let state = prepared.states[row];
+            if self.rows.is_multiple_of(self.thinning) {
+                let values = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
+                self.sample.push(SampleRow {
+                    state,
+                    tau: values(&prepared.tau),
+                    clean: values(&prepared.clean),
+                    moving: std::array::from_fn(|joint| state.qd[joint].abs() > config.still_rad_s),
+                    panel: prepared.panel[row * layout.width..(row + 1) * layout.width].into(),
+                });
+            }
+            self.rows += 1;
+            if self.sample.len() > SAMPLE {
+                // Even thinning: the rows that stay are those a doubled stride would have taken.
+                let mut position = 0;
+                self.sample.retain(|_| {
+                    position += 1;
+                    position % 2 == 1
+                });
+                self.thinning *= 2;
+            }
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! How well a model says the torques of a log it has not seen.
+
+use super::columns::Layout;
+use super::normal::NormalEquations;
+use super::prepare::{Preparation, PrepareConfig, Prepared};
+use super::record::ValidationRecord;
+use crate::dynamics::State;
+use crate::training::BlackBox;
+use foretorque::feedforward::{JointNetwork, NETWORK_BOUND};
+use foretorque::learning::network_inputs;
+use nalgebra::{DMatrix, DVector};
+
+/// A model to be judged.
+#[derive(Clone, Debug)]
+pub enum Candidate<const N: usize> {
+    /// The linear model.
+    Linear(DVector<f64>),
+    /// The black-box network.
+    BlackBox(Box<BlackBox<N>>),
+    /// The linear model and the board's networks, in f32 and with the board's bound.
+    Residual {
+        /// Parameters of the linear part, zero for columns the board does not have.
+        theta: DVector<f64>,
+        /// One network a joint.
+        networks: Box<[JointNetwork; N]>,
+        /// Torque limit of every joint, N·m.
+        limits: [f64; N],
+    },
+}
+
+impl<const N: usize> Candidate<N> {
+    /// Parameters of its linear part.
+    pub fn theta(&self) -> Option<&DVector<f64>> {
+        match self {
+            Self::Linear(theta) | Self::Residual { theta, .. } => Some(theta),
+            Self::BlackBox(_) => None,
+        }
+    }
+
+    /// Torques its networks add at `state`, N·m; `None` when it has none.
+    pub fn network(&self, state: &State<N>) -> Option<[f64; N]> {
+        match self {
+            Self::Linear(_) => None,
+            Self::BlackBox(network) => Some(network.torque(state)),
+            Self::Residual {
+                networks, limits, ..
+            } => Some(std::array::from_fn(|joint| {
+                let inputs = network_inputs(state.qd[joint] as f32);
+                let [[output]] = networks[joint].forward(&inputs).data.0;
+                f64::from(output.clamp(-NETWORK_BOUND, NETWORK_BOUND)) * limits[joint]
+            })),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    moving: f64,
+    still: f64,
+}
+
+/// Scores of several candidates on one log.
+#[derive(Clone, Debug)]
+pub struct FileScores<const N: usize> {
+    errors: Vec<[Sums; N]>,
+    torque: [Sums; N],
+    count: [Sums; N],
+    range: [(f64, f64); N],
+    /// Sums over the moving rows, for bounds.
+    pub sums: NormalEquations<N>,
+    /// Time, measured and predicted torque of the first candidate, thinned, for the plot.
+    pub trace: Vec<(f64, [f64; N], [f64; N])>,
+}
+
+/// Points a trace keeps.
+const TRACE: usize = 1500;
+
+impl<const N: usize> FileScores<N> {
+    /// No rows yet.
+    pub fn new(layout: &Layout<N>, candidates: usize) -> Self {
+        let zero = [Sums::default(); N];
+        Self {
+            errors: vec![zero; candidates],
+            torque: zero,
+            count: zero,
+            range: [(f64::INFINITY, f64::NEG_INFINITY); N],
+            sums: NormalEquations::new(layout),
+            trace: Vec::new(),
+        }
+    }
+
+    /// Judges a stretch: model and measurement through the same filter, network output included.
+    pub fn add(
+        &mut self,
+        layout: &Layout<N>,
+        config: &PrepareConfig,
+        preparation: &Preparation,
+        prepared: &Prepared<N>,
+        candidates: &[&Candidate<N>],
+    ) {
+        let networks: Vec<Option<Vec<f64>>> = candidates
+            .iter()
+            .map(|candidate| {
+                let mut shares = Vec::with_capacity(prepared.tau.len());
+                for state in &prepared.states {
+                    shares.extend(candidate.network(state)?);
+                }
+                preparation.smooth_torque(&mut shares, N);
+                Some(shares)
+            })
+            .collect();
+        let stride = preparation.stride();
+        for (joint, active) in layout.active.iter().enumerate() {
+            let (mut x, mut tau) = (Vec::new(), Vec::new());
+            for row in prepared.core.clone() {
+                let measured = prepared.tau[row * N + joint];
+                let moving = prepared.states[row].qd[joint].abs() > config.still_rad_s;
+                let start = row * layout.width + layout.offset[joint];
+                let columns = &prepared.panel[start..start + active.len()];
+                let put = |sums: &mut Sums, value: f64| {
+                    if moving {
+                        sums.moving += value;
+                    } else {
+                        sums.still += value;
+                    }
+                };
+                for ((candidate, shares), errors) in
+                    candidates.iter().zip(&networks).zip(&mut self.errors)
+                {
+                    let linear = candidate.theta().map_or(0.0, |theta| {
+                        columns
+                            .iter()
+                            .zip(active)
+                            .map(|(x, &place)| x * theta[place])
+                            .sum()
+                    });
+                    let share = shares
+                        .as_ref()
+                        .map_or(0.0, |shares| shares[row * N + joint]);
+                    put(&mut errors[joint], (linear + share - measured).powi(2));
+                }
+                put(&mut self.torque[joint], measured * measured);
+                put(&mut self.count[joint], 1.0);
+                if moving {
+                    let (low, high) = self.range[joint];
+                    self.range[joint] = (low.min(measured), high.max(measured));
+                    if row % stride == 0 {
+                        x.extend_from_slice(columns);
+                        tau.push(measured);
+                    }
+                }
+            }
+            self.sums.joints[joint].add(&x, &tau);
+        }
+        if let Some(first) = candidates.first() {
+            for row in prepared.core.clone().step_by(stride) {
+                if self.trace.len() >= TRACE {
+                    break;
+                }
+                let at = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
+                let shares: [f64; N] = networks[0].as_deref().map_or([0.0; N], at);
+                let predicted = std::array::from_fn(|joint| {
+                    let start = row * layout.width + layout.offset[joint];
+                    let columns = &prepared.panel[start..];
+                    let active = &layout.active[joint];
+                    let linear: f64 = first.theta().map_or(0.0, |theta| {
+                        columns
+                            .iter()
+                            .zip(active)
+                            .map(|(x, &place)| x * theta[place])
+                            .sum()
+                    });
+                    linear + shares[joint]
+                });
+                self.trace
+                    .push((prepared.t_s[row], at(&prepared.tau), predicted));
+            }
+        }
+    }
+
+    /// The figures of one candidate.
+    pub fn record(&self, candidate: usize) -> ValidationRecord {
+        let errors = &self.errors[candidate];
+        let root = |sum: f64, count: f64| (count > 0.0).then(|| (sum / count).sqrt());
+        let joints = |value: &dyn Fn(usize) -> Option<f64>| (0..N).map(value).collect::<Vec<_>>();
+        let moving = |j: usize| root(errors[j].moving, self.count[j].moving);
+        let torque = |j: usize| root(self.torque[j].moving, self.count[j].moving);
+        let ratio = |j: usize| Some(moving(j)? / torque(j)?);
+        let ratios: Vec<f64> = (0..N).filter_map(ratio).collect();
+        let squares: f64 = ratios.iter().map(|ratio| ratio * ratio).sum();
+        ValidationRecord {
+            rmse_moving_nm: joints(&moving),
+            rmse_still_nm: joints(&|j| root(errors[j].still, self.count[j].still)),
+            rmse_all_nm: joints(&|j| {
+                root(
+                    errors[j].moving + errors[j].still,
+                    self.count[j].moving + self.count[j].still,
+                )
+            }),
+            nrmse_moving_ratio: joints(&ratio),
+            rmse_over_range_moving_ratio: joints(&|j| {
+                let (low, high) = self.range[j];
+                Some(moving(j)? / (high - low))
+            }),
+            torque_rms_moving_nm: joints(&torque),
+            joints_nrmse_moving_ratio: (squares / ratios.len().max(1) as f64).sqrt(),
+            rows_moving: (0..N).map(|j| self.count[j].moving as u64).collect(),
+            cramer_rao_nrmse_moving_ratio: None,
+            truth_nrmse_moving_ratio: None,
+        }
+    }
+
+    /// RMS over the joints of (RMS torque of parameters that are `covariance` uncertain / RMS torque): the error that the
+    /// noise of the training log alone makes on this log, a ratio.
+    pub fn propagated(&self, layout: &Layout<N>, covariance: &DMatrix<f64>) -> f64 {
+        self.over_joints(|joint| {
+            let active = &layout.active[joint];
+            let gram = &self.sums.joints[joint].gram;
+            let mut trace = 0.0;
+            for (a, &row) in active.iter().enumerate() {
+                for (b, &column) in active.iter().enumerate() {
+                    trace += gram[(a, b)] * covariance[(row, column)];
+                }
+            }
+            trace
+        })
+    }
+
+    /// The same for one known error of the parameters.
+    pub fn propagated_error(&self, layout: &Layout<N>, error: &DVector<f64>) -> f64 {
+        self.propagated(layout, &(error * error.transpose()))
+    }
+
+    fn over_joints(&self, square: impl Fn(usize) -> f64) -> f64 {
+        let ratios: Vec<f64> = (0..N)
+            .filter(|&joint| self.sums.joints[joint].power > 0.0)
+            .map(|joint| square(joint) / self.sums.joints[joint].power)
+            .collect();
+        (ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt()
+    }
+}

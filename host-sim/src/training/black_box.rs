@@ -1,0 +1,133 @@
+//! The black-box BP network: all positions, velocities and accelerations in, all torques out, 32 hidden units.
+
+use super::TrainingNetwork;
+use crate::dynamics::State;
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+/// Hidden units.
+const HIDDEN: usize = 32;
+/// Rows a step of the descent looks at.
+const BATCH: usize = 64;
+/// Rows it is trained on at most: more do not help it where it fails, on paths it has not seen.
+const ROWS: usize = 8000;
+/// Passes over the rows.
+const EPOCHS: usize = 80;
+/// Learning rate at first; it falls to a hundredth.
+const RATE: f64 = 3e-3;
+
+/// A trained black box with the scales of its inputs and outputs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BlackBox<const N: usize> {
+    network: TrainingNetwork,
+    centre: Vec<f64>,
+    spread: Vec<f64>,
+    torque_centre: [f64; N],
+    torque_spread: [f64; N],
+    /// RMSE of each epoch over the spread of the torques, a ratio.
+    pub losses: Vec<f64>,
+}
+
+impl<const N: usize> BlackBox<N> {
+    /// Trains on states and torques, N·m; a joint that stands still in a row is left out of that row's error.
+    ///
+    /// Gradient descent on batches with a rate of its own for every weight [Kingma and Ba 2015].
+    pub fn train(
+        rows: &[(State<N>, [f64; N], [bool; N])],
+        seed: u64,
+        watch: &mut dyn FnMut(usize, f64),
+    ) -> Self {
+        let stride = rows.len().div_ceil(ROWS).max(1);
+        let rows: Vec<_> = rows.iter().step_by(stride).collect();
+        let inputs: Vec<Vec<f64>> = rows.iter().map(|(state, _, _)| raw_inputs(state)).collect();
+        let (centre, spread): (Vec<f64>, Vec<f64>) = (0..3 * N)
+            .map(|i| moments(inputs.iter().map(|x| x[i])))
+            .unzip();
+        let torques: [(f64, f64); N] =
+            std::array::from_fn(|joint| moments(rows.iter().map(|(_, tau, _)| tau[joint])));
+        let mut out = Self {
+            network: TrainingNetwork::silent(3 * N, HIDDEN, N, seed),
+            centre,
+            spread,
+            torque_centre: torques.map(|(centre, _)| centre),
+            torque_spread: torques.map(|(_, spread)| spread),
+            losses: Vec::new(),
+        };
+        let inputs: Vec<Vec<f64>> = inputs.iter().map(|x| out.scaled(x)).collect();
+        let size = out.network.weights.len();
+        let (mut mean, mut square) = (vec![0.0; size], vec![0.0; size]);
+        let mut order: Vec<usize> = (0..rows.len()).collect();
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut step = 0;
+        for epoch in 0..EPOCHS {
+            order.shuffle(&mut random);
+            let rate = RATE * 0.01_f64.powf(epoch as f64 / EPOCHS as f64);
+            let (mut sum, mut count) = (0.0, 0.0);
+            for batch in order.chunks(BATCH) {
+                let mut gradient = vec![0.0; size];
+                for &row in batch {
+                    let (_, tau, moving) = rows[row];
+                    let (mut a, mut e) = ([0.0; HIDDEN], [0.0; N]);
+                    out.network.forward(&inputs[row], &mut a, &mut e);
+                    for joint in 0..N {
+                        let target =
+                            (tau[joint] - out.torque_centre[joint]) / out.torque_spread[joint];
+                        e[joint] = if moving[joint] {
+                            e[joint] - target
+                        } else {
+                            0.0
+                        };
+                        sum += e[joint] * e[joint];
+                        count += f64::from(u8::from(moving[joint]));
+                    }
+                    out.network.backward(&inputs[row], &a, &e, &mut gradient);
+                }
+                step += 1;
+                let (lean, drift) = (1.0 - 0.9_f64.powi(step), 1.0 - 0.999_f64.powi(step));
+                for (k, g) in gradient.iter().enumerate() {
+                    let g = g / batch.len() as f64;
+                    mean[k] += 0.1 * (g - mean[k]);
+                    square[k] += 0.001 * (g * g - square[k]);
+                    out.network.weights[k] -=
+                        rate * (mean[k] / lean) / ((square[k] / drift).sqrt() + 1e-8);
+                }
+            }
+            let loss = (sum / f64::max(count, 1.0)).sqrt();
+            out.losses.push(loss);
+            watch(epoch + 1, loss);
+        }
+        out
+    }
+
+    /// Torques at `state`, N·m.
+    pub fn torque(&self, state: &State<N>) -> [f64; N] {
+        let (mut a, mut y) = ([0.0; HIDDEN], [0.0; N]);
+        self.network
+            .forward(&self.scaled(&raw_inputs(state)), &mut a, &mut y);
+        std::array::from_fn(|joint| {
+            self.torque_centre[joint] + self.torque_spread[joint] * y[joint]
+        })
+    }
+
+    fn scaled(&self, x: &[f64]) -> Vec<f64> {
+        let scales = self.centre.iter().zip(&self.spread);
+        x.iter()
+            .zip(scales)
+            .map(|(x, (centre, spread))| (x - centre) / spread)
+            .collect()
+    }
+}
+
+fn raw_inputs<const N: usize>(state: &State<N>) -> Vec<f64> {
+    let parts = [&state.q, &state.qd, &state.qdd];
+    parts.iter().flat_map(|part| part.iter()).copied().collect()
+}
+
+/// Mean and standard deviation; the deviation of a constant is taken as one.
+fn moments(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
+    let count = values.clone().count().max(1) as f64;
+    let mean = values.clone().sum::<f64>() / count;
+    let spread = (values.map(|v| (v - mean).powi(2)).sum::<f64>() / count).sqrt();
+    (mean, if spread > 1e-12 { spread } else { 1.0 })
+}

@@ -1,0 +1,264 @@
+//! The BP network with physical weights: one linear layer fed with the regressor, whose trained weights are the
+//! parameters (eq. 16, 20, 21).
+//!
+//! Over a whole log the RMSE loss and its gradient are functions of `XᵀX`, `Xᵀτ` and `τᵀτ` alone:
+//!
+//! ```text
+//! J(w)² = (τᵀτ − 2 wᵀXᵀτ + wᵀXᵀX w) / n        ∇J = (XᵀX w − Xᵀτ) / (n J)
+//! ```
+//!
+//! so an epoch sees every row and costs the square of the number of weights. Columns are brought to unit RMS first:
+//! without that, gradient descent on SI columns does not arrive.
+
+use nalgebra::{DMatrix, DVector};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// How the gradient is followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Descent {
+    /// eq. 21 as it stands.
+    Plain,
+    /// Nesterov's momentum, taken back whenever the loss rises [O'Donoghue and Candès 2015].
+    Accelerated,
+}
+
+/// How the layer is trained.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhysicalConfig {
+    /// Seed of the random starts.
+    pub seed: u64,
+    /// Random starts; the one with the lowest loss counts.
+    pub starts: usize,
+    /// Most epochs of one start.
+    pub max_epochs: usize,
+    /// Training ends when the loss has fallen by less than this share over `patience` epochs.
+    pub tolerance: f64,
+    /// See `tolerance`.
+    pub patience: usize,
+    /// How the gradient is followed.
+    pub descent: Descent,
+}
+
+impl PhysicalConfig {
+    /// Three starts; enough epochs for each way to arrive.
+    pub fn new(descent: Descent, seed: u64) -> Self {
+        Self {
+            seed,
+            starts: 3,
+            max_epochs: match descent {
+                Descent::Plain => 20_000,
+                Descent::Accelerated => 2000,
+            },
+            tolerance: 1e-7,
+            patience: match descent {
+                Descent::Plain => 500,
+                Descent::Accelerated => 50,
+            },
+            descent,
+        }
+    }
+}
+
+/// The training problem: sums of rows that are already divided by each joint's noise.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinearLayer {
+    gram: DMatrix<f64>,
+    moment: DVector<f64>,
+    power: f64,
+    /// What turns a weight of the normalised layer into a parameter.
+    scale: DVector<f64>,
+    /// Learning rate over the loss: the reciprocal of the largest curvature of J²/2.
+    rate: f64,
+}
+
+/// A trained layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trained {
+    /// The parameters, SI.
+    pub theta: DVector<f64>,
+    /// Loss before each epoch, RMSE over noise, a ratio.
+    pub losses: Vec<f64>,
+    /// The start that won, from 0.
+    pub start: usize,
+}
+
+impl Trained {
+    /// Epochs until the loss was within `factor` of `reference`, if ever.
+    pub fn epochs_to(&self, factor: f64, reference: f64) -> Option<usize> {
+        self.losses
+            .iter()
+            .position(|&loss| loss <= factor * reference)
+    }
+}
+
+impl LinearLayer {
+    /// * `gram`, `moment`, `power` XᵀX, Xᵀτ and τᵀτ of `count` rows
+    pub fn new(gram: &DMatrix<f64>, moment: &DVector<f64>, power: f64, count: f64) -> Self {
+        let scale = gram.diagonal().map(|square| {
+            if square > 0.0 {
+                (count / square).sqrt()
+            } else {
+                0.0
+            }
+        });
+        let gram = DMatrix::from_fn(gram.nrows(), gram.ncols(), |r, c| {
+            gram[(r, c)] * scale[r] * scale[c] / count
+        });
+        let largest = gram.clone().symmetric_eigenvalues().max();
+        Self {
+            gram,
+            moment: moment.component_mul(&scale) / count,
+            power: power / count,
+            scale,
+            rate: 1.0 / largest.max(f64::MIN_POSITIVE),
+        }
+    }
+
+    /// Loss J (eq. 20) of normalised weights.
+    fn loss(&self, w: &DVector<f64>) -> f64 {
+        let square = self.power - 2.0 * self.moment.dot(w) + w.dot(&(&self.gram * w));
+        square.max(0.0).sqrt()
+    }
+
+    /// Loss of parameters.
+    pub fn loss_of(&self, theta: &DVector<f64>) -> f64 {
+        let w = theta.zip_map(
+            &self.scale,
+            |theta, scale| if scale > 0.0 { theta / scale } else { 0.0 },
+        );
+        self.loss(&w)
+    }
+
+    /// Gradient of J.
+    fn gradient(&self, w: &DVector<f64>, loss: f64) -> DVector<f64> {
+        (&self.gram * w - &self.moment) / loss.max(f64::MIN_POSITIVE)
+    }
+
+    /// Trains from random starts; `watch` sees epoch and loss.
+    ///
+    /// The rate α of eq. 21 is proportional to the loss: the curvature of J grows as 1/J, and a constant rate would
+    /// either crawl at first or swing at the end.
+    pub fn train(&self, config: &PhysicalConfig, watch: &mut dyn FnMut(usize, f64)) -> Trained {
+        let mut random = ChaCha8Rng::seed_from_u64(config.seed);
+        let mut best: Option<Trained> = None;
+        for start in 0..config.starts.max(1) {
+            let w = DVector::from_fn(self.moment.len(), |_, _| random.random_range(-1.0..=1.0));
+            let (w, losses) = self.descend(w, config, watch);
+            let loss = losses.last().copied().unwrap_or(f64::INFINITY);
+            let before = best.as_ref().and_then(|best| best.losses.last().copied());
+            if before.is_none_or(|before| loss < before) {
+                best = Some(Trained {
+                    theta: w.component_mul(&self.scale),
+                    losses,
+                    start,
+                });
+            }
+        }
+        best.unwrap_or_else(|| Trained {
+            theta: DVector::zeros(self.moment.len()),
+            losses: Vec::new(),
+            start: 0,
+        })
+    }
+
+    fn descend(
+        &self,
+        mut w: DVector<f64>,
+        config: &PhysicalConfig,
+        watch: &mut dyn FnMut(usize, f64),
+    ) -> (DVector<f64>, Vec<f64>) {
+        let mut losses = vec![self.loss(&w)];
+        let mut before = w.clone();
+        // Epochs since the momentum was last taken back.
+        let mut age = 0.0;
+        for epoch in 1..=config.max_epochs {
+            let momentum = match config.descent {
+                Descent::Plain => 0.0,
+                Descent::Accelerated => age / (age + 3.0),
+            };
+            let ahead = &w + (&w - &before) * momentum;
+            let loss = self.loss(&ahead);
+            let mut next = &ahead - self.gradient(&ahead, loss) * (self.rate * loss);
+            let mut now = self.loss(&next);
+            age += 1.0;
+            if now > losses[epoch - 1] && momentum > 0.0 {
+                age = 0.0;
+                next = &w - self.gradient(&w, losses[epoch - 1]) * (self.rate * losses[epoch - 1]);
+                now = self.loss(&next);
+            }
+            before = std::mem::replace(&mut w, next);
+            losses.push(now);
+            if epoch % 50 == 0 {
+                watch(epoch, now);
+            }
+            let past = epoch.checked_sub(config.patience).map(|past| losses[past]);
+            if past.is_some_and(|past| past - now <= config.tolerance * past) {
+                break;
+            }
+        }
+        (w, losses)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 400 rows of five columns of very different size, truth known.
+    fn problem() -> (LinearLayer, DVector<f64>) {
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let x = DMatrix::from_fn(400, 5, |_, c| {
+            10f64.powi(c as i32 - 2) * (random.random_range(-1.0..1.0) + 0.3)
+        });
+        let truth = DVector::from_row_slice(&[3.0, -2.0, 1.0, 0.5, -0.02]);
+        let tau = &x * &truth + DVector::from_fn(400, |_, _| random.random_range(-0.1..0.1));
+        let (gram, moment) = (x.tr_mul(&x), x.tr_mul(&tau));
+        let exact = gram.clone().cholesky().expect("definite").solve(&moment);
+        (
+            LinearLayer::new(&gram, &moment, tau.norm_squared(), 400.0),
+            exact,
+        )
+    }
+
+    #[test]
+    fn both_descents_arrive_at_the_least_squares_solution() {
+        let (layer, exact) = problem();
+        for descent in [Descent::Plain, Descent::Accelerated] {
+            let trained = layer.train(&PhysicalConfig::new(descent, 1), &mut |_, _| ());
+            let loss = trained.losses.last().expect("one epoch at least");
+            assert!(loss / layer.loss_of(&exact) < 1.0 + 1e-4);
+            assert!(
+                trained
+                    .losses
+                    .windows(2)
+                    .all(|pair| pair[1] <= pair[0] * (1.0 + 1e-9))
+            );
+        }
+    }
+
+    #[test]
+    fn the_same_seed_trains_the_same_weights() {
+        let (layer, _) = problem();
+        let train = |seed| {
+            layer.train(
+                &PhysicalConfig::new(Descent::Accelerated, seed),
+                &mut |_, _| (),
+            )
+        };
+        assert_eq!(train(4), train(4));
+        assert_ne!(train(4).losses[0], train(5).losses[0]);
+    }
+
+    #[test]
+    fn the_gradient_of_the_loss_is_its_slope() {
+        let (layer, _) = problem();
+        let w = DVector::from_element(5, 0.3);
+        let gradient = layer.gradient(&w, layer.loss(&w));
+        for c in 0..5 {
+            let step = DVector::from_fn(5, |r, _| if r == c { 1e-6 } else { 0.0 });
+            let slope = (layer.loss(&(&w + &step)) - layer.loss(&(&w - &step))) / 2e-6;
+            assert!((slope - gradient[c]).abs() < 1e-6);
+        }
+    }
+}

@@ -1,0 +1,293 @@
+//! The command `identify` as a user sees it: parameters back from a log, one line for what is wrong with one.
+
+use host_sim::dynamics::{Joints, ReferenceModel, State};
+use host_sim::robot::Robot;
+use host_sim::table::{TableWriter, joint_columns, state_columns};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+const N: usize = 6;
+const PERIOD_S: f64 = 0.005;
+
+struct Directory(PathBuf);
+
+impl Directory {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
+        fs::create_dir_all(&path).expect("creates");
+        Self(path)
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A motion of all joints but `still`, with three tones each.
+fn motion(t_s: f64, phase: f64, still: Option<usize>) -> State<N> {
+    let zero = Joints::zeros();
+    let mut state = State {
+        q: zero,
+        qd: zero,
+        qdd: zero,
+    };
+    for joint in (0..N).filter(|joint| Some(*joint) != still) {
+        for tone in 1..=3 {
+            let w = 0.9 * f64::from(tone) + 0.13 * joint as f64;
+            let a = w * t_s + phase + joint as f64 * f64::from(tone);
+            state.q[joint] += 0.5 / f64::from(tone) * a.sin();
+            state.qd[joint] += 0.5 / f64::from(tone) * w * a.cos();
+            state.qdd[joint] -= 0.5 / f64::from(tone) * w * w * a.sin();
+        }
+    }
+    state
+}
+
+/// A log of `rows` rows of the robot of the description with viscous and Coulomb friction.
+fn log(path: &Path, rows: usize, phase: f64, still: Option<usize>, noise: f64) {
+    let robot = Robot::load("ur5").expect("built in");
+    let model = ReferenceModel::<N>::new(&robot).expect("six joints");
+    let mut header = vec!["t_s".to_owned()];
+    header.extend(state_columns(N));
+    header.extend(joint_columns("tau", "nm", N));
+    let mut table = TableWriter::create(path, &header).expect("creates");
+    for row in 0..rows {
+        let t_s = row as f64 * PERIOD_S;
+        let state = motion(t_s, phase, still);
+        let mut tau = model.inverse_dynamics(&state);
+        for (joint, tau) in tau.iter_mut().enumerate() {
+            let friction = &robot.joints[joint].friction;
+            let qd = state.qd[joint];
+            *tau += friction.viscous * qd + friction.coulomb * (qd / 0.02).tanh();
+            // Deterministic, far above the bandwidth of the motion.
+            *tau += noise * ((row * (7 + joint)) as f64 * 1.7).sin();
+        }
+        let parts = [&state.q, &state.qd, &state.qdd, &tau];
+        let values = parts.iter().flat_map(|part| part.iter().copied());
+        table
+            .row(std::iter::once(t_s).chain(values))
+            .expect("writes");
+    }
+    table.finish().expect("finishes");
+}
+
+fn identify(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .args(["identify", "--robot", "ur5"])
+        .args(arguments)
+        .output()
+        .expect("runs")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a plain path")
+}
+
+#[test]
+fn parameters_come_back_from_a_log_and_the_bank_loads() {
+    let here = Directory::new("identify-round");
+    let (train, unseen, out) = (
+        here.file("train.csv.gz"),
+        here.file("unseen.csv"),
+        here.file("out"),
+    );
+    log(&train, 6000, 0.0, None, 0.3);
+    log(&unseen, 2000, 1.1, None, 0.0);
+    let done = identify(&[
+        "--log",
+        text(&train),
+        "--validate",
+        text(&unseen),
+        "--out",
+        text(&out),
+        "--truth",
+        "ur5",
+    ]);
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
+    let report = fs::read_to_string(out.join("report.json")).expect("written");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    assert_eq!(report["rank"], 52);
+    for method in ["ols", "wls", "irls", "bp_physical", "bp_residual"] {
+        let record = &report["methods"][method];
+        let error = record["validation"]["unseen.csv"]["joints_nrmse_moving_ratio"].as_f64();
+        assert!(error.expect(method) < 0.01, "{method}: {error:?}");
+        let parameters = record["parameters"].as_array().expect("a list");
+        assert_eq!(parameters.len(), 52, "{method}");
+        let coulomb = parameters
+            .iter()
+            .find(|p| p["name"] == "Fc1")
+            .expect("has it");
+        assert!((coulomb["value"].as_f64().expect("a number") - 7.0).abs() < 0.1);
+    }
+    let epochs = report["methods"]["bp_physical"]["epochs_to_1_05_wls"][0].as_u64();
+    assert!(epochs.expect("reached") > 1);
+    let tau = here.file("tau.csv");
+    let played = Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .args([
+            "torque",
+            "--robot",
+            "ur5",
+            "--in",
+            text(&unseen),
+            "--out",
+            text(&tau),
+        ])
+        .args(["--bank", text(&out.join("parameters.bank"))])
+        .output()
+        .expect("runs");
+    assert!(
+        played.status.success(),
+        "{}",
+        String::from_utf8_lossy(&played.stderr)
+    );
+    // The board's own torque of the bank, first joint, against the log.
+    let column = |path: &Path, index: usize| -> Vec<f64> {
+        let text = fs::read_to_string(path).expect("reads");
+        let rows = text.lines().skip(1);
+        rows.map(|row| {
+            row.split(',')
+                .nth(index)
+                .expect("has it")
+                .parse()
+                .expect("a number")
+        })
+        .collect()
+    };
+    let (wanted, found) = (column(&unseen, 19), column(&tau, 1));
+    let error: f64 = wanted
+        .iter()
+        .zip(&found)
+        .map(|(a, b)| (a - b).powi(2))
+        .sum();
+    let power: f64 = wanted.iter().map(|a| a * a).sum();
+    assert!((error / power).sqrt() < 0.02);
+}
+
+#[test]
+fn what_is_wrong_with_a_log_is_said_in_one_line() {
+    let here = Directory::new("identify-wrong");
+    let (good, bad, out) = (
+        here.file("good.csv"),
+        here.file("bad.csv"),
+        here.file("out"),
+    );
+    log(&good, 2000, 0.0, None, 0.1);
+    let text_of_good = fs::read_to_string(&good).expect("reads");
+    let lines: Vec<&str> = text_of_good.lines().collect();
+    let with_line = |number: usize, replacement: String| {
+        let mut lines: Vec<String> = lines.iter().map(|line| (*line).to_owned()).collect();
+        lines[number - 1] = replacement;
+        lines.join("\n")
+    };
+    let fields: Vec<&str> = lines[9].split(',').collect();
+    let cases = [
+        (
+            with_line(1, lines[0].replace("tau3_nm", "x")),
+            "bad.csv:1: column tau3_nm is missing",
+        ),
+        (
+            with_line(1, lines[0].replace("tau6_nm", "q7_rad")),
+            "bad.csv:1: column q7_rad is one too many",
+        ),
+        (
+            with_line(10, fields[1..].join(",")),
+            "bad.csv:10: 24 fields where the header has 25",
+        ),
+        (
+            with_line(10, lines[9].replace(fields[4], "NaN")),
+            "bad.csv:10: column q4_rad: \"NaN\" is not a finite number",
+        ),
+        (
+            with_line(10, lines[8].to_owned()),
+            "bad.csv:10: column t_s: 0.035 does not come after 0.035",
+        ),
+    ];
+    for (content, expected) in cases {
+        fs::write(&bad, content).expect("writes");
+        let done = identify(&["--log", text(&bad), "--out", text(&out)]);
+        let message = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(!done.status.success(), "{expected}");
+        assert!(message.contains(expected), "{message}");
+        assert_eq!(message.lines().count(), 1, "{message}");
+    }
+    for (wrong, expected) in [
+        (["--methods", "olz"], "unknown method 'olz'"),
+        (["--methods", "consistent"], "not part of this build"),
+        (["--columns", "friction"], "unknown column set 'friction'"),
+    ] {
+        let done = identify(&[
+            "--log",
+            text(&good),
+            "--out",
+            text(&out),
+            wrong[0],
+            wrong[1],
+        ]);
+        assert!(!done.status.success());
+        assert!(String::from_utf8_lossy(&done.stderr).contains(expected));
+    }
+}
+
+#[test]
+fn a_joint_that_stands_still_is_named_by_its_unseen_parameters() {
+    let here = Directory::new("identify-still");
+    let (path, out) = (here.file("still.csv"), here.file("out"));
+    log(&path, 2000, 0.0, Some(5), 0.1);
+    let done = identify(&["--log", text(&path), "--out", text(&out)]);
+    let message = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(!done.status.success());
+    for name in ["rank deficient", "Ia6", "Fv6", "Fc6"] {
+        assert!(message.contains(name), "{message}");
+    }
+    assert!(!message.contains("Fv1"), "{message}");
+}
+
+#[test]
+fn a_gap_splits_the_log_and_the_reader_is_told() {
+    let here = Directory::new("identify-gap");
+    let (whole, cut, out) = (
+        here.file("whole.csv"),
+        here.file("cut.csv"),
+        here.file("out"),
+    );
+    log(&whole, 4000, 0.0, None, 0.1);
+    let content = fs::read_to_string(&whole).expect("reads");
+    let kept = content
+        .lines()
+        .enumerate()
+        .filter(|(row, _)| !(1500..1600).contains(row));
+    let kept: Vec<&str> = kept.map(|(_, line)| line).collect();
+    fs::write(&cut, kept.join("\n")).expect("writes");
+    let done = identify(&[
+        "--log",
+        text(&cut),
+        "--validate",
+        text(&whole),
+        "--out",
+        text(&out),
+        "--methods",
+        "wls",
+    ]);
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
+    assert!(String::from_utf8_lossy(&done.stdout).contains("cut.csv:1501: column t_s: gap of 0.5"));
+    let report = fs::read_to_string(out.join("report.json")).expect("written");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let error = &report["methods"]["wls"]["validation"]["whole.csv"]["joints_nrmse_moving_ratio"];
+    // The noise of the whole log itself is 1 % of the wrists' torque; a derivative across the gap would be far worse.
+    assert!(error.as_f64().expect("a number") < 0.02, "{error}");
+}
