@@ -28,10 +28,10 @@ pub(super) struct Arguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Starts of the search
-    #[arg(long, default_value_t = 8)]
+    #[arg(long, default_value_t = 24)]
     starts: usize,
-    /// Most iterations of each of the five rounds of a start
-    #[arg(long, default_value_t = 60)]
+    /// Most iterations of a round for the best quarter of the starts
+    #[arg(long, default_value_t = 240)]
     iterations: usize,
     /// Period of the fundamental, s
     #[arg(long, default_value_t = 10.0)]

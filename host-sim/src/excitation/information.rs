@@ -28,9 +28,9 @@ pub(super) const SAMPLES: f64 = 10_000.0;
 pub(super) const MOVING_RAD_S: f64 = 0.05;
 /// Width of the Coulomb columns' sign, rad/s, as in the firmware.
 pub(super) const SIGN_WIDTH_RAD_S: f64 = 0.02;
-/// Exponent of the smooth stand-in for the largest and smallest eigenvalue: an upper bound of κ, 36^(1/16) = 1.25 at worst
-/// in κ² and a few per cent where eigenvalues are spread.
-const EXPONENT: f64 = 16.0;
+/// Exponent of the smooth stand-in for the largest and smallest eigenvalue: an upper bound of κ, 36^(1/32) = 1.12 at worst
+/// in κ, and a per cent where eigenvalues are spread.
+const EXPONENT: f64 = 32.0;
 
 /// The motion whose torque is to be predicted: quintics through random via points.
 const TASK_PATHS: u64 = 4;

@@ -12,6 +12,7 @@
 
 mod certificate;
 mod clearance;
+mod descent;
 mod error;
 mod information;
 mod objective;

@@ -2,6 +2,7 @@
 
 use super::certificate::{Certificate, Provenance, certify};
 use super::clearance::Clearances;
+use super::descent::descend;
 use super::information::{Criterion, Experiment};
 use super::objective::{INSTANTS, Objective, Pressure};
 use super::rows::{Frames, Rows};
@@ -10,32 +11,32 @@ use super::variables::{Bases, VARIABLES};
 use super::{Excitation, ExcitationError, JointSeries, ORDER};
 use crate::dynamics::Joints;
 use crate::robot::Robot;
-use argmin::core::{CostFunction, Error, Executor, Gradient};
-use argmin::solver::linesearch::MoreThuenteLineSearch;
-use argmin::solver::quasinewton::LBFGS;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::cell::RefCell;
 use std::f64::consts::{PI, TAU};
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 
 /// Share of the limits that a search uses: what lies between its instants takes 0.2 %.
-const LIMIT_SHARE: f64 = 0.99;
+const LIMIT_SHARE: f64 = 0.995;
 /// Share of the condition number's limit that a search uses.
-const CONDITION_SHARE: f64 = 0.99;
+const CONDITION_SHARE: f64 = 0.998;
 /// Room for what lies between the points of the certificate: half its step at most, s.
 const HALF_STEP_S: f64 = 0.5e-3;
-/// Weights of the penalties, one round of the search each. With the last, a limit that binds on one instant in fifty is
-/// exceeded by about 0.3 %.
-const WEIGHTS: [f64; 5] = [3.0, 30.0, 300.0, 3e3, 3e4];
+/// Weights of the penalties in the rounds that every start runs.
+const HEAT_WEIGHTS: [f64; 3] = [3.0, 30.0, 300.0];
+/// A round of those takes this fraction of the iterations.
+const HEAT_SHARE: usize = 8;
+/// One in so many starts goes on.
+const FINALIST_EVERY: usize = 4;
+/// Weights in the rounds of those that do. With the last, a limit that binds on one instant in fifty is exceeded by about
+/// 0.3 %.
+const FINAL_WEIGHTS: [f64; 2] = [3e3, 3e4];
 /// Rounds that press harder when the certificate finds a limit missed.
 const REPAIRS: usize = 4;
 /// Random candidates looked at for each start.
-const POOL: usize = 24;
-/// Pairs that the quasi-Newton method remembers.
-const MEMORY: usize = 20;
+const POOL: usize = 8;
 
 /// What a search needs to know.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,7 +51,7 @@ pub struct SearchConfig {
     pub seed: u64,
     /// Starts.
     pub starts: usize,
-    /// Most iterations of each of the five rounds of a start.
+    /// Most iterations of a round for the finalists, one start in four; the rounds before are shorter.
     pub iterations: usize,
     /// Range of every joint around zero, rad, on top of the robot's own.
     pub range_rad: f64,
@@ -65,8 +66,8 @@ impl Default for SearchConfig {
             criterion: Criterion::Constrained,
             condition_limit: 60.0,
             seed: 1,
-            starts: 8,
-            iterations: 60,
+            starts: 24,
+            iterations: 240,
             range_rad: PI,
             threads: None,
         }
@@ -86,51 +87,27 @@ pub fn optimise<const N: usize>(
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Excitation, ExcitationError> {
     let search = Search::<N>::new(robot, config)?;
+    let threads = config
+        .threads
+        .or_else(|| std::thread::available_parallelism().ok())
+        .map_or(1, NonZeroUsize::get);
     let starts = match given {
         Some(excitation) => vec![search.variables(excitation)],
         None => search.starts()?,
     };
-    let rounds = starts.len() * WEIGHTS.len();
-    let next = AtomicUsize::new(0);
-    let (sender, receiver) = mpsc::channel();
-    let threads = config
-        .threads
-        .or_else(|| std::thread::available_parallelism().ok())
-        .map_or(1, NonZeroUsize::get)
-        .min(starts.len());
-    let mut results: Vec<Option<Result<Excitation, ExcitationError>>> = vec![None; starts.len()];
-    progress(0, rounds);
-    std::thread::scope(|scope| {
-        for _ in 0..threads {
-            let (sender, next, search, starts) = (sender.clone(), &next, &search, &starts);
-            scope.spawn(move || {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(start) = starts.get(index) else {
-                        return;
-                    };
-                    let round_done = || {
-                        // Nobody listens any more only when the caller is gone.
-                        let _ = sender.send((index, None));
-                    };
-                    let result = search.run(start, round_done);
-                    let _ = sender.send((index, Some(result)));
-                }
-            });
-        }
-        drop(sender);
-        let mut done = 0;
-        for (index, result) in receiver {
-            match result {
-                Some(result) => results[index] = Some(result),
-                None => {
-                    done += 1;
-                    progress(done, rounds);
-                }
-            }
-        }
-    });
-    let mut results: Vec<_> = results.into_iter().flatten().collect();
+    let finalists = starts.len().div_ceil(FINALIST_EVERY);
+    let all = starts.len() + finalists;
+    let mut done = 0;
+    progress(done, all);
+    let mut count = || {
+        done += 1;
+        progress(done, all);
+    };
+    let mut heats = in_parallel(threads, &starts, |start| search.heat(start), &mut count);
+    // Stable: equal values keep the order of their starts.
+    heats.sort_by(|a, b| a.0.total_cmp(&b.0));
+    heats.truncate(finalists);
+    let mut results = in_parallel(threads, &heats, |heat| search.finish(&heat.1), &mut count);
     if let Some(excitation) = given {
         let kept = Excitation {
             seed: config.seed,
@@ -140,6 +117,39 @@ pub fn optimise<const N: usize>(
         results.insert(0, search.certified(kept));
     }
     search.best(results)
+}
+
+/// `work` on every item, in the order of the items whatever thread does which; `done` is called after each, here.
+fn in_parallel<T: Sync, R: Send>(
+    threads: usize,
+    items: &[T],
+    work: impl Fn(&T) -> R + Sync,
+    mut done: impl FnMut(),
+) -> Vec<R> {
+    let next = AtomicUsize::new(0);
+    let (sender, receiver) = mpsc::channel();
+    let mut results: Vec<Option<R>> = items.iter().map(|_| None).collect();
+    std::thread::scope(|scope| {
+        for _ in 0..threads.min(items.len()) {
+            let (sender, next, work) = (sender.clone(), &next, &work);
+            scope.spawn(move || {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(item) = items.get(index) else {
+                        return;
+                    };
+                    // Nobody listens any more only when the caller is gone.
+                    let _ = sender.send((index, work(item)));
+                }
+            });
+        }
+        drop(sender);
+        for (index, result) in receiver {
+            results[index] = Some(result);
+            done();
+        }
+    });
+    results.into_iter().flatten().collect()
 }
 
 /// One robot and one task, ready for any number of starts.
@@ -201,7 +211,7 @@ impl<'a, const N: usize> Search<'a, N> {
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
     fn starts(&self) -> Result<Vec<Vec<f64>>, ExcitationError> {
         let omega = TAU / self.config.period_s;
-        let pressure = self.pressure(WEIGHTS[0], 0.0);
+        let pressure = self.pressure(HEAT_WEIGHTS[0], 0.0);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
             .map(|stream| {
                 let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
@@ -239,41 +249,42 @@ impl<'a, const N: usize> Search<'a, N> {
         }
     }
 
-    /// One start, to its certificate; pressed harder while a limit is missed.
-    fn run(&self, start: &[f64], round_done: impl Fn()) -> Result<Excitation, ExcitationError> {
+    /// The first, soft rounds of a start: its value afterwards, and where it got to.
+    fn heat(&self, start: &[f64]) -> (f64, Vec<f64>) {
         let mut variables = start.to_vec();
-        for weight in WEIGHTS {
-            variables = self.descend(variables, &self.pressure(weight, 0.0));
-            round_done();
+        for weight in HEAT_WEIGHTS {
+            let iterations = self.config.iterations.div_ceil(HEAT_SHARE);
+            variables = self.descend(variables, &self.pressure(weight, 0.0), iterations);
+        }
+        let last = self.pressure(HEAT_WEIGHTS[HEAT_WEIGHTS.len() - 1], 0.0);
+        (self.objective.value(&variables, &last, None), variables)
+    }
+
+    /// The last, hard rounds, to the certificate; pressed harder while a limit is missed.
+    fn finish(&self, heat: &[f64]) -> Result<Excitation, ExcitationError> {
+        let mut variables = heat.to_vec();
+        for weight in FINAL_WEIGHTS {
+            variables = self.descend(
+                variables,
+                &self.pressure(weight, 0.0),
+                self.config.iterations,
+            );
         }
         let mut excitation = self.certified(self.fitted(&variables))?;
-        let last = WEIGHTS[WEIGHTS.len() - 1];
+        let last = FINAL_WEIGHTS[FINAL_WEIGHTS.len() - 1];
         for repair in 1..=REPAIRS {
             if holds(&excitation) {
                 break;
             }
             let pressure = self.pressure(last * 4.0_f64.powi(repair as i32), 0.001 * repair as f64);
-            variables = self.descend(variables, &pressure);
+            variables = self.descend(variables, &pressure, self.config.iterations);
             excitation = self.certified(self.fitted(&variables))?;
         }
         Ok(excitation)
     }
 
-    fn descend(&self, variables: Vec<f64>, pressure: &Pressure) -> Vec<f64> {
-        let problem = Problem {
-            objective: &self.objective,
-            pressure,
-            last: RefCell::new(None),
-            best: RefCell::new((f64::INFINITY, variables.clone())),
-        };
-        let solver = LBFGS::new(MoreThuenteLineSearch::new(), MEMORY);
-        let iterations = self.config.iterations as u64;
-        // A line search that finds no better point ends a round early; the best point seen counts either way.
-        let _ = Executor::new(&problem, solver)
-            .configure(|state| state.param(variables).max_iters(iterations))
-            .timer(false)
-            .run();
-        problem.best.into_inner().1
+    fn descend(&self, variables: Vec<f64>, pressure: &Pressure, iterations: usize) -> Vec<f64> {
+        descend(&self.objective, pressure, variables, iterations)
     }
 
     /// The variables as a trajectory, what exceeds the joints' limits between the instants taken back.
@@ -362,52 +373,48 @@ fn holds(excitation: &Excitation) -> bool {
     certificate.is_some_and(|certificate| certificate.holds)
 }
 
-/// Variables, value and gradient of one look at the objective.
-type Evaluation = (Vec<f64>, f64, Vec<f64>);
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// The objective as the solver sees it. Value and gradient come from one evaluation, asked for one after the other.
-struct Problem<'a, const N: usize> {
-    objective: &'a Objective<N>,
-    pressure: &'a Pressure,
-    last: RefCell<Option<Evaluation>>,
-    best: RefCell<(f64, Vec<f64>)>,
-}
-
-impl<const N: usize> Problem<'_, N> {
-    fn evaluated<T>(&self, variables: &[f64], pick: impl Fn(f64, &[f64]) -> T) -> T {
-        if let Some((known, value, gradient)) = &*self.last.borrow()
-            && known == variables
-        {
-            return pick(*value, gradient);
+    #[test]
+    fn the_gradient_agrees_with_central_differences() {
+        let robot = Robot::load("ur5").expect("built in");
+        for criterion in [
+            Criterion::Condition,
+            Criterion::DOptimal,
+            Criterion::VOptimal,
+            Criterion::Constrained,
+        ] {
+            let config = SearchConfig {
+                criterion,
+                starts: 1,
+                ..SearchConfig::default()
+            };
+            let search = Search::<6>::new(&robot, &config).expect("six joints");
+            let start = search.starts().expect("feasible").remove(0);
+            // Beyond the limits, so that every penalty takes part.
+            let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
+            let pressure = search.pressure(10.0, 0.0);
+            let mut gradient = vec![0.0; start.len()];
+            search
+                .objective
+                .value(&start, &pressure, Some(&mut gradient));
+            let size = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+            for v in 0..start.len() {
+                let h = 1e-5;
+                let at = |step: f64| {
+                    let mut moved = start.clone();
+                    moved[v] += step;
+                    search.objective.value(&moved, &pressure, None)
+                };
+                let expected = (at(h) - at(-h)) / (2.0 * h);
+                assert!(
+                    (gradient[v] - expected).abs() < 1e-4 * size,
+                    "{criterion:?}, variable {v}: {} {expected}",
+                    gradient[v]
+                );
+            }
         }
-        let mut gradient = vec![0.0; variables.len()];
-        let value = self
-            .objective
-            .value(variables, self.pressure, Some(&mut gradient));
-        let picked = pick(value, &gradient);
-        let mut best = self.best.borrow_mut();
-        if value < best.0 {
-            *best = (value, variables.to_vec());
-        }
-        *self.last.borrow_mut() = Some((variables.to_vec(), value, gradient));
-        picked
-    }
-}
-
-impl<const N: usize> CostFunction for &Problem<'_, N> {
-    type Param = Vec<f64>;
-    type Output = f64;
-
-    fn cost(&self, variables: &Vec<f64>) -> Result<f64, Error> {
-        Ok(self.evaluated(variables, |value, _| value))
-    }
-}
-
-impl<const N: usize> Gradient for &Problem<'_, N> {
-    type Param = Vec<f64>;
-    type Gradient = Vec<f64>;
-
-    fn gradient(&self, variables: &Vec<f64>) -> Result<Vec<f64>, Error> {
-        Ok(self.evaluated(variables, |_, gradient| gradient.to_vec()))
     }
 }
