@@ -22,6 +22,18 @@ pub struct FrictionParameters {
     pub coulomb: f32,
 }
 
+impl FrictionParameters {
+    /// The parameters in the order of [`friction_row`].
+    pub const fn columns(self) -> [f32; FRICTION_COLUMNS] {
+        [self.viscous, self.coulomb]
+    }
+
+    /// Parameters from the order of [`friction_row`].
+    pub const fn from_columns([viscous, coulomb]: [f32; FRICTION_COLUMNS]) -> Self {
+        Self { viscous, coulomb }
+    }
+}
+
 /// The friction columns of one joint at velocity `qd`, rad/s: viscous `qd`, Coulomb `tanh(qd / 0.02)`.
 ///
 /// Cost: one [`tanh`], one multiplication.

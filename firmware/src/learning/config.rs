@@ -27,11 +27,14 @@ impl core::error::Error for ConfigError {}
 pub struct LearnerConfig<const N: usize, const P: usize> {
     /// Ticks per second, 1/s.
     pub inv_period: f32,
-    /// Step of the linear parameters, as a fraction of the step that would cancel the residual of the row.
-    pub rate: f32,
-    /// Standard deviation of the torque measurement, in units of the torque limit: rows that excite less than this
-    /// move nothing.
+    /// Standard deviation of the torque measurement that is expected at first, in units of the torque limit.
     pub noise: f32,
+    /// Innovations beyond this many standard deviations act as if they had this many.
+    pub outlier_sigmas: f32,
+    /// What a row of a joint adds to the variance of its friction, in units of the prior's.
+    pub process_noise: f32,
+    /// Largest change of any joint's torque that a newly published set may make, in units of the torque limit.
+    pub torque_step: f32,
     /// Prior standard deviations of the base parameters, in their units.
     pub rigid_sigma: [f32; P],
     /// Prior standard deviations of the friction parameters.
@@ -42,8 +45,6 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub velocity_gate: f32,
     /// Rows in which any joint seems to accelerate faster are refused, rad/s²: the encoder is at fault, not the model.
     pub acceleration_limit: f32,
-    /// Bound of the residual that a row may act with, in units of the torque limit.
-    pub residual_clip: f32,
     /// Step of the networks; errors in units of the torque limit.
     pub network: StepParameters,
 }
@@ -65,14 +66,15 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     pub const fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
         Self {
             inv_period: 1.0 / period_s,
-            rate: 0.02,
             noise: 0.01,
+            outlier_sigmas: 3.0,
+            process_noise: 5e-7,
+            torque_step: 0.005,
             rigid_sigma: rigid_sigma::<A, N, P>(),
             friction_sigma: friction_sigma::<A, N, P>(),
             box_sigmas: 4.0,
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
-            residual_clip: 0.1,
             network: StepParameters {
                 learning_rate: 0.003,
                 error_clip: 0.03,
@@ -88,7 +90,9 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("box_sigmas", self.box_sigmas),
             ("velocity_gate", self.velocity_gate),
             ("acceleration_limit", self.acceleration_limit),
-            ("residual_clip", self.residual_clip),
+            ("outlier_sigmas", self.outlier_sigmas),
+            ("process_noise", self.process_noise),
+            ("torque_step", self.torque_step),
             ("network.error_clip", self.network.error_clip),
         ];
         let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
@@ -107,13 +111,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
                 return Err(ConfigError::NotPositive(field));
             }
         }
-        for (field, rate) in [
-            ("rate", self.rate),
-            ("network.learning_rate", self.network.learning_rate),
-        ] {
-            if !(0.0..1.0).contains(&rate) {
-                return Err(ConfigError::RateOutOfRange(field));
-            }
+        if !(0.0..1.0).contains(&self.network.learning_rate) {
+            return Err(ConfigError::RateOutOfRange("network.learning_rate"));
         }
         Ok(())
     }
