@@ -122,6 +122,7 @@ fn wrong_prior(seed: u64) -> Set {
     set.friction = core::array::from_fn(|j| FrictionParameters {
         viscous: (0.6 * VISCOUS[j]) as f32,
         coulomb: (0.6 * COULOMB[j]) as f32,
+        ..FrictionParameters::NONE
     });
     set
 }
@@ -247,6 +248,9 @@ fn curve(prior: Set, stribeck: f64, seconds: u32) -> Vec<f64> {
         if tick % 1000 == 999 {
             let (error, joints) = nrmse(board.active(), &unseen, stribeck);
             if [1, 2, 3, 4, 5, 10, 20, 30].contains(&curve.len()) {
+                let mut bare = *board.active();
+                bare.network = prior.network;
+                println!("  bare {:.4} R {:.2?}", nrmse(&bare, &unseen, stribeck).0, board.learner.state().estimate.variance());
                 println!("after {:2} s: {error:.4}, joints {joints:.4?}", curve.len());
             }
             curve.push(error);

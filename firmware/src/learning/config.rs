@@ -53,7 +53,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
     /// numbers of its own: an inertial parameter of link `j` is uncertain by 30 % of its nominal value plus what 2 %
     /// of the joint's torque limit would hold up against gravity (first moments) or accelerate at 10 rad/s²
-    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 2 % of the limit.
+    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 2 % of the
+    /// limit, each Stribeck peak by 1 %.
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -96,16 +97,12 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("network.error_clip", self.network.error_clip),
         ];
         let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
-        let friction = self.friction_sigma.iter();
-        let viscous = friction
-            .clone()
-            .map(|s| ("friction_sigma.viscous", s.viscous));
-        let coulomb = friction.map(|s| ("friction_sigma.coulomb", s.coulomb));
+        let friction = self.friction_sigma.iter().flat_map(|s| s.columns());
+        let friction = friction.map(|s| ("friction_sigma", s));
         for (field, value) in positive
             .into_iter()
             .chain(rigid)
-            .chain(viscous)
-            .chain(coulomb)
+            .chain(friction)
         {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(ConfigError::NotPositive(field));
@@ -162,15 +159,14 @@ const fn rigid_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P]
 }
 
 const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [FrictionParameters; N] {
-    let mut sigma = [FrictionParameters {
-        viscous: 0.0,
-        coulomb: 0.0,
-    }; N];
+    let mut sigma = [FrictionParameters::NONE; N];
     let mut joint = 0;
     while joint < N {
         let limits = A::LIMITS[joint];
         sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
         sigma[joint].coulomb = 0.02 * limits.torque;
+        sigma[joint].stribeck_narrow = 0.01 * limits.torque;
+        sigma[joint].stribeck_wide = 0.01 * limits.torque;
         joint += 1;
     }
     sigma

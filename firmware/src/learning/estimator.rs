@@ -4,7 +4,7 @@ use super::parameters::ParameterSet;
 use super::stacked::Stacked;
 use super::ud::{UdFilter, dot};
 use crate::arm::Arm;
-use crate::dynamics::{friction_row, regressor_row};
+use crate::dynamics::{FrictionParameters, friction_row, regressor_row};
 use crate::limits::cut;
 use crate::math::sqrt;
 
@@ -145,9 +145,10 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
             *theta = if outside { prior + bounded } else { moved };
         }
-        for coefficient in self.parameters.friction.as_flattened_mut() {
-            // Not `max`: a not-a-number must not pass for friction.
-            *coefficient = if *coefficient > 0.0 { *coefficient } else { 0.0 };
+        for friction in &mut self.parameters.friction {
+            *friction = FrictionParameters::from_columns(*friction)
+                .resisting()
+                .columns();
         }
     }
 }
