@@ -236,7 +236,10 @@ fn curve(prior: Set, stribeck: f64, seconds: u32) -> Vec<f64> {
         let sample = plant.sample(tick);
         let before = *board.active();
         let torque = board.tick(&sample);
-        assert!(!torque.flags.contains(Flags::LEARNED_CLIPPED), "tick {tick}");
+        assert!(
+            !torque.flags.contains(Flags::LEARNED_CLIPPED),
+            "tick {tick}"
+        );
         if torque.flags.contains(Flags::SET_ADOPTED) {
             let [old, new] = [&before, board.active()]
                 .map(|set| evaluate::<Ur5, N, P>(set, &sample.desired).total);
@@ -247,10 +250,7 @@ fn curve(prior: Set, stribeck: f64, seconds: u32) -> Vec<f64> {
         }
         if tick % 1000 == 999 {
             let (error, joints) = nrmse(board.active(), &unseen, stribeck);
-            if [1, 2, 3, 4, 5, 10, 20, 30].contains(&curve.len()) {
-                let mut bare = *board.active();
-                bare.network = prior.network;
-                println!("  bare {:.4} R {:.2?}", nrmse(&bare, &unseen, stribeck).0, board.learner.state().estimate.variance());
+            if [1, 2, 3, 4, 5, 6, 8, 10, 20, 30].contains(&curve.len()) {
                 println!("after {:2} s: {error:.4}, joints {joints:.4?}", curve.len());
             }
             curve.push(error);
@@ -262,24 +262,65 @@ fn curve(prior: Set, stribeck: f64, seconds: u32) -> Vec<f64> {
     curve
 }
 
+/// First second from which on `curve` stays below `bound`.
+fn below(curve: &[f64], bound: f64) -> usize {
+    curve
+        .iter()
+        .rposition(|&error| error >= bound)
+        .map_or(0, |last| last + 1)
+}
+
 #[test]
-fn friction_that_the_columns_can_follow_is_learnt_to_one_percent() {
-    for seed in [1, 2] {
-        let curve = curve(wrong_prior(seed), 0.0, 30);
-        println!("prior {seed}: {:.4}", curve[0]);
-        assert!(curve[0] > 0.2);
-        assert!(curve[4] < 0.02, "{}", curve[4]);
-        assert!(curve[27..].iter().all(|&error| error < 0.01), "{}", curve[27]);
+fn the_error_on_an_unseen_path_falls_below_two_and_one_percent() {
+    for stribeck in [0.0, STRIBECK] {
+        for seed in [1, 2] {
+            let curve = curve(wrong_prior(seed), stribeck, 30);
+            let (two, one) = (below(&curve, 0.02), below(&curve, 0.01));
+            println!(
+                "Stribeck {stribeck}, prior {seed}, {:.3}: below 2 % after {two} s, 1 % after {one} s",
+                curve[0]
+            );
+            assert!(curve[0] > 0.2);
+            assert!(two <= 7, "{two}");
+            assert!(one <= 15, "{one}");
+        }
     }
 }
 
 #[test]
-fn the_error_on_an_unseen_path_falls_to_a_tenth_within_ten_seconds() {
-    for seed in [1, 2] {
-        let curve = curve(wrong_prior(seed), STRIBECK, 30);
-        println!("prior {seed}: {:.4}", curve[0]);
-        assert!(curve[10..].iter().all(|error| error < &(curve[0] / 10.0)));
+fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
+    let mut board = Board::new(wrong_prior(1), 0);
+    let mut plant = Plant::new(STRIBECK);
+    board.feedforward.set_learning(true);
+    for tick in 0..3000 {
+        board.tick(&plant.sample(tick));
     }
+    // It stops between two samples and stands there; the encoder flickers by one count.
+    let still = JointMotion {
+        qd: JointVector::zeros(),
+        qdd: JointVector::zeros(),
+        ..plant.trajectory.motion(3.0)
+    };
+    let mut settled = None;
+    for tick in 0..61_000 {
+        let tau = true_torque(&still, STRIBECK);
+        let measured = JointMeasurement {
+            q: still.q.map(|q| q + (plant.noise.roll() * 2.4e-5) as f32),
+            tau: JointVector::from_fn(|j, _| {
+                let noise = 0.01 * f64::from(Ur5::LIMITS[j].torque) * plant.noise.normal();
+                (tau[j] + noise) as f32
+            }),
+        };
+        board.tick(&JointSample {
+            desired: still,
+            measured: Some(measured),
+        });
+        if tick == 1000 {
+            settled = Some(*board.active());
+        }
+    }
+    assert_eq!(Some(*board.active()), settled);
+    assert!(board.learner.state().statistics.gated > 60_000);
 }
 
 #[test]

@@ -77,7 +77,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
             network: StepParameters {
-                learning_rate: 0.003,
+                learning_rate: 0.001,
                 error_clip: 0.03,
             },
         }
@@ -99,11 +99,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
         let friction = self.friction_sigma.iter().flat_map(|s| s.columns());
         let friction = friction.map(|s| ("friction_sigma", s));
-        for (field, value) in positive
-            .into_iter()
-            .chain(rigid)
-            .chain(friction)
-        {
+        for (field, value) in positive.into_iter().chain(rigid).chain(friction) {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(ConfigError::NotPositive(field));
             }
@@ -116,7 +112,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
 }
 
 /// Share of the torque limit that an unknown inertial parameter may account for.
-const INERTIAL_DOUBT: f32 = 0.02;
+const INERTIAL_DOUBT: f32 = 0.01;
 /// Doubt in proportion to the nominal value.
 const RELATIVE_DOUBT: f32 = 0.3;
 /// Acceleration at which an unknown inertia shows, rad/s².

@@ -88,11 +88,7 @@ fn a_bank_without_friction_columns_has_no_friction() {
     let mut bank = nominal();
     bank.columns.truncate(P);
     let set = bank.set::<Ur5, N, P>().unwrap();
-    assert!(
-        set.friction
-            .iter()
-            .all(|&f| f == FrictionParameters::NONE)
-    );
+    assert!(set.friction.iter().all(|&f| f == FrictionParameters::NONE));
 }
 
 #[test]

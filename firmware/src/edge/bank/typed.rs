@@ -176,8 +176,8 @@ impl ParameterBank {
     /// Every column is known, there once, and a number.
     fn check_columns<A: Arm<N, P>, const N: usize, const P: usize>(&self) -> Result<(), BankError> {
         for (place, column) in self.columns.iter().enumerate() {
-            let friction = ColumnKind::FRICTION.contains(&column.id.kind)
-                && usize::from(column.id.joint) < N;
+            let friction =
+                ColumnKind::FRICTION.contains(&column.id.kind) && usize::from(column.id.joint) < N;
             let known = friction || rigid_columns::<A, N, P>().any(|id| id == column.id);
             let first = self.columns.iter().position(|other| other.id == column.id) == Some(place);
             if !known || !first {
