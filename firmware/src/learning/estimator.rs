@@ -170,6 +170,8 @@ mod tests {
 
     /// The same filter on the plain covariance, in f64.
     struct Twin {
+        start: Vec<f64>,
+        sigma: Vec<f64>,
         theta: Vec<f64>,
         p: Vec<Vec<f64>>,
         variance: [f64; N],
@@ -194,7 +196,20 @@ mod tests {
             let up = z.abs() > 0.6745;
             self.variance[joint] *= if up { 1.005 } else { 1.0 / 1.005 };
             for (theta, gain) in self.theta.iter_mut().zip(&gain) {
-                *theta += gain * z.clamp(-3.0, 3.0) / s.sqrt();
+                let moved = *theta + gain * z.clamp(-3.0, 3.0) / s.sqrt();
+                *theta = moved.clamp(-4.0, 4.0);
+            }
+            let value = |k: usize, theta: &[f64]| self.start[k] + self.sigma[k] * theta[k];
+            let floor = |k: usize, bound: f64, theta: &mut [f64]| {
+                theta[k] = theta[k].max((bound - self.start[k]) / self.sigma[k]);
+            };
+            for viscous in (0..4 * N).step_by(4) {
+                let coulomb = viscous + 1;
+                floor(viscous, 0.0, &mut self.theta);
+                floor(coulomb, 0.0, &mut self.theta);
+                let half = -0.5 * value(coulomb, &self.theta);
+                floor(viscous + 2, half, &mut self.theta);
+                floor(viscous + 3, half, &mut self.theta);
             }
         }
     }
@@ -235,7 +250,10 @@ mod tests {
         let (start, sigma) = (Stacked::of(&prior), Stacked::sigma(&config));
         let mut estimator = Estimator::<N, P>::new(&prior);
         let n = start.iter().count();
+        let wide = |numbers: &Stacked<N, P>| numbers.iter().copied().map(f64::from).collect();
         let mut twin = Twin {
+            start: wide(&start),
+            sigma: wide(&sigma),
             theta: std::vec![0.0; n],
             p: (0..n)
                 .map(|i| (0..n).map(|k| f64::from(u8::from(i == k))).collect())

@@ -10,7 +10,7 @@ type Friction<const N: usize> = [[f32; FRICTION_COLUMNS]; N];
 /// Factored it cannot become indefinite by rounding: D stays positive, whatever the rows are. The plain update of P
 /// does not survive f32 [Bierman 1977, ch. V]. Friction comes first, so that noise on it touches only the first columns.
 ///
-/// U is kept column by column in square room: of a column only what lies above the diagonal is ever read.
+/// U is kept column by column in square room; the diagonal and what lies below it are kept as zeros.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UdFilter<const N: usize, const P: usize> {
     friction: [[Friction<N>; FRICTION_COLUMNS]; N],
@@ -72,12 +72,14 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let columns = self.rigid.iter_mut().zip(&mut self.diagonal.rigid);
         for (j, ((column, d), &phi_j)) in columns.zip(&phi.rigid).enumerate() {
             let friction = column.friction.as_flattened_mut();
-            let rigid = above_diagonal(&mut column.rigid, j);
-            let above = phi.rigid.get(..j).unwrap_or_default();
+            // Up to whole lanes: what lies below the diagonal is zero, in U as in the gain, and stays so.
+            let end = j.next_multiple_of(LANES).min(P);
+            let rigid = above_diagonal(&mut column.rigid, end);
+            let above = phi.rigid.get(..end).unwrap_or_default();
             let f = phi_j + dot(friction, phi_friction) + dot(rigid, above);
             let (v, lambda) = alpha.absorb(f, d);
             turn(friction, gain_friction, v, lambda);
-            turn(rigid, above_diagonal(&mut gain.rigid, j), v, lambda);
+            turn(rigid, above_diagonal(&mut gain.rigid, end), v, lambda);
             set(&mut gain.rigid, j, v);
         }
         alpha.value
@@ -176,8 +178,8 @@ impl Alpha {
 }
 
 #[inline(always)]
-fn above_diagonal(column: &mut [f32], j: usize) -> &mut [f32] {
-    column.get_mut(..j).unwrap_or_default()
+fn above_diagonal(column: &mut [f32], end: usize) -> &mut [f32] {
+    column.get_mut(..end).unwrap_or_default()
 }
 
 #[inline(always)]
