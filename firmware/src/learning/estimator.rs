@@ -98,8 +98,9 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         if !innovation.is_finite() {
             return None;
         }
-        for column in 0..sigma.friction.first()?.len() {
-            if self.filter.friction_variance(joint, column) < 1.0 {
+        let doubt = self.filter.friction_variance(joint)?;
+        for (column, doubt) in doubt.into_iter().enumerate() {
+            if doubt < 1.0 {
                 self.filter.add_noise(joint, column, config.process_noise);
             }
         }

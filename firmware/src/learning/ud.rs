@@ -85,24 +85,21 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         alpha.value
     }
 
-    /// Variance of friction column `column` of `joint`, in units of the prior's; 0 where there is none.
-    pub fn friction_variance(&self, joint: usize, column: usize) -> f32 {
-        let at = |friction: &Friction<N>| {
-            let entries = friction.get(joint);
-            entries.and_then(|e| e.get(column)).copied().unwrap_or(0.0)
-        };
-        let mut variance = at(&self.diagonal.friction);
-        let first = joint * FRICTION_COLUMNS + column + 1;
-        let columns = self.friction.as_flattened().iter();
-        let diagonal = self.diagonal.friction.as_flattened();
-        for (u, d) in columns.map(at).zip(diagonal).skip(first) {
-            variance += u * u * d;
+    /// Variance of the friction columns of `joint`, in units of the prior's; `None` if there is no such joint.
+    ///
+    /// ```text
+    /// P_kk = D_k + Σ U_kj² D_j (j > k)
+    /// ```
+    pub fn friction_variance(&self, joint: usize) -> Option<[f32; FRICTION_COLUMNS]> {
+        let mut variance = *self.diagonal.friction.get(joint)?;
+        let friction = self.friction.as_flattened().iter();
+        let rigid = self.rigid.iter().map(|column| &column.friction);
+        for (column, d) in friction.chain(rigid).zip(self.diagonal.iter()) {
+            for (variance, u) in variance.iter_mut().zip(column.get(joint)?) {
+                *variance += u * u * d;
+            }
         }
-        for (u, d) in self.rigid.iter().zip(&self.diagonal.rigid) {
-            let u = at(&u.friction);
-            variance += u * u * d;
-        }
-        variance
+        Some(variance)
     }
 
     /// Adds `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
