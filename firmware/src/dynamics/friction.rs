@@ -7,11 +7,12 @@ use crate::math::{exp, tanh};
 pub const FRICTION_COLUMNS: usize = 4;
 
 /// Reciprocal of the velocity over which Coulomb friction changes sign, s/rad: `sign(qd)` is smoothed to
-/// `tanh(qd / 0.02)`.
+/// `tanh(qd / 0.01)`.
 ///
-/// 0.02 rad/s is a fifth of the Stribeck velocity of the drives modelled here (0.10 rad/s) and below the 0.05 rad/s
-/// under which learning ignores a joint, where the smoothed sign has reached 0.987.
-const INV_SIGN_WIDTH: f32 = 50.0;
+/// 0.01 rad/s is a tenth of the Stribeck velocity of the drives modelled here (0.10 rad/s) and a fifth of the 0.05 rad/s
+/// under which learning ignores a joint, where the smoothed sign has reached 0.9999. The sign is that of the desired
+/// velocity: it closes no loop that could chatter.
+const INV_SIGN_WIDTH: f32 = 100.0;
 
 /// Reciprocal of the Stribeck velocity of the wide column, s/rad: 0.14 rad/s. The narrow one has half of that.
 ///
@@ -75,7 +76,7 @@ impl FrictionParameters {
 /// The friction columns of one joint at velocity `qd`, rad/s.
 ///
 /// ```text
-/// viscous qd,   Coulomb s = tanh(qd / 0.02),   Stribeck s exp(−(qd / 0.07)²) and s exp(−(qd / 0.14)²)
+/// viscous qd,   Coulomb s = tanh(qd / 0.01),   Stribeck s exp(−(qd / 0.07)²) and s exp(−(qd / 0.14)²)
 /// ```
 ///
 /// Cost: one [`tanh`], one [`exp`] (the narrow peak is the fourth power of the wide one), 9 multiplications.
