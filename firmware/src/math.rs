@@ -123,6 +123,28 @@ pub fn tanh(x: f32) -> f32 {
     f32::from_bits(tanh.to_bits() | (bits & SIGN))
 }
 
+/// Square root of `x`.
+///
+/// `y ≈ 1/√x` from the halved exponent, three steps `y ← y (3 − x y²) / 2` (Newton), `√x = x y`.
+///
+/// Relative error ≤ 3e-7 for normal positive x. Zero and what is no positive number give 0; +∞ gives NaN.
+/// Cost: 13 multiplications, 3 subtractions, no division.
+#[inline]
+pub fn sqrt(x: f32) -> f32 {
+    // NaN is not positive either.
+    if x > 0.0 {
+        let half = 0.5 * x;
+        // The constant makes the first guess good to 3.5 % on all mantissas.
+        let mut y = f32::from_bits(0x5f37_59df_u32.wrapping_sub(x.to_bits() >> 1));
+        for _ in 0..3 {
+            y *= 1.5 - half * y * y;
+        }
+        x * y
+    } else {
+        0.0
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -176,6 +198,18 @@ mod tests {
         }
         assert!(worst <= 2e-7, "{worst:e}");
         assert!(exp(1e9).is_finite() && exp(f32::NEG_INFINITY) > 0.0);
+    }
+
+    #[test]
+    fn sqrt_keeps_its_relative_bound() {
+        let normal = f32::MIN_POSITIVE.to_bits()..=f32::MAX.to_bits();
+        let mut worst = 0.0_f64;
+        for bits in normal.step_by(3331) {
+            let x = f32::from_bits(bits);
+            worst = worst.max((f64::from(sqrt(x)) / f64::from(x).sqrt() - 1.0).abs());
+        }
+        assert!(worst <= 3e-7, "{worst:e}");
+        assert_eq!([0.0, -1.0, f32::NAN].map(sqrt), [0.0; 3]);
     }
 
     #[test]

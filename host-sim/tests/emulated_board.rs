@@ -321,3 +321,32 @@ fn a_frame_of_the_board_fits_the_answer_it_is_for() {
     });
     assert!(matches!(heard, Some(Ok(Ok(BoardMessage::Hello(_))))));
 }
+
+#[test]
+fn no_lesson_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
+    // A board paced by its timer runs some twenty ticks for each sample that reaches it from here.
+    for (pacing, samples) in [(Pacing::Link, 1500), (Pacing::SysTick, 100)] {
+        let mut client = client(Image::Joint);
+        client.set_timeout(BOOT);
+        let configuration = Configuration {
+            period_us: 1000,
+            pacing,
+            ..Configuration::default()
+        };
+        client
+            .configure(configuration)
+            .expect("the board's own period");
+        client.learning(true).expect("the board learns");
+        for k in 0..samples {
+            client.sample(&sample(k)).expect("a torque");
+        }
+        let seen = client.statistics().expect("counters");
+        println!("{pacing:?} {seen:?}");
+        assert!(seen.ticks >= samples);
+        assert!(pacing == Pacing::SysTick || seen.learn_cost.mean > 10_000);
+        assert_eq!(
+            (seen.late_sets, seen.lessons_lost, seen.overruns),
+            (0, 0, 0)
+        );
+    }
+}

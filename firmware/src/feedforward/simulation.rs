@@ -17,6 +17,8 @@ const P: usize = 40;
 const PERIOD: f64 = 1e-3;
 const VISCOUS: [f64; N] = [12.0, 13.0, 9.0, 1.8, 1.6, 1.4];
 const COULOMB: [f64; N] = [7.0, 8.0, 5.5, 1.2, 1.1, 0.9];
+/// Height of the Stribeck peak of the arm as it is.
+const STRIBECK: f64 = 0.25;
 
 type Set = ParameterSet<N, P>;
 
@@ -97,12 +99,12 @@ impl Fourier {
 }
 
 /// The arm as it is.
-fn true_torque(motion: &JointMotion<N>) -> [f64; N] {
+fn true_torque(motion: &JointMotion<N>, stribeck: f64) -> [f64; N] {
     let rigid = rnea::<Ur5, N, P>(&Ur5::NOMINAL.into(), motion);
     core::array::from_fn(|j| {
         let v = f64::from(motion.qd[j]);
-        let stribeck = 1.0 + 0.25 * (-(v / 0.1).powi(2)).exp();
-        f64::from(rigid[j]) + VISCOUS[j] * v + COULOMB[j] * stribeck * (v / 0.005).tanh()
+        let peak = 1.0 + stribeck * (-(v / 0.1).powi(2)).exp();
+        f64::from(rigid[j]) + VISCOUS[j] * v + COULOMB[j] * peak * (v / 0.005).tanh()
     })
 }
 
@@ -120,18 +122,20 @@ fn wrong_prior(seed: u64) -> Set {
     set.friction = core::array::from_fn(|j| FrictionParameters {
         viscous: (0.6 * VISCOUS[j]) as f32,
         coulomb: (0.6 * COULOMB[j]) as f32,
+        ..FrictionParameters::NONE
     });
     set
 }
 
-/// NRMSE of `set` on the unseen trajectory: `sqrt(mean_j (RMS error_j / RMS torque_j)²)`, and joint by joint.
-fn nrmse(set: &Set, unseen: &Fourier) -> (f64, [f64; N]) {
+/// NRMSE of `set` on the unseen trajectory: `sqrt(mean_j (RMS error_j / RMS torque_j)²)`, and joint by joint; only where
+/// the joint moves.
+fn nrmse(set: &Set, unseen: &Fourier, stribeck: f64) -> (f64, [f64; N]) {
     let (mut error, mut power) = ([0.0; N], [0.0; N]);
     for k in 0..6000 {
         let motion = unseen.motion(f64::from(k) * 5e-3);
-        let tau = true_torque(&motion);
+        let tau = true_torque(&motion, stribeck);
         let said = evaluate::<Ur5, N, P>(set, &motion).total;
-        for j in 0..N {
+        for j in (0..N).filter(|&j| motion.qd[j].abs() > 0.05) {
             error[j] += (f64::from(said[j]) - tau[j]).powi(2);
             power[j] += tau[j].powi(2);
         }
@@ -147,20 +151,23 @@ fn nrmse(set: &Set, unseen: &Fourier) -> (f64, [f64; N]) {
 struct Plant {
     trajectory: Fourier,
     noise: Dice,
+    /// Height of the Stribeck peak, as a part of the Coulomb torque.
+    stribeck: f64,
 }
 
 impl Plant {
-    fn new() -> Self {
+    fn new(stribeck: f64) -> Self {
         Self {
             trajectory: Fourier::new(3, 10.0, 2.4),
             noise: Dice(77),
+            stribeck,
         }
     }
 
     fn sample(&mut self, tick: u32) -> JointSample<N> {
         let encoder = core::f64::consts::TAU / 131_072.0;
         let desired = self.trajectory.motion(f64::from(tick) * PERIOD);
-        let tau = true_torque(&desired);
+        let tau = true_torque(&desired, self.stribeck);
         let noisy = |j: usize, noise: &mut Dice| {
             tau[j] + 0.01 * f64::from(Ur5::LIMITS[j].torque) * noise.normal()
         };
@@ -216,46 +223,111 @@ impl Board {
     }
 }
 
-#[test]
-fn the_error_on_an_unseen_path_falls_to_an_eighth_within_thirty_seconds() {
+/// NRMSE on an unseen path, second by second, of a board that learns from `prior`; none of its sets may be late, none
+/// clipped, and none may make the torque jump.
+fn curve(prior: Set, stribeck: f64, seconds: u32) -> Vec<f64> {
     let unseen = Fourier::new(99, 15.0, 2.7);
-    for seed in [1, 2] {
-        let prior = wrong_prior(seed);
-        let mut board = Board::new(prior, 0);
-        let mut plant = Plant::new();
-        board.feedforward.set_learning(true);
-        let (before, joints) = nrmse(&prior, &unseen);
-        println!("prior {seed}:         NRMSE {before:.4}, joints {joints:.3?}");
-        let mut after = before;
-        let mut clipped = 0;
-        for second in 1..=30 {
-            for tick in 0..1000 {
-                let torque = board.tick(&plant.sample((second - 1) * 1000 + tick));
-                clipped += u32::from(torque.flags.contains(Flags::LEARNED_CLIPPED));
-            }
-            if [1, 2, 5, 10, 20, 30].contains(&second) {
-                let joints;
-                (after, joints) = nrmse(board.active(), &unseen);
-                println!(
-                    "after {second:2} s: {:.3} of it, {after:.4}, joints {joints:.3?}",
-                    after / before
-                );
+    let mut board = Board::new(prior, 0);
+    let mut plant = Plant::new(stribeck);
+    board.feedforward.set_learning(true);
+    let mut curve = vec![nrmse(&prior, &unseen, stribeck).0];
+    let mut largest_step = 0.0f32;
+    for tick in 0..1000 * seconds {
+        let sample = plant.sample(tick);
+        let before = *board.active();
+        let torque = board.tick(&sample);
+        assert!(
+            !torque.flags.contains(Flags::LEARNED_CLIPPED),
+            "tick {tick}"
+        );
+        if torque.flags.contains(Flags::SET_ADOPTED) {
+            let [old, new] = [&before, board.active()]
+                .map(|set| evaluate::<Ur5, N, P>(set, &sample.desired).total);
+            for j in 0..N {
+                let step = (new[j] - old[j]).abs() / Ur5::LIMITS[j].torque;
+                largest_step = largest_step.max(step);
             }
         }
-        assert!(after < before / 8.0, "{after} of {before}");
-        assert_eq!(
-            clipped, 0,
-            "the bound on what was learnt leaves no room for this prior"
-        );
-        assert_eq!(board.feedforward.state().late_sets, 0);
+        if tick % 1000 == 999 {
+            let (error, joints) = nrmse(board.active(), &unseen, stribeck);
+            if [1, 2, 3, 4, 5, 6, 8, 10, 20, 30].contains(&curve.len()) {
+                println!("after {:2} s: {error:.4}, joints {joints:.4?}", curve.len());
+            }
+            curve.push(error);
+        }
     }
+    println!("largest step of the torque {largest_step:.5} of the limit");
+    assert!(largest_step < 0.01, "{largest_step}");
+    assert_eq!(board.feedforward.state().late_sets, 0);
+    curve
+}
+
+/// First second from which on `curve` stays below `bound`.
+fn below(curve: &[f64], bound: f64) -> usize {
+    curve
+        .iter()
+        .rposition(|&error| error >= bound)
+        .map_or(0, |last| last + 1)
+}
+
+#[test]
+fn the_error_on_an_unseen_path_falls_below_two_and_one_percent() {
+    for stribeck in [0.0, STRIBECK] {
+        for seed in [1, 2] {
+            let curve = curve(wrong_prior(seed), stribeck, 30);
+            let (two, one) = (below(&curve, 0.02), below(&curve, 0.01));
+            println!(
+                "Stribeck {stribeck}, prior {seed}, {:.3}: below 2 % after {two} s, 1 % after {one} s",
+                curve[0]
+            );
+            assert!(curve[0] > 0.2);
+            assert!(two <= 7, "{two}");
+            assert!(one <= 15, "{one}");
+        }
+    }
+}
+
+#[test]
+fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
+    let mut board = Board::new(wrong_prior(1), 0);
+    let mut plant = Plant::new(STRIBECK);
+    board.feedforward.set_learning(true);
+    for tick in 0..3000 {
+        board.tick(&plant.sample(tick));
+    }
+    // It stops between two samples and stands there; the encoder flickers by one count.
+    let still = JointMotion {
+        qd: JointVector::zeros(),
+        qdd: JointVector::zeros(),
+        ..plant.trajectory.motion(3.0)
+    };
+    let mut settled = None;
+    for tick in 0..61_000 {
+        let tau = true_torque(&still, STRIBECK);
+        let measured = JointMeasurement {
+            q: still.q.map(|q| q + (plant.noise.roll() * 2.4e-5) as f32),
+            tau: JointVector::from_fn(|j, _| {
+                let noise = 0.01 * f64::from(Ur5::LIMITS[j].torque) * plant.noise.normal();
+                (tau[j] + noise) as f32
+            }),
+        };
+        board.tick(&JointSample {
+            desired: still,
+            measured: Some(measured),
+        });
+        if tick == 1000 {
+            settled = Some(*board.active());
+        }
+    }
+    assert_eq!(Some(*board.active()), settled);
+    assert!(board.learner.state().statistics.gated > 60_000);
 }
 
 #[test]
 fn the_torque_does_not_depend_on_how_late_the_learner_is_within_its_slack() {
     let prior = wrong_prior(1);
     let mut boards = [0, 1, N / 2].map(|delay| Board::new(prior, delay));
-    let mut plant = Plant::new();
+    let mut plant = Plant::new(STRIBECK);
     for tick in 0..3000 {
         let sample = plant.sample(tick);
         let torques = boards.each_mut().map(|board| {
@@ -275,7 +347,7 @@ fn the_torque_does_not_depend_on_how_late_the_learner_is_within_its_slack() {
 #[test]
 fn a_learner_beyond_its_slack_is_counted_in_every_round() {
     let mut board = Board::new(wrong_prior(1), N / 2 + 1);
-    let mut plant = Plant::new();
+    let mut plant = Plant::new(STRIBECK);
     board.feedforward.set_learning(true);
     for tick in 0..600 {
         board.tick(&plant.sample(tick));
@@ -290,7 +362,7 @@ fn a_learner_beyond_its_slack_is_counted_in_every_round() {
 #[test]
 fn a_frozen_board_gives_the_same_torque_for_the_same_motion_for_ever() {
     let mut board = Board::new(wrong_prior(1), 0);
-    let mut plant = Plant::new();
+    let mut plant = Plant::new(STRIBECK);
     board.feedforward.set_learning(true);
     for tick in 0..2000 {
         board.tick(&plant.sample(tick));

@@ -211,6 +211,8 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
         for friction in &mut start.friction {
             wild(&mut friction.viscous, &mut bits);
             wild(&mut friction.coulomb, &mut bits);
+            wild(&mut friction.stribeck_narrow, &mut bits);
+            wild(&mut friction.stribeck_wide, &mut bits);
         }
         for net in &mut start.network {
             net.hidden_weights

@@ -28,11 +28,14 @@ impl core::error::Error for ConfigError {}
 pub struct LearnerConfig<const N: usize, const P: usize> {
     /// Ticks per second, 1/s.
     pub inv_period: f32,
-    /// Step of the linear parameters, as a fraction of the step that would cancel the residual of the row.
-    pub rate: f32,
-    /// Standard deviation of the torque measurement, in units of the torque limit: rows that excite less than this
-    /// move nothing.
+    /// Standard deviation of the torque measurement that is expected at first, in units of the torque limit.
     pub noise: f32,
+    /// Innovations beyond this many standard deviations act as if they had this many.
+    pub outlier_sigmas: f32,
+    /// What a row of a joint adds to the variance of its friction, in units of the prior's.
+    pub process_noise: f32,
+    /// Largest change of any joint's torque that a newly published set may make, in units of the torque limit.
+    pub torque_step: f32,
     /// Prior standard deviations of the base parameters, in their units.
     pub rigid_sigma: [f32; P],
     /// Prior standard deviations of the friction parameters.
@@ -43,8 +46,6 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub velocity_gate: f32,
     /// Rows in which any joint seems to accelerate faster are refused, rad/s²: the encoder is at fault, not the model.
     pub acceleration_limit: f32,
-    /// Bound of the residual that a row may act with, in units of the torque limit.
-    pub residual_clip: f32,
     /// Step of the networks; errors in units of the torque limit.
     pub network: StepParameters,
 }
@@ -53,7 +54,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
     /// numbers of its own: an inertial parameter of link `j` is uncertain by 30 % of its nominal value plus what 2 %
     /// of the joint's torque limit would hold up against gravity (first moments) or accelerate at 10 rad/s²
-    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 2 % of the limit.
+    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 2 % of the
+    /// limit, each Stribeck peak by 1 %.
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -66,16 +68,17 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     pub const fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
         Self {
             inv_period: 1.0 / period_s,
-            rate: 0.02,
             noise: 0.01,
+            outlier_sigmas: 3.0,
+            process_noise: 5e-7,
+            torque_step: 0.005,
             rigid_sigma: rigid_sigma::<A, N, P>(),
             friction_sigma: friction_sigma::<A, N, P>(),
             box_sigmas: 4.0,
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
-            residual_clip: 0.1,
             network: StepParameters {
-                learning_rate: 0.003,
+                learning_rate: 0.001,
                 error_clip: 0.03,
             },
         }
@@ -89,39 +92,28 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("box_sigmas", self.box_sigmas),
             ("velocity_gate", self.velocity_gate),
             ("acceleration_limit", self.acceleration_limit),
-            ("residual_clip", self.residual_clip),
+            ("outlier_sigmas", self.outlier_sigmas),
+            ("process_noise", self.process_noise),
+            ("torque_step", self.torque_step),
             ("network.error_clip", self.network.error_clip),
         ];
         let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
-        let friction = self.friction_sigma.iter();
-        let viscous = friction
-            .clone()
-            .map(|s| ("friction_sigma.viscous", s.viscous));
-        let coulomb = friction.map(|s| ("friction_sigma.coulomb", s.coulomb));
-        for (field, value) in positive
-            .into_iter()
-            .chain(rigid)
-            .chain(viscous)
-            .chain(coulomb)
-        {
+        let friction = self.friction_sigma.iter().flat_map(|s| s.columns());
+        let friction = friction.map(|s| ("friction_sigma", s));
+        for (field, value) in positive.into_iter().chain(rigid).chain(friction) {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(ConfigError::NotPositive(field));
             }
         }
-        for (field, rate) in [
-            ("rate", self.rate),
-            ("network.learning_rate", self.network.learning_rate),
-        ] {
-            if !(0.0..1.0).contains(&rate) {
-                return Err(ConfigError::RateOutOfRange(field));
-            }
+        if !(0.0..1.0).contains(&self.network.learning_rate) {
+            return Err(ConfigError::RateOutOfRange("network.learning_rate"));
         }
         Ok(())
     }
 }
 
 /// Share of the torque limit that an unknown inertial parameter may account for.
-const INERTIAL_DOUBT: f32 = 0.02;
+const INERTIAL_DOUBT: f32 = 0.01;
 /// Doubt in proportion to the nominal value.
 const RELATIVE_DOUBT: f32 = 0.3;
 /// Acceleration at which an unknown inertia shows, rad/s².
@@ -164,15 +156,14 @@ const fn rigid_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P]
 }
 
 const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [FrictionParameters; N] {
-    let mut sigma = [FrictionParameters {
-        viscous: 0.0,
-        coulomb: 0.0,
-    }; N];
+    let mut sigma = [FrictionParameters::NONE; N];
     let mut joint = 0;
     while joint < N {
         let limits = A::LIMITS[joint];
         sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
         sigma[joint].coulomb = 0.02 * limits.torque;
+        sigma[joint].stribeck_narrow = 0.01 * limits.torque;
+        sigma[joint].stribeck_wide = 0.01 * limits.torque;
         joint += 1;
     }
     sigma

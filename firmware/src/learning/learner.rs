@@ -1,7 +1,8 @@
 use super::conditioning::{Conditioned, MeasurementWindow};
 use super::config::{ConfigError, LearnerConfig};
-use super::nlms;
+use super::estimator::{Estimator, torque_row};
 use super::parameters::{ParameterSet, network_inputs};
+use super::stacked::Stacked;
 use super::{Exchange, Lesson};
 use crate::arm::Arm;
 use core::marker::PhantomData;
@@ -27,20 +28,26 @@ pub struct LearnerStatistics {
 pub struct LearnerState<const N: usize, const P: usize> {
     /// The set that learning started from; the box lies around it.
     pub prior: ParameterSet<N, P>,
-    /// The set being learnt. It becomes visible to the tick only whole, at the end of a round.
+    /// The estimate of the linear parameters.
+    pub estimate: Estimator<N, P>,
+    /// The set on its way to the tick: linear parameters that follow the estimate, networks being trained. It becomes
+    /// visible to the tick only whole, at the end of a round.
     pub candidate: ParameterSet<N, P>,
     /// What became of the rows.
     pub statistics: LearnerStatistics,
     window: MeasurementWindow<N>,
     next_tick: u32,
     closed_round: Option<u32>,
+    /// By how much the estimate would change each joint's torque in this round, in units of the torque limit; `None`
+    /// where that is not known.
+    pending: [Option<f32>; N],
 }
 
 /// Learns the parameters of an arm from the lessons of the ticks, one torque row a tick, joint `tick % N`.
 ///
-/// Linear parameters (rigid body, friction) by normalised least mean squares in units of their prior standard deviation;
-/// the joint's network by back-propagation on what remains. A recursive estimator can take the place of the former
-/// without a change at this door.
+/// Linear parameters (rigid body, friction) by a recursive estimator ([`Estimator`]); the joint's network by
+/// back-propagation on what remains. The published set follows the estimate as fast as a bound on the torque step lets
+/// it, at once when the estimate is calm.
 ///
 /// Lessons decide everything: the same lessons give the same bits, whenever they are worked through.
 pub struct Learner<A: Arm<N, P>, const N: usize, const P: usize> {
@@ -62,14 +69,34 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             config,
             state: LearnerState {
                 prior,
+                estimate: Estimator::new(&prior),
                 candidate: prior,
                 statistics: LearnerStatistics::default(),
                 window: MeasurementWindow::new(),
                 next_tick: 0,
                 closed_round: None,
+                pending: [None; N],
             },
             arm: PhantomData,
         })
+    }
+
+    /// Starts over from `prior`, as [`new`](Self::new) does, but in place: the learner is too large to be copied where a
+    /// tick waits for it.
+    ///
+    /// Errors: the first field of `config` that cannot work; then nothing has changed.
+    pub fn restart(
+        &mut self,
+        config: LearnerConfig<N, P>,
+        prior: &ParameterSet<N, P>,
+    ) -> Result<(), ConfigError> {
+        config.validate()?;
+        self.config = config;
+        self.state.statistics = LearnerStatistics::default();
+        self.state.window.reset();
+        self.state.next_tick = 0;
+        self.state.start_from(prior);
+        Ok(())
     }
 
     /// What the learner knows.
@@ -89,15 +116,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         // Lessons older than the reload may still be in the queue; they must not learn on the new set.
         let due = exchange.reload.take_if(|(from, _)| reached(tick, *from));
         if let Some((_, set)) = due {
-            self.state.prior = set;
-            self.state.candidate = set;
-            self.state.closed_round = None;
+            self.state.start_from(&set);
         }
     }
 
     /// Learns from one lesson. Does not touch the desk, so the tick may run in the middle of it.
     ///
-    /// Cost: the filter of all joints, one regressor row, and about `4 P` multiply-adds; the joint's network once.
+    /// Cost: the filter of all joints, one regressor row, one row of the estimator; the joint's network once.
     pub fn study(&mut self, lesson: &Lesson<N>) {
         if lesson.tick != self.state.next_tick {
             self.state.window.reset();
@@ -105,13 +130,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.next_tick = lesson.tick.wrapping_add(1);
         self.state.window.push(lesson.measured.as_ref());
         let joint = lesson.tick as usize % N;
+        let mut step = None;
         if lesson.enabled {
             match self.state.window.conditioned(self.config.inv_period) {
-                Some(seen) => self.learn_row(joint, &seen),
+                Some(seen) => step = self.learn_row(joint, &seen),
                 None => count(&mut self.state.statistics.incomplete),
             }
         }
+        if let Some(pending) = self.state.pending.get_mut(joint) {
+            *pending = step;
+        }
         if joint == N - 1 {
+            self.state.follow(self.config.torque_step);
             self.state.closed_round = Some(lesson.tick);
         }
     }
@@ -124,37 +154,88 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
     }
 
-    /// One row of joint `joint`, into the candidate.
-    fn learn_row(&mut self, joint: usize, seen: &Conditioned<N>) {
-        let verdict = match self.row(joint, seen) {
+    /// One row of joint `joint`. Returns by how much the estimate would change the joint's torque, in units of its limit.
+    fn learn_row(&mut self, joint: usize, seen: &Conditioned<N>) -> Option<f32> {
+        let (verdict, step) = self.row(joint, seen);
+        count(match verdict {
             Verdict::Gated => &mut self.state.statistics.gated,
             Verdict::Rejected => &mut self.state.statistics.rejected,
             Verdict::Accepted => &mut self.state.statistics.accepted,
-        };
-        count(verdict);
+        });
+        step
     }
 
     /// The linear parameters take what they can explain; the joint's network is trained on what remained before.
-    fn row(&mut self, joint: usize, seen: &Conditioned<N>) -> Verdict {
-        let speed = seen.motion.qd.get(joint).copied().unwrap_or(0.0);
-        if speed.abs() < self.config.velocity_gate {
-            return Verdict::Gated;
-        }
+    fn row(&mut self, joint: usize, seen: &Conditioned<N>) -> (Verdict, Option<f32>) {
+        let (Some(limits), Some(&speed), Some(&tau)) = (
+            A::LIMITS.get(joint),
+            seen.motion.qd.get(joint),
+            seen.tau.get(joint),
+        ) else {
+            return (Verdict::Rejected, None);
+        };
         if !plausible::<A, N, P>(seen, self.config.acceleration_limit) {
-            return Verdict::Rejected;
+            return (Verdict::Rejected, None);
         }
         let LearnerState {
-            prior, candidate, ..
+            prior,
+            estimate,
+            candidate,
+            ..
         } = &mut self.state;
-        let Some(residual) = nlms::correct::<A, N, P>(&self.config, prior, candidate, joint, seen)
-        else {
-            return Verdict::Rejected;
-        };
-        if let Some(network) = candidate.network.get_mut(joint) {
-            let target = SVector::from([residual]);
-            network.update(&network_inputs(speed), &target, &self.config.network);
+        let row = torque_row::<A, N, P>(joint, seen);
+        let mut verdict = Verdict::Gated;
+        if speed.abs() >= self.config.velocity_gate {
+            let residual = estimate.correct(&self.config, prior, joint, limits.torque, &row, tau);
+            let Some(residual) = residual else {
+                return (Verdict::Rejected, None);
+            };
+            if let Some(network) = candidate.network.get_mut(joint) {
+                let target = SVector::from([residual]);
+                network.update(&network_inputs(speed), &target, &self.config.network);
+            }
+            verdict = Verdict::Accepted;
         }
-        Verdict::Accepted
+        let step = row.dot(estimate.parameters()) - row.dot(&Stacked::of(candidate));
+        (verdict, Some(step / limits.torque))
+    }
+}
+
+impl<const N: usize, const P: usize> LearnerState<N, P> {
+    fn start_from(&mut self, prior: &ParameterSet<N, P>) {
+        self.prior = *prior;
+        self.candidate = *prior;
+        self.estimate.reset(prior);
+        self.closed_round = None;
+        self.pending = [None; N];
+    }
+
+    /// Moves the candidate's linear parameters towards the estimate: all the way if that changes no joint's torque by
+    /// more than `bound`, else by the part that keeps to it. Torque is linear in them, so a part of the way is a part of
+    /// the step. A joint whose step is not known holds everything.
+    fn follow(&mut self, bound: f32) {
+        let mut largest = 0.0;
+        for pending in core::mem::replace(&mut self.pending, [None; N]) {
+            match pending {
+                Some(step) if step.is_finite() => {
+                    if step.abs() > largest {
+                        largest = step.abs();
+                    }
+                }
+                _ => return,
+            }
+        }
+        if largest <= bound {
+            self.estimate.parameters().write(&mut self.candidate);
+            return;
+        }
+        let part = bound / largest;
+        let mut followed = Stacked::of(&self.candidate);
+        let estimate = self.estimate.parameters();
+        for (followed, estimate) in followed.iter_mut().zip(estimate.iter()) {
+            *followed += part * (estimate - *followed);
+        }
+        followed.write(&mut self.candidate);
     }
 }
 
@@ -232,9 +313,10 @@ mod tests {
         teach(&mut learner, 0..100, false);
         assert_eq!(learner.state.candidate, learner.state.prior);
         assert_eq!(learner.state.statistics, LearnerStatistics::default());
+        let before = learner.state.estimate;
         teach(&mut learner, 100..101, true);
         assert_eq!(learner.state.statistics.accepted, 1);
-        assert_ne!(learner.state.candidate, learner.state.prior);
+        assert_ne!(learner.state.estimate, before);
     }
 
     #[test]
@@ -246,12 +328,12 @@ mod tests {
         for bad in [None, Some(bad_torque), Some(bad_position)] {
             let mut learner = learner();
             teach(&mut learner, 0..60, true);
-            let before = learner.state.candidate;
+            let before = (learner.state.estimate, learner.state.candidate);
             learner.study(&lesson(60, bad, true));
             teach(&mut learner, 61..91, true);
-            assert_eq!(learner.state.candidate, before);
+            assert!((learner.state.estimate, learner.state.candidate) == before);
             teach(&mut learner, 91..92, true);
-            assert_ne!(learner.state.candidate, before);
+            assert_ne!(learner.state.estimate, before.0);
         }
     }
 

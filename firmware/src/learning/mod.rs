@@ -7,14 +7,19 @@
 
 mod conditioning;
 mod config;
+mod estimator;
 mod learner;
-mod nlms;
 mod parameters;
+mod stacked;
+mod ud;
 
 pub use conditioning::{Conditioned, DELAY, MeasurementWindow, TAPS};
 pub use config::{ConfigError, LearnerConfig};
+pub use estimator::Estimator;
 pub use learner::{Learner, LearnerState, LearnerStatistics};
 pub use parameters::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet, network_inputs};
+pub use stacked::Stacked;
+pub use ud::UdFilter;
 
 use crate::joint::JointMeasurement;
 

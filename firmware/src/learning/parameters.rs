@@ -28,10 +28,7 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
     pub fn nominal<A: Arm<N, P>>(seed: u32) -> Self {
         Self {
             rigid: A::NOMINAL.into(),
-            friction: [FrictionParameters {
-                viscous: 0.0,
-                coulomb: 0.0,
-            }; N],
+            friction: [FrictionParameters::NONE; N],
             network: core::array::from_fn(|joint| {
                 JointNetwork::silent(seed.wrapping_add(joint as u32))
             }),
@@ -44,7 +41,7 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
         let friction = self
             .friction
             .iter()
-            .all(|f| f.viscous.is_finite() && f.coulomb.is_finite());
+            .all(|f| f.columns().iter().all(|p| p.is_finite()));
         rigid && friction && self.network.iter().all(JointNetwork::is_finite)
     }
 }

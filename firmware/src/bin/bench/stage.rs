@@ -59,6 +59,8 @@ impl Stage {
             *friction = FrictionParameters {
                 viscous: 0.05 * limits.torque,
                 coulomb: 0.05 * limits.torque,
+                stribeck_narrow: 0.01 * limits.torque,
+                stribeck_wide: 0.01 * limits.torque,
             };
         }
         let mut feedforward =

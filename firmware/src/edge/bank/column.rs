@@ -1,4 +1,5 @@
 use crate::arm::Arm;
+use crate::dynamics::FRICTION_COLUMNS;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +32,10 @@ pub enum ColumnKind {
     Fv,
     /// Coulomb friction, N·m.
     Fc,
+    /// Narrow Stribeck peak, N·m.
+    Fsn,
+    /// Wide Stribeck peak, N·m.
+    Fsw,
 }
 
 impl ColumnKind {
@@ -48,6 +53,10 @@ impl ColumnKind {
         Self::Iyz,
     ];
 
+    /// The friction columns of a joint in the order of [`crate::dynamics::friction_row`].
+    pub(super) const FRICTION: [Self; FRICTION_COLUMNS] =
+        [Self::Fv, Self::Fc, Self::Fsn, Self::Fsw];
+
     const fn symbol(self) -> &'static str {
         match self {
             Self::M => "m",
@@ -63,6 +72,8 @@ impl ColumnKind {
             Self::Ia => "Ia",
             Self::Fv => "Fv",
             Self::Fc => "Fc",
+            Self::Fsn => "Fsn",
+            Self::Fsw => "Fsw",
         }
     }
 }

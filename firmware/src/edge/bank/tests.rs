@@ -1,6 +1,7 @@
 use super::*;
 use crate::arm::Arm;
 use crate::arm::ur5::Ur5;
+use crate::dynamics::FrictionParameters;
 use crate::feedforward::FeedForwardConfig;
 use crate::learning::ParameterSet;
 use proptest::prelude::*;
@@ -31,14 +32,16 @@ fn verdict(change: impl FnOnce(&mut ParameterBank)) -> Option<BankError> {
 #[test]
 fn columns_are_named_link_by_link_then_rotors_then_friction() {
     let names: List<_> = nominal().columns.iter().map(|c| c.id.to_string()).collect();
-    assert_eq!(names.len(), P + 2 * N);
+    assert_eq!(names.len(), P + 4 * N);
     let front = [
         "Izz1", "mx2", "my2", "Ixx2", "Izz2", "Ixy2", "Ixz2", "Iyz2", "mx3",
     ];
     assert_eq!(names[..9], front);
     assert_eq!(
-        names[36..43],
-        ["Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fv2"]
+        names[36..45],
+        [
+            "Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fsn1", "Fsw1", "Fv2"
+        ]
     );
 }
 
@@ -67,6 +70,8 @@ fn every_set_survives_the_bank_in_any_order_of_columns() {
     for (j, friction) in set.friction.iter_mut().enumerate() {
         friction.viscous = 1.0 + j as f32;
         friction.coulomb = 10.0 + j as f32;
+        friction.stribeck_narrow = 20.0 + j as f32;
+        friction.stribeck_wide = -30.0 - j as f32;
         set.network[j].output_bias[0] = 0.01 * j as f32;
         set.network[j].hidden_weights[(5, 1)] = j as f32;
     }
@@ -83,11 +88,7 @@ fn a_bank_without_friction_columns_has_no_friction() {
     let mut bank = nominal();
     bank.columns.truncate(P);
     let set = bank.set::<Ur5, N, P>().unwrap();
-    assert!(
-        set.friction
-            .iter()
-            .all(|f| f.viscous == 0.0 && f.coulomb == 0.0)
-    );
+    assert!(set.friction.iter().all(|&f| f == FrictionParameters::NONE));
 }
 
 #[test]

@@ -4,6 +4,7 @@ use super::column::{ColumnId, ColumnKind, id, rigid_columns};
 use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
 use super::{MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS};
 use crate::arm::Arm;
+use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters};
 use crate::edge::wire::Name;
 use crate::feedforward::{FeedForwardConfig, NETWORK_BOUND};
 use crate::learning::{JointNetwork, LearnerConfig, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet};
@@ -34,18 +35,12 @@ impl ParameterBank {
     pub(crate) fn describe<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
         const {
             assert!(N <= MAX_JOINTS);
-            assert!(P + 2 * N <= MAX_COLUMNS);
+            assert!(P + FRICTION_COLUMNS * N <= MAX_COLUMNS);
             assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS);
         }
         let doubts = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
         let rigid = rigid_columns::<A, N, P>().zip(doubts.rigid_sigma);
-        let friction = doubts.friction_sigma.into_iter().enumerate();
-        let friction = friction.flat_map(|(joint, doubt)| {
-            [
-                (id(ColumnKind::Fv, joint), doubt.viscous),
-                (id(ColumnKind::Fc, joint), doubt.coulomb),
-            ]
-        });
+        let friction = friction_columns(&doubts.friction_sigma);
         let columns = rigid.chain(friction).map(|(id, deviation)| Column {
             id,
             value: 0.0,
@@ -73,13 +68,7 @@ impl ParameterBank {
         set: &ParameterSet<N, P>,
     ) {
         let rigid = rigid_columns::<A, N, P>().zip(set.rigid.iter().copied());
-        let friction = set.friction.iter().enumerate().flat_map(|(joint, f)| {
-            [
-                (id(ColumnKind::Fv, joint), f.viscous),
-                (id(ColumnKind::Fc, joint), f.coulomb),
-            ]
-        });
-        for (id, value) in rigid.chain(friction) {
+        for (id, value) in rigid.chain(friction_columns(&set.friction)) {
             if let Some(column) = self.columns.iter_mut().find(|column| column.id == id) {
                 column.value = value;
             }
@@ -115,8 +104,8 @@ impl ParameterBank {
                 .value;
         }
         for (joint, friction) in set.friction.iter_mut().enumerate() {
-            friction.viscous = self.value(id(ColumnKind::Fv, joint));
-            friction.coulomb = self.value(id(ColumnKind::Fc, joint));
+            let columns = ColumnKind::FRICTION.map(|kind| self.value(id(kind, joint)));
+            *friction = FrictionParameters::from_columns(columns);
         }
         if self.network != shape::<N>() || self.weights.len() != N * JointNetwork::WEIGHTS {
             return Err(BankError::NetworkShape);
@@ -188,8 +177,8 @@ impl ParameterBank {
     /// Every column is known, there once, and a number.
     fn check_columns<A: Arm<N, P>, const N: usize, const P: usize>(&self) -> Result<(), BankError> {
         for (place, column) in self.columns.iter().enumerate() {
-            let friction = matches!(column.id.kind, ColumnKind::Fv | ColumnKind::Fc)
-                && usize::from(column.id.joint) < N;
+            let friction =
+                ColumnKind::FRICTION.contains(&column.id.kind) && usize::from(column.id.joint) < N;
             let known = friction || rigid_columns::<A, N, P>().any(|id| id == column.id);
             let first = self.columns.iter().position(|other| other.id == column.id) == Some(place);
             if !known || !first {
@@ -208,6 +197,17 @@ impl ParameterBank {
 fn slew_nm_s<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; N] {
     // The largest change in a tick of one second.
     FeedForwardConfig::for_arm::<A, P>(1.0).slew_per_tick
+}
+
+/// The friction columns of all joints with their numbers.
+fn friction_columns<const N: usize>(
+    friction: &[FrictionParameters; N],
+) -> impl Iterator<Item = (ColumnId, f32)> {
+    let joints = friction.iter().enumerate();
+    joints.flat_map(|(joint, friction)| {
+        let columns = ColumnKind::FRICTION.into_iter().zip(friction.columns());
+        columns.map(move |(kind, value)| (id(kind, joint), value))
+    })
 }
 
 /// The shape this firmware is built with.

@@ -50,9 +50,8 @@ impl<const N: usize, const P: usize> Desk<N, P> {
     pub fn begin<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) -> Option<Lesson<N>> {
         if let Some(Restart { period_s, set }) = self.restart.take() {
             // A period that the session has accepted makes a configuration that the learner accepts.
-            if let Ok(fresh) = Learner::new(LearnerConfig::for_arm::<A>(period_s), set) {
-                *learner = fresh;
-            }
+            // Should it refuse, it goes on as it was.
+            let _ = learner.restart(LearnerConfig::for_arm::<A>(period_s), &set);
         }
         let lesson = self.lessons.dequeue()?;
         learner.collect(lesson.tick, &mut self.exchange);

@@ -1,0 +1,299 @@
+use super::conditioning::Conditioned;
+use super::config::LearnerConfig;
+use super::parameters::ParameterSet;
+use super::stacked::Stacked;
+use super::ud::{UdFilter, dot};
+use crate::arm::Arm;
+use crate::dynamics::{FrictionParameters, friction_row, regressor_row};
+use crate::limits::cut;
+use crate::math::sqrt;
+
+/// Square of the median of |z| for a normal z: where the measured variance settles.
+const MEDIAN_SQUARED: f32 = 0.6745 * 0.6745;
+/// Growth of a joint's variance for an innovation above the median; it shrinks by as much below. Forgets in 1.2 s at
+/// 167 rows a second.
+const VARIANCE_STEP: f32 = 1.005;
+/// Range of the variance, in units of the configured one.
+const VARIANCE_RANGE: (f32, f32) = (0.1, 400.0);
+
+/// The torque row of one joint: N·m for each unit of each linear parameter.
+pub(super) fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
+    seen: &Conditioned<N>,
+) -> Stacked<N, P> {
+    let mut row = Stacked::filled(0.0);
+    if let (Some(slot), Some(&qd)) = (row.friction.get_mut(joint), seen.motion.qd.get(joint)) {
+        *slot = friction_row(qd);
+    }
+    row.rigid = regressor_row::<A, N, P>(joint, &seen.motion).data.0[0];
+    row
+}
+
+/// Recursive estimate of the linear parameters: a Kalman filter whose covariance is kept in factors.
+///
+/// ```text
+/// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ_i ← θ_i + σ_i (Pφ)_i clip(z, ±k) / √S
+/// ```
+/// with σ the configured noise of the joint's torque and σ_i the prior standard deviation of a parameter, so that the
+/// filter starts from P = I. Nothing is forgotten; friction alone wanders (a random walk, up to the prior's doubt). R is
+/// the variance the joint is found to have: half of the |z| lie beyond 0.6745 when it is right. Innovations beyond k
+/// standard deviations act as if they had k [Huber 1964].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimator<const N: usize, const P: usize> {
+    parameters: Stacked<N, P>,
+    filter: UdFilter<N, P>,
+    variance: [f32; N],
+}
+
+impl<const N: usize, const P: usize> Estimator<N, P> {
+    pub(super) fn new(prior: &ParameterSet<N, P>) -> Self {
+        Self {
+            parameters: Stacked::of(prior),
+            filter: UdFilter::new(),
+            variance: [1.0; N],
+        }
+    }
+
+    /// Starts over from `prior`, in place.
+    pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>) {
+        self.parameters = Stacked::of(prior);
+        self.filter.reset();
+        self.variance = [1.0; N];
+    }
+
+    /// The estimate, in the units of the parameters.
+    pub fn parameters(&self) -> &Stacked<N, P> {
+        &self.parameters
+    }
+
+    /// The covariance, in units of the prior standard deviations.
+    pub fn filter(&self) -> &UdFilter<N, P> {
+        &self.filter
+    }
+
+    /// Variance of the torque of each joint as found, in units of the configured one.
+    pub fn variance(&self) -> &[f32; N] {
+        &self.variance
+    }
+
+    /// Takes in the torque `tau` of `joint`, whose limit is `limit`, N·m, with its `row`.
+    ///
+    /// * returns what the estimate left unexplained before, in units of the torque limit; `None` if a number was not
+    ///   finite: then the estimate has not changed
+    ///
+    /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
+    pub(super) fn correct(
+        &mut self,
+        config: &LearnerConfig<N, P>,
+        prior: &ParameterSet<N, P>,
+        joint: usize,
+        limit: f32,
+        row: &Stacked<N, P>,
+        tau: f32,
+    ) -> Option<f32> {
+        let inv_noise = 1.0 / (config.noise * limit);
+        let sigma = Stacked::sigma(config);
+        let innovation = (tau - row.dot(&self.parameters)) * inv_noise;
+        let measured = self.variance.get_mut(joint)?;
+        if !innovation.is_finite() {
+            return None;
+        }
+        let doubt = self.filter.friction_variance(joint)?;
+        for (column, doubt) in doubt.into_iter().enumerate() {
+            if doubt < 1.0 {
+                self.filter.add_noise(joint, column, config.process_noise);
+            }
+        }
+        let mut phi = *row;
+        for (phi, sigma) in phi.iter_mut().zip(sigma.iter()) {
+            *phi *= sigma * inv_noise;
+        }
+        let mut gain = Stacked::filled(0.0);
+        let variance = self.filter.update(&phi, *measured, &mut gain);
+        if !(variance > 0.0 && variance.is_finite()) {
+            // Nothing sound is left in the factors: as uncertain as at first, but nothing wrong either.
+            self.filter.reset();
+            return None;
+        }
+
+        let squared = innovation * innovation;
+        let beyond = squared > MEDIAN_SQUARED * variance;
+        let (lower, upper) = VARIANCE_RANGE;
+        let grown = if beyond {
+            *measured * VARIANCE_STEP
+        } else {
+            *measured * (1.0 / VARIANCE_STEP)
+        };
+        *measured = grown.clamp(lower, upper);
+        let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
+        self.move_by(config, prior, &sigma, &gain, clipped / variance);
+        Some(innovation * config.noise)
+    }
+
+    /// θ ← θ + σ gain step, each kept within ±box of the prior's, friction never pushing.
+    fn move_by(
+        &mut self,
+        config: &LearnerConfig<N, P>,
+        prior: &ParameterSet<N, P>,
+        sigma: &Stacked<N, P>,
+        gain: &Stacked<N, P>,
+        step: f32,
+    ) {
+        let prior = Stacked::of(prior);
+        let columns = sigma.iter().zip(gain.iter()).zip(prior.iter());
+        for (theta, ((&sigma, &gain), &prior)) in self.parameters.iter_mut().zip(columns) {
+            let moved = *theta + sigma * gain * step;
+            let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
+            *theta = if outside { prior + bounded } else { moved };
+        }
+        for friction in &mut self.parameters.friction {
+            *friction = FrictionParameters::from_columns(*friction)
+                .resisting()
+                .columns();
+        }
+    }
+}
+
+impl<const N: usize, const P: usize> Stacked<N, P> {
+    /// Σ a b.
+    pub(super) fn dot(&self, other: &Self) -> f32 {
+        dot(self.friction.as_flattened(), other.friction.as_flattened())
+            + dot(&self.rigid, &other.rigid)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
+    use crate::joint::{JointMotion, JointVector};
+    use std::vec::Vec;
+
+    /// The same filter on the plain covariance, in f64.
+    struct Twin {
+        start: Vec<f64>,
+        sigma: Vec<f64>,
+        theta: Vec<f64>,
+        p: Vec<Vec<f64>>,
+        variance: [f64; N],
+    }
+
+    impl Twin {
+        fn correct(&mut self, joint: usize, phi: &[f64], innovation: f64, process_noise: f64) {
+            for k in [4 * joint, 4 * joint + 1, 4 * joint + 2, 4 * joint + 3] {
+                if self.p[k][k] < 1.0 {
+                    self.p[k][k] += process_noise;
+                }
+            }
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
+            let s = dot(&gain, phi) + self.variance[joint];
+            for (row, a) in self.p.iter_mut().zip(&gain) {
+                for (p, b) in row.iter_mut().zip(&gain) {
+                    *p -= a * b / s;
+                }
+            }
+            let z = innovation / s.sqrt();
+            let up = z.abs() > 0.6745;
+            self.variance[joint] *= if up { 1.005 } else { 1.0 / 1.005 };
+            for (theta, gain) in self.theta.iter_mut().zip(&gain) {
+                let moved = *theta + gain * z.clamp(-3.0, 3.0) / s.sqrt();
+                *theta = moved.clamp(-4.0, 4.0);
+            }
+            let value = |k: usize, theta: &[f64]| self.start[k] + self.sigma[k] * theta[k];
+            let floor = |k: usize, bound: f64, theta: &mut [f64]| {
+                theta[k] = theta[k].max((bound - self.start[k]) / self.sigma[k]);
+            };
+            for viscous in (0..4 * N).step_by(4) {
+                let coulomb = viscous + 1;
+                floor(viscous, 0.0, &mut self.theta);
+                floor(coulomb, 0.0, &mut self.theta);
+                let half = -0.5 * value(coulomb, &self.theta);
+                floor(viscous + 2, half, &mut self.theta);
+                floor(viscous + 3, half, &mut self.theta);
+            }
+        }
+    }
+
+    /// Sines that never repeat, at most 2 rad/s, and the torque of an arm 10 % heavier than its description, with noise.
+    fn seen(tick: u32, joint: usize, random: &mut u64) -> (Stacked<N, P>, f32) {
+        let t = f64::from(tick) * 1e-3;
+        let wave = |j: usize| {
+            let w = 1.1 + 0.37 * j as f64;
+            (w * t + j as f64, w)
+        };
+        let motion = JointMotion::<N> {
+            q: JointVector::from_fn(|j, _| wave(j).0.sin() as f32),
+            qd: JointVector::from_fn(|j, _| (wave(j).1 * wave(j).0.cos()) as f32),
+            qdd: JointVector::from_fn(|j, _| (-wave(j).1.powi(2) * wave(j).0.sin()) as f32),
+        };
+        let mut tau = JointVector::<N>::zeros();
+        let row = torque_row::<Ur5, N, P>(joint, &Conditioned { motion, tau });
+        let mut truth = Stacked::of(&ParameterSet::nominal::<Ur5>(1));
+        truth.rigid = truth.rigid.map(|theta| 1.1 * theta);
+        truth.friction = [[2.0, 3.0, 0.5, 0.5]; N];
+        let noise: f64 = (0..12)
+            .map(|_| {
+                *random = random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1);
+                (*random >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+            })
+            .sum();
+        tau[joint] = row.dot(&truth) + (0.01 * noise) as f32 * Ur5::LIMITS[joint].torque;
+        (row, tau[joint])
+    }
+
+    #[test]
+    fn after_a_million_rows_it_is_where_exact_arithmetic_is_and_its_factors_are_positive() {
+        let config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
+        let prior = ParameterSet::nominal::<Ur5>(1);
+        let (start, sigma) = (Stacked::of(&prior), Stacked::sigma(&config));
+        let mut estimator = Estimator::<N, P>::new(&prior);
+        let n = start.iter().count();
+        let wide = |numbers: &Stacked<N, P>| numbers.iter().copied().map(f64::from).collect();
+        let mut twin = Twin {
+            start: wide(&start),
+            sigma: wide(&sigma),
+            theta: std::vec![0.0; n],
+            p: (0..n)
+                .map(|i| (0..n).map(|k| f64::from(u8::from(i == k))).collect())
+                .collect(),
+            variance: [1.0; N],
+        };
+        let (mut worst, mut random) = (0.0f64, 7);
+        for tick in 0..1_000_000 {
+            let joint = tick as usize % N;
+            let limit = Ur5::LIMITS[joint].torque;
+            let (row, tau) = seen(tick, joint, &mut random);
+            let before = estimator.correct(&config, &prior, joint, limit, &row, tau);
+            assert!(before.is_some());
+            let unit = f64::from(config.noise * limit);
+            let mut innovation = f64::from(tau);
+            let mut phi = Vec::with_capacity(n);
+            let columns = row.iter().zip(start.iter()).zip(sigma.iter());
+            for (((&row, &start), &sigma), theta) in columns.zip(&twin.theta) {
+                let (row, sigma) = (f64::from(row), f64::from(sigma));
+                innovation -= row * (f64::from(start) + sigma * theta);
+                phi.push(row * sigma / unit);
+            }
+            twin.correct(
+                joint,
+                &phi,
+                innovation / unit,
+                f64::from(config.process_noise),
+            );
+            if tick % 1000 == 999 {
+                let numbers = estimator.parameters().iter().zip(start.iter());
+                for (((&theta, &start), &sigma), twin) in numbers.zip(sigma.iter()).zip(&twin.theta)
+                {
+                    let theta = (f64::from(theta) - f64::from(start)) / f64::from(sigma);
+                    worst = worst.max((theta - twin).abs());
+                }
+                assert!(estimator.filter().diagonal().iter().all(|&d| d > 0.0));
+            }
+        }
+        std::println!("f32 and f64 at most {worst:.1e} prior standard deviations apart");
+        assert!(worst <= 1e-2, "{worst}");
+    }
+}
