@@ -82,12 +82,20 @@ impl Guarded {
         let deadline = Instant::now() + patience;
         loop {
             if let Some(status) = self.child.try_wait()? {
+                self.hear_out();
                 return Ok(Some(status));
             }
             if Instant::now() >= deadline {
                 return Ok(None);
             }
             std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    /// Waits for what an emulator that has ended may still have said.
+    fn hear_out(&mut self) {
+        if let Some(reader) = self.reader.take() {
+            let _ = reader.join();
         }
     }
 
@@ -105,9 +113,7 @@ impl Drop for Guarded {
         // Both fail only when the child is gone already, which is what is wanted.
         let _ = self.child.kill();
         let _ = self.child.wait();
-        if let Some(reader) = self.reader.take() {
-            let _ = reader.join();
-        }
+        self.hear_out();
         if let Some(before) = &self.affinity {
             let _ = sched_setaffinity(Pid::from_raw(0), before);
         }
