@@ -65,7 +65,8 @@ fn log(path: &Path, rows: usize, phase: f64, still: Option<usize>, noise: f64) {
         for (joint, tau) in tau.iter_mut().enumerate() {
             let friction = &robot.joints[joint].friction;
             let qd = state.qd[joint];
-            *tau += friction.viscous * qd + friction.coulomb * (qd / 0.02).tanh();
+            *tau += friction.viscous * qd
+                + friction.coulomb * (qd / f64::from(foretorque::dynamics::SIGN_WIDTH)).tanh();
             // Deterministic, far above the bandwidth of the motion.
             *tau += noise * ((row * (7 + joint)) as f64 * 1.7).sin();
         }

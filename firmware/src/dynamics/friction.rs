@@ -6,13 +6,13 @@ use crate::math::{exp, tanh};
 /// Number of friction columns of one joint.
 pub const FRICTION_COLUMNS: usize = 4;
 
-/// Reciprocal of the velocity over which Coulomb friction changes sign, s/rad: `sign(qd)` is smoothed to
-/// `tanh(qd / 0.01)`.
+/// Velocity over which Coulomb friction changes sign, rad/s: `sign(qd)` is smoothed to `tanh(qd / SIGN_WIDTH)`.
 ///
 /// 0.01 rad/s is a tenth of the Stribeck velocity of the drives modelled here (0.10 rad/s) and a fifth of the 0.05 rad/s
 /// under which learning ignores a joint, where the smoothed sign has reached 0.9999. The sign is that of the desired
 /// velocity: it closes no loop that could chatter.
-const INV_SIGN_WIDTH: f32 = 100.0;
+pub const SIGN_WIDTH: f32 = 0.01;
+const INV_SIGN_WIDTH: f32 = 1.0 / SIGN_WIDTH;
 
 /// Reciprocal of the Stribeck velocity of the wide column, s/rad: 0.14 rad/s. The narrow one has half of that.
 ///

@@ -27,7 +27,7 @@ pub(super) const SAMPLES: f64 = 10_000.0;
 /// Below this speed a joint counts as standing still and its row as unusable, rad/s: stiction is no function of speed.
 pub(super) const MOVING_RAD_S: f64 = 0.05;
 /// Width of the Coulomb columns' sign, rad/s, as in the firmware.
-pub(super) const SIGN_WIDTH_RAD_S: f64 = 0.02;
+pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
 /// Exponent of the smooth stand-in for the largest and smallest eigenvalue: an upper bound of κ, 36^(1/32) = 1.12 at worst
 /// in κ, and a per cent where eigenvalues are spread.
 const EXPONENT: f64 = 32.0;

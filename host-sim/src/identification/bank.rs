@@ -3,6 +3,7 @@
 use super::columns::Layout;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
+use foretorque::dynamics::FrictionParameters;
 use foretorque::edge::bank::{NETWORK_SEED, ParameterBank};
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::ParameterSet;
@@ -27,19 +28,20 @@ pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
         *place = *value as f32;
     }
     for (joint, friction) in set.friction.iter_mut().enumerate() {
-        friction.viscous = theta[P + 2 * joint] as f32;
-        friction.coulomb = theta[P + 2 * joint + 1] as f32;
+        *friction = FrictionParameters {
+            viscous: theta[P + 2 * joint] as f32,
+            coulomb: theta[P + 2 * joint + 1] as f32,
+            ..FrictionParameters::NONE
+        };
     }
     if let Some(networks) = networks {
         set.network = *networks;
     }
     let mut bank = ParameterBank::from_set::<A, N, P>(&set);
-    for (column, parameter) in bank.columns.iter_mut().zip(&plain.parameters) {
-        if column.id.to_string() != parameter.name {
-            return None;
-        }
-    }
-    for (column, deviation) in bank.columns.iter_mut().zip(deviations.iter()) {
+    // Columns that were not fitted keep the doubt of a bank nobody has identified.
+    for (parameter, deviation) in plain.parameters.iter().zip(deviations.iter()) {
+        let mut columns = bank.columns.iter_mut();
+        let column = columns.find(|column| column.id.to_string() == parameter.name)?;
         column.deviation = *deviation as f32;
     }
     for (gain, joint) in bank.drive_gains_nm_a.iter_mut().zip(&robot.joints) {

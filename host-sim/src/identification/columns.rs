@@ -8,7 +8,7 @@ use std::str::FromStr;
 
 /// Speed at which the smoothed sign of the Coulomb column has reached 76 %, rad/s: the same as on the board, so that a
 /// parameter means the same here and there.
-pub(super) const SIGN_WIDTH_RAD_S: f64 = 0.02;
+pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
 /// Widths of the Stribeck pair, rad/s. Two fixed bells span the narrow range of widths drives have, and stay linear.
 const STRIBECK_WIDTHS_RAD_S: [f64; 2] = [0.07, 0.14];
 
@@ -17,19 +17,19 @@ const STRIBECK_WIDTHS_RAD_S: [f64; 2] = [0.07, 0.14];
 pub enum FrictionColumn {
     /// `qd`
     Viscous,
-    /// `tanh(qd / 0.02)`
+    /// `tanh(qd / SIGN_WIDTH)`
     Coulomb,
     /// `1`
     Offset,
-    /// `tanh(qd / 0.02) exp(−(qd / w)²)` with w = 0.07 rad/s
+    /// `tanh(qd / SIGN_WIDTH) exp(−(qd / w)²)` with w = 0.07 rad/s
     StribeckNarrow,
     /// The same with w = 0.14 rad/s
     StribeckWide,
-    /// `tanh(qd / 0.02) sqrt|qd|`
+    /// `tanh(qd / SIGN_WIDTH) sqrt|qd|`
     Root,
     /// `qd³`
     Cubic,
-    /// `tanh(qd / 0.02) |tau_rigid|`, rigid-body torque of the description
+    /// `tanh(qd / SIGN_WIDTH) |tau_rigid|`, rigid-body torque of the description
     Load,
     /// `sin(z q)`, z cycles a turn from the description
     CoggingSine,
