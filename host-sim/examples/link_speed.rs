@@ -1,4 +1,4 @@
-//! Ticks a second that each board answers in lock-step, learning on: `cargo run --release --example link_speed`.
+//! Ticks a second that each board answers in lock-step, learning off and on: `cargo run --release --example link_speed`.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
@@ -25,7 +25,25 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn report(link: Box<dyn Transport>, ticks: u32) -> Result<(), Box<dyn std::error::Error>> {
     let name = link.name();
     let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(link, Duration::from_secs(5))?;
-    client.learning(true)?;
+    for learning in [false, true] {
+        let pace = pace(&mut client, ticks, learning)?;
+        println!("{name}: {pace:.0} ticks/s, learning: {learning}");
+    }
+    let statistics = client.statistics()?;
+    println!(
+        "  tick {:?}, lesson {:?}, byte {:?}, late sets {}",
+        statistics.tick_cost, statistics.learn_cost, statistics.receive_cost, statistics.late_sets
+    );
+    Ok(())
+}
+
+/// Ticks a second over `ticks` ticks.
+fn pace(
+    client: &mut Client<JOINTS>,
+    ticks: u32,
+    learning: bool,
+) -> Result<f64, Box<dyn std::error::Error>> {
+    client.learning(learning)?;
     let start = Instant::now();
     for k in 0..ticks {
         let angle = k as f32 * 2e-3;
@@ -43,11 +61,5 @@ fn report(link: Box<dyn Transport>, ticks: u32) -> Result<(), Box<dyn std::error
             measured: Some(measured),
         })?;
     }
-    let pace = f64::from(ticks) / start.elapsed().as_secs_f64();
-    let statistics = client.statistics()?;
-    println!(
-        "{name}: {pace:.0} ticks/s; tick {:?}, lesson {:?}, byte {:?}, late sets {}",
-        statistics.tick_cost, statistics.learn_cost, statistics.receive_cost, statistics.late_sets
-    );
-    Ok(())
+    Ok(f64::from(ticks) / start.elapsed().as_secs_f64())
 }
