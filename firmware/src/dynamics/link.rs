@@ -82,7 +82,7 @@ fn acceleration_field(omega: Vector, alpha: Vector) -> Matrix {
 /// The angle is a number whose sine and cosine are exact enough.
 ///
 /// Beside its meaning this branch pays for itself: it ends a basic block at each joint. In one block for the whole arm
-/// the compiler's scheduler mixes the joints and spills registers (measured on the UR5: 1117 instructions instead of 933).
+/// the compiler's scheduler mixes the joints and spills registers (measured on the UR5: 870 instructions instead of 808).
 #[inline(always)]
 pub(super) fn is_angle(q: f32) -> bool {
     q.abs() <= LARGEST_ANGLE
