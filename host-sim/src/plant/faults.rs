@@ -164,9 +164,7 @@ mod tests {
             ..ReportFaults::default()
         });
         let lost = seen.iter().filter(|(_, report)| report.is_none()).count();
-        let late = seen
-            .windows(2)
-            .filter(|pair| Some(pair[0].0) == pair[1].1);
+        let late = seen.windows(2).filter(|pair| Some(pair[0].0) == pair[1].1);
         let late = late.count();
         let broken = |m: &Measurement<6>| !m.q.iter().chain(m.tau.iter()).all(|x| x.is_finite());
         let broken = seen.iter().filter(|(_, r)| r.as_ref().is_some_and(broken));

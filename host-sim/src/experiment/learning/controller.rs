@@ -4,7 +4,7 @@ use super::world::{N, P, PERIOD_S, Set};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
 use foretorque::joint::JointSample;
-use foretorque::learning::{ConfigError, Exchange, Learner, LearnerConfig, LearnerState};
+use foretorque::learning::{ConfigError, Exchange, Learner, LearnerConfig, LearnerState, Report};
 
 /// Feed-forward, learner and the desk between them.
 ///
@@ -64,6 +64,11 @@ impl Controller {
     /// What the learner knows.
     pub(super) fn learner(&self) -> &LearnerState<N, P> {
         self.learner.state()
+    }
+
+    /// What the guard tells: model quality and decisions.
+    pub(super) fn report(&self) -> &Report<N> {
+        &self.feedforward.state().report
     }
 
     /// Sets that were not there in time.

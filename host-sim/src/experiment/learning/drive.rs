@@ -7,10 +7,10 @@ use super::world::{N, PERIOD_S, Set, World};
 use crate::dynamics::Joints;
 use crate::experiment::closed_loop::{Answer, ClosedLoop};
 use crate::metrics::{MOVING_RAD_S, TrackingError};
-use crate::plant::{Events, Plant};
+use crate::plant::{Events, Payload, Plant};
 use crate::trajectory::Trajectory;
 use foretorque::joint::JointSample;
-use foretorque::learning::{LearnerStatistics, Stacked};
+use foretorque::learning::{Decision, LearnerStatistics, PayloadEstimate, Stacked};
 use foretorque::limits::Flags;
 use std::convert::Infallible;
 use std::error::Error;
@@ -56,6 +56,12 @@ pub(super) struct Trace {
     /// Largest change of any parameter from one second after the stop to the end, in prior standard deviations.
     pub(super) drift: f64,
     pub(super) statistics: LearnerStatistics,
+    /// What the guard decided: time, s, and the decision.
+    pub(super) decisions: Vec<(f64, Decision)>,
+    /// Of every payload, one second after it was picked: what the board believes, and the truth.
+    pub(super) weighed: Vec<(PayloadEstimate, Payload)>,
+    /// Lowest trust figure.
+    pub(super) least_trust: f32,
     /// Ticks with each of these flags.
     pub(super) flags: Vec<(&'static str, u32)>,
     pub(super) late_sets: u32,
@@ -86,6 +92,8 @@ const FIRST_S: f64 = 5.0;
 const CLOSE_S: f64 = 2.6;
 /// Rows this soon after a payload has changed are no row of a window, s.
 pub(super) const PAYLOAD_GRACE_S: f64 = 2.5;
+/// When a payload is weighed, after it was picked, s.
+const WEIGHED_AFTER_S: f64 = 1.0;
 /// When the torque is compared after a release, s.
 const RESTORED_AFTER_S: f64 = 0.5;
 
@@ -128,6 +136,7 @@ impl Run<'_> {
         let mut acting = Joints::zeros();
         for tick in 0..self.ticks() {
             watch.look(tick, &board, &plant);
+            watch.decisions(tick, &board);
             let (mut asked, mut torque) = (None, None);
             let Ok(record) = run.tick_with::<Infallible>(&mut plant, |sample| {
                 asked = sample.copied();
@@ -171,6 +180,8 @@ struct Watch<'w> {
     settled: Option<Set>,
     /// What the set before the last pick says along the unseen path.
     before_pick: Option<Vec<Joints<N>>>,
+    /// Decisions of the guard already written down.
+    decided: u32,
     trace: Trace,
 }
 
@@ -201,13 +212,31 @@ impl<'w> Watch<'w> {
             },
             settled: None,
             before_pick: None,
+            decided: 0,
             trace: Trace {
                 seconds: vec![Second::default(); seconds],
                 flags: COUNTED.iter().map(|(name, _)| (*name, 0)).collect(),
+                least_trust: 1.0,
                 checksum: 0xcbf2_9ce4_8422_2325,
                 ..Trace::default()
             },
         }
+    }
+
+    /// Writes down what the guard has decided since the last tick.
+    fn decisions(&mut self, tick: usize, board: &Controller) {
+        let report = board.report();
+        let trust = report.quality.trust;
+        self.trace.least_trust = self.trace.least_trust.min(trust);
+        let count = report.decisions.count();
+        for index in self.decided..count {
+            if let Some(decision) = report.decisions.get(index) {
+                self.trace
+                    .decisions
+                    .push((tick as f64 * PERIOD_S, decision));
+            }
+        }
+        self.decided = count;
     }
 
     /// Looks at the active set when it is time.
@@ -220,6 +249,10 @@ impl<'w> Watch<'w> {
         for payload in &self.events.payloads {
             if at(payload.from_s) {
                 self.before_pick = Some(self.world.said(board.active()));
+            }
+            if at(payload.from_s + WEIGHED_AFTER_S) {
+                let believed = board.report().quality.payload;
+                self.trace.weighed.push((believed, *payload));
             }
             if let Some(before) = &self.before_pick
                 && at(payload.to_s + RESTORED_AFTER_S)

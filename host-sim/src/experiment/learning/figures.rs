@@ -59,6 +59,18 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
     for (flag, count) in &learning.flags {
         put(&format!("{flag}_ticks_count"), f64::from(*count));
     }
+    for reason in learning
+        .decisions
+        .iter()
+        .map(|(_, decision)| decision.reason)
+    {
+        *out.entry(format!("guard_{}_count", snake(&format!("{reason:?}"))))
+            .or_default() += 1.0;
+    }
+    let mut put = |name: &str, value: f64| {
+        out.insert(name.to_owned(), value);
+    };
+    put("least_trust_ratio", f64::from(learning.least_trust));
     match scenario.name {
         "convergence" => {
             for (bound, name) in [(0.02, "below_2_percent_s"), (0.01, "below_1_percent_s")] {
@@ -95,6 +107,18 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
                 ratios.iter().copied().fold(f64::INFINITY, f64::min),
             );
         }
+    }
+    out
+}
+
+/// `DriveGain` → `drive_gain`.
+fn snake(name: &str) -> String {
+    let mut out = String::new();
+    for letter in name.chars() {
+        if letter.is_uppercase() && !out.is_empty() {
+            out.push('_');
+        }
+        out.extend(letter.to_lowercase());
     }
     out
 }
@@ -177,6 +201,21 @@ fn payloads(events: &Events<N>, trace: &Trace, put: &mut impl FnMut(&str, f64)) 
         );
         put(&format!("{name}_to_10_percent_worst_s"), largest(&times));
     }
+    let mass: Vec<f64> = trace
+        .weighed
+        .iter()
+        .map(|(found, true_one)| 100.0 * (f64::from(found.mass) / true_one.body.mass - 1.0).abs())
+        .collect();
+    put("mass_error_after_1_s_worst_percent", largest(&mass));
+    let com: Vec<f64> = trace
+        .weighed
+        .iter()
+        .map(|(found, true_one)| {
+            let found = found.com.map(f64::from);
+            1e3 * (nalgebra::Vector3::from(found) - true_one.body.com).norm()
+        })
+        .collect();
+    put("com_error_after_1_s_worst_mm", largest(&com));
     let percent: Vec<f64> = trace.restored.iter().map(|part| 100.0 * part).collect();
     put(
         "torque_after_release_change_worst_percent",
