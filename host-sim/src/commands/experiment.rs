@@ -125,11 +125,23 @@ fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Fail
     };
     let mut json = WholeFile::create(&out.join("report.json"))?;
     let bar = Bar::new();
-    let report = learning::run(&config, &|stage, done, all| bar.show(stage, done, all))?;
+    let (report, page) = learning::run(&config, &|stage, done, all| bar.show(stage, done, all))?;
     drop(bar);
     serde_json::to_writer_pretty(&mut json, &report)?;
     json.write_all(b"\n")?;
+    write_whole(&out.join("report.html"), page.as_bytes())?;
     json.finish()?;
+    for outcome in &report.outcomes {
+        say(format_args!(
+            "{:<26} {:<44} {:>10.4}  {} {:<6} {}",
+            outcome.scenario,
+            outcome.figure,
+            outcome.measured,
+            outcome.side,
+            outcome.bar,
+            if outcome.met { "met" } else { "MISSED" }
+        ))?;
+    }
     Ok(())
 }
 

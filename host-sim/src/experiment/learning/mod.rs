@@ -1,12 +1,16 @@
 //! Does learning help, how fast, and can it make anything worse? Learned against frozen boards in closed loop, over
 //! everything that may go wrong.
 
+mod bars;
 mod controller;
 mod drive;
 mod figures;
 mod identified;
+mod page;
 mod scenario;
 mod world;
+
+pub use bars::Outcome;
 
 use drive::{Board, Run, Trace};
 use figures::{Figures, Traces, figures};
@@ -59,6 +63,8 @@ pub struct LearningReport {
     pub seed: u64,
     /// Scenarios by name.
     pub scenarios: BTreeMap<String, ScenarioReport>,
+    /// Figures against their bars.
+    pub outcomes: Vec<Outcome>,
 }
 
 /// Told how far it is: seconds of arm time done, and in all.
@@ -73,13 +79,13 @@ pub fn scenarios() -> impl Iterator<Item = (String, &'static str)> {
     })
 }
 
-/// Runs the scenarios on all cores.
+/// Runs the scenarios on all cores. Returns the figures and the page.
 ///
 /// Errors: no scenario has that name.
 pub fn run(
     config: &LearningConfig,
     progress: Progress<'_>,
-) -> Result<LearningReport, Box<dyn Error>> {
+) -> Result<(LearningReport, String), Box<dyn Error>> {
     let wanted: Vec<(String, &Scenario, f64)> = SCENARIOS
         .iter()
         .flat_map(|scenario| {
@@ -153,11 +159,15 @@ pub fn run(
             },
         );
     }
-    Ok(LearningReport {
+    let outcomes = bars::outcomes(scenarios.iter().map(|(name, s)| (name, &s.figures)));
+    let report = LearningReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: config.seed,
         scenarios,
-    })
+        outcomes,
+    };
+    let page = page::page(&report)?;
+    Ok((report, page))
 }
 
 /// Error over time, %.
@@ -199,4 +209,43 @@ fn run_all(
         .into_iter()
         .map(|trace| Ok(trace.ok_or("a run ended early")??))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(only: &str) -> LearningReport {
+        let config = LearningConfig {
+            seed: 1,
+            only: Some(only.to_owned()),
+            quick: true,
+        };
+        run(&config, &|_, _, _| {}).expect("runs").0
+    }
+
+    #[test]
+    fn a_wrong_prior_is_learnt_and_the_same_seed_gives_the_same_bits() {
+        let first = report("convergence");
+        assert_eq!(first.scenarios.len(), 2);
+        for (name, scenario) in &first.scenarios {
+            let figures = &scenario.figures;
+            let last = figures["last_nrmse_moving_percent"];
+            assert!(figures["first_nrmse_moving_percent"] > 20.0, "{name}");
+            assert!(
+                last < 0.25 * figures["last_frozen_nrmse_moving_percent"],
+                "{name}: {last}"
+            );
+        }
+        // As text, in which what never happened is equal to itself.
+        let text = |report: &LearningReport| serde_json::to_string(report).expect("is written");
+        assert_eq!(text(&first), text(&report("convergence")));
+    }
+
+    #[test]
+    fn standstill_changes_no_parameter() {
+        for scenario in report("standstill").scenarios.values() {
+            assert_eq!(scenario.figures["parameter_drift_prior_sigmas"], 0.0);
+        }
+    }
 }
