@@ -239,10 +239,11 @@ impl<const N: usize> ViaPath<N> {
         path
     }
 
-    /// The same path of `joint` alone; the others stay where they begin.
-    pub fn of_joint(mut self, joint: usize) -> Self {
+    /// The same path, of `joint` alone until about `alone_s`; the others wait where they begin.
+    pub fn of_joint_until(mut self, joint: usize, alone_s: f64) -> Self {
         let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);
-        for (q, slope) in &mut self.via {
+        let waiting = (alone_s / self.segment_s) as usize + 1;
+        for (q, slope) in self.via.iter_mut().take(waiting) {
             for other in (0..N).filter(|&other| other != joint) {
                 q[other] = start[other];
                 slope[other] = 0.0;
@@ -348,6 +349,22 @@ mod tests {
             let bend = (path.at(t_s + h).qd - path.at(t_s - h).qd) / (2.0 * h);
             assert!((bend - path.at(t_s).qdd).amax() < 1e-3, "{t_s}");
         }
+    }
+
+    #[test]
+    fn a_path_of_one_joint_moves_the_others_only_afterwards() {
+        let robot = Robot::load("ur5").expect("built in");
+        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        let alone = path.clone().of_joint_until(1, 15.0);
+        for k in 0..=300 {
+            let t_s = 0.1 * f64::from(k);
+            let (all, one) = (path.at(t_s), alone.at(t_s));
+            assert_eq!(all.qd[1], one.qd[1], "{t_s}");
+            if t_s <= 15.0 {
+                assert_eq!(one.q[0], path.at(0.0).q[0], "{t_s}");
+            }
+        }
+        assert_eq!(alone.at(20.0), path.at(20.0));
     }
 
     #[test]

@@ -15,6 +15,7 @@ pub(super) struct Traces {
     pub(super) learning: Trace,
     pub(super) frozen: Trace,
     pub(super) pd: Option<Trace>,
+    pub(super) no_network: Option<Trace>,
 }
 
 /// Length of the windows in which learned and frozen are compared, s.
@@ -33,6 +34,7 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
         learning,
         frozen,
         pd,
+        no_network,
     } = traces;
     let mut put = |name: &str, value: f64| {
         out.insert(name.to_owned(), value);
@@ -89,6 +91,22 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
     }
     if !events.pushes.is_empty() {
         collisions(events, learning, &mut put);
+    }
+    if let Some(without) = no_network {
+        let late = |trace: &Trace| trace.looks[trace.looks.len() / 2..].to_vec();
+        let ratios: Vec<f64> = late(learning)
+            .iter()
+            .zip(late(without))
+            .map(|(with, without)| with.nrmse / without.nrmse)
+            .collect();
+        put(
+            "unseen_with_over_without_network_ratio",
+            ratios.iter().sum::<f64>() / ratios.len() as f64,
+        );
+        put(
+            "unseen_with_over_without_network_worst_ratio",
+            largest(&ratios),
+        );
     }
     if let Some(pd) = pd {
         let alone = tracked(pd);

@@ -2,6 +2,8 @@
 //! everything that may go wrong.
 
 mod bars;
+mod baselines;
+mod comparison;
 mod controller;
 mod drive;
 mod figures;
@@ -11,6 +13,7 @@ mod scenario;
 mod world;
 
 pub use bars::Outcome;
+pub use comparison::MethodReport;
 
 use drive::{Board, Run, Trace};
 use figures::{Figures, Traces, figures};
@@ -63,6 +66,8 @@ pub struct LearningReport {
     pub seed: u64,
     /// Scenarios by name.
     pub scenarios: BTreeMap<String, ScenarioReport>,
+    /// Estimators side by side on the same rows, by name; empty where only some scenarios were asked for.
+    pub comparison: BTreeMap<String, MethodReport>,
     /// Figures against their bars.
     pub outcomes: Vec<Outcome>,
 }
@@ -98,7 +103,8 @@ pub fn run(
                 .is_none_or(|only| name.starts_with(only))
         })
         .collect();
-    if wanted.is_empty() {
+    let comparison_alone = config.only.as_deref() == Some("comparison");
+    if wanted.is_empty() && !comparison_alone {
         let only = config.only.as_deref().unwrap_or_default();
         return Err(format!("no scenario begins with '{only}': --list shows them").into());
     }
@@ -106,11 +112,9 @@ pub fn run(
     let starts = Starts::new(&world)?;
     let mut runs = Vec::new();
     for (place, (_, scenario, bandwidth_hz)) in wanted.iter().enumerate() {
-        let boards: &[Board] = if scenario.against_pd {
-            &[Board::Learning, Board::Frozen, Board::None]
-        } else {
-            &[Board::Learning, Board::Frozen]
-        };
+        let mut boards = vec![Board::Learning, Board::Frozen];
+        boards.extend(scenario.against_pd.then_some(Board::None));
+        boards.extend(scenario.without_network.then_some(Board::NoNetwork));
         runs.extend(boards.iter().map(|board| {
             let run = Run {
                 world: &world,
@@ -144,6 +148,7 @@ pub fn run(
             learning,
             frozen,
             pd: take(Board::None),
+            no_network: take(Board::NoNetwork),
         };
         let events = scenario.events(&world, config.quick);
         let figures = figures(scenario, &events, &traces);
@@ -159,11 +164,18 @@ pub fn run(
             },
         );
     }
+    let comparison = match config.only {
+        Some(_) if !comparison_alone => BTreeMap::new(),
+        _ => comparison::compare(&world, config.quick, &|done, all| {
+            progress("estimators compared", done, all);
+        })?,
+    };
     let outcomes = bars::outcomes(scenarios.iter().map(|(name, s)| (name, &s.figures)));
     let report = LearningReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: config.seed,
         scenarios,
+        comparison,
         outcomes,
     };
     let page = page::page(&report)?;
