@@ -4,7 +4,7 @@ use super::terminal::say;
 use super::{Failure, unusable};
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
 use crate::experiment::learning::{self, LearningConfig};
-use crate::experiment::{EXPERIMENTS, real_ur5};
+use crate::experiment::{EXPERIMENTS, real_ur5, replay_real};
 use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
 use clap::Args;
@@ -43,7 +43,7 @@ pub(super) struct Arguments {
     /// Arm time with learning on, flashable firmware, s
     #[arg(long, default_value_t = DemoConfig::default().usart_learning_s)]
     usart_learning_s: f64,
-    /// Directory of the logs of real-ur5
+    /// Directory of the logs of real-ur5 and replay-real
     #[arg(long, value_name = "DIR", default_value = "tests/data/ur5-real")]
     logs: PathBuf,
 }
@@ -65,6 +65,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Some("demo"), Some(out)) => run_demo(arguments, out),
         (Some("learning"), Some(out)) => run_learning(arguments, out),
         (Some("real-ur5"), Some(out)) => run_real_ur5(arguments, out),
+        (Some("replay-real"), Some(out)) => run_replay_real(arguments, out),
         (name, _) => Err(unusable(format!(
             "unknown experiment '{}': `experiment --list` shows them",
             name.unwrap_or_default()
@@ -142,6 +143,33 @@ fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Fail
             if outcome.met { "met" } else { "MISSED" }
         ))?;
     }
+    Ok(())
+}
+
+fn run_replay_real(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+    let bar = Bar::new();
+    let (report, page) = replay_real::run(&arguments.logs, arguments.seed, &|stage, done, all| {
+        bar.show(stage, done, all);
+    })?;
+    drop(bar);
+    let json = serde_json::to_string_pretty(&report)? + "\n";
+    write_whole(&out.join("report.html"), page.as_bytes())?;
+    write_whole(&out.join("report.json"), json.as_bytes())?;
+    for (value, what) in [
+        (report.aged_10_s_vs_rich_wls_ratio, "parameters 10 s old"),
+        (report.newest_vs_rich_wls_ratio, "parameters as they are"),
+        (report.frozen_vs_rich_wls_ratio, "data sheet, frozen"),
+        (
+            report.plain_wls_vs_rich_wls_ratio,
+            "plain batch least squares",
+        ),
+    ] {
+        say(format_args!("{what:<28} {value:.3} × {}", report.reference))?;
+    }
+    say(format_args!(
+        "decisions of the guard       {:?}",
+        report.decisions_count
+    ))?;
     Ok(())
 }
 
