@@ -9,6 +9,7 @@ pub mod experiment;
 pub mod files;
 pub mod generate;
 pub mod identification;
+pub mod kinematics;
 pub mod metrics;
 pub mod plant;
 pub mod report;
