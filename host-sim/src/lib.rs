@@ -11,6 +11,7 @@ pub mod generate;
 pub mod identification;
 pub mod kinematics;
 pub mod metrics;
+pub mod parallel;
 pub mod plant;
 pub mod report;
 pub mod robot;

@@ -61,7 +61,7 @@ impl<const N: usize> Inverse<N> {
         let Some(arm) = &self.closed else {
             return self.searched(target, near);
         };
-        let free = near.iter().last().copied().unwrap_or(0.0);
+        let free = near.iter().next_back().copied().unwrap_or(0.0);
         let mut solutions = Vec::with_capacity(8);
         for solution in arm.solutions(target, free)? {
             let q = Joints::<N>::from_column_slice(&solution);
