@@ -3,7 +3,7 @@
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::store::{Store, StoreError, saves, slots};
+use foretorque::edge::store::{Store, StoreDesk, StoreError, StoreOrder, saves, slots};
 use host_sim::board::flash::SimulatedFlash;
 use host_sim::faults::store::{self, SECTOR, SMALL_SECTOR, set};
 
@@ -85,4 +85,33 @@ fn saves_wear_both_sectors_alike_and_rewrite_no_word() {
     assert_eq!(store.flash().erases(), [u64::from(rounds); 2]);
     // The budget that the documentation states, from what was counted.
     assert_eq!(saves(SECTOR as u32), each * 10_000);
+}
+
+#[test]
+fn orders_pass_the_desk_one_at_a_time() {
+    let bank = |number| ParameterBank::decode(&set(number)).unwrap();
+    let mut store = Store::new(SimulatedFlash::<SMALL_SECTOR>::new(SEED));
+    let mut desk = StoreDesk::new();
+    let mut keep_house = |desk: &mut StoreDesk| {
+        let mut job = desk.begin().expect("an order waits");
+        let outcome = job.carry_out(&mut store, Ur5::HASH);
+        desk.finish(&job, outcome);
+    };
+    assert!(desk.begin().is_none());
+    assert!(desk.restore(7));
+    keep_house(&mut desk);
+    let answer = desk.collect().unwrap();
+    assert_eq!((answer.requester, answer.order), (7, StoreOrder::Restore));
+    assert_eq!(answer.outcome, Err(StoreError::Empty));
+
+    assert!(desk.save(8, &bank(1)));
+    assert!(!desk.save(9, &bank(2)) && !desk.restore(9), "one at a time");
+    keep_house(&mut desk);
+    assert!(!desk.restore(9), "the answer waits");
+    assert_eq!(desk.collect().unwrap().outcome, Ok(&set(1)[..]));
+    assert_eq!(desk.collect(), None);
+
+    assert!(desk.restore(10));
+    keep_house(&mut desk);
+    assert_eq!(desk.collect().unwrap().outcome, Ok(&set(1)[..]));
 }
