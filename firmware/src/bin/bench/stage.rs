@@ -61,6 +61,9 @@ impl Stage {
                 coulomb: 0.05 * limits.torque,
                 stribeck_narrow: 0.01 * limits.torque,
                 stribeck_wide: 0.01 * limits.torque,
+                offset: 0.001 * limits.torque,
+                cogging_sin: 0.003 * limits.torque,
+                cogging_cos: 0.001 * limits.torque,
             };
         }
         let mut feedforward =
