@@ -2,7 +2,9 @@ use super::boards::BoardChoice;
 use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unusable};
+use crate::board::Client;
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
+use crate::experiment::learning::soak::{self, SoakConfig};
 use crate::experiment::learning::{self, LearningConfig};
 use crate::experiment::{EXPERIMENTS, real_ur5, replay_real};
 use crate::files::{WholeFile, write_whole};
@@ -31,7 +33,8 @@ pub(super) struct Arguments {
     /// Directory for report.json and report.html
     #[arg(long, value_name = "DIR", required_unless_present = "list")]
     out: Option<PathBuf>,
-    /// Board of the long run: qemu or native; with qemu the flashable firmware runs beside it, over its USART
+    /// Board: qemu or native. demo runs on it, and with qemu the flashable firmware beside it, over its USART; learning
+    /// and soak run natively and compare a part with it bit for bit, unless it is native
     #[arg(long, default_value = "qemu")]
     board: BoardChoice,
     /// Seed of plant, prior, paths and noise
@@ -43,6 +46,12 @@ pub(super) struct Arguments {
     /// Arm time with learning on, flashable firmware, s
     #[arg(long, default_value_t = DemoConfig::default().usart_learning_s)]
     usart_learning_s: f64,
+    /// Ticks of soak in this process
+    #[arg(long, default_value_t = 10_000_000)]
+    ticks: usize,
+    /// Ticks of soak that are compared with the board
+    #[arg(long, default_value_t = 1_000_000)]
+    board_ticks: usize,
     /// Directory of the logs of real-ur5 and replay-real
     #[arg(long, value_name = "DIR", default_value = "tests/data/ur5-real")]
     logs: PathBuf,
@@ -64,6 +73,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match (arguments.name.as_deref(), &arguments.out) {
         (Some("demo"), Some(out)) => run_demo(arguments, out),
         (Some("learning"), Some(out)) => run_learning(arguments, out),
+        (Some("soak"), Some(out)) => run_soak(arguments, out),
         (Some("real-ur5"), Some(out)) => run_real_ur5(arguments, out),
         (Some("replay-real"), Some(out)) => run_replay_real(arguments, out),
         (name, _) => Err(unusable(format!(
@@ -125,8 +135,11 @@ fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Fail
         quick: arguments.quick,
     };
     let mut json = WholeFile::create(&out.join("report.json"))?;
+    let mut board = board_beside(arguments)?;
     let bar = Bar::new();
-    let (report, page) = learning::run(&config, &|stage, done, all| bar.show(stage, done, all))?;
+    let (report, page) = learning::run(&config, board.as_mut(), &|stage, done, all| {
+        bar.show(stage, done, all);
+    })?;
     drop(bar);
     serde_json::to_writer_pretty(&mut json, &report)?;
     json.write_all(b"\n")?;
@@ -143,7 +156,41 @@ fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Fail
             if outcome.met { "met" } else { "MISSED" }
         ))?;
     }
+    for (name, replayed) in &report.emulated {
+        say(format_args!(
+            "{name:<26} {} ticks on board {}, {} with other bits",
+            replayed.ticks_count, arguments.board, replayed.ticks_with_other_bits_count
+        ))?;
+    }
     Ok(())
+}
+
+fn run_soak(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+    let config = SoakConfig {
+        seed: arguments.seed,
+        ticks: arguments.ticks,
+        board_ticks: arguments.board_ticks,
+    };
+    let mut json = WholeFile::create(&out.join("report.json"))?;
+    let mut board = board_beside(arguments)?;
+    let bar = Bar::new();
+    let report = soak::run(&config, board.as_mut(), &|stage, done, all| {
+        bar.show(stage, done, all);
+    })?;
+    drop(bar);
+    serde_json::to_writer_pretty(&mut json, &report)?;
+    json.write_all(b"\n")?;
+    json.finish()?;
+    say(serde_json::to_string_pretty(&report)?)?;
+    Ok(())
+}
+
+/// The board that native runs are compared with; none if it would be the native one.
+fn board_beside(arguments: &Arguments) -> Result<Option<Client<JOINTS>>, Failure> {
+    match &arguments.board {
+        BoardChoice::Native => Ok(None),
+        board => Ok(Some(board.connect::<Ur5, JOINTS, PARAMETERS>(None)?)),
+    }
 }
 
 fn run_replay_real(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {

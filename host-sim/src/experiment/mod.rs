@@ -8,7 +8,7 @@ pub mod real_ur5;
 pub mod replay_real;
 
 /// Names of the studies, each with one line on what it shows.
-pub const EXPERIMENTS: [(&str, &str); 4] = [
+pub const EXPERIMENTS: [(&str, &str); 5] = [
     (
         "demo",
         "from a wrong prior, learn on the board in closed loop, freeze, play an unseen path",
@@ -24,5 +24,9 @@ pub const EXPERIMENTS: [(&str, &str); 4] = [
     (
         "replay-real",
         "the board learns a real UR5 from its logs, row by row, against batch least squares",
+    ),
+    (
+        "soak",
+        "ten million ticks of learning: finite, positive, where exact arithmetic is, the same bits on the board",
     ),
 ];

@@ -7,7 +7,7 @@ use foretorque::learning::{Estimator, LearnerConfig, Stacked};
 use nalgebra::{DMatrix, DVector, RealField};
 
 /// Something that learns linear parameters row by row.
-pub(super) trait RowEstimator: Send {
+pub(super) trait RowEstimator {
     /// Takes in the torque `tau`, N·m, of `joint`.
     fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32);
     /// The estimate.
@@ -156,7 +156,7 @@ impl<T: RealField + Copy> Rls<T> {
     }
 }
 
-impl<T: RealField + Copy + Into<f64> + Send> RowEstimator for Rls<T> {
+impl<T: RealField + Copy + Into<f64>> RowEstimator for Rls<T> {
     fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
         let (phi, left) = self.scale.row::<T>(joint, row, tau);
         let spread = &self.covariance * &phi;

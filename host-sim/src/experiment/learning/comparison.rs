@@ -6,12 +6,14 @@ use super::scenario::PAYLOAD_COM_M;
 use super::world::{N, P, PERIOD_S, World};
 use crate::dynamics::Joints;
 use crate::experiment::closed_loop::{Answer, ClosedLoop};
+use crate::parallel::{cores, in_parallel};
 use crate::plant::{Events, Payload, PlantConfig};
 use crate::trajectory::Trajectory;
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
 use foretorque::learning::{Conditioned, MeasurementWindow, Stacked, torque_row};
 use serde::Serialize;
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::error::Error;
@@ -52,20 +54,46 @@ struct Part {
     needed: Vec<Vec<Joints<N>>>,
 }
 
-/// How an estimator is fed.
-struct Feed {
+/// An estimator and how it is fed.
+struct Method {
     name: &'static str,
+    kind: Kind,
     rows_a_tick: usize,
     gated: bool,
 }
 
-const fn feed(name: &'static str, rows_a_tick: usize, gated: bool) -> Feed {
-    Feed {
+/// Which estimator.
+#[derive(Clone, Copy)]
+enum Kind {
+    Firmware,
+    Nlms,
+    Rls,
+    RlsF32,
+}
+
+const fn method(name: &'static str, kind: Kind, rows_a_tick: usize, gated: bool) -> Method {
+    Method {
         name,
+        kind,
         rows_a_tick,
         gated,
     }
 }
+
+/// The firmware's filter comes first, then what an engineer would try before it.
+const METHODS: [Method; 9] = [
+    method("ud-1-row", Kind::Firmware, 1, true),
+    method("nlms-1-row", Kind::Nlms, 1, true),
+    method("ud-2-rows", Kind::Firmware, 2, true),
+    method("ud-6-rows", Kind::Firmware, 6, true),
+    method("nlms-6-rows", Kind::Nlms, 6, true),
+    method("nlms-1-row-ungated", Kind::Nlms, 1, false),
+    method("rls-1-row", Kind::Rls, 1, true),
+    method("rls-1-row-ungated", Kind::Rls, 1, false),
+    method("rls-f32-1-row-ungated", Kind::RlsF32, 1, false),
+];
+/// How many of them the short form runs.
+const SHORT: usize = 2;
 
 /// Learning rate and forgetting factors as usually chosen.
 const NLMS_RATE: f64 = 0.05;
@@ -77,59 +105,33 @@ const FORGETTING: f64 = 0.9999;
 pub(super) fn compare(
     world: &World,
     short: bool,
-    progress: &(dyn Fn(usize, usize) + Sync),
+    progress: &dyn Fn(usize, usize),
 ) -> Result<BTreeMap<String, MethodReport>, Box<dyn Error>> {
     let length = if short { 0.1 } else { 1.0 };
     let parts = [
         part(world, TASK_S * length, STILL_S * length, None)?,
         part(world, LOADED_S * length, 0.0, Some(PICK_S * length))?,
     ];
-    let config = Controller::config();
-    let wrong = &world.wrong;
-    let firmware = || -> Box<dyn RowEstimator> { Box::new(Firmware::new(config, wrong)) };
-    let nlms = || -> Box<dyn RowEstimator> { Box::new(Nlms::new(&config, wrong, NLMS_RATE)) };
-    let rls = || -> Box<dyn RowEstimator> { Box::new(Rls::<f64>::new(&config, wrong, FORGETTING)) };
-    let rls32 =
-        || -> Box<dyn RowEstimator> { Box::new(Rls::<f32>::new(&config, wrong, FORGETTING)) };
-    let mut methods = vec![
-        (feed("ud-1-row", 1, true), firmware()),
-        (feed("nlms-1-row", 1, true), nlms()),
-    ];
-    if !short {
-        methods.extend([
-            (feed("ud-2-rows", 2, true), firmware()),
-            (feed("ud-6-rows", 6, true), firmware()),
-            (feed("nlms-6-rows", 6, true), nlms()),
-            (feed("nlms-1-row-ungated", 1, false), nlms()),
-            (feed("rls-1-row", 1, true), rls()),
-            (feed("rls-1-row-ungated", 1, false), rls()),
-            (feed("rls-f32-1-row-ungated", 1, false), rls32()),
-        ]);
-    }
-    let all = methods.len();
-    let (queue, done) = (
-        std::sync::Mutex::new(methods),
-        std::sync::Mutex::new(BTreeMap::new()),
-    );
-    let work = || {
-        loop {
-            let Some((feed, method)) = queue.lock().ok().and_then(|mut queue| queue.pop()) else {
-                return;
-            };
-            let report = learn(world, &parts, &feed, method);
-            if let Ok(mut done) = done.lock() {
-                done.insert(feed.name.to_owned(), report);
-                progress(done.len(), all);
-            }
-        }
-    };
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..cores {
-            scope.spawn(work);
-        }
+    let methods = &METHODS[..if short { SHORT } else { METHODS.len() }];
+    let done = Cell::new(0);
+    let work = |method: &Method| (method.name.to_owned(), learn(world, &parts, method));
+    let reports = in_parallel(cores(), methods, work, || {
+        done.set(done.get() + 1);
+        progress(done.get(), methods.len());
     });
-    Ok(done.into_inner().map_err(|_| "an estimator stopped")?)
+    Ok(reports.into_iter().collect())
+}
+
+impl Kind {
+    fn started(self, world: &World) -> Box<dyn RowEstimator> {
+        let (config, wrong) = (Controller::config(), &world.wrong);
+        match self {
+            Self::Firmware => Box::new(Firmware::new(config, wrong)),
+            Self::Nlms => Box::new(Nlms::new(&config, wrong, NLMS_RATE)),
+            Self::Rls => Box::new(Rls::<f64>::new(&config, wrong, FORGETTING)),
+            Self::RlsF32 => Box::new(Rls::<f32>::new(&config, wrong, FORGETTING)),
+        }
+    }
 }
 
 /// The arm at work under PD control and the wrong model, as the board's filter would show it.
@@ -170,12 +172,8 @@ fn part(
     Ok(Part { rows, needed })
 }
 
-fn learn(
-    world: &World,
-    parts: &[Part; 2],
-    feed: &Feed,
-    mut method: Box<dyn RowEstimator>,
-) -> MethodReport {
+fn learn(world: &World, parts: &[Part; 2], feed: &Method) -> MethodReport {
+    let mut method = feed.kind.started(world);
     let gate = Controller::config().velocity_gate;
     let mut set = world.wrong;
     let mut curves = [Vec::new(), Vec::new()];

@@ -2,6 +2,8 @@
 
 use super::world::{N, P, PERIOD_S, Set};
 use foretorque::arm::ur5::Ur5;
+use foretorque::edge::bank::NETWORK_SEED;
+use foretorque::edge::wire::SampleFrame;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
 use foretorque::joint::JointSample;
 use foretorque::learning::{ConfigError, Exchange, Learner, LearnerConfig, LearnerState, Report};
@@ -29,20 +31,26 @@ impl Controller {
         config: LearnerConfig<N, P>,
         learning: bool,
     ) -> Result<Self, ConfigError> {
+        let booted = Set::nominal::<Ur5>(NETWORK_SEED);
         let period_s = PERIOD_S as f32;
+        let mut exchange = Exchange::new();
         let mut feedforward =
-            FeedForward::new(FeedForwardConfig::for_arm::<Ur5, P>(period_s), *set)?;
+            FeedForward::new(FeedForwardConfig::for_arm::<Ur5, P>(period_s), booted)?;
+        feedforward.load(*set, &mut exchange);
         feedforward.set_learning(learning);
         Ok(Self {
             feedforward,
-            learner: Learner::new(config, *set)?,
-            exchange: Exchange::new(),
+            learner: Learner::new(config, booted)?,
+            exchange,
             learning,
         })
     }
 
-    /// One tick; none of the desired motion or the measurement arrives when `sample` is none.
+    /// One tick; none of the desired motion or the measurement arrives when `sample` is none. The sample is rounded as
+    /// the link rounds it.
     pub(super) fn tick(&mut self, sample: Option<&JointSample<N>>) -> Torque<N> {
+        let received = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
+        let sample = received.as_ref();
         self.feedforward.adopt(&mut self.exchange);
         let torque = match sample {
             Some(sample) => self.feedforward.step(sample),

@@ -84,6 +84,10 @@ pub struct ReplayReport {
     pub paths: Vec<PathScores>,
 }
 
+fn ticks_a_row() -> usize {
+    std::env::var("REPLAY_K").ok().and_then(|k| k.parse().ok()).unwrap_or(1)
+}
+
 type Set = ParameterSet<N, P>;
 
 /// The board at the pace of the logs.
@@ -99,7 +103,7 @@ struct Board {
 
 impl Board {
     fn new() -> Result<Self, Box<dyn Error>> {
-        let period_s = PERIOD_S as f32;
+        let period_s = (PERIOD_S / ticks_a_row() as f64) as f32;
         let set = Set::nominal::<Ur5>(1);
         let mut feedforward =
             FeedForward::new(FeedForwardConfig::for_arm::<Ur5, P>(period_s), set)?;
@@ -180,6 +184,7 @@ fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Sa
         aged: Vec::new(),
         frozen: Vec::new(),
     };
+    let mut before: Option<foretorque::joint::JointMeasurement<N>> = None;
     // What follows does not join on to what came before.
     board.tick(None);
     for row in &stretch.rows {
@@ -193,10 +198,18 @@ fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Sa
         history.push_back(*board.active());
         said.aged
             .extend(torques(history.front().unwrap_or(&nominal)).iter());
-        board.tick(Some(&JointSample {
-            desired,
-            measured: Some(row.measured),
-        }));
+        let from = before.unwrap_or(row.measured);
+        for k in 1..=ticks_a_row() {
+            let share = k as f32 / ticks_a_row() as f32;
+            board.tick(Some(&JointSample {
+                desired,
+                measured: Some(foretorque::joint::JointMeasurement {
+                    q: from.q + (row.measured.q - from.q) * share,
+                    tau: from.tau + (row.measured.tau - from.tau) * share,
+                }),
+            }));
+        }
+        before = Some(row.measured);
     }
     for torques in [&mut said.newest, &mut said.aged, &mut said.frozen] {
         stretch.preparation.smooth_torque(torques, N);
