@@ -67,13 +67,15 @@ pub struct Safety<const N: usize> {
     input: SafetyReason,
     plausibility: PlausibilityState<N>,
     heat: MotorHeat<N>,
-    /// Fresh, plausible samples in a row.
+    /// Plausible samples in a row, without a time-out between them.
     good_samples: u32,
     /// Ticks in a row without a usable sample.
     silent_ticks: u32,
     /// Ticks since the last sample, usable or not.
     unheard_ticks: u32,
     doubt: u32,
+    /// Samples of which a part was not plausible.
+    implausible: u32,
     /// Desired and measured position of the last sample are near each other.
     near: bool,
     /// The torque of the last tick, as it left, N × N·m.
@@ -98,6 +100,7 @@ impl<const N: usize> Safety<N> {
             silent_ticks: 0,
             unheard_ticks: 0,
             doubt: 0,
+            implausible: 0,
             near: false,
             output: JointVector::zeros(),
         }
@@ -140,6 +143,16 @@ impl<const N: usize> Safety<N> {
         &self.output
     }
 
+    /// No torque flows, or its samples come in time, or it is on its way to zero because they do not: the time-out works.
+    pub fn heard_in_time(&self) -> bool {
+        self.state != SafetyState::Armed || self.silent_ticks < self.limits.timeout_ticks
+    }
+
+    /// Samples of which a part was not plausible, since the start or [`restart`](Self::restart).
+    pub fn implausible(&self) -> u32 {
+        self.implausible
+    }
+
     /// Takes the temperature of one motor, °C; one that cannot be true changes nothing.
     pub fn note_temperature(&mut self, joint: usize, celsius: i8) {
         self.heat.note(joint, celsius);
@@ -173,13 +186,14 @@ impl<const N: usize> Safety<N> {
         } else {
             self.silent_ticks.saturating_add(1)
         };
-        if !usable {
+        if self.silent_ticks >= self.limits.timeout_ticks {
             self.good_samples = 0;
         }
         if self.input == SafetyReason::None {
             self.doubt = self.doubt.saturating_sub(1);
         } else {
             self.doubt = self.doubt.saturating_add(DOUBT);
+            self.implausible = self.implausible.saturating_add(1);
         }
         self.watch();
         admitted

@@ -99,7 +99,9 @@ fn arming_takes_fresh_plausible_near_samples() {
     );
     refused(|s| s.desired.q[0] += 0.1, SafetyReason::DesiredJump);
     let mut stale = ready();
-    tick(&mut stale, None);
+    for _ in 0..=50 {
+        tick(&mut stale, None);
+    }
     assert_eq!(stale.arm(), Err(SafetyReason::NoSample));
     let mut far = ready();
     let mut sample = sample();
