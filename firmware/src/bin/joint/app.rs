@@ -18,6 +18,7 @@ mod app {
     use foretorque::edge::hal::TorqueEnable;
     use foretorque::edge::safety::{SafetyReason, Task};
     use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::store::Store;
     use foretorque::edge::telemetry::CostMeter;
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
     use foretorque::learning::{Learner, LearnerConfig};
@@ -33,6 +34,7 @@ mod app {
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
     use crate::log;
     use crate::pace::{self, Pace};
+    use crate::store_flash::StoreFlash;
     use crate::watchdog::{self, ROLL, Watchdog};
 
     /// Ticks between two lines of the log.
@@ -123,6 +125,10 @@ mod app {
         let Ok(mut session) = Session::new(description) else {
             fault::leave(Reason::Setup, line!());
         };
+        let mut desk = Desk::new();
+        let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
+        let stored = session.boot_from(&mut store, &mut desk);
+        defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
         let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
@@ -150,7 +156,7 @@ mod app {
             boot_counts
         );
         (
-            Shared { desk: Desk::new() },
+            Shared { desk },
             Local {
                 wire,
                 session,

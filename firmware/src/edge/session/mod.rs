@@ -6,6 +6,7 @@ mod counters;
 mod desk;
 mod link;
 mod receive;
+mod stored;
 mod stream;
 mod tick;
 mod transfer;
@@ -151,6 +152,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             stream: Stream::new(),
             reboot: false,
         })
+    }
+
+    /// The bank in force, as it was loaded, with the values of the active set.
+    pub fn bank(&mut self) -> &ParameterBank {
+        let active = &self.feed_forward.state().active;
+        self.bank.refresh::<A, N, P>(active);
+        &self.bank
     }
 
     /// How the board shall run; its owner sets the timer by it.

@@ -30,9 +30,9 @@ fn torque_flows_only_between_arming_and_disarming() {
     let first = board.sample(50);
     assert!(board.session.torque_enabled());
     let slew = board.session.feed_forward.config().slew_per_tick;
-    for joint in 0..N {
+    for (torque, slew) in first.total.iter().zip(slew) {
         assert!(
-            first.total[joint].abs() <= slew[joint],
+            torque.abs() <= slew,
             "the torque held back does not come at once"
         );
     }
@@ -139,9 +139,9 @@ fn silence_of_a_board_paced_by_its_timer_ends_the_torque_and_samples_do_not_brin
     let mut before = full.total;
     for tick in 0..60 {
         let torque = told(&mut board, None);
-        for joint in 0..N {
-            let step = (torque.total[joint] - before[joint]).abs();
-            assert!(step <= Ur5::LIMITS[joint].torque / 10.0);
+        let steps = torque.total.iter().zip(before).zip(Ur5::LIMITS);
+        for ((now, before), limits) in steps {
+            assert!((now - before).abs() <= limits.torque / 10.0);
         }
         before = torque.total;
         let armed = torque.safety.state == SafetyState::Armed;
