@@ -20,7 +20,7 @@ const VARIANCE_RANGE: (f32, f32) = (0.1, 400.0);
 const WANDERING: usize = 4;
 
 /// The torque row of one joint: N·m for each unit of each linear parameter.
-pub(super) fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
+pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     seen: &Conditioned<N>,
 ) -> Stacked<N, P> {
@@ -53,7 +53,8 @@ pub struct Estimator<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> Estimator<N, P> {
-    pub(super) fn new(prior: &ParameterSet<N, P>) -> Self {
+    /// Starts from `prior`, as uncertain as the configuration says.
+    pub fn new(prior: &ParameterSet<N, P>) -> Self {
         Self {
             parameters: Stacked::of(prior),
             filter: UdFilter::new(),
@@ -94,7 +95,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     ///   finite: then the estimate has not changed
     ///
     /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
-    pub(super) fn correct(
+    pub fn correct(
         &mut self,
         config: &LearnerConfig<N, P>,
         prior: &ParameterSet<N, P>,
@@ -168,7 +169,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 
 impl<const N: usize, const P: usize> Stacked<N, P> {
     /// Σ a b.
-    pub(super) fn dot(&self, other: &Self) -> f32 {
+    pub fn dot(&self, other: &Self) -> f32 {
         dot(self.friction.as_flattened(), other.friction.as_flattened())
             + dot(&self.rigid, &other.rigid)
     }
