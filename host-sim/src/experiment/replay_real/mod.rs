@@ -85,7 +85,10 @@ pub struct ReplayReport {
 }
 
 fn ticks_a_row() -> usize {
-    std::env::var("REPLAY_K").ok().and_then(|k| k.parse().ok()).unwrap_or(1)
+    std::env::var("REPLAY_K")
+        .ok()
+        .and_then(|k| k.parse().ok())
+        .unwrap_or(1)
 }
 
 type Set = ParameterSet<N, P>;
