@@ -5,10 +5,11 @@ use super::identified::Starts;
 use super::scenario::{Scenario, Start};
 use super::world::{N, PERIOD_S, Set, World};
 use crate::dynamics::Joints;
-use crate::experiment::closed_loop::{Answer, ClosedLoop};
+use crate::experiment::closed_loop::{Answer, ClosedLoop, motion_f32};
 use crate::metrics::{MOVING_RAD_S, TrackingError};
 use crate::plant::{Events, Payload, Plant};
 use crate::trajectory::Trajectory;
+use foretorque::edge::safety::SafetyStatus;
 use foretorque::joint::JointSample;
 use foretorque::learning::{Decision, LearnerStatistics, PayloadEstimate, Stacked};
 use foretorque::limits::Flags;
@@ -69,6 +70,10 @@ pub(super) struct Trace {
     pub(super) late_sets: u32,
     /// Checksum (FNV-1a) of all torques, bit for bit.
     pub(super) checksum: u64,
+    /// Whether torque left the board at the end.
+    pub(super) safety: SafetyStatus,
+    /// The sample that the board was armed with.
+    pub(super) arming: Option<JointSample<N>>,
     /// The samples that went in and the torques that came out, where they were asked for.
     pub(super) tape: Vec<(Option<JointSample<N>>, [u32; N])>,
 }
@@ -138,6 +143,8 @@ impl Run<'_> {
         }
         let mut board = Controller::new(start, config, learning)?;
         let mut run = ClosedLoop::new(&mut plant, &pd, &path, PERIOD_S, None)?;
+        let arming = board.arming_sample(motion_f32(&path.at(0.0)));
+        board.arm(&arming).map_err(|reason| format!("{reason:?}"))?;
         let mut watch = Watch::new(self, events, &path, &plant);
         let mut acting = Joints::zeros();
         for tick in 0..self.ticks() {
@@ -171,6 +178,8 @@ impl Run<'_> {
                 progress(1000);
             }
         }
+        watch.trace.arming = Some(arming);
+        watch.trace.safety = board.safety();
         Ok(watch.finish(&board, &plant, self.ticks()))
     }
 }

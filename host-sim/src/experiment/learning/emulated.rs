@@ -37,6 +37,9 @@ pub(super) fn replay(
     board.reset()?;
     board.upload_bank(&ParameterBank::from_set::<Ur5, N, P>(start))?;
     board.learning(true)?;
+    if let Some(arming) = &native.arming {
+        board.arm(arming)?;
+    }
     let (mut ticks, mut other) = (0, 0);
     for (sample, torque) in &native.tape {
         let Some(sample) = sample else { break };

@@ -5,6 +5,7 @@ use super::scenario::Scenario;
 use super::world::N;
 use crate::metrics::TrackingError;
 use crate::plant::Events;
+use foretorque::edge::safety::SafetyState;
 use std::collections::BTreeMap;
 
 /// Figures by name; the unit is the end of the name.
@@ -72,6 +73,8 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
     let mut put = |name: &str, value: f64| {
         out.insert(name.to_owned(), value);
     };
+    let armed = learning.safety.state == SafetyState::Armed;
+    put("armed_at_the_end_count", f64::from(u8::from(armed)));
     put("least_trust_ratio", f64::from(learning.least_trust));
     match scenario.name {
         "convergence" => {

@@ -167,6 +167,8 @@ pub fn run(
 fn native(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport, Box<dyn Error>> {
     let mut source = Source::new(world)?;
     let mut board = Controller::new(&world.wrong, Controller::config(), true)?;
+    let arming = board.arming_sample(motion_f32(&source.path.at(0.0)));
+    board.arm(&arming).map_err(|reason| format!("{reason:?}"))?;
     let (mut not_finite, mut least) = (0, f64::INFINITY);
     let (mut decided, mut decisions) = (0, BTreeMap::<String, u32>::new());
     for tick in 0..ticks {
@@ -252,6 +254,11 @@ fn on_board(
     board.reset()?;
     board.upload_bank(&ParameterBank::from_set::<Ur5, N, P>(&world.wrong))?;
     board.learning(true)?;
+    let arming = native.arming_sample(motion_f32(&source.path.at(0.0)));
+    native
+        .arm(&arming)
+        .map_err(|reason| format!("{reason:?}"))?;
+    board.arm(&arming)?;
     let mut other = 0;
     for tick in 0..ticks {
         let sample = source.next();
