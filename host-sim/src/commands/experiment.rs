@@ -5,7 +5,7 @@ use super::{Failure, unusable};
 use crate::board::Client;
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
 use crate::experiment::learning::soak::{self, SoakConfig};
-use crate::experiment::learning::{self, LearningConfig};
+use crate::experiment::learning::{self, LearningConfig, LearningReport};
 use crate::experiment::{EXPERIMENTS, real_ur5, replay_real};
 use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
@@ -13,7 +13,7 @@ use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Run one of the reproducible studies
 #[derive(Debug, Args)]
@@ -30,6 +30,12 @@ pub(super) struct Arguments {
     /// The short form of the scenarios of learning
     #[arg(long)]
     quick: bool,
+    /// Put learning's table of measured against reach between its marks in this file
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// Compare with the table in that file instead, and fail where a figure differs
+    #[arg(long, requires = "table")]
+    check: bool,
     /// Directory for report.json and report.html
     #[arg(long, value_name = "DIR", required_unless_present = "list")]
     out: Option<PathBuf>,
@@ -83,7 +89,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+fn run_demo(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
     let usable = |time_s: f64| time_s.is_finite() && time_s >= 1.0;
     if !usable(arguments.learning_s) || !usable(arguments.usart_learning_s) {
         return Err(unusable("times of learning must be at least 1 s"));
@@ -128,7 +134,7 @@ fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure>
     Ok(())
 }
 
-fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+fn run_learning(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
     let config = LearningConfig {
         seed: arguments.seed,
         only: arguments.only.clone(),
@@ -156,6 +162,9 @@ fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Fail
             if outcome.met { "met" } else { "MISSED" }
         ))?;
     }
+    if let Some(file) = &arguments.table {
+        keep_table(&report, file, arguments.check)?;
+    }
     for (name, replayed) in &report.emulated {
         say(format_args!(
             "{name:<26} {} ticks on board {}, {} with other bits",
@@ -165,7 +174,24 @@ fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Fail
     Ok(())
 }
 
-fn run_soak(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+/// Writes the table of measured against reach into `file`, or compares it with the one there.
+fn keep_table(report: &LearningReport, file: &Path, check: bool) -> Result<(), Failure> {
+    let text = std::fs::read_to_string(file).map_err(|error| crate::files::at(file, error))?;
+    let marked = format!("{}: ", file.display());
+    let renewed = learning::table::renewed(&text, report)
+        .ok_or_else(|| unusable(marked.clone() + "has not the two marks of the table"))?;
+    if !check {
+        return Ok(write_whole(file, renewed.as_bytes())?);
+    }
+    let lines = text.lines().zip(renewed.lines());
+    match lines.into_iter().find(|(kept, new)| kept != new) {
+        Some((kept, new)) => Err(unusable(format!("{marked}says {kept}, measured {new}"))),
+        None if text != renewed => Err(unusable(marked + "has a table of another length")),
+        None => Ok(()),
+    }
+}
+
+fn run_soak(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
     let config = SoakConfig {
         seed: arguments.seed,
         ticks: arguments.ticks,
@@ -193,7 +219,7 @@ fn board_beside(arguments: &Arguments) -> Result<Option<Client<JOINTS>>, Failure
     }
 }
 
-fn run_replay_real(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+fn run_replay_real(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
     let bar = Bar::new();
     let (report, page) = replay_real::run(&arguments.logs, arguments.seed, &|stage, done, all| {
         bar.show(stage, done, all);
@@ -204,6 +230,10 @@ fn run_replay_real(arguments: &Arguments, out: &std::path::Path) -> Result<(), F
     write_whole(&out.join("report.json"), json.as_bytes())?;
     for (value, what) in [
         (report.aged_10_s_vs_rich_wls_ratio, "parameters 10 s old"),
+        (
+            report.aged_10_s_after_other_paths_vs_rich_wls_ratio,
+            "the same, other paths before",
+        ),
         (report.newest_vs_rich_wls_ratio, "parameters as they are"),
         (report.frozen_vs_rich_wls_ratio, "data sheet, frozen"),
         (
@@ -220,7 +250,7 @@ fn run_replay_real(arguments: &Arguments, out: &std::path::Path) -> Result<(), F
     Ok(())
 }
 
-fn run_real_ur5(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+fn run_real_ur5(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
     let bar = Bar::new();
     let (report, page) = real_ur5::run(&arguments.logs, arguments.seed, &|done, all| {
         bar.show("path held out", done, all);

@@ -12,6 +12,7 @@ mod identified;
 mod page;
 mod scenario;
 pub mod soak;
+pub mod table;
 mod twin;
 mod world;
 
@@ -275,7 +276,7 @@ mod tests {
         }
         // The firmware's session, over its link, gives the same bits.
         let replayed = &first.emulated["convergence-pd6"];
-        assert_eq!(replayed.ticks_count, 14_000);
+        assert_eq!(replayed.ticks_count, 22_000);
         assert_eq!(replayed.ticks_with_other_bits_count, 0);
         // As text, in which what never happened is equal to itself.
         let text = |report: &LearningReport| serde_json::to_string(report).expect("is written");

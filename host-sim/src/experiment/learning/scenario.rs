@@ -96,7 +96,7 @@ const PLAIN: Scenario = Scenario {
     motion: Motion::Task,
     happening: Happening::Nothing,
     seconds: 60.0,
-    quick_s: 14.0,
+    quick_s: 22.0,
     plant: PLANT,
     viscous: 1.0,
     faults: NO_FAULTS,
@@ -150,7 +150,6 @@ pub(super) const SCENARIOS: &[Scenario] = &[
         shows: "15 s of task, then 61 s of standstill",
         motion: Motion::TaskThenStill(15.0),
         seconds: 77.0,
-        quick_s: 20.0,
         ..PLAIN
     },
     Scenario {

@@ -49,6 +49,10 @@ pub(super) fn page(report: &ReplayReport) -> String {
                 "parameters 10 s old, geometric mean of joints and paths",
             ),
             tile(report.newest_vs_rich_wls_ratio, "parameters as they are"),
+            tile(
+                report.aged_10_s_after_other_paths_vs_rich_wls_ratio,
+                "10 s old, all other paths learnt before",
+            ),
             tile(report.frozen_vs_rich_wls_ratio, "data sheet, frozen"),
             tile(
                 report.plain_wls_vs_rich_wls_ratio,
