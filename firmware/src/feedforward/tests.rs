@@ -2,7 +2,9 @@
 
 use super::*;
 use crate::arm::ur5::Ur5;
+use crate::dynamics::BaseParameters;
 use crate::joint::JointMotion;
+use crate::learning::{MotionRange, Publication, Report};
 
 const N: usize = 6;
 const P: usize = 40;
@@ -16,6 +18,17 @@ fn set() -> Set {
         friction.coulomb = 0.5;
     }
     set
+}
+
+fn finished(closed: u32, set: Set) -> Publication<N, P> {
+    Publication {
+        closed,
+        set,
+        payload: BaseParameters::zeros(),
+        range: MotionRange::NONE,
+        commit: false,
+        report: Report::new(),
+    }
 }
 
 fn tick(set: Set) -> Tick {
@@ -54,6 +67,38 @@ fn the_settled_torque_is_the_sum_of_the_evaluated_shares() {
     assert_eq!(torque.total, evaluated.total);
     assert_eq!(torque.flags, Flags::NO_MEASUREMENT);
     assert!(torque.shares.rigid.amax() > 10.0 && torque.shares.friction.amax() > 1.0);
+}
+
+#[test]
+fn cogging_follows_the_measured_place_and_nothing_else_does() {
+    let mut cogging = set();
+    cogging.friction[1].cogging_sin = 0.5;
+    let desired = motion(0.3);
+    let mut tick = tick(cogging);
+    let mut share_at = |q: f32| {
+        let mut measured = JointMeasurement {
+            q: desired.q,
+            tau: JointVector::zeros(),
+        };
+        measured.q[1] = q;
+        let measured = Some(measured);
+        tick.step(&JointSample { desired, measured }).shares
+    };
+    let lead = 1.5e-3 * desired.qd[1];
+    let plain = evaluate::<Ur5, N, P>(&set(), &desired).shares;
+    for k in 0..100 {
+        let place = 0.01 * k as f32;
+        let mut wanted = plain;
+        wanted.friction[1] += 0.5 * (202.0 * place).sin();
+        let share = share_at(place - lead);
+        assert!((share.friction - wanted.friction).amax() < 1e-4, "{place}");
+        assert_eq!((share.rigid, share.network), (plain.rigid, plain.network));
+    }
+    // A wild encoder leaves the cogging of the desired place.
+    let unmeasured = evaluate::<Ur5, N, P>(&cogging, &desired).shares;
+    for wild in [f32::NAN, f32::INFINITY, -1e30] {
+        assert_eq!(share_at(wild), unmeasured);
+    }
 }
 
 #[test]
@@ -213,6 +258,9 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
             wild(&mut friction.coulomb, &mut bits);
             wild(&mut friction.stribeck_narrow, &mut bits);
             wild(&mut friction.stribeck_wide, &mut bits);
+            wild(&mut friction.offset, &mut bits);
+            wild(&mut friction.cogging_sin, &mut bits);
+            wild(&mut friction.cogging_cos, &mut bits);
         }
         for net in &mut start.network {
             net.hidden_weights
@@ -277,7 +325,7 @@ fn a_set_is_adopted_at_the_middle_of_the_next_round_and_at_no_other_tick() {
         );
         assert_eq!(tick.state().active == learnt, count >= 9, "tick {count}");
         if count % 6 == 5 {
-            exchange.published = Some((count, learnt));
+            exchange.published = Some(finished(count, learnt));
         }
     }
     assert_eq!(tick.state().late_sets, 0);
@@ -297,7 +345,7 @@ fn a_set_that_is_not_there_in_time_is_counted_and_taken_a_round_later() {
         }
         // The round that closed at tick 11 is ready only after the boundary at tick 15.
         if count == 16 {
-            exchange.published = Some((11, set()));
+            exchange.published = Some(finished(11, set()));
         }
     }
     assert_eq!(adopted, [(21, true)]);
@@ -311,7 +359,7 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
     for _ in 0..8 {
         tick.step(&sample(motion(0.0)));
     }
-    exchange.published = Some((5, set()));
+    exchange.published = Some(finished(5, set()));
     let mut loaded = set();
     loaded.friction[1].coulomb = 4.0;
     tick.load(loaded, &mut exchange);
@@ -321,7 +369,7 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
     );
     assert_eq!(exchange.reload, Some((8, loaded)));
     // The learner was still busy with a lesson from before the load.
-    exchange.published = Some((5, set()));
+    exchange.published = Some(finished(5, set()));
     for _ in 0..6 {
         tick.adopt(&mut exchange);
         tick.step(&sample(motion(0.0)));

@@ -8,6 +8,7 @@ use super::{
     Capsule, Drive, Friction, Joint, Limits, Link, MAX_JOINTS, Placement, Robot, RobotError,
     Workspace,
 };
+use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
 
 /// Reads, checks and converts a description.
@@ -281,12 +282,9 @@ impl Check<'_> {
 }
 
 fn syntax(file: &str, text: &str, error: &toml::de::Error) -> RobotError {
-    let line = error
-        .span()
-        .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-    let first = error.message().lines().next().unwrap_or("not TOML");
+    let (line, reason) = toml_complaint(text, error);
     RobotError::Syntax {
         file: file.to_owned(),
-        reason: format!("line {line}: {first}"),
+        reason: format!("line {line}: {reason}"),
     }
 }

@@ -17,6 +17,7 @@ mod app {
     use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
     use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::store::Store;
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
     use foretorque::learning::{Learner, LearnerConfig};
     use heapless::spsc::{Consumer, Producer, Queue};
@@ -26,10 +27,12 @@ mod app {
 
     use crate::board::{Arm, JOINTS, PARAMETERS};
     use crate::clock::{self, ClockSource};
+    use crate::counter::{self, Counter};
     use crate::fault::{self, EnablePin, Reason};
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
+    use crate::log;
     use crate::pace::{self, Pace};
-    use crate::{counter, log};
+    use crate::store_flash::StoreFlash;
 
     /// Ticks between two lines of the log.
     const LOG_EVERY: u32 = 1000;
@@ -47,7 +50,7 @@ mod app {
     #[local]
     struct Local {
         wire: Wire,
-        session: Session<Arm, JOINTS, PARAMETERS>,
+        session: Session<Arm, JOINTS, PARAMETERS, Counter>,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
@@ -103,13 +106,16 @@ mod app {
             capabilities: Capabilities::LEARNING | Capabilities::TIMER,
             counter,
             counter_hz,
-            now: counter::now,
             reset_reason,
-            ..BoardDescription::plain()
+            ..BoardDescription::plain(Counter)
         };
         let Ok(mut session) = Session::new(board) else {
             fault::leave(Reason::Setup, line!());
         };
+        let mut desk = Desk::new();
+        let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
+        let stored = session.boot_from(&mut store, &mut desk);
+        defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
         let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
@@ -133,7 +139,7 @@ mod app {
             session.configuration()
         );
         (
-            Shared { desk: Desk::new() },
+            Shared { desk },
             Local {
                 wire,
                 session,

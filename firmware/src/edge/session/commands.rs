@@ -1,7 +1,7 @@
 //! What a host can ask of a board besides torque. A command that fails has changed nothing.
 
 use super::link::LinkState;
-use super::{Session, seconds};
+use super::{Clock, Session, seconds};
 use crate::arm::Arm;
 use crate::edge::bank::{BankError, NETWORK_SEED};
 use crate::edge::session::Desk;
@@ -11,7 +11,7 @@ use crate::edge::wire::{
 };
 use crate::learning::ParameterSet;
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
+impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     pub(super) fn frozen(&self) -> Result<(), NackReason> {
         if self.feed_forward.state().learning {
             Err(NackReason::LearningOn)
@@ -80,6 +80,22 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
     ) -> Result<(), NackReason> {
         self.frozen()?;
         self.transfer.commit(length, crc, &mut self.incoming)?;
+        self.take_over(desk)
+    }
+
+    /// Takes over a set that the store kept, all of it or nothing: at boot, or when the host asks for it.
+    ///
+    /// Errors: [`NackReason::LearningOn`], [`NackReason::Bank`].
+    #[inline(never)]
+    pub fn restore(&mut self, bytes: &[u8], desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+        self.frozen()?;
+        self.transfer.abort();
+        self.incoming.decode_into(bytes).map_err(NackReason::Bank)?;
+        self.take_over(desk)
+    }
+
+    /// Makes the bank that came in the one in force, if it is one for this board.
+    fn take_over(&mut self, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
         let gains = self.incoming.drive_gains().map_err(NackReason::Bank)?;
         let set = self.incoming.set::<A, N, P>().map_err(NackReason::Bank)?;
         let period_s = seconds(&self.configuration);
