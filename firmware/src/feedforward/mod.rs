@@ -19,7 +19,7 @@ pub use step::{FeedForwardScratch, FeedForwardState, adopt, step, step_stale};
 
 use crate::arm::Arm;
 use crate::joint::{JointMeasurement, JointSample, JointVector};
-use crate::learning::{ConfigError, Exchange, Lesson};
+use crate::learning::{ConfigError, Exchange, Lesson, Request, RequestPending};
 use crate::limits::Flags;
 use core::marker::PhantomData;
 
@@ -112,7 +112,20 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
             tick: self.state.last.tick,
             measured,
             enabled: self.state.learning,
+            flags: self.state.last.flags,
         }
+    }
+
+    /// Asks the learner for `request`, from the tick to come on. What came of it is among the decisions of
+    /// [`FeedForwardState::report`], two rounds later.
+    ///
+    /// Errors: the request before has not been taken yet; it stays.
+    pub fn request(
+        &self,
+        request: Request,
+        exchange: &mut Exchange<N, P>,
+    ) -> Result<(), RequestPending> {
+        exchange.ask(self.state.tick, request)
     }
 
     /// Takes a finished set from the desk; to be called before every step. See [`adopt`].

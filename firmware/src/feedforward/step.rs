@@ -3,7 +3,7 @@ use super::config::FeedForwardConfig;
 use super::shares::{Shares, select_joint, shares};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointSample, JointVector};
-use crate::learning::{Exchange, ParameterSet};
+use crate::learning::{Exchange, ParameterSet, Report};
 use crate::limits::{Flags, cut, limit};
 
 /// What survives from tick to tick.
@@ -11,7 +11,7 @@ use crate::limits::{Flags, cut, limit};
 pub struct FeedForwardState<const N: usize, const P: usize> {
     /// The set the torque is computed from.
     pub active: ParameterSet<N, P>,
-    /// The set that stands in for it: the one that was last loaded.
+    /// The set that stands in for it: the one that was last loaded or committed.
     pub committed: ParameterSet<N, P>,
     /// Counter of the tick to come.
     pub tick: u32,
@@ -19,6 +19,8 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     pub learning: bool,
     /// How often a set was not there when it was to be adopted.
     pub late_sets: u32,
+    /// What the guard told with the set in force.
+    pub report: Report<N>,
     pub(super) last: Torque<N>,
     stale_ticks: u32,
     pub(super) loaded_at: u32,
@@ -34,6 +36,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             tick: 0,
             learning: false,
             late_sets: 0,
+            report: Report::new(),
             last: Torque::zero(),
             stale_ticks: 0,
             loaded_at: 0,
@@ -209,8 +212,13 @@ pub fn adopt<const N: usize, const P: usize>(
     // The first round after a start or a load may be cut short, so nothing is due from it.
     let expected = state.learning && state.tick.wrapping_sub(state.loaded_at) >= 2 * rounds;
     match exchange.published.take() {
-        Some((closed, set)) if closed.wrapping_sub(state.loaded_at) < u32::MAX / 2 => {
-            state.active = set;
+        Some(finished) if finished.closed.wrapping_sub(state.loaded_at) < u32::MAX / 2 => {
+            let closed = finished.closed;
+            state.active = finished.set;
+            if finished.commit {
+                state.committed = finished.set;
+            }
+            state.report = finished.report;
             state.adoption |= Flags::SET_ADOPTED;
             if closed != due {
                 state.adoption |= Flags::SET_LATE;

@@ -2,7 +2,9 @@
 
 use super::*;
 use crate::arm::ur5::Ur5;
+use crate::dynamics::BaseParameters;
 use crate::joint::JointMotion;
+use crate::learning::{MotionRange, Publication, Report};
 
 const N: usize = 6;
 const P: usize = 40;
@@ -16,6 +18,17 @@ fn set() -> Set {
         friction.coulomb = 0.5;
     }
     set
+}
+
+fn finished(closed: u32, set: Set) -> Publication<N, P> {
+    Publication {
+        closed,
+        set,
+        payload: BaseParameters::zeros(),
+        range: MotionRange::NONE,
+        commit: false,
+        report: Report::new(),
+    }
 }
 
 fn tick(set: Set) -> Tick {
@@ -277,7 +290,7 @@ fn a_set_is_adopted_at_the_middle_of_the_next_round_and_at_no_other_tick() {
         );
         assert_eq!(tick.state().active == learnt, count >= 9, "tick {count}");
         if count % 6 == 5 {
-            exchange.published = Some((count, learnt));
+            exchange.published = Some(finished(count, learnt));
         }
     }
     assert_eq!(tick.state().late_sets, 0);
@@ -297,7 +310,7 @@ fn a_set_that_is_not_there_in_time_is_counted_and_taken_a_round_later() {
         }
         // The round that closed at tick 11 is ready only after the boundary at tick 15.
         if count == 16 {
-            exchange.published = Some((11, set()));
+            exchange.published = Some(finished(11, set()));
         }
     }
     assert_eq!(adopted, [(21, true)]);
@@ -311,7 +324,7 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
     for _ in 0..8 {
         tick.step(&sample(motion(0.0)));
     }
-    exchange.published = Some((5, set()));
+    exchange.published = Some(finished(5, set()));
     let mut loaded = set();
     loaded.friction[1].coulomb = 4.0;
     tick.load(loaded, &mut exchange);
@@ -321,7 +334,7 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
     );
     assert_eq!(exchange.reload, Some((8, loaded)));
     // The learner was still busy with a lesson from before the load.
-    exchange.published = Some((5, set()));
+    exchange.published = Some(finished(5, set()));
     for _ in 0..6 {
         tick.adopt(&mut exchange);
         tick.step(&sample(motion(0.0)));

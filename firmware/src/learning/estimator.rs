@@ -61,6 +61,11 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.variance = [1.0; N];
     }
 
+    /// Takes the linear parameters of `set` for the estimate; what is known of their covariance stays.
+    pub(super) fn move_to(&mut self, set: &ParameterSet<N, P>) {
+        self.parameters = Stacked::of(set);
+    }
+
     /// The estimate, in the units of the parameters.
     pub fn parameters(&self) -> &Stacked<N, P> {
         &self.parameters

@@ -1,6 +1,6 @@
 use super::Transport;
 use foretorque::arm::Arm;
-use foretorque::edge::session::{BoardDescription, Desk, Session};
+use foretorque::edge::session::{BoardDescription, Desk, NoClock, Session};
 use foretorque::edge::wire::FrameBuffer;
 use foretorque::learning::{ConfigError, Learner, LearnerConfig};
 use std::collections::VecDeque;
@@ -23,7 +23,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
     ///
     /// Errors: the first limit of the arm that cannot work.
     pub fn new() -> Result<Self, ConfigError> {
-        let board = BoardDescription::plain();
+        let board = BoardDescription::plain(NoClock);
         let session = Session::new(board)?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let set = session.feed_forward().state().active;
@@ -64,7 +64,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
             self.session.receive(frame, &mut self.desk, &mut self.out);
             self.flush();
-            self.desk.work(&mut self.learner, || 0);
+            self.desk.work(&mut self.learner, &NoClock);
         }
         Ok(())
     }

@@ -10,15 +10,6 @@ use std::ops::Range;
 use super::image::Image;
 use super::thumb::{Class, Flow, Stack};
 
-/// Where calls through a pointer lead that the code alone does not say. Each is a promise of the source.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Promise {
-    /// Part of the name of the functions that call.
-    pub(crate) inside: &'static str,
-    /// The only function they are ever given.
-    pub(crate) leads_to: &'static str,
-}
-
 /// What the walk could not decide.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Doubt {
@@ -65,7 +56,6 @@ struct Node {
 #[derive(Debug)]
 pub(crate) struct Walk<'a> {
     image: &'a Image,
-    promises: &'a [Promise],
     nodes: BTreeMap<u32, Node>,
     /// Empty if the walk saw everything.
     pub(crate) doubts: BTreeSet<Doubt>,
@@ -80,10 +70,9 @@ pub(crate) struct Depth {
 
 impl<'a> Walk<'a> {
     /// Walks from the function at each of `entries`.
-    pub(crate) fn from(image: &'a Image, promises: &'a [Promise], entries: &[u32]) -> Self {
+    pub(crate) fn from(image: &'a Image, entries: &[u32]) -> Self {
         let mut walk = Self {
             image,
-            promises,
             nodes: BTreeMap::new(),
             doubts: BTreeSet::new(),
         };
@@ -227,12 +216,7 @@ impl<'a> Walk<'a> {
                 Flow::Call(target) => {
                     node.calls.insert((target, after));
                 }
-                Flow::CallIndirect => match self.promised(entry) {
-                    Some(target) => {
-                        node.calls.insert((target, after));
-                    }
-                    None => self.doubt(entry, address, Kind::IndirectCall),
-                },
+                Flow::CallIndirect => self.doubt(entry, address, Kind::IndirectCall),
                 Flow::JumpIndirect => self.doubt(entry, address, Kind::IndirectJump),
                 Flow::Table { halfwords } => targets = self.table(address, halfwords, &code),
             }
@@ -255,13 +239,6 @@ impl<'a> Walk<'a> {
             }
         }
         node
-    }
-
-    /// Where a call through a pointer in the function at `entry` leads, if somebody promised.
-    fn promised(&self, entry: u32) -> Option<u32> {
-        let name = self.name(entry);
-        let promise = self.promises.iter().find(|p| name.contains(p.inside))?;
-        Some(self.image.function(promise.leads_to)?.code.start)
     }
 
     /// Targets of a table branch at `address` in `code`. The table ends where the first of its targets begins, or
@@ -303,8 +280,8 @@ mod tests {
         [0xF7FF, 0xF800 | half as u16 & 0x7FF]
     }
 
-    fn depth_and_doubts(image: &Image, promises: &[Promise]) -> (u32, Vec<Kind>) {
-        let mut walk = Walk::from(image, promises, &[CALLER]);
+    fn depth_and_doubts(image: &Image) -> (u32, Vec<Kind>) {
+        let mut walk = Walk::from(image, &[CALLER]);
         let bytes = walk.depth(CALLER).bytes;
         (bytes, walk.doubts.iter().map(|doubt| doubt.kind).collect())
     }
@@ -315,8 +292,8 @@ mod tests {
         // push {r4, lr}; bl leaf; pop {r4, pc}
         let caller = [0xB510, high, low, 0xBD10];
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image, &[]), (8 + 16, vec![]));
-        let walk = Walk::from(&image, &[], &[CALLER]);
+        assert_eq!(depth_and_doubts(&image), (8 + 16, vec![]));
+        let walk = Walk::from(&image, &[CALLER]);
         assert_eq!(walk.way_to("leaf", &[CALLER]), ["caller", "leaf"]);
     }
 
@@ -327,20 +304,15 @@ mod tests {
         let half = LEAF.wrapping_sub(CALLER + 6 + 4) >> 1;
         caller[3] |= half as u16 & 0x7FF;
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image, &[]), (16, vec![]));
+        assert_eq!(depth_and_doubts(&image), (16, vec![]));
     }
 
     #[test]
-    fn a_pointer_is_a_doubt_unless_its_target_is_promised() {
+    fn a_call_through_a_pointer_is_a_doubt() {
         // push {r4, lr}; blx r0; pop {r4, pc}
         let caller = [0xB510, 0x4780, 0xBD10];
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image, &[]), (8, vec![Kind::IndirectCall]));
-        let promise = Promise {
-            inside: "caller",
-            leads_to: "leaf",
-        };
-        assert_eq!(depth_and_doubts(&image, &[promise]), (8 + 16, vec![]));
+        assert_eq!(depth_and_doubts(&image), (8, vec![Kind::IndirectCall]));
     }
 
     #[test]
@@ -348,17 +320,17 @@ mod tests {
         let [high, low] = call(CALLER + 2, CALLER);
         let itself = [0xB510, high, low, 0xBD10];
         let image = Image::of_code(&[("caller", CALLER, &itself)]);
-        assert_eq!(depth_and_doubts(&image, &[]).1, [Kind::Recursion]);
+        assert_eq!(depth_and_doubts(&image).1, [Kind::Recursion]);
         // sub.w sp, sp, r0; bx lr
         let image = Image::of_code(&[("caller", CALLER, &[0xEBAD, 0x0D00, 0x4770])]);
-        assert_eq!(depth_and_doubts(&image, &[]).1, [Kind::UnknownStack]);
+        assert_eq!(depth_and_doubts(&image).1, [Kind::UnknownStack]);
     }
 
     #[test]
     fn what_follows_a_conditional_return_is_followed_too() {
         // it eq; bxeq lr; push {r4, lr}; pop {r4, pc}
         let image = Image::of_code(&[("caller", CALLER, &[0xBF08, 0x4770, 0xB510, 0xBD10])]);
-        assert_eq!(depth_and_doubts(&image, &[]), (8, vec![]));
+        assert_eq!(depth_and_doubts(&image), (8, vec![]));
     }
 
     #[test]
@@ -370,10 +342,10 @@ mod tests {
             0xB510, 0xBD10, // push {r4, lr}; pop {r4, pc}
         ];
         let image = Image::of_code(&[("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image, &[]), (8, vec![]));
+        assert_eq!(depth_and_doubts(&image), (8, vec![]));
         // tbb [pc, r0] with three cases, the first of them a return, and a byte of padding
         let caller = [0xE8DF, 0xF000, 0x0302, 0x0002, 0x4770, 0xB510, 0xBD10];
         let image = Image::of_code(&[("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image, &[]), (8, vec![]));
+        assert_eq!(depth_and_doubts(&image), (8, vec![]));
     }
 }

@@ -2,14 +2,8 @@
 
 use anyhow::{Result, bail, ensure};
 
-use super::calls::{Promise, Walk};
+use super::calls::Walk;
 use super::image::Image;
-
-/// The session reads time through a function it is given at start-up, and `joint` gives it one.
-pub(crate) const PROMISES: [Promise; 1] = [Promise {
-    inside: "Session<",
-    leads_to: "counter::now",
-}];
 
 /// A family of functions that no handler may reach.
 struct Forbidden {
@@ -83,7 +77,7 @@ pub(crate) fn check(image: &Image) -> Result<usize> {
 }
 
 fn judge(image: &Image, entries: &[u32]) -> Result<usize> {
-    let walk = Walk::from(image, &PROMISES, entries);
+    let walk = Walk::from(image, entries);
     // A pointer may lead anywhere: what cannot be followed cannot be cleared.
     if let Some(doubt) = walk.doubts.first() {
         bail!("a handler cannot be judged: {doubt}");

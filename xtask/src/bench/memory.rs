@@ -3,7 +3,6 @@
 use anyhow::{Context as _, Result, ensure};
 
 use super::calls::{Depth, Walk};
-use super::gates::PROMISES;
 use super::image::Image;
 
 /// The interrupt in which the tick runs.
@@ -57,7 +56,7 @@ impl Memory {
 
 /// The deepest stack from `entry` on; an error if the code does not fix it.
 pub(crate) fn bounded_depth(image: &Image, entry: u32) -> Result<Depth> {
-    let mut walk = Walk::from(image, &PROMISES, &[entry]);
+    let mut walk = Walk::from(image, &[entry]);
     let depth = walk.depth(entry);
     if let Some(doubt) = walk.doubts.first() {
         anyhow::bail!("the stack is not bounded: {doubt}");

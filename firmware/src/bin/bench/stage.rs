@@ -9,6 +9,7 @@ use foretorque::dynamics::{BaseParameters, FrictionParameters};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
+use foretorque::limits::Flags;
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
 use nalgebra::SVector;
@@ -97,6 +98,7 @@ impl Stage {
                 tick: 0,
                 measured: None,
                 enabled: true,
+                flags: Flags::NONE,
             },
             exchange: Exchange::new(),
         };
@@ -142,6 +144,7 @@ impl Stage {
             tick,
             measured,
             enabled: true,
+            flags: Flags::NONE,
         };
     }
 }

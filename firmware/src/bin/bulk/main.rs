@@ -23,7 +23,7 @@ mod run {
     use stm32f4xx_hal::pac;
 
     use crate::board::{Arm, JOINTS, PARAMETERS};
-    use crate::counter;
+    use crate::counter::{self, Counter};
     use crate::semihost::{Streams, exit};
 
     /// Runs until the host hangs up. Ends the emulator with an error when it could not start.
@@ -40,11 +40,10 @@ mod run {
             counter,
             // Virtual time is not the chip's: there is no honest number.
             counter_hz: 0,
-            now: counter::now,
             reset_reason: ResetReason::Unknown,
-            ..BoardDescription::plain()
+            ..BoardDescription::plain(Counter)
         };
-        let mut session = Session::<Arm, JOINTS, PARAMETERS>::new(board).ok()?;
+        let mut session = Session::<Arm, JOINTS, PARAMETERS, _>::new(board).ok()?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
         let mut learner: Learner<Arm, _, _> =
@@ -59,7 +58,7 @@ mod run {
                 return Some(());
             }
             out.clear();
-            desk.work(&mut learner, counter::now);
+            desk.work(&mut learner, &Counter);
             let Some(bytes) = streams.read(&mut buffer) else {
                 return Some(());
             };

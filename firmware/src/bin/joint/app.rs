@@ -26,10 +26,11 @@ mod app {
 
     use crate::board::{Arm, JOINTS, PARAMETERS};
     use crate::clock::{self, ClockSource};
+    use crate::counter::{self, Counter};
     use crate::fault::{self, EnablePin, Reason};
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
+    use crate::log;
     use crate::pace::{self, Pace};
-    use crate::{counter, log};
 
     /// Ticks between two lines of the log.
     const LOG_EVERY: u32 = 1000;
@@ -47,7 +48,7 @@ mod app {
     #[local]
     struct Local {
         wire: Wire,
-        session: Session<Arm, JOINTS, PARAMETERS>,
+        session: Session<Arm, JOINTS, PARAMETERS, Counter>,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
@@ -103,9 +104,8 @@ mod app {
             capabilities: Capabilities::LEARNING | Capabilities::TIMER,
             counter,
             counter_hz,
-            now: counter::now,
             reset_reason,
-            ..BoardDescription::plain()
+            ..BoardDescription::plain(Counter)
         };
         let Ok(mut session) = Session::new(board) else {
             fault::leave(Reason::Setup, line!());

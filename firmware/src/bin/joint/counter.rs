@@ -3,6 +3,7 @@
 use core::arch::asm;
 use core::sync::atomic::{AtomicU8, Ordering};
 
+use foretorque::edge::session::Clock;
 use foretorque::edge::wire::CounterKind;
 use stm32f4xx_hal::pac::TIM2;
 
@@ -39,6 +40,17 @@ pub(crate) fn start_instructions(timer: &TIM2) -> CounterKind {
     timer.psc().write(|w| w.psc().set((scale - 1) as u16));
     KIND.store(INSTRUCTIONS, Ordering::Relaxed);
     CounterKind::Instructions
+}
+
+/// The counter as the session reads it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Counter;
+
+impl Clock for Counter {
+    #[inline(always)]
+    fn now(&self) -> u32 {
+        now()
+    }
 }
 
 /// The free-running count; only wrapping differences mean something.

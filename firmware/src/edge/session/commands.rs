@@ -1,7 +1,7 @@
 //! What a host can ask of a board besides torque. A command that fails has changed nothing.
 
 use super::link::LinkState;
-use super::{Session, seconds};
+use super::{Clock, Session, seconds};
 use crate::arm::Arm;
 use crate::edge::bank::{BankError, NETWORK_SEED};
 use crate::edge::session::Desk;
@@ -11,7 +11,7 @@ use crate::edge::wire::{
 };
 use crate::learning::ParameterSet;
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
+impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     pub(super) fn frozen(&self) -> Result<(), NackReason> {
         if self.feed_forward.state().learning {
             Err(NackReason::LearningOn)

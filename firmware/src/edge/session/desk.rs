@@ -1,3 +1,4 @@
+use super::Clock;
 use crate::arm::Arm;
 use crate::edge::telemetry::CostMeter;
 use crate::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
@@ -67,12 +68,12 @@ impl<const N: usize, const P: usize> Desk<N, P> {
         }
     }
 
-    /// Works through all lessons waiting, where tick and learner take turns. `now` is the board's counter.
-    pub fn work<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>, now: fn() -> u32) {
+    /// Works through all lessons waiting, where tick and learner take turns. `clock` is the board's counter.
+    pub fn work<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>, clock: &impl Clock) {
         while let Some(lesson) = self.begin(learner) {
-            let start = now();
+            let start = clock.now();
             learner.study(&lesson);
-            self.finish(learner, now().wrapping_sub(start));
+            self.finish(learner, clock.now().wrapping_sub(start));
         }
     }
 

@@ -1,10 +1,12 @@
 //! The board's side of the link, without the link: bytes in, ticks run, bytes out.
 
+mod clock;
 mod commands;
 mod desk;
 mod link;
 mod transfer;
 
+pub use clock::{Clock, NoClock};
 pub use desk::Desk;
 
 use crate::arm::Arm;
@@ -23,7 +25,7 @@ use transfer::Transfer;
 
 /// What a board knows of itself.
 #[derive(Clone, Copy, Debug)]
-pub struct BoardDescription {
+pub struct BoardDescription<C = NoClock> {
     /// Version of the firmware.
     pub firmware: &'static str,
     /// What it can do.
@@ -32,21 +34,21 @@ pub struct BoardDescription {
     pub counter: CounterKind,
     /// Counts per second.
     pub counter_hz: u32,
-    /// The counter: all 32 bits count, and it wraps.
-    pub now: fn() -> u32,
+    /// The counter.
+    pub clock: C,
     /// Why it started.
     pub reset_reason: ResetReason,
 }
 
-impl BoardDescription {
-    /// A board without counter and timer, such as the one in the host's own process.
-    pub const fn plain() -> Self {
+impl<C> BoardDescription<C> {
+    /// A board that tells no rate of its counter and has no timer; with [`NoClock`] the one in the host's own process.
+    pub const fn plain(clock: C) -> Self {
         Self {
             firmware: env!("CARGO_PKG_VERSION"),
             capabilities: Capabilities::LEARNING,
             counter: CounterKind::None,
             counter_hz: 0,
-            now: || 0,
+            clock,
             reset_reason: ResetReason::Unknown,
         }
     }
@@ -59,17 +61,17 @@ impl BoardDescription {
 ///
 /// ```
 /// use foretorque::arm::ur5::Ur5;
-/// use foretorque::edge::session::{BoardDescription, Desk, Session};
+/// use foretorque::edge::session::{BoardDescription, Desk, NoClock, Session};
 /// use foretorque::edge::wire::{FrameBuffer, HostMessage};
-/// let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain())?;
+/// let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))?;
 /// let (mut desk, mut request, mut reply) = (Desk::new(), FrameBuffer::new(), FrameBuffer::new());
 /// request.push(1, &HostMessage::<6>::Hello)?;
 /// session.receive(request.as_bytes(), &mut desk, &mut reply);
 /// assert_eq!(reply.as_bytes().last(), Some(&0));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-pub struct Session<A: Arm<N, P>, const N: usize, const P: usize> {
-    board: BoardDescription,
+pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoClock> {
+    board: BoardDescription<C>,
     configuration: Configuration,
     decoder: Decoder,
     link: LinkState,
@@ -88,11 +90,11 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize> {
     receive_cost: Cost,
 }
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
+impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     /// A session at tick 0 with the bank of the firmware, learning off, 1 kHz, paced by the link.
     ///
     /// Errors: the first limit of the arm that cannot work.
-    pub fn new(board: BoardDescription) -> Result<Self, ConfigError> {
+    pub fn new(board: BoardDescription<C>) -> Result<Self, ConfigError> {
         let configuration = Configuration::default();
         let bank = ParameterBank::nominal::<A, N, P>();
         let config = FeedForwardConfig::for_arm::<A, P>(seconds(&configuration));
@@ -299,12 +301,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Session<A, N, P> {
     ) {
         self.feed_forward.adopt(&mut desk.exchange);
         let sample = sample.map(|sample| sample.sample(&self.gains));
-        let start = (self.board.now)();
+        let start = self.board.clock.now();
         let torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),
             None => self.feed_forward.step_stale(),
         };
-        self.tick_cost.note((self.board.now)().wrapping_sub(start));
+        self.tick_cost
+            .note(self.board.clock.now().wrapping_sub(start));
         self.ticks = self.ticks.wrapping_add(1);
         desk.post(
             self.feed_forward

@@ -24,7 +24,7 @@ struct Board {
 
 impl Board {
     fn new() -> Self {
-        let mut description = BoardDescription::plain();
+        let mut description = BoardDescription::plain(NoClock);
         description.capabilities = Capabilities::LEARNING | Capabilities::TIMER;
         let session = Session::new(description).unwrap();
         let set = session.feed_forward.state().active;
@@ -59,7 +59,7 @@ impl Board {
     }
 
     fn learn(&mut self) {
-        self.desk.work(&mut self.learner, || 0);
+        self.desk.work(&mut self.learner, &NoClock);
     }
 
     fn read(&mut self) -> Vec<u8> {

@@ -1,10 +1,13 @@
-use super::conditioning::{Conditioned, MeasurementWindow};
-use super::config::{ConfigError, LearnerConfig};
-use super::estimator::{Estimator, torque_row};
-use super::parameters::{ParameterSet, network_inputs};
-use super::stacked::Stacked;
-use super::{Exchange, Lesson};
 use crate::arm::Arm;
+use crate::dynamics::BaseParameters;
+use crate::learning::conditioning::{Conditioned, MeasurementWindow};
+use crate::learning::config::{ConfigError, LearnerConfig};
+use crate::learning::decision::{Decision, Reason};
+use crate::learning::estimator::{Estimator, torque_row};
+use crate::learning::parameters::{ParameterSet, network_inputs};
+use crate::learning::quality::{ModelQuality, Phase};
+use crate::learning::stacked::Stacked;
+use crate::learning::{Exchange, Lesson, MotionRange, Publication, Report, Request};
 use core::marker::PhantomData;
 use nalgebra::SVector;
 
@@ -35,6 +38,10 @@ pub struct LearnerState<const N: usize, const P: usize> {
     pub candidate: ParameterSet<N, P>,
     /// What became of the rows.
     pub statistics: LearnerStatistics,
+    /// What the guard tells.
+    pub report: Report<N>,
+    kept: Option<ParameterSet<N, P>>,
+    commit: bool,
     window: MeasurementWindow<N>,
     next_tick: u32,
     closed_round: Option<u32>,
@@ -72,6 +79,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 estimate: Estimator::new(&prior),
                 candidate: prior,
                 statistics: LearnerStatistics::default(),
+                report: Report::new(),
+                kept: None,
+                commit: false,
                 window: MeasurementWindow::new(),
                 next_tick: 0,
                 closed_round: None,
@@ -93,6 +103,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         config.validate()?;
         self.config = config;
         self.state.statistics = LearnerStatistics::default();
+        self.state.report = Report::new();
         self.state.window.reset();
         self.state.next_tick = 0;
         self.state.start_from(prior);
@@ -118,6 +129,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if let Some((_, set)) = due {
             self.state.start_from(&set);
         }
+        if let Some((_, request)) = exchange.request.take_if(|(from, _)| reached(tick, *from)) {
+            self.state.answer(tick, request);
+        }
     }
 
     /// Learns from one lesson. Does not touch the desk, so the tick may run in the middle of it.
@@ -131,7 +145,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.window.push(lesson.measured.as_ref());
         let joint = lesson.tick as usize % N;
         let mut step = None;
-        if lesson.enabled {
+        if !lesson.enabled {
+            self.state.resume(lesson.tick);
+        } else if self.state.report.quality.phase != Phase::Stopped {
             match self.state.window.conditioned(self.config.inv_period) {
                 Some(seen) => step = self.learn_row(joint, &seen),
                 None => count(&mut self.state.statistics.incomplete),
@@ -149,7 +165,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Lays the set of a round that has just closed on the desk. Touches the desk for one copy at most.
     pub fn publish(&mut self, exchange: &mut Exchange<N, P>) {
         if let Some(tick) = self.state.closed_round.take() {
-            exchange.published = Some((tick, self.state.candidate));
+            exchange.published = Some(Publication {
+                closed: tick,
+                set: self.state.candidate,
+                payload: BaseParameters::zeros(),
+                range: MotionRange::NONE,
+                commit: core::mem::take(&mut self.state.commit),
+                report: self.state.report,
+            });
             count(&mut self.state.statistics.published);
         }
     }
@@ -202,10 +225,59 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 }
 
 impl<const N: usize, const P: usize> LearnerState<N, P> {
+    fn answer(&mut self, tick: u32, request: Request) {
+        let mut figure = 0.0;
+        let reason = match (request, self.kept) {
+            (Request::Snapshot, _) => {
+                self.kept = Some(self.candidate);
+                Reason::Kept
+            }
+            (Request::Rollback, Some(kept)) => {
+                self.candidate = kept;
+                self.estimate.move_to(&kept);
+                Reason::RolledBack
+            }
+            (Request::Commit, _) => {
+                self.commit = true;
+                Reason::Committed
+            }
+            (Request::ZeroPayload, _) => Reason::PayloadZeroed,
+            (Request::Stop, _) => {
+                self.report.quality.phase = Phase::Stopped;
+                Reason::FrozenStopped
+            }
+            (Request::Rollback, None) => {
+                figure = f32::from(request as u8);
+                Reason::Refused
+            }
+        };
+        self.note(tick, reason, figure);
+    }
+
+    /// Learning has been switched off: that ends an emergency stop.
+    fn resume(&mut self, tick: u32) {
+        if self.report.quality.phase == Phase::Stopped {
+            self.report.quality.phase = Phase::Healthy;
+            self.note(tick, Reason::Thawed, 0.0);
+        }
+    }
+
+    fn note(&mut self, tick: u32, reason: Reason, figure: f32) {
+        self.report.decisions.note(Decision {
+            tick,
+            reason,
+            joint: None,
+            figure,
+        });
+    }
+
     fn start_from(&mut self, prior: &ParameterSet<N, P>) {
         self.prior = *prior;
         self.candidate = *prior;
         self.estimate.reset(prior);
+        self.kept = None;
+        self.commit = false;
+        self.report.quality = ModelQuality::new();
         self.closed_round = None;
         self.pending = [None; N];
     }
@@ -271,227 +343,4 @@ fn count(counter: &mut u32) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::arm::ur5::Ur5;
-    use crate::joint::{JointMeasurement, JointVector};
-
-    const N: usize = 6;
-    const P: usize = 40;
-
-    fn learner() -> Learner<Ur5, N, P> {
-        let config = LearnerConfig::for_arm::<Ur5>(1e-3);
-        Learner::new(config, ParameterSet::nominal::<Ur5>(1)).unwrap()
-    }
-
-    fn measured(tick: u32, speed: f32, tau: f32) -> JointMeasurement<N> {
-        let t = tick as f32 * 1e-3;
-        JointMeasurement {
-            q: JointVector::from_fn(|j, _| (speed * t + j as f32).sin()),
-            tau: JointVector::from_element(tau),
-        }
-    }
-
-    fn lesson(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> Lesson<N> {
-        Lesson {
-            tick,
-            measured,
-            enabled,
-        }
-    }
-
-    /// Lessons `ticks` of a moving arm that always measures 20 N·m.
-    fn teach(learner: &mut Learner<Ur5, N, P>, ticks: core::ops::Range<u32>, enabled: bool) {
-        for tick in ticks {
-            learner.study(&lesson(tick, Some(measured(tick, 2.0, 20.0)), enabled));
-        }
-    }
-
-    #[test]
-    fn frozen_nothing_is_learnt_but_the_window_runs_on() {
-        let mut learner = learner();
-        teach(&mut learner, 0..100, false);
-        assert_eq!(learner.state.candidate, learner.state.prior);
-        assert_eq!(learner.state.statistics, LearnerStatistics::default());
-        let before = learner.state.estimate;
-        teach(&mut learner, 100..101, true);
-        assert_eq!(learner.state.statistics.accepted, 1);
-        assert_ne!(learner.state.estimate, before);
-    }
-
-    #[test]
-    fn a_measurement_that_is_missing_or_not_finite_changes_nothing() {
-        let mut bad_torque = measured(60, 2.0, 20.0);
-        bad_torque.tau[0] = f32::NAN;
-        let mut bad_position = measured(60, 2.0, 20.0);
-        bad_position.q[5] = f32::INFINITY;
-        for bad in [None, Some(bad_torque), Some(bad_position)] {
-            let mut learner = learner();
-            teach(&mut learner, 0..60, true);
-            let before = (learner.state.estimate, learner.state.candidate);
-            learner.study(&lesson(60, bad, true));
-            teach(&mut learner, 61..91, true);
-            assert!((learner.state.estimate, learner.state.candidate) == before);
-            teach(&mut learner, 91..92, true);
-            assert_ne!(learner.state.estimate, before.0);
-        }
-    }
-
-    #[test]
-    fn a_lost_lesson_is_a_gap() {
-        let mut learner = learner();
-        teach(&mut learner, 0..60, true);
-        let before = learner.state.statistics;
-        teach(&mut learner, 61..91, true);
-        assert_eq!(learner.state.statistics.accepted, before.accepted);
-        assert_eq!(learner.state.statistics.incomplete, before.incomplete + 30);
-    }
-
-    #[test]
-    fn each_tick_teaches_the_network_of_its_own_joint_only() {
-        let mut learner = learner();
-        teach(&mut learner, 0..30, true);
-        for tick in 30..36 {
-            let before = learner.state.candidate;
-            teach(&mut learner, tick..tick + 1, true);
-            for joint in 0..N {
-                let moved = learner.state.candidate.network[joint] != before.network[joint];
-                assert_eq!(
-                    moved,
-                    joint == tick as usize % N,
-                    "joint {joint} at tick {tick}"
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn a_joint_that_hardly_moves_teaches_nothing() {
-        let mut learner = learner();
-        for tick in 0..100 {
-            learner.study(&lesson(tick, Some(measured(tick, 0.04, 20.0)), true));
-        }
-        assert_eq!(learner.state.candidate, learner.state.prior);
-        assert_eq!(learner.state.statistics.gated, 70);
-    }
-
-    #[test]
-    fn an_encoder_gone_wild_or_an_impossible_torque_is_rejected() {
-        let mut learner = learner();
-        for tick in 0..100 {
-            let mut wild = measured(tick, 2.0, 20.0);
-            wild.q[4] = tick as f32;
-            learner.study(&lesson(tick, Some(wild), true));
-        }
-        for tick in 100..200 {
-            learner.study(&lesson(tick, Some(measured(tick, 2.0, 1e30)), true));
-        }
-        assert_eq!(learner.state.candidate, learner.state.prior);
-        assert_eq!(learner.state.statistics.accepted, 0);
-        assert!(learner.state.statistics.rejected > 100);
-    }
-
-    #[test]
-    fn one_glitch_of_one_encoder_teaches_nothing_to_any_joint() {
-        let (mut clean, mut glitched) = (learner(), learner());
-        for tick in 0..200 {
-            let good = measured(tick, 2.0, 20.0);
-            let mut bad = good;
-            if tick == 100 {
-                bad.q[3] += 0.2;
-            }
-            clean.study(&lesson(tick, Some(good), !(100..=130).contains(&tick)));
-            glitched.study(&lesson(tick, Some(bad), true));
-        }
-        // A few places of the window weigh nothing in the acceleration; those rows are as good as the others.
-        assert!(glitched.state.statistics.rejected >= 15);
-        let apart = glitched.state.candidate.rigid - clean.state.candidate.rigid;
-        let moved = clean.state.candidate.rigid - clean.state.prior.rigid;
-        assert!(
-            apart.amax() < 0.2 * moved.amax(),
-            "{} of {}",
-            apart.amax(),
-            moved.amax()
-        );
-    }
-
-    #[test]
-    fn a_lying_torque_sensor_cannot_push_the_parameters_out_of_their_box() {
-        let mut learner = learner();
-        teach(&mut learner, 0..60_000, true);
-        let LearnerState {
-            prior, candidate, ..
-        } = &learner.state;
-        let config = &learner.config;
-        let mut at_the_edge = 0;
-        for i in 0..P {
-            let moved = (candidate.rigid[i] - prior.rigid[i]).abs() / config.rigid_sigma[i];
-            assert!(
-                moved <= config.box_sigmas * 1.0001,
-                "parameter {i} by {moved}"
-            );
-            at_the_edge += usize::from(moved > config.box_sigmas * 0.999);
-        }
-        for joint in 0..N {
-            let friction = candidate.friction[joint];
-            let sigma = config.friction_sigma[joint];
-            assert!((0.0..=config.box_sigmas * sigma.viscous).contains(&friction.viscous));
-            assert!((0.0..=config.box_sigmas * sigma.coulomb).contains(&friction.coulomb));
-        }
-        assert!(at_the_edge > 0, "the box was never touched");
-        assert!(candidate.is_finite());
-    }
-
-    #[test]
-    fn sets_are_published_when_a_round_closes_and_only_then() {
-        let mut learner = learner();
-        for tick in 0..60 {
-            let mut exchange = Exchange::new();
-            learner.learn(
-                &lesson(tick, Some(measured(tick, 2.0, 20.0)), true),
-                &mut exchange,
-            );
-            let published = exchange.published.map(|(tick, _)| tick);
-            assert_eq!(published, (tick % 6 == 5).then_some(tick));
-        }
-        assert_eq!(learner.state.statistics.published, 10);
-    }
-
-    #[test]
-    fn a_reloaded_set_is_taken_with_the_first_lesson_it_holds_for() {
-        let mut learner = learner();
-        let mut loaded = ParameterSet::nominal::<Ur5>(9);
-        loaded.friction[0].coulomb = 3.0;
-        let mut exchange = Exchange::new();
-        exchange.reload = Some((42, loaded));
-        for tick in 40..44 {
-            learner.learn(&lesson(tick, None, true), &mut exchange);
-            assert_eq!(learner.state.prior == loaded, tick >= 42, "tick {tick}");
-            assert_eq!(learner.state.candidate == loaded, tick >= 42, "tick {tick}");
-            assert_eq!(exchange.reload.is_none(), tick >= 42, "tick {tick}");
-        }
-    }
-
-    #[test]
-    fn a_configuration_that_cannot_work_is_refused() {
-        let good = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
-        let mut sigma = good;
-        sigma.rigid_sigma[7] = 0.0;
-        let mut rate = good;
-        rate.network.learning_rate = f32::NAN;
-        assert_eq!(good.validate(), Ok(()));
-        assert_eq!(
-            sigma.validate(),
-            Err(ConfigError::NotPositive("rigid_sigma"))
-        );
-        assert_eq!(
-            rate.validate(),
-            Err(ConfigError::RateOutOfRange("network.learning_rate"))
-        );
-        assert!(
-            LearnerConfig::<N, P>::for_arm::<Ur5>(0.0)
-                .validate()
-                .is_err()
-        );
-    }
-}
+mod tests;
