@@ -20,11 +20,10 @@ mod app {
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
     use foretorque::learning::{Learner, LearnerConfig};
     use heapless::spsc::{Consumer, Producer, Queue};
-    use stm32f4xx_hal::gpio::PinState;
     use stm32f4xx_hal::pac::Interrupt;
     use stm32f4xx_hal::prelude::*;
 
-    use crate::board::{Arm, JOINTS, PARAMETERS};
+    use crate::board::{self, Arm, JOINTS, PARAMETERS};
     use crate::clock::{self, ClockSource};
     use crate::counter::{self, Counter};
     use crate::fault::{self, EnablePin, Reason};
@@ -78,11 +77,11 @@ mod app {
                 .enabled()
         });
         let mut rcc = cx.device.RCC.constrain();
-        let gpioa = cx.device.GPIOA.split(&mut rcc);
-        let gpiob = cx.device.GPIOB.split(&mut rcc);
-        gpiob.pb12.into_push_pull_output_in_state(PinState::Low);
-        gpioa.pa2.into_alternate::<7>();
-        gpioa.pa3.into_alternate::<7>().internal_pull_up(true);
+        let ports = board::Ports {
+            a: cx.device.GPIOA,
+            b: cx.device.GPIOB,
+        };
+        board::start_pins(ports, &mut rcc);
 
         let mut core = cx.core;
         let (counter, counter_hz) = if emulated {
@@ -92,7 +91,8 @@ mod app {
         };
         let drain = emulated.then(|| log::Drain::start(cx.device.USART3));
         defmt::info!(
-            "boot: clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            "boot: {=str}, clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            board::NAME,
             clocks.source,
             clocks.cpu_hz,
             reset_reason,
