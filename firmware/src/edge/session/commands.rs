@@ -9,6 +9,7 @@ use crate::edge::telemetry::CostMeter;
 use crate::edge::wire::{
     BoardMessage, Capabilities, Configuration, Decoder, NackReason, Pacing, SampleFrame,
 };
+use crate::excitation::{Cue, ExcitationError, Player};
 use crate::learning::ParameterSet;
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
@@ -39,6 +40,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
         self.frozen()?;
+        if self.player.stage().in_charge() {
+            return Err(NackReason::Excitation(ExcitationError::Running));
+        }
         if !Configuration::PERIODS_US.contains(&wanted.period_us) {
             return Err(NackReason::Period);
         }
@@ -65,6 +69,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             .restart(config, set)
             .map_err(|_| NackReason::Period)?;
         self.configuration = configuration;
+        self.player = Player::new::<A, P>(configuration.period_us);
         self.newest = None;
         desk.restart(period_s, *set);
         Ok(())
@@ -92,6 +97,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.gains = gains;
         core::mem::swap(&mut self.bank, &mut self.incoming);
         Ok(())
+    }
+
+    /// Takes over the uploaded excitation, all of it or nothing.
+    #[inline(never)]
+    pub(super) fn load_excitation(&mut self, length: u16, crc: u32) -> Result<(), NackReason> {
+        let program = self.transfer.program(length, crc)?;
+        self.player.load(&program).map_err(NackReason::Excitation)
+    }
+
+    pub(super) fn excitation(&mut self, cue: Cue) -> Result<BoardMessage<N>, NackReason> {
+        self.player.cue(cue).map_err(NackReason::Excitation)?;
+        Ok(BoardMessage::Excitation(self.player.stage()))
     }
 
     #[inline(never)]

@@ -14,9 +14,10 @@ use crate::edge::bank::{NETWORK_SEED, ParameterBank, name};
 use crate::edge::telemetry::{Cost, CostMeter, Statistics};
 use crate::edge::wire::{
     BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, DecodeError, Decoder,
-    FrameBuffer, FullTorqueFrame, HostMessage, Pacing, ReplyMode, ResetReason, SampleFrame,
-    TorqueFrame,
+    ExcitedFrame, FrameBuffer, FullTorqueFrame, HostMessage, Pacing, ReplyMode, ResetReason,
+    SampleFrame, TorqueFrame,
 };
+use crate::excitation::Player;
 use crate::feedforward::{FeedForward, FeedForwardConfig, evaluate};
 use crate::joint::JointMotion;
 use crate::learning::{ConfigError, ParameterSet};
@@ -77,6 +78,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     link: LinkState,
     feed_forward: FeedForward<A, N, P>,
     gains: [f32; N],
+    player: Player<N>,
     bank: ParameterBank,
     /// Room for a bank on its way in, which is not believed before all of it is.
     incoming: ParameterBank,
@@ -105,6 +107,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             link: LinkState::default(),
             feed_forward: FeedForward::new(config, ParameterSet::nominal::<A>(NETWORK_SEED))?,
             gains: [0.0; N],
+            player: Player::new::<A, P>(configuration.period_us),
             bank,
             incoming: ParameterBank::empty(),
             transfer: Transfer::new(),
@@ -252,6 +255,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::BankWrite { offset, bytes } => self
                 .frozen()
                 .and_then(|()| self.transfer.write(offset, &bytes)),
+            HostMessage::ExcitationLoad { length, crc } => self.load_excitation(length, crc),
+            HostMessage::Excitation(cue) => match self.excitation(cue) {
+                Ok(stage) => return self.answer(sequence, &stage, out),
+                Err(reason) => Err(reason),
+            },
             HostMessage::BankCommit { length, crc } => self.commit(length, crc, desk),
             HostMessage::Configure(configuration) => self.configure(configuration, desk),
             HostMessage::Learning { on } => self.set_learning(on),
@@ -300,7 +308,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         out: &mut FrameBuffer,
     ) {
         self.feed_forward.adopt(&mut desk.exchange);
-        let sample = sample.map(|sample| sample.sample(&self.gains));
+        let mut sample = sample.map(|sample| sample.sample(&self.gains));
+        let excited = self.player.step(sample.as_ref());
+        if let (Some(sample), Some(desired)) = (&mut sample, excited) {
+            sample.desired = desired;
+        }
         let start = self.board.clock.now();
         let torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),
@@ -313,9 +325,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             self.feed_forward
                 .lesson(sample.and_then(|sample| sample.measured)),
         );
-        let reply = match self.configuration.reply {
-            ReplyMode::Decimated => BoardMessage::Torque(TorqueFrame::from(&torque)),
-            ReplyMode::Full => BoardMessage::FullTorque(FullTorqueFrame::from(&torque)),
+        let reply = match (excited, self.configuration.reply) {
+            (Some(desired), _) => {
+                let stage = self.player.stage();
+                BoardMessage::Excited(ExcitedFrame::new(&torque, stage, &desired))
+            }
+            (None, ReplyMode::Decimated) => BoardMessage::Torque(TorqueFrame::from(&torque)),
+            (None, ReplyMode::Full) => BoardMessage::FullTorque(FullTorqueFrame::from(&torque)),
         };
         self.answer(self.last_sequence, &reply, out);
     }

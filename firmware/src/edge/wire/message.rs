@@ -1,11 +1,12 @@
 //! What is said on the link, in both directions.
 
 use super::{
-    BoardHello, Configuration, EvaluatedFrame, FullTorqueFrame, MotionFrame, SampleFrame,
-    TorqueFrame,
+    BoardHello, Configuration, EvaluatedFrame, ExcitedFrame, FullTorqueFrame, MotionFrame,
+    SampleFrame, TorqueFrame,
 };
 use crate::edge::bank::BankError;
 use crate::edge::telemetry::Statistics;
+use crate::excitation::{Cue, ExcitationError, Stage};
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -59,6 +60,18 @@ pub enum HostMessage<const N: usize> {
     Statistics,
     /// Back to the state after boot: the bank of the firmware, learning off, tick 0, counters 0. Answer: ack.
     Reset,
+    /// The upload is an excitation ([`ExcitationProgram`](crate::excitation::ExcitationProgram)), complete, and shall be
+    /// taken over. Answer: ack, and its check begins with the next tick.
+    ExcitationLoad {
+        /// Its length in bytes.
+        #[serde(with = "postcard::fixint::le")]
+        length: u16,
+        /// CRC-32 over it.
+        #[serde(with = "postcard::fixint::le")]
+        crc: u32,
+    },
+    /// Start, stop, release the excitation, or ask for its stage. Answer: [`BoardMessage::Excitation`].
+    Excitation(Cue),
 }
 
 /// From the board to the host. A frame carries the sequence number of the host's frame that it answers.
@@ -89,6 +102,10 @@ pub enum BoardMessage<const N: usize> {
     },
     /// Counters since boot or reset.
     Statistics(Statistics),
+    /// Where the excitation stands.
+    Excitation(Stage),
+    /// Torque of one tick whose desired motion was the excitation's, with that motion.
+    Excited(ExcitedFrame<N>),
 }
 
 /// Why something was not done.
@@ -113,6 +130,8 @@ pub enum NackReason {
     Checksum,
     /// The bank is not one for this board.
     Bank(BankError),
+    /// The excitation cannot be played, or not now.
+    Excitation(ExcitationError),
 }
 
 impl fmt::Display for NackReason {
@@ -125,6 +144,7 @@ impl fmt::Display for NackReason {
             Self::TooLong => f.write_str("parameter bank too long"),
             Self::Checksum => f.write_str("parameter bank damaged or incomplete"),
             Self::Bank(error) => write!(f, "{error}"),
+            Self::Excitation(error) => write!(f, "{error}"),
         }
     }
 }

@@ -2,6 +2,7 @@ use super::codec::encode_as;
 use super::*;
 use crate::edge::bank::BankError;
 use crate::edge::telemetry::{Cost, Statistics};
+use crate::excitation::{AbortReason, Cue, ExcitationError, Stage};
 use proptest::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -110,6 +111,10 @@ fn host_message() -> impl Strategy<Value = HostMessage<N>> {
         any::<u16>().prop_map(|offset| HostMessage::BankRead { offset }),
         Just(HostMessage::Statistics),
         Just(HostMessage::Reset),
+        (any::<u16>(), any::<u32>())
+            .prop_map(|(length, crc)| HostMessage::ExcitationLoad { length, crc }),
+        prop::sample::select(std::vec![Cue::Status, Cue::Start, Cue::Stop, Cue::Release])
+            .prop_map(HostMessage::Excitation),
     ]
 }
 
@@ -135,6 +140,16 @@ fn nack() -> impl Strategy<Value = NackReason> {
         Just(NackReason::Checksum),
         any::<u32>().prop_map(|found| NackReason::Bank(BankError::WrongArm { found })),
         any::<u16>().prop_map(|place| NackReason::Bank(BankError::Weight(place))),
+        any::<u8>().prop_map(|j| NackReason::Excitation(ExcitationError::NotAtRest(j))),
+    ]
+}
+
+fn stage() -> impl Strategy<Value = Stage> {
+    prop_oneof![
+        Just(Stage::Empty),
+        Just(Stage::Playing),
+        any::<u8>().prop_map(|j| Stage::Refused(ExcitationError::CertificateBroken(j))),
+        any::<u8>().prop_map(|j| Stage::Aborted(AbortReason::Tracking(j))),
     ]
 }
 
@@ -221,6 +236,21 @@ fn board_message() -> impl Strategy<Value = BoardMessage<N>> {
             }
         }),
         statistics().prop_map(BoardMessage::Statistics),
+        stage().prop_map(BoardMessage::Excitation),
+        (stage(), sample(), floats(), floats()).prop_map(|(stage, motion, total, shares)| {
+            BoardMessage::Excited(ExcitedFrame {
+                torque: TorqueFrame {
+                    tick: 7,
+                    flags: 3,
+                    total,
+                    shares,
+                },
+                stage,
+                q: motion.desired_q,
+                qd: motion.desired_qd,
+                qdd: motion.desired_qdd,
+            })
+        }),
     ]
 }
 
@@ -381,6 +411,11 @@ fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
         host("BankRead", HostMessage::BankRead { offset: 1 }),
         host("Statistics", HostMessage::Statistics),
         host("Reset", HostMessage::Reset),
+        host(
+            "ExcitationLoad",
+            HostMessage::ExcitationLoad { length: 1, crc: 1 }
+        ),
+        host("Excitation", HostMessage::Excitation(Cue::Start)),
         board(
             "Hello",
             BoardMessage::Hello(BoardHello {
@@ -430,12 +465,31 @@ fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
             "Statistics",
             BoardMessage::Statistics(Statistics::default())
         ),
+        board(
+            "Excitation",
+            BoardMessage::Excitation(Stage::Aborted(AbortReason::Tracking(1)))
+        ),
+        board(
+            "Excited",
+            BoardMessage::Excited(ExcitedFrame {
+                torque: TorqueFrame {
+                    tick: 1,
+                    flags: 1,
+                    total: ones,
+                    shares: [1.0; 3],
+                },
+                stage: Stage::Aborted(AbortReason::Tracking(1)),
+                q: [Position::encode(1.0); J],
+                qd: [Velocity::encode(1.0); J],
+                qdd: [Acceleration::encode(1.0); J],
+            })
+        ),
     ]
 }
 
 #[test]
 fn cyclic_frames_have_the_sizes_that_the_link_is_planned_for() {
-    fn cyclic<const J: usize>() -> [usize; 3] {
+    fn cyclic<const J: usize>() -> [usize; 4] {
         let of = |wanted| {
             sizes::<J>()
                 .into_iter()
@@ -443,15 +497,25 @@ fn cyclic_frames_have_the_sizes_that_the_link_is_planned_for() {
                 .unwrap()
                 .1
         };
-        [of("Sample"), of("Torque"), of("FullTorque")]
+        [of("Sample"), of("Torque"), of("FullTorque"), of("Excited")]
     }
     assert_eq!(
         cyclic::<6>(),
-        [size::sample(6), size::torque(6), size::full_torque(6)]
+        [
+            size::sample(6),
+            size::torque(6),
+            size::full_torque(6),
+            size::excited(6)
+        ]
     );
     assert_eq!(
         cyclic::<7>(),
-        [size::sample(7), size::torque(7), size::full_torque(7)]
+        [
+            size::sample(7),
+            size::torque(7),
+            size::full_torque(7),
+            size::excited(7)
+        ]
     );
     assert!(size::sample(6) <= 96 && size::torque(6) <= 64);
     for joints in [6, 7] {
@@ -484,10 +548,11 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
     let page = include_str!("../../../../docs/protocol.md");
     let (six, seven) = (sizes::<6>(), sizes::<7>());
     for (tag, ((name, six), (_, seven))) in six.iter().zip(&seven).enumerate() {
-        let (direction, tag) = if tag < 10 {
+        const HOST_MESSAGES: usize = 12;
+        let (direction, tag) = if tag < HOST_MESSAGES {
             ("→", tag)
         } else {
-            ("←", tag - 10)
+            ("←", tag - HOST_MESSAGES)
         };
         let line = row(page, &std::format!("| {direction} | {tag} | `{name}` |"));
         let ends = std::format!("| {six} | {seven} |");
@@ -504,6 +569,8 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
         ("reply, 7 joints", size::torque(7)),
         ("full reply, 6 joints", size::full_torque(6)),
         ("full reply, 7 joints", size::full_torque(7)),
+        ("reply with motion, 6 joints", size::excited(6)),
+        ("reply with motion, 7 joints", size::excited(7)),
     ] {
         let headroom = permille(bytes);
         let wanted = std::format!(
