@@ -123,23 +123,11 @@ impl<const N: usize> Player<N> {
     ///
     /// * `tick_us` period of the tick, µs
     pub fn new<A: Arm<N, P>, const P: usize>(tick_us: u32) -> Self {
-        let program = ExcitationProgram {
-            arm_hash: A::HASH,
-            period_us: 0,
-            periods: 0,
-            tracking_rad: 0.0,
-            joints: [super::JointSeries::ZERO; N],
-            certificate: [super::MotionBounds {
-                position_rad: (0.0, 0.0),
-                velocity_rad_s: 0.0,
-                acceleration_rad_s2: 0.0,
-            }; N],
-        };
         Self {
             limits: PlayLimits::for_arm::<A, P>(tick_us),
             arm_hash: A::HASH,
             tick_us,
-            program,
+            program: ExcitationProgram::EMPTY,
             series: PreparedSeries::new(1_000_000, tick_us),
             ramp_ticks: 1,
             state: PlayerState {

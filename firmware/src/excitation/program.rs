@@ -1,8 +1,7 @@
-use super::series::JointSeries;
+use super::series::{HARMONICS, JointSeries};
 use crate::arm::{Arm, JointLimits};
 use core::fmt;
 use serde::{Deserialize, Serialize};
-use serde_big_array::BigArray;
 
 /// What the motion of one joint keeps to.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,25 +29,89 @@ impl MotionBounds {
 }
 
 /// An excitation as it is uploaded: coefficients, and what they were certified to keep.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExcitationProgram<const N: usize> {
     /// Identity of the arm it was made for.
-    #[serde(with = "postcard::fixint::le")]
     pub arm_hash: u32,
     /// Period of the fundamental, µs.
-    #[serde(with = "postcard::fixint::le")]
     pub period_us: u32,
     /// Periods to play; 0 until stopped.
-    #[serde(with = "postcard::fixint::le")]
     pub periods: u16,
     /// Tracking error of any joint at which it is aborted, rad.
     pub tracking_rad: f32,
     /// The series, joint by joint.
-    #[serde(with = "BigArray")]
     pub joints: [JointSeries; N],
     /// The certificate: what the motion keeps to, joint by joint. Left at any time, the excitation is aborted.
-    #[serde(with = "BigArray")]
     pub certificate: [MotionBounds; N],
+}
+
+/// What comes before the joints on the wire.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    #[serde(with = "postcard::fixint::le")]
+    arm_hash: u32,
+    #[serde(with = "postcard::fixint::le")]
+    period_us: u32,
+    #[serde(with = "postcard::fixint::le")]
+    periods: u16,
+    tracking_rad: f32,
+}
+
+impl<const N: usize> ExcitationProgram<N> {
+    /// Length on the wire, B.
+    pub const BYTES: usize = 14 + N * 4 * (2 * HARMONICS + 1 + 4);
+
+    /// Nothing: all joints rest in zero, and no board takes it.
+    pub const EMPTY: Self = Self {
+        arm_hash: 0,
+        period_us: 0,
+        periods: 0,
+        tracking_rad: 0.0,
+        joints: [JointSeries::ZERO; N],
+        certificate: [MotionBounds {
+            position_rad: (0.0, 0.0),
+            velocity_rad_s: 0.0,
+            acceleration_rad_s2: 0.0,
+        }; N],
+    };
+
+    /// Writes it into `room` and returns its bytes; `None` where there are fewer than [`BYTES`](Self::BYTES).
+    pub fn encode<'r>(&self, room: &'r mut [u8]) -> Option<&'r [u8]> {
+        let head = Head {
+            arm_hash: self.arm_hash,
+            period_us: self.period_us,
+            periods: self.periods,
+            tracking_rad: self.tracking_rad,
+        };
+        let mut at = postcard::to_slice(&head, room).ok()?.len();
+        for series in &self.joints {
+            at += postcard::to_slice(series, room.get_mut(at..)?).ok()?.len();
+        }
+        for bounds in &self.certificate {
+            at += postcard::to_slice(bounds, room.get_mut(at..)?).ok()?.len();
+        }
+        room.get(..at)
+    }
+
+    /// Reads it from all of `bytes`; `None` where they are not just one.
+    pub fn decode(bytes: &[u8]) -> Option<Self> {
+        let (head, mut rest): (Head, _) = postcard::take_from_bytes(bytes).ok()?;
+        let mut program = Self {
+            arm_hash: head.arm_hash,
+            period_us: head.period_us,
+            periods: head.periods,
+            tracking_rad: head.tracking_rad,
+            ..Self::EMPTY
+        };
+        // One by one: reading an array of structs at once leaves a branch that panics.
+        for series in &mut program.joints {
+            (*series, rest) = postcard::take_from_bytes(rest).ok()?;
+        }
+        for bounds in &mut program.certificate {
+            (*bounds, rest) = postcard::take_from_bytes(rest).ok()?;
+        }
+        rest.is_empty().then_some(program)
+    }
 }
 
 /// What the board lets any excitation do, whatever its certificate says.
@@ -169,5 +232,38 @@ impl fmt::Display for AbortReason {
             Self::Blind => f.write_str("no measurements"),
             Self::NotFinite(j) => write!(f, "joint {} was measured as no number", joint(j)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::series::tests::SWING;
+    use super::*;
+
+    #[test]
+    fn a_program_comes_back_and_a_byte_more_or_less_does_not() {
+        let bounds = MotionBounds {
+            position_rad: (-1.0, 2.0),
+            velocity_rad_s: 3.0,
+            acceleration_rad_s2: 4.0,
+        };
+        let program = ExcitationProgram {
+            arm_hash: 0xdead_beef,
+            period_us: 10_000_000,
+            periods: 3,
+            tracking_rad: 0.05,
+            joints: [SWING; 6],
+            certificate: [bounds; 6],
+        };
+        let mut room = [0; 400];
+        let bytes = program.encode(&mut room).unwrap().to_vec();
+        assert_eq!(bytes.len(), ExcitationProgram::<6>::BYTES);
+        assert_eq!(ExcitationProgram::decode(&bytes), Some(program));
+        assert_eq!(ExcitationProgram::<7>::decode(&bytes), None);
+        let longer = [&bytes[..], &[0]].concat();
+        for wrong in [&bytes[1..], &bytes[..bytes.len() - 1], &longer] {
+            assert_eq!(ExcitationProgram::<6>::decode(wrong), None);
+        }
+        assert_eq!(program.encode(&mut [0; 373]), None);
     }
 }

@@ -1,4 +1,5 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
+use super::on_board;
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
 use super::terminal::{self, say};
@@ -26,6 +27,13 @@ pub(super) struct Arguments {
     /// Parameter bank to start from; without it the description's rigid body
     #[arg(long, value_name = "FILE")]
     bank: Option<PathBuf>,
+    /// Have the board play the excitation of --trajectory itself: uploaded, checked there, approached from 0.1 rad beside
+    /// its beginning, and followed as the board asks
+    #[arg(long)]
+    excite_on_board: bool,
+    /// Tracking error of any joint at which the board breaks its excitation off, rad
+    #[arg(long, default_value_t = 0.05, requires = "excite_on_board")]
+    tracking_rad: f32,
     /// Learn while it runs
     #[arg(long)]
     learn: bool,
@@ -85,6 +93,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }
+    if arguments.excite_on_board {
+        on_board::start::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
+    }
     board.learning(arguments.learn)?;
     let mut header = log_header::<N>();
     header.extend(joint_columns("feed_forward", "nm", N));
@@ -99,6 +110,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         PERIOD_S,
         Some(&mut board),
     )?;
+    let mut ticks = 0;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
         seen.add(&record);
@@ -106,6 +118,10 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         row.extend(record.feed_forward.iter().map(|tau| f64::from(*tau)));
         row.push(f64::from(record.flags));
         log.row(row)?;
+        ticks += 1;
+        if arguments.excite_on_board && on_board::has_ended(&mut board, tick, record.stage)? {
+            break;
+        }
         if tick % 256 == 0 {
             bar.show("run", tick, scene.ticks);
         }
@@ -118,7 +134,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         robot: robot.name.clone(),
         board: arguments.board.to_string(),
         seed: arguments.motion.seed,
-        ticks: scene.ticks,
+        ticks,
         period_s: PERIOD_S,
         toolchain: arguments.board.toolchain(),
         learning: arguments.learn,

@@ -5,6 +5,7 @@ use crate::control::{self, PdConfig, PdState};
 use crate::dynamics::{Joints, State};
 use crate::plant::{Measurement, Plant};
 use crate::trajectory::Trajectory;
+use foretorque::excitation::Stage;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 
 /// What happened in one tick.
@@ -26,12 +27,15 @@ pub struct TickRecord<const N: usize> {
     pub shares: Option<BoardShares<N>>,
     /// Flags that came with it.
     pub flags: u16,
+    /// Where the board's own excitation stands, while it is in charge of the desired motion.
+    pub stage: Option<Stage>,
 }
 
 /// A trajectory that is being played under PD control, with the torque of a board added where there is one.
 ///
 /// The latency of the feed-forward is one tick: the request of tick k asks for the torque of tick k + 1 and carries the
-/// motion desired then; what is answered acts from k + 1 on. The PD torque acts at once.
+/// motion desired then; what is answered acts from k + 1 on. The PD torque acts at once. A board that plays an excitation of
+/// its own answers the motion too, and that is followed in the trajectory's place.
 #[derive(Debug)]
 pub struct ClosedLoop<'t, const N: usize> {
     pd: &'t PdConfig<N>,
@@ -90,8 +94,8 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             &desired.qd,
         );
         let tau = feedback + self.answer.cast::<f64>();
-        let next = self.trajectory.at((self.tick + 1) as f64 * self.period_s);
-        let (mut shares, mut flags) = (None, 0);
+        let mut next = self.trajectory.at((self.tick + 1) as f64 * self.period_s);
+        let (mut shares, mut flags, mut stage) = (None, 0, None);
         if let Some(board) = board {
             let reply = board.sample(&JointSample {
                 desired: motion_f32(&next),
@@ -103,6 +107,10 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             self.answer = reply.total;
             shares = Some(reply.shares);
             flags = reply.flags.0;
+            if let Some((standing, desired)) = reply.excited {
+                stage = Some(standing);
+                next = motion_f64(&desired);
+            }
         }
         let record = TickRecord {
             t_s: self.tick as f64 * self.period_s,
@@ -113,11 +121,21 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             feed_forward: self.answer,
             shares,
             flags,
+            stage,
         };
         plant.advance(&tau, self.period_s);
         self.desired = next;
         self.tick += 1;
         Ok(record)
+    }
+}
+
+/// A motion as the board asks for it.
+fn motion_f64<const N: usize>(motion: &JointMotion<N>) -> State<N> {
+    State {
+        q: motion.q.cast(),
+        qd: motion.qd.cast(),
+        qdd: motion.qdd.cast(),
     }
 }
 

@@ -73,9 +73,9 @@ impl Transfer {
         crc: u32,
     ) -> Result<ExcitationProgram<N>, NackReason> {
         let uploaded = self.uploaded(length, crc);
-        let read = uploaded.and_then(|bytes| match postcard::take_from_bytes(bytes) {
-            Ok((program, [])) => Ok(program),
-            _ => Err(NackReason::Excitation(ExcitationError::Number(0))),
+        let read = uploaded.and_then(|bytes| {
+            ExcitationProgram::decode(bytes)
+                .ok_or(NackReason::Excitation(ExcitationError::Number(0)))
         });
         self.abort();
         read
