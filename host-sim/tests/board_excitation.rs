@@ -21,7 +21,7 @@ fn excitation() -> Excitation {
         period_s: 4.0,
         ..QuickConfig::default()
     };
-    Excitation::quick::<N>(&robot, &config, |_, _| {}).expect("the UR5 can move")
+    Excitation::quick::<N>(&robot, 1, &config, || ()).expect("the UR5 can move")
 }
 
 fn program() -> ExcitationProgram<N> {
@@ -78,7 +78,10 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
 }
 
 fn stages(said: &[Said]) -> Vec<Option<Stage>> {
-    let mut stages: Vec<_> = said.iter().map(|(_, e)| e.map(|(stage, _)| stage)).collect();
+    let mut stages: Vec<_> = said
+        .iter()
+        .map(|(_, e)| e.map(|(stage, _)| stage))
+        .collect();
     stages.dedup();
     stages
 }
@@ -118,9 +121,15 @@ fn an_arm_that_does_not_follow_is_told_in_the_reply_and_brought_to_rest() {
     let said = play(&mut client, 0.06);
     let aborted = Some(Stage::Aborted(AbortReason::Tracking(2)));
     assert_eq!(stages(&said).last(), Some(&aborted));
-    let (_, end) = said.last().and_then(|(_, excited)| *excited).expect("in charge");
+    let (_, end) = said
+        .last()
+        .and_then(|(_, excited)| *excited)
+        .expect("in charge");
     assert_eq!(end.qd, JointVector::<N>::zeros());
-    assert_eq!(client.excitation(Cue::Release).expect("at rest"), Stage::Ready);
+    assert_eq!(
+        client.excitation(Cue::Release).expect("at rest"),
+        Stage::Ready
+    );
 }
 
 #[test]
@@ -134,7 +143,13 @@ fn a_file_for_another_arm_or_beyond_the_limits_is_refused_with_its_reason() {
         }
     };
     let beyond = ExcitationError::CertificateBeyondLimits(1);
-    assert_eq!(refused(|p| p.arm_hash += 1), Some(ExcitationError::WrongArm));
-    assert_eq!(refused(|p| p.certificate[1].velocity_rad_s = 9.0), Some(beyond));
+    assert_eq!(
+        refused(|p| p.arm_hash += 1),
+        Some(ExcitationError::WrongArm)
+    );
+    assert_eq!(
+        refused(|p| p.certificate[1].velocity_rad_s = 9.0),
+        Some(beyond)
+    );
     assert_eq!(refused(|_| {}), None);
 }

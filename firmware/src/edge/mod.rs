@@ -3,5 +3,6 @@
 pub mod bank;
 pub mod hal;
 pub mod session;
+pub mod store;
 pub mod telemetry;
 pub mod wire;

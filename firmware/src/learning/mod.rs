@@ -20,7 +20,7 @@ mod ud;
 pub use conditioning::{Conditioned, DELAY, MeasurementWindow, TAPS};
 pub use config::{ConfigError, LearnerConfig};
 pub use decision::{DECISIONS, Decision, DecisionLog, Reason};
-pub use estimator::Estimator;
+pub use estimator::{Estimator, torque_row};
 pub use exchange::{Exchange, Lesson, MotionRange, Publication, Report};
 pub use learner::{Learner, LearnerState, LearnerStatistics};
 pub use parameters::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet, network_inputs};

@@ -17,6 +17,7 @@ mod app {
     use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
     use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::store::Store;
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
     use foretorque::learning::{Learner, LearnerConfig};
     use heapless::spsc::{Consumer, Producer, Queue};
@@ -30,6 +31,7 @@ mod app {
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
     use crate::log;
     use crate::pace::{self, Pace};
+    use crate::store_flash::StoreFlash;
 
     /// Ticks between two lines of the log.
     const LOG_EVERY: u32 = 1000;
@@ -110,6 +112,10 @@ mod app {
         let Ok(mut session) = Session::new(board) else {
             fault::leave(Reason::Setup, line!());
         };
+        let mut desk = Desk::new();
+        let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
+        let stored = session.boot_from(&mut store, &mut desk);
+        defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
         let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
@@ -133,7 +139,7 @@ mod app {
             session.configuration()
         );
         (
-            Shared { desk: Desk::new() },
+            Shared { desk },
             Local {
                 wire,
                 session,

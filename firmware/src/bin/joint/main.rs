@@ -17,6 +17,8 @@ mod link;
 mod log;
 #[cfg(target_os = "none")]
 mod pace;
+#[cfg(target_os = "none")]
+mod store_flash;
 
 #[cfg(not(target_os = "none"))]
 fn main() {

@@ -85,6 +85,22 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     ) -> Result<(), NackReason> {
         self.frozen()?;
         self.transfer.commit(length, crc, &mut self.incoming)?;
+        self.take_over(desk)
+    }
+
+    /// Takes over a set that the store kept, all of it or nothing: at boot, or when the host asks for it.
+    ///
+    /// Errors: [`NackReason::LearningOn`], [`NackReason::Bank`].
+    #[inline(never)]
+    pub fn restore(&mut self, bytes: &[u8], desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+        self.frozen()?;
+        self.transfer.abort();
+        self.incoming.decode_into(bytes).map_err(NackReason::Bank)?;
+        self.take_over(desk)
+    }
+
+    /// Makes the bank that came in the one in force, if it is one for this board.
+    fn take_over(&mut self, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
         let gains = self.incoming.drive_gains().map_err(NackReason::Bank)?;
         let set = self.incoming.set::<A, N, P>().map_err(NackReason::Bank)?;
         let period_s = seconds(&self.configuration);

@@ -4,6 +4,7 @@ mod clock;
 mod commands;
 mod desk;
 mod link;
+mod stored;
 mod transfer;
 
 pub use clock::{Clock, NoClock};
@@ -118,6 +119,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             tick_cost: CostMeter::new(),
             receive_cost: Cost::default(),
         })
+    }
+
+    /// The bank in force, as it was loaded, with the values of the active set.
+    pub fn bank(&mut self) -> &ParameterBank {
+        let active = &self.feed_forward.state().active;
+        self.bank.refresh::<A, N, P>(active);
+        &self.bank
     }
 
     /// How the board shall run; its owner sets the timer by it.
