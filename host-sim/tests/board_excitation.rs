@@ -50,8 +50,9 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
     client.load_excitation(&program()).expect("it is taken");
     client.excitation(Cue::Start).expect("it may be started");
     client.learning(true).expect("the board learns");
+    let beside = excitation().at::<N>(0.0).q.add_scalar(-0.1);
     let mut desired = JointMotion {
-        q: JointVector::from_element(0.2),
+        q: beside.cast(),
         ..JointMotion::zero()
     };
     let mut said = Vec::new();

@@ -24,6 +24,9 @@ mod log;
 #[cfg(target_os = "none")]
 #[path = "../joint/pace.rs"]
 mod pace;
+#[cfg(target_os = "none")]
+#[path = "../joint/store_flash.rs"]
+mod store_flash;
 
 #[cfg(not(target_os = "none"))]
 fn main() {
