@@ -17,10 +17,10 @@ const AROUND_S: f64 = 60.0;
 /// Ticks after which the check is over.
 const CHECK_TICKS: usize = 300;
 
-/// Uploads and starts the excitation that `scene` was to play, and has the arm wait beside its beginning instead.
+/// Uploads the excitation that `scene` was to play, and has the arm wait beside its beginning instead.
 ///
 /// Errors: a trajectory that is no excitation; what the board refuses.
-pub(super) fn start<A: Arm<N, P>, const N: usize, const P: usize>(
+pub(super) fn load<A: Arm<N, P>, const N: usize, const P: usize>(
     board: &mut Client<N>,
     scene: &mut Scene<N>,
     robot: &Robot,
@@ -37,7 +37,6 @@ pub(super) fn start<A: Arm<N, P>, const N: usize, const P: usize>(
     }
     let program = series.program::<N>(A::HASH, periods as u16, tracking_rad)?;
     board.load_excitation(&program)?;
-    board.excitation(Cue::Start)?;
     scene.ticks = ((periods * series.period_s + AROUND_S) / PERIOD_S) as usize;
     let waiting = State {
         q: beside(series, robot),

@@ -11,6 +11,7 @@ use crate::robot::Robot;
 use crate::table::{TableWriter, joint_columns};
 use clap::Args;
 use foretorque::arm::Arm;
+use foretorque::excitation::Cue;
 use std::path::PathBuf;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
@@ -94,9 +95,8 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         board.upload_bank(bank)?;
     }
     if arguments.excite_on_board {
-        on_board::start::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
+        on_board::load::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
     }
-    board.learning(arguments.learn)?;
     let mut header = log_header::<N>();
     header.extend(joint_columns("feed_forward", "nm", N));
     header.push("flags".to_owned());
@@ -110,6 +110,10 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         PERIOD_S,
         Some(&mut board),
     )?;
+    board.learning(arguments.learn)?;
+    if arguments.excite_on_board {
+        board.excitation(Cue::Start)?;
+    }
     let mut ticks = 0;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
@@ -128,6 +132,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     }
     drop(bar);
     board.learning(false)?;
+    board.disarm()?;
     let statistics = board.statistics()?;
     let learnt = bank::bytes(&board.read_bank()?)?;
     let report = ClosedLoopReport {

@@ -27,6 +27,9 @@ mod pace;
 #[cfg(target_os = "none")]
 #[path = "../joint/store_flash.rs"]
 mod store_flash;
+#[cfg(target_os = "none")]
+#[path = "../joint/watchdog.rs"]
+mod watchdog;
 
 #[cfg(not(target_os = "none"))]
 fn main() {

@@ -4,17 +4,22 @@ use super::link::LinkState;
 use super::{Clock, Session, seconds};
 use crate::arm::Arm;
 use crate::edge::bank::{BankError, NETWORK_SEED};
+use crate::edge::safety::SafetyLimits;
 use crate::edge::session::Desk;
 use crate::edge::telemetry::CostMeter;
 use crate::edge::wire::{
-    BoardMessage, Capabilities, Configuration, Decoder, NackReason, Pacing, SampleFrame,
+    BankSource, BoardMessage, Capabilities, Configuration, Decoder, MAC_BYTES, NackReason, Pacing,
+    SampleFrame,
 };
 use crate::excitation::{Cue, ExcitationError, Player};
-use crate::learning::ParameterSet;
+use crate::learning::{ParameterSet, Request};
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
-    pub(super) fn frozen(&self) -> Result<(), NackReason> {
-        if self.feed_forward.state().learning {
+    /// Parameters may be written: no torque flows, and nothing is learnt.
+    fn writable(&self) -> Result<(), NackReason> {
+        if !self.safety.at_rest() {
+            Err(NackReason::Armed)
+        } else if self.feed_forward.state().learning {
             Err(NackReason::LearningOn)
         } else {
             Ok(())
@@ -39,7 +44,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         wanted: Configuration,
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
-        self.frozen()?;
+        self.writable()?;
         if self.player.stage().in_charge() {
             return Err(NackReason::Excitation(ExcitationError::Running));
         }
@@ -70,6 +75,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             .map_err(|_| NackReason::Period)?;
         self.configuration = configuration;
         self.player = Player::new::<A, P>(configuration.period_us);
+        self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
+        self.stream.end();
         self.newest = None;
         desk.restart(period_s, *set);
         Ok(())
@@ -81,19 +88,20 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         length: u16,
         crc: u32,
+        _mac: Option<[u8; MAC_BYTES]>,
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
-        self.frozen()?;
+        self.writable()?;
         self.transfer.commit(length, crc, &mut self.incoming)?;
         self.take_over(desk)
     }
 
     /// Takes over a set that the store kept, all of it or nothing: at boot, or when the host asks for it.
     ///
-    /// Errors: [`NackReason::LearningOn`], [`NackReason::Bank`].
+    /// Errors: [`NackReason::Armed`], [`NackReason::LearningOn`], [`NackReason::Bank`].
     #[inline(never)]
     pub fn restore(&mut self, bytes: &[u8], desk: &mut Desk<N, P>) -> Result<(), NackReason> {
-        self.frozen()?;
+        self.writable()?;
         self.transfer.abort();
         self.incoming.decode_into(bytes).map_err(NackReason::Bank)?;
         self.take_over(desk)
@@ -118,6 +126,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     /// Takes over the uploaded excitation, all of it or nothing.
     #[inline(never)]
     pub(super) fn load_excitation(&mut self, length: u16, crc: u32) -> Result<(), NackReason> {
+        self.writable()?;
         let program = self.transfer.program(length, crc)?;
         self.player.load(&program).map_err(NackReason::Excitation)
     }
@@ -128,10 +137,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     }
 
     #[inline(never)]
-    pub(super) fn read(&mut self, offset: u16) -> Result<BoardMessage<N>, NackReason> {
+    pub(super) fn read(
+        &mut self,
+        source: BankSource,
+        offset: u16,
+    ) -> Result<BoardMessage<N>, NackReason> {
         if offset == 0 {
-            self.bank
-                .refresh::<A, N, P>(&self.feed_forward.state().active);
+            let state = self.feed_forward.state();
+            let set = match source {
+                BankSource::Live => &state.active,
+                BankSource::Committed => &state.committed,
+                BankSource::Stored => return Err(NackReason::NotCapable),
+            };
+            self.bank.refresh::<A, N, P>(set);
             self.transfer
                 .snapshot(&self.bank)
                 .map_err(NackReason::Bank)?;
@@ -144,8 +162,45 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         })
     }
 
+    pub(super) fn write(&mut self, offset: u16, bytes: &[u8]) -> Result<(), NackReason> {
+        self.writable()?;
+        self.transfer.write(offset, bytes)
+    }
+
+    /// Emergency stop, of the torque and of the learning: what led to it may not be fit to learn from.
+    pub(super) fn stop(&mut self, desk: &mut Desk<N, P>) {
+        self.safety.stop();
+        self.feed_forward.applied(self.safety.output());
+        // It takes the place of a request that still waits.
+        desk.exchange.request = Some((self.feed_forward.state().tick, Request::Stop));
+    }
+
+    pub(super) fn request(&mut self, code: u8, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+        // The learner's own stop belongs to the emergency stop alone.
+        let request = Request::from_code(code).filter(|&request| request != Request::Stop);
+        let request = request.ok_or(NackReason::NotCapable)?;
+        self.feed_forward
+            .request(request, &mut desk.exchange)
+            .map_err(|_| NackReason::Busy)
+    }
+
+    pub(super) fn ask_for_reboot(&mut self) -> Result<(), NackReason> {
+        if !self.board.capabilities.contains(Capabilities::REBOOT) {
+            return Err(NackReason::NotCapable);
+        }
+        self.reboot = true;
+        Ok(())
+    }
+
+    pub(super) fn challenge(&mut self) -> Result<[u8; MAC_BYTES], NackReason> {
+        Err(NackReason::NotCapable)
+    }
+
     #[inline(never)]
     pub(super) fn reset(&mut self, sequence: u16, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+        if !self.safety.at_rest() {
+            return Err(NackReason::Armed);
+        }
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         self.bank.describe::<A, N, P>();
         self.bank.refresh::<A, N, P>(&set);
