@@ -48,13 +48,21 @@ type Said = (Vec<u32>, Option<(Stage, JointMotion<N>)>);
 /// Plays it on an arm that follows within the resolution of the link, and is `late` in joint 3 from tick 2000 on.
 fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
     client.load_excitation(&program()).expect("it is taken");
-    client.excitation(Cue::Start).expect("it may be started");
-    client.learning(true).expect("the board learns");
     let beside = excitation().at::<N>(0.0).q.add_scalar(-0.1);
     let mut desired = JointMotion {
         q: beside.cast(),
         ..JointMotion::zero()
     };
+    let standing = JointSample {
+        desired,
+        measured: Some(JointMeasurement {
+            q: desired.q,
+            tau: JointVector::zeros(),
+        }),
+    };
+    client.arm(&standing).expect("the board can be armed");
+    client.excitation(Cue::Start).expect("it may be started");
+    client.learning(true).expect("the board learns");
     let mut said = Vec::new();
     for tick in 0..TICKS {
         let mut q = desired.q;

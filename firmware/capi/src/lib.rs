@@ -23,6 +23,9 @@ pub const FORETORQUE_JOINTS: usize = 6;
 
 const _: () = assert!(FORETORQUE_JOINTS == JOINTS);
 
+/// Shortest and longest period of the tick, s, as on the boards' link.
+const PERIODS_S: core::ops::RangeInclusive<f32> = 1e-4..=0.1;
+
 /// What came of a call.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,7 +38,7 @@ pub enum ForetorqueStatus {
     TooSmall = 2,
     /// The memory is not aligned as `foretorque_alignment` says.
     Misaligned = 3,
-    /// The period is not a positive number.
+    /// The period is not between 0.1 ms and 100 ms.
     Period = 4,
     /// The bytes are no parameter bank for this arm, or one with limits beyond the arm's.
     Bank = 5,
@@ -94,6 +97,9 @@ pub struct Foretorque {
 
 impl Foretorque {
     fn new(period_s: f32) -> Option<Self> {
+        if !PERIODS_S.contains(&period_s) {
+            return None;
+        }
         let set = ParameterSet::nominal::<Arm>(NETWORK_SEED);
         let config = FeedForwardConfig::for_arm::<Arm, PARAMETERS>(period_s);
         Some(Self {
