@@ -42,8 +42,6 @@ pub struct Answer<const N: usize> {
     pub shares: Option<BoardShares<N>>,
     /// What happened.
     pub flags: u16,
-    /// Stage and desired motion of an excitation that the board plays itself.
-    pub excited: Option<(Stage, JointMotion<N>)>,
 }
 
 /// A trajectory that is being played under PD control, with the torque of a board added where there is one.
@@ -110,18 +108,25 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         plant: &mut Plant<N>,
         board: Option<&mut Client<N>>,
     ) -> Result<TickRecord<N>, BoardError> {
-        self.tick_with(plant, |sample| {
+        let mut excited = None;
+        let mut record = self.tick_with(plant, |sample| {
             let (Some(board), Some(sample)) = (board, sample) else {
                 return Ok(None);
             };
             let reply = board.sample(sample)?;
+            excited = reply.excited;
             Ok(Some(Answer {
                 total: reply.total,
                 shares: Some(reply.shares),
                 flags: reply.flags.0,
-                excited: reply.excited,
             }))
-        })
+        })?;
+        if let Some((stage, motion)) = excited {
+            // The board chose what the arm shall do in the next tick.
+            record.stage = Some(stage);
+            self.desired = motion_f64(&motion);
+        }
+        Ok(record)
     }
 
     /// Runs one tick with any board. `ask` gets the sample, none if it was lost on the way; without an answer the
@@ -144,7 +149,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             &desired.qd,
         );
         let tau = feedback + self.answer.cast::<f64>();
-        let mut next = self.trajectory.at((self.tick + 1) as f64 * self.period_s);
+        let next = self.trajectory.at((self.tick + 1) as f64 * self.period_s);
         let sample = reported.map(|reported| JointSample {
             desired: motion_f32(&next),
             measured: Some(JointMeasurement {
@@ -155,9 +160,6 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         let answer = ask(sample.as_ref())?;
         if let Some(answer) = answer {
             self.answer = answer.total;
-            if let Some((_, motion)) = &answer.excited {
-                next = motion_f64(motion);
-            }
         }
         let record = TickRecord {
             t_s: self.tick as f64 * self.period_s,
@@ -169,7 +171,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             feed_forward: self.answer,
             shares: answer.and_then(|answer| answer.shares),
             flags: answer.map_or(0, |answer| answer.flags),
-            stage: answer.and_then(|answer| Some(answer.excited?.0)),
+            stage: None,
         };
         plant.advance(&tau, self.period_s);
         self.desired = next;

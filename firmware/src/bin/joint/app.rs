@@ -12,6 +12,7 @@
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
+    use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicU32, Ordering};
 
     use foretorque::arm::Arm as _;
@@ -52,7 +53,7 @@ mod app {
     #[local]
     struct Local {
         wire: Wire,
-        session: Session<Arm, JOINTS, PARAMETERS, Counter>,
+        session: &'static mut Session<Arm, JOINTS, PARAMETERS, Counter>,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
@@ -60,13 +61,16 @@ mod app {
         enable: TorqueEnable<EnablePin>,
         kept: SafetyReason,
         watchdog: Watchdog,
-        learner: Learner<Arm, JOINTS, PARAMETERS>,
+        learner: &'static mut Learner<Arm, JOINTS, PARAMETERS>,
         drain: Option<log::Drain>,
     }
 
     #[init(local = [
         receive_ring: Queue<u8, RECEIVE_RING> = Queue::new(),
         transmit_ring: Queue<u8, TRANSMIT_RING> = Queue::new(),
+        // Moved into their places once: as resources by value they would be copied over the stack several times.
+        session_place: MaybeUninit<Session<Arm, JOINTS, PARAMETERS, Counter>> = MaybeUninit::uninit(),
+        learner_place: MaybeUninit<Learner<Arm, JOINTS, PARAMETERS>> = MaybeUninit::uninit(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
@@ -122,18 +126,20 @@ mod app {
             link_baud: board::LINK_BAUD,
             ..BoardDescription::plain(Counter)
         };
-        let Ok(mut session) = Session::new(description) else {
+        let Ok(made) = Session::new(description) else {
             fault::leave(Reason::Setup, line!());
         };
+        let session = cx.local.session_place.write(made);
         let mut desk = Desk::new();
         let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
         let stored = session.boot_from(&mut store, &mut desk);
         defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
-        let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
+        let Ok(made) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
             fault::leave(Reason::Setup, line!());
         };
+        let learner = cx.local.learner_place.write(made);
         let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
 

@@ -161,7 +161,6 @@ impl Run<'_> {
                     total: torque.total,
                     shares: None,
                     flags: torque.flags.0,
-                    excited: None,
                 }))
             });
             let needed = plant.true_torque(&record.desired);

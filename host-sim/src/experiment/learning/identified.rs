@@ -85,7 +85,6 @@ fn conditioned_rows(world: &World) -> Result<Vec<Conditioned<N>>, Box<dyn Error>
                 total: evaluate::<Ur5, N, P>(&world.wrong, &sample.desired).total,
                 shares: None,
                 flags: 0,
-                excited: None,
             }))
         });
         if tick % STRIDE == 0 {
