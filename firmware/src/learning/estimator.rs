@@ -123,8 +123,10 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         }
         *column = (*column + 1) % WANDERING;
         let mut phi = *row;
-        for (phi, sigma) in phi.iter_mut().zip(sigma.iter()) {
-            *phi *= sigma * inv_noise;
+        for (phi, sigma) in phi.parts_mut().into_iter().zip(sigma.parts()) {
+            for (phi, sigma) in phi.iter_mut().zip(sigma) {
+                *phi *= sigma * inv_noise;
+            }
         }
         let mut gain = Stacked::filled(0.0);
         let variance = self.filter.update(joint, &phi, *measured, &mut gain);
@@ -158,11 +160,15 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         step: f32,
     ) {
         let prior = Stacked::of(prior);
-        let columns = sigma.iter().zip(gain.iter()).zip(prior.iter());
-        for (theta, ((&sigma, &gain), &prior)) in self.parameters.iter_mut().zip(columns) {
-            let moved = *theta + sigma * gain * step;
-            let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
-            *theta = if outside { prior + bounded } else { moved };
+        let parts = sigma.parts().into_iter().zip(gain.parts());
+        let parts = parts.zip(prior.parts());
+        for (theta, ((sigma, gain), prior)) in self.parameters.parts_mut().into_iter().zip(parts) {
+            let columns = sigma.iter().zip(gain).zip(prior);
+            for (theta, ((&sigma, &gain), &prior)) in theta.iter_mut().zip(columns) {
+                let moved = *theta + sigma * gain * step;
+                let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
+                *theta = if outside { prior + bounded } else { moved };
+            }
         }
         for friction in &mut self.parameters.friction {
             *friction = FrictionParameters::from_columns(*friction)

@@ -63,12 +63,14 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         variance: f32,
         gain: &mut Stacked<N, P>,
     ) -> f32 {
-        let f = self.transposed_times(joint, phi);
+        // f, then λ in its place.
+        let mut lambda = self.transposed_times(joint, phi);
         let mut alpha = Alpha::new(variance);
-        let mut lambda = Stacked::filled(0.0);
-        let columns = gain.iter_mut().zip(lambda.iter_mut());
-        for ((v, lambda), (d, &f)) in columns.zip(self.diagonal.iter_mut().zip(f.iter())) {
-            (*v, *lambda) = alpha.absorb(f, d);
+        let parts = lambda.parts_mut().into_iter().zip(gain.parts_mut());
+        for ((lambda, v), d) in parts.zip(self.diagonal.parts_mut()) {
+            for ((lambda, v), d) in lambda.iter_mut().zip(v).zip(d) {
+                (*v, *lambda) = alpha.absorb(*lambda, d);
+            }
         }
         self.turn(&lambda, gain);
         alpha.value
@@ -258,8 +260,14 @@ impl Turns<'_> {
     /// The columns from `start` on: `U_ij ← U_ij + λ_j b_i`, `b_i ← b_i + v_j U_ij` of before.
     #[inline(always)]
     fn sweep<const W: usize>(&self, rows: &mut [&mut [f32]; W], start: usize, b: &mut [f32; W]) {
+        let end = self.v.len();
         let mut sums = *b;
-        for (j, (lambda, v)) in self.lambda.iter().zip(self.v).enumerate().skip(start) {
+        // Slices of one and the same length, so that no entry is checked.
+        let (lambda, v) = (from(self.lambda, start, end), from(self.v, start, end));
+        let mut rows = rows
+            .each_mut()
+            .map(|row| row.get_mut(start..end).unwrap_or_default());
+        for (j, (lambda, v)) in lambda.iter().zip(v).enumerate() {
             for (row, b) in rows.iter_mut().zip(&mut sums) {
                 if let Some(u) = row.get_mut(j) {
                     let before = *u;
@@ -300,10 +308,19 @@ fn set(values: &mut [f32], index: usize, value: f32) {
     }
 }
 
+/// The entries from `start` to `end`.
+#[inline(always)]
+fn from(values: &[f32], start: usize, end: usize) -> &[f32] {
+    values.get(start..end).unwrap_or_default()
+}
+
 /// `sum ← sum + Σ weight · row`, from entry `start` on.
 #[inline(always)]
 fn add_rows<const W: usize>(sum: &mut [f32], rows: [&[f32]; W], weights: &[f32; W], start: usize) {
-    for (j, sum) in sum.iter_mut().enumerate().skip(start) {
+    let end = sum.len();
+    let rows = rows.map(|row| from(row, start, end));
+    let sum = sum.get_mut(start..end).unwrap_or_default();
+    for (j, sum) in sum.iter_mut().enumerate() {
         for (row, weight) in rows.iter().zip(weights) {
             if let Some(u) = row.get(j) {
                 *sum += weight * u;
