@@ -2,6 +2,7 @@
 
 pub mod bank;
 pub mod hal;
+pub mod safety;
 pub mod session;
 pub mod store;
 pub mod telemetry;

@@ -38,3 +38,9 @@ pub(crate) const LINK_BAUD: u32 = 2_000_000;
 
 /// Torque enable of the motor stage: PB12, active high, pulled low on the board (EN_GATE of a DRV8301).
 pub(crate) const ENABLE_PIN: u8 = 12;
+
+/// Division of the watchdog's oscillator, 17 to 47 kHz (DS8626 table 42): 16, which its register calls 2.
+pub(crate) const WATCHDOG_PRESCALER: u8 = 2;
+/// Counts after which an unfed watchdog bites: 68 to 188 ms. The longest legal period of the tick is 100 ms, but torque
+/// ends after 50 ms of silence all the same; what takes longer is a hung task.
+pub(crate) const WATCHDOG_RELOAD: u16 = 200;

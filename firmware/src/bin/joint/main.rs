@@ -19,6 +19,8 @@ mod log;
 mod pace;
 #[cfg(target_os = "none")]
 mod store_flash;
+#[cfg(target_os = "none")]
+mod watchdog;
 
 #[cfg(not(target_os = "none"))]
 fn main() {
