@@ -7,6 +7,7 @@ mod excite;
 mod experiment;
 mod generate;
 mod identify;
+mod on_board;
 mod progress;
 mod run;
 mod simulate;
