@@ -38,14 +38,22 @@ pub enum FrictionColumn {
 }
 
 impl FrictionColumn {
-    /// Short name and unit of the parameter.
+    /// The board has this column.
+    pub(super) fn on_board(self) -> bool {
+        matches!(
+            self,
+            Self::Viscous | Self::Coulomb | Self::StribeckNarrow | Self::StribeckWide
+        )
+    }
+
+    /// Short name, as in a parameter bank, and unit of the parameter.
     fn name(self) -> (&'static str, &'static str) {
         match self {
             Self::Viscous => ("Fv", "N·m·s/rad"),
             Self::Coulomb => ("Fc", "N·m"),
             Self::Offset => ("Fo", "N·m"),
-            Self::StribeckNarrow => ("Fs_narrow", "N·m"),
-            Self::StribeckWide => ("Fs_wide", "N·m"),
+            Self::StribeckNarrow => ("Fsn", "N·m"),
+            Self::StribeckWide => ("Fsw", "N·m"),
             Self::Root => ("Fr", "N·m·(s/rad)^0.5"),
             Self::Cubic => ("F3", "N·m·(s/rad)^3"),
             Self::Load => ("Fl", "1"),
@@ -114,9 +122,18 @@ impl FromStr for ColumnSet {
 }
 
 impl ColumnSet {
-    /// What the board has: viscous and Coulomb friction.
+    /// Viscous and Coulomb friction.
     pub fn plain() -> Self {
         Self(WORDS[0].1.to_vec())
+    }
+
+    /// The part of it that the board has, and the words for the rest.
+    pub fn on_board(&self) -> (Self, Vec<&'static str>) {
+        let (known, other): (Vec<_>, Vec<_>) = self.0.iter().partition(|column| column.on_board());
+        let words = WORDS
+            .iter()
+            .filter(|(_, columns)| other.contains(&columns[0]));
+        (Self(known), words.map(|(word, _)| *word).collect())
     }
 
     /// Its terms.
@@ -244,6 +261,11 @@ impl<const N: usize> Layout<N> {
                     .position(|own| own.name == wanted.name)
             })
             .collect()
+    }
+
+    /// Widths of the two Stribeck bells, rad/s.
+    pub(super) fn stribeck_widths(&self) -> [f64; 2] {
+        STRIBECK_WIDTHS_RAD_S
     }
 
     /// Appends the active columns of all joints at `state` to `table`.

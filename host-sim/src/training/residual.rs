@@ -35,7 +35,7 @@ impl Default for ResidualConfig {
 }
 
 /// Trains one joint's network on velocities, rad/s, and residuals over the torque limit, ratios. Returns the network in
-/// the board's precision, and the loss (RMSE, ratio of the torque limit) after every step of the best start.
+/// the board's precision, and the loss (RMSE, ratio of the torque limit) after every step of the best start; `watch` sees step and loss of every start.
 ///
 /// Levenberg–Marquardt steps on the back-propagated Jacobian [Hagan and Menhaj 1994]: 31 weights are few enough to solve
 /// for. A residual counts for no more than three deviations from those at nearly the same speed. Speeds the log does not hold, up to `fastest`,
@@ -46,13 +46,14 @@ pub fn train_residual(
     samples: &[(f64, f64)],
     fastest: f64,
     config: &ResidualConfig,
+    watch: &mut dyn FnMut(usize, f64),
 ) -> (JointNetwork, Vec<f64>) {
     let tenth = samples.len().div_ceil(10).max(1);
     let every_other = |first: usize| -> Vec<(f64, f64)> {
         let blocks = samples.chunks(tenth).skip(first).step_by(2);
         blocks.flatten().copied().collect()
     };
-    let (probe, _) = fit(&every_other(0), fastest, config);
+    let (probe, _) = fit(&every_other(0), fastest, config, &mut |_, _| ());
     let unseen = every_other(1);
     let without: f64 = unseen.iter().map(|(_, residual)| residual * residual).sum();
     let left = |(qd, residual): &(f64, f64)| {
@@ -60,7 +61,7 @@ pub fn train_residual(
     };
     let with: f64 = unseen.iter().map(left).sum();
     if with < WORTHWHILE * without {
-        fit(samples, fastest, config)
+        fit(samples, fastest, config, watch)
     } else {
         (JointNetwork::silent(config.seed as u32), Vec::new())
     }
@@ -69,7 +70,12 @@ pub fn train_residual(
 /// A network must leave less than this share of the power of residuals it was not trained on.
 const WORTHWHILE: f64 = 0.98;
 
-fn fit(samples: &[(f64, f64)], fastest: f64, config: &ResidualConfig) -> (JointNetwork, Vec<f64>) {
+fn fit(
+    samples: &[(f64, f64)],
+    fastest: f64,
+    config: &ResidualConfig,
+    watch: &mut dyn FnMut(usize, f64),
+) -> (JointNetwork, Vec<f64>) {
     let stride = samples.len().div_ceil(config.rows).max(1);
     let mut rows: Vec<(f64, f64)> = samples.iter().copied().step_by(stride).collect();
     if rows.len() < 4 * JointNetwork::WEIGHTS {
@@ -93,7 +99,9 @@ fn fit(samples: &[(f64, f64)], fastest: f64, config: &ResidualConfig) -> (JointN
             1,
             config.seed.wrapping_add(start),
         );
-        let (network, losses) = descend(network, &inputs, &targets, config);
+        let (network, losses) = descend(network, &inputs, &targets, config, &mut |step, loss| {
+            watch(step, loss * unit);
+        });
         let loss = |losses: &[f64]| losses.last().copied().unwrap_or(f64::INFINITY);
         if best
             .as_ref()
@@ -162,6 +170,7 @@ fn descend(
     inputs: &[[f64; NETWORK_INPUTS]],
     targets: &[f64],
     config: &ResidualConfig,
+    watch: &mut dyn FnMut(usize, f64),
 ) -> (TrainingNetwork, Vec<f64>) {
     let size = network.weights.len();
     let count = targets.len() as f64;
@@ -215,6 +224,7 @@ fn descend(
                 network = moved;
                 loss = now;
                 losses.push(now.1);
+                watch(losses.len() - 1, now.1);
                 damping = (damping * 0.3_f64).max(1e-9);
                 if gain < 1e-7 * loss.0 {
                     break 'steps;
@@ -276,7 +286,8 @@ mod tests {
             .filter(|qd| qd.abs() > 0.05)
             .map(|qd| (qd, curve(qd)))
             .collect();
-        let (network, losses) = train_residual(&samples, 3.0, &ResidualConfig::default());
+        let (network, losses) =
+            train_residual(&samples, 3.0, &ResidualConfig::default(), &mut |_, _| ());
         let error = samples.iter().map(|(qd, r)| {
             (f64::from(network.forward(&network_inputs(*qd as f32))[0]) - r).powi(2)
         });
@@ -295,7 +306,8 @@ mod tests {
                 ((k * 0.0137).sin(), 0.01 * (k * 12.9898).sin())
             })
             .collect();
-        let (network, _) = train_residual(&samples, 3.0, &ResidualConfig::default());
+        let (network, _) =
+            train_residual(&samples, 3.0, &ResidualConfig::default(), &mut |_, _| ());
         assert!((0..20).all(|k| network.forward(&network_inputs(0.1 * k as f32 - 1.0))[0] == 0.0));
     }
 }
