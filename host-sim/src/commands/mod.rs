@@ -2,10 +2,12 @@
 
 mod bank;
 mod boards;
+mod campaign;
 mod excite;
 mod experiment;
 mod generate;
 mod identify;
+mod merge;
 mod progress;
 mod run;
 mod simulate;
@@ -55,6 +57,7 @@ enum Command {
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
+    Merge(merge::Arguments),
 }
 
 /// Reads the command line and does what it says. Asking for help or the version ends the process.
@@ -70,6 +73,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Merge(arguments) => merge::run(&arguments),
     }
 }
 

@@ -18,6 +18,7 @@ mod solve;
 mod split;
 mod stream;
 mod study;
+mod trial;
 mod truth;
 mod validation;
 
@@ -32,4 +33,5 @@ pub use prepare::{MotionSource, Preparation, PrepareConfig, Prepared};
 pub use record::{MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord};
 pub use stream::{Gathered, SampleRow, for_each_prepared};
 pub use study::{IdentifyConfig, Outcome, Progress, identify};
+pub use trial::{Trial, fit_rows};
 pub use validation::{Candidate, FileScores};
