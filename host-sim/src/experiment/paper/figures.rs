@@ -2,7 +2,7 @@
 
 use super::JOINTS;
 use super::cell::FRICTIONS;
-use super::steps::Curves;
+use super::curves::Curves;
 use super::summary::Condition;
 use crate::excitation::Excitation;
 use crate::excitation::page::picture as excitation_picture;

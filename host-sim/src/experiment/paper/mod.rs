@@ -5,9 +5,11 @@
 //! `summary` what the draws add up to; `figures` and `page` show it, `findings` says it.
 
 mod cell;
+mod curves;
 mod figures;
 mod findings;
 mod page;
+mod rigid;
 mod steps;
 mod summary;
 

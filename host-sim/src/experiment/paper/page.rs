@@ -1,12 +1,12 @@
 //! The study as a page.
 
 use super::PaperReport;
+use super::curves::Curves;
 use super::figures::{
     METHODS, efficiency_panel, loss_legend, loss_panels, method_legend, path_legend, path_panels,
     robustness_panels,
 };
 use super::findings::{of_times, percent};
-use super::steps::Curves;
 use super::summary::Times;
 use crate::excitation::page::{figure, legend};
 use crate::report::page::{Section, Tile, html, table};

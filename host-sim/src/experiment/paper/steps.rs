@@ -1,23 +1,22 @@
 //! The paper's steps (1) to (4): known parameters, no friction, no rotors, no noise, 36 base parameters.
 
+use super::curves::Curves;
+use super::rigid::{RigidBody, Sample};
 use super::{JOINTS, ROWS};
-use crate::dynamics::{Joints, ReferenceModel, State};
+use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
 use crate::identification::{ColumnSet, Layout};
 use crate::kinematics::Inverse;
 use crate::metrics::TorqueError;
-use crate::robot::{LINK_PARAMETERS, Placement, Robot};
-use crate::table::{TableWriter, joint_columns, state_columns};
+use crate::robot::{Placement, Robot};
 use crate::training::{BlackBox, Descent, LinearLayer, PhysicalConfig};
 use crate::trajectory::Trajectory;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 use std::error::Error;
-use std::io;
-use std::path::Path;
 
 /// Step of the joint sequence, s.
 const TICK_S: f64 = 1e-3;
@@ -96,87 +95,6 @@ pub struct JointTorque {
     pub bp_black_box_peak_nm: f64,
 }
 
-/// What is drawn and written as tables.
-#[derive(Clone, Debug)]
-pub(super) struct Curves {
-    /// Epoch, loss on training and on held-out rows, for plain and accelerated descent.
-    pub(super) losses: [Vec<(usize, f64, f64)>; 2],
-    /// Epoch and loss of the black box.
-    pub(super) black_box: Vec<(usize, f64)>,
-    /// The training data.
-    data: Vec<Sample>,
-    /// Time, motion, true torque, that of the network with physical weights, that of the black box.
-    pub(super) path: Vec<(f64, State<JOINTS>, [Joints<JOINTS>; 3])>,
-}
-
-/// Time, s, motion and torque, N·m.
-type Sample = (f64, State<JOINTS>, Joints<JOINTS>);
-
-/// The linear rows of some states: every joint's rows over its RMS torque.
-struct Rows {
-    y: DMatrix<f64>,
-    tau: DVector<f64>,
-}
-
-impl Rows {
-    fn loss(&self, theta: &DVector<f64>) -> f64 {
-        ((&self.y * theta - &self.tau).norm_squared() / self.tau.len() as f64).sqrt()
-    }
-}
-
-/// The rigid body of the links alone, and the columns of its base parameters.
-struct Model {
-    dynamics: ReferenceModel<JOINTS>,
-    columns: Vec<usize>,
-    truth: DVector<f64>,
-}
-
-impl Model {
-    fn new(robot: &Robot) -> Option<Self> {
-        let mut links = robot.clone();
-        for joint in &mut links.joints {
-            joint.drive.rotor_inertia = 0.0;
-        }
-        let map = links.base_map();
-        let mut columns = map.columns.clone();
-        columns.retain(|column| *column < LINK_PARAMETERS * JOINTS);
-        // Rotors come last, and without them nothing of a rotor hides in a link's parameter.
-        let truth = map.base_parameters(&links);
-        Some(Self {
-            dynamics: ReferenceModel::new(&links)?,
-            truth: DVector::from_column_slice(&truth[..columns.len()]),
-            columns,
-        })
-    }
-
-    /// Columns of the base parameters at `state`, 6 × 36.
-    fn regressor(&self, state: &State<JOINTS>) -> DMatrix<f64> {
-        self.dynamics.regressor(state).select_columns(&self.columns)
-    }
-
-    fn rows(&self, data: &[Sample], scale: &Joints<JOINTS>) -> Rows {
-        let mut y = DMatrix::zeros(data.len() * JOINTS, self.columns.len());
-        let mut tau = DVector::zeros(data.len() * JOINTS);
-        for (k, (_, state, torque)) in data.iter().enumerate() {
-            let block = self.regressor(state);
-            for j in 0..JOINTS {
-                y.row_mut(k * JOINTS + j)
-                    .copy_from(&(block.row(j) / scale[j]));
-                tau[k * JOINTS + j] = torque[j] / scale[j];
-            }
-        }
-        Rows { y, tau }
-    }
-
-    fn torque(&self, state: &State<JOINTS>, theta: &DVector<f64>) -> Joints<JOINTS> {
-        Joints::from_column_slice((self.regressor(state) * theta).as_slice())
-    }
-
-    fn error_ratio(&self, theta: &DVector<f64>) -> f64 {
-        (theta - &self.truth).norm() / self.truth.norm()
-    }
-}
-
 /// Takes the four steps.
 ///
 /// Errors: an excitation that inverse kinematics cannot follow; one that does not show all parameters.
@@ -185,7 +103,7 @@ pub(super) fn run(
     excitation: &Excitation,
     seed: u64,
 ) -> Result<(Steps, Curves), Box<dyn Error>> {
-    let model = Model::new(robot).ok_or("the UR5 has six joints")?;
+    let model = RigidBody::new(robot).ok_or("the UR5 has six joints")?;
     let (data, poses, ik_error) = joint_sequence(robot, excitation, &model)?;
     let mut order: Vec<usize> = (0..data.len()).collect();
     order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
@@ -324,7 +242,7 @@ pub(super) fn run(
 fn joint_sequence(
     robot: &Robot,
     excitation: &Excitation,
-    model: &Model,
+    model: &RigidBody,
 ) -> Result<(Vec<Sample>, usize, f64), Box<dyn Error>> {
     let inverse = Inverse::<JOINTS>::new(robot, &Placement::identity()).ok_or("six joints")?;
     let ticks = (excitation.period_s / TICK_S).round() as usize;
@@ -372,30 +290,4 @@ fn joint_torque(path: &[(f64, State<JOINTS>, [Joints<JOINTS>; 3])], j: usize) ->
         bp_black_box_rmse_nm: rms(&|tau| tau[2][j] - tau[0][j]),
         bp_black_box_peak_nm: peak(2),
     }
-}
-
-impl Curves {
-    /// Writes the training data (steps 1 and 2) and the arbitrary path (step 4) as tables.
-    pub(super) fn write(&self, out: &Path) -> io::Result<()> {
-        let mut header = vec!["t_s".to_owned()];
-        header.extend(state_columns(JOINTS));
-        header.extend(joint_columns("tau", "nm", JOINTS));
-        let mut table = TableWriter::create(&out.join("training.csv"), &header)?;
-        for (t_s, state, tau) in &self.data {
-            table.row(values(t_s, state).chain(tau.iter()))?;
-        }
-        table.finish()?;
-        header.extend(joint_columns("bp_physical", "nm", JOINTS));
-        header.extend(joint_columns("bp_black_box", "nm", JOINTS));
-        let mut table = TableWriter::create(&out.join("validation.csv"), &header)?;
-        for (t_s, state, torques) in &self.path {
-            table.row(values(t_s, state).chain(torques.iter().flat_map(|tau| tau.iter())))?;
-        }
-        table.finish()
-    }
-}
-
-fn values<'a>(t_s: &'a f64, state: &'a State<JOINTS>) -> impl Iterator<Item = &'a f64> {
-    let motion = state.q.iter().chain(&state.qd).chain(&state.qdd);
-    std::iter::once(t_s).chain(motion)
 }
