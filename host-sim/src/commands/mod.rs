@@ -8,6 +8,7 @@ mod experiment;
 mod generate;
 mod identify;
 mod merge;
+mod motion_log;
 mod progress;
 mod run;
 mod simulate;

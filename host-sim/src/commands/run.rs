@@ -1,13 +1,14 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
+use super::motion_log::MotionLog;
 use super::progress::Bar;
-use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
+use super::simulate::{MotionArguments, PERIOD_S};
 use super::terminal::{self, say};
 use super::{Failure, bank, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::files::write_whole;
 use crate::report::closed_loop::{self, ClosedLoopLog, ClosedLoopReport, LinkReport};
 use crate::robot::Robot;
-use crate::table::{TableWriter, joint_columns};
+use crate::table::joint_columns;
 use clap::Args;
 use foretorque::arm::Arm;
 use std::path::PathBuf;
@@ -86,10 +87,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         board.upload_bank(bank)?;
     }
     board.learning(arguments.learn)?;
-    let mut header = log_header::<N>();
-    header.extend(joint_columns("feed_forward", "nm", N));
-    header.push("flags".to_owned());
-    let mut log = TableWriter::create(&arguments.out.join("log.csv"), &header)?;
+    let mut columns = joint_columns("feed_forward", "nm", N);
+    columns.push("flags".to_owned());
+    let mut log = MotionLog::<N>::create(&arguments.out.join("log.csv"), &columns)?;
     let mut seen = ClosedLoopLog::<N>::new(scene.ticks);
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
@@ -102,10 +102,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
         seen.add(&record);
-        let mut row = log_row(&record);
-        row.extend(record.feed_forward.iter().map(|tau| f64::from(*tau)));
-        row.push(f64::from(record.flags));
-        log.row(row)?;
+        let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
+        let flags = f64::from(record.flags);
+        log.add(&record, answer.chain([flags]).collect())?;
         if tick % 256 == 0 {
             bar.show("run", tick, scene.ticks);
         }

@@ -1,11 +1,11 @@
+use super::motion_log::MotionLog;
 use super::progress::Bar;
 use super::{Failure, unusable};
 use crate::control::PdConfig;
 use crate::dynamics::ReferenceModel;
-use crate::experiment::closed_loop::{ClosedLoop, TickRecord};
+use crate::experiment::closed_loop::ClosedLoop;
 use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
-use crate::table::{TableWriter, joint_columns, state_columns};
 use crate::trajectory::Trajectory;
 use clap::Args;
 use std::path::PathBuf;
@@ -18,7 +18,7 @@ pub(super) struct Arguments {
     robot: String,
     #[command(flatten)]
     motion: MotionArguments,
-    /// Log to write: t_s, desired q, qd, qdd, then measured position and torque
+    /// Log to write: t_s, measured q with its slopes qd and qdd, measured torque, desired position
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -120,7 +120,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let mut log = TableWriter::create(&arguments.out, &log_header::<N>())?;
+    let mut log = MotionLog::<N>::create(&arguments.out, &[])?;
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,
@@ -131,34 +131,11 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     )?;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, None)?;
-        log.row(log_row(&record))?;
+        log.add(&record, Vec::new())?;
         if tick % 256 == 0 {
             bar.show("simulate", tick, scene.ticks);
         }
     }
     log.finish()?;
     Ok(())
-}
-
-/// Header of a log: q and torque are measured, qd and qdd desired; `desired1_rad…` is where the arm should be.
-pub(super) fn log_header<const N: usize>() -> Vec<String> {
-    let mut header = vec!["t_s".to_owned()];
-    header.extend(state_columns(N));
-    header.extend(joint_columns("tau", "nm", N));
-    header.extend(joint_columns("desired", "rad", N));
-    header
-}
-
-pub(super) fn log_row<const N: usize>(record: &TickRecord<N>) -> Vec<f64> {
-    let mut row = vec![record.t_s];
-    for values in [
-        &record.measured.q,
-        &record.desired.qd,
-        &record.desired.qdd,
-        &record.measured.tau,
-        &record.desired.q,
-    ] {
-        row.extend(values.iter());
-    }
-    row
 }

@@ -122,7 +122,7 @@ fn a_tool_becomes_part_of_the_last_link() {
     );
     let (own, lumped) = (&bare.joints[5].link, &with.joints[5].link);
     assert!((lumped.mass - 0.9879).abs() < 1e-12);
-    let com = (0.1879 * own.com + 0.8 * Vector3::new(0.0, 0.0, 0.05)) / 0.9879;
+    let com: Vector3<f64> = (0.1879 * own.com + 0.8 * Vector3::new(0.0, 0.0, 0.05)) / 0.9879;
     assert!((lumped.com - com).amax() < 1e-12);
     assert_eq!(bare.joints[..5], with.joints[..5]);
     assert_eq!(with.joints[5].capsules.len(), 2);

@@ -102,6 +102,8 @@ pub struct CellRecord {
     pub cell: Cell,
     /// Methods by name.
     pub methods: BTreeMap<String, MethodDraw>,
+    /// Methods that found no model, and why.
+    pub failed: BTreeMap<String, String>,
 }
 
 /// A choice of columns, and the columns of the excitation's rows.
@@ -149,7 +151,7 @@ impl Bench {
 
     /// Draws, trains, judges.
     ///
-    /// Errors: rows that do not show all parameters.
+    /// Errors: none but a description that is not the UR5. A method that finds no model is told in the record.
     pub(super) fn draw(&self, cell: &Cell) -> Result<CellRecord, JobError> {
         let quiet = PlantConfig {
             torque_noise: 0.0,
@@ -181,26 +183,35 @@ impl Bench {
             .map(|tick| path.at(tick as f64 * PATH_STEP_S))
             .collect();
         let path_exact = torques(&path);
-        let mut methods = BTreeMap::new();
+        let (mut methods, mut failed) = (BTreeMap::new(), BTreeMap::new());
         for model in &self.models {
             let row = |k: &usize| row(&self.states[*k], &model.panels[*k], &measured, &clean, *k);
             let rows: Vec<SampleRow<JOINTS>> = training.iter().map(row).collect();
             let rows: Vec<&SampleRow<JOINTS>> = rows.iter().collect();
-            let trials = fit_rows(&self.robot, &model.layout, model.methods, &rows, cell.seed)
-                .map_err(|error| error.to_string())?;
-            for trial in trials {
+            for method in model.methods {
+                let name = format!("{method}{}", model.suffix);
+                let trials = fit_rows(&self.robot, &model.layout, &[*method], &rows, cell.seed);
+                let trial = match trials.map(|mut trials| trials.pop()) {
+                    Ok(Some(trial)) => trial,
+                    Ok(None) => continue,
+                    Err(error) => {
+                        failed.insert(name, error.to_string());
+                        continue;
+                    }
+                };
                 let draw = MethodDraw {
                     path_nrmse_ratio: score(&trial, &model.layout, &path, &path_exact),
                     split_nrmse_ratio: score(&trial, &model.layout, &held, &held_exact),
                     epochs: trial.epochs,
                     seconds: trial.seconds,
                 };
-                methods.insert(format!("{}{}", trial.name, model.suffix), draw);
+                methods.insert(name, draw);
             }
         }
         Ok(CellRecord {
             cell: *cell,
             methods,
+            failed,
         })
     }
 

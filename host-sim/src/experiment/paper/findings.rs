@@ -3,6 +3,7 @@
 use super::cell::FrictionKind;
 use super::steps::Steps;
 use super::summary::{Condition, Times};
+use std::collections::BTreeMap;
 
 /// A method that is this near to another, on the geometric mean, does as well.
 const EQUAL: f64 = 0.02;
@@ -96,7 +97,22 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         ));
     }
     out.extend(samples(conditions, full));
+    out.extend(failures(conditions));
     out
+}
+
+/// Which methods found no model now and then.
+fn failures(conditions: &[Condition]) -> Option<String> {
+    let mut failed: BTreeMap<&str, usize> = BTreeMap::new();
+    for (name, count) in conditions.iter().flat_map(|c| &c.failed) {
+        *failed.entry(name).or_default() += count;
+    }
+    let draws: usize = conditions.iter().map(|c| c.draws).sum();
+    let told: Vec<String> = failed
+        .iter()
+        .map(|(name, count)| format!("{name} in {count} of {draws} draws"))
+        .collect();
+    (!told.is_empty()).then(|| format!("Found no model: {}.", told.join(", ")))
 }
 
 /// How many rows the methods need: the fewest with which the error is at most twice that with all rows.
@@ -109,7 +125,7 @@ fn samples(conditions: &[Condition], full: usize) -> Option<String> {
     let mut curve: Vec<&Condition> = conditions.iter().filter(plain).collect();
     curve.sort_by_key(|c| c.rows);
     let last = curve.iter().find(|c| c.rows == full)?;
-    let needed: Vec<String> = ["wls", "irls", "bp_physical", "bp_residual", "bp_black_box"]
+    let needed: Vec<String> = ["wls", "irls", "consistent", "bp_physical", "bp_residual"]
         .iter()
         .filter_map(|name| {
             let goal = 2.0 * last.methods.get(*name)?.path_nrmse_ratio;
@@ -203,7 +219,6 @@ pub(super) fn percent(ratio: f64) -> String {
 mod tests {
     use super::*;
     use crate::experiment::paper::MethodSummary;
-    use std::collections::BTreeMap;
 
     fn condition(physical: f64) -> Condition {
         let method = |path_nrmse_ratio| MethodSummary {
@@ -223,6 +238,7 @@ mod tests {
                 ("wls".to_owned(), method(0.01)),
                 ("bp_physical".to_owned(), method(physical)),
             ]),
+            failed: BTreeMap::new(),
         }
     }
 

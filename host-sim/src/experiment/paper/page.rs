@@ -54,10 +54,8 @@ pub(super) fn page(
     };
     let mut told: Vec<String> = report.findings.to_vec();
     told.extend(of_times(times));
-    let findings: String = told
-        .iter()
-        .map(|finding| table(&[finding.as_str()], &[]))
-        .collect();
+    let told: Vec<Vec<String>> = told.into_iter().map(|finding| vec![finding]).collect();
+    let findings = table(&["what the figures say"], &told);
     let sections = [
         section(
             "Findings",

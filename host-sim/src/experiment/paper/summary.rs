@@ -17,8 +17,10 @@ pub struct Condition {
     pub rows: usize,
     /// Draws.
     pub draws: usize,
-    /// Methods by name.
+    /// Methods by name, over the draws in which they found a model.
     pub methods: BTreeMap<String, MethodSummary>,
+    /// Methods that found none, and in how many draws.
+    pub failed: BTreeMap<String, usize>,
 }
 
 /// One method in one condition.
@@ -63,12 +65,18 @@ pub(super) fn summarise(records: &[CellRecord]) -> Vec<Condition> {
     groups
         .filter_map(|draws| {
             let first = draws.first()?;
-            let names = first.methods.keys();
-            let methods = names.map(|name| {
-                let own: Vec<&MethodDraw> =
-                    draws.iter().filter_map(|r| r.methods.get(name)).collect();
-                (name.clone(), MethodSummary::of(&own))
-            });
+            let mut methods: BTreeMap<&String, Vec<&MethodDraw>> = BTreeMap::new();
+            let mut failed: BTreeMap<String, usize> = BTreeMap::new();
+            for record in draws {
+                for (name, draw) in &record.methods {
+                    methods.entry(name).or_default().push(draw);
+                }
+                for name in record.failed.keys() {
+                    *failed.entry(name.clone()).or_default() += 1;
+                }
+            }
+            let methods = methods.into_iter();
+            let methods = methods.map(|(name, own)| (name.clone(), MethodSummary::of(&own)));
             Some(Condition {
                 noise_percent: first.cell.noise_percent,
                 friction: first.cell.friction,
@@ -76,6 +84,7 @@ pub(super) fn summarise(records: &[CellRecord]) -> Vec<Condition> {
                 rows: first.cell.rows,
                 draws: draws.len(),
                 methods: methods.collect(),
+                failed,
             })
         })
         .collect()
