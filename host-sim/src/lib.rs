@@ -6,6 +6,7 @@ pub mod control;
 pub mod dynamics;
 pub mod excitation;
 pub mod experiment;
+pub mod faults;
 pub mod files;
 pub mod generate;
 pub mod identification;

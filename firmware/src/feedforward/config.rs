@@ -10,6 +10,9 @@ pub struct FeedForwardConfig<const N: usize> {
     pub acceleration_limit: f32,
     /// Largest change of the torque in one tick, N × N·m.
     pub slew_per_tick: [f32; N],
+    /// Time from a measurement to the middle of the tick its answer acts in, s: cogging is that of the place where the
+    /// joint will be then.
+    pub lead: f32,
     /// Ticks for which the torque is held when no usable sample comes; then it goes to zero at the slew limit.
     pub hold_ticks: u32,
 }
@@ -34,6 +37,8 @@ impl<const N: usize> FeedForwardConfig<N> {
             limits: A::LIMITS,
             acceleration_limit: ACCELERATION_LIMIT,
             slew_per_tick,
+            // Measured at k, in effect from k + 1 to k + 2.
+            lead: 1.5 * period_s,
             // At least one tick: a single lost sample must not make the torque dip.
             hold_ticks: (HOLD_TIME_S / period_s) as u32 + 1,
         }
@@ -46,7 +51,10 @@ impl<const N: usize> FeedForwardConfig<N> {
         let velocity = limits.clone().map(|l| ("limits.velocity", l.velocity));
         let range = limits.map(|l| ("limits.position", l.position.1 - l.position.0));
         let slew = self.slew_per_tick.iter().map(|&s| ("slew_per_tick", s));
-        let acceleration = [("acceleration_limit", self.acceleration_limit)];
+        let acceleration = [
+            ("acceleration_limit", self.acceleration_limit),
+            ("lead", self.lead),
+        ];
         for (field, value) in torque
             .chain(velocity)
             .chain(range)

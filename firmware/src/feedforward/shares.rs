@@ -47,7 +47,7 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     motion: &JointMotion<N>,
 ) -> Torque<N> {
     let mut flags = Flags::NONE;
-    let shares = shares::<A, N, P>(set, motion, &mut flags);
+    let shares = shares::<A, N, P>(set, motion, &motion.q, &mut flags);
     let total = shares.total();
     flags |= Flags::when(!total.iter().all(|tau| tau.is_finite()), Flags::NOT_FINITE);
     Torque {
@@ -58,10 +58,12 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     }
 }
 
+/// Shares of `set` for `motion`; cogging at `place`, N × rad.
 #[inline]
 pub(super) fn shares<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
     motion: &JointMotion<N>,
+    place: &JointVector<N>,
     flags: &mut Flags,
 ) -> Shares<N> {
     let mut network = JointVector::<N>::zeros();
@@ -74,7 +76,7 @@ pub(super) fn shares<A: Arm<N, P>, const N: usize, const P: usize>(
     }
     Shares {
         rigid: rnea::<A, N, P>(&set.rigid, motion),
-        friction: friction(&set.friction, &motion.qd),
+        friction: friction::<A, N, P>(&set.friction, place, &motion.qd),
         network,
     }
 }

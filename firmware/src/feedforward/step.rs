@@ -2,7 +2,8 @@ use super::Torque;
 use super::config::FeedForwardConfig;
 use super::shares::{Shares, select_joint, shares};
 use crate::arm::Arm;
-use crate::joint::{JointMotion, JointSample, JointVector};
+use crate::dynamics::is_angle;
+use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::learning::{Exchange, ParameterSet, Report};
 use crate::limits::{Flags, cut, limit};
 
@@ -73,7 +74,7 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 /// The desired motion is cut to the limits first. A desired motion that is not finite is no motion: the tick is then as
 /// good as [`step_stale`]. Of each share of each joint the active set's value counts if it is finite and plausible, the
 /// committed set's if not, and none if that is bad too. The sum may differ from the committed set's by `LEARNED_BOUND`,
-/// and leaves through saturation and slew.
+/// and leaves through saturation and slew. Cogging alone follows the measured position.
 ///
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///
@@ -89,8 +90,9 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         return hold(config, state, flags | Flags::NOT_FINITE);
     };
     let mut ignored = Flags::NONE;
-    scratch.active = shares::<A, N, P>(&state.active, &desired, &mut flags);
-    scratch.committed = shares::<A, N, P>(&state.committed, &desired, &mut ignored);
+    let place = cogging_place(config, &desired, sample.measured.as_ref());
+    scratch.active = shares::<A, N, P>(&state.active, &desired, &place, &mut flags);
+    scratch.committed = shares::<A, N, P>(&state.committed, &desired, &place, &mut ignored);
     let mut target = JointVector::<N>::zeros();
     let joints = config.limits.iter().zip(target.iter_mut());
     for (joint, (limits, target)) in joints.enumerate() {
@@ -113,6 +115,27 @@ pub fn step_stale<const N: usize, const P: usize>(
     state: &mut FeedForwardState<N, P>,
 ) -> Torque<N> {
     hold(config, state, Flags::NO_MEASUREMENT)
+}
+
+/// Where the joints will be when the torque acts, for the cogging, N × rad: a tracking error of a few milliradians turns
+/// its phase, so the measured position counts where there is one, carried on at the desired speed.
+#[inline]
+fn cogging_place<const N: usize>(
+    config: &FeedForwardConfig<N>,
+    desired: &JointMotion<N>,
+    measured: Option<&JointMeasurement<N>>,
+) -> JointVector<N> {
+    let Some(measured) = measured else {
+        return desired.q;
+    };
+    let mut place = measured.q + desired.qd * config.lead;
+    for (place, &desired) in place.iter_mut().zip(desired.q.iter()) {
+        // A wild encoder must not take the friction share with it.
+        if !is_angle(*place) {
+            *place = desired;
+        }
+    }
+    place
 }
 
 /// `motion` cut to the limits; `None` if a number in it is not finite.
