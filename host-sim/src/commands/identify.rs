@@ -32,7 +32,8 @@ pub(super) struct Arguments {
     /// Methods, separated by commas: ols, wls, irls, consistent, bp_physical, bp_black_box, bp_residual
     #[arg(long, value_delimiter = ',', value_name = "LIST")]
     methods: Vec<MethodName>,
-    /// Friction columns, joined by '+': coulomb-viscous, offset, stribeck, sqrt, cubic, load, cogging; or full
+    /// Friction columns, joined by '+': coulomb-viscous, offset, stribeck, sqrt, cubic, load, cogging,
+    /// warm-up; or full for all but the last
     #[arg(long, default_value = "coulomb-viscous")]
     columns: ColumnSet,
     /// Cut-off of the zero-phase filter on the motion, Hz; above that on the torque, so that the filter on both sides

@@ -35,6 +35,8 @@ pub enum FrictionColumn {
     CoggingSine,
     /// `cos(z q)`
     CoggingCosine,
+    /// `qd t`, t since the start of the log: viscous friction that changes as the drive warms up
+    WarmUp,
 }
 
 impl FrictionColumn {
@@ -59,6 +61,7 @@ impl FrictionColumn {
             Self::Load => ("Fl", "1"),
             Self::CoggingSine => ("Gs", "N·m"),
             Self::CoggingCosine => ("Gc", "N·m"),
+            Self::WarmUp => ("Fvt", "N·m/rad"),
         }
     }
 }
@@ -68,7 +71,7 @@ impl FrictionColumn {
 pub struct ColumnSet(Vec<FrictionColumn>);
 
 /// Words of a column set and what they stand for.
-const WORDS: [(&str, &[FrictionColumn]); 7] = [
+const WORDS: [(&str, &[FrictionColumn]); 8] = [
     (
         "coulomb-viscous",
         &[FrictionColumn::Viscous, FrictionColumn::Coulomb],
@@ -85,6 +88,7 @@ const WORDS: [(&str, &[FrictionColumn]); 7] = [
         "cogging",
         &[FrictionColumn::CoggingSine, FrictionColumn::CoggingCosine],
     ),
+    ("warm-up", &[FrictionColumn::WarmUp]),
 ];
 
 impl FromStr for ColumnSet {
@@ -95,7 +99,8 @@ impl FromStr for ColumnSet {
         let mut columns: Vec<FrictionColumn> = WORDS[0].1.to_vec();
         for word in text.split('+').map(str::trim) {
             let found: Vec<FrictionColumn> = if word == "full" {
-                WORDS
+                // Warm-up is no property of a motion: it has to be asked for.
+                WORDS[..WORDS.len() - 1]
                     .iter()
                     .flat_map(|(_, columns)| *columns)
                     .copied()
@@ -105,7 +110,7 @@ impl FromStr for ColumnSet {
                 let (_, columns) = known.ok_or_else(|| {
                     let names: Vec<&str> = WORDS.iter().map(|(name, _)| *name).collect();
                     format!(
-                        "unknown column set '{word}': join any of {} by '+', or take full",
+                        "unknown column set '{word}': join any of {} by '+', or take full for all but warm-up",
                         names.join(", ")
                     )
                 })?;
@@ -270,8 +275,15 @@ impl<const N: usize> Layout<N> {
 
     /// Appends the active columns of all joints at `state` to `table`.
     ///
+    /// * `age_s` time since the start of the log
     /// * `scratch` N × 11 N matrix, zero at first; entries that are always zero are never written.
-    pub fn append_row(&self, state: &State<N>, scratch: &mut DMatrix<f64>, table: &mut Vec<f64>) {
+    pub fn append_row(
+        &self,
+        state: &State<N>,
+        age_s: f64,
+        scratch: &mut DMatrix<f64>,
+        table: &mut Vec<f64>,
+    ) {
         self.model.regressor_into(state, scratch, 0);
         let rigid = if self.set.columns().contains(&FrictionColumn::Load) {
             Some(self.model.inverse_dynamics(state))
@@ -300,6 +312,7 @@ impl<const N: usize> Layout<N> {
                 FrictionColumn::Load => sign * rigid.as_ref().map_or(0.0, |tau| tau[joint].abs()),
                 FrictionColumn::CoggingSine => (self.cogging[joint] * q).sin(),
                 FrictionColumn::CoggingCosine => (self.cogging[joint] * q).cos(),
+                FrictionColumn::WarmUp => qd * age_s,
             }));
         }
     }

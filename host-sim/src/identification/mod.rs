@@ -15,6 +15,7 @@ mod prepare;
 mod record;
 mod residual;
 mod solve;
+mod speed;
 mod split;
 mod stream;
 mod study;

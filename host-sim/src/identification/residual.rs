@@ -39,19 +39,16 @@ pub(super) fn residual<const N: usize>(
             .map(|joint| {
                 let told = told.clone();
                 scope.spawn(move || {
-                    let moving = material.sample.iter().filter(|row| row.moving[joint]);
-                    let samples: Vec<(f64, f64)> = moving
-                        .map(|row| {
-                            let left = row.clean[joint] - row.linear(layout, theta, joint);
-                            (row.state.qd[joint], left / limits[joint])
-                        })
-                        .collect();
+                    let of = |half| {
+                        let speeds = &material.speeds;
+                        speeds.residuals(layout, theta, joint, half, limits[joint])
+                    };
                     let residual = ResidualConfig {
                         seed: problem.seed,
                         ..ResidualConfig::default()
                     };
                     let fastest = robot.joints[joint].limits.velocity;
-                    train_residual(&samples, fastest, &residual, &mut |step, loss| {
+                    train_residual(&[of(0), of(1)], fastest, &residual, &mut |step, loss| {
                         // Nobody listens only when the command is already failing.
                         let _ = told.send((joint, step, loss));
                     })

@@ -6,6 +6,7 @@ use super::methods::{Fit, MethodName, irls, ols, wls};
 use super::normal::NormalEquations;
 use super::record::{MethodRecord, ParameterRecord, SplitRecord};
 use super::residual::residual;
+use super::speed::SpeedSums;
 use super::stream::{Gathered, SampleRow};
 use super::study::Progress;
 use super::truth::base_error;
@@ -39,6 +40,8 @@ pub(super) struct Material<'a, const N: usize> {
     pub(super) clean_sums: NormalEquations<N>,
     /// Rows for methods that iterate over them.
     pub(super) sample: Vec<&'a SampleRow<N>>,
+    /// What raw torques say at each speed.
+    pub(super) speeds: SpeedSums<N>,
     /// Rows behind the sums.
     pub(super) rows: usize,
 }
@@ -50,6 +53,7 @@ impl<'a, const N: usize> Material<'a, N> {
             sums: gathered.sums.clone(),
             clean_sums: gathered.clean_sums.clone(),
             sample: gathered.sample.iter().collect(),
+            speeds: gathered.speeds.clone(),
             rows: gathered.rows,
         }
     }
@@ -68,9 +72,18 @@ impl<'a, const N: usize> Material<'a, N> {
             }
             sums
         };
+        let mut speeds = SpeedSums::new(layout);
+        for (place, row) in sample.iter().enumerate() {
+            for joint in (0..N).filter(|&joint| row.moving[joint]) {
+                let half = 10 * place / sample.len() % 2;
+                let (qd, tau) = (row.state.qd[joint], row.clean[joint]);
+                speeds.add(layout, joint, half, qd, &row.panel, tau);
+            }
+        }
         Self {
             sums: sums(|row| &row.tau),
             clean_sums: sums(|row| &row.clean),
+            speeds,
             rows: sample.len(),
             sample,
         }

@@ -104,13 +104,7 @@ pub fn identify<const N: usize>(
             &config.prepare,
             &mut notes,
             &mut |preparation, prepared| {
-                scores.add(
-                    &layout,
-                    &config.prepare,
-                    preparation,
-                    &prepared,
-                    &candidates,
-                );
+                scores.add(&layout, preparation, &prepared, &candidates);
             },
         )?;
         let key = key_of(path, validate);
@@ -202,7 +196,7 @@ fn gather<const N: usize>(
             &config.prepare,
             notes,
             &mut |preparation, prepared| {
-                gathered.add(layout, &config.prepare, preparation, &prepared);
+                gathered.add(layout, preparation, &prepared);
             },
         )?;
     }

@@ -2,7 +2,7 @@
 
 use super::columns::Layout;
 use super::normal::NormalEquations;
-use super::prepare::{Preparation, PrepareConfig, Prepared};
+use super::prepare::{Preparation, Prepared};
 use super::record::ValidationRecord;
 use crate::dynamics::State;
 use crate::training::BlackBox;
@@ -101,7 +101,6 @@ impl<const N: usize> FileScores<N> {
     pub fn add(
         &mut self,
         layout: &Layout<N>,
-        config: &PrepareConfig,
         preparation: &Preparation,
         prepared: &Prepared<N>,
         candidates: &[&Candidate<N>],
@@ -122,7 +121,7 @@ impl<const N: usize> FileScores<N> {
             let (mut x, mut tau) = (Vec::new(), Vec::new());
             for row in prepared.core.clone() {
                 let measured = prepared.tau[row * N + joint];
-                let moving = prepared.states[row].qd[joint].abs() > config.still_rad_s;
+                let moving = prepared.states[row].qd[joint].abs() > preparation.still_rad_s;
                 let start = row * layout.width + layout.offset[joint];
                 let columns = &prepared.panel[start..start + active.len()];
                 let put = |sums: &mut Sums, value: f64| {
