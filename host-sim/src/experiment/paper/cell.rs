@@ -258,7 +258,7 @@ fn panels(layout: &Layout<JOINTS>, states: &[State<JOINTS>]) -> Vec<Box<[f64]>> 
     let mut scratch = DMatrix::zeros(JOINTS, (LINK_PARAMETERS + 1) * JOINTS);
     let row = |state| {
         let mut panel = Vec::with_capacity(layout.width);
-        layout.append_row(state, &mut scratch, &mut panel);
+        layout.append_row(state, 0.0, &mut scratch, &mut panel);
         panel.into_boxed_slice()
     };
     states.iter().map(row).collect()

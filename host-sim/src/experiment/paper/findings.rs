@@ -147,7 +147,7 @@ fn samples(conditions: &[Condition], full: usize) -> Option<String> {
 
 /// What the times say of efficiency.
 pub(super) fn of_times(times: &Times) -> Option<String> {
-    let last = |name: &str| times.median_seconds.get(name)?.last().copied();
+    let last = |name: &str| times.least_seconds.get(name)?.last().copied();
     let (rows, reference) = last("wls")?;
     let others: Vec<String> = [
         "irls",

@@ -102,9 +102,7 @@ pub(super) fn page(
         ),
         section(
             "Efficiency",
-            text(
-                "Error by number of training rows, and seconds of training (median; all cores busy).",
-            ),
+            text("Error by number of training rows, and seconds of training (least of the draws)."),
             method_legend(),
             grid(&efficiency_panel(report.conditions), 1, 900, 280)? + &times_table(times),
         ),
@@ -212,7 +210,7 @@ fn robustness_table(report: &PaperReport<'_>) -> String {
 
 fn times_table(times: &Times) -> String {
     let counts: Vec<usize> = times
-        .median_seconds
+        .least_seconds
         .values()
         .next()
         .map(|own| own.iter().map(|(rows, _)| *rows).collect())
@@ -220,7 +218,7 @@ fn times_table(times: &Times) -> String {
     let rows: Vec<Vec<String>> = METHODS
         .iter()
         .filter_map(|(name, _)| {
-            let own = times.median_seconds.get(*name)?;
+            let own = times.least_seconds.get(*name)?;
             let mut row = vec![(*name).to_owned()];
             row.extend(own.iter().map(|(_, seconds)| format!("{seconds:.4}")));
             Some(row)
