@@ -42,10 +42,11 @@ pub enum FrictionColumn {
 impl FrictionColumn {
     /// The board has this column.
     pub(super) fn on_board(self) -> bool {
-        matches!(
-            self,
-            Self::Viscous | Self::Coulomb | Self::StribeckNarrow | Self::StribeckWide
-        )
+        match self {
+            Self::Viscous | Self::Coulomb | Self::StribeckNarrow | Self::StribeckWide => true,
+            Self::Offset | Self::CoggingSine | Self::CoggingCosine => true,
+            Self::Root | Self::Cubic | Self::Load | Self::WarmUp => false,
+        }
     }
 
     /// Short name, as in a parameter bank, and unit of the parameter.

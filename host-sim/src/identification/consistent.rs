@@ -52,7 +52,7 @@ pub(super) fn consistent<const N: usize>(
     layout: &Layout<N>,
     free: &Fit<N>,
 ) -> Option<ConsistentFit<N>> {
-    let (_, information) = solve(&free.covariance, &DVector::zeros(free.theta.len()))?;
+    let (_, information) = solve_damped(&free.covariance, &DVector::zeros(free.theta.len()))?;
     let map = parameter_map(&robot.base_map(), layout);
     let cone = Cone::around::<N>(robot, layout);
     let hessian = map.tr_mul(&(&information * &map));
@@ -66,7 +66,7 @@ pub(super) fn consistent<const N: usize>(
             let mut slope = &hessian * &z - &moment;
             let mut curvature = hessian.clone();
             cone.differentiate(&z, weight, &mut slope, &mut curvature)?;
-            let (step, inverse) = solve(&curvature, &-&slope)?;
+            let (step, inverse) = solve_damped(&curvature, &-&slope)?;
             doubt = inverse;
             steps += 1;
             let decrement = -slope.dot(&step);
@@ -104,6 +104,24 @@ pub(super) fn consistent<const N: usize>(
             iterations: free.iterations + steps,
         },
     })
+}
+
+/// [`solve`], with as little on the diagonal as the factorisation needs: what torque cannot see is curved by the divergence
+/// alone, and that may lie below the rounding of what it sees. A damped Newton step still descends.
+fn solve_damped(
+    matrix: &DMatrix<f64>,
+    right: &DVector<f64>,
+) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    let damped = |damping: f64| {
+        let mut matrix = matrix.clone();
+        for k in 0..matrix.nrows() {
+            matrix[(k, k)] *= 1.0 + damping;
+        }
+        solve(&matrix, right)
+    };
+    [0.0, 1e-14, 1e-13, 1e-12, 1e-11, 1e-10]
+        .into_iter()
+        .find_map(damped)
 }
 
 /// From (standard parameters, rotor inertias, friction) to the parameters of the layout.

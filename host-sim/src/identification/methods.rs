@@ -23,7 +23,7 @@ pub enum MethodName {
     BpPhysical,
     /// A BP network on all positions, velocities and accelerations.
     BpBlackBox,
-    /// The plain linear model and one small BP network a joint for what it leaves.
+    /// The linear model of the board and one small BP network a joint for what it leaves.
     BpResidual,
 }
 

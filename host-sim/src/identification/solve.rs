@@ -24,8 +24,8 @@ pub(super) struct Problem<'a, const N: usize> {
     pub(super) robot: &'a Robot,
     /// All columns.
     pub(super) layout: &'a Layout<N>,
-    /// Viscous and Coulomb friction only.
-    pub(super) plain: &'a Layout<N>,
+    /// The columns among them that the board has.
+    pub(super) board: &'a Layout<N>,
     /// Methods.
     pub(super) methods: &'a [MethodName],
     /// Seed of random starts.

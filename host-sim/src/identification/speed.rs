@@ -4,6 +4,7 @@
 //! over all rows of one speed needs no filter, forgets ripple and noise, and streams.
 
 use super::columns::Layout;
+use super::normal::JointSums;
 use crate::training::SpeedPoint;
 use nalgebra::DVector;
 
@@ -84,6 +85,24 @@ impl<const N: usize> SpeedSums<N> {
                     (None, Some(other)) => *own = Some(other.clone()),
                     (_, None) => (),
                 }
+            }
+        }
+    }
+
+    /// Takes a torque that depends on the speed alone (N·m) from the equations of a joint.
+    ///
+    /// The equations come from filtered and thinned rows, these sums from raw ones: inner products with the slow columns of
+    /// a motion are the same but for the number of rows.
+    pub(super) fn subtract(&self, joint: usize, sums: &mut JointSums, torque: &dyn Fn(f64) -> f64) {
+        let halves = &self.bins[2 * joint..2 * joint + 2];
+        let bins = || halves.iter().flatten().flatten();
+        let all: f64 = bins().map(|bin| bin.count).sum();
+        let share = sums.count / all.max(1.0);
+        for bin in bins() {
+            let torque = torque(bin.qd / bin.count);
+            sums.power -= share * torque * (2.0 * bin.tau - torque * bin.count);
+            for (moment, x) in sums.moment.iter_mut().zip(&bin.x) {
+                *moment -= share * torque * x;
             }
         }
     }

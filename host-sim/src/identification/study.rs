@@ -65,13 +65,14 @@ pub fn identify<const N: usize>(
 ) -> Result<Outcome<N>, Box<dyn Error>> {
     let other_size = || format!("robot '{}' has not {N} joints", robot.name);
     let layout = Layout::<N>::new(robot, &config.columns).ok_or_else(other_size)?;
-    let plain = Layout::<N>::new(robot, &ColumnSet::plain()).ok_or_else(other_size)?;
+    let (on_board, left_out) = config.columns.on_board();
+    let board = Layout::<N>::new(robot, &on_board).ok_or_else(other_size)?;
     let mut notes = Vec::new();
     let gathered = gather(robot, &layout, logs, config, &mut notes, progress)?;
     let problem = Problem {
         robot,
         layout: &layout,
-        plain: &plain,
+        board: &board,
         methods: &config.methods,
         seed: config.seed,
     };
@@ -131,9 +132,18 @@ pub fn identify<const N: usize>(
         }
     }
     let recommended = recommended(&solved, &methods);
-    let (bank_layout, bank_fit, left_out) =
-        for_bank(&problem, &gathered, config, &solved[recommended])?;
-    notes.extend(left_out);
+    let bank_fit = for_bank(
+        &problem,
+        &gathered,
+        &solved[recommended],
+        left_out.is_empty(),
+    )?;
+    if !left_out.is_empty() {
+        notes.push(format!(
+            "the board has no column {}: the bank holds a fit without",
+            left_out.join(", ")
+        ));
+    }
     let (condition_number, condition_number_equilibrated) =
         gathered.sums.condition_numbers(&layout);
     let report = Report {
@@ -163,7 +173,7 @@ pub fn identify<const N: usize>(
     };
     Ok(Outcome {
         report,
-        bank_layout,
+        bank_layout: board.clone(),
         bank_fit,
         networks: match &solved[recommended].candidate {
             Candidate::Residual { networks, .. } => Some(networks.clone()),
@@ -247,39 +257,35 @@ fn recommended<const N: usize>(
     best.0
 }
 
-/// The recommended parameters over the columns that the board has, and what is to be said about the others.
+/// The recommended parameters over the columns that the board has.
+///
+/// * `complete` the board has all columns
 fn for_bank<const N: usize>(
     problem: &Problem<'_, N>,
     gathered: &Gathered<N>,
-    config: &IdentifyConfig,
     solved: &Solved<N>,
-) -> Result<(Layout<N>, Fit<N>, Option<String>), Box<dyn Error>> {
-    let narrowed = |layout: &Layout<N>| {
-        let sums = gathered.clean_sums.subset(problem.layout, layout);
-        wls(&sums, layout).ok_or_else(unsolvable)
-    };
-    if matches!(solved.candidate, Candidate::Residual { .. }) {
-        return Ok((problem.plain.clone(), narrowed(problem.plain)?, None));
+    complete: bool,
+) -> Result<Fit<N>, Box<dyn Error>> {
+    if let (true, Some(fit)) = (complete, &solved.fit) {
+        return Ok(fit.clone());
     }
-    let (set, other) = config.columns.on_board();
-    if let (true, Some(fit)) = (other.is_empty(), &solved.fit) {
-        return Ok((problem.layout.clone(), fit.clone(), None));
+    if let (Candidate::Residual { .. }, Some(fit)) = (&solved.candidate, &solved.fit) {
+        let places = problem.layout.places_of(problem.board);
+        return Ok(Fit {
+            theta: fit.theta.select_rows(&places),
+            covariance: fit.covariance.select_rows(&places).select_columns(&places),
+            ..fit.clone()
+        });
     }
-    let layout = Layout::new(problem.robot, &set).ok_or_else(unsolvable)?;
-    let free = narrowed(&layout)?;
-    let fit = if solved.name == MethodName::Consistent {
-        let found = consistent(problem.robot, &layout, &free);
-        found.ok_or_else(unsolvable)?.fit
-    } else {
-        free
-    };
-    let note = (!other.is_empty()).then(|| {
-        format!(
-            "the board has no column {}: the bank holds a fit without",
-            other.join(", ")
-        )
-    });
-    Ok((layout, fit, note))
+    let sums = gathered.clean_sums.subset(problem.layout, problem.board);
+    let free = wls(&sums, problem.board).ok_or_else(unsolvable)?;
+    Ok(match solved.name {
+        MethodName::Consistent => {
+            let found = consistent(problem.robot, problem.board, &free);
+            found.ok_or_else(unsolvable)?.fit
+        }
+        _ => free,
+    })
 }
 
 /// The file's name, or its path where two files share a name.

@@ -35,7 +35,7 @@ impl Default for ResidualConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            starts: 8,
+            starts: 4,
             max_steps: 100,
             decay: 1e-4,
         }
