@@ -1,6 +1,6 @@
 //! Methods on rows that are there already: no log, no filter. What studies over many small sets of rows need.
 
-use super::columns::{ColumnSet, Layout};
+use super::columns::Layout;
 use super::methods::MethodName;
 use super::solve::{Material, Problem, solve_all};
 use super::stream::SampleRow;
@@ -39,22 +39,23 @@ impl<const N: usize> Trial<N> {
 
 /// Trains `methods` on `rows`, whose panels are those of `layout`.
 ///
+/// * `board` the columns among them that the board has: the linear part of `bp_residual`
+///
 /// Errors: columns that the rows do not show ([`super::IdentificationError`]); a method that cannot be solved.
 pub fn fit_rows<const N: usize>(
     robot: &Robot,
     layout: &Layout<N>,
+    board: &Layout<N>,
     methods: &[MethodName],
     rows: &[&SampleRow<N>],
     seed: u64,
 ) -> Result<Vec<Trial<N>>, Box<dyn Error>> {
-    let plain = Layout::<N>::new(robot, &ColumnSet::plain())
-        .ok_or_else(|| format!("robot '{}' has not {N} joints", robot.name))?;
     let material = Material::of(layout, rows.to_vec());
     material.sums.check_rank(layout)?;
     let problem = Problem {
         robot,
         layout,
-        plain: &plain,
+        board,
         methods,
         seed,
     };

@@ -190,7 +190,9 @@ impl Bench {
             let rows: Vec<&SampleRow<JOINTS>> = rows.iter().collect();
             for method in model.methods {
                 let name = format!("{method}{}", model.suffix);
-                let trials = fit_rows(&self.robot, &model.layout, &[*method], &rows, cell.seed);
+                // Both sets of columns are on the board.
+                let layout = &model.layout;
+                let trials = fit_rows(&self.robot, layout, layout, &[*method], &rows, cell.seed);
                 let trial = match trials.map(|mut trials| trials.pop()) {
                     Ok(Some(trial)) => trial,
                     Ok(None) => continue,
@@ -200,12 +202,16 @@ impl Bench {
                     }
                 };
                 let draw = MethodDraw {
-                    path_nrmse_ratio: score(&trial, &model.layout, &path, &path_exact),
-                    split_nrmse_ratio: score(&trial, &model.layout, &held, &held_exact),
+                    path_nrmse_ratio: score(&trial, layout, &path, &path_exact),
+                    split_nrmse_ratio: score(&trial, layout, &held, &held_exact),
                     epochs: trial.epochs,
                     seconds: trial.seconds,
                 };
-                methods.insert(name, draw);
+                if draw.path_nrmse_ratio.is_finite() && draw.split_nrmse_ratio.is_finite() {
+                    methods.insert(name, draw);
+                } else {
+                    failed.insert(name, "its torques are not finite".to_owned());
+                }
             }
         }
         Ok(CellRecord {
