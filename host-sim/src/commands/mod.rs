@@ -3,6 +3,7 @@
 mod bank;
 mod boards;
 mod campaign;
+mod disturbances;
 mod excite;
 mod experiment;
 mod generate;

@@ -2,6 +2,7 @@
 
 use crate::dynamics::Joints;
 use crate::experiment::closed_loop::TickRecord;
+use crate::plant::Measurement;
 use crate::table::{TableWriter, joint_columns, state_columns};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use std::collections::VecDeque;
@@ -11,6 +12,15 @@ use std::path::Path;
 /// Rows of a local quadratic: 31 ms, as long as the board's own filter. Encoder steps of 17 bits leave noise of 0.3 mrad/s
 /// and 0.07 rad/s².
 const WINDOW: usize = 31;
+
+/// What of the drives stands in the log beside the motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Effort {
+    /// Torques, N·m.
+    Torque,
+    /// Motor currents, A.
+    Current,
+}
 
 /// Writes position and torque as measured, velocity and acceleration as slopes of the measured positions, and the desired
 /// positions.
@@ -36,10 +46,13 @@ impl<const N: usize> MotionLog<N> {
     /// Starts a log with `more` columns at its end.
     ///
     /// Errors: the file system's.
-    pub(super) fn create(path: &Path, more: &[String]) -> io::Result<Self> {
+    pub(super) fn create(path: &Path, effort: Effort, more: &[String]) -> io::Result<Self> {
         let mut header = vec!["t_s".to_owned()];
         header.extend(state_columns(N));
-        header.extend(joint_columns("tau", "nm", N));
+        header.extend(match effort {
+            Effort::Torque => joint_columns("tau", "nm", N),
+            Effort::Current => joint_columns("i", "a", N),
+        });
         header.extend(joint_columns("desired", "rad", N));
         header.extend_from_slice(more);
         Ok(Self {
@@ -49,21 +62,23 @@ impl<const N: usize> MotionLog<N> {
         })
     }
 
-    /// Adds a tick, if anything of it arrived. It is written when the rows after it are known.
+    /// Adds what was `seen` of a tick. It is written when the rows after it are known.
     ///
     /// Errors: the file system's.
-    pub(super) fn add(&mut self, record: &TickRecord<N>, more: Vec<f64>) -> io::Result<()> {
-        let Some(reported) = record.reported else {
-            return Ok(());
-        };
+    pub(super) fn add(
+        &mut self,
+        record: &TickRecord<N>,
+        seen: Measurement<N>,
+        more: Vec<f64>,
+    ) -> io::Result<()> {
         if self.waiting.len() == WINDOW {
             self.waiting.pop_front();
             self.written = self.written.saturating_sub(1);
         }
         self.waiting.push_back(Row {
             t_s: record.t_s,
-            q: reported.q,
-            tau: reported.tau,
+            q: seen.q,
+            tau: seen.tau,
             desired: record.desired.q,
             more,
         });
@@ -147,7 +162,6 @@ mod tests {
     use super::*;
     use crate::commands::simulate::PERIOD_S;
     use crate::dynamics::State;
-    use crate::plant::Measurement;
     use crate::table::{StateReader, TimeColumn};
     use foretorque::joint::JointVector;
 
@@ -180,9 +194,11 @@ mod tests {
         let path =
             std::env::temp_dir().join(format!("foretorque-motion-{}.csv", std::process::id()));
         for ticks in [1, 2, 5, 30, 31, 32, 200] {
-            let mut log = MotionLog::<1>::create(&path, &["more".to_owned()]).expect("creates");
+            let mut log = MotionLog::<1>::create(&path, Effort::Torque, &["more".to_owned()])
+                .expect("creates");
             for tick in 0..ticks {
-                log.add(&record(tick), vec![tick as f64]).expect("writes");
+                log.add(&record(tick), record(tick).measured, vec![tick as f64])
+                    .expect("writes");
             }
             log.finish().expect("finishes");
             let rows = StateReader::<1>::open(&path, TimeColumn::Required)

@@ -1,5 +1,5 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
-use super::motion_log::MotionLog;
+use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S};
 use super::terminal::{self, say};
@@ -88,7 +88,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     }
     let mut columns = joint_columns("feed_forward", "nm", N);
     columns.push("flags".to_owned());
-    let mut log = MotionLog::<N>::create(&arguments.out.join("log.csv"), &columns)?;
+    let mut log = MotionLog::<N>::create(&arguments.out.join("log.csv"), Effort::Torque, &columns)?;
     let mut seen = ClosedLoopLog::<N>::new(scene.ticks);
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
@@ -104,7 +104,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         seen.add(&record);
         let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
         let flags = f64::from(record.flags);
-        log.add(&record, answer.chain([flags]).collect())?;
+        log.add(&record, record.measured, answer.chain([flags]).collect())?;
         if tick % 256 == 0 {
             bar.show("run", tick, scene.ticks);
         }

@@ -1,8 +1,9 @@
-use super::motion_log::MotionLog;
+use super::disturbances::DisturbanceArguments;
+use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
 use super::{Failure, unusable};
 use crate::control::PdConfig;
-use crate::dynamics::ReferenceModel;
+use crate::dynamics::{Joints, ReferenceModel};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
@@ -18,6 +19,9 @@ pub(super) struct Arguments {
     robot: String,
     #[command(flatten)]
     motion: MotionArguments,
+    /// Write motor currents, torque over drive gain, in the place of torques
+    #[arg(long)]
+    current: bool,
     /// Log to write: t_s, measured q with its slopes qd and qdd, measured torque, desired position
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -42,6 +46,8 @@ pub(super) struct MotionArguments {
     /// Standard deviation of the torque noise, share of the torque limit
     #[arg(long, default_value_t = 0.01)]
     torque_noise: f64,
+    #[command(flatten)]
+    disturbances: DisturbanceArguments,
     /// The plant is the description itself, not a variation of it by up to 20 %
     #[arg(long)]
     exact: bool,
@@ -81,7 +87,7 @@ impl MotionArguments {
         };
         let config = PlantConfig {
             torque_noise: self.torque_noise,
-            ..PlantConfig::default()
+            ..self.disturbances.plant_config()?
         };
         let nominal = ReferenceModel::<N>::new(robot).ok_or_else(other_size)?;
         let trajectory = Trajectory::load(
@@ -99,7 +105,10 @@ impl MotionArguments {
                 .min(ends.duration_s()),
         };
         Ok(Scene {
-            plant: Plant::new(&truth, config, self.seed).ok_or_else(other_size)?,
+            plant: Plant::new(&truth, config, self.seed)
+                .ok_or_else(other_size)?
+                .with_events(self.disturbances.events::<N>()?)
+                .with_faults(self.disturbances.faults()?),
             pd: PdConfig::tuned(&nominal, self.pd_bandwidth_hz, PERIOD_S),
             trajectory,
             ticks: (duration_s / PERIOD_S).round() as usize,
@@ -120,7 +129,15 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let mut log = MotionLog::<N>::create(&arguments.out, &[])?;
+    let gains = arguments
+        .current
+        .then(|| Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain)));
+    let effort = if arguments.current {
+        Effort::Current
+    } else {
+        Effort::Torque
+    };
+    let mut log = MotionLog::<N>::create(&arguments.out, effort, &[])?;
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,
@@ -131,7 +148,13 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     )?;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, None)?;
-        log.add(&record, Vec::new())?;
+        // What is lost on the way is in no log.
+        if let Some(mut seen) = record.reported {
+            if let Some(gains) = &gains {
+                seen.tau = seen.tau.component_div(gains);
+            }
+            log.add(&record, seen, Vec::new())?;
+        }
         if tick % 256 == 0 {
             bar.show("simulate", tick, scene.ticks);
         }
