@@ -10,6 +10,7 @@ mod generate;
 mod identify;
 mod merge;
 mod motion_log;
+mod on_board;
 mod progress;
 mod run;
 mod simulate;

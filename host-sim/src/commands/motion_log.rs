@@ -186,6 +186,7 @@ mod tests {
             feed_forward: JointVector::zeros(),
             shares: None,
             flags: 0,
+            stage: None,
         }
     }
 
