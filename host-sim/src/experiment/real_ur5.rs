@@ -98,6 +98,7 @@ pub fn run(
                 methods: vec![method],
                 columns,
                 prepare: PREPARE,
+                fold_period_s: None,
                 seed,
                 truth: None,
             };

@@ -4,9 +4,12 @@
 //! `normal` (one pass over any number of rows, memory that does not grow) → `methods` → `validation` → `record`.
 
 mod bank;
+mod bootstrap;
 mod columns;
 mod consistent;
 mod filter;
+mod fourier;
+mod learning_curve;
 mod log;
 mod methods;
 mod normal;
@@ -30,7 +33,9 @@ pub use methods::{Fit, METHODS, MethodName};
 pub use normal::{IdentificationError, NormalEquations};
 pub use page::page;
 pub use prepare::{MotionSource, Preparation, PrepareConfig, Prepared};
-pub use record::{MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord};
+pub use record::{
+    LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,
+};
 pub use stream::{Gathered, SampleRow, for_each_prepared};
 pub use study::{IdentifyConfig, Outcome, Progress, identify};
 pub use validation::{Candidate, FileScores};

@@ -1,7 +1,10 @@
 //! All methods side by side on the same logs.
 
+use super::bootstrap::parameter_intervals;
 use super::columns::{ColumnSet, Layout};
 use super::consistent::consistent;
+use super::fourier::folded;
+use super::learning_curve::learning_curves;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::IdentificationError;
 use super::prepare::PrepareConfig;
@@ -27,7 +30,9 @@ pub struct IdentifyConfig {
     pub columns: ColumnSet,
     /// Filters and standstill.
     pub prepare: PrepareConfig,
-    /// Seed of random starts and of the split.
+    /// Training logs repeat with this period, s: fold them and project on its harmonics instead of filtering.
+    pub fold_period_s: Option<f64>,
+    /// Seed of random starts, of the split and of resampling.
     pub seed: u64,
     /// The robot whose parameters are the truth, if somebody knows it.
     pub truth: Option<Robot>,
@@ -89,6 +94,16 @@ pub fn identify<const N: usize>(
             solved.record(&layout, truth.as_deref(), split),
         );
     }
+    for solved in &solved {
+        let intervals = parameter_intervals(&layout, &all, solved, config.seed);
+        if let (Some(intervals), Some(method)) =
+            (intervals, methods.get_mut(&solved.name.to_string()))
+        {
+            for (parameter, interval) in method.parameters.iter_mut().zip(intervals) {
+                parameter.ci95 = Some(interval);
+            }
+        }
+    }
     if let Some(trained) = methods.get_mut("bp_physical") {
         trained.base_parameter_error_ratio_by_epoch =
             error_curve(&all, &layout, &bound, truth.as_deref(), config.seed);
@@ -112,6 +127,7 @@ pub fn identify<const N: usize>(
         let limit = scores.propagated(&layout, &bound.covariance);
         for (place, solved) in solved.iter().enumerate() {
             let mut record = scores.record(place);
+            scores.intervals(place, config.seed, &mut record);
             record.cramer_rao_nrmse_moving_ratio = Some(limit);
             if let (Some(truth), Candidate::Linear(theta)) = (&truth, &solved.candidate)
                 && truth.iter().all(Option::is_some)
@@ -128,6 +144,12 @@ pub fn identify<const N: usize>(
             }
         }
         if trace.is_empty() {
+            progress("growing shares of the logs");
+            for (name, curve) in learning_curves(&problem, &gathered, &scores.sample) {
+                if let Some(method) = methods.get_mut(&name.to_string()) {
+                    method.learning_curve = curve;
+                }
+            }
             trace = scores.trace;
         }
     }
@@ -153,6 +175,7 @@ pub fn identify<const N: usize>(
         columns: config.columns.to_string(),
         logs: logs.iter().map(|path| key_of(path, logs)).collect(),
         notes,
+        fold_period_s: config.fold_period_s,
         motion_cutoff_hz: config.prepare.motion_hz,
         torque_cutoff_hz: config.prepare.torque_hz,
         still_rad_s: config.prepare.still_rad_s,
@@ -199,6 +222,12 @@ fn gather<const N: usize>(
     let mut gathered = Gathered::new(layout);
     for path in logs {
         progress(&format!("reading {}", path.display()));
+        if let Some(period_s) = config.fold_period_s {
+            let (preparation, prepared) =
+                folded(path, robot, layout, &config.prepare, period_s, notes)?;
+            gathered.add(layout, &preparation, &prepared);
+            continue;
+        }
         for_each_prepared(
             path,
             robot,
