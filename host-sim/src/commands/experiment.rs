@@ -4,7 +4,7 @@ use super::terminal::say;
 use super::{Failure, unusable};
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
 use crate::experiment::learning::{self, LearningConfig};
-use crate::experiment::{EXPERIMENTS, real_ur5};
+use crate::experiment::{EXPERIMENTS, efficiency, real_ur5};
 use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
 use clap::Args;
@@ -43,6 +43,9 @@ pub(super) struct Arguments {
     /// Arm time with learning on, flashable firmware, s
     #[arg(long, default_value_t = DemoConfig::default().usart_learning_s)]
     usart_learning_s: f64,
+    /// Noise draws of each case of efficiency
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    draws: u32,
     /// Directory of the logs of real-ur5
     #[arg(long, value_name = "DIR", default_value = "tests/data/ur5-real")]
     logs: PathBuf,
@@ -64,6 +67,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match (arguments.name.as_deref(), &arguments.out) {
         (Some("demo"), Some(out)) => run_demo(arguments, out),
         (Some("learning"), Some(out)) => run_learning(arguments, out),
+        (Some("efficiency"), Some(out)) => run_efficiency(arguments, out),
         (Some("real-ur5"), Some(out)) => run_real_ur5(arguments, out),
         (name, _) => Err(unusable(format!(
             "unknown experiment '{}': `experiment --list` shows them",
@@ -142,6 +146,33 @@ fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Fail
             if outcome.met { "met" } else { "MISSED" }
         ))?;
     }
+    Ok(())
+}
+
+fn run_efficiency(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+    let bar = Bar::new();
+    let (report, page) = efficiency::run(
+        out,
+        arguments.seed,
+        arguments.draws as usize,
+        &|stage, done, all| {
+            bar.show(stage, done, all);
+        },
+    )?;
+    drop(bar);
+    let json = serde_json::to_string_pretty(&report)? + "\n";
+    write_whole(&out.join("report.html"), page.as_bytes())?;
+    write_whole(&out.join("report.json"), json.as_bytes())?;
+    for case in &report.cases {
+        say(format_args!(
+            "{:<36} irls {:.3} x Cramér–Rao, wls {:.3} x",
+            case.noise, case.irls_over_cramer_rao_ratio, case.wls_over_cramer_rao_ratio
+        ))?;
+    }
+    say(format_args!(
+        "report       {}",
+        out.join("report.html").display()
+    ))?;
     Ok(())
 }
 

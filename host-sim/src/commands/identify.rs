@@ -57,6 +57,10 @@ pub(super) struct Arguments {
     /// A joint slower than this stands still, rad/s
     #[arg(long, default_value_t = 0.05)]
     still_rad_s: f64,
+    /// Where drive gains come from when the logs hold currents: the description, or the gravity torque of the description
+    /// over the current while the arm stands still
+    #[arg(long, default_value = "description")]
+    gains: Gains,
     /// Robot whose parameters are the truth
     #[arg(long, value_name = "ROBOT")]
     truth: Option<String>,
@@ -66,6 +70,12 @@ pub(super) struct Arguments {
     /// Seed of random starts and of the 80/20 split
     #[arg(long, default_value_t = 1)]
     seed: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Gains {
+    Description,
+    Standstill,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -155,6 +165,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
             torque_hz: (torque_hz > 0.0).then_some(torque_hz),
             still_rad_s: not_negative("--still-rad-s", arguments.still_rad_s)?,
         },
+        gains_from_standstill: arguments.gains == Gains::Standstill,
         fold_period_s: fold_period_s(arguments)?,
         seed: arguments.seed,
         truth,
@@ -206,6 +217,17 @@ fn identify_arm<const N: usize>(
     write_whole(&arguments.out.join("report.json"), json.as_bytes())?;
     for note in &report.notes {
         say(format_args!("note  {note}"))?;
+    }
+    for (joint, gain) in report.drive_gains.iter().enumerate() {
+        let found = gain.std_nm_a.map_or_else(
+            || "of the description, standstill does not tell it".to_owned(),
+            |std| format!("± {std:.3}, description {:.3}", gain.description_nm_a),
+        );
+        say(format_args!(
+            "gain  joint {}  {:.3} N·m/A {found}",
+            joint + 1,
+            gain.gain_nm_a
+        ))?;
     }
     say(format_args!(
         "rank {}, condition number {:.1} ({})",

@@ -99,6 +99,7 @@ pub fn run(
                 columns,
                 prepare: PREPARE,
                 fold_period_s: None,
+                gains_from_standstill: false,
                 seed,
                 truth: None,
             };

@@ -102,7 +102,7 @@ impl<const N: usize> Fold<N> {
         let phases = (period_s / row_s).round();
         if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
             return Err(format!(
-                "{}: a period of {period_s} s is no whole number of rows, which are {row_s} s apart",
+                "{}: a period of {period_s} s is no whole number of rows, which are {row_s:.6} s apart",
                 path.display()
             )
             .into());
@@ -134,7 +134,7 @@ impl<const N: usize> Fold<N> {
             let place = (row.t_s - self.start_s) / self.row_s;
             if (place - place.round()).abs() > UNEVEN {
                 return Err(format!(
-                    "{}:{}: column t_s: {} is off the even spacing of {} s that folding needs",
+                    "{}:{}: column t_s: {} is off the even spacing of {:.6} s that folding needs",
                     path.display(),
                     row.line,
                     row.t_s,

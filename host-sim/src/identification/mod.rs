@@ -9,6 +9,7 @@ mod columns;
 mod consistent;
 mod filter;
 mod fourier;
+mod gains;
 mod learning_curve;
 mod log;
 mod methods;
@@ -34,7 +35,7 @@ pub use normal::{IdentificationError, NormalEquations};
 pub use page::page;
 pub use prepare::{MotionSource, Preparation, PrepareConfig, Prepared};
 pub use record::{
-    LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,
+    GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,
 };
 pub use stream::{Gathered, SampleRow, for_each_prepared};
 pub use study::{IdentifyConfig, Outcome, Progress, identify};

@@ -112,6 +112,19 @@ pub struct MethodRecord {
     pub base_parameter_error_ratio_by_epoch: Vec<(usize, f64)>,
 }
 
+/// The gain of one drive.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct GainRecord {
+    /// Gain that was used, N·m/A.
+    pub gain_nm_a: f64,
+    /// Its standard deviation; `null` where standstill does not tell it and the description's was taken.
+    pub std_nm_a: Option<f64>,
+    /// Gain of the description, N·m/A.
+    pub description_nm_a: f64,
+    /// Times the arm stood still.
+    pub stands: usize,
+}
+
 /// The whole report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
@@ -123,6 +136,9 @@ pub struct Report {
     pub seed: u64,
     /// Friction columns.
     pub columns: String,
+    /// Drive gains found from standstill, joint by joint; none where those of the description were taken.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub drive_gains: Vec<GainRecord>,
     /// Training logs.
     pub logs: Vec<String>,
     /// What was derived, cut, or thinned.

@@ -4,6 +4,7 @@ use super::bootstrap::parameter_intervals;
 use super::columns::{ColumnSet, Layout};
 use super::consistent::consistent;
 use super::fourier::folded;
+use super::gains::standstill_gains;
 use super::learning_curve::learning_curves;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::IdentificationError;
@@ -32,6 +33,8 @@ pub struct IdentifyConfig {
     pub prepare: PrepareConfig,
     /// Training logs repeat with this period, s: fold them and project on its harmonics instead of filtering.
     pub fold_period_s: Option<f64>,
+    /// Find the drive gains from standstill first.
+    pub gains_from_standstill: bool,
     /// Seed of random starts, of the split and of resampling.
     pub seed: u64,
     /// The robot whose parameters are the truth, if somebody knows it.
@@ -68,6 +71,16 @@ pub fn identify<const N: usize>(
     config: &IdentifyConfig,
     progress: Progress<'_>,
 ) -> Result<Outcome<N>, Box<dyn Error>> {
+    let mut robot = robot.clone();
+    let mut drive_gains = Vec::new();
+    if config.gains_from_standstill {
+        progress("drive gains");
+        drive_gains = standstill_gains::<N>(&robot, logs, config.prepare.still_rad_s)?;
+        for (joint, record) in robot.joints.iter_mut().zip(&drive_gains) {
+            joint.drive.gain = record.gain_nm_a;
+        }
+    }
+    let robot = &robot;
     let other_size = || format!("robot '{}' has not {N} joints", robot.name);
     let layout = Layout::<N>::new(robot, &config.columns).ok_or_else(other_size)?;
     let (on_board, left_out) = config.columns.on_board();
@@ -173,6 +186,7 @@ pub fn identify<const N: usize>(
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: config.seed,
         columns: config.columns.to_string(),
+        drive_gains,
         logs: logs.iter().map(|path| key_of(path, logs)).collect(),
         notes,
         fold_period_s: config.fold_period_s,
