@@ -2,10 +2,12 @@
 
 mod bank;
 mod boards;
+mod disturbances;
 mod excite;
 mod experiment;
 mod generate;
 mod identify;
+mod on_board;
 mod progress;
 mod run;
 mod simulate;

@@ -6,9 +6,10 @@ pub mod efficiency;
 pub mod learning;
 pub mod prior;
 pub mod real_ur5;
+pub mod replay_real;
 
 /// Names of the studies, each with one line on what it shows.
-pub const EXPERIMENTS: [(&str, &str); 4] = [
+pub const EXPERIMENTS: [(&str, &str); 6] = [
     (
         "demo",
         "from a wrong prior, learn on the board in closed loop, freeze, play an unseen path",
@@ -24,5 +25,13 @@ pub const EXPERIMENTS: [(&str, &str); 4] = [
     (
         "real-ur5",
         "identify a real UR5 on some paths, validate on the others, every path held out in turn",
+    ),
+    (
+        "replay-real",
+        "the board learns a real UR5 from its logs, row by row, against batch least squares",
+    ),
+    (
+        "soak",
+        "ten million ticks of learning: finite, positive, where exact arithmetic is, the same bits on the board",
     ),
 ];

@@ -12,6 +12,7 @@
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
+    use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicU32, Ordering};
 
     use foretorque::arm::Arm as _;
@@ -23,7 +24,6 @@ mod app {
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
     use foretorque::learning::{Learner, LearnerConfig};
     use heapless::spsc::{Consumer, Producer, Queue};
-    use stm32f4xx_hal::gpio::PinState;
     use stm32f4xx_hal::pac::Interrupt;
     use stm32f4xx_hal::prelude::*;
 
@@ -53,7 +53,7 @@ mod app {
     #[local]
     struct Local {
         wire: Wire,
-        session: Session<Arm, JOINTS, PARAMETERS, Counter>,
+        session: &'static mut Session<Arm, JOINTS, PARAMETERS, Counter>,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
@@ -61,13 +61,16 @@ mod app {
         enable: TorqueEnable<EnablePin>,
         kept: SafetyReason,
         watchdog: Watchdog,
-        learner: Learner<Arm, JOINTS, PARAMETERS>,
+        learner: &'static mut Learner<Arm, JOINTS, PARAMETERS>,
         drain: Option<log::Drain>,
     }
 
     #[init(local = [
         receive_ring: Queue<u8, RECEIVE_RING> = Queue::new(),
         transmit_ring: Queue<u8, TRANSMIT_RING> = Queue::new(),
+        // Moved into their places once: as resources by value they would be copied over the stack several times.
+        session_place: MaybeUninit<Session<Arm, JOINTS, PARAMETERS, Counter>> = MaybeUninit::uninit(),
+        learner_place: MaybeUninit<Learner<Arm, JOINTS, PARAMETERS>> = MaybeUninit::uninit(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
@@ -87,11 +90,11 @@ mod app {
                 .enabled()
         });
         let mut rcc = cx.device.RCC.constrain();
-        let gpioa = cx.device.GPIOA.split(&mut rcc);
-        let gpiob = cx.device.GPIOB.split(&mut rcc);
-        gpiob.pb12.into_push_pull_output_in_state(PinState::Low);
-        gpioa.pa2.into_alternate::<7>();
-        gpioa.pa3.into_alternate::<7>().internal_pull_up(true);
+        let ports = board::Ports {
+            a: cx.device.GPIOA,
+            b: cx.device.GPIOB,
+        };
+        board::start_pins(ports, &mut rcc);
 
         let mut core = cx.core;
         let (counter, counter_hz) = if emulated {
@@ -102,7 +105,8 @@ mod app {
         let booting = counter::now();
         let drain = emulated.then(|| log::Drain::start(cx.device.USART3));
         defmt::info!(
-            "boot: clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            "boot: {=str}, clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            board::NAME,
             clocks.source,
             clocks.cpu_hz,
             reset_reason,
@@ -122,18 +126,20 @@ mod app {
             link_baud: board::LINK_BAUD,
             ..BoardDescription::plain(Counter)
         };
-        let Ok(mut session) = Session::new(description) else {
+        let Ok(made) = Session::new(description) else {
             fault::leave(Reason::Setup, line!());
         };
+        let session = cx.local.session_place.write(made);
         let mut desk = Desk::new();
         let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
         let stored = session.boot_from(&mut store, &mut desk);
         defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
-        let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
+        let Ok(made) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
             fault::leave(Reason::Setup, line!());
         };
+        let learner = cx.local.learner_place.write(made);
         let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
 
