@@ -94,8 +94,8 @@ impl<'a, const N: usize> Material<'a, N> {
 impl<const N: usize> Material<'_, N> {
     /// Huber's weights for the residuals of `theta` on the sums without spikes.
     pub(super) fn weigh(&mut self, layout: &Layout<N>, theta: &DVector<f64>, sigma: &[f64; N]) {
-        for joint in 0..N {
-            self.clean_sums.joints[joint] = huber(joint, &self.sample, layout, theta, sigma[joint]);
+        for (joint, (sums, &sigma)) in self.clean_sums.joints.iter_mut().zip(sigma).enumerate() {
+            *sums = huber(joint, &self.sample, layout, theta, sigma);
         }
     }
 }
