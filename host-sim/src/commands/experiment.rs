@@ -8,7 +8,7 @@ use crate::experiment::campaign::Shard;
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
 use crate::experiment::learning::soak::{self, SoakConfig};
 use crate::experiment::learning::{self, LearningConfig, LearningReport};
-use crate::experiment::{EXPERIMENTS, real_ur5, replay_real};
+use crate::experiment::{EXPERIMENTS, efficiency, real_ur5, replay_real};
 use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
 use clap::Args;
@@ -72,6 +72,9 @@ pub(super) struct Arguments {
     /// Ticks of soak that are compared with the board
     #[arg(long, default_value_t = 1_000_000)]
     board_ticks: usize,
+    /// Noise draws of each case of efficiency
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    draws: u32,
     /// Directory of the logs of real-ur5 and replay-real
     #[arg(long, value_name = "DIR", default_value = "tests/data/ur5-real")]
     logs: PathBuf,
@@ -108,6 +111,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Some("learning"), Some(out)) => run_learning(arguments, out),
         (Some("soak"), Some(out)) => run_soak(arguments, out),
         (Some("paper"), Some(out)) => campaign::run_paper(arguments, out),
+        (Some("efficiency"), Some(out)) => run_efficiency(arguments, out),
         (Some("real-ur5"), Some(out)) => run_real_ur5(arguments, out),
         (Some("replay-real"), Some(out)) => run_replay_real(arguments, out),
         (name, _) => Err(unusable(format!(
@@ -274,6 +278,29 @@ fn run_replay_real(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
     say(format_args!(
         "decisions of the guard       {:?}",
         report.decisions_count
+    ))?;
+    Ok(())
+}
+
+fn run_efficiency(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
+    let bar = Bar::new();
+    let draws = arguments.draws as usize;
+    let (report, page) = efficiency::run(out, arguments.seed, draws, &|stage, done, all| {
+        bar.show(stage, done, all);
+    })?;
+    drop(bar);
+    let json = serde_json::to_string_pretty(&report)? + "\n";
+    write_whole(&out.join("report.html"), page.as_bytes())?;
+    write_whole(&out.join("report.json"), json.as_bytes())?;
+    for case in &report.cases {
+        say(format_args!(
+            "{:<36} irls {:.3} x Cramér–Rao, wls {:.3} x",
+            case.noise, case.irls_over_cramer_rao_ratio, case.wls_over_cramer_rao_ratio
+        ))?;
+    }
+    say(format_args!(
+        "report       {}",
+        out.join("report.html").display()
     ))?;
     Ok(())
 }

@@ -3,6 +3,7 @@
 pub mod campaign;
 pub mod closed_loop;
 pub mod demo;
+pub mod efficiency;
 pub mod excitation;
 pub mod learning;
 pub mod paper;
@@ -11,10 +12,14 @@ pub mod real_ur5;
 pub mod replay_real;
 
 /// Names of the studies, each with one line on what it shows.
-pub const EXPERIMENTS: [(&str, &str); 7] = [
+pub const EXPERIMENTS: [(&str, &str); 8] = [
     (
         "demo",
         "from a wrong prior, learn on the board in closed loop, freeze, play an unseen path",
+    ),
+    (
+        "efficiency",
+        "error of the robust fit over the Cramér-Rao bound, 20 noise draws, without and with outliers",
     ),
     (
         "excitation",
