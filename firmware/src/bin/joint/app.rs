@@ -140,6 +140,9 @@ mod app {
             fault::leave(Reason::Setup, line!());
         };
         let learner = cx.local.learner_place.write(made);
+        if let Some(joint) = board::OWN_JOINT {
+            learner.learn_only(joint);
+        }
         let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
 
