@@ -18,11 +18,10 @@ mod app {
     use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
     use foretorque::edge::safety::{SafetyReason, Task};
-    use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::session::{BoardDescription, Desk};
     use foretorque::edge::store::Store;
     use foretorque::edge::telemetry::CostMeter;
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
-    use foretorque::learning::{Learner, LearnerConfig};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
     use stm32f4xx_hal::prelude::*;
@@ -34,6 +33,7 @@ mod app {
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
     use crate::log;
     use crate::pace::{self, Pace};
+    use crate::rooms::{BoardLearner, BoardSession, furnish, open};
     use crate::store_flash::StoreFlash;
     use crate::watchdog::{self, ROLL, Watchdog};
 
@@ -53,7 +53,7 @@ mod app {
     #[local]
     struct Local {
         wire: Wire,
-        session: &'static mut Session<Arm, JOINTS, PARAMETERS, Counter>,
+        session: &'static mut BoardSession,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
@@ -61,16 +61,15 @@ mod app {
         enable: TorqueEnable<EnablePin>,
         kept: SafetyReason,
         watchdog: Watchdog,
-        learner: &'static mut Learner<Arm, JOINTS, PARAMETERS>,
+        learner: &'static mut BoardLearner,
         drain: Option<log::Drain>,
     }
 
     #[init(local = [
+        session_room: MaybeUninit<BoardSession> = MaybeUninit::uninit(),
+        learner_room: MaybeUninit<BoardLearner> = MaybeUninit::uninit(),
         receive_ring: Queue<u8, RECEIVE_RING> = Queue::new(),
         transmit_ring: Queue<u8, TRANSMIT_RING> = Queue::new(),
-        // Moved into their places once: as resources by value they would be copied over the stack several times.
-        session_place: MaybeUninit<Session<Arm, JOINTS, PARAMETERS, Counter>> = MaybeUninit::uninit(),
-        learner_place: MaybeUninit<Learner<Arm, JOINTS, PARAMETERS>> = MaybeUninit::uninit(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
@@ -126,20 +125,18 @@ mod app {
             link_baud: board::LINK_BAUD,
             ..BoardDescription::plain(Counter)
         };
-        let Ok(made) = Session::new(description) else {
+        let Some(session) = open(cx.local.session_room, description) else {
             fault::leave(Reason::Setup, line!());
         };
-        let session = cx.local.session_place.write(made);
         let mut desk = Desk::new();
         let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
         let stored = session.boot_from(&mut store, &mut desk);
         defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
-        let prior = session.feed_forward().state().active;
-        let Ok(made) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
+        let prior = &session.feed_forward().state().active;
+        let Some(learner) = furnish(cx.local.learner_room, period_s, prior) else {
             fault::leave(Reason::Setup, line!());
         };
-        let learner = cx.local.learner_place.write(made);
         if let Some(joint) = board::OWN_JOINT {
             learner.learn_only(joint);
         }

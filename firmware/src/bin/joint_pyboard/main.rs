@@ -25,6 +25,9 @@ mod log;
 #[path = "../joint/pace.rs"]
 mod pace;
 #[cfg(target_os = "none")]
+#[path = "../joint/rooms.rs"]
+mod rooms;
+#[cfg(target_os = "none")]
 #[path = "../joint/store_flash.rs"]
 mod store_flash;
 #[cfg(target_os = "none")]
