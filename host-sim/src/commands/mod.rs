@@ -5,6 +5,7 @@ mod boards;
 mod disturbances;
 mod excite;
 mod experiment;
+mod faults;
 mod generate;
 mod identify;
 mod progress;
@@ -56,6 +57,7 @@ enum Command {
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
+    Faults(faults::Arguments),
 }
 
 /// Reads the command line and does what it says. Asking for help or the version ends the process.
@@ -71,6 +73,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Faults(arguments) => faults::run(&arguments),
     }
 }
 
