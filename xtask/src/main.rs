@@ -2,6 +2,8 @@
 
 mod bench;
 mod demo;
+mod faults;
+mod fuzz;
 mod setup;
 mod shell;
 mod test;
@@ -23,6 +25,8 @@ Commands:
   setup   Bring what the other commands need: the board's Rust target, the emulator, clippy and rustfmt
   demo    Set up, build, run the main job in the emulator and write target/foretorque/demo/report.html
   bench   Set up, measure what the firmware costs, compare with docs/budget.md, write target/foretorque/bench.json
+  faults  Set up, break everything that can break on every board, and write target/foretorque/faults.json
+  fuzz    Set up, fuzz decoder, bank loader, session and store, and write target/foretorque/fuzz.json
   test    Set up, pass every gate (format, lints, builds, tests, docs) and end with counts
 
 Options:
@@ -32,6 +36,7 @@ Options:
                            debian     Debian's rustc and sources: core is built once and linked as a toolchain
       --check            setup only: change nothing, list what is here and what is missing, fail if anything is
       --accept           bench only: write docs/budget.md anew; limits may go down, never up
+      --runs <N>         fuzz only: executions in all (100000000)
   -h, --help             Print this help
 
 The debian way leaves one directory, $XDG_DATA_HOME/foretorque (~/.local/share/foretorque), and a rustup toolchain
@@ -47,18 +52,21 @@ enum Request {
     Demo { forced: Option<Way> },
     Test { forced: Option<Way> },
     Bench { forced: Option<Way>, accept: bool },
+    Faults { forced: Option<Way> },
+    Fuzz { forced: Option<Way>, runs: u64 },
 }
 
 /// Reads the command line; the error is one line fit for the user.
 fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
     let (mut command, mut forced) = (None, None);
-    let (mut check, mut accept) = (false, false);
+    let (mut check, mut accept, mut runs) = (false, false, None);
     while let Some(arg) = args.next()? {
         match arg {
             Short('h') | Long("help") => return Ok(Request::Help),
             Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
             Long("check") => check = true,
             Long("accept") => accept = true,
+            Long("runs") => runs = Some(args.value()?.parse::<u64>()?),
             Value(name) if command.is_none() => command = Some(name.string()?),
             other => return Err(other.unexpected()),
         }
@@ -68,6 +76,11 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
         Some("setup") => Request::Setup { forced, check },
         Some("demo") => Request::Demo { forced },
         Some("bench") => Request::Bench { forced, accept },
+        Some("faults") => Request::Faults { forced },
+        Some("fuzz") => Request::Fuzz {
+            forced,
+            runs: runs.unwrap_or(fuzz::RUNS),
+        },
         Some("test") => Request::Test { forced },
         Some(other) => return Err(format!("there is no command `{other}`").into()),
     };
@@ -76,6 +89,9 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
     }
     if accept && !matches!(request, Request::Bench { .. }) {
         return Err("--accept belongs to `cargo xtask bench`".into());
+    }
+    if runs.is_some() && !matches!(request, Request::Fuzz { .. }) {
+        return Err("--runs belongs to `cargo xtask fuzz`".into());
     }
     Ok(request)
 }
@@ -103,6 +119,8 @@ fn main() -> ExitCode {
         } => setup::run(forced).map(drop),
         Request::Demo { forced } => demo::run(forced),
         Request::Bench { forced, accept } => bench::run(forced, accept),
+        Request::Faults { forced } => faults::run(forced),
+        Request::Fuzz { forced, runs } => fuzz::run(forced, runs),
         Request::Test { forced } => test::run(forced),
     };
     match outcome {
@@ -144,6 +162,13 @@ mod tests {
                 accept: true
             })
         );
+        assert_eq!(
+            request("fuzz --runs 7"),
+            Ok(Request::Fuzz {
+                forced: None,
+                runs: 7
+            })
+        );
         assert_eq!(request(""), Ok(Request::Help));
         assert_eq!(request("test --help"), Ok(Request::Help));
     }
@@ -157,6 +182,8 @@ mod tests {
             ("setup --toolchain nix", "installed, rustup or debian"),
             ("demo --check", "--check"),
             ("test --accept", "--accept"),
+            ("test --runs 3", "--runs"),
+            ("fuzz --runs some", "some"),
         ] {
             let error = request(line).unwrap_err();
             assert!(error.contains(named), "`{line}` gave `{error}`");

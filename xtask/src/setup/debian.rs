@@ -69,6 +69,20 @@ fn as_root(args: &[&str]) -> Result<Command> {
 
 /// Installs the emulator, the compiler set, or both.
 pub(crate) fn install(emulator: bool, rust: bool) -> Result<()> {
+    install_packages(|| {
+        let mut packages = Vec::new();
+        if emulator {
+            packages.push("qemu-system-arm");
+        }
+        if rust {
+            packages.extend(rust_packages()?);
+        }
+        Ok(packages)
+    })
+}
+
+/// Installs packages that are chosen when the lists are up to date, never at the price of what is there.
+pub(crate) fn install_packages(choose: impl FnOnce() -> Result<Vec<&'static str>>) -> Result<()> {
     // An earlier run may have been stopped in the middle of dpkg; on a sound machine this does nothing.
     run(&mut as_root(&["dpkg", "--configure", "-a"])?)?;
     let patience = [
@@ -84,13 +98,7 @@ pub(crate) fn install(emulator: bool, rust: bool) -> Result<()> {
     if let Err(error) = run(as_root(&["apt-get", "update"])?.args(patience)) {
         println!("set-up: {error:#}; going on with the lists that are here");
     }
-    let mut packages = Vec::new();
-    if emulator {
-        packages.push("qemu-system-arm");
-    }
-    if rust {
-        packages.extend(rust_packages()?);
-    }
+    let packages = choose()?;
     println!("set-up: apt-get install {}", packages.join(" "));
     // Never at the price of what is installed: Debian's two compilers exclude each other.
     let mut install = as_root(&[

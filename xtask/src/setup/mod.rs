@@ -93,6 +93,13 @@ fn after(step: &Step, before: &Facts) -> Facts {
     facts
 }
 
+/// Brings a C++ compiler, which only fuzzing needs.
+pub(crate) fn install_compiler() -> Result<()> {
+    timed("installing a C++ compiler", || {
+        debian::install_packages(|| Ok(vec!["g++"]))
+    })
+}
+
 fn perform(step: &Step, forced: Option<Way>) -> Result<()> {
     match step {
         Step::Rustup(needs) => {
