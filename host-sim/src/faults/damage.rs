@@ -4,6 +4,9 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngCore};
 use rand_chacha::ChaCha8Rng;
 
+/// This frame is hit, so that there is damage in a campaign however short.
+const EARLY: u32 = 20;
+
 /// One way of spoiling a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Damage {
@@ -103,8 +106,7 @@ impl BadLine {
         }
         let mut line = Vec::new();
         self.frames += 1;
-        // One early hit at least, however short the campaign.
-        if self.frames == 20 || self.random.random_ratio(1, self.damage.seldom()) {
+        if self.frames == EARLY || self.random.random_ratio(1, self.damage.seldom()) {
             self.injected += 1;
             self.hit(frame, &mut line);
         } else {
@@ -166,8 +168,10 @@ impl BadLine {
 
     fn noise(&mut self, frame: &[u8]) -> Vec<u8> {
         let mut spoilt = frame.to_vec();
-        for byte in &mut spoilt {
-            if self.random.random_ratio(1, 10_000) {
+        self.frames += 1;
+        for (place, byte) in spoilt.iter_mut().enumerate() {
+            let sure = (self.frames, place) == (EARLY, 0);
+            if sure || self.random.random_ratio(1, 10_000) {
                 *byte ^= self.random.random_range(1..=255u8);
                 self.injected += 1;
             }

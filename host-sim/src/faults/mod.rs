@@ -10,11 +10,13 @@ mod link;
 pub mod machine;
 mod rig;
 pub mod store;
+mod uploads;
 mod watchdog;
 
 pub use campaigns::{Lengths, Scenario, scenarios};
 pub use damage::Damage;
-pub use link::{BadUpload, bad_uploads, damaged_line, foreign_frames, strange_numbers};
+pub use link::{damaged_line, foreign_frames, strange_numbers};
+pub use uploads::{BadUpload, bad_uploads};
 pub use watchdog::watchdog_bites;
 
 use rig::Round;
