@@ -1,8 +1,10 @@
 //! Set-up, demo, bench and test of foretorque in one command each.
 
 mod bench;
+mod capi;
 mod demo;
 mod faults;
+mod flash;
 mod fuzz;
 mod setup;
 mod shell;
@@ -14,6 +16,7 @@ use std::process::ExitCode;
 use anyhow::Result;
 use lexopt::prelude::*;
 
+use flash::Board;
 use setup::Way;
 
 const HELP: &str = "\
@@ -22,11 +25,13 @@ Set-up, demo, bench and test of foretorque in one command each.
 Usage: cargo xtask <COMMAND> [OPTIONS]
 
 Commands:
-  setup   Bring what the other commands need: the board's Rust target, the emulator, clippy and rustfmt
+  setup   Bring what the other commands need: the board's Rust target, the emulator, clippy, rustfmt, a compiler for C
   demo    Set up, build, run the main job in the emulator and write target/foretorque/demo/report.html
   bench   Set up, measure what the firmware costs, compare with docs/budget.md, write target/foretorque/bench.json
   faults  Set up, break everything that can break on every board, and write target/foretorque/faults.json
   fuzz    Set up, fuzz decoder, bank loader, session and store, and write target/foretorque/fuzz.json
+  flash   Set up, build, write .bin and .hex into target/foretorque/flash, and flash the ELF by probe-rs
+  capi    Set up, build the static library for C and its example
   test    Set up, pass every gate (format, lints, builds, tests, docs) and end with counts
 
 Options:
@@ -35,6 +40,8 @@ Options:
                            rustup     `rustup target add`, bounded in time
                            debian     Debian's rustc and sources: core is built once and linked as a toolchain
       --check            setup only: change nothing, list what is here and what is missing, fail if anything is
+      --board <BOARD>    flash only: odrive (without it) or pyboard
+      --image            flash only: write the images, flash nothing
       --accept           bench only: write docs/budget.md anew; limits may go down, never up
       --runs <N>         fuzz only: executions in all (100000000)
   -h, --help             Print this help
@@ -48,18 +55,43 @@ the directory.
 #[derive(Debug, PartialEq)]
 enum Request {
     Help,
-    Setup { forced: Option<Way>, check: bool },
-    Demo { forced: Option<Way> },
-    Test { forced: Option<Way> },
-    Bench { forced: Option<Way>, accept: bool },
-    Faults { forced: Option<Way> },
-    Fuzz { forced: Option<Way>, runs: u64 },
+    Setup {
+        forced: Option<Way>,
+        check: bool,
+    },
+    Demo {
+        forced: Option<Way>,
+    },
+    Test {
+        forced: Option<Way>,
+    },
+    Bench {
+        forced: Option<Way>,
+        accept: bool,
+    },
+    Capi {
+        forced: Option<Way>,
+    },
+    Flash {
+        forced: Option<Way>,
+        board: Board,
+        image: bool,
+    },
+    Faults {
+        forced: Option<Way>,
+    },
+    Fuzz {
+        forced: Option<Way>,
+        runs: u64,
+    },
 }
 
 /// Reads the command line; the error is one line fit for the user.
 fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
     let (mut command, mut forced) = (None, None);
-    let (mut check, mut accept, mut runs) = (false, false, None);
+    let (mut check, mut accept, mut image) = (false, false, false);
+    let mut board = None;
+    let mut runs = None;
     while let Some(arg) = args.next()? {
         match arg {
             Short('h') | Long("help") => return Ok(Request::Help),
@@ -67,6 +99,8 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             Long("check") => check = true,
             Long("accept") => accept = true,
             Long("runs") => runs = Some(args.value()?.parse::<u64>()?),
+            Long("image") => image = true,
+            Long("board") => board = Some(args.value()?.parse::<Board>()?),
             Value(name) if command.is_none() => command = Some(name.string()?),
             other => return Err(other.unexpected()),
         }
@@ -82,10 +116,19 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             runs: runs.unwrap_or(fuzz::RUNS),
         },
         Some("test") => Request::Test { forced },
+        Some("capi") => Request::Capi { forced },
+        Some("flash") => Request::Flash {
+            forced,
+            board: board.unwrap_or(Board::Odrive),
+            image,
+        },
         Some(other) => return Err(format!("there is no command `{other}`").into()),
     };
     if check && !matches!(request, Request::Setup { .. }) {
         return Err("--check belongs to `cargo xtask setup`".into());
+    }
+    if (image || board.is_some()) && !matches!(request, Request::Flash { .. }) {
+        return Err("--image and --board belong to `cargo xtask flash`".into());
     }
     if accept && !matches!(request, Request::Bench { .. }) {
         return Err("--accept belongs to `cargo xtask bench`".into());
@@ -116,12 +159,18 @@ fn main() -> ExitCode {
         Request::Setup {
             forced,
             check: false,
-        } => setup::run(forced).map(drop),
+        } => setup::run(forced).and_then(|_| setup::bring_c_compiler()),
         Request::Demo { forced } => demo::run(forced),
         Request::Bench { forced, accept } => bench::run(forced, accept),
         Request::Faults { forced } => faults::run(forced),
         Request::Fuzz { forced, runs } => fuzz::run(forced, runs),
         Request::Test { forced } => test::run(forced),
+        Request::Capi { forced } => capi::run(forced),
+        Request::Flash {
+            forced,
+            board,
+            image,
+        } => flash::run(forced, board, image),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -169,6 +218,14 @@ mod tests {
                 runs: 7
             })
         );
+        assert_eq!(
+            request("flash --image --board pyboard"),
+            Ok(Request::Flash {
+                forced: None,
+                board: Board::Pyboard,
+                image: true
+            })
+        );
         assert_eq!(request(""), Ok(Request::Help));
         assert_eq!(request("test --help"), Ok(Request::Help));
     }
@@ -184,6 +241,8 @@ mod tests {
             ("test --accept", "--accept"),
             ("test --runs 3", "--runs"),
             ("fuzz --runs some", "some"),
+            ("flash --board nucleo", "odrive or pyboard"),
+            ("test --image", "--image"),
         ] {
             let error = request(line).unwrap_err();
             assert!(error.contains(named), "`{line}` gave `{error}`");

@@ -8,6 +8,7 @@ mod experiment;
 mod faults;
 mod generate;
 mod identify;
+mod on_board;
 mod progress;
 mod run;
 mod simulate;

@@ -1,4 +1,5 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
+use super::on_board;
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
 use super::terminal::{self, say};
@@ -10,6 +11,7 @@ use crate::robot::Robot;
 use crate::table::{TableWriter, joint_columns};
 use clap::Args;
 use foretorque::arm::Arm;
+use foretorque::excitation::Cue;
 use std::path::PathBuf;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
@@ -26,6 +28,13 @@ pub(super) struct Arguments {
     /// Parameter bank to start from; without it the description's rigid body
     #[arg(long, value_name = "FILE")]
     bank: Option<PathBuf>,
+    /// Have the board play the excitation of --trajectory itself: uploaded, checked there, approached from 0.1 rad beside
+    /// its beginning, and followed as the board asks
+    #[arg(long)]
+    excite_on_board: bool,
+    /// Tracking error of any joint at which the board breaks its excitation off, rad
+    #[arg(long, default_value_t = 0.05, requires = "excite_on_board")]
+    tracking_rad: f32,
     /// Learn while it runs
     #[arg(long)]
     learn: bool,
@@ -85,6 +94,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }
+    if arguments.excite_on_board {
+        on_board::load::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
+    }
     let mut header = log_header::<N>();
     header.extend(joint_columns("feed_forward", "nm", N));
     header.push("flags".to_owned());
@@ -99,6 +111,10 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         Some(&mut board),
     )?;
     board.learning(arguments.learn)?;
+    if arguments.excite_on_board {
+        board.excitation(Cue::Start)?;
+    }
+    let mut ticks = 0;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
         seen.add(&record);
@@ -106,6 +122,10 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         row.extend(record.feed_forward.iter().map(|tau| f64::from(*tau)));
         row.push(f64::from(record.flags));
         log.row(row)?;
+        ticks += 1;
+        if arguments.excite_on_board && on_board::has_ended(&mut board, tick, record.stage)? {
+            break;
+        }
         if tick % 256 == 0 {
             bar.show("run", tick, scene.ticks);
         }
@@ -119,7 +139,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         robot: robot.name.clone(),
         board: arguments.board.to_string(),
         seed: arguments.motion.seed,
-        ticks: scene.ticks,
+        ticks,
         period_s: PERIOD_S,
         toolchain: arguments.board.toolchain(),
         learning: arguments.learn,

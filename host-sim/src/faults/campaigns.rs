@@ -9,7 +9,7 @@ use crate::board::{Native, Transport};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::edge::store::slots;
 use std::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Ticks of a second of arm time.
 const TICKS_PER_S: u32 = 1000;
@@ -108,7 +108,7 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
         let trace = scratch.join(format!("{}.trace", crash.name().replace(' ', "-")));
         let times = lengths.times.div_ceil(20);
         all.push(Scenario::new(crash.name(), move || {
-            Ok(crashes(crash, times, PathBuf::from(trace))?)
+            Ok(crashes(crash, times, trace)?)
         }));
     }
     all
