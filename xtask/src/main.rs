@@ -3,7 +3,9 @@
 mod bench;
 mod capi;
 mod demo;
+mod faults;
 mod flash;
+mod fuzz;
 mod setup;
 mod shell;
 mod test;
@@ -26,6 +28,8 @@ Commands:
   setup   Bring what the other commands need: the board's Rust target, the emulator, clippy, rustfmt, a compiler for C
   demo    Set up, build, run the main job in the emulator and write target/foretorque/demo/report.html
   bench   Set up, measure what the firmware costs, compare with docs/budget.md, write target/foretorque/bench.json
+  faults  Set up, break everything that can break on every board, and write target/foretorque/faults.json
+  fuzz    Set up, fuzz decoder, bank loader, session and store, and write target/foretorque/fuzz.json
   flash   Set up, build, write .bin and .hex into target/foretorque/flash, and flash the ELF by probe-rs
   capi    Set up, build the static library for C and its example
   test    Set up, pass every gate (format, lints, builds, tests, docs) and end with counts
@@ -39,6 +43,7 @@ Options:
       --board <BOARD>    flash only: odrive (without it) or pyboard
       --image            flash only: write the images, flash nothing
       --accept           bench only: write docs/budget.md anew; limits may go down, never up
+      --runs <N>         fuzz only: executions in all (100000000)
   -h, --help             Print this help
 
 The debian way leaves one directory, $XDG_DATA_HOME/foretorque (~/.local/share/foretorque), and a rustup toolchain
@@ -72,6 +77,13 @@ enum Request {
         board: Board,
         image: bool,
     },
+    Faults {
+        forced: Option<Way>,
+    },
+    Fuzz {
+        forced: Option<Way>,
+        runs: u64,
+    },
 }
 
 /// Reads the command line; the error is one line fit for the user.
@@ -79,12 +91,14 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
     let (mut command, mut forced) = (None, None);
     let (mut check, mut accept, mut image) = (false, false, false);
     let mut board = None;
+    let mut runs = None;
     while let Some(arg) = args.next()? {
         match arg {
             Short('h') | Long("help") => return Ok(Request::Help),
             Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
             Long("check") => check = true,
             Long("accept") => accept = true,
+            Long("runs") => runs = Some(args.value()?.parse::<u64>()?),
             Long("image") => image = true,
             Long("board") => board = Some(args.value()?.parse::<Board>()?),
             Value(name) if command.is_none() => command = Some(name.string()?),
@@ -96,6 +110,11 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
         Some("setup") => Request::Setup { forced, check },
         Some("demo") => Request::Demo { forced },
         Some("bench") => Request::Bench { forced, accept },
+        Some("faults") => Request::Faults { forced },
+        Some("fuzz") => Request::Fuzz {
+            forced,
+            runs: runs.unwrap_or(fuzz::RUNS),
+        },
         Some("test") => Request::Test { forced },
         Some("capi") => Request::Capi { forced },
         Some("flash") => Request::Flash {
@@ -113,6 +132,9 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
     }
     if accept && !matches!(request, Request::Bench { .. }) {
         return Err("--accept belongs to `cargo xtask bench`".into());
+    }
+    if runs.is_some() && !matches!(request, Request::Fuzz { .. }) {
+        return Err("--runs belongs to `cargo xtask fuzz`".into());
     }
     Ok(request)
 }
@@ -140,6 +162,8 @@ fn main() -> ExitCode {
         } => setup::run(forced).and_then(|_| setup::bring_c_compiler()),
         Request::Demo { forced } => demo::run(forced),
         Request::Bench { forced, accept } => bench::run(forced, accept),
+        Request::Faults { forced } => faults::run(forced),
+        Request::Fuzz { forced, runs } => fuzz::run(forced, runs),
         Request::Test { forced } => test::run(forced),
         Request::Capi { forced } => capi::run(forced),
         Request::Flash {
@@ -188,6 +212,13 @@ mod tests {
             })
         );
         assert_eq!(
+            request("fuzz --runs 7"),
+            Ok(Request::Fuzz {
+                forced: None,
+                runs: 7
+            })
+        );
+        assert_eq!(
             request("flash --image --board pyboard"),
             Ok(Request::Flash {
                 forced: None,
@@ -208,6 +239,8 @@ mod tests {
             ("setup --toolchain nix", "installed, rustup or debian"),
             ("demo --check", "--check"),
             ("test --accept", "--accept"),
+            ("test --runs 3", "--runs"),
+            ("fuzz --runs some", "some"),
             ("flash --board nucleo", "odrive or pyboard"),
             ("test --image", "--image"),
         ] {

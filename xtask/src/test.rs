@@ -10,6 +10,7 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::bench;
 use crate::capi;
+use crate::fuzz;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
 use crate::toolchain::Tools;
@@ -74,6 +75,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         }
         Ok(())
     }));
+    outcomes.push(pass("fuzzing", fuzz::gate));
     let mut docs = command("cargo");
     docs.args(["doc", "--workspace", "--no-deps"])
         .env("RUSTDOCFLAGS", "-D warnings");

@@ -6,6 +6,7 @@ mod campaign;
 mod disturbances;
 mod excite;
 mod experiment;
+mod faults;
 mod generate;
 mod identify;
 mod merge;
@@ -61,6 +62,7 @@ enum Command {
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
     Merge(merge::Arguments),
+    Faults(faults::Arguments),
 }
 
 /// Reads the command line and does what it says. Asking for help or the version ends the process.
@@ -77,6 +79,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Merge(arguments) => merge::run(&arguments),
+        Command::Faults(arguments) => faults::run(&arguments),
     }
 }
 

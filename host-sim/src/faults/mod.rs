@@ -4,43 +4,77 @@
 //! board under test accepted. A set is *lost* when, after the fault, neither the newest set that was stored nor the one under
 //! way can be loaded.
 
+mod campaigns;
+mod damage;
+mod link;
+pub mod machine;
+mod rig;
 pub mod store;
+mod uploads;
+mod watchdog;
 
+pub use campaigns::{Lengths, Scenario, scenarios};
+pub use damage::Damage;
+pub use link::{damaged_line, foreign_frames, strange_numbers};
+pub use uploads::{BadUpload, bad_uploads};
+pub use watchdog::watchdog_bites;
+
+use rig::Round;
 use serde::Serialize;
 
 /// What one kind of fault came to.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Campaign {
-    /// What was broken, and where.
+    /// What was broken.
     pub name: String,
+    /// Where: `native`, `qemu (bulk)`, `qemu (joint)`, `simulated flash`.
+    pub board: String,
     /// Faults.
     pub injected: u64,
     /// Torques that were not those of the reference.
     pub wrong_torques: u64,
-    /// Faults after which the last good set could not be loaded.
+    /// Faults after which the last good set could not be loaded, or was not the one in force.
     pub lost_sets: u64,
     /// Faults after which the board did its work again.
     pub recovered: u64,
+    /// Torques that were compared.
+    pub torques: u64,
+    /// Faults that no counter of the board shows.
+    pub unnoticed: u64,
+    /// Intact frames, at most, until one was heard again.
+    pub frames_to_resynchronise: u32,
 }
 
 impl Campaign {
     /// Nothing broken yet.
-    pub fn new(name: &str) -> Self {
+    pub fn new(name: &str, board: &str) -> Self {
         Self {
             name: name.into(),
+            board: board.into(),
             ..Self::default()
         }
     }
 
-    /// Something was broken, no wrong torque left the board, no set was lost, and the board came back every time.
+    /// Something was broken, all of it was noticed, no wrong torque left the board, no set was lost, and the board came back
+    /// every time, on a line within two frames.
     pub fn is_survived(&self) -> bool {
-        let Self {
-            injected,
-            wrong_torques,
-            lost_sets,
-            recovered,
-            ..
-        } = self;
-        *injected > 0 && *wrong_torques == 0 && *lost_sets == 0 && recovered == injected
+        let clean = self.wrong_torques == 0 && self.lost_sets == 0 && self.unnoticed == 0;
+        let back = self.recovered == self.injected && self.frames_to_resynchronise <= 2;
+        self.injected > 0 && clean && back
+    }
+
+    /// Counts a round on the line in which `injected` faults should show in the counters.
+    fn note(&mut self, round: &Round, injected: u64) {
+        self.count(round, injected);
+        if injected > 0 && !round.noticed {
+            self.unnoticed += injected;
+        }
+    }
+
+    /// Counts a round after which the board answered: it has come back from `injected` faults.
+    fn count(&mut self, round: &Round, injected: u64) {
+        self.injected += injected;
+        self.recovered += injected;
+        self.frames_to_resynchronise = self.frames_to_resynchronise.max(round.resynchronised);
     }
 }

@@ -48,7 +48,7 @@ pub fn power_cuts<const S: usize>(
     histories: impl IntoIterator<Item = u32>,
     seed: u64,
 ) -> Result<Campaign, StoreError> {
-    let mut campaign = Campaign::new("power cut in a save");
+    let mut campaign = Campaign::new("power cut in a save", "simulated flash");
     for saves in histories {
         let base: Store<Flash<S>> = with_history(saves, seed)?;
         let (old, new) = (set(saves), set(saves + 1));
@@ -81,7 +81,7 @@ pub fn power_cuts<const S: usize>(
 /// A life of `saves` saves, in every second of which the power goes at a random step in a random way, and often again in
 /// the save that follows.
 pub fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign {
-    let mut campaign = Campaign::new("power cuts through a long life");
+    let mut campaign = Campaign::new("power cuts through a long life", "simulated flash");
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut store = Store::new(Flash::<S>::new(seed));
     // What may be loaded: the newest set that was acknowledged, and those that were under way since.
@@ -117,7 +117,7 @@ pub fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign {
 ///
 /// A save that the store acknowledges must be there, one that it refuses must have left the one before.
 pub fn worn<const S: usize>(saves: u32, bits: usize, seed: u64) -> Campaign {
-    let mut campaign = Campaign::new("worn flash");
+    let mut campaign = Campaign::new("worn flash", "simulated flash");
     let mut store = Store::new(Flash::<S>::new(seed));
     let mut last = None;
     for number in 1..=saves {
@@ -139,7 +139,7 @@ pub fn protected<const S: usize>(
     histories: impl IntoIterator<Item = u32>,
     seed: u64,
 ) -> Result<Campaign, StoreError> {
-    let mut campaign = Campaign::new("write-protected flash");
+    let mut campaign = Campaign::new("write-protected flash", "simulated flash");
     for saves in histories {
         for protection in [Protection::Silent, Protection::Reported] {
             let mut store: Store<Flash<S>> = with_history(saves, seed)?;
@@ -165,7 +165,7 @@ pub fn protected<const S: usize>(
 
 /// Turns each bit of the newest record in turn: never may it be loaded, and the set before it must be.
 pub fn bit_rot<const S: usize>(saves: u32, seed: u64) -> Result<Campaign, StoreError> {
-    let mut campaign = Campaign::new("bit rot in the newest set");
+    let mut campaign = Campaign::new("bit rot in the newest set", "simulated flash");
     let mut store: Store<Flash<S>> = with_history(saves, seed)?;
     let start = (saves - 1) % (2 * slots(S as u32)) * SLOT_BYTES;
     for place in start as usize..start as usize + HEADER_BYTES + set(saves).len() {
@@ -183,7 +183,7 @@ pub fn bit_rot<const S: usize>(saves: u32, seed: u64) -> Result<Campaign, StoreE
 
 /// Sets of another robot, before and after own ones: none is loaded, none keeps the own one from being found.
 pub fn foreign_sets<const S: usize>(seed: u64) -> Result<Campaign, StoreError> {
-    let mut campaign = Campaign::new("stored sets of another robot");
+    let mut campaign = Campaign::new("stored sets of another robot", "simulated flash");
     for own in 0..2 * slots(S as u32) + 2 {
         for foreign in 1..2 * slots(S as u32) + 2 {
             let mut store: Store<Flash<S>> = with_history(own, seed)?;

@@ -120,6 +120,14 @@ fn after(step: &Step, before: &Facts) -> Facts {
     facts
 }
 
+/// Brings a C++ compiler, which only fuzzing needs.
+pub(crate) fn install_compiler() -> Result<()> {
+    timed("installing a C++ compiler", || {
+        debian::refresh()?;
+        debian::install_packages(&["g++"])
+    })
+}
+
 fn perform(step: &Step, forced: Option<Way>) -> Result<()> {
     match step {
         Step::Rustup(needs) => {

@@ -30,6 +30,9 @@ mod run {
     use crate::rooms::{BoardLearner, BoardSession, furnish, open};
     use crate::semihost::{Streams, exit};
 
+    /// Bytes handed to the session at once.
+    const CHUNK: usize = 64;
+
     /// Runs until the host hangs up. Ends the emulator with an error when it could not start.
     #[cortex_m_rt::entry]
     fn main() -> ! {
@@ -58,16 +61,23 @@ mod run {
         let mut buffer = [0u8; 1024];
 
         session.greet(&mut out);
+        if !streams.write(out.as_bytes()) {
+            return Some(());
+        }
+        out.clear();
         loop {
-            if !out.is_empty() && !streams.write(out.as_bytes()) {
-                return Some(());
-            }
-            out.clear();
-            desk.work(learner, &Counter);
             let Some(bytes) = streams.read(&mut buffer) else {
                 return Some(());
             };
-            session.receive(bytes, &mut desk, &mut out);
+            // In pieces, as the flashable firmware takes them: a piece cannot ask for more than the replies have room for.
+            for piece in bytes.chunks(CHUNK) {
+                session.receive(piece, &mut desk, &mut out);
+                if !out.is_empty() && !streams.write(out.as_bytes()) {
+                    return Some(());
+                }
+                out.clear();
+                desk.work(learner, &Counter);
+            }
         }
     }
 

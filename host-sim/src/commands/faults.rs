@@ -1,0 +1,99 @@
+use super::progress::Bar;
+use super::terminal::say;
+use super::{Failure, unusable};
+use crate::faults::{Campaign, Lengths, scenarios};
+use crate::files::write_whole;
+use clap::Args;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Break the line, the flash, the watchdog and the processor of every board, and count what comes of it
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// File for the counts (JSON)
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Ten seconds of each kind instead of the whole campaign
+    #[arg(long)]
+    short: bool,
+    /// Seed of all damage
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Serialize)]
+struct Report {
+    seed: u64,
+    campaigns: Vec<Campaign>,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let lengths = match arguments.short {
+        true => Lengths::SHORT,
+        false => Lengths::FULL,
+    };
+    let mut report = Report {
+        seed: arguments.seed,
+        campaigns: Vec::new(),
+    };
+    // A place that cannot be written is said now, not after the work.
+    write(arguments, &report)?;
+    let scratch = std::env::temp_dir().join(format!("foretorque-faults-{}", std::process::id()));
+    std::fs::create_dir_all(&scratch)?;
+    let all = scenarios(lengths, arguments.seed, &scratch);
+    let (bar, count) = (Bar::new(), all.len());
+    say(format_args!(
+        "{:<42} {:<15} {:>9} {:>9} {:>7} {:>5} {:>9} {:>6} {:>7}",
+        "fault", "board", "injected", "torques", "wrong", "lost", "recovered", "unseen", "seconds"
+    ))?;
+    for (place, scenario) in all.into_iter().enumerate() {
+        bar.show(scenario.name, place, count);
+        let (name, start) = (scenario.name, Instant::now());
+        let campaign = scenario
+            .run()
+            .map_err(|error| unusable(format!("{name}: {error}")))?;
+        say(format_args!(
+            "{:<42} {:<15} {:>9} {:>9} {:>7} {:>5} {:>9} {:>6} {:>7.1}",
+            campaign.name,
+            campaign.board,
+            campaign.injected,
+            campaign.torques,
+            campaign.wrong_torques,
+            campaign.lost_sets,
+            campaign.recovered,
+            campaign.unnoticed,
+            start.elapsed().as_secs_f64()
+        ))?;
+        report.campaigns.push(campaign);
+        write(arguments, &report)?;
+    }
+    drop(bar);
+    std::fs::remove_dir_all(&scratch)?;
+    let failed: Vec<String> = report
+        .campaigns
+        .iter()
+        .filter(|campaign| !campaign.is_survived())
+        .map(|campaign| format!("{} ({})", campaign.name, campaign.board))
+        .collect();
+    let injected: u64 = report
+        .campaigns
+        .iter()
+        .map(|campaign| campaign.injected)
+        .sum();
+    say(format_args!(
+        "{} campaigns, {injected} faults, {} not survived; {}",
+        count,
+        failed.len(),
+        arguments.out.display()
+    ))?;
+    match failed.is_empty() {
+        true => Ok(()),
+        false => Err(unusable(format!("not survived: {}", failed.join(", ")))),
+    }
+}
+
+fn write(arguments: &Arguments, report: &Report) -> Result<(), Failure> {
+    let json = serde_json::to_string_pretty(report)? + "\n";
+    Ok(write_whole(&arguments.out, json.as_bytes())?)
+}

@@ -1,0 +1,89 @@
+//! The same targets without libFuzzer: replays seeds, inputs and mutations of them without looking at coverage. For machines
+//! without a C++ compiler, and for reproducing what was found: `plain TARGET RUNS [FILE or DIR …]`.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::{env, fs, io};
+
+fn main() -> ExitCode {
+    let words: Vec<String> = env::args().skip(1).collect();
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let done = match words.as_slice() {
+        [target, runs, inputs @ ..] => run(target, runs, inputs),
+        _ => Err(io::Error::other(
+            "usage: plain TARGET RUNS [FILE or DIR ...]",
+        )),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Every input as it is, then `runs` mutations of them, the same ones every time.
+fn run(target: &str, runs: &str, inputs: &[&str]) -> io::Result<()> {
+    let known = fuzz::TARGETS.iter().find(|(name, _)| *name == target);
+    let (_, check) =
+        known.ok_or_else(|| io::Error::other(format!("there is no target `{target}`")))?;
+    let runs: u64 = runs
+        .parse()
+        .map_err(|_| io::Error::other(format!("`{runs}` is no number")))?;
+    let mut corpus = fuzz::seeds(target);
+    for input in inputs {
+        for file in files(Path::new(input))? {
+            corpus.push(fs::read(file)?);
+        }
+    }
+    corpus.iter().for_each(|input| check(input));
+    let mut random = Random(0x9E37_79B9_7F4A_7C15);
+    for _ in 0..runs {
+        let mut input = corpus[random.below(corpus.len())].clone();
+        for _ in 0..=random.below(4) {
+            mutate(&mut input, &mut random);
+        }
+        check(&input);
+    }
+    println!(
+        "{target}: {} inputs and {runs} mutations of them",
+        corpus.len()
+    );
+    Ok(())
+}
+
+fn files(path: &Path) -> io::Result<Vec<PathBuf>> {
+    if path.is_file() {
+        return Ok(vec![path.into()]);
+    }
+    let mut files: Vec<PathBuf> = fs::read_dir(path)?
+        .map(|file| Ok(file?.path()))
+        .collect::<io::Result<_>>()?;
+    files.sort();
+    Ok(files)
+}
+
+/// Changes a bit, a byte, the end, or the order.
+fn mutate(input: &mut Vec<u8>, random: &mut Random) {
+    let place = random.below(input.len() + 1);
+    match (random.below(5), input.get_mut(place)) {
+        (0, Some(byte)) => *byte ^= 1 << random.below(8),
+        (1, Some(byte)) => *byte = random.below(256) as u8,
+        (2, _) => input.truncate(place),
+        (3, Some(_)) => input.rotate_left(place),
+        _ => input.insert(place, random.below(256) as u8),
+    }
+}
+
+/// Xorshift64*: the mutations need no better chance than that.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, bound: usize) -> usize {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 33) as usize % bound.max(1)
+    }
+}

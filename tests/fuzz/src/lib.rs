@@ -1,0 +1,199 @@
+//! What is fuzzed, and what must hold for any bytes. Each target takes bytes, and panics when a promise is broken.
+//!
+//! A checksum stops a fuzzer at the door, so an even first byte lets it in: what follows is then sealed as a good sender
+//! would have done it, and the reader behind the checksum gets the bytes that the fuzzer wanted it to get.
+
+mod flash;
+mod seeds;
+
+pub use seeds::{plant, seeds};
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use flash::TinyFlash;
+use foretorque::arm::Arm;
+use foretorque::arm::panda::Panda;
+use foretorque::arm::ur5::Ur5;
+use foretorque::edge::bank::ParameterBank;
+use foretorque::edge::session::{BoardDescription, Desk, NoClock, Session};
+use foretorque::edge::store::{Store, StoreState};
+use foretorque::edge::wire::{
+    BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, PROTOCOL_VERSION, encode,
+};
+use serde::{Serialize, de::DeserializeOwned};
+use std::fmt::Debug;
+
+const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// The targets by name.
+pub const TARGETS: [(&str, fn(&[u8])); 4] = [
+    ("decoder", decoder),
+    ("bank", bank),
+    ("session", session),
+    ("store", store),
+];
+
+/// One sealed frame: version, sequence, `message`, checksum, COBS, delimiter.
+fn sealed(sequence: u16, message: &[u8]) -> Vec<u8> {
+    let mut content = vec![PROTOCOL_VERSION];
+    content.extend(sequence.to_le_bytes());
+    content.extend(message);
+    content.extend(CRC.checksum(&content).to_le_bytes());
+    let mut frame = vec![0; cobs::max_encoding_length(content.len()) + 1];
+    let length = cobs::encode(&content, &mut frame);
+    frame.truncate(length + 1);
+    frame
+}
+
+/// The bytes as a line would carry them: as they are, or every run up to a delimiter as a sealed frame.
+fn line(input: &[u8]) -> Vec<u8> {
+    match input.split_first() {
+        Some((first, rest)) if first % 2 == 0 => {
+            // The length in front of each message: a delimiter would be a byte that no message can hold.
+            let (mut bytes, mut rest, mut sequence) = (Vec::new(), rest, 0u16);
+            while let Some((&length, behind)) = rest.split_first() {
+                let (message, behind) = behind.split_at(behind.len().min(length.into()));
+                sequence = sequence.wrapping_add(1);
+                bytes.extend(sealed(sequence, message));
+                rest = behind;
+            }
+            bytes
+        }
+        Some((_, rest)) => rest.to_vec(),
+        None => Vec::new(),
+    }
+}
+
+/// The frame decoder: never more frames than delimiters, every message that is read is written and read again as the same,
+/// and whatever came before, the frame after the next delimiter is heard.
+pub fn decoder(input: &[u8]) {
+    let bytes = line(input);
+    let mut decoder = Decoder::new();
+    let (mut frames, mut delimiters) = (0usize, 0usize);
+    for &byte in &bytes {
+        delimiters += usize::from(byte == 0);
+        if let Some(outcome) = decoder.push(byte) {
+            frames += 1;
+            let Ok(frame) = outcome else { continue };
+            again::<HostMessage<6>>(frame.message());
+            again::<HostMessage<7>>(frame.message());
+            again::<BoardMessage<6>>(frame.message());
+        }
+    }
+    assert!(frames <= delimiters, "a frame without an end");
+    assert!(decoder.bytes_lost() as usize <= bytes.len());
+    let _ = decoder.push(0);
+    let good = sealed(7, &[0]);
+    let heard = good
+        .iter()
+        .filter_map(|&byte| decoder.push(byte).map(|f| f.is_ok()));
+    assert_eq!(
+        heard.collect::<Vec<_>>(),
+        [true],
+        "out of step after a delimiter"
+    );
+}
+
+/// A message that was read says the same when it is written and read again. NaN is compared by its bits.
+fn again<M: Serialize + DeserializeOwned + Debug>(
+    message: Result<M, foretorque::edge::wire::DecodeError>,
+) {
+    let Ok(message) = message else { return };
+    let (mut first, mut second) = ([0; MAX_FRAME], [0; MAX_FRAME]);
+    let bytes = encode(1, &message, &mut first).expect("a message that came in a frame fits one");
+    let mut decoder = Decoder::new();
+    let mut read = None;
+    for &byte in bytes {
+        if let Some(frame) = decoder.push(byte) {
+            read = Some(frame.and_then(|frame| frame.message::<M>()));
+        }
+    }
+    let read = read
+        .expect("a frame has an end")
+        .expect("it was just written");
+    assert_eq!(
+        bytes,
+        encode(1, &read, &mut second).expect("it fits as before")
+    );
+}
+
+/// The bank loader: what it reads it writes and reads again as the same, and what it lets through is usable by the tick.
+pub fn bank(input: &[u8]) {
+    let bytes = match input.split_first() {
+        Some((first, rest)) if first % 2 == 0 => {
+            let mut bytes = b"FTPB\x01".to_vec();
+            bytes[4] = ParameterBank::FORMAT_VERSION;
+            bytes.extend(rest);
+            bytes.extend(CRC.checksum(&bytes).to_le_bytes());
+            bytes
+        }
+        Some((_, rest)) => rest.to_vec(),
+        None => Vec::new(),
+    };
+    let Ok(bank) = ParameterBank::decode(&bytes) else {
+        return;
+    };
+    let mut room = [0; ParameterBank::MAX_BYTES];
+    let written = bank
+        .encode(&mut room)
+        .expect("a bank that was read fits the largest one");
+    let read = ParameterBank::decode(written).expect("it was just written");
+    let mut second = [0; ParameterBank::MAX_BYTES];
+    assert_eq!(
+        written,
+        read.encode(&mut second).expect("it fits as before")
+    );
+    judge::<Ur5, 6, 40>(&bank);
+    judge::<Panda, 7, 48>(&bank);
+}
+
+fn judge<A: Arm<N, P>, const N: usize, const P: usize>(bank: &ParameterBank) {
+    if let Ok(set) = bank.set::<A, N, P>() {
+        assert!(set.is_finite(), "a set that the loader let through");
+    }
+    if let Ok(gains) = bank.drive_gains::<N>() {
+        assert!(gains.iter().all(|gain| gain.is_finite() && *gain >= 0.0));
+    }
+    if let Ok(config) = bank.feed_forward_config::<A, N, P>(1e-3) {
+        assert!(config.validate().is_ok());
+    }
+}
+
+/// The whole session: any bytes on the line, and every torque that leaves the board is finite and within the arm's limits.
+pub fn session(input: &[u8]) {
+    let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
+        .expect("the UR5's limits are usable");
+    let (mut desk, mut out) = (Desk::new(), FrameBuffer::new());
+    let mut listener = Decoder::new();
+    for piece in line(input).chunks(64) {
+        session.receive(piece, &mut desk, &mut out);
+        for &byte in out.as_bytes() {
+            let Some(frame) = listener.push(byte) else {
+                continue;
+            };
+            let frame = frame.expect("a board sends good frames");
+            let message = frame.message::<BoardMessage<6>>().expect("of its own kind");
+            if let BoardMessage::Torque(torque) = message {
+                for (tau, limits) in torque.total.iter().zip(Ur5::LIMITS) {
+                    assert!(tau.abs() <= limits.torque, "{tau} N·m");
+                }
+            }
+        }
+        out.clear();
+    }
+}
+
+/// The store over flash with any content: what is loaded is whole, and a save into it is either refused or kept.
+pub fn store(input: &[u8]) {
+    let mut store = Store::new(TinyFlash::with(input));
+    let mut room = [0; ParameterBank::MAX_BYTES];
+    let before = store.load(Ur5::HASH, &mut room).map(<[u8]>::to_vec);
+    let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
+        .expect("the UR5's limits are usable");
+    let state = session.boot_from(&mut store, &mut Desk::new());
+    assert!(before.is_ok() || state != StoreState::Loaded);
+    let bytes = input.get(..64).unwrap_or(input);
+    match store.save(Ur5::HASH, bytes) {
+        Ok(_) => assert_eq!(store.load(Ur5::HASH, &mut room), Ok(bytes)),
+        Err(_) => assert_eq!(store.load(Ur5::HASH, &mut room).map(<[u8]>::to_vec), before),
+    }
+}

@@ -1,0 +1,101 @@
+use foretorque::arm::panda::Panda;
+use foretorque::arm::ur5::Ur5;
+use foretorque::edge::bank::ParameterBank;
+use foretorque::edge::wire::{Configuration, HostMessage, SampleFrame, encode};
+use foretorque::joint::{JointMotion, JointSample};
+
+/// Writes the seeds of a target where FORETORQUE_SEEDS says, if it says anything.
+pub fn plant(target: &str) {
+    let Some(directory) = std::env::var_os("FORETORQUE_SEEDS") else {
+        return;
+    };
+    for (number, seed) in seeds(target).iter().enumerate() {
+        let file = std::path::Path::new(&directory).join(format!("seed-{number}"));
+        std::fs::write(&file, seed).expect("the directory of the seeds can be written");
+    }
+}
+
+/// What a target begins with: good inputs, made from the types of today, so that they never grow old.
+pub fn seeds(target: &str) -> Vec<Vec<u8>> {
+    let banks = [
+        bytes(&ParameterBank::nominal::<Ur5, 6, 40>()),
+        bytes(&ParameterBank::nominal::<Panda, 7, 48>()),
+    ];
+    match target {
+        "bank" => banks
+            .iter()
+            .flat_map(|bank| {
+                let body = bank.get(5..bank.len() - 4).unwrap_or_default();
+                [[&[1], &bank[..]].concat(), [&[0], body].concat()]
+            })
+            .collect(),
+        "store" => banks
+            .iter()
+            .map(|bank| {
+                let mut sector = [0xFF; 32];
+                sector[..4].copy_from_slice(b"FTSL");
+                sector[4..8].copy_from_slice(&[1, 0, ParameterBank::FORMAT_VERSION, 0xFF]);
+                sector[8..12].copy_from_slice(&1u32.to_le_bytes());
+                sector[12..16].copy_from_slice(&bank[5..9]);
+                sector[16..20].copy_from_slice(&(bank.len() as u32).to_le_bytes());
+                let half = [&sector[..], bank].concat();
+                [&[0], &half[..], &half[..]].concat()
+            })
+            .collect(),
+        _ => {
+            let all: Vec<u8> = messages()
+                .iter()
+                .flat_map(|m| [&[m.len() as u8], &m[..]].concat())
+                .collect();
+            let one = messages()
+                .into_iter()
+                .map(|m| [&[0, m.len() as u8], &m[..]].concat());
+            // The decoder keeps to inputs of one frame or two, which are fast.
+            let long = (target == "session").then(|| [&[0], &all[..]].concat());
+            one.chain(long).collect()
+        }
+    }
+}
+
+fn bytes(bank: &ParameterBank) -> Vec<u8> {
+    let mut room = [0; ParameterBank::MAX_BYTES];
+    bank.encode(&mut room)
+        .expect("the room is the largest bank's")
+        .to_vec()
+}
+
+/// The bytes of a message of each kind that a host may send.
+fn messages() -> Vec<Vec<u8>> {
+    let rest = JointSample {
+        desired: JointMotion::<6>::zero(),
+        measured: None,
+    };
+    let mut messages = vec![
+        HostMessage::Hello,
+        HostMessage::Sample(SampleFrame::new(&rest)),
+        HostMessage::Evaluate((&rest.desired).into()),
+        HostMessage::Configure(Configuration::default()),
+        HostMessage::Learning { on: true },
+        HostMessage::Statistics,
+        HostMessage::Reset,
+    ];
+    let bank = bytes(&ParameterBank::nominal::<Ur5, 6, 40>());
+    for (place, chunk) in bank.chunks(64).enumerate() {
+        let offset = (place * 64) as u16;
+        messages.push(HostMessage::BankWrite {
+            offset,
+            bytes: chunk.iter().copied().collect(),
+        });
+    }
+    messages.iter().map(body).collect()
+}
+
+/// What the frame of a message holds between header and checksum.
+fn body(message: &HostMessage<6>) -> Vec<u8> {
+    let mut room = [0; foretorque::edge::wire::MAX_FRAME];
+    let frame = encode(1, message, &mut room).expect("a frame has room for every message");
+    let mut content = frame.to_vec();
+    let length =
+        cobs::decode_in_place(&mut content[..frame.len() - 1]).expect("it was just encoded");
+    content.get(3..length - 4).unwrap_or_default().to_vec()
+}

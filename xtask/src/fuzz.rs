@@ -1,0 +1,211 @@
+//! Coverage-guided fuzzing: libFuzzer with the stable compiler, whose coverage pass needs no more than flags.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::thread;
+
+use anyhow::{Context as _, Result, anyhow, bail};
+
+use crate::setup::{self, Way};
+use crate::shell::{self, capture, command, root};
+
+/// Executions in all unless another number is asked for.
+pub(crate) const RUNS: u64 = 100_000_000;
+/// Executions in all as a gate of `test`.
+const SHORT: u64 = 100_000;
+/// What libFuzzer needs in the code: counters of edges, a table of where they are, and the operands of comparisons.
+const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+                        -Cllvm-args=-sanitizer-coverage-inline-8bit-counters \
+                        -Cllvm-args=-sanitizer-coverage-pc-table \
+                        -Cllvm-args=-sanitizer-coverage-trace-compares";
+/// Corpora, logs and crashes, from the workspace's root.
+const HOME: &str = "target/foretorque/fuzz";
+
+/// What is fuzzed.
+struct Target {
+    name: &'static str,
+    /// Longest input: a frame or two, the largest bank, an upload, a store with a bank in it.
+    max_len: u32,
+    /// Part of all executions, percent.
+    share: u64,
+}
+
+/// Two at a time, for two cores.
+const LANES: [[Target; 2]; 2] = [
+    [target("decoder", 128, 55), target("session", 1024, 2)],
+    [target("bank", 2048, 40), target("store", 4096, 3)],
+];
+
+const fn target(name: &'static str, max_len: u32, share: u64) -> Target {
+    Target {
+        name,
+        max_len,
+        share,
+    }
+}
+
+/// What came of one target.
+struct Outcome {
+    name: &'static str,
+    executions: u64,
+    per_second: u64,
+    /// Where the input lies that broke a promise, or took too long.
+    found: Option<String>,
+}
+
+/// Sets up, fuzzes, prints a table and writes target/foretorque/fuzz.json.
+pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
+    setup::run(forced)?;
+    if !compiler() {
+        bail!("libFuzzer is C++ and there is no C++ compiler: install one (the package g++)");
+    }
+    let outcomes = fuzz(runs)?;
+    let mut json = String::from("{\"targets\": [");
+    println!("{:<10} {:>12} {:>12}", "target", "executions", "a second");
+    for (place, outcome) in outcomes.iter().enumerate() {
+        let Outcome {
+            name,
+            executions,
+            per_second,
+            found,
+        } = outcome;
+        println!("{name:<10} {executions:>12} {per_second:>12}");
+        let comma = if place == 0 { "" } else { ", " };
+        let crashes = u8::from(found.is_some());
+        write!(
+            json,
+            "{comma}{{\"name\": \"{name}\", \"executions\": {executions}, \"executions_per_s\": {per_second}, \
+             \"crashes\": {crashes}}}"
+        )?;
+    }
+    json.push_str("]}\n");
+    fs::write(root().join("target/foretorque/fuzz.json"), json)?;
+    let sum: u64 = outcomes.iter().map(|outcome| outcome.executions).sum();
+    println!("{:<10} {sum:>12}", "all");
+    judge(&outcomes)
+}
+
+/// A short run, the same every time. Without a C++ compiler the inputs are mutated without looking at coverage.
+pub(crate) fn gate() -> Result<()> {
+    if compiler() {
+        return judge(&fuzz(SHORT)?);
+    }
+    println!("there is no C++ compiler: the inputs are mutated without looking at coverage");
+    for target in LANES.iter().flatten() {
+        let mut plain = cargo("run");
+        plain.args(["--quiet", "--bin", "plain", "--", target.name]);
+        plain.arg((SHORT * target.share / 100).to_string());
+        shell::run(plain.arg(corpus(target.name)))?;
+    }
+    Ok(())
+}
+
+fn judge(outcomes: &[Outcome]) -> Result<()> {
+    let found: Vec<&str> = outcomes
+        .iter()
+        .filter_map(|outcome| outcome.found.as_deref())
+        .collect();
+    if !found.is_empty() {
+        bail!("found: {}", found.join("; "));
+    }
+    Ok(())
+}
+
+/// There is a C++ compiler, or can be had.
+fn compiler() -> bool {
+    let here = || capture(command("c++").arg("--version")).is_some();
+    here() || (setup::install_compiler().is_ok() && here())
+}
+
+/// Where the committed inputs of a target lie.
+fn corpus(name: &str) -> PathBuf {
+    root().join("tests/fuzz/corpus").join(name)
+}
+
+fn cargo(verb: &str) -> Command {
+    let mut cargo = command("cargo");
+    cargo.args([
+        verb,
+        "--release",
+        "--manifest-path",
+        "tests/fuzz/Cargo.toml",
+    ]);
+    cargo.args(["--target-dir", "target/fuzz"]);
+    cargo
+}
+
+/// Builds the targets and fuzzes all of them, `runs` executions in all.
+fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
+    let host = capture(command("rustc").arg("-vV")).context("rustc does not say what it is")?;
+    let host = host.lines().find_map(|line| line.strip_prefix("host: "));
+    let host = host.context("rustc does not say where it runs")?.to_owned();
+    let mut build = cargo("build");
+    // With a target named, the flags are for the code that is fuzzed and not for what builds it.
+    build
+        .args(["--features", "libfuzzer", "--target", &host])
+        .env("RUSTFLAGS", COVERAGE);
+    for target in LANES.iter().flatten() {
+        build.args(["--bin", target.name]);
+    }
+    shell::run(&mut build)?;
+    let lanes = LANES.each_ref().map(|lane| {
+        let host = host.clone();
+        thread::spawn(move || {
+            let targets = lane.iter();
+            targets
+                .map(|target| attack(target, &host, runs * target.share / 100))
+                .collect::<Result<Vec<_>>>()
+        })
+    });
+    let mut outcomes = Vec::new();
+    for lane in lanes {
+        outcomes.extend(lane.join().map_err(|_| anyhow!("a lane panicked"))??);
+    }
+    Ok(outcomes)
+}
+
+/// Fuzzes one target and reads what libFuzzer says of it.
+fn attack(target: &Target, host: &str, runs: u64) -> Result<Outcome> {
+    let Target { name, max_len, .. } = target;
+    let home = root().join(HOME).join(name);
+    let (found, seeds) = (home.join("found"), home.join("seeds"));
+    for directory in [&found, &seeds] {
+        fs::create_dir_all(directory)?;
+    }
+    let log = home.join("log");
+    let output = command(&format!("target/fuzz/{host}/release/{name}"))
+        // What is found is kept in the first directory; the others are read.
+        .args([&found, &corpus(name), &seeds])
+        .arg(format!("-runs={runs}"))
+        .arg(format!("-max_len={max_len}"))
+        .args(["-seed=1", "-timeout=10", "-print_final_stats=1"])
+        .arg(format!("-artifact_prefix={}/", home.display()))
+        .env("FORETORQUE_SEEDS", &seeds)
+        .stdout(Stdio::null())
+        .stderr(fs::File::create(&log)?)
+        .status()
+        .with_context(|| format!("cannot start the fuzzer of `{name}`"))?;
+    let said = String::from_utf8_lossy(&fs::read(&log)?).into_owned();
+    let number = |key: &str| {
+        let line = said.lines().find_map(|line| line.strip_prefix(key));
+        line.and_then(|value| value.trim().parse().ok())
+            .unwrap_or(0)
+    };
+    let artifact = said.lines().find_map(|line| {
+        line.split_once("Test unit written to ")
+            .map(|(_, file)| file)
+    });
+    let found = match (output.success(), artifact) {
+        (true, _) => None,
+        (false, Some(file)) => Some(format!("{name}: {file}")),
+        (false, None) => Some(format!("{name}: see {}", log.display())),
+    };
+    Ok(Outcome {
+        name,
+        executions: number("stat::number_of_executed_units:"),
+        per_second: number("stat::average_exec_per_sec:"),
+        found,
+    })
+}
