@@ -1,9 +1,11 @@
 use super::Torque;
 use super::config::FeedForwardConfig;
-use super::shares::{Shares, select_joint, shares};
+use super::model::{Difference, TickMotion};
+use super::shares::{Shares, select_joint};
 use crate::arm::Arm;
+use crate::dynamics::BaseParameters;
 use crate::joint::{JointMotion, JointSample, JointVector};
-use crate::learning::{Exchange, ParameterSet, Report};
+use crate::learning::{Exchange, MotionRange, ParameterSet, Report};
 use crate::limits::{Flags, cut, limit};
 
 /// What survives from tick to tick.
@@ -21,6 +23,21 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     pub late_sets: u32,
     /// What the guard told with the set in force.
     pub report: Report<N>,
+    /// What the payload adds to the base parameters.
+    pub payload: BaseParameters<P>,
+    /// Torque of the payload in the last tick, after its bound, N × N·m; part of the rigid-body share.
+    pub payload_torque: JointVector<N>,
+    /// The motion for which the active set has been learnt.
+    pub range: MotionRange<N>,
+    /// The set that was last loaded: what was learnt is measured from it.
+    loaded: ParameterSet<N, P>,
+    active_difference: Difference<N, P>,
+    committed_difference: Difference<N, P>,
+    /// What was learnt, payload included, in the torque of the last tick, and the sum it was part of.
+    learned: Option<JointVector<N>>,
+    sum: JointVector<N>,
+    /// The committed set is another one since the last tick.
+    recommitted: bool,
     pub(super) last: Torque<N>,
     stale_ticks: u32,
     pub(super) loaded_at: u32,
@@ -37,11 +54,41 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             learning: false,
             late_sets: 0,
             report: Report::new(),
+            payload: BaseParameters::zeros(),
+            payload_torque: JointVector::zeros(),
+            range: MotionRange::NONE,
+            loaded: set,
+            active_difference: Difference::none(),
+            committed_difference: Difference::none(),
+            learned: None,
+            sum: JointVector::zeros(),
+            recommitted: false,
             last: Torque::zero(),
             stale_ticks: 0,
             loaded_at: 0,
             adoption: Flags::NONE,
         }
+    }
+
+    /// Makes `set` loaded, active and committed from the tick to come on; the hand is empty.
+    pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
+        self.loaded = *set;
+        self.payload.fill(0.0);
+        self.range = MotionRange::NONE;
+        self.learned = None;
+        self.set_committed(set);
+        self.set_active(set);
+        self.loaded_at = self.tick;
+    }
+
+    pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>) {
+        self.active = *set;
+        self.active_difference = Difference::between(set, &self.loaded);
+    }
+
+    pub(super) fn set_committed(&mut self, set: &ParameterSet<N, P>) {
+        self.committed = *set;
+        self.committed_difference = Difference::between(set, &self.loaded);
     }
 }
 
@@ -72,12 +119,15 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 ///
 /// The desired motion is cut to the limits first. A desired motion that is not finite is no motion: the tick is then as
 /// good as [`step_stale`]. Of each share of each joint the active set's value counts if it is finite and plausible, the
-/// committed set's if not, and none if that is bad too. The sum may differ from the committed set's by `LEARNED_BOUND`,
-/// and leaves through saturation and slew.
+/// committed set's if not, and none if that is bad too. What was learnt since the set was loaded is evaluated for the
+/// motion it was learnt on: beyond, it stays what it was at the edge. The sum may differ from the committed set's by
+/// `LEARNED_BOUND`, the payload by a bound of its own comes on top, and both together change by no more than
+/// `learned_slew_per_tick`, whatever is adopted and whatever the motion. The rest is saturation and slew.
 ///
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///
-/// Cost: both sets are evaluated in every tick, so that a fallback costs no more than its absence.
+/// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: four times the RNEA,
+/// two friction rows a joint, all networks twice.
 pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
     state: &mut FeedForwardState<N, P>,
@@ -89,20 +139,61 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         return hold(config, state, flags | Flags::NOT_FINITE);
     };
     let mut ignored = Flags::NONE;
-    scratch.active = shares::<A, N, P>(&state.active, &desired, &mut flags);
-    scratch.committed = shares::<A, N, P>(&state.committed, &desired, &mut ignored);
+    let motion = TickMotion::new::<A, P>(&desired, &state.range);
+    let loaded = motion.loaded::<A, P>(&state.loaded);
+    scratch.active =
+        motion.shares::<A, P>(&loaded, &state.active, &state.active_difference, &mut flags);
+    scratch.committed = motion.shares::<A, P>(
+        &loaded,
+        &state.committed,
+        &state.committed_difference,
+        &mut ignored,
+    );
+    let mut payload = motion.payload::<A, P>(&state.payload);
+    let recommitted = core::mem::take(&mut state.recommitted);
     let mut target = JointVector::<N>::zeros();
-    let joints = config.limits.iter().zip(target.iter_mut());
-    for (joint, (limits, target)) in joints.enumerate() {
-        let bound = limits.torque;
-        *target = select_joint(
+    let mut learned = JointVector::<N>::zeros();
+    for (joint, limits) in config.limits.iter().enumerate() {
+        let selected = select_joint(
             &mut scratch.active,
             &scratch.committed,
             joint,
-            bound,
+            limits.torque,
             &mut flags,
         );
+        let (Some(target), Some(learned), Some(payload), Some(rigid)) = (
+            target.get_mut(joint),
+            learned.get_mut(joint),
+            payload.get_mut(joint),
+            scratch.active.rigid.get_mut(joint),
+        ) else {
+            continue;
+        };
+        let (Some(&bound), Some(&slew)) = (
+            config.payload_bound.get(joint),
+            config.learned_slew_per_tick.get(joint),
+        ) else {
+            continue;
+        };
+        let finite = payload.is_finite();
+        let (carried, was_cut) = cut(if finite { *payload } else { 0.0 }, bound);
+        flags |= Flags::when(was_cut || !finite, Flags::PAYLOAD_CLIPPED);
+        *payload = carried;
+        *rigid += carried;
+        let wanted = selected.learned + carried;
+        let before = match (&state.learned, recommitted) {
+            (None, _) => wanted,
+            // Measured from another set now: the torque goes on from where it was.
+            (Some(_), true) => state.sum.get(joint).copied().unwrap_or(0.0) - selected.reference,
+            (Some(learned), false) => learned.get(joint).copied().unwrap_or(0.0),
+        };
+        let (step, slewed) = cut(wanted - before, slew);
+        *learned = if slewed { before + step } else { wanted };
+        *target = selected.reference + *learned;
     }
+    state.payload_torque = payload;
+    state.learned = Some(learned);
+    state.sum = target;
     state.stale_ticks = 0;
     finish(config, state, target, scratch.active, flags)
 }
@@ -214,10 +305,13 @@ pub fn adopt<const N: usize, const P: usize>(
     match exchange.published.take() {
         Some(finished) if finished.closed.wrapping_sub(state.loaded_at) < u32::MAX / 2 => {
             let closed = finished.closed;
-            state.active = finished.set;
+            state.set_active(&finished.set);
             if finished.commit {
-                state.committed = finished.set;
+                state.set_committed(&finished.set);
+                state.recommitted = true;
             }
+            state.payload = finished.payload;
+            state.range = finished.range;
             state.report = finished.report;
             state.adoption |= Flags::SET_ADOPTED;
             if closed != due {

@@ -45,6 +45,15 @@ pub struct Estimator<const N: usize, const P: usize> {
     variance: [f32; N],
 }
 
+/// What the estimate made of a row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Correction {
+    /// What it left unexplained before, in units of the torque limit.
+    pub(super) residual: f32,
+    /// The variance that was to be expected of it, in units of the configured one.
+    pub(super) variance: f32,
+}
+
 impl<const N: usize, const P: usize> Estimator<N, P> {
     pub(super) fn new(prior: &ParameterSet<N, P>) -> Self {
         Self {
@@ -61,9 +70,14 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.variance = [1.0; N];
     }
 
-    /// Takes the linear parameters of `set` for the estimate; what is known of their covariance stays.
-    pub(super) fn move_to(&mut self, set: &ParameterSet<N, P>) {
-        self.parameters = Stacked::of(set);
+    /// Takes `parameters` for the estimate; what is known of their covariance stays.
+    pub(super) fn move_to(&mut self, parameters: &Stacked<N, P>) {
+        self.parameters = *parameters;
+    }
+
+    /// Raises the doubt about one friction parameter by `variance`, in units of the prior's.
+    pub(super) fn reopen(&mut self, joint: usize, column: usize, variance: f32) {
+        self.filter.add_noise(joint, column, variance);
     }
 
     /// The estimate, in the units of the parameters.
@@ -83,8 +97,8 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 
     /// Takes in the torque `tau` of `joint`, whose limit is `limit`, N·m, with its `row`.
     ///
-    /// * returns what the estimate left unexplained before, in units of the torque limit; `None` if a number was not
-    ///   finite: then the estimate has not changed
+    /// * returns what the estimate left unexplained before; `None` if a number was not finite: then the estimate has not
+    ///   changed
     ///
     /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
     pub(super) fn correct(
@@ -95,7 +109,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         limit: f32,
         row: &Stacked<N, P>,
         tau: f32,
-    ) -> Option<f32> {
+    ) -> Option<Correction> {
         let inv_noise = 1.0 / (config.noise * limit);
         let sigma = Stacked::sigma(config);
         let innovation = (tau - row.dot(&self.parameters)) * inv_noise;
@@ -132,7 +146,10 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         *measured = grown.clamp(lower, upper);
         let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
         self.move_by(config, prior, &sigma, &gain, clipped / variance);
-        Some(innovation * config.noise)
+        Some(Correction {
+            residual: innovation * config.noise,
+            variance,
+        })
     }
 
     /// θ ← θ + σ gain step, each kept within ±box of the prior's, friction never pushing.
@@ -162,8 +179,17 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 impl<const N: usize, const P: usize> Stacked<N, P> {
     /// Σ a b.
     pub(super) fn dot(&self, other: &Self) -> f32 {
+        self.friction_dot(other) + self.rigid_dot(other)
+    }
+
+    /// The part of [`dot`](Self::dot) that friction has.
+    pub(super) fn friction_dot(&self, other: &Self) -> f32 {
         dot(self.friction.as_flattened(), other.friction.as_flattened())
-            + dot(&self.rigid, &other.rigid)
+    }
+
+    /// The part of [`dot`](Self::dot) that the rigid body has.
+    pub(super) fn rigid_dot(&self, other: &Self) -> f32 {
+        dot(&self.rigid, &other.rigid)
     }
 }
 

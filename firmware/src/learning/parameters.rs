@@ -8,6 +8,8 @@ use nalgebra::SVector;
 pub const NETWORK_INPUTS: usize = 3;
 /// Hidden units of a joint's network.
 pub const NETWORK_HIDDEN: usize = 6;
+/// Bound of the network share, in units of the joint's torque limit. Never optional.
+pub const NETWORK_BOUND: f32 = 0.10;
 /// The network of one joint. All joints together are one block-masked network, 18-36-6 for six joints.
 pub type JointNetwork = BpNetwork<NETWORK_INPUTS, NETWORK_HIDDEN, 1>;
 

@@ -68,6 +68,13 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         Self::silent_from(&mut RandomStart::new(seed))
     }
 
+    /// The same hidden layer under an output layer of zeros.
+    pub fn silenced(mut self) -> Self {
+        self.output_weights = SMatrix::zeros();
+        self.output_bias = SVector::zeros();
+        self
+    }
+
     fn silent_from(start: &mut RandomStart) -> Self {
         let mut network = Self::zeros();
         let reach = square_root(6.0 / I as f32);

@@ -1,6 +1,7 @@
 use super::*;
 use crate::arm::ur5::Ur5;
 use crate::joint::{JointMeasurement, JointVector};
+use crate::learning::Request;
 use crate::limits::Flags;
 
 const N: usize = 6;
@@ -206,7 +207,7 @@ fn a_configuration_that_cannot_work_is_refused() {
     let mut sigma = good;
     sigma.rigid_sigma[7] = 0.0;
     let mut rate = good;
-    rate.network.learning_rate = f32::NAN;
+    rate.network.rate = f32::NAN;
     assert_eq!(good.validate(), Ok(()));
     assert_eq!(
         sigma.validate(),
@@ -214,7 +215,7 @@ fn a_configuration_that_cannot_work_is_refused() {
     );
     assert_eq!(
         rate.validate(),
-        Err(ConfigError::RateOutOfRange("network.learning_rate"))
+        Err(ConfigError::RateOutOfRange("network.rate"))
     );
     assert!(
         LearnerConfig::<N, P>::for_arm::<Ur5>(0.0)

@@ -1,0 +1,149 @@
+//! The models a tick evaluates: the loaded one, and what was learnt since, for the motion it was learnt on.
+
+use super::shares::{Shares, shares_of_networks};
+use crate::arm::Arm;
+use crate::dynamics::{BaseParameters, FRICTION_COLUMNS, FrictionParameters, friction_row, rnea};
+use crate::joint::{JointMotion, JointVector};
+use crate::learning::{MotionRange, ParameterSet};
+use crate::limits::{Flags, cut};
+
+/// How the linear parameters of a set differ from those of the loaded one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Difference<const N: usize, const P: usize> {
+    rigid: BaseParameters<P>,
+    friction: [[f32; FRICTION_COLUMNS]; N],
+    /// The network of the joint is another one.
+    network: [bool; N],
+}
+
+impl<const N: usize, const P: usize> Difference<N, P> {
+    /// No difference.
+    pub(super) fn none() -> Self {
+        Self {
+            rigid: BaseParameters::zeros(),
+            friction: [[0.0; FRICTION_COLUMNS]; N],
+            network: [false; N],
+        }
+    }
+
+    /// `set` less `loaded`.
+    pub(super) fn between(set: &ParameterSet<N, P>, loaded: &ParameterSet<N, P>) -> Self {
+        let mut difference = Self::none();
+        difference.rigid = set.rigid - loaded.rigid;
+        let drives = set.friction.iter().zip(&loaded.friction);
+        for (columns, (set, loaded)) in difference.friction.iter_mut().zip(drives) {
+            let both = set.columns().into_iter().zip(loaded.columns());
+            for (column, (set, loaded)) in columns.iter_mut().zip(both) {
+                *column = set - loaded;
+            }
+        }
+        let networks = set.network.iter().zip(&loaded.network);
+        for (other, (set, loaded)) in difference.network.iter_mut().zip(networks) {
+            *other = set != loaded;
+        }
+        difference
+    }
+}
+
+/// The motion of a tick: as it is wanted, and cut to what has been learnt.
+pub(super) struct TickMotion<const N: usize> {
+    desired: JointMotion<N>,
+    bounded: JointMotion<N>,
+    rows: [[f32; FRICTION_COLUMNS]; N],
+    bounded_rows: [[f32; FRICTION_COLUMNS]; N],
+}
+
+impl<const N: usize> TickMotion<N> {
+    /// Cuts speeds and accelerations of `desired` to `range`.
+    ///
+    /// Cost: two [`friction_row`]s a joint.
+    #[inline]
+    pub(super) fn new<A: Arm<N, P>, const P: usize>(
+        desired: &JointMotion<N>,
+        range: &MotionRange<N>,
+    ) -> Self {
+        let mut bounded = *desired;
+        let speeds = bounded.qd.iter_mut().zip(&range.velocity);
+        speeds.for_each(|(qd, &widest)| *qd = cut(*qd, widest).0);
+        let accelerations = bounded.qdd.iter_mut().zip(&range.acceleration);
+        accelerations.for_each(|(qdd, &widest)| *qdd = cut(*qdd, widest).0);
+        Self {
+            desired: *desired,
+            bounded,
+            rows: friction_rows::<A, N, P>(desired),
+            bounded_rows: friction_rows::<A, N, P>(&bounded),
+        }
+    }
+
+    /// Rigid-body and friction torque of the loaded set, for the motion as it is wanted.
+    #[inline]
+    pub(super) fn loaded<A: Arm<N, P>, const P: usize>(
+        &self,
+        set: &ParameterSet<N, P>,
+    ) -> (JointVector<N>, JointVector<N>) {
+        let columns = set.friction.map(FrictionParameters::columns);
+        (
+            rnea::<A, N, P>(&set.rigid, &self.desired),
+            friction_torque(&columns, &self.rows),
+        )
+    }
+
+    /// The shares of `set`: those of the loaded one for the motion as it is wanted, and what `difference` adds for the
+    /// motion that was learnt.
+    #[inline]
+    pub(super) fn shares<A: Arm<N, P>, const P: usize>(
+        &self,
+        loaded: &(JointVector<N>, JointVector<N>),
+        set: &ParameterSet<N, P>,
+        difference: &Difference<N, P>,
+        flags: &mut Flags,
+    ) -> Shares<N> {
+        let mut speed = self.desired.qd;
+        let speeds = speed.iter_mut().zip(self.bounded.qd.iter());
+        for ((speed, &bounded), &learnt) in speeds.zip(&difference.network) {
+            if learnt {
+                *speed = bounded;
+            }
+        }
+        Shares {
+            rigid: loaded.0 + rnea::<A, N, P>(&difference.rigid, &self.bounded),
+            friction: loaded.1 + friction_torque(&difference.friction, &self.bounded_rows),
+            network: shares_of_networks::<A, N, P>(&set.network, &speed, flags),
+        }
+    }
+
+    /// Torque of a payload that adds `payload` to the base parameters, for the motion as it is wanted: its mass is
+    /// known, not only what it did so far. N × N·m.
+    #[inline]
+    pub(super) fn payload<A: Arm<N, P>, const P: usize>(
+        &self,
+        payload: &BaseParameters<P>,
+    ) -> JointVector<N> {
+        rnea::<A, N, P>(payload, &self.desired)
+    }
+}
+
+#[inline]
+fn friction_rows<A: Arm<N, P>, const N: usize, const P: usize>(
+    motion: &JointMotion<N>,
+) -> [[f32; FRICTION_COLUMNS]; N] {
+    let mut rows = [[0.0; FRICTION_COLUMNS]; N];
+    for (row, &qd) in rows.iter_mut().zip(motion.qd.iter()) {
+        *row = friction_row(qd);
+    }
+    rows
+}
+
+#[inline]
+fn friction_torque<const N: usize>(
+    columns: &[[f32; FRICTION_COLUMNS]; N],
+    rows: &[[f32; FRICTION_COLUMNS]; N],
+) -> JointVector<N> {
+    let mut tau = JointVector::<N>::zeros();
+    for (tau, (columns, row)) in tau.iter_mut().zip(columns.iter().zip(rows)) {
+        for (parameter, column) in columns.iter().zip(row) {
+            *tau += parameter * column;
+        }
+    }
+    tau
+}
