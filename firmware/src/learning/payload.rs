@@ -197,6 +197,6 @@ mod tests {
         let found = describe(&filter.payload(), filter.mass_sigma());
         assert!((found.mass - 3.0).abs() < 0.02, "{found:?}");
         assert!((found.com[2] - 0.13).abs() < 0.005, "{found:?}");
-        assert!(found.mass_sigma < 0.05, "{found:?}");
+        assert!(found.mass_sigma < 0.15, "{found:?}");
     }
 }

@@ -18,7 +18,9 @@ pub(super) enum Verdict {
 }
 
 /// Weight of a slice's squares in the slice after.
-const FADE: f32 = 0.85;
+const FADE: f32 = 0.75;
+/// Slices whose residuals do not count against the candidate.
+const WARM_UP: u32 = 2;
 /// Rows that the faded sums must stand for: fewer joints than two in motion prove nothing.
 const LEAST_ROWS: f32 = 8.0;
 /// What a candidate may leave of the mean square residual of a large disturbance and still count as explaining it.
@@ -82,6 +84,10 @@ impl Trial {
     /// After the last joint of a slice: what the evidence says by now.
     pub(super) fn judge(&mut self, config: &GuardConfig, loaded: bool) -> Option<Verdict> {
         self.slices += 1;
+        if self.slices <= WARM_UP {
+            // The first rows only tell the candidate where to look.
+            self.candidate = 0.0;
+        }
         let enough = self.rows >= LEAST_ROWS;
         let inverse = 1.0 / self.rows;
         let [current, empty, candidate] =

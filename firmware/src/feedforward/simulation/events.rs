@@ -75,11 +75,15 @@ fn payloads() {
                 let sample = plant.sample(tick);
                 let torque = board.tick(&sample);
                 let weight = rnea::<Ur5, N, P>(&load, &sample.desired);
-                let step: f64 = (0..N)
-                    .map(|j| (f64::from(weight[j]) / f64::from(Ur5::LIMITS[j].torque)).powi(2))
-                    .sum();
+                let carried = board.feedforward.state().payload_torque;
+                let share = |j: usize, tau: f32| f64::from(tau / Ur5::LIMITS[j].torque).powi(2);
+                let (mut missed, mut step) = (0.0, 0.0);
+                for j in 0..N {
+                    missed += share(j, weight[j] - carried[j]);
+                    step += share(j, weight[j]);
+                }
                 let (rms, _) = error(&plant, &sample, &torque);
-                if rms > 0.1 * (step / N as f64).sqrt().max(0.02) {
+                if missed.sqrt() > 0.1 * step.sqrt() {
                     last_bad = k;
                 }
                 if k > 2500 {
