@@ -106,6 +106,12 @@ impl<const N: usize> TrackingError<N> {
         self.count += 1.0;
     }
 
+    /// Adds what another one has seen.
+    pub fn merge(&mut self, other: &Self) {
+        self.sum += other.sum;
+        self.count += other.count;
+    }
+
     /// RMS over time of every joint, mrad.
     pub fn rms_mrad(&self) -> Vec<f64> {
         self.sum

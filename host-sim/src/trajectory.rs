@@ -239,6 +239,18 @@ impl<const N: usize> ViaPath<N> {
         path
     }
 
+    /// The same path of `joint` alone; the others stay where they begin.
+    pub fn of_joint(mut self, joint: usize) -> Self {
+        let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);
+        for (q, slope) in &mut self.via {
+            for other in (0..N).filter(|&other| other != joint) {
+                q[other] = start[other];
+                slope[other] = 0.0;
+            }
+        }
+        self
+    }
+
     /// Length, s.
     pub fn duration_s(&self) -> f64 {
         self.segment_s * (self.via.len() - 1) as f64

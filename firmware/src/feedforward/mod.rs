@@ -175,6 +175,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         &self.state
     }
 
+    /// The active set with what the payload adds to it: the parameters the torque is computed from.
+    pub fn in_force(&self) -> ParameterSet<N, P> {
+        let mut set = self.state.active;
+        set.rigid += self.state.payload;
+        set
+    }
+
     /// How the tick behaves.
     pub fn config(&self) -> &FeedForwardConfig<N> {
         &self.config

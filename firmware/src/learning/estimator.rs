@@ -17,7 +17,7 @@ const VARIANCE_STEP: f32 = 1.005;
 const VARIANCE_RANGE: (f32, f32) = (0.1, 400.0);
 
 /// The torque row of one joint: N·m for each unit of each linear parameter.
-pub(super) fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
+pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     seen: &Conditioned<N>,
 ) -> Stacked<N, P> {
@@ -47,15 +47,16 @@ pub struct Estimator<const N: usize, const P: usize> {
 
 /// What the estimate made of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Correction {
+pub struct Correction {
     /// What it left unexplained before, in units of the torque limit.
-    pub(super) residual: f32,
+    pub residual: f32,
     /// The variance that was to be expected of it, in units of the configured one.
-    pub(super) variance: f32,
+    pub variance: f32,
 }
 
 impl<const N: usize, const P: usize> Estimator<N, P> {
-    pub(super) fn new(prior: &ParameterSet<N, P>) -> Self {
+    /// Starts from `prior`, as uncertain as the configuration says.
+    pub fn new(prior: &ParameterSet<N, P>) -> Self {
         Self {
             parameters: Stacked::of(prior),
             filter: UdFilter::new(),
@@ -101,7 +102,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     ///   changed
     ///
     /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
-    pub(super) fn correct(
+    pub fn correct(
         &mut self,
         config: &LearnerConfig<N, P>,
         prior: &ParameterSet<N, P>,
@@ -178,7 +179,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 
 impl<const N: usize, const P: usize> Stacked<N, P> {
     /// Σ a b.
-    pub(super) fn dot(&self, other: &Self) -> f32 {
+    pub fn dot(&self, other: &Self) -> f32 {
         self.friction_dot(other) + self.rigid_dot(other)
     }
 

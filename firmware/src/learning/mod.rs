@@ -30,7 +30,7 @@ pub use conditioning::{Conditioned, DELAY, MeasurementWindow, TAPS};
 pub use config::{ConfigError, LearnerConfig};
 pub use decision::{DECISIONS, Decision, DecisionLog, Reason};
 pub use detector::DetectorConfig;
-pub use estimator::Estimator;
+pub use estimator::{Correction, Estimator, torque_row};
 pub use exchange::{Exchange, Lesson, MotionRange, Publication, Report};
 pub use guard_config::{GuardConfig, payload_bound, rated_payload};
 pub use learner::{Learner, LearnerState, LearnerStatistics};

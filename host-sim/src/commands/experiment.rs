@@ -3,6 +3,7 @@ use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unusable};
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
+use crate::experiment::learning::{self, LearningConfig};
 use crate::experiment::{EXPERIMENTS, real_ur5};
 use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
@@ -18,9 +19,15 @@ pub(super) struct Arguments {
     /// Name of the study
     #[arg(required_unless_present = "list")]
     name: Option<String>,
-    /// List the studies
+    /// List the studies; after `learning` its scenarios
     #[arg(long)]
     list: bool,
+    /// Only the scenarios of learning whose names begin so
+    #[arg(long, value_name = "NAME")]
+    only: Option<String>,
+    /// The short form of the scenarios of learning
+    #[arg(long)]
+    quick: bool,
     /// Directory for report.json and report.html
     #[arg(long, value_name = "DIR", required_unless_present = "list")]
     out: Option<PathBuf>,
@@ -42,6 +49,12 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.list && arguments.name.as_deref() == Some("learning") {
+        for (name, shows) in learning::scenarios() {
+            say(format_args!("{name:<26} {shows}"))?;
+        }
+        return Ok(());
+    }
     if arguments.list {
         for (name, shows) in EXPERIMENTS {
             say(format_args!("{name:<12} {shows}"))?;
@@ -50,6 +63,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     match (arguments.name.as_deref(), &arguments.out) {
         (Some("demo"), Some(out)) => run_demo(arguments, out),
+        (Some("learning"), Some(out)) => run_learning(arguments, out),
         (Some("real-ur5"), Some(out)) => run_real_ur5(arguments, out),
         (name, _) => Err(unusable(format!(
             "unknown experiment '{}': `experiment --list` shows them",
@@ -100,6 +114,34 @@ fn run_demo(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure>
         "report           {}",
         out.join("report.html").display()
     ))?;
+    Ok(())
+}
+
+fn run_learning(arguments: &Arguments, out: &std::path::Path) -> Result<(), Failure> {
+    let config = LearningConfig {
+        seed: arguments.seed,
+        only: arguments.only.clone(),
+        quick: arguments.quick,
+    };
+    let mut json = WholeFile::create(&out.join("report.json"))?;
+    let bar = Bar::new();
+    let (report, page) = learning::run(&config, &|stage, done, all| bar.show(stage, done, all))?;
+    drop(bar);
+    serde_json::to_writer_pretty(&mut json, &report)?;
+    json.write_all(b"\n")?;
+    write_whole(&out.join("report.html"), page.as_bytes())?;
+    json.finish()?;
+    for outcome in &report.outcomes {
+        say(format_args!(
+            "{:<26} {:<44} {:>10.4}  {} {:<6} {}",
+            outcome.scenario,
+            outcome.figure,
+            outcome.measured,
+            outcome.side,
+            outcome.bar,
+            if outcome.met { "met" } else { "MISSED" }
+        ))?;
+    }
     Ok(())
 }
 

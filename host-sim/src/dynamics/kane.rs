@@ -1,6 +1,6 @@
 //! Kane's equations through centre-of-mass Jacobians, world frame.
 
-use crate::robot::{LINK_PARAMETERS, Placement, Robot};
+use crate::robot::{LINK_PARAMETERS, Link, Placement, Robot};
 use nalgebra::{DMatrix, Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
 /// One value for each joint, f64.
@@ -63,6 +63,23 @@ impl<const N: usize> ReferenceModel<N> {
             bodies: bodies.try_into().ok()?,
             gravity: robot.gravity,
         })
+    }
+
+    /// The same arm with `payload` fixed to its last link, given in that link's frame.
+    pub fn with_payload(&self, payload: &Link) -> Self {
+        let mut loaded = self.clone();
+        if let Some(last) = loaded.bodies.last_mut() {
+            let hand = Link {
+                mass: last.mass,
+                com: last.com,
+                inertia_com: last.inertia_com,
+            };
+            let both = Link::lumped(&[hand, *payload]).unwrap_or(hand);
+            last.mass = both.mass;
+            last.com = both.com;
+            last.inertia_com = both.inertia_com;
+        }
+        loaded
     }
 
     /// Torques τ = M(q)·qdd + V(q, qd) + G(q) (eq. 12), N·m.

@@ -16,8 +16,10 @@ pub struct TickRecord<const N: usize> {
     pub desired: State<N>,
     /// Where it is, free of noise, rad.
     pub q: Joints<N>,
-    /// What its sensors say.
+    /// What its drives see.
     pub measured: Measurement<N>,
+    /// What of that arrived at board and log.
+    pub reported: Option<Measurement<N>>,
     /// Torque asked of the drives in this tick, N·m.
     pub tau: Joints<N>,
     /// Feed-forward answered in this tick, in effect in the next, N·m. Zero without a board.
@@ -25,6 +27,17 @@ pub struct TickRecord<const N: usize> {
     /// What it is made of, as far as the reply says. None without a board.
     pub shares: Option<BoardShares<N>>,
     /// Flags that came with it.
+    pub flags: u16,
+}
+
+/// What a board answers to one sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Answer<const N: usize> {
+    /// The feed-forward torque, N·m.
+    pub total: JointVector<N>,
+    /// What it is made of, as far as is known.
+    pub shares: Option<BoardShares<N>>,
+    /// What happened.
     pub flags: u16,
 }
 
@@ -80,8 +93,31 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         plant: &mut Plant<N>,
         board: Option<&mut Client<N>>,
     ) -> Result<TickRecord<N>, BoardError> {
+        self.tick_with(plant, |sample| {
+            let (Some(board), Some(sample)) = (board, sample) else {
+                return Ok(None);
+            };
+            let reply = board.sample(sample)?;
+            Ok(Some(Answer {
+                total: reply.total,
+                shares: Some(reply.shares),
+                flags: reply.flags.0,
+            }))
+        })
+    }
+
+    /// Runs one tick with any board. `ask` gets the sample, none if it was lost on the way; without an answer the
+    /// feed-forward stays as it is.
+    ///
+    /// Errors: those of `ask`.
+    pub fn tick_with<E>(
+        &mut self,
+        plant: &mut Plant<N>,
+        ask: impl FnOnce(Option<&JointSample<N>>) -> Result<Option<Answer<N>>, E>,
+    ) -> Result<TickRecord<N>, E> {
         let desired = self.desired;
         let measured = plant.measure();
+        let reported = plant.report(&measured);
         let feedback = control::step(
             self.pd,
             &mut self.controller,
@@ -91,28 +127,27 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         );
         let tau = feedback + self.answer.cast::<f64>();
         let next = self.trajectory.at((self.tick + 1) as f64 * self.period_s);
-        let (mut shares, mut flags) = (None, 0);
-        if let Some(board) = board {
-            let reply = board.sample(&JointSample {
-                desired: motion_f32(&next),
-                measured: Some(JointMeasurement {
-                    q: measured.q.cast(),
-                    tau: measured.tau.cast(),
-                }),
-            })?;
-            self.answer = reply.total;
-            shares = Some(reply.shares);
-            flags = reply.flags.0;
+        let sample = reported.map(|reported| JointSample {
+            desired: motion_f32(&next),
+            measured: Some(JointMeasurement {
+                q: reported.q.cast(),
+                tau: reported.tau.cast(),
+            }),
+        });
+        let answer = ask(sample.as_ref())?;
+        if let Some(answer) = answer {
+            self.answer = answer.total;
         }
         let record = TickRecord {
             t_s: self.tick as f64 * self.period_s,
             desired,
             q: *plant.q(),
             measured,
+            reported,
             tau,
             feed_forward: self.answer,
-            shares,
-            flags,
+            shares: answer.and_then(|answer| answer.shares),
+            flags: answer.map_or(0, |answer| answer.flags),
         };
         plant.advance(&tau, self.period_s);
         self.desired = next;

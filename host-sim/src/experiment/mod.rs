@@ -2,14 +2,19 @@
 
 pub mod closed_loop;
 pub mod demo;
+pub mod learning;
 pub mod prior;
 pub mod real_ur5;
 
 /// Names of the studies, each with one line on what it shows.
-pub const EXPERIMENTS: [(&str, &str); 2] = [
+pub const EXPERIMENTS: [(&str, &str); 3] = [
     (
         "demo",
         "from a wrong prior, learn on the board in closed loop, freeze, play an unseen path",
+    ),
+    (
+        "learning",
+        "learned against frozen, in closed loop, over everything that may go wrong",
     ),
     (
         "real-ur5",

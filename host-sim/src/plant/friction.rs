@@ -7,26 +7,29 @@ use crate::robot::{Friction, Robot};
 /// as moving, so that the truth is a true Coulomb torque there; the integrator takes its slope implicitly.
 const SIGN_WIDTH_RAD_S: f64 = 0.005;
 
-/// Friction of all joints: viscous with drift, Coulomb, Stribeck peak, cogging.
+/// Friction of all joints: viscous with drift, Coulomb with a part under load, Stribeck peak, cogging.
 ///
 /// ```text
-/// tau = d(t) v qd + c (1 + s exp(−(qd / v_s)²)) tanh(qd / 0.005) + g sin(z q)
+/// tau = d(t) v qd + (c (1 + s exp(−(qd / v_s)²)) + l |load|) tanh(qd / 0.005) + g sin(z q)
 /// ```
-/// with d(t) the warm-up drift. At qd = 0 the speed-dependent part is zero: a joint that stands still shows no friction
+/// with d(t) the warm-up drift and load the torque against gravity and velocity products. At qd = 0 the speed-dependent part is zero: a joint that stands still shows no friction
 /// and creeps under load instead of sticking.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FrictionModel<const N: usize> {
     joints: [Friction; N],
     /// Relative growth of the viscous coefficient, 1/s.
     pub(super) viscous_drift: f64,
+    /// Coulomb torque for each N·m of load.
+    load: f64,
 }
 
 impl<const N: usize> FrictionModel<N> {
-    pub(super) fn new(robot: &Robot, viscous_drift: f64) -> Option<Self> {
+    pub(super) fn new(robot: &Robot, viscous_drift: f64, load: f64) -> Option<Self> {
         let joints: Vec<Friction> = robot.joints.iter().map(|joint| joint.friction).collect();
         Some(Self {
             joints: joints.try_into().ok()?,
             viscous_drift,
+            load,
         })
     }
 
@@ -35,6 +38,7 @@ impl<const N: usize> FrictionModel<N> {
         &self,
         q: &Joints<N>,
         qd: &Joints<N>,
+        load: &Joints<N>,
         t_s: f64,
     ) -> (Joints<N>, Joints<N>) {
         let (mut torque, mut slope) = (Joints::zeros(), Joints::zeros());
@@ -44,10 +48,10 @@ impl<const N: usize> FrictionModel<N> {
             let ratio = qd[j] / friction.stribeck_velocity;
             let peak = friction.stribeck_ratio * (-ratio * ratio).exp();
             let cogging = friction.cogging * (friction.cogging_cycles_rev * q[j]).sin();
-            torque[j] = viscous * qd[j] + friction.coulomb * (1.0 + peak) * sign + cogging;
+            let coulomb = friction.coulomb * (1.0 + peak) + self.load * load[j].abs();
+            torque[j] = viscous * qd[j] + coulomb * sign + cogging;
             // The falling flank of the Stribeck peak is left out of the slope: only what damps is taken implicitly.
-            slope[j] =
-                viscous + friction.coulomb * (1.0 + peak) * (1.0 - sign * sign) / SIGN_WIDTH_RAD_S;
+            slope[j] = viscous + coulomb * (1.0 - sign * sign) / SIGN_WIDTH_RAD_S;
         }
         (torque, slope)
     }
@@ -60,12 +64,12 @@ mod tests {
     #[test]
     fn friction_has_its_described_values_far_from_standstill() {
         let robot = Robot::load("ur5").expect("built in");
-        let model = FrictionModel::<6>::new(&robot, 0.0).expect("six joints");
+        let model = FrictionModel::<6>::new(&robot, 0.0, 0.0).expect("six joints");
         let zero = Joints::zeros();
-        let (still, _) = model.torque_and_slope(&zero, &zero, 0.0);
+        let (still, _) = model.torque_and_slope(&zero, &zero, &Joints::zeros(), 0.0);
         assert_eq!(still, zero);
-        let (fast, _) = model.torque_and_slope(&zero, &Joints::repeat(-2.0), 0.0);
-        let (slow, _) = model.torque_and_slope(&zero, &Joints::repeat(0.05), 0.0);
+        let (fast, _) = model.torque_and_slope(&zero, &Joints::repeat(-2.0), &Joints::zeros(), 0.0);
+        let (slow, _) = model.torque_and_slope(&zero, &Joints::repeat(0.05), &Joints::zeros(), 0.0);
         for (j, joint) in robot.joints.iter().enumerate() {
             let f = joint.friction;
             assert!((fast[j] + f.coulomb + 2.0 * f.viscous).abs() < 1e-9);
@@ -76,16 +80,19 @@ mod tests {
     }
 
     #[test]
-    fn cogging_repeats_202_times_a_turn_and_drift_touches_only_the_viscous_part() {
+    fn cogging_repeats_202_times_a_turn_drift_is_viscous_and_load_adds_coulomb_torque() {
         let robot = Robot::load("ur5").expect("built in");
-        let model = FrictionModel::<6>::new(&robot, 0.3 / 600.0).expect("six joints");
+        let model = FrictionModel::<6>::new(&robot, 0.3 / 600.0, 0.0).expect("six joints");
         let q = Joints::<6>::repeat(0.3);
         let turn = Joints::repeat(std::f64::consts::TAU / 202.0);
         let qd = Joints::repeat(1.0);
-        let (here, _) = model.torque_and_slope(&q, &qd, 0.0);
-        let (next, _) = model.torque_and_slope(&(q + turn), &qd, 0.0);
-        let (half, _) = model.torque_and_slope(&(q + turn * 0.5), &qd, 0.0);
-        let (late, _) = model.torque_and_slope(&q, &qd, 600.0);
+        let (here, _) = model.torque_and_slope(&q, &qd, &Joints::zeros(), 0.0);
+        let (next, _) = model.torque_and_slope(&(q + turn), &qd, &Joints::zeros(), 0.0);
+        let (half, _) = model.torque_and_slope(&(q + turn * 0.5), &qd, &Joints::zeros(), 0.0);
+        let (late, _) = model.torque_and_slope(&q, &qd, &Joints::zeros(), 600.0);
+        let loaded = FrictionModel::<6>::new(&robot, 0.0, 0.1).expect("six joints");
+        let (heavy, _) = loaded.torque_and_slope(&q, &qd, &Joints::repeat(-20.0), 0.0);
+        assert!((heavy - here - Joints::repeat(2.0)).amax() < 1e-9);
         assert!((here - next).amax() < 1e-9);
         assert!((here - half).amax() > 0.1);
         for (j, joint) in robot.joints.iter().enumerate() {
