@@ -58,10 +58,7 @@ impl<const N: usize> TickMotion<N> {
     ///
     /// Cost: two [`friction_row`]s a joint.
     #[inline]
-    pub(super) fn new<A: Arm<N, P>, const P: usize>(
-        desired: &JointMotion<N>,
-        range: &MotionRange<N>,
-    ) -> Self {
+    pub(super) fn new(desired: &JointMotion<N>, range: &MotionRange<N>) -> Self {
         let mut bounded = *desired;
         let speeds = bounded.qd.iter_mut().zip(&range.velocity);
         speeds.for_each(|(qd, &widest)| *qd = cut(*qd, widest).0);
@@ -70,8 +67,8 @@ impl<const N: usize> TickMotion<N> {
         Self {
             desired: *desired,
             bounded,
-            rows: friction_rows::<A, N, P>(desired),
-            bounded_rows: friction_rows::<A, N, P>(&bounded),
+            rows: friction_rows(desired),
+            bounded_rows: friction_rows(&bounded),
         }
     }
 
@@ -124,9 +121,7 @@ impl<const N: usize> TickMotion<N> {
 }
 
 #[inline]
-fn friction_rows<A: Arm<N, P>, const N: usize, const P: usize>(
-    motion: &JointMotion<N>,
-) -> [[f32; FRICTION_COLUMNS]; N] {
+fn friction_rows<const N: usize>(motion: &JointMotion<N>) -> [[f32; FRICTION_COLUMNS]; N] {
     let mut rows = [[0.0; FRICTION_COLUMNS]; N];
     for (row, &qd) in rows.iter_mut().zip(motion.qd.iter()) {
         *row = friction_row(qd);

@@ -139,7 +139,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         return hold(config, state, flags | Flags::NOT_FINITE);
     };
     let mut ignored = Flags::NONE;
-    let motion = TickMotion::new::<A, P>(&desired, &state.range);
+    let motion = TickMotion::new(&desired, &state.range);
     let loaded = motion.loaded::<A, P>(&state.loaded);
     scratch.active =
         motion.shares::<A, P>(&loaded, &state.active, &state.active_difference, &mut flags);

@@ -11,6 +11,7 @@ use crate::dynamics::BaseParameters;
 pub(super) struct Checkpoint<const N: usize, const P: usize> {
     pub(super) estimate: Stacked<N, P>,
     pub(super) active: Stacked<N, P>,
+    pub(super) committed: Stacked<N, P>,
     pub(super) payload: Payload,
 }
 
@@ -28,6 +29,8 @@ pub(super) struct Guard<const N: usize, const P: usize> {
     pub(super) filter: PayloadFilter,
     pub(super) slices_carried: u32,
     pub(super) trial: Trial,
+    /// Mean square of each joint's slices while nothing happens, in variances of a measurement.
+    pub(super) slice_variance: [f32; N],
     /// From before the payload in the torque.
     pub(super) unloaded: Option<Checkpoint<N, P>>,
     /// From the last and the last but one checkpoint: an alarm comes after the change.
@@ -54,6 +57,7 @@ impl<const N: usize, const P: usize> Guard<N, P> {
         let checkpoint = Checkpoint {
             estimate: *set,
             active: *set,
+            committed: *set,
             payload: nothing,
         };
         Self {
@@ -65,6 +69,7 @@ impl<const N: usize, const P: usize> Guard<N, P> {
             filter: PayloadFilter::new(&nothing, &payload_sigma(config.heaviest)),
             slices_carried: 0,
             trial: Trial::new(config, &nothing),
+            slice_variance: [1.0; N],
             unloaded: None,
             checkpoints: [checkpoint; 2],
             evidence: Evidence::default(),

@@ -17,8 +17,8 @@ pub struct GuardConfig {
     pub reach: f32,
     /// Standard deviation of the mass below which a payload is believed, kg.
     pub mass_sigma: f32,
-    /// Factor on the measurement variance while a payload is weighed: residuals of one hundredth of a second look like
-    /// those of the next.
+    /// Factor on the mean square that slices usually have, while a payload is weighed: residuals of one hundredth of a
+    /// second look like those of the next.
     pub inflation: f32,
     /// A candidate has to leave less than this part of the mean square residual of the active set.
     pub residual_ratio: f32,
@@ -129,10 +129,10 @@ impl GuardConfig {
             lightest: 0.25,
             reach: PAYLOAD_REACH,
             mass_sigma: 0.15,
-            inflation: 1.5,
+            inflation: 5.0,
             residual_ratio: 0.6,
             calm: 1.5,
-            evidence_slices: 6,
+            evidence_slices: 5,
             time_out_slices: 300,
             weighing_slices: 1000,
             proof_rows: 300,

@@ -20,6 +20,8 @@ const CHECKPOINT_TICKS: u32 = 128;
 const REOPENED: f32 = 0.05;
 /// Ticks for which alarms are not listened to after such a change.
 const RELEARNING_TICKS: u32 = 5000;
+/// Slices for which a payload has to be carried for the friction learnt meanwhile to stay: half a minute.
+const LONG_CARRIED_SLICES: u32 = 3000;
 /// Rounds between two looks at trust.
 const TRUST_ROUNDS: u32 = 16;
 
@@ -220,7 +222,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         } else {
             PayloadEstimate::default()
         };
-        if rounds % TRUST_ROUNDS == 0
+        if rounds.is_multiple_of(TRUST_ROUNDS)
             && let Some(lost) = state
                 .monitor
                 .tell(&mut state.report.quality, config.trust_floor)
@@ -258,14 +260,15 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         let now = Checkpoint {
             estimate: *self.estimate.parameters(),
             active: Stacked::of(&self.candidate),
+            committed: self.guard.committed,
             payload: self.guard.payload,
         };
         let [newer, older] = &mut self.guard.checkpoints;
         *older = core::mem::replace(newer, now);
     }
 
-    /// The hand is empty: no payload, and the rigid body of before it, bit for bit. Friction is not the payload's: what
-    /// was learnt of it meanwhile stays.
+    /// The hand is empty: no payload, and the parameters of before it, bit for bit. Only friction learnt under a load
+    /// that was carried for long stays: drives warm up whatever the hand holds.
     fn put_down(&mut self) {
         let guard = &mut self.guard;
         guard.payload = [0.0; PAYLOAD_PARAMETERS];
@@ -273,13 +276,16 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         let Some(before) = guard.unloaded.take() else {
             return;
         };
-        let mut estimate = *self.estimate.parameters();
-        estimate.rigid = before.estimate.rigid;
+        let (mut estimate, mut active) = (before.estimate, before.active);
+        if guard.slices_carried >= LONG_CARRIED_SLICES {
+            estimate.friction = self.estimate.parameters().friction;
+            active.friction = Stacked::of(&self.candidate).friction;
+        }
         self.estimate.move_to(&estimate);
-        let mut active = Stacked::of(&self.candidate);
-        active.rigid = before.active.rigid;
         active.write(&mut self.candidate);
-        if guard.committed.rigid != before.active.rigid {
+        guard.following = false;
+        guard.evidence = Default::default();
+        if guard.committed != before.committed {
             // A set committed under the load has weighed it too.
             self.commit();
         }

@@ -9,6 +9,11 @@ use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
 use crate::math::sqrt;
 
+/// Range of a joint's usual mean square, in variances of a measurement: white noise leaves a tenth in a slice of ten.
+const SLICE_RANGE: (f32, f32) = (0.1, 4.0);
+/// What one slice counts in it.
+const SLICE_STEP: f32 = 1.0 / 256.0;
+
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One tick of measurements: gathers the slice, works on one joint of the slice before, learns one row.
     pub(super) fn work_through(
@@ -22,9 +27,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             count(&mut self.state.statistics.rejected);
             return None;
         }
-        let estimate = self.state.estimate.parameters();
-        let rigid = BaseParameters::<P>::from(estimate.rigid);
-        let drives = estimate.friction.map(FrictionParameters::from_columns);
+        // The detector asks what is new to the estimate; a payload comes on top of what is in the torque.
+        let state = &self.state;
+        let weighing = state.phase() == Phase::Trial || state.guard.loaded();
+        let (rigid, drives) = if weighing {
+            (state.candidate.rigid, state.candidate.friction)
+        } else {
+            let estimate = state.estimate.parameters();
+            let drives = estimate.friction.map(FrictionParameters::from_columns);
+            (BaseParameters::<P>::from(estimate.rigid), drives)
+        };
         let residual =
             seen.tau - rnea::<A, N, P>(&rigid, &seen.motion) - friction(&drives, &seen.motion.qd);
         let gate = self.config.velocity_gate;
@@ -60,14 +72,23 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let unit = self.config.noise * limits.torque;
         let config = &self.config.guard;
         let sigma = unit * sqrt(measured);
-        let inflated = unit * sqrt(measured * config.inflation);
         let guard = &mut state.guard;
+        let Some(usual) = guard.slice_variance.get_mut(joint) else {
+            return;
+        };
+        let inflated = sigma * sqrt(config.inflation * *usual);
         match state.report.quality.phase {
             Phase::Trial => guard
                 .trial
                 .note(&guard.payload, &row, left, sigma, inflated),
             Phase::Healthy => {
                 let unexplained = left - payload_torque(&guard.payload, &row);
+                let spread = unexplained / sigma;
+                let square = (spread * spread).min(SLICE_RANGE.1);
+                *usual += (square - *usual) * SLICE_STEP;
+                if *usual < SLICE_RANGE.0 {
+                    *usual = SLICE_RANGE.0;
+                }
                 if guard.weighing(config) {
                     guard.filter.update(&row, left, inflated);
                 }
