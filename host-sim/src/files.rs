@@ -82,6 +82,15 @@ pub(crate) fn at(path: &Path, error: io::Error) -> io::Error {
     io::Error::new(error.kind(), format!("{}: {error}", path.display()))
 }
 
+/// Line, from 1, and first complaint of the TOML parser.
+pub fn toml_complaint(text: &str, error: &toml::de::Error) -> (usize, String) {
+    let line = error
+        .span()
+        .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+    let first = error.message().lines().next().unwrap_or("not TOML");
+    (line, first.to_owned())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -74,6 +74,16 @@ pub fn arm_module(robot: &Robot) -> String {
         ));
     }
     line("    ];");
+    let cycles = robot
+        .joints
+        .iter()
+        .map(|joint| joint.friction.cogging_cycles_rev as f32);
+    if cycles.clone().any(|cycles| cycles != 0.0) {
+        let cycles: Vec<f32> = cycles.collect();
+        line(&format!(
+            "    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};"
+        ));
+    }
     line("    const NOMINAL: [f32; PARAMETERS] = [");
     for value in map.base_parameters(robot) {
         line(&format!("        {:?},", value as f32));

@@ -385,3 +385,42 @@ fn a_urdf_that_is_none_or_has_no_such_link_is_refused() {
     let said = String::from_utf8(output.stderr).expect("it speaks UTF-8");
     assert!(said.contains("--tip"), "{said}");
 }
+
+#[test]
+fn a_path_of_the_tool_is_played_wherever_a_trajectory_is() {
+    let room = room("tool-path");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("paths/ur5.toml");
+    fs::copy(&path, room.join("path.toml")).expect("copies");
+    succeeds(
+        &room,
+        "torque --robot ur5 --trajectory path.toml --out tau.csv",
+    );
+    let rows = fs::read_to_string(room.join("tau.csv")).expect("is text");
+    assert_eq!(rows.lines().count(), 8502, "8.5 s, a row each millisecond");
+    succeeds(
+        &room,
+        "simulate --robot ur5 --trajectory path.toml --duration-s 0.2 --out log.csv",
+    );
+    succeeds(
+        &room,
+        "run --robot ur5 --trajectory path.toml --duration-s 0.2 --out out",
+    );
+    let text = fs::read_to_string(&path).expect("is text");
+    let far = text.replace("-0.5, -0.05, 0.3", "-1.5, -0.05, 0.3");
+    fs::write(room.join("far.toml"), far).expect("writes");
+    for command in ["torque --out x.csv", "simulate --out x.csv", "run --out x"] {
+        let said = fails(
+            &room,
+            &format!("{command} --robot ur5 --trajectory far.toml"),
+        );
+        let waypoint =
+            "far.toml: move 3 (via), point 2, tool at (-1.500, -0.050, 0.300) m: out of reach";
+        assert!(said.contains(waypoint), "{said}");
+    }
+    assert!(!files(&room).iter().any(|name| name.starts_with('x')));
+    let said = fails(
+        &room,
+        "torque --robot ur5 --in a.csv --trajectory path.toml --out x.csv",
+    );
+    assert!(said.contains("cannot be used with"), "{said}");
+}

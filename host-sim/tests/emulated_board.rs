@@ -1,9 +1,10 @@
 //! The firmware in the emulator, through its real links.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::edge::safety::ARM_SAMPLES;
 use foretorque::edge::wire::{
-    BoardMessage, Configuration, CounterKind, Decoder, FrameBuffer, HostMessage, Pacing, ReplyMode,
-    SampleFrame, size,
+    BankSource, BoardMessage, Configuration, CounterKind, Decoder, FrameBuffer, HostMessage,
+    Pacing, ReplyMode, SampleFrame, size,
 };
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use host_sim::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
@@ -106,11 +107,18 @@ impl<T: Transport> Talk<T> {
             ..Configuration::default()
         };
         let mut said = self.ask(&HostMessage::Configure(configuration));
+        for _ in 0..ARM_SAMPLES {
+            said.extend(self.ask(&HostMessage::Sample(SampleFrame::new(&sample(0)))));
+        }
+        said.extend(self.ask(&HostMessage::Arm));
         said.extend(self.ask(&HostMessage::Learning { on: true }));
         for k in 0..ticks {
             said.extend(self.ask(&HostMessage::Sample(SampleFrame::new(&sample(k)))));
         }
-        said.extend(self.ask(&HostMessage::BankRead { offset: 0 }));
+        said.extend(self.ask(&HostMessage::BankRead {
+            source: BankSource::Live,
+            offset: 0,
+        }));
         said
     }
 }

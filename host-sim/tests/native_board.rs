@@ -3,6 +3,7 @@
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::edge::bank::{BankError, ColumnId, ColumnKind, NETWORK_SEED, ParameterBank};
+use foretorque::edge::safety::{ARM_SAMPLES, SafetyReason, SafetyState};
 use foretorque::edge::wire::{Configuration, NackReason, Pacing, ReplyMode};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
@@ -117,12 +118,21 @@ fn foreign_silent_and_dead_boards_are_told_apart() {
 #[test]
 fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
     let mut client = client();
+    client.arm(&sample(0)).unwrap();
     client.learning(true).unwrap();
     let set = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
     let config = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
     let mut bare = FeedForward::<Ur5, N, P>::new(config, set).unwrap();
     let mut learner = Learner::<Ur5, N, P>::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap();
     let mut exchange = foretorque::learning::Exchange::new();
+    for _ in 0..ARM_SAMPLES {
+        let heard = foretorque::edge::wire::SampleFrame::new(&sample(0)).sample(&[0.0; N]);
+        bare.adopt(&mut exchange);
+        bare.step(&heard);
+        // A disarmed board holds the torque back.
+        bare.applied(&JointVector::zeros());
+        learner.learn(&bare.lesson(heard.measured), &mut exchange);
+    }
     bare.set_learning(true);
     for k in 0..500 {
         // What the scaled integers make of the sample is what both see.
@@ -259,4 +269,34 @@ fn reset_makes_a_used_board_answer_like_a_new_one() {
         assert_eq!(bits(&a), bits(&b));
     }
     assert_eq!(used.statistics().unwrap().ticks, 100);
+}
+
+#[test]
+fn a_board_gives_torque_from_arming_to_disarming_and_none_after_a_stop() {
+    let mut client = client();
+    assert_eq!(
+        client.sample(&sample(0)).unwrap().total,
+        JointVector::<N>::zeros()
+    );
+    client.arm(&sample(0)).unwrap();
+    for _ in 0..40 {
+        client.sample(&sample(0)).unwrap();
+    }
+    assert!(client.sample(&sample(0)).unwrap().total.norm() > 10.0);
+    client.disarm().unwrap();
+    assert_eq!(client.safety().state, SafetyState::Disarmed);
+    client.arm(&sample(0)).unwrap();
+    for _ in 0..40 {
+        client.sample(&sample(0)).unwrap();
+    }
+    client.stop().unwrap();
+    let stopped = client.sample(&sample(0)).unwrap();
+    assert_eq!(stopped.total, JointVector::<N>::zeros());
+    assert_eq!(stopped.safety.reason, SafetyReason::Stopped);
+    assert!(matches!(
+        client.arm(&sample(0)).unwrap_err(),
+        BoardError::Refused(NackReason::Unsafe(SafetyReason::Stopped))
+    ));
+    client.clear_fault().unwrap();
+    client.arm(&sample(0)).unwrap();
 }

@@ -81,6 +81,8 @@ pub trait Arm<const N: usize, const P: usize>: 'static {
     const BASE_MAP: &'static [BaseTerm];
     /// Data-sheet limits.
     const LIMITS: [JointLimits; N];
+    /// Cogging periods of each joint in one of its turns; 0 where the drive has none. No part of [`HASH`](Self::HASH).
+    const COGGING_CYCLES: [f32; N] = [0.0; N];
     /// Base parameters of the description.
     const NOMINAL: [f32; P];
 }

@@ -1,6 +1,6 @@
 //! The joint torque regressor: one row, or all of them.
 
-use super::link::{BaseSet, LinkMotion, origin, rotation};
+use super::link::{BaseSet, LinkMotion, is_angle, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
 use crate::joint::JointMotion;
@@ -10,7 +10,7 @@ use nalgebra::{SMatrix, SVector};
 ///
 /// * `joint` 0 to N − 1; any other gives a row of zeros
 ///
-/// Assumes: angles within ±1000 rad ([`super::rnea`] refuses others).
+/// Limits: an angle beyond ±1000 rad or NaN makes every entry NaN, as it does in [`super::rnea`].
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link from `joint` on.
 pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
@@ -37,6 +37,9 @@ fn row_of<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
     let mut link = LinkMotion::base::<A, N, P>();
     let mut axis = JointAxis::OWN;
     outward!(I < N {
+        if !is_angle(motion.q[I]) {
+            return SVector::repeat(f32::NAN);
+        }
         let rot = rotation::<A, N, P>(I, motion.q[I]);
         link = link.next::<A, N, P>(I, &rot, motion);
         if I >= J {
@@ -62,7 +65,7 @@ fn row_of<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
 /// A unit of one link parameter makes a force F and a moment n about the link origin; joint r feels them through its
 /// partial velocities at that origin, `s · n + v · F` [Kane and Levinson 1985, section 4.4].
 ///
-/// Assumes: angles within ±1000 rad ([`super::rnea`] refuses others).
+/// Limits: an angle beyond ±1000 rad or NaN makes every entry NaN, as it does in [`super::rnea`].
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link and joint before it.
 #[expect(
     clippy::absurd_extreme_comparisons,
@@ -75,6 +78,9 @@ pub fn regressor<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut link = LinkMotion::base::<A, N, P>();
     let mut axes = [JointAxis::OWN; N];
     outward!(I < N {
+        if !is_angle(motion.q[I]) {
+            return SMatrix::repeat(f32::NAN);
+        }
         let rot = rotation::<A, N, P>(I, motion.q[I]);
         link = link.next::<A, N, P>(I, &rot, motion);
         outward!(J < N {

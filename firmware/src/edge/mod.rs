@@ -2,6 +2,8 @@
 
 pub mod bank;
 pub mod hal;
+pub mod safety;
 pub mod session;
+pub mod store;
 pub mod telemetry;
 pub mod wire;

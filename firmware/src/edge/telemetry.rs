@@ -58,6 +58,17 @@ pub struct Statistics {
     pub receive_cost: Cost,
     /// Hottest motor reported in the last round of samples, °C; -128 where not known.
     pub hottest_c: i8,
+    /// Time from the end of a frame to its answer being queued, in counts of the board's counter.
+    pub reply_latency: Cost,
+    /// Samples of which a part was not plausible.
+    #[serde(with = "postcard::fixint::le")]
+    pub implausible: u32,
+    /// Times that the watchdog was fed since boot.
+    #[serde(with = "postcard::fixint::le")]
+    pub watchdog_feeds: u32,
+    /// Telemetry records of which a part was not sent.
+    #[serde(with = "postcard::fixint::le")]
+    pub records_lost: u32,
 }
 
 /// Mean and largest cost.

@@ -14,6 +14,9 @@ pub struct FeedForwardConfig<const N: usize> {
     pub payload_bound: [f32; N],
     /// Largest change in one tick of all that was learnt since the committed set, the payload included, N × N·m.
     pub learned_slew_per_tick: [f32; N],
+    /// Time from a measurement to the middle of the tick its answer acts in, s: cogging is that of the place where the
+    /// joint will be then.
+    pub lead: f32,
     /// Ticks for which the torque is held when no usable sample comes; then it goes to zero at the slew limit.
     pub hold_ticks: u32,
 }
@@ -44,6 +47,8 @@ impl<const N: usize> FeedForwardConfig<N> {
             slew_per_tick,
             payload_bound: payload_bound::<A, N, P>(),
             learned_slew_per_tick,
+            // Measured at k, in effect from k + 1 to k + 2.
+            lead: 1.5 * period_s,
             // At least one tick: a single lost sample must not make the torque dip.
             hold_ticks: (HOLD_TIME_S / period_s) as u32 + 1,
         }
@@ -59,7 +64,10 @@ impl<const N: usize> FeedForwardConfig<N> {
         let payload = self.payload_bound.iter().map(|&b| ("payload_bound", b));
         let learned = self.learned_slew_per_tick.iter();
         let learned = learned.map(|&s| ("learned_slew_per_tick", s));
-        let acceleration = [("acceleration_limit", self.acceleration_limit)];
+        let acceleration = [
+            ("acceleration_limit", self.acceleration_limit),
+            ("lead", self.lead),
+        ];
         for (field, value) in torque
             .chain(velocity)
             .chain(range)

@@ -104,6 +104,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
     }
 
+    /// Tells the feed-forward what became of its torque, N × N·m, finite: the next tick slews from there. A torque that was
+    /// held back does not come all at once when it is let through.
+    pub fn applied(&mut self, total: &JointVector<N>) {
+        self.state.last.total = *total;
+    }
+
     /// A tick without a sample; see [`step_stale`].
     pub fn step_stale(&mut self) -> Torque<N> {
         step_stale(&self.config, &mut self.state)

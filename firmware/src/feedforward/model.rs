@@ -54,11 +54,15 @@ pub(super) struct TickMotion<const N: usize> {
 }
 
 impl<const N: usize> TickMotion<N> {
-    /// Cuts speeds and accelerations of `desired` to `range`.
+    /// Cuts speeds and accelerations of `desired` to `range`; cogging at `place`, N × rad.
     ///
     /// Cost: two [`friction_row`]s a joint.
     #[inline]
-    pub(super) fn new(desired: &JointMotion<N>, range: &MotionRange<N>) -> Self {
+    pub(super) fn new<A: Arm<N, P>, const P: usize>(
+        desired: &JointMotion<N>,
+        range: &MotionRange<N>,
+        place: &JointVector<N>,
+    ) -> Self {
         let mut bounded = *desired;
         let speeds = bounded.qd.iter_mut().zip(&range.velocity);
         speeds.for_each(|(qd, &widest)| *qd = cut(*qd, widest).0);
@@ -67,8 +71,8 @@ impl<const N: usize> TickMotion<N> {
         Self {
             desired: *desired,
             bounded,
-            rows: friction_rows(desired),
-            bounded_rows: friction_rows(&bounded),
+            rows: friction_rows::<A, N, P>(place, &desired.qd),
+            bounded_rows: friction_rows::<A, N, P>(place, &bounded.qd),
         }
     }
 
@@ -121,10 +125,14 @@ impl<const N: usize> TickMotion<N> {
 }
 
 #[inline]
-fn friction_rows<const N: usize>(motion: &JointMotion<N>) -> [[f32; FRICTION_COLUMNS]; N] {
+fn friction_rows<A: Arm<N, P>, const N: usize, const P: usize>(
+    place: &JointVector<N>,
+    qd: &JointVector<N>,
+) -> [[f32; FRICTION_COLUMNS]; N] {
     let mut rows = [[0.0; FRICTION_COLUMNS]; N];
-    for (row, &qd) in rows.iter_mut().zip(motion.qd.iter()) {
-        *row = friction_row(qd);
+    let joints = place.iter().zip(qd.iter()).zip(&A::COGGING_CYCLES);
+    for (row, ((&place, &qd), &cycles)) in rows.iter_mut().zip(joints) {
+        *row = friction_row(cycles, place, qd);
     }
     rows
 }

@@ -47,7 +47,7 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut flags = Flags::NONE;
     let shares = Shares {
         rigid: rnea::<A, N, P>(&set.rigid, motion),
-        friction: friction(&set.friction, &motion.qd),
+        friction: friction::<A, N, P>(&set.friction, &motion.q, &motion.qd),
         network: shares_of_networks::<A, N, P>(&set.network, &motion.qd, &mut flags),
     };
     let total = shares.total();

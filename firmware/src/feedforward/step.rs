@@ -3,8 +3,8 @@ use super::config::FeedForwardConfig;
 use super::model::{Difference, TickMotion};
 use super::shares::{Shares, select_joint};
 use crate::arm::Arm;
-use crate::dynamics::BaseParameters;
-use crate::joint::{JointMotion, JointSample, JointVector};
+use crate::dynamics::{BaseParameters, is_angle};
+use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::learning::{Exchange, MotionRange, ParameterSet, Report};
 use crate::limits::{Flags, cut, limit};
 
@@ -123,6 +123,7 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 /// motion it was learnt on: beyond, it stays what it was at the edge. The sum may differ from the committed set's by
 /// `LEARNED_BOUND`, the payload by a bound of its own comes on top, and both together change by no more than
 /// `learned_slew_per_tick`, whatever is adopted and whatever the motion. The rest is saturation and slew.
+/// Cogging alone follows the measured position.
 ///
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///
@@ -139,7 +140,8 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         return hold(config, state, flags | Flags::NOT_FINITE);
     };
     let mut ignored = Flags::NONE;
-    let motion = TickMotion::new(&desired, &state.range);
+    let place = cogging_place(config, &desired, sample.measured.as_ref());
+    let motion = TickMotion::new::<A, P>(&desired, &state.range, &place);
     let loaded = motion.loaded::<A, P>(&state.loaded);
     scratch.active =
         motion.shares::<A, P>(&loaded, &state.active, &state.active_difference, &mut flags);
@@ -204,6 +206,27 @@ pub fn step_stale<const N: usize, const P: usize>(
     state: &mut FeedForwardState<N, P>,
 ) -> Torque<N> {
     hold(config, state, Flags::NO_MEASUREMENT)
+}
+
+/// Where the joints will be when the torque acts, for the cogging, N × rad: a tracking error of a few milliradians turns
+/// its phase, so the measured position counts where there is one, carried on at the desired speed.
+#[inline]
+fn cogging_place<const N: usize>(
+    config: &FeedForwardConfig<N>,
+    desired: &JointMotion<N>,
+    measured: Option<&JointMeasurement<N>>,
+) -> JointVector<N> {
+    let Some(measured) = measured else {
+        return desired.q;
+    };
+    let mut place = measured.q + desired.qd * config.lead;
+    for (place, &desired) in place.iter_mut().zip(desired.q.iter()) {
+        // A wild encoder must not take the friction share with it.
+        if !is_angle(*place) {
+            *place = desired;
+        }
+    }
+    place
 }
 
 /// `motion` cut to the limits; `None` if a number in it is not finite.

@@ -76,6 +76,38 @@ fn the_settled_torque_is_the_sum_of_the_evaluated_shares() {
 }
 
 #[test]
+fn cogging_follows_the_measured_place_and_nothing_else_does() {
+    let mut cogging = set();
+    cogging.friction[1].cogging_sin = 0.5;
+    let desired = motion(0.3);
+    let mut tick = tick(cogging);
+    let mut share_at = |q: f32| {
+        let mut measured = JointMeasurement {
+            q: desired.q,
+            tau: JointVector::zeros(),
+        };
+        measured.q[1] = q;
+        let measured = Some(measured);
+        tick.step(&JointSample { desired, measured }).shares
+    };
+    let lead = 1.5e-3 * desired.qd[1];
+    let plain = evaluate::<Ur5, N, P>(&set(), &desired).shares;
+    for k in 0..100 {
+        let place = 0.01 * k as f32;
+        let mut wanted = plain;
+        wanted.friction[1] += 0.5 * (202.0 * place).sin();
+        let share = share_at(place - lead);
+        assert!((share.friction - wanted.friction).amax() < 1e-4, "{place}");
+        assert_eq!((share.rigid, share.network), (plain.rigid, plain.network));
+    }
+    // A wild encoder leaves the cogging of the desired place.
+    let unmeasured = evaluate::<Ur5, N, P>(&cogging, &desired).shares;
+    for wild in [f32::NAN, f32::INFINITY, -1e30] {
+        assert_eq!(share_at(wild), unmeasured);
+    }
+}
+
+#[test]
 fn torque_rises_from_zero_at_the_slew_limit() {
     let mut tick = tick(set());
     let slew = tick.config().slew_per_tick[1];
@@ -239,6 +271,9 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
             wild(&mut friction.coulomb, &mut bits);
             wild(&mut friction.stribeck_narrow, &mut bits);
             wild(&mut friction.stribeck_wide, &mut bits);
+            wild(&mut friction.offset, &mut bits);
+            wild(&mut friction.cogging_sin, &mut bits);
+            wild(&mut friction.cogging_cos, &mut bits);
         }
         for net in &mut start.network {
             net.hidden_weights

@@ -39,7 +39,7 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub torque_step: f32,
     /// Prior standard deviations of the base parameters, in their units.
     pub rigid_sigma: [f32; P],
-    /// Prior standard deviations of the friction parameters.
+    /// Prior standard deviations of the friction parameters; 0 where one is not to be learnt.
     pub friction_sigma: [FrictionParameters; N],
     /// Half-width of the box around the prior, in standard deviations.
     pub box_sigmas: f32,
@@ -58,7 +58,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// numbers of its own: an inertial parameter of link `j` is uncertain by 30 % of its nominal value plus what 2 %
     /// of the joint's torque limit would hold up against gravity (first moments) or accelerate at 10 rad/s²
     /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 2 % of the
-    /// limit, each Stribeck peak by 1 %.
+    /// limit, each Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -103,12 +103,15 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("network.clip_sigmas", self.network.clip_sigmas),
         ];
         let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
-        let friction = self.friction_sigma.iter().flat_map(|s| s.columns());
-        let friction = friction.map(|s| ("friction_sigma", s));
-        for (field, value) in positive.into_iter().chain(rigid).chain(friction) {
+        for (field, value) in positive.into_iter().chain(rigid) {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(ConfigError::NotPositive(field));
             }
+        }
+        // A deviation of zero holds its parameter where it is.
+        let mut friction = self.friction_sigma.iter().flat_map(|s| s.columns());
+        if !friction.all(|s| s >= 0.0 && s.is_finite()) {
+            return Err(ConfigError::NotPositive("friction_sigma"));
         }
         if !(0.0..1.0).contains(&self.network.rate) {
             return Err(ConfigError::RateOutOfRange("network.rate"));
@@ -172,6 +175,11 @@ const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [Fric
         sigma[joint].coulomb = 0.02 * limits.torque;
         sigma[joint].stribeck_narrow = 0.01 * limits.torque;
         sigma[joint].stribeck_wide = 0.01 * limits.torque;
+        sigma[joint].offset = 0.005 * limits.torque;
+        if A::COGGING_CYCLES[joint] > 0.0 {
+            sigma[joint].cogging_sin = 0.005 * limits.torque;
+            sigma[joint].cogging_cos = 0.005 * limits.torque;
+        }
         joint += 1;
     }
     sigma

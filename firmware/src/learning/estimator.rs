@@ -16,14 +16,21 @@ const VARIANCE_STEP: f32 = 1.005;
 /// Range of the variance, in units of the configured one.
 const VARIANCE_RANGE: (f32, f32) = (0.1, 400.0);
 
+/// The first friction columns of a joint, those that change with temperature and wear, wander; offset and cogging do not.
+const WANDERING: usize = 4;
+
 /// The torque row of one joint: N·m for each unit of each linear parameter.
 pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     seen: &Conditioned<N>,
 ) -> Stacked<N, P> {
     let mut row = Stacked::filled(0.0);
-    if let (Some(slot), Some(&qd)) = (row.friction.get_mut(joint), seen.motion.qd.get(joint)) {
-        *slot = friction_row(qd);
+    let (q, qd) = (seen.motion.q.get(joint), seen.motion.qd.get(joint));
+    let cycles = A::COGGING_CYCLES.get(joint);
+    if let (Some(slot), Some(&cycles), Some(&q), Some(&qd)) =
+        (row.friction.get_mut(joint), cycles, q, qd)
+    {
+        *slot = friction_row(cycles, q, qd);
     }
     row.rigid = regressor_row::<A, N, P>(joint, &seen.motion).data.0[0];
     row
@@ -119,7 +126,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             return None;
         }
         let doubt = self.filter.friction_variance(joint)?;
-        for (column, doubt) in doubt.into_iter().enumerate() {
+        for (column, doubt) in doubt.into_iter().enumerate().take(WANDERING) {
             if doubt < 1.0 {
                 self.filter.add_noise(joint, column, config.process_noise);
             }
@@ -198,8 +205,11 @@ impl<const N: usize, const P: usize> Stacked<N, P> {
 mod tests {
     use super::*;
     use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
+    use crate::dynamics::FRICTION_COLUMNS;
     use crate::joint::{JointMotion, JointVector};
     use std::vec::Vec;
+
+    const WIDTH: usize = FRICTION_COLUMNS;
 
     /// The same filter on the plain covariance, in f64.
     struct Twin {
@@ -212,7 +222,7 @@ mod tests {
 
     impl Twin {
         fn correct(&mut self, joint: usize, phi: &[f64], innovation: f64, process_noise: f64) {
-            for k in [4 * joint, 4 * joint + 1, 4 * joint + 2, 4 * joint + 3] {
+            for k in (WIDTH * joint)..(WIDTH * joint + WANDERING) {
                 if self.p[k][k] < 1.0 {
                     self.p[k][k] += process_noise;
                 }
@@ -236,7 +246,7 @@ mod tests {
             let floor = |k: usize, bound: f64, theta: &mut [f64]| {
                 theta[k] = theta[k].max((bound - self.start[k]) / self.sigma[k]);
             };
-            for viscous in (0..4 * N).step_by(4) {
+            for viscous in (0..WIDTH * N).step_by(WIDTH) {
                 let coulomb = viscous + 1;
                 floor(viscous, 0.0, &mut self.theta);
                 floor(coulomb, 0.0, &mut self.theta);
@@ -263,7 +273,7 @@ mod tests {
         let row = torque_row::<Ur5, N, P>(joint, &Conditioned { motion, tau });
         let mut truth = Stacked::of(&ParameterSet::nominal::<Ur5>(1));
         truth.rigid = truth.rigid.map(|theta| 1.1 * theta);
-        truth.friction = [[2.0, 3.0, 0.5, 0.5]; N];
+        truth.friction = [[2.0, 3.0, 0.5, 0.5, -0.3, 0.2, -0.1]; N];
         let noise: f64 = (0..12)
             .map(|_| {
                 *random = random

@@ -1,13 +1,15 @@
 use super::{BoardError, Transport};
 use foretorque::arm::Arm;
 use foretorque::edge::bank::ParameterBank;
+use foretorque::edge::safety::{ARM_SAMPLES, SafetyReason, SafetyState, SafetyStatus};
 use foretorque::edge::telemetry::Statistics;
 use foretorque::edge::wire::{
-    BoardHello, BoardMessage, CHUNK, Chunk, Configuration, DecodeError, Decoder, FrameBuffer,
-    HostMessage, SampleFrame,
+    BankSource, BoardHello, BoardMessage, CHUNK, Chunk, Configuration, DecodeError, Decoder,
+    FrameBuffer, HostMessage, NackReason, SampleFlags, SampleFrame, TelemetryFrame,
 };
 use foretorque::feedforward::{Shares, Torque};
 use foretorque::joint::{JointMotion, JointSample, JointVector};
+use foretorque::learning::Request;
 use foretorque::limits::Flags;
 use std::time::{Duration, Instant};
 
@@ -15,6 +17,11 @@ use std::time::{Duration, Instant};
 const ATTEMPTS: usize = 3;
 /// How long one hello is waited for while a board may still be booting.
 const HELLO_TIMEOUT: Duration = Duration::from_millis(300);
+
+/// Samples that a board is given, at most, to become ready to be armed.
+const ARM_ATTEMPTS: u32 = 30;
+/// Samples that a board is given, at most, to bring its torque to zero: many times what its slew limit takes.
+const DISARM_SAMPLES: u32 = 2000;
 
 /// Shares of the torque of one tick, N·m.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +39,9 @@ pub struct TickReply<const N: usize> {
     pub tick: u32,
     /// What happened.
     pub flags: Flags,
-    /// The torque, N × N·m, bit for bit.
+    /// Whether torque leaves the board, and why not.
+    pub safety: SafetyStatus,
+    /// The torque, N × N·m, bit for bit; zero unless the board is armed.
     pub total: JointVector<N>,
     /// What it is made of.
     pub shares: BoardShares<N>,
@@ -65,6 +74,12 @@ pub struct Client<const N: usize> {
     timeout: Duration,
     count: LinkCount,
     hello: BoardHello,
+    /// The board as its last reply told it.
+    safety: SafetyStatus,
+    /// The desired motion that the board knows, without a measurement.
+    presented: Option<SampleFrame<N>>,
+    /// What it told unasked.
+    telemetry: Vec<TelemetryFrame>,
 }
 
 impl<const N: usize> Client<N> {
@@ -98,8 +113,12 @@ impl<const N: usize> Client<N> {
             timeout: Duration::from_secs(2),
             count: LinkCount::default(),
             hello: nobody(),
+            safety: SafetyStatus::default(),
+            presented: None,
+            telemetry: Vec::new(),
         };
         client.hello = client.greet(boot)?;
+        client.safety = client.hello.safety;
         let found = &client.hello;
         if found.arm_hash != arm_hash || usize::from(found.joints) != N {
             return Err(BoardError::WrongRobot {
@@ -138,10 +157,12 @@ impl<const N: usize> Client<N> {
     /// [`sample`](Self::sample) for a frame made elsewhere: with currents, or temperatures.
     pub fn sample_frame(&mut self, frame: &SampleFrame<N>) -> Result<TickReply<N>, BoardError> {
         let sequence = self.post(&HostMessage::Sample(*frame))?;
-        match self.wait_for(sequence, self.timeout)? {
+        let reply = self.wait_for(sequence, self.timeout)?;
+        let reply = match reply {
             BoardMessage::Torque(reply) => Ok(TickReply {
                 tick: reply.tick,
                 flags: Flags(reply.flags),
+                safety: reply.safety,
                 total: reply.total.into(),
                 shares: BoardShares::Joint(reply.tick as usize % N, reply.shares),
             }),
@@ -150,12 +171,101 @@ impl<const N: usize> Client<N> {
                 Ok(TickReply {
                     tick: torque.tick,
                     flags: torque.flags,
+                    safety: reply.safety,
                     total: torque.total,
                     shares: BoardShares::All(torque.shares),
                 })
             }
             other => Err(refused(other)),
+        }?;
+        self.safety = reply.safety;
+        self.presented = Some(SampleFrame {
+            flags: SampleFlags::default(),
+            ..*frame
+        });
+        Ok(reply)
+    }
+
+    /// Whether torque leaves the board, and why not, as it last said.
+    pub fn safety(&self) -> SafetyStatus {
+        self.safety
+    }
+
+    /// Shows the board `sample` until it has heard enough, then arms it: its torque counts from the next sample on.
+    ///
+    /// Errors: as for every command; [`BoardError::Refused`] with the reason why the board must not be armed.
+    pub fn arm(&mut self, sample: &JointSample<N>) -> Result<(), BoardError> {
+        let mut shown = 0;
+        loop {
+            self.sample(sample)?;
+            shown += 1;
+            if shown < ARM_SAMPLES {
+                continue;
+            }
+            match self.command(&HostMessage::Arm) {
+                Err(BoardError::Refused(NackReason::Unsafe(SafetyReason::NoSample)))
+                    if shown < ARM_ATTEMPTS => {}
+                done => return done,
+            }
         }
+    }
+
+    /// Disarms the board and goes on with the last desired motion until its torque is zero.
+    ///
+    /// Errors: as for every command; a board whose torque does not end is one of [`BoardError::UnexpectedAnswer`].
+    pub fn disarm(&mut self) -> Result<(), BoardError> {
+        self.command(&HostMessage::Disarm)?;
+        let Some(frame) = self.presented else {
+            return Ok(());
+        };
+        for _ in 0..DISARM_SAMPLES {
+            if !torque_flows(self.safety.state) {
+                return Ok(());
+            }
+            self.sample_frame(&frame)?;
+        }
+        Err(BoardError::UnexpectedAnswer)
+    }
+
+    /// Emergency stop: torque off at once; a fault is latched.
+    pub fn stop(&mut self) -> Result<(), BoardError> {
+        self.command(&HostMessage::Stop)
+    }
+
+    /// Has the board forget a latched fault.
+    pub fn clear_fault(&mut self) -> Result<(), BoardError> {
+        self.command(&HostMessage::ClearFault)
+    }
+
+    /// Asks the board's learner; what comes of it is among its decisions.
+    pub fn request(&mut self, request: Request) -> Result<(), BoardError> {
+        self.command(&HostMessage::Request {
+            code: request as u8,
+        })
+    }
+
+    /// Has the board stream `fields`, a sum of [`Field`](foretorque::edge::wire::Field) bits, of every `every`-th tick.
+    pub fn stream(&mut self, fields: u16, every: u16) -> Result<(), BoardError> {
+        self.command(&HostMessage::Telemetry { fields, every })
+    }
+
+    /// The telemetry that came since this was last asked, in the order it came.
+    pub fn take_telemetry(&mut self) -> Vec<TelemetryFrame> {
+        std::mem::take(&mut self.telemetry)
+    }
+
+    /// Starts the board's processor anew. Says nothing of whether it came back: greet it again.
+    pub fn reboot(&mut self) -> Result<(), BoardError> {
+        self.post(&HostMessage::Reboot)?;
+        Ok(())
+    }
+
+    /// Disarms the board if its torque flows.
+    fn bring_to_rest(&mut self) -> Result<(), BoardError> {
+        if torque_flows(self.safety.state) {
+            self.disarm()?;
+        }
+        Ok(())
     }
 
     /// Shares of the board's active set for `motion`; changes nothing on the board.
@@ -166,8 +276,9 @@ impl<const N: usize> Client<N> {
         }
     }
 
-    /// Sets period, pacing and reply mode; the board's tick starts over at 0.
+    /// Sets period, pacing and reply mode; the board is disarmed, and its tick starts over at 0.
     pub fn configure(&mut self, configuration: Configuration) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
         self.command(&HostMessage::Configure(configuration))?;
         self.hello.configuration = configuration;
         Ok(())
@@ -186,15 +297,17 @@ impl<const N: usize> Client<N> {
         }
     }
 
-    /// Brings the board back to the state after boot.
+    /// Disarms the board and brings it back to the state after boot; a latched fault stays.
     pub fn reset(&mut self) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
         self.command(&HostMessage::Reset)?;
         self.hello.configuration = Configuration::default();
         Ok(())
     }
 
-    /// Sends `bank` and has the board take it over, whole or not at all. Learning must be off.
+    /// Disarms the board, sends `bank` and has the board take it over, whole or not at all. Learning must be off.
     pub fn upload_bank(&mut self, bank: &ParameterBank) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
         let mut room = [0; ParameterBank::MAX_BYTES];
         let bytes = bank.encode(&mut room).map_err(BoardError::Bank)?;
         for (place, chunk) in bytes.chunks(CHUNK).enumerate() {
@@ -207,16 +320,22 @@ impl<const N: usize> Client<N> {
         let sequence = self.post(&HostMessage::BankCommit {
             length: bytes.len() as u16,
             crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
+            mac: None,
         })?;
         acknowledged(self.wait_for(sequence, self.timeout)?)
     }
 
     /// The bank in force on the board, what it has learnt included.
     pub fn read_bank(&mut self) -> Result<ParameterBank, BoardError> {
+        self.read_bank_of(BankSource::Live)
+    }
+
+    /// One of the banks on the board.
+    pub fn read_bank_of(&mut self, source: BankSource) -> Result<ParameterBank, BoardError> {
         let mut bank = Vec::new();
         loop {
             let wanted = bank.len() as u16;
-            let (length, piece) = self.read_chunk(wanted)?;
+            let (length, piece) = self.read_chunk(source, wanted)?;
             bank.extend_from_slice(&piece);
             if bank.len() >= usize::from(length) || piece.is_empty() {
                 return ParameterBank::decode(&bank).map_err(BoardError::Bank);
@@ -224,8 +343,12 @@ impl<const N: usize> Client<N> {
         }
     }
 
-    fn read_chunk(&mut self, wanted: u16) -> Result<(u16, Chunk), BoardError> {
-        match self.ask(&HostMessage::BankRead { offset: wanted })? {
+    fn read_chunk(&mut self, source: BankSource, wanted: u16) -> Result<(u16, Chunk), BoardError> {
+        let question = HostMessage::BankRead {
+            source,
+            offset: wanted,
+        };
+        match self.ask(&question)? {
             BoardMessage::BankChunk {
                 offset,
                 length,
@@ -308,7 +431,11 @@ impl<const N: usize> Client<N> {
                         match answer {
                             answer if from == sequence => return Ok(answer),
                             BoardMessage::Hello(hello) if from == 0 => {
+                                self.safety = hello.safety;
                                 return Err(BoardError::Restarted(hello.reset_reason));
+                            }
+                            BoardMessage::Telemetry(frame) if from == 0 => {
+                                self.telemetry.push(frame);
                             }
                             _ => self.count.stray += 1,
                         }
@@ -341,6 +468,11 @@ impl<const N: usize> Client<N> {
     }
 }
 
+/// In this state the motor stage has torque.
+fn torque_flows(state: SafetyState) -> bool {
+    matches!(state, SafetyState::Armed | SafetyState::RampDown)
+}
+
 fn acknowledged<const N: usize>(answer: BoardMessage<N>) -> Result<(), BoardError> {
     match answer {
         BoardMessage::Ack => Ok(()),
@@ -369,5 +501,7 @@ fn nobody() -> BoardHello {
         counter_hz: 0,
         configuration: Configuration::default(),
         reset_reason: ResetReason::Unknown,
+        safety: SafetyStatus::default(),
+        boot_counts: 0,
     }
 }

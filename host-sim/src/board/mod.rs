@@ -5,6 +5,7 @@
 
 mod child;
 mod client;
+pub mod flash;
 pub mod log;
 mod native;
 pub mod qemu;

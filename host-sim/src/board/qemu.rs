@@ -17,6 +17,8 @@ use super::child::Guarded;
 
 /// The emulator's program.
 const EMULATOR: &str = "qemu-system-arm";
+/// Where the store begins (memory.x).
+const STORE_START: u32 = 0x080C_0000;
 /// How long the end of a dying emulator is waited for.
 const FUNERAL: Duration = Duration::from_secs(2);
 /// How long a board may take no bytes.
@@ -67,6 +69,8 @@ pub struct QemuOptions {
     pub boot: Duration,
     /// File for the raw defmt stream of the flashable firmware.
     pub log: Option<PathBuf>,
+    /// File with the content of the store's sectors, which the emulated board can read and not change; `None` for zeros.
+    pub store: Option<PathBuf>,
     /// File for the accesses to parts of the chip that the emulator does not model, pins among them.
     pub trace: Option<PathBuf>,
 }
@@ -82,6 +86,7 @@ impl QemuOptions {
             core: nix::sched::sched_getcpu().ok(),
             boot: Duration::from_secs(10),
             log: None,
+            store: None,
             trace: None,
         }
     }
@@ -178,6 +183,12 @@ impl Emulator {
             .stderr(Stdio::piped())
             .arg("-kernel")
             .arg(&options.elf);
+        if let Some(store) = &options.store {
+            command.arg("-device").arg(format!(
+                "loader,file={},addr={STORE_START:#x},force-raw=on",
+                store.display()
+            ));
+        }
         if let Some(trace) = &options.trace {
             command.args(["-d", "unimp", "-D"]).arg(trace);
         }

@@ -15,7 +15,7 @@ pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
     robot: String,
-    /// Directory for excitation.json, excitation.csv and excitation.html
+    /// Directory for excitation.json, excitation.csv, excitation.html and excitation.svg
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// What is made small
@@ -170,6 +170,8 @@ fn write<const N: usize>(excitation: &Excitation, out: &Path) -> Result<(), Fail
     table.finish()?;
     let page = excitation::page::page::<N>(excitation)?;
     write_whole(&out.join("excitation.html"), page.as_bytes())?;
+    let picture = excitation::page::picture::<N>(excitation)?;
+    write_whole(&out.join("excitation.svg"), picture.as_bytes())?;
     let json = serde_json::to_string_pretty(excitation)? + "\n";
     write_whole(&out.join("excitation.json"), json.as_bytes())?;
     Ok(())

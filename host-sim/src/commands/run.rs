@@ -85,7 +85,6 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }
-    board.learning(arguments.learn)?;
     let mut header = log_header::<N>();
     header.extend(joint_columns("feed_forward", "nm", N));
     header.push("flags".to_owned());
@@ -99,6 +98,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         PERIOD_S,
         Some(&mut board),
     )?;
+    board.learning(arguments.learn)?;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
         seen.add(&record);
@@ -112,6 +112,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     }
     drop(bar);
     board.learning(false)?;
+    board.disarm()?;
     let statistics = board.statistics()?;
     let learnt = bank::bytes(&board.read_bank()?)?;
     let report = ClosedLoopReport {

@@ -2,14 +2,12 @@ use super::progress::Bar;
 use super::{Failure, unusable};
 use crate::control::PdConfig;
 use crate::dynamics::ReferenceModel;
-use crate::excitation::Excitation;
 use crate::experiment::closed_loop::{ClosedLoop, TickRecord};
 use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
-use crate::table::{StateReader, TableWriter, TimeColumn, joint_columns, state_columns};
+use crate::table::{TableWriter, joint_columns, state_columns};
 use crate::trajectory::Trajectory;
 use clap::Args;
-use std::fs;
 use std::path::PathBuf;
 
 /// Let the simulated arm play a trajectory under PD control, and log what its sensors say
@@ -28,7 +26,8 @@ pub(super) struct Arguments {
 /// What `simulate` and `run` have in common.
 #[derive(Debug, Args)]
 pub(super) struct MotionArguments {
-    /// A table with t_s, q, qd, qdd; an excitation.json; or `validation`, a seeded path through via points
+    /// A table with t_s, q, qd, qdd; an excitation (.json); a path of the tool (.toml, see docs/trajectories.md); or
+    /// `validation`, a seeded path through via points
     #[arg(long, value_name = "FILE|validation")]
     trajectory: String,
     /// Seed of plant, noise and validation path
@@ -85,7 +84,13 @@ impl MotionArguments {
             ..PlantConfig::default()
         };
         let nominal = ReferenceModel::<N>::new(robot).ok_or_else(other_size)?;
-        let trajectory = self.trajectory::<N>(robot)?;
+        let trajectory = Trajectory::load(
+            &self.trajectory,
+            robot,
+            self.seed,
+            self.duration_s,
+            PERIOD_S,
+        )?;
         let duration_s = match &trajectory {
             Trajectory::Excitation { duration_s, .. } => *duration_s,
             ends => self
@@ -99,33 +104,6 @@ impl MotionArguments {
             trajectory,
             ticks: (duration_s / PERIOD_S).round() as usize,
         })
-    }
-
-    fn trajectory<const N: usize>(&self, robot: &Robot) -> Result<Trajectory<N>, Failure> {
-        if self.trajectory == "validation" {
-            return Ok(Trajectory::validation(robot, self.seed));
-        }
-        let path = PathBuf::from(&self.trajectory);
-        let trajectory = if path
-            .extension()
-            .is_some_and(|extension| extension == "json")
-        {
-            let text = fs::read_to_string(&path).map_err(|error| crate::files::at(&path, error))?;
-            let series: Excitation = serde_json::from_str(&text)
-                .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
-            series
-                .check(robot)
-                .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
-            let duration_s = self.duration_s.unwrap_or(series.period_s);
-            Trajectory::Excitation { series, duration_s }
-        } else {
-            let rows = StateReader::<N>::open(&path, TimeColumn::Required)?.read_all()?;
-            Trajectory::sampled(&rows, PERIOD_S)
-        };
-        trajectory
-            .check(robot, PERIOD_S)
-            .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
-        Ok(trajectory)
     }
 }
 

@@ -1,9 +1,11 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
+use super::simulate::PERIOD_S;
 use super::{Failure, bank};
 use crate::experiment::closed_loop::motion_f32;
 use crate::robot::Robot;
-use crate::table::{StateReader, TableError, TableWriter, TimeColumn, joint_columns};
+use crate::table::{StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns};
+use crate::trajectory::Trajectory;
 use clap::Args;
 use foretorque::arm::Arm;
 use std::path::PathBuf;
@@ -18,8 +20,19 @@ pub(super) struct Arguments {
     #[arg(long, default_value = "native")]
     board: BoardChoice,
     /// Table with q1_rad…, qd1_rad_s…, qdd1_rad_s2… (CSV, or CSV.gz); t_s is optional
-    #[arg(long = "in", value_name = "FILE")]
-    input: PathBuf,
+    #[arg(
+        long = "in",
+        value_name = "FILE",
+        required_unless_present = "trajectory"
+    )]
+    input: Option<PathBuf>,
+    /// In place of a table: an excitation (.json), a path of the tool (.toml), a table with t_s, or `validation`, every
+    /// millisecond
+    #[arg(long, value_name = "FILE|validation", conflicts_with = "input")]
+    trajectory: Option<String>,
+    /// Seed of the validation path
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
     /// Table to write: tau1_nm…; with a bank also rigid1_nm…, friction1_nm…, network1_nm…
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -35,17 +48,43 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 impl OnArm for &Arguments {
     type Output = ();
 
-    fn on<A: Arm<N, P>, const N: usize, const P: usize>(self, _: &Robot) -> Result<(), Failure> {
-        torque::<A, N, P>(self)
+    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
+        self,
+        robot: &Robot,
+    ) -> Result<(), Failure> {
+        torque::<A, N, P>(self, robot)
+    }
+}
+
+/// States one after the other, from a table or a trajectory.
+type States<const N: usize> = Box<dyn Iterator<Item = Result<StateRow<N>, TableError>>>;
+
+impl Arguments {
+    /// Whether the states have times, and the states.
+    fn states<const N: usize>(&self, robot: &Robot) -> Result<(bool, States<N>), Failure> {
+        if let Some(path) = &self.input {
+            let states = StateReader::<N>::open(path, TimeColumn::Optional)?;
+            return Ok((states.has_time(), Box::new(states)));
+        }
+        let name = self.trajectory.as_deref().unwrap_or_default();
+        let path = Trajectory::<N>::load(name, robot, self.seed, None, PERIOD_S)?;
+        let states = (0..=path.ticks(PERIOD_S)).map(move |tick| {
+            let t_s = tick as f64 * PERIOD_S;
+            Ok(StateRow {
+                t_s: Some(t_s),
+                motion: path.at(t_s),
+            })
+        });
+        Ok((true, Box::new(states)))
     }
 }
 
 fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     arguments: &Arguments,
+    robot: &Robot,
 ) -> Result<(), Failure> {
     let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
-    let states = StateReader::<N>::open(&arguments.input, TimeColumn::Optional)?;
-    let timed = states.has_time();
+    let (timed, states) = arguments.states::<N>(robot)?;
     let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
@@ -88,10 +127,8 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
             bar.show("torque", rows, rows);
         }
     }
-    if rows == 0 {
-        return Err(Box::new(TableError::Empty {
-            path: arguments.input.clone(),
-        }));
+    if let (0, Some(path)) = (rows, &arguments.input) {
+        return Err(Box::new(TableError::Empty { path: path.clone() }));
     }
     table.finish()?;
     Ok(())

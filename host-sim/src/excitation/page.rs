@@ -3,15 +3,13 @@
 use super::Excitation;
 use crate::dynamics::{Joints, State};
 use crate::report::page::{Section, Tile, html, table};
-use crate::report::plot::{Curve, Ink, Panel, grid};
+use crate::report::plot::{self, Curve, Ink, Panel, grid};
 use std::error::Error;
 
 type Pick<const N: usize> = fn(&State<N>) -> &Joints<N>;
 
-/// Positions, velocities and accelerations of all joints over one period, as one SVG.
-///
-/// Errors: what the plot library says.
-pub fn figure<const N: usize>(excitation: &Excitation) -> Result<String, Box<dyn Error>> {
+/// Positions, velocities and accelerations of all joints over one period.
+fn panels<const N: usize>(excitation: &Excitation) -> [Panel; 3] {
     const POINTS: u32 = 1000;
     let points: Vec<(f64, State<N>)> = (0..=POINTS)
         .map(|k| excitation.period_s * f64::from(k) / f64::from(POINTS))
@@ -22,7 +20,7 @@ pub fn figure<const N: usize>(excitation: &Excitation) -> Result<String, Box<dyn
         ("velocity", "qd / rad/s", |state| &state.qd),
         ("acceleration", "qdd / rad/s²", |state| &state.qdd),
     ];
-    let panels = rows.map(|(title, y_label, pick)| Panel {
+    rows.map(|(title, y_label, pick)| Panel {
         title: title.to_owned(),
         x_label: "t / s".to_owned(),
         y_label: y_label.to_owned(),
@@ -33,8 +31,38 @@ pub fn figure<const N: usize>(excitation: &Excitation) -> Result<String, Box<dyn
             })
             .collect(),
         from_zero: false,
-    });
-    grid(&panels, 1, 900, 260)
+    })
+}
+
+/// Colours and names of the joints.
+pub fn legend<const N: usize>() -> Vec<(Ink, String)> {
+    (0..N)
+        .map(|j| (Ink::Joint(j as u8), format!("joint {}", j + 1)))
+        .collect()
+}
+
+/// The paper's Fig. 3 as part of a page.
+///
+/// Errors: what the plot library says.
+pub fn figure<const N: usize>(excitation: &Excitation) -> Result<String, Box<dyn Error>> {
+    grid(&panels::<N>(excitation), 1, 900, 260)
+}
+
+/// The paper's Fig. 3 as an SVG file.
+///
+/// Errors: what the plot library says.
+pub fn picture<const N: usize>(excitation: &Excitation) -> Result<String, Box<dyn Error>> {
+    let title = format!(
+        "Fourier series excitation trajectories, {} (Fig. 3)",
+        excitation.robot
+    );
+    plot::picture(
+        &title,
+        &legend::<N>(),
+        &panels::<N>(excitation),
+        1,
+        (900, 260),
+    )
 }
 
 /// The page: figure, certificate, coefficients.
@@ -44,9 +72,7 @@ pub fn page<const N: usize>(excitation: &Excitation) -> Result<String, Box<dyn E
     let motion = Section {
         heading: "Motion".to_owned(),
         caption: "One period (the paper's Fig. 3): every joint moves at its own mix of five harmonics, at rest at both ends.".to_owned(),
-        legend: (0..N)
-            .map(|j| (Ink::Joint(j as u8), format!("joint {}", j + 1)))
-            .collect(),
+        legend: legend::<N>(),
         body: figure::<N>(excitation)?,
     };
     let mut sections = vec![motion];

@@ -10,13 +10,12 @@ use super::series::Extremes;
 use super::variables::{Bases, VARIABLES};
 use super::{Excitation, ExcitationError, JointSeries, ORDER};
 use crate::dynamics::Joints;
+use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
 use std::num::NonZeroUsize;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc;
 
 /// Share of the limits that a search uses: what lies between its instants takes 0.2 %.
 const LIMIT_SHARE: f64 = 0.995;
@@ -87,10 +86,7 @@ pub fn optimise<const N: usize>(
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Excitation, ExcitationError> {
     let search = Search::<N>::new(robot, config)?;
-    let threads = config
-        .threads
-        .or_else(|| std::thread::available_parallelism().ok())
-        .map_or(1, NonZeroUsize::get);
+    let threads = config.threads.map_or_else(cores, NonZeroUsize::get);
     let starts = match given {
         Some(excitation) => vec![search.variables(excitation)],
         None => search.starts()?,
@@ -117,39 +113,6 @@ pub fn optimise<const N: usize>(
         results.insert(0, search.certified(kept));
     }
     search.best(results)
-}
-
-/// `work` on every item, in the order of the items whatever thread does which; `done` is called after each, here.
-fn in_parallel<T: Sync, R: Send>(
-    threads: usize,
-    items: &[T],
-    work: impl Fn(&T) -> R + Sync,
-    mut done: impl FnMut(),
-) -> Vec<R> {
-    let next = AtomicUsize::new(0);
-    let (sender, receiver) = mpsc::channel();
-    let mut results: Vec<Option<R>> = items.iter().map(|_| None).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..threads.min(items.len()) {
-            let (sender, next, work) = (sender.clone(), &next, &work);
-            scope.spawn(move || {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(item) = items.get(index) else {
-                        return;
-                    };
-                    // Nobody listens any more only when the caller is gone.
-                    let _ = sender.send((index, work(item)));
-                }
-            });
-        }
-        drop(sender);
-        for (index, result) in receiver {
-            results[index] = Some(result);
-            done();
-        }
-    });
-    results.into_iter().flatten().collect()
 }
 
 /// One robot and one task, ready for any number of starts.

@@ -57,10 +57,10 @@ pub struct ClosedLoop<'t, const N: usize> {
 }
 
 impl<'t, const N: usize> ClosedLoop<'t, N> {
-    /// Puts the arm down at rest at the start of `trajectory`. The first tick's feed-forward is what the board says of
-    /// the first desired motion.
+    /// Puts the arm down at rest at the start of `trajectory` and arms the board, which is shown the arm standing there.
+    /// The first tick's feed-forward is what the board says of the first desired motion.
     ///
-    /// Errors: the board's.
+    /// Errors: the board's, and its refusal to be armed.
     pub fn new(
         plant: &mut Plant<N>,
         pd: &'t PdConfig<N>,
@@ -71,7 +71,18 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         let desired = trajectory.at(0.0);
         plant.place(&desired.q);
         let answer = match board {
-            Some(board) => board.evaluate(&motion_f32(&desired))?.total,
+            Some(board) => {
+                let motion = motion_f32(&desired);
+                let answer = board.evaluate(&motion)?.total;
+                board.arm(&JointSample {
+                    desired: motion,
+                    measured: Some(JointMeasurement {
+                        q: motion.q,
+                        tau: answer,
+                    }),
+                })?;
+                answer
+            }
             None => JointVector::zeros(),
         };
         Ok(Self {

@@ -1,6 +1,7 @@
 //! The page around the plots: one file, no script, nothing fetched.
 
-use super::plot::{Ink, style_sheet};
+use super::ink::{Ink, style_sheet, variables};
+use super::markup::escaped;
 
 /// A figure in large type at the top of the page.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,14 +23,6 @@ pub struct Section {
     pub legend: Vec<(Ink, String)>,
     /// SVG or a table, as HTML.
     pub body: String,
-}
-
-/// Text made safe for HTML.
-pub fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
 }
 
 /// A table with a header row; the first column is text, the others are numbers.
@@ -75,11 +68,12 @@ pub fn html(title: &str, lead: &str, tiles: &[Tile], sections: &[Section]) -> St
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
          <meta name=\"color-scheme\" content=\"light dark\">\
-         <title>{title}</title>\n<style>\n{STYLE}{inks}</style></head>\n<body><main>\n\
+         <title>{title}</title>\n<style>\n{colours}{STYLE}{inks}</style></head>\n<body><main>\n\
          <h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n<div class=\"tiles\">\n{tiles}</div>\n{sections}\
          </main></body></html>\n",
         title = escaped(title),
         lead = escaped(lead),
+        colours = variables(),
         inks = style_sheet(),
     )
 }
@@ -105,12 +99,6 @@ fn section(section: &Section) -> String {
 }
 
 const STYLE: &str = "\
-:root{--page:#fbfbfa;--card:#fff;--text:#1f2328;--quiet:#59636e;--axis:#8c959f;--grid:#e6e8eb;--line:#d8dce1;
---truth:#a3abb5;--before:#d9660a;--after:#0b5fd6;--other:#12805c;
---joint1:#0b5fd6;--joint2:#d9660a;--joint3:#12805c;--joint4:#b4267a;--joint5:#6b46c9;--joint6:#8a6d00;--joint7:#0e7c93;--joint8:#7a4a2b}
-@media (prefers-color-scheme:dark){:root{--page:#101418;--card:#171c22;--text:#e6e9ed;--quiet:#9aa4af;--axis:#6b7580;--grid:#2a313a;--line:#2f3741;
---truth:#7d8894;--before:#ff9a3d;--after:#6aa9ff;--other:#3ecf9a;
---joint1:#6aa9ff;--joint2:#ff9a3d;--joint3:#3ecf9a;--joint4:#f472b6;--joint5:#b39bff;--joint6:#e0c04a;--joint7:#4fd1e8;--joint8:#d9a27e}}
 *{box-sizing:border-box}body{margin:0;background:var(--page);color:var(--text);font:16px/1.5 system-ui,-apple-system,\"Segoe UI\",Roboto,sans-serif}
 main{max-width:1160px;margin:0 auto;padding:32px 20px 64px}h1{font-size:1.9rem;margin:0 0 4px;letter-spacing:-.01em}
 h2{font-size:1.2rem;margin:0 0 4px}p{margin:0 0 10px;max-width:80ch;color:var(--quiet)}.lead{font-size:1.05rem;margin-bottom:20px}

@@ -1,24 +1,12 @@
 //! Line plots as SVG that takes its colours from the page, so that it reads in light and in dark.
 
-use super::page::escaped;
+pub use super::ink::Ink;
+
+use super::ink::{AXIS, GRID, TEXT, coloured, light};
+use super::markup::escaped;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::error::Error;
-
-/// Colours of the page, by what they stand for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ink {
-    /// What is true, or wanted.
-    Truth,
-    /// The starting model, wrong on purpose.
-    Before,
-    /// The learnt model.
-    After,
-    /// A fourth curve.
-    Other,
-    /// One of up to eight joints, from 0.
-    Joint(u8),
-}
 
 /// A curve of a panel.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,64 +32,10 @@ pub struct Panel {
     pub from_zero: bool,
 }
 
-/// Colours of axes and grid; the page's style sheet translates each of these stand-ins, see [`style_sheet`].
-const AXIS: RGBColor = RGBColor(1, 1, 1);
-const GRID: RGBColor = RGBColor(2, 2, 2);
-const TEXT: RGBColor = RGBColor(3, 3, 3);
-
 /// SVG units a CSS pixel: plotters rounds coordinates to whole units.
 const FINE: u32 = 3;
 /// Points a curve keeps for each panel.
 const BUCKETS: usize = 260;
-
-impl Ink {
-    fn stand_in(self) -> RGBColor {
-        let code = match self {
-            Self::Truth => 16,
-            Self::Before => 17,
-            Self::After => 18,
-            Self::Other => 19,
-            Self::Joint(joint) => 32 + joint % 8,
-        };
-        RGBColor(code, code, code)
-    }
-
-    /// Name of the page's CSS variable for this colour.
-    pub fn variable(self) -> String {
-        match self {
-            Self::Truth => "--truth".to_owned(),
-            Self::Before => "--before".to_owned(),
-            Self::After => "--after".to_owned(),
-            Self::Other => "--other".to_owned(),
-            Self::Joint(joint) => format!("--joint{}", joint % 8 + 1),
-        }
-    }
-}
-
-/// CSS rules that give every stand-in colour its variable.
-pub fn style_sheet() -> String {
-    let mut inks = vec![
-        (AXIS, "--axis".to_owned()),
-        (GRID, "--grid".to_owned()),
-        (TEXT, "--text".to_owned()),
-    ];
-    let named = [Ink::Truth, Ink::Before, Ink::After, Ink::Other];
-    let joints = (0..8).map(Ink::Joint);
-    inks.extend(
-        named
-            .into_iter()
-            .chain(joints)
-            .map(|ink| (ink.stand_in(), ink.variable())),
-    );
-    inks.iter()
-        .map(|(RGBColor(r, g, b), variable)| {
-            let hex = format!("#{r:02X}{g:02X}{b:02X}");
-            format!(
-                "svg [stroke=\"{hex}\"]{{stroke:var({variable})}}svg [fill=\"{hex}\"]{{fill:var({variable})}}\n"
-            )
-        })
-        .collect()
-}
 
 /// Panels, one SVG each, that the page lays out in rows of at most `columns`, fewer where the window is narrow; the
 /// drawing is `width` × `height` CSS pixels before the page scales it.
@@ -120,6 +54,49 @@ pub fn grid(
         html += &single(panel, (width * FINE, height * FINE))?;
     }
     Ok(html + "</div>\n")
+}
+
+/// Panels in rows of `columns`, each `width` × `height` pixels, under a title and a legend: one SVG for a file of its own.
+///
+/// Errors: what the plot library says.
+pub fn picture(
+    title: &str,
+    legend: &[(Ink, String)],
+    panels: &[Panel],
+    columns: u32,
+    (width, height): (u32, u32),
+) -> Result<String, Box<dyn Error>> {
+    const HEAD: u32 = 64;
+    let columns = columns.max(1);
+    let rows = (panels.len() as u32).div_ceil(columns);
+    let (all_width, all_height) = (columns * width, HEAD + rows * height);
+    let text = |x: u32, y: u32, size: u32, words: &str| {
+        let colour = light("--text");
+        let words = escaped(words);
+        format!("<text x=\"{x}\" y=\"{y}\" font-size=\"{size}\" fill=\"{colour}\">{words}</text>\n")
+    };
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{all_width}\" height=\"{all_height}\" \
+         viewBox=\"0 0 {all_width} {all_height}\" font-family=\"sans-serif\">\n\
+         <rect width=\"100%\" height=\"100%\" fill=\"{}\"/>\n",
+        light("--card")
+    );
+    svg += &text(14, 24, 16, title);
+    let mut x = 14;
+    for (ink, name) in legend {
+        let colour = light(&ink.variable());
+        svg += &format!("<rect x=\"{x}\" y=\"44\" width=\"18\" height=\"4\" fill=\"{colour}\"/>\n");
+        svg += &text(x + 24, 50, 12, name);
+        // Sans-serif letters of 12 pixels are about 7 wide.
+        x += 42 + 7 * name.chars().count() as u32;
+    }
+    for (number, panel) in (0..).zip(panels) {
+        let (x, y) = (number % columns * width, HEAD + number / columns * height);
+        let drawing = coloured(&single(panel, (width * FINE, height * FINE))?);
+        let placed = format!("<svg x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"");
+        svg += &drawing.replacen("<svg", &placed, 1);
+    }
+    Ok(svg + "</svg>\n")
 }
 
 fn single(panel: &Panel, size: (u32, u32)) -> Result<String, Box<dyn Error>> {
@@ -266,11 +243,40 @@ mod tests {
             from_zero: false,
         };
         let svg = grid(&[panel], 1, 300, 200).expect("draws");
-        let sheet = style_sheet();
+        let sheet = crate::report::ink::style_sheet();
         for piece in svg.split("=\"#").skip(1) {
             let hex = piece.split('"').next().unwrap_or_default();
             assert!(sheet.contains(hex), "{hex}");
         }
         assert!(!svg.contains("<tau"), "text is escaped");
+    }
+
+    #[test]
+    fn a_picture_needs_no_style_sheet_and_names_its_curves() {
+        let panel = |title: &str| Panel {
+            title: title.to_owned(),
+            x_label: "t / s".to_owned(),
+            y_label: "q / rad".to_owned(),
+            curves: vec![Curve {
+                ink: Ink::Joint(1),
+                points: vec![(0.0, 1.0), (1.0, 2.0)],
+            }],
+            from_zero: false,
+        };
+        let legend = [(Ink::Joint(1), "joint <2>".to_owned())];
+        let svg = picture(
+            "all",
+            &legend,
+            &[panel("a"), panel("b"), panel("c")],
+            2,
+            (300, 200),
+        )
+        .expect("draws");
+        roxmltree::Document::parse(&svg).expect("is XML");
+        assert!(svg.contains("viewBox=\"0 0 600 464\"") && svg.contains("joint &lt;2&gt;"));
+        assert!(svg.contains("t / s") && svg.contains("q / rad"));
+        for stand_in in ["#010101", "#020202", "#030303", "#212121", "var("] {
+            assert!(!svg.contains(stand_in), "{stand_in}");
+        }
     }
 }

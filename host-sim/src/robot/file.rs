@@ -4,6 +4,7 @@ use super::{
     Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
     RobotError, Workspace,
 };
+use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
@@ -404,12 +405,9 @@ impl Check<'_> {
 }
 
 fn syntax(file: &str, text: &str, error: &toml::de::Error) -> RobotError {
-    let line = error
-        .span()
-        .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-    let first = error.message().lines().next().unwrap_or("not TOML");
+    let (line, reason) = toml_complaint(text, error);
     RobotError::Syntax {
         file: file.to_owned(),
-        reason: format!("line {line}: {first}"),
+        reason: format!("line {line}: {reason}"),
     }
 }

@@ -253,6 +253,7 @@ impl Arm<JOINTS, PARAMETERS> for Ur5Calibrated {
         JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
         JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
     ];
+    const COGGING_CYCLES: [f32; JOINTS] = [202.0, 202.0, 202.0, 202.0, 202.0, 202.0];
     const NOMINAL: [f32; PARAMETERS] = [
         3.3939483,
         -3.8549623,

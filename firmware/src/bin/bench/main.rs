@@ -18,7 +18,11 @@ mod rows;
 mod stage;
 
 #[cfg(target_os = "none")]
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+#[cfg(target_os = "none")]
 use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
+#[cfg(target_os = "none")]
+use foretorque::learning::Learner;
 
 #[cfg(target_os = "none")]
 #[cortex_m_rt::entry]
@@ -26,24 +30,31 @@ fn main() -> ! {
     use cortex_m_semihosting::{debug, hprintln};
 
     machine::start_counter();
-    let calls = machine::calls();
-    for row in rows::ROWS {
-        // Every row starts from the same stage, so that a row added or removed does not move the others.
-        let Some(mut stage) = stage::Stage::new() else {
-            hprintln!("the configuration of the tick does not validate");
-            debug::exit(debug::EXIT_FAILURE);
-            break;
-        };
-        for _ in 0..calls {
-            stage.vary();
-            let count = machine::count(row.run, &mut stage);
-            hprintln!("{} {}", row.name, count);
-        }
+    if run(machine::calls()).is_none() {
+        hprintln!("the configuration of the tick does not validate");
+        debug::exit(debug::EXIT_FAILURE);
     }
     debug::exit(debug::EXIT_SUCCESS);
     loop {
         cortex_m::asm::nop();
     }
+}
+
+#[cfg(target_os = "none")]
+fn run(calls: u32) -> Option<()> {
+    let learner = stage::Stage::learner()?;
+    let mut learner = cortex_m::singleton!(: Learner<Ur5, JOINTS, PARAMETERS> = learner)?;
+    for row in rows::ROWS {
+        // Every row starts from the same stage, so that a row added or removed does not move the others.
+        let mut stage = stage::Stage::new(learner)?;
+        for _ in 0..calls {
+            stage.vary();
+            let count = machine::count(row.run, &mut stage);
+            cortex_m_semihosting::hprintln!("{} {}", row.name, count);
+        }
+        learner = stage.learner;
+    }
+    Some(())
 }
 
 #[cfg(not(target_os = "none"))]

@@ -43,7 +43,7 @@ rows! {
         rnea::<Panda, { panda::JOINTS }, { panda::PARAMETERS }>(&s.panda, &s.panda_motion);
     regressor_row_ur5(s) { black_box(&regressor_row::<Ur5, JOINTS, PARAMETERS>(s.joint, &s.motion)); };
     regressor_ur5(s) { black_box(&regressor::<Ur5, JOINTS, PARAMETERS>(&s.motion)); };
-    friction_ur5(s) s.tau = friction(&s.set.friction, &s.motion.qd);
+    friction_ur5(s) s.tau = friction::<Ur5, JOINTS, PARAMETERS>(&s.set.friction, &s.motion.q, &s.motion.qd);
     bp_18_32_6_forward(s) s.output = black_box(&mut s.paper).forward(&s.input);
     bp_18_32_6_update(s) s.output = black_box(&mut s.paper).update(&s.input, &s.target, &s.step);
     block_network(s) s.block_network();

@@ -48,13 +48,20 @@ pub(crate) struct Stage {
     pub(crate) feedforward: FeedForward<Ur5, JOINTS, PARAMETERS>,
     pub(crate) lesson: Lesson<JOINTS>,
     pub(crate) exchange: Exchange<JOINTS, PARAMETERS>,
-    pub(crate) learner: Learner<Ur5, JOINTS, PARAMETERS>,
+    /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
+    pub(crate) learner: &'static mut Learner<Ur5, JOINTS, PARAMETERS>,
     random: Random,
 }
 
 impl Stage {
+    /// A learner for the stages, one after the other; `None` if its configuration does not validate.
+    pub(crate) fn learner() -> Option<Learner<Ur5, JOINTS, PARAMETERS>> {
+        let set = ParameterSet::nominal::<Ur5>(1);
+        Learner::new(LearnerConfig::for_arm::<Ur5>(PERIOD), set).ok()
+    }
+
     /// The stage after the warm-up; `None` if a configuration does not validate.
-    pub(crate) fn new() -> Option<Self> {
+    pub(crate) fn new(learner: &'static mut Learner<Ur5, JOINTS, PARAMETERS>) -> Option<Self> {
         let mut set = ParameterSet::nominal::<Ur5>(1);
         for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
             *friction = FrictionParameters {
@@ -62,8 +69,14 @@ impl Stage {
                 coulomb: 0.05 * limits.torque,
                 stribeck_narrow: 0.01 * limits.torque,
                 stribeck_wide: 0.01 * limits.torque,
+                offset: 0.001 * limits.torque,
+                cogging_sin: 0.003 * limits.torque,
+                cogging_cos: 0.001 * limits.torque,
             };
         }
+        learner
+            .restart(LearnerConfig::for_arm::<Ur5>(PERIOD), &set)
+            .ok()?;
         let mut feedforward =
             FeedForward::new(FeedForwardConfig::for_arm::<Ur5, PARAMETERS>(PERIOD), set).ok()?;
         feedforward.set_learning(true);
@@ -93,7 +106,7 @@ impl Stage {
                 desired: JointMotion::zero(),
                 measured: None,
             },
-            learner: Learner::new(LearnerConfig::for_arm::<Ur5>(PERIOD), set).ok()?,
+            learner,
             lesson: Lesson {
                 tick: 0,
                 measured: None,

@@ -10,6 +10,7 @@
 mod board;
 #[cfg(target_os = "none")]
 #[path = "../joint/fault.rs"]
+#[expect(dead_code, reason = "there is no safety to latch a fault here")]
 mod fault;
 
 #[cfg(target_os = "none")]
@@ -18,6 +19,7 @@ mod trial {
 
     use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
+    use foretorque::edge::safety::SafetyStatus;
     use foretorque::edge::wire::{
         BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, FrameBuffer, Name,
     };
@@ -44,6 +46,8 @@ mod trial {
             counter_hz: place,
             configuration: Configuration::default(),
             reset_reason: fault::reset_reason(kept, &chip.RCC),
+            safety: SafetyStatus::default(),
+            boot_counts: 0,
         };
         chip.RCC.apb1enr().modify(|_, w| w.usart2en().enabled());
         let link = chip.USART2;

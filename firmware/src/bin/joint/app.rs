@@ -6,7 +6,7 @@
 //! | 4 | `timer`: notes that a tick is due | SysTick | the period |
 //! | 3 | `tick`: decode, feed-forward, reply | the end of a frame, or `timer` | the period |
 //! | 2 | `learn`: one lesson a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
-//! | 0 | `idle`: log | every interrupt | none |
+//! | 0 | `idle`: log, watchdog | every interrupt | the watchdog's time |
 //!
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
@@ -16,7 +16,10 @@ mod app {
 
     use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
+    use foretorque::edge::safety::{SafetyReason, Task};
     use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::store::Store;
+    use foretorque::edge::telemetry::CostMeter;
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
     use foretorque::learning::{Learner, LearnerConfig};
     use heapless::spsc::{Consumer, Producer, Queue};
@@ -24,13 +27,15 @@ mod app {
     use stm32f4xx_hal::pac::Interrupt;
     use stm32f4xx_hal::prelude::*;
 
-    use crate::board::{Arm, JOINTS, PARAMETERS};
+    use crate::board::{self, Arm, JOINTS, PARAMETERS};
     use crate::clock::{self, ClockSource};
     use crate::counter::{self, Counter};
     use crate::fault::{self, EnablePin, Reason};
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
     use crate::log;
     use crate::pace::{self, Pace};
+    use crate::store_flash::StoreFlash;
+    use crate::watchdog::{self, ROLL, Watchdog};
 
     /// Ticks between two lines of the log.
     const LOG_EVERY: u32 = 1000;
@@ -53,6 +58,9 @@ mod app {
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
         pace: Pace,
+        enable: TorqueEnable<EnablePin>,
+        kept: SafetyReason,
+        watchdog: Watchdog,
         learner: Learner<Arm, JOINTS, PARAMETERS>,
         drain: Option<log::Drain>,
     }
@@ -64,11 +72,12 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
         let reset_reason = fault::reset_reason(reason, &cx.device.RCC);
+        let kept = fault::latched();
         let clocks = clock::start(&cx.device.RCC, &cx.device.FLASH);
         let emulated = clocks.source == ClockSource::Emulated;
 
-        // Switched off by its constructor; nothing in this firmware switches it on before a host can arm the board.
-        let Ok(_enable) = TorqueEnable::new(EnablePin);
+        // Switched off by its constructor; only a session that a host has armed switches it on.
+        let Ok(enable) = TorqueEnable::new(EnablePin);
         cx.device.RCC.apb1enr().modify(|_, w| {
             w.usart2en()
                 .enabled()
@@ -90,6 +99,7 @@ mod app {
         } else {
             (counter::start_cycles(&mut core), clocks.cpu_hz)
         };
+        let booting = counter::now();
         let drain = emulated.then(|| log::Drain::start(cx.device.USART3));
         defmt::info!(
             "boot: clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
@@ -100,40 +110,53 @@ mod app {
             place
         );
 
-        let board = BoardDescription {
-            capabilities: Capabilities::LEARNING | Capabilities::TIMER,
+        let description = BoardDescription {
+            capabilities: Capabilities::LEARNING
+                | Capabilities::TIMER
+                | Capabilities::WATCHDOG
+                | Capabilities::REBOOT,
             counter,
             counter_hz,
             reset_reason,
+            kept_fault: kept,
+            link_baud: board::LINK_BAUD,
             ..BoardDescription::plain(Counter)
         };
-        let Ok(mut session) = Session::new(board) else {
+        let Ok(mut session) = Session::new(description) else {
             fault::leave(Reason::Setup, line!());
         };
+        let mut desk = Desk::new();
+        let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
+        let stored = session.boot_from(&mut store, &mut desk);
+        defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
         let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
             fault::leave(Reason::Setup, line!());
         };
-        let mut pace = Pace::new(core.SYST, clocks.cpu_hz);
+        let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
 
         let (receive_in, received) = cx.local.receive_ring.split();
         let (mut waiting, transmit_out) = cx.local.transmit_ring.split();
         let wire = Wire::start(cx.device.USART2, clocks.apb1_hz, receive_in, transmit_out);
         let mut out = FrameBuffer::new();
+        let boot_counts = counter::now().wrapping_sub(booting);
+        session.note_boot(boot_counts);
         session.greet(&mut out);
         link::send(&mut waiting, out.as_bytes());
         out.clear();
         defmt::info!(
-            "hello: arm {=str} {=u32:#x}, {} counter, {}",
+            "hello: arm {=str} {=u32:#x}, {} counter, {}, {}, {=u32} counts from clock to hello",
             Arm::NAME,
             Arm::HASH,
             counter,
-            session.configuration()
+            session.configuration(),
+            session.safety(),
+            boot_counts
         );
         (
-            Shared { desk: Desk::new() },
+            Shared { desk },
             Local {
                 wire,
                 session,
@@ -141,6 +164,9 @@ mod app {
                 waiting,
                 out,
                 pace,
+                enable,
+                kept,
+                watchdog: Watchdog::start(cx.device.IWDG),
                 learner,
                 drain,
             },
@@ -163,7 +189,11 @@ mod app {
     #[task(
         binds = EXTI1,
         priority = 3,
-        local = [session, received, waiting, out, pace, troubles: u32 = 0],
+        local = [
+            session, received, waiting, out, pace, enable, kept,
+            troubles: u32 = 0,
+            latency: CostMeter = CostMeter::new(),
+        ],
         shared = [desk]
     )]
     fn tick(mut cx: tick::Context) {
@@ -173,10 +203,13 @@ mod app {
             waiting,
             out,
             pace,
+            enable,
+            kept,
             troubles,
+            latency,
             ..
         } = cx.local;
-        let waiting_lessons = cx.shared.desk.lock(|desk| {
+        cx.shared.desk.lock(|desk| {
             if pace::take_due() {
                 session.timer_tick(desk, out);
             }
@@ -191,21 +224,34 @@ mod app {
                     count += 1;
                 }
                 session.receive(chunk.get(..count).unwrap_or_default(), desk, out);
-                if !out.is_empty() && !link::send(waiting, out.as_bytes()) {
-                    session.note_reply_lost();
+                // Before the host reads of it: what is told is done.
+                switch(enable, session.torque_enabled());
+                let latched = session.latched_fault();
+                if *kept != latched {
+                    *kept = latched;
+                    fault::keep_latched(latched);
+                }
+                if session.reboot_wanted() {
+                    fault::leave(Reason::Asked, 0);
+                }
+                if !out.is_empty() {
+                    if !link::send(waiting, out.as_bytes()) {
+                        session.note_reply_lost();
+                    } else if count > 0 {
+                        latency.note(link::since_frame());
+                    }
                 }
                 out.clear();
                 if count == 0 {
                     break;
                 }
             }
-            desk.waiting()
         });
-        if waiting_lessons > 0 {
-            rtic::pend(Interrupt::EXTI2);
-        }
+        // Whether there are lessons or not: the learner shall say that it lives.
+        rtic::pend(Interrupt::EXTI2);
         pace.follow(session.configuration());
-        session.note_receive_cost(link::receive_cost());
+        session.note_line(link::receive_cost(), latency.cost());
+        session.note_feeds(watchdog::feeds());
         // What went wrong below the frames since the last tick. Counters wrap; only their difference counts.
         let now = link::troubles().wrapping_add(pace::missed());
         while *troubles != now {
@@ -213,6 +259,18 @@ mod app {
             session.note_overrun();
         }
         TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
+        ROLL.present(Task::Tick);
+        if session.link_alive() {
+            ROLL.present(Task::Link);
+        }
+    }
+
+    /// Brings the enable pin to where it shall be.
+    fn switch(enable: &mut TorqueEnable<EnablePin>, on: bool) {
+        if enable.is_on() != on {
+            // This pin cannot refuse.
+            let Ok(()) = if on { enable.on() } else { enable.off() };
+        }
     }
 
     #[task(binds = EXTI2, priority = 2, local = [learner], shared = [desk])]
@@ -224,9 +282,10 @@ mod app {
             let cost = counter::now().wrapping_sub(start);
             cx.shared.desk.lock(|desk| desk.finish(learner, cost));
         }
+        ROLL.present(Task::Learner);
     }
 
-    #[idle(local = [drain])]
+    #[idle(local = [drain, watchdog])]
     fn idle(cx: idle::Context) -> ! {
         let mut logged = 0;
         loop {
@@ -248,6 +307,8 @@ mod app {
             if let Some(drain) = cx.local.drain {
                 drain.empty();
             }
+            ROLL.present(Task::Housekeeping);
+            cx.local.watchdog.feed_if_all_present();
             cortex_m::asm::wfi();
         }
     }

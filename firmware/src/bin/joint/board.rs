@@ -22,6 +22,13 @@ pub(crate) const FLASH_WAIT_STATES: u8 = 5;
 /// Reads of a ready flag before a clock source is given up. One read takes at least three cycles at 16 MHz, so this
 /// is more than 18 ms; the crystal needs about 2 ms (DS8626 table 39), the PLL at most 0.3 ms (table 43).
 pub(crate) const CLOCK_POLLS: u32 = 100_000;
+/// First sector of the store, and bytes of each of its two: the last ones of the chip (RM0090 table 5; memory.x).
+pub(crate) const STORE_SECTOR: u8 = 10;
+/// Bytes of a sector of the store.
+pub(crate) const STORE_SECTOR_BYTES: usize = 128 * 1024;
+/// Reads of the busy flag before the flash is given up. One takes at least three cycles at 168 MHz, so this is more than
+/// 3.5 s; erasing takes at most 2 s (DS8626 table 48).
+pub(crate) const FLASH_POLLS: u32 = 200_000_000;
 /// Division of the slow peripheral bus while the PLL runs: 42 MHz, its maximum (DS8626 table 14).
 pub(crate) const APB1_DIVIDER: u32 = 4;
 
@@ -31,3 +38,9 @@ pub(crate) const LINK_BAUD: u32 = 2_000_000;
 
 /// Torque enable of the motor stage: PB12, active high, pulled low on the board (EN_GATE of a DRV8301).
 pub(crate) const ENABLE_PIN: u8 = 12;
+
+/// Division of the watchdog's oscillator, 17 to 47 kHz (DS8626 table 42): 16, which its register calls 2.
+pub(crate) const WATCHDOG_PRESCALER: u8 = 2;
+/// Counts after which an unfed watchdog bites: 68 to 188 ms. The longest legal period of the tick is 100 ms, but torque
+/// ends after 50 ms of silence all the same; what takes longer is a hung task.
+pub(crate) const WATCHDOG_RELOAD: u16 = 200;

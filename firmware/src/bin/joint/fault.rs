@@ -9,6 +9,7 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::exception;
 use embedded_hal::digital::{ErrorType, OutputPin};
 use foretorque::edge::hal::TorqueEnable;
+use foretorque::edge::safety::SafetyReason;
 use foretorque::edge::wire::ResetReason;
 use stm32f4xx_hal::pac::{GPIOB, RCC};
 
@@ -30,6 +31,8 @@ pub(crate) enum Reason {
     Setup = 4,
     /// The stack ran out of its region; there is no place.
     Stack = 5,
+    /// The host asked for it; there is no place.
+    Asked = 6,
 }
 
 /// What is kept over a reset: a mark, reason, place, and their check word. The linker leaves the section alone at
@@ -37,7 +40,11 @@ pub(crate) enum Reason {
 #[unsafe(link_section = ".uninit.reason")]
 static mut KEPT: MaybeUninit<[u32; 4]> = MaybeUninit::uninit();
 
-/// Says that [`KEPT`] was written by this firmware: power-on leaves anything there.
+/// The fault that safety has latched, likewise: a mark, its code, their check word.
+#[unsafe(link_section = ".uninit.latched")]
+static mut LATCHED: MaybeUninit<[u32; 3]> = MaybeUninit::uninit();
+
+/// Says that [`KEPT`] and [`LATCHED`] were written by this firmware: power-on leaves anything there.
 const MARK: u32 = 0x7041_5553;
 
 /// Torque enable, PB12: a pin without state, because a fault handler must be able to make one out of nothing.
@@ -80,9 +87,32 @@ pub(crate) fn take() -> (Reason, u32) {
         3 => Reason::Unexpected,
         4 => Reason::Setup,
         5 => Reason::Stack,
+        6 => Reason::Asked,
         _ => Reason::None,
     };
     (reason, place)
+}
+
+/// The fault that was latched when the board restarted. After power-on there is none.
+pub(crate) fn latched() -> SafetyReason {
+    let kept = &raw const LATCHED;
+    // SAFETY: any bit pattern is a valid [u32; 3]; the words are written in the tick's task alone, and read before it runs.
+    let [mark, code, check] = unsafe { kept.cast::<[u32; 3]>().read_volatile() };
+    if mark != MARK || check != mark ^ code {
+        return SafetyReason::None;
+    }
+    SafetyReason::from_code(code as u8)
+}
+
+/// Keeps the fault that is latched over a reset.
+pub(crate) fn keep_latched(fault: SafetyReason) {
+    let kept = &raw mut LATCHED;
+    let code = u32::from(fault.code());
+    // SAFETY: called from the tick's task alone.
+    unsafe {
+        kept.cast::<[u32; 3]>()
+            .write_volatile([MARK, code, MARK ^ code])
+    };
 }
 
 /// Why the board started, for the link: what was kept, else what the chip remembers (RM0090 7.3.21), and forgets.
@@ -94,6 +124,7 @@ pub(crate) fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
     match kept {
         Reason::Panic | Reason::Setup => ResetReason::Panic,
         Reason::HardFault | Reason::Unexpected | Reason::Stack => ResetReason::Fault,
+        Reason::Asked => ResetReason::Software,
         Reason::None if chip.porrstf().bit_is_set() => ResetReason::PowerOn,
         Reason::None if chip.wdgrstf().bit_is_set() || chip.wwdgrstf().bit_is_set() => {
             ResetReason::Watchdog

@@ -101,6 +101,9 @@ impl Wire {
                 Err(_) => add(&RECEIVED.lost, 1),
             }
             delimiter = byte == 0;
+            if delimiter {
+                ENDED_AT.store(start, Ordering::Relaxed);
+            }
             received = true;
         }
         // A byte that finds some to send shares its interrupt with them, and says nothing of receiving.
@@ -153,6 +156,14 @@ pub(crate) fn receive_cost() -> Cost {
         mean: RECEIVED.counts.load(Ordering::Relaxed) / counted,
         max: RECEIVED.counts_max.load(Ordering::Relaxed),
     }
+}
+
+/// When the last frame ended, on the board's counter.
+static ENDED_AT: AtomicU32 = AtomicU32::new(0);
+
+/// Counts since the last frame ended.
+pub(crate) fn since_frame() -> u32 {
+    counter::now().wrapping_sub(ENDED_AT.load(Ordering::Relaxed))
 }
 
 /// Bytes lost by the ring and overruns of the register, together. Wraps.

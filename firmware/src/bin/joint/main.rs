@@ -17,6 +17,10 @@ mod link;
 mod log;
 #[cfg(target_os = "none")]
 mod pace;
+#[cfg(target_os = "none")]
+mod store_flash;
+#[cfg(target_os = "none")]
+mod watchdog;
 
 #[cfg(not(target_os = "none"))]
 fn main() {

@@ -1,4 +1,6 @@
-//! SysTick as the session wants it: off while the link paces, else at the period of the tick.
+//! SysTick at the period of the tick, whoever paces it: the tick itself, or the watch for silence while the link paces.
+//!
+//! Not in the emulator while the link paces: its time leaps ahead while it waits for the host, and would end the torque.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -17,12 +19,17 @@ pub(crate) struct Pace {
     /// Counts per microsecond: an eighth of the processor clock, with which 24 bits reach the longest period.
     counts_per_us: u32,
     follows: Option<Configuration>,
+    /// Runs while the link paces, too.
+    watches: bool,
 }
 
 impl Pace {
     /// A timer that stands still.
-    pub(crate) fn new(timer: SYST, cpu_hz: u32) -> Self {
+    ///
+    /// * `watches` it shall run while the link paces, too
+    pub(crate) fn new(timer: SYST, cpu_hz: u32, watches: bool) -> Self {
         Self {
+            watches,
             timer,
             counts_per_us: cpu_hz / 8_000_000,
             follows: None,
@@ -38,7 +45,7 @@ impl Pace {
         self.timer.disable_interrupt();
         self.timer.disable_counter();
         DUE.store(false, Ordering::Relaxed);
-        if wanted.pacing == Pacing::SysTick {
+        if wanted.pacing == Pacing::SysTick || self.watches {
             self.timer.set_clock_source(SystClkSource::External);
             self.timer
                 .set_reload(wanted.period_us * self.counts_per_us - 1);

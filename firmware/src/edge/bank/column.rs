@@ -36,6 +36,12 @@ pub enum ColumnKind {
     Fsn,
     /// Wide Stribeck peak, N·m.
     Fsw,
+    /// Constant torque of the drive, N·m.
+    Fo,
+    /// Cogging in phase with the sine, N·m.
+    Gs,
+    /// Cogging in phase with the cosine, N·m.
+    Gc,
 }
 
 impl ColumnKind {
@@ -54,8 +60,15 @@ impl ColumnKind {
     ];
 
     /// The friction columns of a joint in the order of [`crate::dynamics::friction_row`].
-    pub(super) const FRICTION: [Self; FRICTION_COLUMNS] =
-        [Self::Fv, Self::Fc, Self::Fsn, Self::Fsw];
+    pub(super) const FRICTION: [Self; FRICTION_COLUMNS] = [
+        Self::Fv,
+        Self::Fc,
+        Self::Fsn,
+        Self::Fsw,
+        Self::Fo,
+        Self::Gs,
+        Self::Gc,
+    ];
 
     const fn symbol(self) -> &'static str {
         match self {
@@ -74,6 +87,9 @@ impl ColumnKind {
             Self::Fc => "Fc",
             Self::Fsn => "Fsn",
             Self::Fsw => "Fsw",
+            Self::Fo => "Fo",
+            Self::Gs => "Gs",
+            Self::Gc => "Gc",
         }
     }
 }

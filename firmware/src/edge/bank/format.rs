@@ -14,6 +14,9 @@ const PREFIX: usize = MAGIC.len() + 1;
 const CRC_BYTES: usize = 4;
 
 impl ParameterBank {
+    /// Version of the bytes.
+    pub const FORMAT_VERSION: u8 = VERSION;
+
     /// Largest serialised bank, in bytes.
     pub const MAX_BYTES: usize = PREFIX
         + (4 + 1 + 24)

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 /// Most joints of an arm.
 pub const MAX_JOINTS: usize = 8;
 /// Most linear columns. A larger room does not change the format.
-pub const MAX_COLUMNS: usize = 96;
+pub const MAX_COLUMNS: usize = 112;
 /// Most network weights.
 pub const MAX_WEIGHTS: usize = 256;
 

@@ -32,15 +32,15 @@ fn verdict(change: impl FnOnce(&mut ParameterBank)) -> Option<BankError> {
 #[test]
 fn columns_are_named_link_by_link_then_rotors_then_friction() {
     let names: List<_> = nominal().columns.iter().map(|c| c.id.to_string()).collect();
-    assert_eq!(names.len(), P + 4 * N);
+    assert_eq!(names.len(), P + 7 * N);
     let front = [
         "Izz1", "mx2", "my2", "Ixx2", "Izz2", "Ixy2", "Ixz2", "Iyz2", "mx3",
     ];
     assert_eq!(names[..9], front);
     assert_eq!(
-        names[36..45],
+        names[36..48],
         [
-            "Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fsn1", "Fsw1", "Fv2"
+            "Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fsn1", "Fsw1", "Fo1", "Gs1", "Gc1", "Fv2"
         ]
     );
 }
@@ -72,6 +72,9 @@ fn every_set_survives_the_bank_in_any_order_of_columns() {
         friction.coulomb = 10.0 + j as f32;
         friction.stribeck_narrow = 20.0 + j as f32;
         friction.stribeck_wide = -30.0 - j as f32;
+        friction.offset = 0.25 * j as f32;
+        friction.cogging_sin = 0.5 + j as f32;
+        friction.cogging_cos = -0.5 * j as f32;
         set.network[j].output_bias[0] = 0.01 * j as f32;
         set.network[j].hidden_weights[(5, 1)] = j as f32;
     }
@@ -89,6 +92,27 @@ fn a_bank_without_friction_columns_has_no_friction() {
     bank.columns.truncate(P);
     let set = bank.set::<Ur5, N, P>().unwrap();
     assert!(set.friction.iter().all(|&f| f == FrictionParameters::NONE));
+}
+
+#[test]
+fn a_bank_from_before_offset_and_cogging_reads_them_as_zero() {
+    let mut set = ParameterSet::<N, P>::nominal::<Ur5>(3);
+    for friction in &mut set.friction {
+        *friction = FrictionParameters::from_columns([1.0; 7]);
+    }
+    let mut bank = ParameterBank::from_set::<Ur5, N, P>(&set);
+    let new = [ColumnKind::Fo, ColumnKind::Gs, ColumnKind::Gc];
+    bank.columns.retain(|column| !new.contains(&column.id.kind));
+    let set = bank.set::<Ur5, N, P>().unwrap();
+    for friction in set.friction {
+        assert_eq!(friction.columns(), [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+    }
+    // What is learnt in them since does not get lost.
+    let mut learnt = set;
+    learnt.friction[2].cogging_sin = 0.4;
+    bank.refresh::<Ur5, N, P>(&learnt);
+    assert_eq!(bank.columns.len(), P + 7 * N);
+    assert_eq!(bank.set::<Ur5, N, P>(), Ok(learnt));
 }
 
 #[test]

@@ -61,16 +61,30 @@ impl ParameterBank {
         fill(&mut self.limits, bounds);
     }
 
-    /// Puts the values of `set` into the bank and leaves all else as it is.
+    /// Puts the values of `set` into the bank and leaves all else as it is. Columns that the bank did not have are added,
+    /// with the doubt of a bank nobody has identified: what was learnt in them must not be lost.
     #[inline(never)]
     pub fn refresh<A: Arm<N, P>, const N: usize, const P: usize>(
         &mut self,
         set: &ParameterSet<N, P>,
     ) {
+        let doubts = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
         let rigid = rigid_columns::<A, N, P>().zip(set.rigid.iter().copied());
-        for (id, value) in rigid.chain(friction_columns(&set.friction)) {
-            if let Some(column) = self.columns.iter_mut().find(|column| column.id == id) {
-                column.value = value;
+        let friction = friction_columns(&set.friction);
+        let deviations = doubts.rigid_sigma.into_iter();
+        let deviations =
+            deviations.chain(friction_columns(&doubts.friction_sigma).map(|(_, doubt)| doubt));
+        for ((id, value), deviation) in rigid.chain(friction).zip(deviations) {
+            match self.columns.iter_mut().find(|column| column.id == id) {
+                Some(column) => column.value = value,
+                None => {
+                    // There is room for every column of the arm, each once.
+                    let _ = self.columns.push(Column {
+                        id,
+                        value,
+                        deviation,
+                    });
+                }
             }
         }
         let weights = set.network.iter().flat_map(|network| {

@@ -4,16 +4,21 @@ use super::link::LinkState;
 use super::{Clock, Session, seconds};
 use crate::arm::Arm;
 use crate::edge::bank::{BankError, NETWORK_SEED};
+use crate::edge::safety::SafetyLimits;
 use crate::edge::session::Desk;
 use crate::edge::telemetry::CostMeter;
 use crate::edge::wire::{
-    BoardMessage, Capabilities, Configuration, Decoder, NackReason, Pacing, SampleFrame,
+    BankSource, BoardMessage, Capabilities, Configuration, Decoder, MAC_BYTES, NackReason, Pacing,
+    SampleFrame,
 };
-use crate::learning::ParameterSet;
+use crate::learning::{ParameterSet, Request};
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
-    pub(super) fn frozen(&self) -> Result<(), NackReason> {
-        if self.feed_forward.state().learning {
+    /// Parameters may be written: no torque flows, and nothing is learnt.
+    fn writable(&self) -> Result<(), NackReason> {
+        if !self.safety.at_rest() {
+            Err(NackReason::Armed)
+        } else if self.feed_forward.state().learning {
             Err(NackReason::LearningOn)
         } else {
             Ok(())
@@ -38,7 +43,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         wanted: Configuration,
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
-        self.frozen()?;
+        self.writable()?;
         if !Configuration::PERIODS_US.contains(&wanted.period_us) {
             return Err(NackReason::Period);
         }
@@ -65,6 +70,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             .restart(config, set)
             .map_err(|_| NackReason::Period)?;
         self.configuration = configuration;
+        self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
+        self.stream.end();
         self.newest = None;
         desk.restart(period_s, *set);
         Ok(())
@@ -76,10 +83,27 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         length: u16,
         crc: u32,
+        _mac: Option<[u8; MAC_BYTES]>,
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
-        self.frozen()?;
+        self.writable()?;
         self.transfer.commit(length, crc, &mut self.incoming)?;
+        self.take_over(desk)
+    }
+
+    /// Takes over a set that the store kept, all of it or nothing: at boot, or when the host asks for it.
+    ///
+    /// Errors: [`NackReason::Armed`], [`NackReason::LearningOn`], [`NackReason::Bank`].
+    #[inline(never)]
+    pub fn restore(&mut self, bytes: &[u8], desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+        self.writable()?;
+        self.transfer.abort();
+        self.incoming.decode_into(bytes).map_err(NackReason::Bank)?;
+        self.take_over(desk)
+    }
+
+    /// Makes the bank that came in the one in force, if it is one for this board.
+    fn take_over(&mut self, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
         let gains = self.incoming.drive_gains().map_err(NackReason::Bank)?;
         let set = self.incoming.set::<A, N, P>().map_err(NackReason::Bank)?;
         let period_s = seconds(&self.configuration);
@@ -95,10 +119,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     }
 
     #[inline(never)]
-    pub(super) fn read(&mut self, offset: u16) -> Result<BoardMessage<N>, NackReason> {
+    pub(super) fn read(
+        &mut self,
+        source: BankSource,
+        offset: u16,
+    ) -> Result<BoardMessage<N>, NackReason> {
         if offset == 0 {
-            self.bank
-                .refresh::<A, N, P>(&self.feed_forward.state().active);
+            let state = self.feed_forward.state();
+            let set = match source {
+                BankSource::Live => &state.active,
+                BankSource::Committed => &state.committed,
+                BankSource::Stored => return Err(NackReason::NotCapable),
+            };
+            self.bank.refresh::<A, N, P>(set);
             self.transfer
                 .snapshot(&self.bank)
                 .map_err(NackReason::Bank)?;
@@ -111,8 +144,45 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         })
     }
 
+    pub(super) fn write(&mut self, offset: u16, bytes: &[u8]) -> Result<(), NackReason> {
+        self.writable()?;
+        self.transfer.write(offset, bytes)
+    }
+
+    /// Emergency stop, of the torque and of the learning: what led to it may not be fit to learn from.
+    pub(super) fn stop(&mut self, desk: &mut Desk<N, P>) {
+        self.safety.stop();
+        self.feed_forward.applied(self.safety.output());
+        // It takes the place of a request that still waits.
+        desk.exchange.request = Some((self.feed_forward.state().tick, Request::Stop));
+    }
+
+    pub(super) fn request(&mut self, code: u8, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+        // The learner's own stop belongs to the emergency stop alone.
+        let request = Request::from_code(code).filter(|&request| request != Request::Stop);
+        let request = request.ok_or(NackReason::NotCapable)?;
+        self.feed_forward
+            .request(request, &mut desk.exchange)
+            .map_err(|_| NackReason::Busy)
+    }
+
+    pub(super) fn ask_for_reboot(&mut self) -> Result<(), NackReason> {
+        if !self.board.capabilities.contains(Capabilities::REBOOT) {
+            return Err(NackReason::NotCapable);
+        }
+        self.reboot = true;
+        Ok(())
+    }
+
+    pub(super) fn challenge(&mut self) -> Result<[u8; MAC_BYTES], NackReason> {
+        Err(NackReason::NotCapable)
+    }
+
     #[inline(never)]
     pub(super) fn reset(&mut self, sequence: u16, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+        if !self.safety.at_rest() {
+            return Err(NackReason::Armed);
+        }
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         self.bank.describe::<A, N, P>();
         self.bank.refresh::<A, N, P>(&set);

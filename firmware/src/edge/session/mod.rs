@@ -2,8 +2,13 @@
 
 mod clock;
 mod commands;
+mod counters;
 mod desk;
 mod link;
+mod receive;
+mod stored;
+mod stream;
+mod tick;
 mod transfer;
 
 pub use clock::{Clock, NoClock};
@@ -11,16 +16,17 @@ pub use desk::Desk;
 
 use crate::arm::Arm;
 use crate::edge::bank::{NETWORK_SEED, ParameterBank, name};
-use crate::edge::telemetry::{Cost, CostMeter, Statistics};
+use crate::edge::safety::{Safety, SafetyLimits, SafetyReason, SafetyStatus};
+use crate::edge::telemetry::{Cost, CostMeter};
 use crate::edge::wire::{
-    BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, DecodeError, Decoder,
-    FrameBuffer, FullTorqueFrame, HostMessage, Pacing, ReplyMode, ResetReason, SampleFrame,
-    TorqueFrame,
+    BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, Decoder, FrameBuffer,
+    ResetReason, SampleFrame,
 };
-use crate::feedforward::{FeedForward, FeedForwardConfig, evaluate};
-use crate::joint::JointMotion;
+use crate::feedforward::{FeedForward, FeedForwardConfig};
+use crate::joint::JointVector;
 use crate::learning::{ConfigError, ParameterSet};
-use link::{LinkState, Order};
+use link::LinkState;
+use stream::Stream;
 use transfer::Transfer;
 
 /// What a board knows of itself.
@@ -38,6 +44,10 @@ pub struct BoardDescription<C = NoClock> {
     pub clock: C,
     /// Why it started.
     pub reset_reason: ResetReason,
+    /// The fault that was latched before it started, where the board keeps that.
+    pub kept_fault: SafetyReason,
+    /// Bit rate of its line, 1/s; 0 where the link is none.
+    pub link_baud: u32,
 }
 
 impl<C> BoardDescription<C> {
@@ -50,6 +60,20 @@ impl<C> BoardDescription<C> {
             counter_hz: 0,
             clock,
             reset_reason: ResetReason::Unknown,
+            kept_fault: SafetyReason::None,
+            link_baud: 0,
+        }
+    }
+
+    /// The fault with which the board starts. A firmware that had to restart itself is not armed again before somebody has
+    /// taken note.
+    fn first_fault(&self) -> SafetyReason {
+        match (self.kept_fault, self.reset_reason) {
+            (
+                SafetyReason::None,
+                ResetReason::Watchdog | ResetReason::Panic | ResetReason::Fault,
+            ) => SafetyReason::Restarted,
+            (kept, _) => kept,
         }
     }
 }
@@ -76,6 +100,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     decoder: Decoder,
     link: LinkState,
     feed_forward: FeedForward<A, N, P>,
+    safety: Safety<N>,
     gains: [f32; N],
     bank: ParameterBank,
     /// Room for a bank on its way in, which is not believed before all of it is.
@@ -88,6 +113,11 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     ticks: u32,
     tick_cost: CostMeter,
     receive_cost: Cost,
+    reply_latency: Cost,
+    watchdog_feeds: u32,
+    boot_counts: u32,
+    stream: Stream,
+    reboot: bool,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
@@ -98,7 +128,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         let configuration = Configuration::default();
         let bank = ParameterBank::nominal::<A, N, P>();
         let config = FeedForwardConfig::for_arm::<A, P>(seconds(&configuration));
+        let limits = SafetyLimits::for_arm::<A, P>(seconds(&configuration));
         Ok(Self {
+            safety: Safety::new(limits, board.first_fault()),
             board,
             configuration,
             decoder: Decoder::new(),
@@ -114,7 +146,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             ticks: 0,
             tick_cost: CostMeter::new(),
             receive_cost: Cost::default(),
+            reply_latency: Cost::default(),
+            watchdog_feeds: 0,
+            boot_counts: 0,
+            stream: Stream::new(),
+            reboot: false,
         })
+    }
+
+    /// The bank in force, as it was loaded, with the values of the active set.
+    pub fn bank(&mut self) -> &ParameterBank {
+        let active = &self.feed_forward.state().active;
+        self.bank.refresh::<A, N, P>(active);
+        &self.bank
     }
 
     /// How the board shall run; its owner sets the timer by it.
@@ -132,192 +176,44 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &self.temperatures_c
     }
 
-    /// Counts a missed deadline or a receive overrun of the line.
-    pub fn note_overrun(&mut self) {
-        self.link.overruns = self.link.overruns.saturating_add(1);
+    /// Whether torque leaves the board, and why not.
+    pub fn safety(&self) -> SafetyStatus {
+        self.safety.status()
     }
 
-    /// Counts a reply that the line had no room for.
-    pub fn note_reply_lost(&mut self) {
-        self.link.replies_lost = self.link.replies_lost.saturating_add(1);
+    /// The enable pin of the motor stage may be on.
+    pub fn torque_enabled(&self) -> bool {
+        self.safety.enabled()
     }
 
-    /// Takes what the owner of the line measured: the cost of receiving one byte.
-    pub fn note_receive_cost(&mut self, cost: Cost) {
-        self.receive_cost = cost;
+    /// The torque of the last tick, as it left, N × N·m: what a board with a motor stage of its own sends there.
+    pub fn torque_output(&self) -> &JointVector<N> {
+        self.safety.output()
+    }
+
+    /// The fault to keep over a reset; [`SafetyReason::None`] when there is none.
+    pub fn latched_fault(&self) -> SafetyReason {
+        self.safety.latched()
+    }
+
+    /// Latches a fault that the owner of the hardware has seen; the torque goes to zero.
+    pub fn trip(&mut self, fault: SafetyReason) {
+        self.safety.trip(fault);
+    }
+
+    /// Samples come, or none have to because no torque flows: what the link answers in the roll of a watchdog.
+    pub fn link_alive(&self) -> bool {
+        self.safety.heard_in_time()
+    }
+
+    /// The host asked for the processor to start anew.
+    pub fn reboot_wanted(&self) -> bool {
+        self.reboot
     }
 
     /// Says hello unasked, as a board does after boot.
     pub fn greet(&mut self, out: &mut FrameBuffer) {
         self.answer(0, &BoardMessage::Hello(self.hello()), out);
-    }
-
-    /// Takes bytes from the link, acts on every frame they complete and answers into `out`.
-    ///
-    /// Cost: a few instructions a byte; the byte that ends a sample also runs the tick where the link paces.
-    pub fn receive(&mut self, bytes: &[u8], desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
-        for &byte in bytes {
-            let received = match self.decoder.push(byte) {
-                None => continue,
-                Some(Ok(frame)) => frame
-                    .message::<HostMessage<N>>()
-                    .map(|message| (frame.sequence, message)),
-                Some(Err(error)) => Err(error),
-            };
-            match received {
-                Ok((sequence, message)) => {
-                    let restart = matches!(message, HostMessage::Hello);
-                    if self.link.accept(sequence, restart) == Order::Forward {
-                        self.act(sequence, message, desk, out);
-                    }
-                }
-                Err(error) => {
-                    self.link.refuse(error);
-                    if let DecodeError::ForeignVersion(_) = error {
-                        // So that a host of another generation can say what is wrong.
-                        self.greet(out);
-                    }
-                }
-            }
-        }
-    }
-
-    /// The board's timer: runs the tick on the newest sample where the timer paces, else does nothing.
-    pub fn timer_tick(&mut self, desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
-        if self.configuration.pacing == Pacing::SysTick {
-            let sample = self.newest.take();
-            if let Some((sequence, _)) = sample {
-                self.last_sequence = sequence;
-            } else {
-                self.link.stale_ticks = self.link.stale_ticks.saturating_add(1);
-            }
-            self.tick(sample.map(|(_, sample)| sample), desk, out);
-        }
-    }
-
-    /// Counters since boot or reset.
-    pub fn statistics(&self, desk: &Desk<N, P>) -> Statistics {
-        Statistics {
-            frames: self.link.frames,
-            crc_errors: self.link.crc_errors,
-            framing_errors: self.link.framing_errors,
-            foreign_version: self.link.foreign_version,
-            unknown: self.link.unknown,
-            missed: self.link.missed,
-            repeated: self.link.repeated,
-            bytes_lost: self.decoder.bytes_lost(),
-            overtaken: self.link.overtaken,
-            stale_ticks: self.link.stale_ticks,
-            overruns: self.link.overruns,
-            replies_lost: self.link.replies_lost,
-            ticks: self.ticks,
-            late_sets: self.feed_forward.state().late_sets,
-            lessons_lost: desk.lessons_lost,
-            tick_cost: self.tick_cost.cost(),
-            learn_cost: desk.learn_cost.cost(),
-            receive_cost: self.receive_cost,
-            hottest_c: self
-                .temperatures_c
-                .iter()
-                .copied()
-                .fold(SampleFrame::<N>::NO_TEMPERATURE, i8::max),
-        }
-    }
-
-    fn act(
-        &mut self,
-        sequence: u16,
-        message: HostMessage<N>,
-        desk: &mut Desk<N, P>,
-        out: &mut FrameBuffer,
-    ) {
-        let done = match message {
-            HostMessage::Sample(sample) => return self.sample(sequence, sample, desk, out),
-            HostMessage::Hello => {
-                return self.answer(sequence, &BoardMessage::Hello(self.hello()), out);
-            }
-            HostMessage::Evaluate(motion) => {
-                let set = &self.feed_forward.state().active;
-                let torque = evaluate::<A, N, P>(set, &JointMotion::from(&motion));
-                return self.answer(sequence, &BoardMessage::Evaluated((&torque).into()), out);
-            }
-            HostMessage::Statistics => {
-                let statistics = self.statistics(desk);
-                return self.answer(sequence, &BoardMessage::Statistics(statistics), out);
-            }
-            HostMessage::BankRead { offset } => match self.read(offset) {
-                Ok(chunk) => return self.answer(sequence, &chunk, out),
-                Err(reason) => Err(reason),
-            },
-            HostMessage::BankWrite { offset, bytes } => self
-                .frozen()
-                .and_then(|()| self.transfer.write(offset, &bytes)),
-            HostMessage::BankCommit { length, crc } => self.commit(length, crc, desk),
-            HostMessage::Configure(configuration) => self.configure(configuration, desk),
-            HostMessage::Learning { on } => self.set_learning(on),
-            HostMessage::Reset => self.reset(sequence, desk),
-        };
-        let answer = match done {
-            Ok(()) => BoardMessage::Ack,
-            Err(reason) => BoardMessage::Nack(reason),
-        };
-        self.answer(sequence, &answer, out);
-    }
-
-    fn answer(&mut self, sequence: u16, message: &BoardMessage<N>, out: &mut FrameBuffer) {
-        if out.push(sequence, message).is_err() {
-            self.link.replies_lost = self.link.replies_lost.saturating_add(1);
-        }
-    }
-
-    fn sample(
-        &mut self,
-        sequence: u16,
-        sample: SampleFrame<N>,
-        desk: &mut Desk<N, P>,
-        out: &mut FrameBuffer,
-    ) {
-        if let Some(slot) = self.temperatures_c.get_mut(usize::from(sequence) % N) {
-            *slot = sample.temperature_c;
-        }
-        match self.configuration.pacing {
-            Pacing::Link => {
-                self.last_sequence = sequence;
-                self.tick(Some(sample), desk, out);
-            }
-            Pacing::SysTick => {
-                if self.newest.replace((sequence, sample)).is_some() {
-                    self.link.overtaken = self.link.overtaken.saturating_add(1);
-                }
-            }
-        }
-    }
-
-    fn tick(
-        &mut self,
-        sample: Option<SampleFrame<N>>,
-        desk: &mut Desk<N, P>,
-        out: &mut FrameBuffer,
-    ) {
-        self.feed_forward.adopt(&mut desk.exchange);
-        let sample = sample.map(|sample| sample.sample(&self.gains));
-        let start = self.board.clock.now();
-        let torque = match &sample {
-            Some(sample) => self.feed_forward.step(sample),
-            None => self.feed_forward.step_stale(),
-        };
-        self.tick_cost
-            .note(self.board.clock.now().wrapping_sub(start));
-        self.ticks = self.ticks.wrapping_add(1);
-        desk.post(
-            self.feed_forward
-                .lesson(sample.and_then(|sample| sample.measured)),
-        );
-        let reply = match self.configuration.reply {
-            ReplyMode::Decimated => BoardMessage::Torque(TorqueFrame::from(&torque)),
-            ReplyMode::Full => BoardMessage::FullTorque(FullTorqueFrame::from(&torque)),
-        };
-        self.answer(self.last_sequence, &reply, out);
     }
 
     fn hello(&self) -> BoardHello {
@@ -332,6 +228,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             counter_hz: self.board.counter_hz,
             configuration: self.configuration,
             reset_reason: self.board.reset_reason,
+            safety: self.safety.status(),
+            boot_counts: self.boot_counts,
         }
     }
 }

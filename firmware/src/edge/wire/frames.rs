@@ -1,6 +1,7 @@
 //! What the messages of a tick carry.
 
 use super::{Acceleration, Effort, Position, Velocity};
+use crate::edge::safety::SafetyStatus;
 use crate::feedforward::{Shares, Torque};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::limits::Flags;
@@ -156,6 +157,8 @@ pub struct TorqueFrame<const N: usize> {
     /// [`Flags`] of the tick.
     #[serde(with = "postcard::fixint::le")]
     pub flags: u16,
+    /// Whether torque leaves, and why not.
+    pub safety: SafetyStatus,
     /// The torque, N·m, every bit of it.
     #[serde(with = "BigArray")]
     pub total: [f32; N],
@@ -163,8 +166,9 @@ pub struct TorqueFrame<const N: usize> {
     pub shares: [f32; 3],
 }
 
-impl<const N: usize> From<&Torque<N>> for TorqueFrame<N> {
-    fn from(torque: &Torque<N>) -> Self {
+impl<const N: usize> TorqueFrame<N> {
+    /// The frame of a torque that left with this status.
+    pub fn new(torque: &Torque<N>, safety: SafetyStatus) -> Self {
         let joint = torque.tick as usize % N;
         let Shares {
             rigid,
@@ -174,6 +178,7 @@ impl<const N: usize> From<&Torque<N>> for TorqueFrame<N> {
         Self {
             tick: torque.tick,
             flags: torque.flags.0,
+            safety,
             total: array(&torque.total),
             shares: [rigid, friction, network]
                 .map(|share| share.get(joint).copied().unwrap_or(0.0)),
@@ -187,14 +192,18 @@ pub struct FullTorqueFrame<const N: usize> {
     /// Counter of the tick.
     #[serde(with = "postcard::fixint::le")]
     pub tick: u32,
+    /// Whether torque leaves, and why not.
+    pub safety: SafetyStatus,
     /// The torque and its shares.
     pub torque: EvaluatedFrame<N>,
 }
 
-impl<const N: usize> From<&Torque<N>> for FullTorqueFrame<N> {
-    fn from(torque: &Torque<N>) -> Self {
+impl<const N: usize> FullTorqueFrame<N> {
+    /// The frame of a torque that left with this status.
+    pub fn new(torque: &Torque<N>, safety: SafetyStatus) -> Self {
         Self {
             tick: torque.tick,
+            safety,
             torque: torque.into(),
         }
     }

@@ -1,6 +1,7 @@
 //! Who a board is and how it runs.
 
 use super::Name;
+use crate::edge::safety::SafetyStatus;
 use serde::{Deserialize, Serialize};
 
 /// What starts a tick.
@@ -86,13 +87,21 @@ pub enum ResetReason {
 
 /// What a board can do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Capabilities(pub u8);
+pub struct Capabilities(#[serde(with = "postcard::fixint::le")] pub u16);
 
 impl Capabilities {
     /// The board has a timer of its own: [`Pacing::SysTick`] works.
     pub const TIMER: Self = Self(1 << 0);
     /// The board learns.
     pub const LEARNING: Self = Self(1 << 1);
+    /// The board keeps parameters over power-off.
+    pub const STORE: Self = Self(1 << 2);
+    /// The board has a write key: an upload has to be signed.
+    pub const WRITE_KEY: Self = Self(1 << 3);
+    /// A watchdog restarts the board when one of its tasks hangs.
+    pub const WATCHDOG: Self = Self(1 << 4);
+    /// The board can start its processor anew.
+    pub const REBOOT: Self = Self(1 << 5);
 
     /// Every capability of `other` is there.
     pub const fn contains(self, other: Self) -> bool {
@@ -132,4 +141,9 @@ pub struct BoardHello {
     pub configuration: Configuration,
     /// Why it started.
     pub reset_reason: ResetReason,
+    /// Whether torque leaves, and why not; a fault kept over the reset is here.
+    pub safety: SafetyStatus,
+    /// Counts of its counter from its first instructions to its first hello; 0 where there is no counter.
+    #[serde(with = "postcard::fixint::le")]
+    pub boot_counts: u32,
 }

@@ -8,6 +8,7 @@ mod decoder;
 mod frames;
 mod identity;
 mod message;
+mod record;
 mod scaled;
 pub mod size;
 
@@ -22,11 +23,14 @@ pub use frames::{
 pub use identity::{
     BoardHello, Capabilities, Configuration, CounterKind, Pacing, ReplyMode, ResetReason,
 };
-pub use message::{BoardMessage, CHUNK, Chunk, HostMessage, NackReason, Name};
+pub use message::{
+    BankSource, BoardMessage, CHUNK, Chunk, HostMessage, MAC_BYTES, NackReason, Name,
+};
+pub use record::{Field, TELEMETRY_BYTES, TelemetryFrame};
 pub use scaled::{Acceleration, Effort, I16, I24, Position, Velocity};
 
 /// Version of the protocol. It changes whenever a frame of the old version would be read differently or not at all.
-pub const PROTOCOL_VERSION: u8 = 1;
+pub const PROTOCOL_VERSION: u8 = 2;
 
 /// Largest frame before COBS: header, message and CRC, in bytes.
 pub const MAX_PAYLOAD: usize = 240;

@@ -17,14 +17,19 @@ pub const fn sample(joints: usize) -> usize {
     frame(2 + 14 * joints)
 }
 
-/// Wire size of a torque with the shares of one joint: tick, flags, total, three shares.
+/// Wire size of a torque with the shares of one joint: tick, flags, safety, total, three shares.
 pub const fn torque(joints: usize) -> usize {
-    frame(4 + 2 + 4 * joints + 3 * 4)
+    frame(4 + 2 + 2 + 4 * joints + 3 * 4)
 }
 
 /// Wire size of a torque with all shares.
 pub const fn full_torque(joints: usize) -> usize {
-    frame(4 + 2 + 16 * joints)
+    frame(4 + 2 + 2 + 16 * joints)
+}
+
+/// Wire size of telemetry with `content` bytes of fields: tick, fields, length of the bytes as a varint of one or two.
+pub const fn telemetry(content: usize) -> usize {
+    frame(4 + 2 + 1 + (content > 127) as usize + content)
 }
 
 /// Sample of six joints: the cyclic request of the link, B.
@@ -35,6 +40,16 @@ pub const TORQUE_6: usize = torque(6);
 /// Part of one direction of a line that frames of `bytes` at `rate_hz` leave free, in per mille.
 pub const fn headroom_permille(bytes: usize, rate_hz: u64, baud: u64) -> i64 {
     1000 - (1000 * bytes as u64 * BITS_PER_BYTE * rate_hz / baud) as i64
+}
+
+/// Part of a line that is never planned for, in per cent: repeats, commands, what nobody thought of.
+pub const RESERVE_PERCENT: u64 = 30;
+
+/// Bytes that a direction of a line has left in one period besides a frame of `reply` bytes and the reserve.
+pub const fn left(baud: u32, period_us: u32, reply: usize) -> usize {
+    let bytes = baud as u64 * period_us as u64 / (BITS_PER_BYTE * 1_000_000);
+    let planned = bytes * (100 - RESERVE_PERCENT) / 100;
+    planned.saturating_sub(reply as u64) as usize
 }
 
 /// Instructions that the board counts for receiving a byte, at most. A test in the emulator holds them to it.

@@ -1,6 +1,7 @@
 use super::codec::encode_as;
 use super::*;
 use crate::edge::bank::BankError;
+use crate::edge::safety::{SafetyReason, SafetyState, SafetyStatus};
 use crate::edge::telemetry::{Cost, Statistics};
 use proptest::prelude::*;
 use serde::Serialize;
@@ -105,12 +106,59 @@ fn host_message() -> impl Strategy<Value = HostMessage<N>> {
         any::<bool>().prop_map(|on| HostMessage::Learning { on }),
         (any::<u16>(), chunk())
             .prop_map(|(offset, bytes)| HostMessage::BankWrite { offset, bytes }),
-        (any::<u16>(), any::<u32>())
-            .prop_map(|(length, crc)| HostMessage::BankCommit { length, crc }),
-        any::<u16>().prop_map(|offset| HostMessage::BankRead { offset }),
+        (any::<u16>(), any::<u32>(), any::<Option<[u8; MAC_BYTES]>>())
+            .prop_map(|(length, crc, mac)| HostMessage::BankCommit { length, crc, mac }),
+        (bank_source(), any::<u16>())
+            .prop_map(|(source, offset)| HostMessage::BankRead { source, offset }),
         Just(HostMessage::Statistics),
         Just(HostMessage::Reset),
+        commands(),
     ]
+}
+
+fn bank_source() -> impl Strategy<Value = BankSource> {
+    prop_oneof![
+        Just(BankSource::Live),
+        Just(BankSource::Committed),
+        Just(BankSource::Stored),
+    ]
+}
+
+fn commands() -> impl Strategy<Value = HostMessage<N>> {
+    prop_oneof![
+        Just(HostMessage::Arm),
+        Just(HostMessage::Disarm),
+        Just(HostMessage::Stop),
+        Just(HostMessage::ClearFault),
+        any::<u8>().prop_map(|code| HostMessage::Request { code }),
+        Just(HostMessage::Save),
+        Just(HostMessage::Restore),
+        (any::<u16>(), any::<u16>())
+            .prop_map(|(fields, every)| HostMessage::Telemetry { fields, every }),
+        Just(HostMessage::Challenge),
+        Just(HostMessage::Reboot),
+    ]
+}
+
+fn safety() -> impl Strategy<Value = SafetyStatus> {
+    let state = prop_oneof![
+        Just(SafetyState::Disarmed),
+        Just(SafetyState::Armed),
+        Just(SafetyState::RampDown),
+        Just(SafetyState::Fault),
+    ];
+    let reason = (0..SafetyReason::ALL.len()).prop_map(|code| SafetyReason::ALL[code]);
+    (state, reason).prop_map(|(state, reason)| SafetyStatus { state, reason })
+}
+
+fn telemetry() -> impl Strategy<Value = TelemetryFrame> {
+    (any::<u32>(), any::<u16>(), bytes(TELEMETRY_BYTES)).prop_map(|(tick, fields, bytes)| {
+        TelemetryFrame {
+            tick,
+            fields,
+            bytes: bytes.into_iter().collect(),
+        }
+    })
 }
 
 fn evaluated() -> impl Strategy<Value = EvaluatedFrame<N>> {
@@ -135,6 +183,11 @@ fn nack() -> impl Strategy<Value = NackReason> {
         Just(NackReason::Checksum),
         any::<u32>().prop_map(|found| NackReason::Bank(BankError::WrongArm { found })),
         any::<u16>().prop_map(|place| NackReason::Bank(BankError::Weight(place))),
+        Just(NackReason::Armed),
+        safety().prop_map(|status| NackReason::Unsafe(status.reason)),
+        Just(NackReason::Busy),
+        Just(NackReason::Key),
+        any::<u16>().prop_map(|every| NackReason::Bandwidth { every }),
     ]
 }
 
@@ -160,6 +213,10 @@ fn statistics() -> impl Strategy<Value = Statistics> {
             learn_cost: Cost { mean: b, max: c },
             receive_cost: Cost { mean: c, max: d },
             hottest_c,
+            reply_latency: Cost { mean: a, max: c },
+            implausible: b,
+            watchdog_feeds: c,
+            records_lost: d,
         }
     })
 }
@@ -170,14 +227,15 @@ fn hello() -> impl Strategy<Value = BoardHello> {
         any::<u32>(),
         any::<u8>(),
         any::<u8>(),
-        any::<u8>(),
+        any::<u16>(),
     );
-    (words, name(), name(), configuration()).prop_map(
+    (words, name(), name(), configuration(), safety()).prop_map(
         |(
             (arm_hash, counter_hz, joints, base_columns, capabilities),
             arm,
             firmware,
             configuration,
+            safety,
         )| {
             BoardHello {
                 arm_hash,
@@ -190,6 +248,8 @@ fn hello() -> impl Strategy<Value = BoardHello> {
                 counter_hz,
                 configuration,
                 reset_reason: ResetReason::Fault,
+                safety,
+                boot_counts: counter_hz.rotate_left(7),
             }
         },
     )
@@ -198,18 +258,24 @@ fn hello() -> impl Strategy<Value = BoardHello> {
 fn board_message() -> impl Strategy<Value = BoardMessage<N>> {
     prop_oneof![
         hello().prop_map(BoardMessage::Hello),
-        (any::<u32>(), any::<u16>(), floats(), floats()).prop_map(
-            |(tick, flags, total, shares)| {
+        (any::<u32>(), any::<u16>(), safety(), floats(), floats()).prop_map(
+            |(tick, flags, safety, total, shares)| {
                 BoardMessage::Torque(TorqueFrame {
                     tick,
                     flags,
+                    safety,
                     total,
                     shares,
                 })
             }
         ),
-        (any::<u32>(), evaluated())
-            .prop_map(|(tick, torque)| BoardMessage::FullTorque(FullTorqueFrame { tick, torque })),
+        (any::<u32>(), safety(), evaluated()).prop_map(|(tick, safety, torque)| {
+            BoardMessage::FullTorque(FullTorqueFrame {
+                tick,
+                safety,
+                torque,
+            })
+        }),
         evaluated().prop_map(BoardMessage::Evaluated),
         Just(BoardMessage::Ack),
         nack().prop_map(BoardMessage::Nack),
@@ -221,6 +287,8 @@ fn board_message() -> impl Strategy<Value = BoardMessage<N>> {
             }
         }),
         statistics().prop_map(BoardMessage::Statistics),
+        telemetry().prop_map(BoardMessage::Telemetry),
+        any::<[u8; MAC_BYTES]>().prop_map(|nonce| BoardMessage::Challenge { nonce }),
     ]
 }
 
@@ -293,7 +361,7 @@ proptest! {
     }
 
     #[test]
-    fn a_foreign_version_is_named(version in 2..=255u8, message in host_message()) {
+    fn a_foreign_version_is_named(version in 3..=255u8, message in host_message()) {
         let mut room = [0; MAX_FRAME];
         let frame = encode_as(version, 1, &message, &mut room).unwrap();
         let (good, bad) = hear::<HostMessage<N>>(frame);
@@ -334,8 +402,8 @@ fn lost_bytes_are_those_of_refused_frames() {
     assert_eq!(decoder.bytes_lost() as usize, frame.len());
 }
 
-/// The largest of every message, with the name and purpose that the protocol page gives it.
-fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
+/// The largest of every message of the host and of the board, with the name that the protocol page gives it.
+fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
     let chunk: Chunk = [0xA5; CHUNK].into_iter().collect();
     let name: Name = "abcdefghijklmnopqrstuvwx".parse().unwrap();
     let ones = [f32::from_bits(0x0101_0101); J];
@@ -346,9 +414,13 @@ fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
         friction: ones,
         network: ones,
     };
+    let safety = SafetyStatus {
+        state: SafetyState::Armed,
+        reason: SafetyReason::Disarmed,
+    };
     let host = |name, message: HostMessage<J>| (name, wire(0x0101, &message).len());
     let board = |name, message: BoardMessage<J>| (name, wire(0x0101, &message).len());
-    std::vec![
+    let from_host = std::vec![
         host("Hello", HostMessage::Hello),
         host(
             "Sample",
@@ -377,10 +449,41 @@ fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
                 bytes: chunk.clone()
             }
         ),
-        host("BankCommit", HostMessage::BankCommit { length: 1, crc: 1 }),
-        host("BankRead", HostMessage::BankRead { offset: 1 }),
+        host(
+            "BankCommit",
+            HostMessage::BankCommit {
+                length: 1,
+                crc: 1,
+                mac: Some([1; MAC_BYTES])
+            }
+        ),
+        host(
+            "BankRead",
+            HostMessage::BankRead {
+                source: BankSource::Stored,
+                offset: 1
+            }
+        ),
         host("Statistics", HostMessage::Statistics),
         host("Reset", HostMessage::Reset),
+        host("Arm", HostMessage::Arm),
+        host("Disarm", HostMessage::Disarm),
+        host("Stop", HostMessage::Stop),
+        host("ClearFault", HostMessage::ClearFault),
+        host("Request", HostMessage::Request { code: 1 }),
+        host("Save", HostMessage::Save),
+        host("Restore", HostMessage::Restore),
+        host(
+            "Telemetry",
+            HostMessage::Telemetry {
+                fields: 1,
+                every: 1
+            }
+        ),
+        host("Challenge", HostMessage::Challenge),
+        host("Reboot", HostMessage::Reboot),
+    ];
+    let from_board = std::vec![
         board(
             "Hello",
             BoardMessage::Hello(BoardHello {
@@ -394,6 +497,8 @@ fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
                 counter_hz: 1,
                 configuration: Configuration::default(),
                 reset_reason: ResetReason::Pin,
+                safety,
+                boot_counts: 1,
             })
         ),
         board(
@@ -401,6 +506,7 @@ fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
             BoardMessage::Torque(TorqueFrame {
                 tick: 1,
                 flags: 1,
+                safety,
                 total: ones,
                 shares: [1.0; 3],
             })
@@ -409,6 +515,7 @@ fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
             "FullTorque",
             BoardMessage::FullTorque(FullTorqueFrame {
                 tick: 1,
+                safety,
                 torque: evaluated
             })
         ),
@@ -430,7 +537,22 @@ fn sizes<const J: usize>() -> Vec<(&'static str, usize)> {
             "Statistics",
             BoardMessage::Statistics(Statistics::default())
         ),
-    ]
+        board(
+            "Telemetry",
+            BoardMessage::Telemetry(TelemetryFrame {
+                tick: 1,
+                fields: 1,
+                bytes: [1; TELEMETRY_BYTES].into_iter().collect(),
+            })
+        ),
+        board(
+            "Challenge",
+            BoardMessage::Challenge {
+                nonce: [1; MAC_BYTES]
+            }
+        ),
+    ];
+    [from_host, from_board]
 }
 
 #[test]
@@ -439,6 +561,7 @@ fn cyclic_frames_have_the_sizes_that_the_link_is_planned_for() {
         let of = |wanted| {
             sizes::<J>()
                 .into_iter()
+                .flatten()
                 .find(|(name, _)| *name == wanted)
                 .unwrap()
                 .1
@@ -468,7 +591,7 @@ fn cyclic_frames_have_the_sizes_that_the_link_is_planned_for() {
 
 #[test]
 fn every_message_of_eight_joints_fits_a_frame() {
-    for (name, bytes) in sizes::<8>() {
+    for (name, bytes) in sizes::<8>().into_iter().flatten() {
         assert!(bytes <= MAX_FRAME, "{name}: {bytes}");
     }
 }
@@ -482,19 +605,16 @@ fn row<'a>(page: &'a str, cells: &str) -> &'a str {
 #[test]
 fn the_protocol_page_states_the_sizes_of_the_types() {
     let page = include_str!("../../../../docs/protocol.md");
-    let (six, seven) = (sizes::<6>(), sizes::<7>());
-    for (tag, ((name, six), (_, seven))) in six.iter().zip(&seven).enumerate() {
-        let (direction, tag) = if tag < 10 {
-            ("→", tag)
-        } else {
-            ("←", tag - 10)
-        };
-        let line = row(page, &std::format!("| {direction} | {tag} | `{name}` |"));
-        let ends = std::format!("| {six} | {seven} |");
-        assert!(
-            line.ends_with(&ends),
-            "{line}\nends with {ends} in the types"
-        );
+    let directions = ["→", "←"].into_iter().zip(sizes::<6>()).zip(sizes::<7>());
+    for ((direction, six), seven) in directions {
+        for (tag, ((name, six), (_, seven))) in six.iter().zip(&seven).enumerate() {
+            let line = row(page, &std::format!("| {direction} | {tag} | `{name}` |"));
+            let ends = std::format!("| {six} | {seven} |");
+            assert!(
+                line.ends_with(&ends),
+                "{line}\nends with {ends} in the types"
+            );
+        }
     }
     let permille = |bytes| size::headroom_permille(bytes, 1000, 2_000_000);
     for (name, bytes) in [

@@ -4,11 +4,11 @@ use super::*;
 
 /// NRMSE of `set` on the unseen trajectory: `sqrt(mean_j (RMS error_j / RMS torque_j)²)`, and joint by joint; only where
 /// the joint moves.
-fn nrmse(set: &Set, unseen: &Fourier, stribeck: f64) -> (f64, [f64; N]) {
+fn nrmse(set: &Set, unseen: &Fourier, drive: Drive) -> (f64, [f64; N]) {
     let (mut error, mut power) = ([0.0; N], [0.0; N]);
     for k in 0..6000 {
         let motion = unseen.motion(f64::from(k) * 5e-3);
-        let tau = true_torque(&motion, stribeck);
+        let tau = true_torque(&motion, drive);
         let said = evaluate::<Ur5, N, P>(set, &motion).total;
         for j in (0..N).filter(|&j| motion.qd[j].abs() > 0.05) {
             error[j] += (f64::from(said[j]) - tau[j]).powi(2);
@@ -24,12 +24,12 @@ fn nrmse(set: &Set, unseen: &Fourier, stribeck: f64) -> (f64, [f64; N]) {
 
 /// NRMSE on an unseen path, second by second, of a board that learns from `prior`; none of its sets may be late, none
 /// clipped, and none may make the torque jump.
-fn curve(prior: Set, stribeck: f64, seconds: u32) -> Vec<f64> {
+fn curve(prior: Set, drive: Drive, seconds: u32) -> Vec<f64> {
     let unseen = Fourier::new(99, 15.0, 2.7);
     let mut board = Board::new(prior, 0);
-    let mut plant = Plant::new(stribeck);
+    let mut plant = Plant::new(drive);
     board.feedforward.set_learning(true);
-    let mut curve = vec![nrmse(&prior, &unseen, stribeck).0];
+    let mut curve = vec![nrmse(&prior, &unseen, drive).0];
     let mut largest_step = 0.0f32;
     for tick in 0..1000 * seconds {
         let sample = plant.sample(tick);
@@ -48,7 +48,7 @@ fn curve(prior: Set, stribeck: f64, seconds: u32) -> Vec<f64> {
             }
         }
         if tick % 1000 == 999 {
-            let (error, joints) = nrmse(board.active(), &unseen, stribeck);
+            let (error, joints) = nrmse(board.active(), &unseen, drive);
             if [1, 2, 3, 4, 5, 6, 8, 10, 20, 30].contains(&curve.len()) {
                 println!("after {:2} s: {error:.4}, joints {joints:.4?}", curve.len());
             }
@@ -71,12 +71,12 @@ fn below(curve: &[f64], bound: f64) -> usize {
 
 #[test]
 fn the_error_on_an_unseen_path_falls_below_two_and_one_percent() {
-    for stribeck in [0.0, STRIBECK] {
+    for drive in [PLAIN, AS_IT_IS] {
         for seed in [1, 2] {
-            let curve = curve(wrong_prior(seed), stribeck, 30);
+            let curve = curve(wrong_prior(seed), drive, 30);
             let (two, one) = (below(&curve, 0.02), below(&curve, 0.01));
             println!(
-                "Stribeck {stribeck}, prior {seed}, {:.3}: below 2 % after {two} s, 1 % after {one} s",
+                "{drive:?}, prior {seed}, {:.3}: below 2 % after {two} s, 1 % after {one} s",
                 curve[0]
             );
             assert!(curve[0] > 0.2);
@@ -89,7 +89,7 @@ fn the_error_on_an_unseen_path_falls_below_two_and_one_percent() {
 #[test]
 fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
     let mut board = Board::new(wrong_prior(1), 0);
-    let mut plant = Plant::new(STRIBECK);
+    let mut plant = Plant::new(AS_IT_IS);
     board.feedforward.set_learning(true);
     for tick in 0..3000 {
         board.tick(&plant.sample(tick));
@@ -102,7 +102,7 @@ fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
     };
     let mut settled = None;
     for tick in 0..61_000 {
-        let tau = true_torque(&still, STRIBECK);
+        let tau = true_torque(&still, AS_IT_IS);
         let measured = JointMeasurement {
             q: still.q.map(|q| q + (plant.noise.roll() * 2.4e-5) as f32),
             tau: JointVector::from_fn(|j, _| {
@@ -126,7 +126,7 @@ fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
 fn the_torque_does_not_depend_on_how_late_the_learner_is_within_its_slack() {
     let prior = wrong_prior(1);
     let mut boards = [0, 1, N / 2].map(|delay| Board::new(prior, delay));
-    let mut plant = Plant::new(STRIBECK);
+    let mut plant = Plant::new(AS_IT_IS);
     for tick in 0..3000 {
         let sample = plant.sample(tick);
         let torques = boards.each_mut().map(|board| {
@@ -146,7 +146,7 @@ fn the_torque_does_not_depend_on_how_late_the_learner_is_within_its_slack() {
 #[test]
 fn a_learner_beyond_its_slack_is_counted_in_every_round() {
     let mut board = Board::new(wrong_prior(1), N / 2 + 1);
-    let mut plant = Plant::new(STRIBECK);
+    let mut plant = Plant::new(AS_IT_IS);
     board.feedforward.set_learning(true);
     for tick in 0..600 {
         board.tick(&plant.sample(tick));
@@ -161,7 +161,7 @@ fn a_learner_beyond_its_slack_is_counted_in_every_round() {
 #[test]
 fn a_frozen_board_gives_the_same_torque_for_the_same_motion_for_ever() {
     let mut board = Board::new(wrong_prior(1), 0);
-    let mut plant = Plant::new(STRIBECK);
+    let mut plant = Plant::new(AS_IT_IS);
     board.feedforward.set_learning(true);
     for tick in 0..2000 {
         board.tick(&plant.sample(tick));

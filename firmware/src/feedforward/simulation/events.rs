@@ -32,7 +32,7 @@ impl Cell {
     fn settled() -> Self {
         let mut cell = Self {
             board: Board::new(wrong_prior(1), 0),
-            plant: Plant::new(STRIBECK),
+            plant: Plant::new(AS_IT_IS),
             tick: 0,
             read: 0,
         };
@@ -65,7 +65,7 @@ impl Cell {
 
     /// The largest joint's error of `torque`, in units of the torque limit.
     fn error(&self, sample: &JointSample<N>, torque: &Torque<N>) -> f64 {
-        let needed = loaded_torque(&self.plant.body, &sample.desired, self.plant.stribeck);
+        let needed = loaded_torque(&self.plant.body, &sample.desired, self.plant.drive);
         let share = |j: usize| {
             ((f64::from(torque.total[j]) - needed[j]) / f64::from(Ur5::LIMITS[j].torque)).abs()
         };
@@ -142,8 +142,10 @@ fn a_payload_is_in_the_torque_in_a_quarter_of_a_second_and_out_again_when_it_is_
         for _ in 0..times {
             let (onset, weighed) = carry(&mut cell, mass);
             onsets.push(onset);
+            // 14 s after a wrong prior the shoulder is not known to better than 0.4 N·m: 50 g at its lever.
+            let allowed = (0.02 * mass).max(0.05);
             assert!(
-                (weighed.mass / mass - 1.0).abs() < 0.02,
+                (weighed.mass - mass).abs() < allowed,
                 "{mass} kg: {weighed:?}"
             );
             for (found, true_one) in weighed.com.iter().zip(COM) {
@@ -197,7 +199,7 @@ fn a_push_is_no_payload_and_leaves_nothing_behind() {
 #[test]
 fn a_torque_sensor_of_the_wrong_sign_changes_no_torque() {
     let mut board = Board::new(wrong_prior(1), 0);
-    let mut plant = Plant::new(STRIBECK);
+    let mut plant = Plant::new(AS_IT_IS);
     board.feedforward.set_learning(true);
     for tick in 0..20_000 {
         let mut sample = plant.sample(tick);

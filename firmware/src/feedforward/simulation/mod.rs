@@ -1,7 +1,7 @@
 //! Does it learn? Feed-forward and learner together, on torques of an arm whose parameters they do not know.
 //!
-//! The plant here is the rigid-body model itself with other parameters, and friction with a Stribeck curve that the
-//! linear columns cannot follow. Measured positions are rounded as a 17-bit encoder does; torque carries noise.
+//! The plant here is the rigid-body model itself with other parameters, and friction with a Stribeck curve of another
+//! width than the linear columns have, and cogging. Measured positions are rounded as a 17-bit encoder does; torque carries noise.
 
 use super::{FeedForward, FeedForwardConfig, ParameterSet, Torque, evaluate};
 use crate::arm::Arm;
@@ -20,8 +20,25 @@ const P: usize = 40;
 const PERIOD: f64 = 1e-3;
 const VISCOUS: [f64; N] = [12.0, 13.0, 9.0, 1.8, 1.6, 1.4];
 const COULOMB: [f64; N] = [7.0, 8.0, 5.5, 1.2, 1.1, 0.9];
-/// Height of the Stribeck peak of the arm as it is.
-const STRIBECK: f64 = 0.25;
+const COGGING: [f64; N] = [0.5, 0.5, 0.5, 0.15, 0.15, 0.15];
+
+/// What the drives have beside viscous and Coulomb friction.
+#[derive(Clone, Copy, Debug)]
+struct Drive {
+    /// Height of the Stribeck peak, as a part of the Coulomb torque.
+    stribeck: f64,
+    /// Part of the cogging torque of the arm as it is.
+    cogging: f64,
+}
+
+const AS_IT_IS: Drive = Drive {
+    stribeck: 0.25,
+    cogging: 1.0,
+};
+const PLAIN: Drive = Drive {
+    stribeck: 0.0,
+    cogging: 0.0,
+};
 
 type Set = ParameterSet<N, P>;
 
@@ -102,17 +119,18 @@ impl Fourier {
 }
 
 /// The arm as it is.
-fn true_torque(motion: &JointMotion<N>, stribeck: f64) -> [f64; N] {
-    loaded_torque(&Ur5::NOMINAL.into(), motion, stribeck)
+fn true_torque(motion: &JointMotion<N>, drive: Drive) -> [f64; N] {
+    loaded_torque(&Ur5::NOMINAL.into(), motion, drive)
 }
 
 /// The arm with the rigid body `beta`.
-fn loaded_torque(beta: &BaseParameters<P>, motion: &JointMotion<N>, stribeck: f64) -> [f64; N] {
+fn loaded_torque(beta: &BaseParameters<P>, motion: &JointMotion<N>, drive: Drive) -> [f64; N] {
     let rigid = rnea::<Ur5, N, P>(beta, motion);
     core::array::from_fn(|j| {
         let v = f64::from(motion.qd[j]);
-        let peak = 1.0 + stribeck * (-(v / 0.1).powi(2)).exp();
-        f64::from(rigid[j]) + VISCOUS[j] * v + COULOMB[j] * peak * (v / 0.005).tanh()
+        let peak = 1.0 + drive.stribeck * (-(v / 0.1).powi(2)).exp();
+        let cogging = drive.cogging * COGGING[j] * (202.0 * f64::from(motion.q[j])).sin();
+        f64::from(rigid[j]) + VISCOUS[j] * v + COULOMB[j] * peak * (v / 0.005).tanh() + cogging
     })
 }
 
@@ -139,8 +157,7 @@ fn wrong_prior(seed: u64) -> Set {
 struct Plant {
     trajectory: Fourier,
     noise: Dice,
-    /// Height of the Stribeck peak, as a part of the Coulomb torque.
-    stribeck: f64,
+    drive: Drive,
     /// Base parameters with what is in the hand.
     body: BaseParameters<P>,
     /// Torque from outside, N·m; positive accelerates +q.
@@ -148,11 +165,11 @@ struct Plant {
 }
 
 impl Plant {
-    fn new(stribeck: f64) -> Self {
+    fn new(drive: Drive) -> Self {
         Self {
             trajectory: Fourier::new(3, 10.0, 2.4),
             noise: Dice(77),
-            stribeck,
+            drive,
             body: Ur5::NOMINAL.into(),
             push: [0.0; N],
         }
@@ -161,7 +178,7 @@ impl Plant {
     fn sample(&mut self, tick: u32) -> JointSample<N> {
         let encoder = core::f64::consts::TAU / 131_072.0;
         let desired = self.trajectory.motion(f64::from(tick) * PERIOD);
-        let tau = loaded_torque(&self.body, &desired, self.stribeck);
+        let tau = loaded_torque(&self.body, &desired, self.drive);
         let push = self.push;
         let noisy = |j: usize, noise: &mut Dice| {
             tau[j] - push[j] + 0.01 * f64::from(Ur5::LIMITS[j].torque) * noise.normal()

@@ -37,8 +37,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             let drives = estimate.friction.map(FrictionParameters::from_columns);
             (BaseParameters::<P>::from(estimate.rigid), drives)
         };
-        let residual =
-            seen.tau - rnea::<A, N, P>(&rigid, &seen.motion) - friction(&drives, &seen.motion.qd);
+        let residual = seen.tau
+            - rnea::<A, N, P>(&rigid, &seen.motion)
+            - friction::<A, N, P>(&drives, &seen.motion.q, &seen.motion.qd);
         let gate = self.config.velocity_gate;
         let ticks = self.config.guard.slice_ticks;
         let guard = &mut self.state.guard;

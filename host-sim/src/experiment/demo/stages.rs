@@ -43,6 +43,9 @@ pub(super) fn track<const N: usize>(
         }
         report_every(progress, stage, tick, ticks);
     }
+    if let Some(board) = board {
+        board.disarm()?;
+    }
     Ok((error, curve))
 }
 
@@ -64,7 +67,6 @@ pub(super) fn learn<const N: usize>(
 ) -> Result<Vec<ReplyBits<N>>, Box<dyn Error>> {
     board.reset()?;
     board.upload_bank(&world.prior)?;
-    board.learning(true)?;
     let mut replies = Vec::with_capacity(ticks);
     let mut run = ClosedLoop::new(
         plant,
@@ -73,6 +75,7 @@ pub(super) fn learn<const N: usize>(
         world.period_s,
         Some(&mut *board),
     )?;
+    board.learning(true)?;
     let watch_every = ((WATCH_EVERY_S / world.period_s).round() as usize).max(1);
     for tick in 0..ticks {
         if tick % watch_every == 0 {
@@ -84,6 +87,7 @@ pub(super) fn learn<const N: usize>(
         report_every(progress, stage, tick, ticks);
     }
     board.learning(false)?;
+    board.disarm()?;
     watch(board, plant, ticks as f64 * world.period_s)?;
     Ok(replies)
 }

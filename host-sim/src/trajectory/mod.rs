@@ -1,55 +1,26 @@
-//! Motions to play: the excitation, a via-point validation path, or samples from a table.
+//! Motions to play: the excitation, a via-point validation path, a path of the tool, or samples from a table.
+//!
+//! [`Trajectory`] is what is played; `source` reads it from a file; `limits` judges it.
+
+pub mod cartesian;
+mod limits;
+mod source;
+mod via;
+
+pub use limits::BeyondLimits;
+pub use source::TrajectoryError;
+pub use via::ViaPath;
 
 use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
 use crate::robot::Robot;
 use crate::table::StateRow;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use std::fmt;
+use limits::within;
 
 /// Length of the validation path, s.
 pub const VALIDATION_S: f64 = 30.0;
 /// Fastest joint of the validation path, rad/s.
 pub const VALIDATION_PEAK_RAD_S: f64 = 2.7;
-/// Time between two via points, s.
-const SEGMENT_S: f64 = 1.5;
-/// Range of the via points around zero, rad.
-const VIA_RANGE_RAD: f64 = 2.0;
-
-/// A motion that asks a joint for more than it can do.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BeyondLimits {
-    /// The joint, from 1.
-    pub joint: usize,
-    /// When, s after the trajectory's start.
-    pub t_s: f64,
-    /// What is asked, in `unit`.
-    pub asked: f64,
-    /// The limit, in `unit`.
-    pub limit: f64,
-    /// `rad`, `rad/s` or `rad/s²`.
-    pub unit: &'static str,
-}
-
-impl fmt::Display for BeyondLimits {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            joint,
-            t_s,
-            asked,
-            limit,
-            unit,
-        } = self;
-        write!(
-            f,
-            "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
-        )
-    }
-}
-
-impl std::error::Error for BeyondLimits {}
-
 /// Something to play, with its own clock.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Trajectory<const N: usize> {
@@ -153,132 +124,9 @@ impl<const N: usize> Trajectory<N> {
     }
 }
 
-/// One motion keeps the limits, up to a rounding in a file of six digits.
-fn within<const N: usize>(robot: &Robot, t_s: f64, state: &State<N>) -> Result<(), BeyondLimits> {
-    for (j, joint) in robot.joints.iter().take(N).enumerate() {
-        let limits = &joint.limits;
-        let (low, high) = limits.position;
-        let end = if state.q[j] < low { low } else { high };
-        let past_end = (low - state.q[j]).max(state.q[j] - high);
-        for (asked, limit, broken, unit) in [
-            (state.q[j], end, past_end, "rad"),
-            (
-                state.qd[j],
-                limits.velocity,
-                state.qd[j].abs() - limits.velocity,
-                "rad/s",
-            ),
-            (
-                state.qdd[j],
-                limits.acceleration,
-                state.qdd[j].abs() - limits.acceleration,
-                "rad/s²",
-            ),
-        ] {
-            if broken > 1e-6 * limit.abs() {
-                return Err(BeyondLimits {
-                    joint: j + 1,
-                    t_s,
-                    asked,
-                    limit,
-                    unit,
-                });
-            }
-        }
-    }
-    Ok(())
-}
-
-/// A path through via points, one quintic a segment and joint: continuous up to the acceleration.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ViaPath<const N: usize> {
-    segment_s: f64,
-    /// Positions, rad, and velocities, rad/s, at the via points; the acceleration is zero there.
-    via: Vec<(Joints<N>, Joints<N>)>,
-}
-
-impl<const N: usize> ViaPath<N> {
-    /// Random via points inside the limits, at rest at both ends; the fastest joint reaches `peak_rad_s`.
-    ///
-    /// Via velocities are the slopes of the neighbours (Catmull–Rom), zero at the ends. Swings are shrunk about the path's
-    /// middle until speed and acceleration fit, so positions stay inside the range of the via points.
-    pub fn random(robot: &Robot, seed: u64, duration_s: f64, peak_rad_s: f64) -> Self {
-        let segments = (duration_s / SEGMENT_S).round().max(2.0) as usize;
-        let segment_s = duration_s / segments as f64;
-        let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let points: Vec<Joints<N>> = (0..=segments)
-            .map(|_| Joints::from_fn(|_, _| random.random_range(-VIA_RANGE_RAD..=VIA_RANGE_RAD)))
-            .collect();
-        let mut path = Self {
-            segment_s,
-            via: (0..=segments)
-                .map(|k| {
-                    let slope = if k == 0 || k == segments {
-                        Joints::zeros()
-                    } else {
-                        (points[k + 1] - points[k - 1]) / (2.0 * segment_s)
-                    };
-                    (points[k], slope)
-                })
-                .collect(),
-        };
-        let (mut qd, mut qdd) = (Joints::<N>::zeros(), Joints::<N>::zeros());
-        for k in 0..=segments * 400 {
-            let state = path.at(k as f64 * segment_s / 400.0);
-            qd = qd.sup(&state.qd.abs());
-            qdd = qdd.sup(&state.qdd.abs());
-        }
-        for (j, joint) in robot.joints.iter().take(N).enumerate() {
-            let fits = (peak_rad_s.min(0.95 * joint.limits.velocity) / qd[j])
-                .min(0.95 * joint.limits.acceleration / qdd[j]);
-            for (q, slope) in &mut path.via {
-                q[j] *= fits.min(1.0);
-                slope[j] *= fits.min(1.0);
-            }
-        }
-        path
-    }
-
-    /// The same path of `joint` alone; the others stay where they begin.
-    pub fn of_joint(mut self, joint: usize) -> Self {
-        let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);
-        for (q, slope) in &mut self.via {
-            for other in (0..N).filter(|&other| other != joint) {
-                q[other] = start[other];
-                slope[other] = 0.0;
-            }
-        }
-        self
-    }
-
-    /// Length, s.
-    pub fn duration_s(&self) -> f64 {
-        self.segment_s * (self.via.len() - 1) as f64
-    }
-
-    /// The motion at `t_s`.
-    pub fn at(&self, t_s: f64) -> State<N> {
-        let last = self.via.len() - 2;
-        let segment = ((t_s / self.segment_s).max(0.0) as usize).min(last);
-        let t = (t_s - segment as f64 * self.segment_s).clamp(0.0, self.segment_s);
-        let ((q0, v0), (q1, v1)) = (self.via[segment], self.via[segment + 1]);
-        let h = self.segment_s;
-        // Quintic with q, qd given and qdd = 0 at both ends; c1 = 0, c2 = 0 for the constant part of the algebra:
-        // with D = q1 − q0 − v0 h and E = (v1 − v0) h, c3 = 10 D − 4 E, c4 = −15 D + 7 E, c5 = 6 D − 3 E over h³, h⁴, h⁵.
-        let d = q1 - q0 - v0 * h;
-        let e = (v1 - v0) * h;
-        let (c3, c4, c5) = (10.0 * d - 4.0 * e, 7.0 * e - 15.0 * d, 6.0 * d - 3.0 * e);
-        let s = t / h;
-        State {
-            q: q0 + v0 * t + (c3 + (c4 + c5 * s) * s) * s.powi(3),
-            qd: v0 + (3.0 * c3 + (4.0 * c4 + 5.0 * c5 * s) * s) * (s * s / h),
-            qdd: (6.0 * c3 + (12.0 * c4 + 20.0 * c5 * s) * s) * (s / (h * h)),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::via::{SEGMENT_S, VIA_RANGE_RAD};
     use super::*;
 
     #[test]

@@ -1,0 +1,375 @@
+//! Whether torque may leave the board: the last room between the tick and the motor stage.
+//!
+//! ```text
+//!             arm                    disarm, time-out, fault
+//! Disarmed ─────────► Armed ───────────────────────────────► RampDown ──► Disarmed
+//!     ▲                 │ stop                                   │ if a fault is latched
+//!     └── clear ── Fault ◄───────────────────────────────────────┘
+//! ```
+//!
+//! Nothing but the host's own command arms a board, and it must send fresh, plausible samples before. The limits here are
+//! constants of arm and firmware; what a bank or a command says is inside them or has no effect. `docs/safety.md` says
+//! what every reason means and what to do about it.
+
+mod heat;
+mod limits;
+mod plausibility;
+mod reason;
+mod roll_call;
+
+pub use heat::{HOT_C, HYSTERESIS_C, WARM_C};
+pub use limits::{COMMAND_TIMEOUT_S, SafetyLimits};
+pub use reason::{SafetyReason, SafetyState, SafetyStatus};
+pub use roll_call::{RollCall, Task};
+
+use crate::joint::{JointSample, JointVector};
+use crate::limits::{cut, limit};
+use heat::MotorHeat;
+use plausibility::PlausibilityState;
+
+/// Fresh, plausible samples in a row without which a board cannot be armed.
+pub const ARM_SAMPLES: u32 = 3;
+/// Largest distance between desired and measured position with which a board can be armed, rad.
+pub const ARM_DISTANCE: f32 = 0.2;
+/// An implausible sample counts as many doubts as this many plausible ones take back: one in five is too many.
+const DOUBT: u32 = 4;
+
+/// The safety of one board: state machine, hard limits, plausibility of the input.
+///
+/// Every tick: [`admit`](Self::admit) the sample, compute, [`release`](Self::release) the torque.
+///
+/// ```
+/// use foretorque::arm::ur5::{JOINTS, Ur5};
+/// use foretorque::edge::safety::{Safety, SafetyLimits, SafetyReason, SafetyState};
+/// use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+/// let mut safety = Safety::<JOINTS>::new(SafetyLimits::for_arm::<Ur5, _>(1e-3), SafetyReason::None);
+/// let still = JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() };
+/// let sample = JointSample { desired: JointMotion::zero(), measured: Some(still) };
+/// let torque = JointVector::<JOINTS>::repeat(1.0);
+/// assert_eq!(safety.arm(), Err(SafetyReason::NoSample));
+/// for _ in 0..3 {
+///     safety.admit(Some(sample), 1);
+///     assert_eq!(safety.release(&torque), JointVector::<JOINTS>::zeros());
+/// }
+/// assert_eq!(safety.arm(), Ok(()));
+/// safety.admit(Some(sample), 1);
+/// assert_eq!(safety.release(&torque), torque);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Safety<const N: usize> {
+    limits: SafetyLimits<N>,
+    state: SafetyState,
+    /// The fault that has to be cleared; `None` when there is none.
+    latched: SafetyReason,
+    /// What ended the torque last.
+    ended: SafetyReason,
+    /// What is wrong with the input of this tick.
+    input: SafetyReason,
+    plausibility: PlausibilityState<N>,
+    heat: MotorHeat<N>,
+    /// Plausible samples in a row, without a time-out between them.
+    good_samples: u32,
+    /// Ticks in a row without a usable sample.
+    silent_ticks: u32,
+    /// Ticks since the last sample, usable or not.
+    unheard_ticks: u32,
+    doubt: u32,
+    /// Samples of which a part was not plausible.
+    implausible: u32,
+    /// Desired and measured position of the last sample are near each other.
+    near: bool,
+    /// The torque of the last tick, as it left, N × N·m.
+    output: JointVector<N>,
+}
+
+impl<const N: usize> Safety<N> {
+    /// Disarmed, or in the fault that was kept over the reset.
+    pub fn new(limits: SafetyLimits<N>, kept: SafetyReason) -> Self {
+        Self {
+            limits,
+            state: match kept {
+                SafetyReason::None => SafetyState::Disarmed,
+                _ => SafetyState::Fault,
+            },
+            latched: kept,
+            ended: SafetyReason::None,
+            input: SafetyReason::None,
+            plausibility: PlausibilityState::new(),
+            heat: MotorHeat::new(),
+            good_samples: 0,
+            silent_ticks: 0,
+            unheard_ticks: 0,
+            doubt: 0,
+            implausible: 0,
+            near: false,
+            output: JointVector::zeros(),
+        }
+    }
+
+    /// State and reason as replies carry them.
+    pub fn status(&self) -> SafetyStatus {
+        let warm = if self.heat.warm() {
+            SafetyReason::MotorWarm
+        } else {
+            SafetyReason::None
+        };
+        let reasons = [self.latched, self.input, warm, self.ended];
+        let told = reasons
+            .into_iter()
+            .find(|&reason| reason != SafetyReason::None);
+        SafetyStatus {
+            state: self.state,
+            reason: told.unwrap_or_default(),
+        }
+    }
+
+    /// The fault that has to be cleared before the board can be armed; what a board keeps over a reset.
+    pub fn latched(&self) -> SafetyReason {
+        self.latched
+    }
+
+    /// The enable pin may be on.
+    pub fn enabled(&self) -> bool {
+        matches!(self.state, SafetyState::Armed | SafetyState::RampDown)
+    }
+
+    /// Torque zero and none to come: parameters may be written.
+    pub fn at_rest(&self) -> bool {
+        !self.enabled()
+    }
+
+    /// The torque of the last tick, as it left, N × N·m.
+    pub fn output(&self) -> &JointVector<N> {
+        &self.output
+    }
+
+    /// No torque flows, or its samples come in time, or it is on its way to zero because they do not: the time-out works.
+    pub fn heard_in_time(&self) -> bool {
+        self.state != SafetyState::Armed || self.silent_ticks < self.limits.timeout_ticks
+    }
+
+    /// Samples of which a part was not plausible, since the start or [`restart`](Self::restart).
+    pub fn implausible(&self) -> u32 {
+        self.implausible
+    }
+
+    /// Takes the temperature of one motor, °C; one that cannot be true changes nothing.
+    pub fn note_temperature(&mut self, joint: usize, celsius: i8) {
+        self.heat.note(joint, celsius);
+    }
+
+    /// What the tick may use of `sample`; `None` is no usable sample.
+    ///
+    /// * `periods` periods since the sample before, as far as the link knows: samples may have been lost on the way
+    ///
+    /// A measurement that is not plausible is dropped. A desired motion that jumps is no motion. One that is not finite
+    /// goes on, for the tick to see and say so.
+    pub fn admit(
+        &mut self,
+        sample: Option<JointSample<N>>,
+        periods: u32,
+    ) -> Option<JointSample<N>> {
+        let unheard = self.unheard_ticks.saturating_add(1);
+        let (usable, admitted) = match sample {
+            None => {
+                self.input = SafetyReason::None;
+                self.unheard_ticks = unheard;
+                (false, None)
+            }
+            Some(sample) => {
+                self.unheard_ticks = 0;
+                self.hear(sample, periods.max(unheard))
+            }
+        };
+        self.silent_ticks = if usable {
+            0
+        } else {
+            self.silent_ticks.saturating_add(1)
+        };
+        if self.silent_ticks >= self.limits.timeout_ticks {
+            self.good_samples = 0;
+        }
+        if self.input == SafetyReason::None {
+            self.doubt = self.doubt.saturating_sub(1);
+        } else {
+            self.doubt = self.doubt.saturating_add(DOUBT);
+            self.implausible = self.implausible.saturating_add(1);
+        }
+        self.watch();
+        admitted
+    }
+
+    /// Judges a sample; whether its desired motion can be used, and what is left of it.
+    fn hear(&mut self, mut sample: JointSample<N>, periods: u32) -> (bool, Option<JointSample<N>>) {
+        let verdict = self.plausibility.judge(&self.limits, &sample, periods);
+        let usable = verdict.desired == SafetyReason::None;
+        self.input = if usable {
+            verdict.measured
+        } else {
+            verdict.desired
+        };
+        if verdict.measured != SafetyReason::None {
+            sample.measured = None;
+        }
+        match &sample.measured {
+            Some(measured) if usable => {
+                let distance = (sample.desired.q - measured.q).abs();
+                self.near = distance.iter().all(|&distance| distance <= ARM_DISTANCE);
+                self.good_samples = self.good_samples.saturating_add(1);
+            }
+            _ => self.good_samples = 0,
+        }
+        let admitted = verdict.desired != SafetyReason::DesiredJump;
+        (usable, admitted.then_some(sample))
+    }
+
+    /// Ends the torque when the input gives reason to.
+    fn watch(&mut self) {
+        if self.state != SafetyState::Armed {
+            return;
+        }
+        if self.heat.hot() {
+            self.trip(SafetyReason::MotorHot);
+        } else if self.doubt >= DOUBT * self.limits.timeout_ticks {
+            self.trip(self.input);
+        } else if self.silent_ticks >= self.limits.timeout_ticks {
+            self.end(SafetyReason::CommandTimeout);
+        }
+    }
+
+    /// The torque that leaves in this tick, N × N·m: `wanted` within the hard limits, on its way to zero, or zero.
+    ///
+    /// Finite for any bits in `wanted`.
+    pub fn release(&mut self, wanted: &JointVector<N>) -> JointVector<N> {
+        if self.state == SafetyState::Armed && !wanted.iter().all(|torque| torque.is_finite()) {
+            self.trip(SafetyReason::TorqueNotFinite);
+        }
+        let (armed, enabled) = (self.state == SafetyState::Armed, self.enabled());
+        let bounds = self
+            .limits
+            .torque
+            .iter()
+            .zip(self.limits.slew_per_tick.iter());
+        let joints = self.output.iter_mut().zip(wanted.iter()).zip(bounds);
+        for (joint, ((output, &wanted), (&torque, &slew))) in joints.enumerate() {
+            let (target, _) = cut(wanted, torque * self.heat.part(joint));
+            let target = if armed { target } else { 0.0 };
+            let (limited, _) = limit(target, *output, torque, slew);
+            *output = if enabled { limited } else { 0.0 };
+        }
+        if self.state == SafetyState::RampDown && self.output.iter().all(|&torque| torque == 0.0) {
+            self.rest();
+        }
+        self.output
+    }
+
+    /// A period has gone by in which no tick ran, because the samples pace the board and none came. Ends the torque like
+    /// [`admit`](Self::admit) and [`release`](Self::release) would.
+    pub fn silence(&mut self) {
+        if self.enabled() {
+            self.admit(None, 1);
+            // The torque is held until the time-out, as the host was told.
+            let held = self.output;
+            self.release(&held);
+        }
+    }
+
+    /// Lets torque through from the next tick on. Arming an armed board changes nothing.
+    ///
+    /// Errors: why not; then nothing has changed.
+    pub fn arm(&mut self) -> Result<(), SafetyReason> {
+        match self.state {
+            SafetyState::Armed => return Ok(()),
+            SafetyState::RampDown => return Err(SafetyReason::StillRamping),
+            SafetyState::Fault => return Err(self.latched),
+            SafetyState::Disarmed => {}
+        }
+        let refused = if self.heat.hot() {
+            SafetyReason::MotorHot
+        } else if self.input != SafetyReason::None {
+            self.input
+        } else if self.good_samples < ARM_SAMPLES {
+            SafetyReason::NoSample
+        } else if !self.near {
+            SafetyReason::TooFar
+        } else {
+            self.state = SafetyState::Armed;
+            self.ended = SafetyReason::None;
+            self.doubt = 0;
+            return Ok(());
+        };
+        Err(refused)
+    }
+
+    /// The torque goes to zero, then the board is disarmed. Cannot fail.
+    pub fn disarm(&mut self) {
+        if self.state == SafetyState::Armed {
+            self.end(SafetyReason::Disarmed);
+        }
+    }
+
+    /// Emergency stop: torque zero and enable pin off at once, in any state; latches. Cannot fail.
+    pub fn stop(&mut self) {
+        self.trip(SafetyReason::Stopped);
+        self.output = JointVector::zeros();
+        self.rest();
+    }
+
+    /// Latches a fault, unless there is one already; a torque that flows goes to zero.
+    pub fn trip(&mut self, fault: SafetyReason) {
+        if self.latched == SafetyReason::None {
+            self.latched = fault;
+        }
+        self.end(fault);
+        if self.state == SafetyState::Disarmed {
+            self.state = SafetyState::Fault;
+        }
+    }
+
+    /// Forgets a latched fault; the board is then disarmed.
+    ///
+    /// Errors: the torque is still on its way to zero, or a motor is still too hot.
+    pub fn clear(&mut self) -> Result<(), SafetyReason> {
+        if self.state != SafetyState::Fault {
+            return match self.latched {
+                SafetyReason::None => Ok(()),
+                _ => Err(SafetyReason::StillRamping),
+            };
+        }
+        if self.heat.hot() {
+            return Err(SafetyReason::MotorHot);
+        }
+        self.latched = SafetyReason::None;
+        self.ended = SafetyReason::None;
+        self.state = SafetyState::Disarmed;
+        Ok(())
+    }
+
+    /// New limits and no memory of earlier samples: the tick starts over. A latched fault and what is known of the motors
+    /// stay; a torque that flows does not.
+    pub fn restart(&mut self, limits: SafetyLimits<N>) {
+        let heat = self.heat;
+        *self = Self::new(limits, self.latched);
+        self.heat = heat;
+    }
+
+    fn end(&mut self, reason: SafetyReason) {
+        self.ended = reason;
+        if self.state == SafetyState::Armed {
+            self.state = SafetyState::RampDown;
+            if self.output.iter().all(|&torque| torque == 0.0) {
+                self.rest();
+            }
+        }
+    }
+
+    fn rest(&mut self) {
+        self.state = match self.latched {
+            SafetyReason::None => SafetyState::Disarmed,
+            _ => SafetyState::Fault,
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests;

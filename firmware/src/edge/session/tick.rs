@@ -1,0 +1,109 @@
+//! The tick of a board: sample in, feed-forward, safety, torque out.
+
+use super::stream::Instant;
+use super::{Clock, Desk, Session};
+use crate::arm::Arm;
+use crate::edge::wire::{
+    BoardMessage, FrameBuffer, FullTorqueFrame, Pacing, ReplyMode, SampleFrame, TorqueFrame,
+};
+use crate::joint::JointSample;
+
+impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
+    /// The board's timer, once a period: runs the tick on the newest sample where the timer paces. Where the link paces it
+    /// only watches for silence, which ends a torque that flows.
+    pub fn timer_tick(&mut self, desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
+        match self.configuration.pacing {
+            Pacing::SysTick => {
+                let sample = self.newest.take();
+                if sample.is_none() {
+                    self.link.stale_ticks = self.link.stale_ticks.saturating_add(1);
+                }
+                self.tick(sample, desk, out);
+            }
+            Pacing::Link => {
+                self.safety.silence();
+                self.feed_forward.applied(self.safety.output());
+            }
+        }
+    }
+
+    pub(super) fn sample(
+        &mut self,
+        sequence: u16,
+        sample: SampleFrame<N>,
+        desk: &mut Desk<N, P>,
+        out: &mut FrameBuffer,
+    ) {
+        let joint = usize::from(sequence) % N;
+        if let Some(slot) = self.temperatures_c.get_mut(joint) {
+            *slot = sample.temperature_c;
+        }
+        self.safety.note_temperature(joint, sample.temperature_c);
+        match self.configuration.pacing {
+            Pacing::Link => self.tick(Some((sequence, sample)), desk, out),
+            Pacing::SysTick => {
+                if self.newest.replace((sequence, sample)).is_some() {
+                    self.link.overtaken = self.link.overtaken.saturating_add(1);
+                }
+            }
+        }
+    }
+
+    /// One tick. Its deadline is the period.
+    fn tick(
+        &mut self,
+        sample: Option<(u16, SampleFrame<N>)>,
+        desk: &mut Desk<N, P>,
+        out: &mut FrameBuffer,
+    ) {
+        self.feed_forward.adopt(&mut desk.exchange);
+        // A host numbers its frames, one sample a period at most: the numbers bound how long ago the last one was.
+        let before = self.last_sequence;
+        let periods = sample.map_or(1, |(sequence, _)| sequence.wrapping_sub(before));
+        if let Some((sequence, _)) = sample {
+            self.last_sequence = sequence;
+        }
+        let heard: Option<JointSample<N>> = sample.map(|(_, frame)| frame.sample(&self.gains));
+        let sample = self.safety.admit(heard, u32::from(periods));
+        let start = self.board.clock.now();
+        let mut torque = match &sample {
+            Some(sample) => self.feed_forward.step(sample),
+            None => self.feed_forward.step_stale(),
+        };
+        torque.total = self.safety.release(&torque.total);
+        let cost = self.board.clock.now().wrapping_sub(start);
+        self.feed_forward.applied(&torque.total);
+        self.tick_cost.note(cost);
+        self.ticks = self.ticks.wrapping_add(1);
+        desk.post(
+            self.feed_forward
+                .lesson(sample.and_then(|sample| sample.measured)),
+        );
+        let status = self.safety.status();
+        let reply = match self.configuration.reply {
+            ReplyMode::Decimated => BoardMessage::Torque(TorqueFrame::new(&torque, status)),
+            ReplyMode::Full => BoardMessage::FullTorque(FullTorqueFrame::new(&torque, status)),
+        };
+        self.answer(self.last_sequence, &reply, out);
+        if self.stream.due(torque.tick) {
+            let instant = Instant {
+                torque: &torque,
+                status,
+                sample: &sample,
+                report: &self.feed_forward.state().report,
+                costs: [cost, desk.learn_cost.cost().mean],
+                losses: self.losses(),
+                temperatures_c: &self.temperatures_c,
+            };
+            self.stream.record(&instant);
+        }
+        self.send_telemetry(out);
+    }
+
+    /// Frames missed and refused, replies lost and overruns; the low halves of their counters.
+    fn losses(&self) -> [u16; 4] {
+        let link = &self.link;
+        let refused = link.crc_errors.wrapping_add(link.framing_errors);
+        [link.missed, refused, link.replies_lost, link.overruns].map(|count| count as u16)
+    }
+}

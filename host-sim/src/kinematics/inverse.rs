@@ -1,0 +1,344 @@
+//! The inverse of the chain: closed form where there is one, numeric elsewhere.
+
+use super::chain::{Chain, pose_error};
+use super::error::InverseError;
+use super::numeric;
+use super::ur::UrArm;
+use crate::dynamics::Joints;
+use crate::robot::{Placement, Robot};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::TAU;
+
+/// A closed-form solution must put the tip this near to the target, m and rad.
+const VERIFIED: f64 = 1e-9;
+/// Starts of the numeric search for a pose of which nothing is known.
+const STARTS: usize = 48;
+
+/// Finds joint positions for poses of the tip.
+#[derive(Clone, Debug)]
+pub struct Inverse<const N: usize> {
+    chain: Chain<N>,
+    closed: Option<UrArm>,
+    ranges: [(f64, f64); N],
+}
+
+impl<const N: usize> Inverse<N> {
+    /// The inverse of a robot with `tool` on its flange; `None` when it has not `N` joints.
+    pub fn new(robot: &Robot, tool: &Placement) -> Option<Self> {
+        let chain = Chain::<N>::new(robot, tool)?;
+        let ranges: Vec<(f64, f64)> = robot.joints.iter().map(|j| j.limits.position).collect();
+        Some(Self {
+            closed: UrArm::of(&chain.placements, &chain.tip),
+            ranges: ranges.try_into().ok()?,
+            chain,
+        })
+    }
+
+    /// The chain that is inverted.
+    pub fn chain(&self) -> &Chain<N> {
+        &self.chain
+    }
+
+    /// There is a closed form for this arm.
+    pub fn is_closed_form(&self) -> bool {
+        self.closed.is_some()
+    }
+
+    /// All joint positions that put the tip at `target`, rad within ±π; of an arm without closed form those that a search
+    /// from `near` and from seeded random starts finds.
+    ///
+    /// * `near` decides what the target leaves open: joint 6 where axes 4 and 6 are parallel
+    ///
+    /// Every solution is checked against the forward kinematics to 1e-9 m and rad.
+    ///
+    /// Errors: [`InverseError`].
+    pub fn solutions(
+        &self,
+        target: &Placement,
+        near: &Joints<N>,
+    ) -> Result<Vec<Joints<N>>, InverseError> {
+        let Some(arm) = &self.closed else {
+            return self.searched(target, near);
+        };
+        let free = near.iter().next_back().copied().unwrap_or(0.0);
+        let mut solutions = Vec::with_capacity(8);
+        for solution in arm.solutions(target, free)? {
+            let q = Joints::<N>::from_column_slice(&solution);
+            let left = pose_error(&self.chain.forward(&q), target).amax();
+            // Where two solutions meet, rounding of the sine is a root of rounding: Newton's steps finish it.
+            let q = if left < VERIFIED {
+                q
+            } else {
+                numeric::solve(&self.chain, target, &q)?
+            };
+            solutions.push(q);
+        }
+        Ok(solutions)
+    }
+
+    /// The joint positions inside the ranges that are nearest to `near`, by the largest step of a joint.
+    ///
+    /// Errors: [`InverseError`].
+    pub fn nearest(&self, target: &Placement, near: &Joints<N>) -> Result<Joints<N>, InverseError> {
+        let solutions = self.solutions(target, near)?;
+        let inside = solutions.iter().filter_map(|q| self.inside(q, near));
+        let step = |q: &Joints<N>| (q - near).amax();
+        inside
+            .min_by(|a, b| step(a).total_cmp(&step(b)))
+            .ok_or(InverseError::OutsideRanges {
+                solutions: solutions.len(),
+            })
+    }
+
+    /// The joint positions that go on from `predicted`: the same branch, whatever the ranges.
+    ///
+    /// * `jump` largest step of a joint that still counts as going on, rad
+    ///
+    /// Errors: [`InverseError`]; [`InverseError::Singular`] where no solution goes on.
+    pub fn onwards(
+        &self,
+        target: &Placement,
+        predicted: &Joints<N>,
+        jump: f64,
+    ) -> Result<Joints<N>, InverseError> {
+        let q = if self.closed.is_some() {
+            let turned =
+                |q: &Joints<N>| q.zip_map(predicted, |q, p| q + ((p - q) / TAU).round() * TAU);
+            let solutions = self.solutions(target, predicted)?;
+            let step = |q: &Joints<N>| (q - predicted).amax();
+            let nearest = solutions
+                .iter()
+                .map(turned)
+                .min_by(|a, b| step(a).total_cmp(&step(b)));
+            nearest.ok_or(InverseError::OutsideRanges { solutions: 0 })?
+        } else {
+            numeric::solve(&self.chain, target, predicted)?
+        };
+        if (q - predicted).amax() > jump {
+            return Err(self.singular(predicted));
+        }
+        Ok(q)
+    }
+
+    /// The error of a posture in which the way on is not determined.
+    pub fn singular(&self, q: &Joints<N>) -> InverseError {
+        let six: Option<[f64; 6]> = q.as_slice().try_into().ok();
+        let posture = match (&self.closed, six) {
+            (Some(arm), Some(q)) => arm.posture(&q),
+            _ => "the Jacobian has lost a direction",
+        };
+        InverseError::Singular { posture }
+    }
+
+    /// `q` with whole turns added so that it is inside the ranges and as near to `near` as they allow.
+    fn inside(&self, q: &Joints<N>, near: &Joints<N>) -> Option<Joints<N>> {
+        let mut out = *q;
+        for (j, (low, high)) in self.ranges.iter().enumerate() {
+            let first = ((low - q[j]) / TAU).ceil();
+            let last = ((high - q[j]) / TAU).floor();
+            if first > last {
+                return None;
+            }
+            let wanted = ((near[j] - q[j]) / TAU).round();
+            out[j] = q[j] + wanted.clamp(first, last) * TAU;
+        }
+        Some(out)
+    }
+
+    fn searched(
+        &self,
+        target: &Placement,
+        near: &Joints<N>,
+    ) -> Result<Vec<Joints<N>>, InverseError> {
+        let mut random = ChaCha8Rng::seed_from_u64(0);
+        let mut found: Vec<Joints<N>> = Vec::new();
+        let mut missed: Option<InverseError> = None;
+        let left = |error: &InverseError| match error {
+            InverseError::Missed { left_m, left_rad } => left_m + left_rad,
+            _ => f64::INFINITY,
+        };
+        for start in 0..STARTS {
+            let from = if start == 0 {
+                *near
+            } else {
+                Joints::from_fn(|j, _| {
+                    let (low, high) = self.ranges[j];
+                    random.random_range(low..=high)
+                })
+            };
+            match numeric::solve(&self.chain, target, &from) {
+                Ok(q) if self.inside(&q, near).is_some() => {
+                    found.push(q);
+                    // What is near is what is wanted; the random starts are for when it leads nowhere.
+                    if start == 0 {
+                        break;
+                    }
+                }
+                Ok(_) => {}
+                Err(error) => {
+                    if missed.is_none_or(|before| left(&error) < left(&before)) {
+                        missed = Some(error);
+                    }
+                }
+            }
+        }
+        match missed {
+            Some(error) if found.is_empty() => Err(error),
+            _ => Ok(found),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::excitation::{Excitation, QuickConfig};
+    use nalgebra::Vector3;
+
+    fn ur5() -> Robot {
+        Robot::load("ur5").expect("built in")
+    }
+
+    /// The same arm in frames turned about and moved along the joint axes, as a URDF might have them.
+    fn reframed(robot: &Robot) -> Robot {
+        let mut other = robot.clone();
+        let along = |angle: f64, shift: f64| {
+            Placement::from_xyz_rpy(Vector3::new(0.0, 0.0, shift), Vector3::new(0.0, 0.0, angle))
+        };
+        let moves: Vec<Placement> = (0..6)
+            .map(|k| along(0.7 * f64::from(k) - 1.0, 0.05 * f64::from(k) - 0.1))
+            .collect();
+        for (k, joint) in other.joints.iter_mut().enumerate() {
+            joint.placement = joint.placement.then(&moves[k]);
+            if k > 0 {
+                joint.placement = moves[k - 1].inverse().then(&joint.placement);
+            }
+        }
+        other.flange = moves[5].inverse().then(&other.flange);
+        other
+    }
+
+    fn all_eight_are_right(robot: &Robot) {
+        let tool = Placement::from_xyz_rpy(Vector3::new(0.02, 0.1, 0.15), Vector3::repeat(0.4));
+        let inverse = Inverse::<6>::new(robot, &tool).expect("six joints");
+        assert!(inverse.is_closed_form());
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let mut eights = 0;
+        for case in 0..2000 {
+            let q = Joints::<6>::from_fn(|_, _| random.random_range(-3.1..=3.1));
+            let target = inverse.chain().forward(&q);
+            let solutions = inverse.solutions(&target, &q).expect("it is there");
+            eights += usize::from(solutions.len() == 8);
+            for solution in &solutions {
+                let left = pose_error(&inverse.chain().forward(solution), &target).amax();
+                assert!(left < 1e-9, "case {case}: {left}");
+            }
+            let apart = |s: &Joints<6>| {
+                (s - q)
+                    .map(|d| (d + 3.0 * TAU + 0.5 * TAU) % TAU - 0.5 * TAU)
+                    .amax()
+            };
+            let own = solutions.iter().map(apart).fold(f64::INFINITY, f64::min);
+            assert!(own < 1e-6, "case {case}: {own}");
+            for (k, one) in solutions.iter().enumerate() {
+                let twin = solutions[k + 1..]
+                    .iter()
+                    .any(|other| (one - other).amax() < 1e-6);
+                assert!(!twin, "case {case}: a solution comes twice");
+            }
+        }
+        assert!(eights > 1000, "{eights} of 2000 poses have all eight");
+    }
+
+    #[test]
+    fn the_eight_solutions_of_the_ur5_put_the_tool_on_its_target() {
+        all_eight_are_right(&ur5());
+    }
+
+    #[test]
+    fn the_closed_form_does_not_depend_on_where_a_description_puts_its_frames() {
+        let robot = reframed(&ur5());
+        let tool = Placement::identity();
+        let (own, other) = (
+            Chain::<6>::new(&ur5(), &tool).expect("six"),
+            Chain::<6>::new(&robot, &tool).expect("six"),
+        );
+        let q = Joints::<6>::from_fn(|j, _| 0.3 * j as f64 - 0.5);
+        assert!(pose_error(&own.forward(&q), &other.forward(&q)).amax() < 1e-12);
+        all_eight_are_right(&robot);
+    }
+
+    #[test]
+    fn the_branch_of_an_excitation_is_followed_through_its_singularities() {
+        let robot = ur5();
+        let inverse = Inverse::<6>::new(&robot, &Placement::identity()).expect("six joints");
+        let series =
+            Excitation::quick::<6>(&robot, 5, &QuickConfig::default(), || ()).expect("feasible");
+        let at = |k: i32| series.at::<6>(f64::from(k) * 1e-3);
+        let mut q = at(0).q;
+        let mut worst = 0.0_f64;
+        for k in 1..=10_000 {
+            let (before, now) = (at(k - 1), at(k));
+            let predicted = q + (before.qd + now.qd) * 0.5e-3;
+            let target = inverse.chain().forward(&now.q);
+            q = inverse
+                .onwards(&target, &predicted, 0.1)
+                .expect("it is there");
+            worst = worst.max((q - now.q).amax());
+        }
+        assert!(worst < 1e-6, "{worst} rad");
+    }
+
+    #[test]
+    fn an_arm_without_closed_form_is_solved_by_steps() {
+        let robot = Robot::load("panda").expect("built in");
+        let inverse = Inverse::<7>::new(&robot, &Placement::identity()).expect("seven joints");
+        assert!(!inverse.is_closed_form());
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        for case in 0..20 {
+            let q = Joints::<7>::from_fn(|j, _| {
+                let (low, high) = inverse.ranges[j];
+                random.random_range(0.8 * low..=0.8 * high)
+            });
+            let target = inverse.chain().forward(&q);
+            let near = Joints::from_fn(|j, _| 0.5 * (inverse.ranges[j].0 + inverse.ranges[j].1));
+            let found = inverse.nearest(&target, &near).expect("it is there");
+            let left = pose_error(&inverse.chain().forward(&found), &target).amax();
+            assert!(left < 1e-9, "case {case}: {left}");
+            for (q, (low, high)) in found.iter().zip(inverse.ranges) {
+                assert!((low..=high).contains(q), "case {case}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_reached_is_said_with_its_reason() {
+        let inverse = Inverse::<6>::new(&ur5(), &Placement::identity()).expect("six joints");
+        let at = |x: f64, y: f64, z: f64| {
+            Placement::from_xyz_rpy(
+                Vector3::new(x, y, z),
+                Vector3::new(std::f64::consts::PI, 0.0, 0.0),
+            )
+        };
+        let near = Joints::zeros();
+        let reason = |target| {
+            inverse
+                .nearest(&target, &near)
+                .expect_err("nowhere")
+                .to_string()
+        };
+        assert!(reason(at(1.2, 0.0, 0.3)).contains("the arm is 0.817 m long"));
+        assert!(
+            reason(at(0.0, 0.05, 0.3))
+                .contains("from the axis of joint 1, the arm passes it at 0.109 m")
+        );
+        let panda = Robot::load("panda").expect("built in");
+        let inverse = Inverse::<7>::new(&panda, &Placement::identity()).expect("seven joints");
+        let error = inverse.nearest(&at(1.5, 0.0, 0.3), &Joints::zeros());
+        assert!(
+            matches!(error, Err(InverseError::Missed { left_m, .. }) if left_m > 0.1),
+            "{error:?}"
+        );
+    }
+}

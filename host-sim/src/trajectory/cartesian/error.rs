@@ -1,0 +1,80 @@
+//! Why a path of the tool cannot be played.
+
+use crate::kinematics::InverseError;
+use crate::trajectory::BeyondLimits;
+use nalgebra::Vector3;
+use std::fmt;
+
+/// Where on the path something is wrong.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spot {
+    /// The waypoint or move, as the file counts: `start`, `move 2 (circle)`, `move 3 (via), point 2`.
+    pub waypoint: String,
+    /// Time on the path, s; `None` for the waypoint itself.
+    pub t_s: Option<f64>,
+    /// Where the tool should be there, base frame, m.
+    pub target: Vector3<f64>,
+}
+
+impl fmt::Display for Spot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.waypoint)?;
+        if let Some(t_s) = self.t_s {
+            write!(f, " at {t_s:.3} s")?;
+        }
+        let [x, y, z] = self.target.into();
+        write!(f, ", tool at ({x:.3}, {y:.3}, {z:.3}) m")
+    }
+}
+
+/// Why a path of the tool cannot be played.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CartesianError {
+    /// The file is no path.
+    Syntax {
+        /// Line, from 1.
+        line: usize,
+        /// First complaint of the parser.
+        reason: String,
+    },
+    /// A value is missing or makes no sense.
+    Field {
+        /// The field, for example `move[2].duration_s`, moves from 1.
+        field: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The robot has another number of joints than expected.
+    Joints {
+        /// Joints expected.
+        expected: usize,
+    },
+    /// No joint positions put the tool there.
+    Kinematics {
+        /// Where.
+        spot: Spot,
+        /// Why.
+        error: InverseError,
+    },
+    /// The joints could, but not within their limits.
+    Limits {
+        /// Where.
+        spot: Spot,
+        /// Which joint.
+        error: BeyondLimits,
+    },
+}
+
+impl fmt::Display for CartesianError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Syntax { line, reason } => write!(f, "line {line}: {reason}"),
+            Self::Field { field, problem } => write!(f, "{field}: {problem}"),
+            Self::Joints { expected } => write!(f, "the robot has not {expected} joints"),
+            Self::Kinematics { spot, error } => write!(f, "{spot}: {error}"),
+            Self::Limits { spot, error } => write!(f, "{spot}: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for CartesianError {}

@@ -1,0 +1,201 @@
+//! The file of a path: TOML, units in the names of the fields. `docs/trajectories.md` tells the format.
+
+use super::curve::Curve;
+use super::error::CartesianError;
+use crate::robot::Placement;
+use nalgebra::Vector3;
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PathFile {
+    tool: Option<PoseFile>,
+    near_q_rad: Option<Vec<f64>>,
+    start: PoseFile,
+    #[serde(rename = "move")]
+    moves: Vec<MoveFile>,
+}
+
+/// Origin, and roll–pitch–yaw about fixed axes, `R = Rz(yaw) Ry(pitch) Rx(roll)`; without angles as before.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseFile {
+    xyz_m: [f64; 3],
+    rpy_rad: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MoveFile {
+    duration_s: f64,
+    line: Option<PoseFile>,
+    circle: Option<CircleFile>,
+    via: Option<Vec<PoseFile>>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CircleFile {
+    centre_m: [f64; 3],
+    normal: [f64; 3],
+    turn_rad: f64,
+    #[serde(default)]
+    carry: bool,
+}
+
+/// A path as the file tells it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Path {
+    /// The tool's tip in the flange.
+    pub(super) tool: Placement,
+    /// Joint positions, rad, near which the start's solution is wanted.
+    pub(super) near_q: Option<Vec<f64>>,
+    pub(super) start: Placement,
+    pub(super) moves: Vec<Move>,
+}
+
+/// One move from where the last one ended, from rest to rest.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Move {
+    pub(super) way: Way,
+    pub(super) curve: Curve,
+}
+
+/// The way of a move.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Way {
+    /// Straight, turning about one axis.
+    Line(Placement),
+    /// About an axis through `centre` along `normal` (length 1), by `turn` rad; `carry` turns the tool along.
+    Circle {
+        centre: Vector3<f64>,
+        normal: Vector3<f64>,
+        turn: f64,
+        carry: bool,
+    },
+    /// Through points at even times without stopping.
+    Via(Vec<Placement>),
+}
+
+impl Way {
+    /// Its name in the file.
+    pub(super) fn name(&self) -> &'static str {
+        match self {
+            Self::Line(_) => "line",
+            Self::Circle { .. } => "circle",
+            Self::Via(_) => "via",
+        }
+    }
+}
+
+/// Longest move, s: an hour of ticks is 3.6 million rows.
+const LONGEST_S: f64 = 3600.0;
+
+/// Reads and checks a path.
+pub(super) fn parse(text: &str) -> Result<Path, CartesianError> {
+    let raw: PathFile = toml::from_str(text).map_err(|error| {
+        let (line, reason) = crate::files::toml_complaint(text, &error);
+        CartesianError::Syntax { line, reason }
+    })?;
+    let tool = match raw.tool {
+        Some(pose) => pose.placed("tool", &Placement::identity())?,
+        None => Placement::identity(),
+    };
+    let start = raw.start.placed("start", &Placement::identity())?;
+    if raw.start.rpy_rad.is_none() {
+        return Err(field("start.rpy_rad", "is missing"));
+    }
+    if let Some(near) = &raw.near_q_rad {
+        finite("near_q_rad", near)?;
+    }
+    if raw.moves.is_empty() {
+        return Err(field("move", "there is none"));
+    }
+    let mut moves = Vec::with_capacity(raw.moves.len());
+    let mut pose = start;
+    for (index, given) in raw.moves.iter().enumerate() {
+        let at = format!("move[{}]", index + 1);
+        let from = pose;
+        let duration_s = given.duration_s;
+        if !(duration_s > 0.0 && duration_s <= LONGEST_S) {
+            let problem = format!("is {duration_s}, must be above 0 and at most {LONGEST_S}");
+            return Err(field(&format!("{at}.duration_s"), &problem));
+        }
+        let way = match (&given.line, &given.circle, &given.via) {
+            (Some(end), None, None) => {
+                pose = end.placed(&format!("{at}.line"), &pose)?;
+                Way::Line(pose)
+            }
+            (None, Some(circle), None) => circle.way(&at)?,
+            (None, None, Some(points)) => {
+                let mut placed = Vec::with_capacity(points.len());
+                for (number, point) in points.iter().enumerate() {
+                    pose = point.placed(&format!("{at}.via[{}]", number + 1), &pose)?;
+                    placed.push(pose);
+                }
+                if placed.is_empty() {
+                    return Err(field(&format!("{at}.via"), "there is no point"));
+                }
+                Way::Via(placed)
+            }
+            _ => return Err(field(&at, "give exactly one of line, circle, via")),
+        };
+        let curve = Curve::new(&way, &from, duration_s)
+            .map_err(|problem| field(&format!("{at}.{}", way.name()), problem))?;
+        pose = curve.end();
+        moves.push(Move { way, curve });
+    }
+    Ok(Path {
+        tool,
+        near_q: raw.near_q_rad,
+        start,
+        moves,
+    })
+}
+
+impl PoseFile {
+    /// The pose; its orientation is that of `before` where it gives none.
+    fn placed(&self, at: &str, before: &Placement) -> Result<Placement, CartesianError> {
+        finite(&format!("{at}.xyz_m"), &self.xyz_m)?;
+        let rpy = self.rpy_rad.unwrap_or_default();
+        finite(&format!("{at}.rpy_rad"), &rpy)?;
+        let mut pose = Placement::from_xyz_rpy(self.xyz_m.into(), rpy.into());
+        if self.rpy_rad.is_none() {
+            pose.rot_parent_child = before.rot_parent_child;
+        }
+        Ok(pose)
+    }
+}
+
+impl CircleFile {
+    fn way(&self, at: &str) -> Result<Way, CartesianError> {
+        finite(&format!("{at}.circle.centre_m"), &self.centre_m)?;
+        finite(&format!("{at}.circle.normal"), &self.normal)?;
+        finite(&format!("{at}.circle.turn_rad"), &[self.turn_rad])?;
+        let normal = Vector3::from(self.normal);
+        if normal.norm() < 1e-6 {
+            return Err(field(&format!("{at}.circle.normal"), "has no direction"));
+        }
+        Ok(Way::Circle {
+            centre: self.centre_m.into(),
+            normal: normal.normalize(),
+            turn: self.turn_rad,
+            carry: self.carry,
+        })
+    }
+}
+
+fn field(field: &str, problem: &str) -> CartesianError {
+    CartesianError::Field {
+        field: field.to_owned(),
+        problem: problem.to_owned(),
+    }
+}
+
+fn finite(name: &str, values: &[f64]) -> Result<(), CartesianError> {
+    if values.iter().all(|value| value.is_finite()) {
+        Ok(())
+    } else {
+        Err(field(name, "is not a finite number"))
+    }
+}

@@ -1,0 +1,13 @@
+//! Paths of the tool: a small file of lines, circles and via points, laid out as joint motion by inverse kinematics.
+//!
+//! `file` (text → moves) → `curve` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
+//! and accelerations tick by tick, every limit checked).
+
+mod curve;
+mod error;
+mod file;
+mod plan;
+mod rotation;
+
+pub use error::{CartesianError, Spot};
+pub use plan::plan;

@@ -1,0 +1,135 @@
+//! Where a trajectory comes from: what the commands accept as `--trajectory`.
+
+use super::Trajectory;
+use super::cartesian::{self, CartesianError};
+use super::limits::BeyondLimits;
+use crate::excitation::{Excitation, ExcitationError};
+use crate::files::at;
+use crate::robot::Robot;
+use crate::table::{StateReader, TableError, TimeColumn};
+use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a trajectory cannot be played.
+#[derive(Debug)]
+pub enum TrajectoryError {
+    /// The file cannot be read.
+    File(io::Error),
+    /// The table is damaged.
+    Table(TableError),
+    /// The file is no excitation.
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// What the parser said.
+        reason: String,
+    },
+    /// The excitation is for another robot.
+    Excitation {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        error: ExcitationError,
+    },
+    /// The path of the tool is damaged, or the arm cannot follow it.
+    Cartesian {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        error: Box<CartesianError>,
+    },
+    /// A joint is asked for more than it can do.
+    Limits {
+        /// The file.
+        path: PathBuf,
+        /// Which one, and when.
+        error: BeyondLimits,
+    },
+}
+
+impl fmt::Display for TrajectoryError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(error) => write!(f, "{error}"),
+            Self::Table(error) => write!(f, "{error}"),
+            Self::Syntax { path, reason } => write!(f, "{}: {reason}", path.display()),
+            Self::Excitation { path, error } => write!(f, "{}: {error}", path.display()),
+            Self::Cartesian { path, error } => write!(f, "{}: {error}", path.display()),
+            Self::Limits { path, error } => write!(f, "{}: {error}", path.display()),
+        }
+    }
+}
+
+impl std::error::Error for TrajectoryError {}
+
+impl<const N: usize> Trajectory<N> {
+    /// What `--trajectory` names: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
+    /// time, q, qd and qdd. Limits are checked.
+    ///
+    /// * `seed` of the validation path
+    /// * `duration_s` for which an excitation is repeated; one period where it is `None`
+    /// * `period_s` step in which limits are looked at and paths of the tool are laid out
+    ///
+    /// Errors: [`TrajectoryError`], one line that names the file.
+    pub fn load(
+        name: &str,
+        robot: &Robot,
+        seed: u64,
+        duration_s: Option<f64>,
+        period_s: f64,
+    ) -> Result<Self, TrajectoryError> {
+        if name == "validation" {
+            return Ok(Self::validation(robot, seed));
+        }
+        let path = PathBuf::from(name);
+        let trajectory = match path.extension().and_then(|extension| extension.to_str()) {
+            Some("json") => excitation(&path, robot, duration_s)?,
+            Some("toml") => {
+                let text = read(&path)?;
+                let samples = cartesian::plan(robot, &text, period_s).map_err(|error| {
+                    TrajectoryError::Cartesian {
+                        path: path.clone(),
+                        error: Box::new(error),
+                    }
+                })?;
+                // Every sample was checked when it was laid out, so that the message names the move.
+                return Ok(Self::Sampled(samples));
+            }
+            _ => {
+                let rows = StateReader::<N>::open(&path, TimeColumn::Required)
+                    .and_then(StateReader::read_all)
+                    .map_err(TrajectoryError::Table)?;
+                Self::sampled(&rows, period_s)
+            }
+        };
+        match trajectory.check(robot, period_s) {
+            Ok(()) => Ok(trajectory),
+            Err(error) => Err(TrajectoryError::Limits { path, error }),
+        }
+    }
+}
+
+fn read(path: &Path) -> Result<String, TrajectoryError> {
+    std::fs::read_to_string(path).map_err(|error| TrajectoryError::File(at(path, error)))
+}
+
+fn excitation<const N: usize>(
+    path: &Path,
+    robot: &Robot,
+    duration_s: Option<f64>,
+) -> Result<Trajectory<N>, TrajectoryError> {
+    let series: Excitation =
+        serde_json::from_str(&read(path)?).map_err(|error| TrajectoryError::Syntax {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        })?;
+    series
+        .check(robot)
+        .map_err(|error| TrajectoryError::Excitation {
+            path: path.to_owned(),
+            error,
+        })?;
+    let duration_s = duration_s.unwrap_or(series.period_s);
+    Ok(Trajectory::Excitation { series, duration_s })
+}

@@ -1,0 +1,110 @@
+//! Paths through via points.
+
+use crate::dynamics::{Joints, State};
+use crate::robot::Robot;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Time between two via points of a random path, s.
+pub(super) const SEGMENT_S: f64 = 1.5;
+/// Range of its via points around zero, rad.
+pub(super) const VIA_RANGE_RAD: f64 = 2.0;
+
+/// A path through via points, one quintic a segment and joint: continuous up to the acceleration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViaPath<const N: usize> {
+    segment_s: f64,
+    /// Positions, rad, and velocities, rad/s, at the via points; the acceleration is zero there.
+    via: Vec<(Joints<N>, Joints<N>)>,
+}
+
+impl<const N: usize> ViaPath<N> {
+    /// Through `points` at even times, at rest at both ends.
+    ///
+    /// Via velocities are the slopes of the neighbours (Catmull–Rom). Fewer than two points: at rest at the only one, or at
+    /// zero.
+    pub fn through(points: &[Joints<N>], duration_s: f64) -> Self {
+        let ends =
+            [points.first(), points.last()].map(|end| end.copied().unwrap_or_else(Joints::zeros));
+        let points = if points.len() < 2 { &ends } else { points };
+        let last = points.len() - 1;
+        let segment_s = duration_s / last as f64;
+        let slope = |k: usize| {
+            if k == 0 || k == last {
+                Joints::zeros()
+            } else {
+                (points[k + 1] - points[k - 1]) / (2.0 * segment_s)
+            }
+        };
+        Self {
+            segment_s,
+            via: (0..=last).map(|k| (points[k], slope(k))).collect(),
+        }
+    }
+
+    /// Random via points inside the limits, at rest at both ends; the fastest joint reaches `peak_rad_s`.
+    ///
+    /// Swings are shrunk about the path's middle until speed and acceleration fit, so positions stay inside the range of the
+    /// via points.
+    pub fn random(robot: &Robot, seed: u64, duration_s: f64, peak_rad_s: f64) -> Self {
+        let segments = (duration_s / SEGMENT_S).round().max(2.0) as usize;
+        let segment_s = duration_s / segments as f64;
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let points: Vec<Joints<N>> = (0..=segments)
+            .map(|_| Joints::from_fn(|_, _| random.random_range(-VIA_RANGE_RAD..=VIA_RANGE_RAD)))
+            .collect();
+        let mut path = Self::through(&points, duration_s);
+        let (mut qd, mut qdd) = (Joints::<N>::zeros(), Joints::<N>::zeros());
+        for k in 0..=segments * 400 {
+            let state = path.at(k as f64 * segment_s / 400.0);
+            qd = qd.sup(&state.qd.abs());
+            qdd = qdd.sup(&state.qdd.abs());
+        }
+        for (j, joint) in robot.joints.iter().take(N).enumerate() {
+            let fits = (peak_rad_s.min(0.95 * joint.limits.velocity) / qd[j])
+                .min(0.95 * joint.limits.acceleration / qdd[j]);
+            for (q, slope) in &mut path.via {
+                q[j] *= fits.min(1.0);
+                slope[j] *= fits.min(1.0);
+            }
+        }
+        path
+    }
+
+    /// The same path of `joint` alone; the others stay where they begin.
+    pub fn of_joint(mut self, joint: usize) -> Self {
+        let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);
+        for (q, slope) in &mut self.via {
+            for other in (0..N).filter(|&other| other != joint) {
+                q[other] = start[other];
+                slope[other] = 0.0;
+            }
+        }
+        self
+    }
+
+    /// Length, s.
+    pub fn duration_s(&self) -> f64 {
+        self.segment_s * (self.via.len() - 1) as f64
+    }
+
+    /// The motion at `t_s`.
+    pub fn at(&self, t_s: f64) -> State<N> {
+        let last = self.via.len() - 2;
+        let segment = ((t_s / self.segment_s).max(0.0) as usize).min(last);
+        let t = (t_s - segment as f64 * self.segment_s).clamp(0.0, self.segment_s);
+        let ((q0, v0), (q1, v1)) = (self.via[segment], self.via[segment + 1]);
+        let h = self.segment_s;
+        // Quintic with q, qd given and qdd = 0 at both ends; c1 = 0, c2 = 0 for the constant part of the algebra:
+        // with D = q1 − q0 − v0 h and E = (v1 − v0) h, c3 = 10 D − 4 E, c4 = −15 D + 7 E, c5 = 6 D − 3 E over h³, h⁴, h⁵.
+        let d = q1 - q0 - v0 * h;
+        let e = (v1 - v0) * h;
+        let (c3, c4, c5) = (10.0 * d - 4.0 * e, 7.0 * e - 15.0 * d, 6.0 * d - 3.0 * e);
+        let s = t / h;
+        State {
+            q: q0 + v0 * t + (c3 + (c4 + c5 * s) * s) * s.powi(3),
+            qd: v0 + (3.0 * c3 + (4.0 * c4 + 5.0 * c5 * s) * s) * (s * s / h),
+            qdd: (6.0 * c3 + (12.0 * c4 + 20.0 * c5 * s) * s) * (s / (h * h)),
+        }
+    }
+}
