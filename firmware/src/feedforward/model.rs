@@ -84,7 +84,7 @@ impl<const N: usize> TickMotion<N> {
     ) -> (JointVector<N>, JointVector<N>) {
         let columns = set.friction.map(FrictionParameters::columns);
         (
-            rnea::<A, N, P>(&set.rigid, &self.desired),
+            rigid_torque::<A, N, P>(&set.rigid, &self.desired),
             friction_torque(&columns, &self.rows),
         )
     }
@@ -107,7 +107,7 @@ impl<const N: usize> TickMotion<N> {
             }
         }
         Shares {
-            rigid: loaded.0 + rnea::<A, N, P>(&difference.rigid, &self.bounded),
+            rigid: loaded.0 + rigid_torque::<A, N, P>(&difference.rigid, &self.bounded),
             friction: loaded.1 + friction_torque(&difference.friction, &self.bounded_rows),
             network: shares_of_networks::<A, N, P>(&set.network, &speed, flags),
         }
@@ -120,8 +120,17 @@ impl<const N: usize> TickMotion<N> {
         &self,
         payload: &BaseParameters<P>,
     ) -> JointVector<N> {
-        rnea::<A, N, P>(payload, &self.desired)
+        rigid_torque::<A, N, P>(payload, &self.desired)
     }
+}
+
+/// [`rnea`], once in the binary for the four models of a tick.
+#[inline(never)]
+fn rigid_torque<A: Arm<N, P>, const N: usize, const P: usize>(
+    rigid: &BaseParameters<P>,
+    motion: &JointMotion<N>,
+) -> JointVector<N> {
+    rnea::<A, N, P>(rigid, motion)
 }
 
 #[inline]

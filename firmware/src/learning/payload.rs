@@ -29,6 +29,7 @@ fn terms<A: Arm<N, P>, const N: usize, const P: usize>() -> impl Iterator<Item =
 }
 
 /// What `payload` adds to the base parameters.
+#[inline(never)]
 pub(super) fn payload_base<A: Arm<N, P>, const N: usize, const P: usize>(
     payload: &Payload,
 ) -> BaseParameters<P> {
@@ -42,6 +43,7 @@ pub(super) fn payload_base<A: Arm<N, P>, const N: usize, const P: usize>(
 }
 
 /// Torque for each unit of each number of a payload, from the regressor row `rigid` of a joint.
+#[inline(never)]
 pub(super) fn payload_row<A: Arm<N, P>, const N: usize, const P: usize>(
     rigid: &[f32; P],
 ) -> Payload {

@@ -47,6 +47,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// The linear parameters take what they can explain; the joint's network is trained on what remained before.
+    #[inline(never)]
     fn row(&mut self, tick: u32, joint: usize, seen: &Conditioned<N>) -> (Verdict, Option<f32>) {
         let (Some(limits), Some(&speed), Some(&tau)) = (
             A::LIMITS.get(joint),

@@ -3,6 +3,7 @@
 use super::{Learner, count};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, FrictionParameters, friction, regressor_row, rnea};
+use crate::joint::JointVector;
 use crate::learning::conditioning::Conditioned;
 use crate::learning::detector::Slice;
 use crate::learning::payload::{payload_base, payload_row, payload_torque};
@@ -27,19 +28,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             count(&mut self.state.statistics.rejected);
             return None;
         }
-        // The detector asks what is new to the estimate; a payload comes on top of what is in the torque.
-        let state = &self.state;
-        let weighing = state.phase() == Phase::Trial || state.guard.loaded();
-        let (rigid, drives) = if weighing {
-            (state.candidate.rigid, state.candidate.friction)
-        } else {
-            let estimate = state.estimate.parameters();
-            let drives = estimate.friction.map(FrictionParameters::from_columns);
-            (BaseParameters::<P>::from(estimate.rigid), drives)
-        };
-        let residual = seen.tau
-            - rnea::<A, N, P>(&rigid, &seen.motion)
-            - friction::<A, N, P>(&drives, &seen.motion.q, &seen.motion.qd);
+        let residual = self.unexplained(seen);
         let gate = self.config.velocity_gate;
         let ticks = self.config.guard.slice_ticks;
         let guard = &mut self.state.guard;
@@ -56,7 +45,26 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.learn_row(tick, joint, seen)
     }
 
+    /// What the model leaves of the torques, the payload not counted, N × N·m.
+    #[inline(never)]
+    fn unexplained(&self, seen: &Conditioned<N>) -> JointVector<N> {
+        // The detector asks what is new to the estimate; a payload comes on top of what is in the torque.
+        let state = &self.state;
+        let weighing = state.phase() == Phase::Trial || state.guard.loaded();
+        let (rigid, drives) = if weighing {
+            (state.candidate.rigid, state.candidate.friction)
+        } else {
+            let estimate = state.estimate.parameters();
+            let drives = estimate.friction.map(FrictionParameters::from_columns);
+            (BaseParameters::<P>::from(estimate.rigid), drives)
+        };
+        seen.tau
+            - rnea::<A, N, P>(&rigid, &seen.motion)
+            - friction::<A, N, P>(&drives, &seen.motion.q, &seen.motion.qd)
+    }
+
     /// One joint of a slice.
+    #[inline(never)]
     fn weigh(&mut self, tick: u32, joint: usize, slice: &Slice<N>) {
         let state = &mut self.state;
         let (Some(true), Some(&left), Some(limits), Some(&measured), Some(&innovation)) = (
@@ -103,6 +111,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// After the last joint of a slice.
+    #[inline(never)]
     fn judge(&mut self, tick: u32) {
         let config = &self.config.guard;
         let guard = &mut self.state.guard;
