@@ -1,4 +1,4 @@
-use crate::joint::{JointMotion, JointVector};
+use crate::joint::{JointMotion, JointVector, zero_vector};
 use crate::limits::cut;
 
 /// What a hundredth of a second leaves unexplained.
@@ -24,11 +24,11 @@ pub(super) struct Decimator<const N: usize> {
 
 impl<const N: usize> Decimator<N> {
     /// Nothing gathered.
-    pub(super) fn new() -> Self {
+    pub(super) const fn new() -> Self {
         Self {
             slice: Slice {
                 motion: JointMotion::zero(),
-                residual: JointVector::zeros(),
+                residual: zero_vector(),
                 moving: [true; N],
             },
             gathered: 0,

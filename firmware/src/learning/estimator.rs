@@ -64,8 +64,15 @@ pub struct Correction {
 impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Starts from `prior`, as uncertain as the configuration says.
     pub fn new(prior: &ParameterSet<N, P>) -> Self {
+        let mut estimator = Self::idle();
+        estimator.parameters = Stacked::of(prior);
+        estimator
+    }
+
+    /// All parameters zero and as uncertain as a prior.
+    pub(super) const fn idle() -> Self {
         Self {
-            parameters: Stacked::of(prior),
+            parameters: Stacked::filled(0.0),
             filter: UdFilter::new(),
             variance: [1.0; N],
         }

@@ -8,7 +8,7 @@
 /// d = champion² − challenger²      t = Σ d / √Σ d²
 /// ```
 /// The pairs share their noise, so t notices a better model long before the mean squares differ visibly.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Evidence {
     advantage: f32,
     scatter: f32,
@@ -18,6 +18,8 @@ pub(super) struct Evidence {
     measured: f32,
     cross: f32,
     modelled: f32,
+    /// Rows, faded like the sums: what noise alone leaves of a torque in these units.
+    weight: f32,
     rows: u32,
 }
 
@@ -26,10 +28,23 @@ const MEMORY_ROWS: f32 = 4096.0;
 const FADE: f32 = 1.0 - 1.0 / MEMORY_ROWS;
 /// Residuals count up to this many standard deviations: an outlier is not evidence.
 const CLIP: f32 = 6.0;
-/// A common factor is believed when it leaves less than this of what the champion leaves.
-const GAIN_RATIO: f32 = 0.15;
+/// A common factor is believed when it leaves less than this of what the champion leaves beyond the noise.
+const GAIN_RATIO: f32 = 0.2;
 
 impl Evidence {
+    /// No row yet.
+    pub(super) const NONE: Self = Self {
+        advantage: 0.0,
+        scatter: 0.0,
+        champion: 0.0,
+        challenger: 0.0,
+        measured: 0.0,
+        cross: 0.0,
+        modelled: 0.0,
+        weight: 0.0,
+        rows: 0,
+    };
+
     /// Takes one row: measured torque, what the champion makes of it, what the challenger leaves; in standard deviations.
     pub(super) fn note(&mut self, measured: f32, champion: f32, challenger_residual: f32) {
         let left = measured - champion;
@@ -51,6 +66,7 @@ impl Evidence {
         fade(&mut self.measured, measured * measured);
         fade(&mut self.cross, measured * champion);
         fade(&mut self.modelled, champion * champion);
+        fade(&mut self.weight, 1.0);
         self.rows = self.rows.saturating_add(1);
     }
 
@@ -87,8 +103,8 @@ impl Evidence {
             return None;
         }
         let gain = self.cross / self.modelled;
-        let left = self.measured - gain * self.cross;
-        let before = self.measured - 2.0 * self.cross + self.modelled;
+        let left = self.measured - gain * self.cross - self.weight;
+        let before = self.measured - 2.0 * self.cross + self.modelled - self.weight;
         ((gain - 1.0).abs() > error && left < GAIN_RATIO * before).then_some(gain)
     }
 }
@@ -108,7 +124,7 @@ mod tests {
 
     #[test]
     fn a_model_that_is_a_tenth_of_the_noise_better_is_noticed_and_an_equal_one_is_not() {
-        let (mut better, mut equal) = (Evidence::default(), Evidence::default());
+        let (mut better, mut equal) = (Evidence::NONE, Evidence::NONE);
         for (torque, noise) in rows(20_000) {
             let champion = torque + 0.2 * (torque * 0.7).sin();
             better.note(torque + noise, champion, noise);
@@ -122,7 +138,7 @@ mod tests {
     #[test]
     fn a_common_factor_is_told_from_a_wrong_model() {
         for gain in [-1.0, 0.8, 1.2] {
-            let (mut scaled, mut offset) = (Evidence::default(), Evidence::default());
+            let (mut scaled, mut offset) = (Evidence::NONE, Evidence::NONE);
             for (torque, noise) in rows(5000) {
                 scaled.note(gain * torque + noise, torque, noise);
                 offset.note(torque + 5.0 + noise, torque, noise);
@@ -131,15 +147,15 @@ mod tests {
             assert!((found - gain).abs() < 0.02, "{found} for {gain}");
             assert_eq!(offset.common_gain(0.08), None);
         }
-        assert_eq!(Evidence::default().common_gain(0.08), None);
+        assert_eq!(Evidence::NONE.common_gain(0.08), None);
     }
 
     #[test]
     fn what_is_not_finite_is_no_evidence() {
-        let mut evidence = Evidence::default();
+        let mut evidence = Evidence::NONE;
         evidence.note(f32::NAN, 1.0, 1.0);
         evidence.note(1.0, f32::INFINITY, 1.0);
         evidence.note(1.0, 1.0, f32::NAN);
-        assert_eq!(evidence, Evidence::default());
+        assert_eq!(evidence, Evidence::NONE);
     }
 }

@@ -5,6 +5,7 @@ use super::payload::{PAYLOAD_PARAMETERS, Payload, PayloadFilter, payload_sigma};
 use super::stacked::Stacked;
 use super::trial::Trial;
 use crate::dynamics::BaseParameters;
+use crate::joint::zero_vector;
 
 /// Linear parameters of one instant: what the estimate was and what was in the torque.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,6 +15,9 @@ pub(super) struct Checkpoint<const N: usize, const P: usize> {
     pub(super) committed: Stacked<N, P>,
     pub(super) payload: Payload,
 }
+
+/// Rows after which a set that need not be followed is good enough for networks to be trained on what it leaves.
+const TRAINING_ROWS: u32 = 4096;
 
 /// What the guard carries from lesson to lesson.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +56,7 @@ pub(super) struct Guard<const N: usize, const P: usize> {
 
 impl<const N: usize, const P: usize> Guard<N, P> {
     /// Begins with `set` active, committed and estimated, and an empty hand.
-    pub(super) fn new(config: &GuardConfig, set: &Stacked<N, P>) -> Self {
+    pub(super) const fn new(config: &GuardConfig, set: &Stacked<N, P>) -> Self {
         let nothing = [0.0; PAYLOAD_PARAMETERS];
         let checkpoint = Checkpoint {
             estimate: *set,
@@ -65,14 +69,14 @@ impl<const N: usize, const P: usize> Guard<N, P> {
             decimator: Decimator::new(),
             waiting: None,
             payload: nothing,
-            payload_base: BaseParameters::zeros(),
+            payload_base: zero_vector(),
             filter: PayloadFilter::new(&nothing, &payload_sigma(config.heaviest)),
             slices_carried: 0,
             trial: Trial::new(config, &nothing),
             slice_variance: [1.0; N],
             unloaded: None,
             checkpoints: [checkpoint; 2],
-            evidence: Evidence::default(),
+            evidence: Evidence::NONE,
             committed: *set,
             following: false,
             followed: 0,
@@ -85,6 +89,12 @@ impl<const N: usize, const P: usize> Guard<N, P> {
     /// Something is in the hand.
     pub(super) fn loaded(&self) -> bool {
         self.unloaded.is_some()
+    }
+
+    /// The linear parameters in the torque are good enough for the networks to learn what they leave.
+    pub(super) fn trains(&self) -> bool {
+        let settled = self.following || self.evidence.rows() >= TRAINING_ROWS;
+        settled && !self.gain_fault && self.relearning == 0
     }
 
     /// The payload is still being weighed.

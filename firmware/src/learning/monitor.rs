@@ -18,7 +18,7 @@ pub(super) struct Observation {
 }
 
 /// Faded sums of squares.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Sums {
     weight: f32,
     measured: f32,
@@ -34,9 +34,15 @@ pub(super) struct Monitor<const N: usize> {
 
 impl<const N: usize> Monitor<N> {
     /// Nothing seen.
-    pub(super) fn new() -> Self {
+    pub(super) const fn new() -> Self {
+        const NOTHING: Sums = Sums {
+            weight: 0.0,
+            measured: 0.0,
+            residual: 0.0,
+            shares: [0.0; 3],
+        };
         Self {
-            joints: [Sums::default(); N],
+            joints: [NOTHING; N],
         }
     }
 

@@ -1,5 +1,6 @@
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, FrictionParameters};
+use crate::joint::zero_vector;
 use crate::math::tanh;
 use crate::network::BpNetwork;
 use nalgebra::SVector;
@@ -25,6 +26,15 @@ pub struct ParameterSet<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> ParameterSet<N, P> {
+    /// Nothing at all: no body, no friction, silent networks without hidden layers.
+    pub(super) const fn nothing() -> Self {
+        Self {
+            rigid: zero_vector(),
+            friction: [FrictionParameters::NONE; N],
+            network: [JointNetwork::zeros(); N],
+        }
+    }
+
     /// The description's rigid body, no friction, and networks that say nothing yet: random hidden layers (joint `j`
     /// from `seed + j`) under output layers of zeros.
     pub fn nominal<A: Arm<N, P>>(seed: u32) -> Self {

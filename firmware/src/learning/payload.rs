@@ -67,9 +67,15 @@ pub(super) struct PayloadFilter {
 
 impl PayloadFilter {
     /// As uncertain as `sigma`, around `payload`.
-    pub(super) fn new(payload: &Payload, sigma: &Payload) -> Self {
+    pub(super) const fn new(payload: &Payload, sigma: &Payload) -> Self {
+        let mut theta = *payload;
+        let mut k = 0;
+        while k < PAYLOAD_PARAMETERS {
+            theta[k] /= sigma[k];
+            k += 1;
+        }
         Self {
-            filter: SmallFilter::new(core::array::from_fn(|k| payload[k] / sigma[k])),
+            filter: SmallFilter::new(theta),
             sigma: *sigma,
         }
     }

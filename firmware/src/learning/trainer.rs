@@ -44,7 +44,7 @@ pub(super) enum NetworkVerdict {
 }
 
 /// Sums over one trial.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Sums {
     rows: u32,
     active: f32,
@@ -53,6 +53,17 @@ struct Sums {
     /// Σ (active² − challenger²)², Σ (active² − silent²)².
     scatter: f32,
     silent_scatter: f32,
+}
+
+impl Sums {
+    const NONE: Self = Self {
+        rows: 0,
+        active: 0.0,
+        challenger: 0.0,
+        silent: 0.0,
+        scatter: 0.0,
+        silent_scatter: 0.0,
+    };
 }
 
 /// Trains the networks of the joints on what the linear parameters leave, out of sight of the torque.
@@ -68,11 +79,11 @@ pub(super) struct NetworkTrainer<const N: usize> {
 
 impl<const N: usize> NetworkTrainer<N> {
     /// Starts from `networks`.
-    pub(super) fn new(networks: &[JointNetwork; N]) -> Self {
+    pub(super) const fn new(networks: &[JointNetwork; N]) -> Self {
         Self {
             trainee: *networks,
             challenger: *networks,
-            sums: [Sums::default(); N],
+            sums: [Sums::NONE; N],
         }
     }
 
@@ -124,7 +135,7 @@ impl<const N: usize> NetworkTrainer<N> {
         if sums.rows < TRIAL_ROWS {
             return None;
         }
-        let done = core::mem::take(sums);
+        let done = core::mem::replace(sums, Sums::NONE);
         let proven = |gain: f32, scatter: f32| gain > 0.0 && gain * gain > SIGNIFICANCE * scatter;
         let verdict = if done.challenger < PROMOTION_RATIO * done.active
             && done.challenger < PROMOTION_RATIO * done.silent

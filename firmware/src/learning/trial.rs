@@ -42,7 +42,7 @@ pub(super) struct Trial {
 
 impl Trial {
     /// Begins around `payload`, with everything open.
-    pub(super) fn new(config: &GuardConfig, payload: &Payload) -> Self {
+    pub(super) const fn new(config: &GuardConfig, payload: &Payload) -> Self {
         Self {
             filter: PayloadFilter::new(payload, &payload_sigma(config.heaviest)),
             slices: 0,

@@ -42,8 +42,8 @@ fn main() -> ! {
 
 #[cfg(target_os = "none")]
 fn run(calls: u32) -> Option<()> {
-    let learner = stage::Stage::learner()?;
-    let mut learner = cortex_m::singleton!(: Learner<Ur5, JOINTS, PARAMETERS> = learner)?;
+    const IDLE: Learner<Ur5, JOINTS, PARAMETERS> = stage::Stage::LEARNER;
+    let mut learner = cortex_m::singleton!(: Learner<Ur5, JOINTS, PARAMETERS> = IDLE)?;
     for row in rows::ROWS {
         // Every row starts from the same stage, so that a row added or removed does not move the others.
         let mut stage = stage::Stage::new(learner)?;

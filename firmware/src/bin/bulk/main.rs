@@ -27,6 +27,9 @@ mod run {
     use crate::semihost::{Streams, exit};
 
     /// Runs until the host hangs up. Ends the emulator with an error when it could not start.
+    const IDLE: Learner<Arm, JOINTS, PARAMETERS> =
+        Learner::idle(LearnerConfig::for_arm::<Arm>(1e-3));
+
     #[cortex_m_rt::entry]
     fn main() -> ! {
         exit(run().is_some())
@@ -46,8 +49,9 @@ mod run {
         let mut session = Session::<Arm, JOINTS, PARAMETERS, _>::new(board).ok()?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
-        let mut learner: Learner<Arm, _, _> =
-            Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior).ok()?;
+        let learner = cortex_m::singleton!(: Learner<Arm, JOINTS, PARAMETERS> = IDLE)?;
+        let config = LearnerConfig::for_arm::<Arm>(period_s);
+        learner.restart(config, &prior).ok()?;
         let mut desk = Desk::new();
         let mut out = FrameBuffer::new();
         let mut buffer = [0u8; 1024];
@@ -58,7 +62,7 @@ mod run {
                 return Some(());
             }
             out.clear();
-            desk.work(&mut learner, &Counter);
+            desk.work(learner, &Counter);
             let Some(bytes) = streams.read(&mut buffer) else {
                 return Some(());
             };

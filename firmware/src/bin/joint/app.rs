@@ -61,13 +61,15 @@ mod app {
         enable: TorqueEnable<EnablePin>,
         kept: SafetyReason,
         watchdog: Watchdog,
-        learner: Learner<Arm, JOINTS, PARAMETERS>,
+        learner: &'static mut Learner<Arm, JOINTS, PARAMETERS>,
         drain: Option<log::Drain>,
     }
 
     #[init(local = [
         receive_ring: Queue<u8, RECEIVE_RING> = Queue::new(),
         transmit_ring: Queue<u8, TRANSMIT_RING> = Queue::new(),
+        room: Learner<Arm, JOINTS, PARAMETERS> =
+            Learner::idle(LearnerConfig::for_arm::<Arm>(1e-3)),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
@@ -131,9 +133,11 @@ mod app {
         defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
-        let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
+        let learner = cx.local.room;
+        let config = LearnerConfig::for_arm::<Arm>(period_s);
+        if learner.restart(config, &prior).is_err() {
             fault::leave(Reason::Setup, line!());
-        };
+        }
         let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
 
@@ -275,7 +279,7 @@ mod app {
 
     #[task(binds = EXTI2, priority = 2, local = [learner], shared = [desk])]
     fn learn(mut cx: learn::Context) {
-        let learner = cx.local.learner;
+        let learner: &mut Learner<Arm, JOINTS, PARAMETERS> = cx.local.learner;
         while let Some(lesson) = cx.shared.desk.lock(|desk| desk.begin(learner)) {
             let start = counter::now();
             learner.study(&lesson);

@@ -149,7 +149,9 @@ fn a_payload_is_in_the_torque_in_a_quarter_of_a_second_and_out_again_when_it_is_
                 "{mass} kg: {weighed:?}"
             );
             for (found, true_one) in weighed.com.iter().zip(COM) {
-                assert!((found - true_one).abs() < 0.01, "{mass} kg: {weighed:?}");
+                // 10 mm at 3 kg: what the wrists' torques are known to is a first moment, not a length.
+                let allowed = 0.03 / mass;
+                assert!((found - true_one).abs() < allowed, "{mass} kg: {weighed:?}");
             }
         }
         onsets.sort_unstable();

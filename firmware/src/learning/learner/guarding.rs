@@ -5,6 +5,7 @@ use crate::arm::Arm;
 use crate::dynamics::FRICTION_COLUMNS;
 use crate::learning::conditioning::TAPS;
 use crate::learning::decision::Reason;
+use crate::learning::evidence::Evidence;
 use crate::learning::guard::Checkpoint;
 use crate::learning::payload::{PAYLOAD_PARAMETERS, describe, payload_base};
 use crate::learning::quality::{PayloadEstimate, Phase};
@@ -112,7 +113,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 guard.reopen = 0;
                 guard.relearning = RELEARNING_TICKS;
                 guard.following = false;
-                guard.evidence = Default::default();
+                guard.evidence = Evidence::NONE;
                 next = Phase::Relearning;
                 state.note(tick, reason, None, figure);
                 state.note(tick, Reason::Relearning, None, 0.0);
@@ -134,7 +135,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 state.candidate = kept;
                 state.estimate.move_to(&Stacked::of(&kept));
                 state.guard.following = false;
-                state.guard.evidence = Default::default();
+                state.guard.evidence = Evidence::NONE;
                 state.resume(Phase::Healthy);
                 Reason::RolledBack
             }
@@ -177,6 +178,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 Phase::Relearning => 10 * config.proof_rows,
                 _ => config.proof_rows,
             };
+            let settled = evidence.rows() >= patience;
+            let fault = evidence.common_gain(config.gain_error).filter(|_| settled);
+            if let (Some(gain), false) = (fault, state.guard.gain_fault) {
+                state.note(tick, Reason::DriveGain, None, gain);
+            }
+            if settled {
+                state.guard.gain_fault = fault.is_some();
+            }
             if state.guard.following {
                 state.guard.followed = state.guard.followed.saturating_add(N as u32);
                 if evidence.favours(-config.proof_sigmas) {
@@ -188,22 +197,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                     let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
                     let due = followed >= config.commit_rows
                         || followed >= config.commit_rows / 4 && early;
-                    if due && evidence.favours(0.0) {
+                    if due {
+                        // What has not been proved better since the last commit waits for a new proof.
+                        let proven = evidence.favours(config.proof_sigmas);
                         state.commit();
+                        state.guard.following = proven;
                         state.note(tick, Reason::Committed, None, evidence.ratio());
                     }
                 }
-            } else if evidence.rows() >= patience && evidence.favours(config.proof_sigmas) {
-                let fault = evidence.common_gain(config.gain_error);
-                if let (Some(gain), false) = (fault, state.guard.gain_fault) {
-                    state.note(tick, Reason::DriveGain, None, gain);
-                }
-                state.guard.gain_fault = fault.is_some();
-                if fault.is_none() {
-                    state.guard.following = true;
-                    state.guard.followed = 0;
-                    state.note(tick, Reason::Followed, None, evidence.ratio());
-                }
+            } else if settled && fault.is_none() && evidence.favours(config.proof_sigmas) {
+                state.guard.following = true;
+                state.guard.followed = 0;
+                state.note(tick, Reason::Followed, None, evidence.ratio());
             }
             if state.phase() == Phase::Relearning {
                 state.guard.relearning = state.guard.relearning.saturating_sub(N as u32);
@@ -284,7 +289,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         self.estimate.move_to(&estimate);
         active.write(&mut self.candidate);
         guard.following = false;
-        guard.evidence = Default::default();
+        guard.evidence = Evidence::NONE;
         if guard.committed != before.committed {
             // A set committed under the load has weighed it too.
             self.commit();
@@ -296,7 +301,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         self.commit = true;
         let guard = &mut self.guard;
         guard.committed = Stacked::of(&self.candidate);
-        guard.evidence = Default::default();
+        guard.evidence = Evidence::NONE;
         guard.following = false;
         guard.followed = 0;
     }
@@ -306,7 +311,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         let committed = self.guard.committed;
         self.estimate.move_to(&committed);
         committed.write(&mut self.candidate);
-        self.guard.evidence = Default::default();
+        self.guard.evidence = Evidence::NONE;
         self.guard.following = false;
     }
 

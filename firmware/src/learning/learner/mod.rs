@@ -35,6 +35,17 @@ pub struct LearnerStatistics {
     pub published: u32,
 }
 
+impl LearnerStatistics {
+    const NONE: Self = Self {
+        accepted: 0,
+        gated: 0,
+        rejected: 0,
+        frozen: 0,
+        incomplete: 0,
+        published: 0,
+    };
+}
+
 /// What the learner carries from lesson to lesson.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerState<const N: usize, const P: usize> {
@@ -92,18 +103,26 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         config: LearnerConfig<N, P>,
         prior: ParameterSet<N, P>,
     ) -> Result<Self, ConfigError> {
-        config.validate()?;
-        Ok(Self {
+        let mut learner = Self::idle(config);
+        learner.restart(config, &prior)?;
+        Ok(learner)
+    }
+
+    /// A learner that knows nothing, for a static: [`restart`](Self::restart) it before its first lesson. It is too large
+    /// to be built on the stack of a board.
+    pub const fn idle(config: LearnerConfig<N, P>) -> Self {
+        let nothing = ParameterSet::nothing();
+        Self {
             config,
             state: LearnerState {
-                prior,
-                estimate: Estimator::new(&prior),
-                candidate: prior,
+                prior: nothing,
+                estimate: Estimator::idle(),
+                candidate: nothing,
                 range: MotionRange::NONE,
-                statistics: LearnerStatistics::default(),
+                statistics: LearnerStatistics::NONE,
                 report: Report::new(),
-                guard: Guard::new(&config.guard, &Stacked::of(&prior)),
-                trainer: NetworkTrainer::new(&prior.network),
+                guard: Guard::new(&config.guard, &Stacked::filled(0.0)),
+                trainer: NetworkTrainer::new(&nothing.network),
                 monitor: Monitor::new(),
                 kept: None,
                 commit: false,
@@ -116,7 +135,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 innovation_variance: [1.0; N],
             },
             arm: PhantomData,
-        })
+        }
     }
 
     /// Starts over from `prior`, as [`new`](Self::new) does, but in place: the learner is too large to be copied where a
@@ -130,7 +149,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     ) -> Result<(), ConfigError> {
         config.validate()?;
         self.config = config;
-        self.state.statistics = LearnerStatistics::default();
+        self.state.statistics = LearnerStatistics::NONE;
         self.state.report = Report::new();
         self.state.window.reset();
         self.state.next_tick = 0;
@@ -215,6 +234,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         state.candidate = *prior;
         state.estimate.reset(prior);
         state.range = MotionRange::NONE;
+        state.innovation_variance = [1.0; N];
         state.guard = Guard::new(&self.config.guard, &Stacked::of(prior));
         state.trainer = NetworkTrainer::new(&prior.network);
         state.monitor = Monitor::new();
@@ -225,7 +245,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         state.frozen = None;
         state.thaw_in = 0;
         state.pending = [None; N];
-        state.innovation_variance = [1.0; N];
     }
 }
 

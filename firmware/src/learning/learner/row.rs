@@ -107,16 +107,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 );
                 let lesson = NetworkRow {
                     qd: speed,
-                    residual: correction.residual,
+                    // What is in the torque, not what is estimated beside it.
+                    residual: (tau - rigid - friction) * inv_limit,
                     sigma,
                 };
                 let trained = match state.candidate.network.get_mut(joint) {
-                    Some(active) => {
-                        state
-                            .trainer
-                            .train(&self.config.network, joint, &lesson, active)
+                    Some(active) if state.guard.trains() => {
+                        let config = &self.config.network;
+                        state.trainer.train(config, joint, &lesson, active)
                     }
-                    None => None,
+                    _ => None,
                 };
                 match trained {
                     Some(NetworkVerdict::Promoted(ratio)) => {
