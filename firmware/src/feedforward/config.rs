@@ -45,7 +45,7 @@ impl<const N: usize> FeedForwardConfig<N> {
             limits: A::LIMITS,
             acceleration_limit: ACCELERATION_LIMIT,
             slew_per_tick,
-            payload_bound: payload_bound::<A, N, P>(),
+            payload_bound: const { payload_bound::<A, N, P>() },
             learned_slew_per_tick,
             // Measured at k, in effect from k + 1 to k + 2.
             lead: 1.5 * period_s,

@@ -57,7 +57,7 @@ impl<const N: usize> TickMotion<N> {
     /// Cuts speeds and accelerations of `desired` to `range`; cogging at `place`, N × rad.
     ///
     /// Cost: two [`friction_row`]s a joint.
-    #[inline]
+    #[inline(never)]
     pub(super) fn new<A: Arm<N, P>, const P: usize>(
         desired: &JointMotion<N>,
         range: &MotionRange<N>,
@@ -91,7 +91,7 @@ impl<const N: usize> TickMotion<N> {
 
     /// The shares of `set`: those of the loaded one for the motion as it is wanted, and what `difference` adds for the
     /// motion that was learnt.
-    #[inline]
+    #[inline(never)]
     pub(super) fn shares<A: Arm<N, P>, const P: usize>(
         &self,
         loaded: &(JointVector<N>, JointVector<N>),

@@ -40,6 +40,7 @@ impl<const N: usize> Shares<N> {
 }
 
 /// Shares and total of `set` for `motion`, without limits other than the network's bound, without state.
+#[inline(never)]
 pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
     motion: &JointMotion<N>,
@@ -61,7 +62,7 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
 }
 
 /// What the networks say at joint speeds `qd`, cut to their bound, N × N·m.
-#[inline]
+#[inline(never)]
 pub(super) fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
     networks: &[JointNetwork; N],
     qd: &JointVector<N>,

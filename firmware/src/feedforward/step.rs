@@ -129,6 +129,7 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 ///
 /// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: four times the RNEA,
 /// two friction rows a joint, all networks twice.
+#[inline(never)]
 pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
     state: &mut FeedForwardState<N, P>,
@@ -314,6 +315,7 @@ fn finish<const N: usize, const P: usize>(
 ///
 /// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
 /// learning is on, counts as late; what was published before the last [`FeedForward::load`](super::FeedForward::load) is dropped.
+#[inline(never)]
 pub fn adopt<const N: usize, const P: usize>(
     state: &mut FeedForwardState<N, P>,
     exchange: &mut Exchange<N, P>,

@@ -88,6 +88,7 @@ impl<const N: usize> MeasurementWindow<N> {
     /// * `inv_period` 1/T, 1/s      * returns rad, rad/s, rad/s², N·m
     ///
     /// Cost: `5 · DELAY` multiply-adds a joint.
+    #[inline(never)]
     pub fn conditioned(&self, inv_period: f32) -> Option<Conditioned<N>> {
         if self.filled < TAPS {
             return None;

@@ -20,6 +20,7 @@ const VARIANCE_RANGE: (f32, f32) = (0.1, 400.0);
 const WANDERING: usize = 4;
 
 /// The torque row of one joint: N·m for each unit of each linear parameter.
+#[inline(never)]
 pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     seen: &Conditioned<N>,
@@ -116,6 +117,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     ///   changed
     ///
     /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
+    #[inline(never)]
     pub fn correct(
         &mut self,
         config: &LearnerConfig<N, P>,

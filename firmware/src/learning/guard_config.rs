@@ -125,7 +125,7 @@ impl GuardConfig {
                 drift: 1.0,
                 threshold: 8.0,
             },
-            heaviest: 1.2 * rated_payload::<A, N, P>(),
+            heaviest: const { 1.2 * rated_payload::<A, N, P>() },
             lightest: 0.25,
             reach: PAYLOAD_REACH,
             mass_sigma: 0.15,

@@ -92,6 +92,7 @@ impl<const N: usize> NetworkTrainer<N> {
     /// * `active` the network in force, replaced where the verdict says so
     ///
     /// Cost: the network of the joint forwards three times and backwards once.
+    #[inline(never)]
     pub(super) fn train(
         &mut self,
         config: &TrainerConfig,

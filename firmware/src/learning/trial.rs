@@ -60,6 +60,7 @@ impl Trial {
     ///
     /// * `payload` the payload in the torque      * `sigma` standard deviation of a measurement, N·m
     /// * `inflated` the one the candidate's filter believes, N·m
+    #[inline(never)]
     pub(super) fn note(
         &mut self,
         payload: &Payload,
@@ -82,6 +83,7 @@ impl Trial {
     }
 
     /// After the last joint of a slice: what the evidence says by now.
+    #[inline(never)]
     pub(super) fn judge(&mut self, config: &GuardConfig, loaded: bool) -> Option<Verdict> {
         self.slices += 1;
         if self.slices <= WARM_UP {

@@ -28,6 +28,7 @@ const TRUST_ROUNDS: u32 = 16;
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Learning is on and nothing speaks against this lesson. Notes when that changes.
+    #[inline(never)]
     pub(super) fn may_learn(&mut self, lesson: &Lesson<N>) -> bool {
         let state = &mut self.state;
         if !lesson.enabled {
@@ -71,6 +72,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// A joint's innovations say that something changed: back to the parameters of before, which are frozen from now on.
+    #[inline(never)]
     pub(super) fn raise_alarm(&mut self, tick: u32, joint: usize, sum: f32) {
         let state = &mut self.state;
         let [_, older] = state.guard.checkpoints;
@@ -84,6 +86,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// The trial has come to a verdict.
+    #[inline(never)]
     pub(super) fn end_trial(&mut self, tick: u32, verdict: Verdict) {
         let state = &mut self.state;
         let [_, before] = state.guard.checkpoints;
@@ -123,6 +126,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// What the owner of the board asks for.
+    #[inline(never)]
     pub(super) fn answer(&mut self, tick: u32, request: Request) {
         let state = &mut self.state;
         let mut figure = 0.0;
@@ -166,6 +170,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// All joints had their row: follows the estimate, or decides to, or to commit or to go back.
+    #[inline(never)]
     pub(super) fn close_round(&mut self, tick: u32) {
         let config = &self.config.guard;
         let state = &mut self.state;

@@ -142,6 +142,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// tick waits for it.
     ///
     /// Errors: the first field of `config` that cannot work; then nothing has changed.
+    #[inline(never)]
     pub fn restart(
         &mut self,
         config: LearnerConfig<N, P>,
@@ -170,6 +171,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// Takes over a reloaded set or a request if it holds for the lesson of `tick`. Touches the desk for one copy at most.
+    #[inline(never)]
     pub fn collect(&mut self, tick: u32, exchange: &mut Exchange<N, P>) {
         // Lessons older than the reload may still be in the queue; they must not learn on the new set.
         let due = exchange.reload.take_if(|(from, _)| reached(tick, *from));
@@ -185,6 +187,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     ///
     /// Cost: the filter of all joints, the torque of the estimate, two regressor rows, one row of the estimator; the
     /// joint's network three times.
+    #[inline(never)]
     pub fn study(&mut self, lesson: &Lesson<N>) {
         if lesson.tick != self.state.next_tick {
             self.state.window.reset();
@@ -228,6 +231,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
     }
 
+    #[inline(never)]
     fn start_from(&mut self, prior: &ParameterSet<N, P>) {
         let state = &mut self.state;
         state.prior = *prior;

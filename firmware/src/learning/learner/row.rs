@@ -29,6 +29,7 @@ enum Verdict {
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One row of joint `joint`. Returns by how much the estimate would change the joint's torque, in units of its limit.
+    #[inline(never)]
     pub(super) fn learn_row(
         &mut self,
         tick: u32,

@@ -17,6 +17,7 @@ const SLICE_STEP: f32 = 1.0 / 256.0;
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One tick of measurements: gathers the slice, works on one joint of the slice before, learns one row.
+    #[inline(never)]
     pub(super) fn work_through(
         &mut self,
         tick: u32,
