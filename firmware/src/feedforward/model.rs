@@ -7,12 +7,28 @@ use crate::joint::{JointMotion, JointVector};
 use crate::learning::{MotionRange, ParameterSet};
 use crate::limits::{Flags, cut};
 
+/// The linear parameters of the set that was last loaded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Loaded<const N: usize, const P: usize> {
+    rigid: BaseParameters<P>,
+    friction: [FrictionParameters; N],
+}
+
+impl<const N: usize, const P: usize> Loaded<N, P> {
+    pub(super) fn new(set: &ParameterSet<N, P>) -> Self {
+        Self {
+            rigid: set.rigid,
+            friction: set.friction,
+        }
+    }
+}
+
 /// How the linear parameters of a set differ from those of the loaded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Difference<const N: usize, const P: usize> {
     rigid: BaseParameters<P>,
     friction: [[f32; FRICTION_COLUMNS]; N],
-    /// The network of the joint is another one.
+    /// The network of the joint is not the one that was loaded.
     network: [bool; N],
 }
 
@@ -26,8 +42,13 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         }
     }
 
-    /// `set` less `loaded`.
-    pub(super) fn between(set: &ParameterSet<N, P>, loaded: &ParameterSet<N, P>) -> Self {
+    /// `set` less `loaded`; its networks are learnt if they were so in `self`, or are not those of `before`.
+    pub(super) fn to(
+        &self,
+        set: &ParameterSet<N, P>,
+        before: &ParameterSet<N, P>,
+        loaded: &Loaded<N, P>,
+    ) -> Self {
         let mut difference = Self::none();
         difference.rigid = set.rigid - loaded.rigid;
         let drives = set.friction.iter().zip(&loaded.friction);
@@ -37,9 +58,10 @@ impl<const N: usize, const P: usize> Difference<N, P> {
                 *column = set - loaded;
             }
         }
-        let networks = set.network.iter().zip(&loaded.network);
-        for (other, (set, loaded)) in difference.network.iter_mut().zip(networks) {
-            *other = set != loaded;
+        difference.network = self.network;
+        let networks = set.network.iter().zip(&before.network);
+        for (learnt, (set, before)) in difference.network.iter_mut().zip(networks) {
+            *learnt |= set != before;
         }
         difference
     }
@@ -80,7 +102,7 @@ impl<const N: usize> TickMotion<N> {
     #[inline]
     pub(super) fn loaded<A: Arm<N, P>, const P: usize>(
         &self,
-        set: &ParameterSet<N, P>,
+        set: &Loaded<N, P>,
     ) -> (JointVector<N>, JointVector<N>) {
         let columns = set.friction.map(FrictionParameters::columns);
         (

@@ -1,6 +1,6 @@
 use super::Torque;
 use super::config::FeedForwardConfig;
-use super::model::{Difference, TickMotion};
+use super::model::{Difference, Loaded, TickMotion};
 use super::shares::{Shares, select_joint};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, is_angle};
@@ -30,7 +30,7 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     /// The motion for which the active set has been learnt.
     pub range: MotionRange<N>,
     /// The set that was last loaded: what was learnt is measured from it.
-    loaded: ParameterSet<N, P>,
+    loaded: Loaded<N, P>,
     active_difference: Difference<N, P>,
     committed_difference: Difference<N, P>,
     /// What was learnt, payload included, in the torque of the last tick, and the sum it was part of.
@@ -57,7 +57,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             payload: BaseParameters::zeros(),
             payload_torque: JointVector::zeros(),
             range: MotionRange::NONE,
-            loaded: set,
+            loaded: Loaded::new(&set),
             active_difference: Difference::none(),
             committed_difference: Difference::none(),
             learned: None,
@@ -72,23 +72,27 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 
     /// Makes `set` loaded, active and committed from the tick to come on; the hand is empty.
     pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
-        self.loaded = *set;
+        self.loaded = Loaded::new(set);
         self.payload.fill(0.0);
         self.range = MotionRange::NONE;
         self.learned = None;
-        self.set_committed(set);
-        self.set_active(set);
+        self.active = *set;
+        self.committed = *set;
+        self.active_difference = Difference::none();
+        self.committed_difference = Difference::none();
         self.loaded_at = self.tick;
     }
 
     pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>) {
+        self.active_difference = self.active_difference.to(set, &self.active, &self.loaded);
         self.active = *set;
-        self.active_difference = Difference::between(set, &self.loaded);
     }
 
     pub(super) fn set_committed(&mut self, set: &ParameterSet<N, P>) {
+        self.committed_difference =
+            self.committed_difference
+                .to(set, &self.committed, &self.loaded);
         self.committed = *set;
-        self.committed_difference = Difference::between(set, &self.loaded);
     }
 }
 
