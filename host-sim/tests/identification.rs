@@ -119,7 +119,14 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
     let report = fs::read_to_string(out.join("report.json")).expect("written");
     let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
     assert_eq!(report["rank"], 52);
-    for method in ["ols", "wls", "irls", "bp_physical", "bp_residual"] {
+    for method in [
+        "ols",
+        "wls",
+        "irls",
+        "consistent",
+        "bp_physical",
+        "bp_residual",
+    ] {
         let record = &report["methods"][method];
         let error = record["validation"]["unseen.csv"]["joints_nrmse_moving_ratio"].as_f64();
         assert!(error.expect(method) < 0.01, "{method}: {error:?}");
@@ -176,6 +183,55 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
 }
 
 #[test]
+fn the_consistent_parameters_are_a_description_that_can_be_used() {
+    let here = Directory::new("identify-consistent");
+    let (train, out) = (here.file("train.csv"), here.file("out"));
+    // Noise enough to drive least squares out of what bodies can have.
+    log(&train, 2000, 0.0, None, 3.0);
+    let done = identify(&[
+        "--log",
+        text(&train),
+        "--out",
+        text(&out),
+        "--methods",
+        "irls,consistent",
+    ]);
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
+    let report = fs::read_to_string(out.join("report.json")).expect("written");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let identified = Robot::load(text(&out.join("robot.toml"))).expect("a description");
+    let parameters = report["methods"]["consistent"]["parameters"]
+        .as_array()
+        .expect("a list");
+    // The base parameters of the description are the ones that were reported.
+    for (parameter, value) in parameters.iter().zip(identified.base_parameters()) {
+        let reported = parameter["value"].as_f64().expect("a number");
+        assert!((reported - value).abs() < 1e-9, "{parameter}");
+    }
+    for joint in &identified.joints {
+        assert!(joint.link.mass > 0.0 && joint.drive.rotor_inertia > 0.0);
+        assert!(joint.link.second_moments().symmetric_eigenvalues().min() > 0.0);
+        assert!(joint.friction.viscous > 0.0 && joint.friction.coulomb > 0.0);
+    }
+    let in_urdf = Robot::load(text(&out.join("robot.urdf"))).expect("a URDF");
+    assert!((in_urdf.joints[1].link.mass - identified.joints[1].link.mass).abs() < 1e-12);
+    let generated = Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .args(["generate", "--robot", text(&out.join("robot.toml"))])
+        .args(["--out", text(&here.file("ur5.rs"))])
+        .output()
+        .expect("runs");
+    assert!(
+        generated.status.success(),
+        "{}",
+        String::from_utf8_lossy(&generated.stderr)
+    );
+}
+
+#[test]
 fn what_is_wrong_with_a_log_is_said_in_one_line() {
     let here = Directory::new("identify-wrong");
     let (good, bad, out) = (
@@ -210,6 +266,18 @@ fn what_is_wrong_with_a_log_is_said_in_one_line() {
             "bad.csv:10: column q4_rad: \"NaN\" is not a finite number",
         ),
         (
+            with_line(1, lines[0].replace("tau3_nm", "tau2_nm")),
+            "bad.csv:1: column tau2_nm appears twice",
+        ),
+        (
+            with_line(10, format!("{},0", lines[9])),
+            "bad.csv:10: 26 fields where the header has 25",
+        ),
+        (
+            with_line(10, lines[9].replace(fields[0], "0.001")),
+            "bad.csv:10: column t_s: 0.001 does not come after 0.035",
+        ),
+        (
             with_line(10, lines[8].to_owned()),
             "bad.csv:10: column t_s: 0.035 does not come after 0.035",
         ),
@@ -224,8 +292,10 @@ fn what_is_wrong_with_a_log_is_said_in_one_line() {
     }
     for (wrong, expected) in [
         (["--methods", "olz"], "unknown method 'olz'"),
-        (["--methods", "consistent"], "not part of this build"),
         (["--columns", "friction"], "unknown column set 'friction'"),
+        (["--filter", "fourier"], "needs --period-s or --excitation"),
+        (["--gains", "standstill"], "no motor currents"),
+        (["--still-rad-s", "50"], "no joint moves"),
     ] {
         let done = identify(&[
             "--log",
@@ -252,6 +322,47 @@ fn a_joint_that_stands_still_is_named_by_its_unseen_parameters() {
         assert!(message.contains(name), "{message}");
     }
     assert!(!message.contains("Fv1"), "{message}");
+}
+
+#[test]
+fn columns_without_a_place_on_the_board_are_named_and_the_others_reach_the_bank() {
+    let here = Directory::new("identify-columns");
+    let (path, out) = (here.file("log.csv"), here.file("out"));
+    log(&path, 4000, 0.0, None, 0.1);
+    let columns = "coulomb-viscous+offset+stribeck+cogging+cubic";
+    let methods = "wls,irls";
+    let done = identify(&[
+        "--log",
+        text(&path),
+        "--out",
+        text(&out),
+        "--columns",
+        columns,
+        "--methods",
+        methods,
+    ]);
+    let said = String::from_utf8_lossy(&done.stdout).into_owned();
+    assert!(said.contains("the board has no column cubic"), "{said}");
+    let bank = Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .args(["bank", text(&out.join("parameters.bank"))])
+        .output()
+        .expect("runs");
+    let bank = String::from_utf8_lossy(&bank.stdout).into_owned();
+    // An identified column has a value of its own and a deviation smaller than that of a bank nobody identified.
+    for name in ["Fv1", "Fc1", "Fsn1", "Fsw1", "Fo1", "Gs1", "Gc1"] {
+        let line = bank
+            .lines()
+            .find(|line| line.starts_with(&format!("{name} ")));
+        let fields: Vec<&str> = line.expect(name).split_whitespace().collect();
+        assert!(
+            fields[1].parse::<f64>().expect("a number") != 0.0,
+            "{line:?}"
+        );
+    }
+    let report = fs::read_to_string(out.join("report.json")).expect("written");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let interval = &report["methods"]["wls"]["parameters"][0]["ci95"];
+    assert!(interval[0].as_f64() < interval[1].as_f64(), "{interval}");
 }
 
 #[test]

@@ -2,10 +2,15 @@
 
 mod bank;
 mod boards;
+mod campaign;
+mod disturbances;
 mod excite;
 mod experiment;
 mod generate;
 mod identify;
+mod merge;
+mod motion_log;
+mod on_board;
 mod progress;
 mod run;
 mod simulate;
@@ -55,6 +60,7 @@ enum Command {
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
+    Merge(merge::Arguments),
 }
 
 /// Reads the command line and does what it says. Asking for help or the version ends the process.
@@ -70,6 +76,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Merge(arguments) => merge::run(&arguments),
     }
 }
 

@@ -1,11 +1,12 @@
+use super::disturbances::DisturbanceArguments;
+use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
 use super::{Failure, unusable};
 use crate::control::PdConfig;
-use crate::dynamics::ReferenceModel;
-use crate::experiment::closed_loop::{ClosedLoop, TickRecord};
+use crate::dynamics::{Joints, ReferenceModel};
+use crate::experiment::closed_loop::ClosedLoop;
 use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
-use crate::table::{TableWriter, joint_columns, state_columns};
 use crate::trajectory::Trajectory;
 use clap::Args;
 use std::path::PathBuf;
@@ -18,7 +19,10 @@ pub(super) struct Arguments {
     robot: String,
     #[command(flatten)]
     motion: MotionArguments,
-    /// Log to write: t_s, desired q, qd, qdd, then measured position and torque
+    /// Write motor currents, torque over drive gain, in the place of torques
+    #[arg(long)]
+    current: bool,
+    /// Log to write: t_s, measured q with its slopes qd and qdd, measured torque, desired position
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -42,6 +46,8 @@ pub(super) struct MotionArguments {
     /// Standard deviation of the torque noise, share of the torque limit
     #[arg(long, default_value_t = 0.01)]
     torque_noise: f64,
+    #[command(flatten)]
+    disturbances: DisturbanceArguments,
     /// The plant is the description itself, not a variation of it by up to 20 %
     #[arg(long)]
     exact: bool,
@@ -81,7 +87,7 @@ impl MotionArguments {
         };
         let config = PlantConfig {
             torque_noise: self.torque_noise,
-            ..PlantConfig::default()
+            ..self.disturbances.plant_config()?
         };
         let nominal = ReferenceModel::<N>::new(robot).ok_or_else(other_size)?;
         let trajectory = Trajectory::load(
@@ -99,7 +105,10 @@ impl MotionArguments {
                 .min(ends.duration_s()),
         };
         Ok(Scene {
-            plant: Plant::new(&truth, config, self.seed).ok_or_else(other_size)?,
+            plant: Plant::new(&truth, config, self.seed)
+                .ok_or_else(other_size)?
+                .with_events(self.disturbances.events::<N>()?)
+                .with_faults(self.disturbances.faults()?),
             pd: PdConfig::tuned(&nominal, self.pd_bandwidth_hz, PERIOD_S),
             trajectory,
             ticks: (duration_s / PERIOD_S).round() as usize,
@@ -120,7 +129,15 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let mut log = TableWriter::create(&arguments.out, &log_header::<N>())?;
+    let gains = arguments
+        .current
+        .then(|| Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain)));
+    let effort = if arguments.current {
+        Effort::Current
+    } else {
+        Effort::Torque
+    };
+    let mut log = MotionLog::<N>::create(&arguments.out, effort, &[])?;
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,
@@ -131,34 +148,17 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     )?;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, None)?;
-        log.row(log_row(&record))?;
+        // What is lost on the way is in no log.
+        if let Some(mut seen) = record.reported {
+            if let Some(gains) = &gains {
+                seen.tau = seen.tau.component_div(gains);
+            }
+            log.add(&record, seen, Vec::new())?;
+        }
         if tick % 256 == 0 {
             bar.show("simulate", tick, scene.ticks);
         }
     }
     log.finish()?;
     Ok(())
-}
-
-/// Header of a log: q and torque are measured, qd and qdd desired; `desired1_rad…` is where the arm should be.
-pub(super) fn log_header<const N: usize>() -> Vec<String> {
-    let mut header = vec!["t_s".to_owned()];
-    header.extend(state_columns(N));
-    header.extend(joint_columns("tau", "nm", N));
-    header.extend(joint_columns("desired", "rad", N));
-    header
-}
-
-pub(super) fn log_row<const N: usize>(record: &TickRecord<N>) -> Vec<f64> {
-    let mut row = vec![record.t_s];
-    for values in [
-        &record.measured.q,
-        &record.desired.qd,
-        &record.desired.qdd,
-        &record.measured.tau,
-        &record.desired.q,
-    ] {
-        row.extend(values.iter());
-    }
-    row
 }

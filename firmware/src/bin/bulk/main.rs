@@ -13,43 +13,27 @@ mod board;
 #[expect(dead_code, reason = "the emulator has no cycle counter")]
 mod counter;
 #[cfg(target_os = "none")]
+#[path = "../joint/rooms.rs"]
+mod rooms;
+#[cfg(target_os = "none")]
 mod semihost;
 
 #[cfg(target_os = "none")]
 mod run {
-    use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use core::mem::MaybeUninit;
+
+    use foretorque::edge::session::{BoardDescription, Desk};
     use foretorque::edge::wire::{Capabilities, FrameBuffer, ResetReason};
-    use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
     use stm32f4xx_hal::pac;
 
-    use crate::board::{Arm, JOINTS, PARAMETERS};
     use crate::counter::{self, Counter};
+    use crate::rooms::{BoardLearner, BoardSession, furnish, open};
     use crate::semihost::{Streams, exit};
 
     /// Runs until the host hangs up. Ends the emulator with an error when it could not start.
-    /// Too large for the stack, and for code that would build it: it lies in the image.
-    static mut LEARNER: Learner<Arm, JOINTS, PARAMETERS> =
-        Learner::idle(LearnerConfig::for_arm::<Arm>(1e-3));
-
     #[cortex_m_rt::entry]
     fn main() -> ! {
         exit(run().is_some())
-    }
-
-    /// The learner, ready for its first lesson.
-    ///
-    /// A function of its own: in one with the semihosting calls, whose size the assembler does not know, the compiler
-    /// puts the constants of the configuration out of reach.
-    #[inline(never)]
-    fn learner(
-        period_s: f32,
-        prior: &ParameterSet<JOINTS, PARAMETERS>,
-    ) -> Option<&'static mut Learner<Arm, JOINTS, PARAMETERS>> {
-        // SAFETY: called once, nothing else names the static, and no interrupt is enabled.
-        let learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
-        let config = LearnerConfig::for_arm::<Arm>(period_s);
-        learner.restart(config, prior).ok()?;
-        Some(learner)
     }
 
     fn run() -> Option<()> {
@@ -63,10 +47,12 @@ mod run {
             reset_reason: ResetReason::Unknown,
             ..BoardDescription::plain(Counter)
         };
-        let mut session = Session::<Arm, JOINTS, PARAMETERS, _>::new(board).ok()?;
+        let room = cortex_m::singleton!(: MaybeUninit<BoardSession> = MaybeUninit::uninit())?;
+        let session = open(room, board)?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
-        let prior = session.feed_forward().state().active;
-        let learner = learner(period_s, &prior)?;
+        let prior = &session.feed_forward().state().active;
+        let room = cortex_m::singleton!(: MaybeUninit<BoardLearner> = MaybeUninit::uninit())?;
+        let learner = furnish(room, period_s, prior)?;
         let mut desk = Desk::new();
         let mut out = FrameBuffer::new();
         let mut buffer = [0u8; 1024];

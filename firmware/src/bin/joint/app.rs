@@ -12,18 +12,17 @@
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
+    use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicU32, Ordering};
 
     use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
     use foretorque::edge::safety::{SafetyReason, Task};
-    use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::session::{BoardDescription, Desk};
     use foretorque::edge::store::Store;
     use foretorque::edge::telemetry::CostMeter;
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
-    use foretorque::learning::{Learner, LearnerConfig};
     use heapless::spsc::{Consumer, Producer, Queue};
-    use stm32f4xx_hal::gpio::PinState;
     use stm32f4xx_hal::pac::Interrupt;
     use stm32f4xx_hal::prelude::*;
 
@@ -34,6 +33,7 @@ mod app {
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
     use crate::log;
     use crate::pace::{self, Pace};
+    use crate::rooms::{BoardLearner, BoardSession, furnish, open};
     use crate::store_flash::StoreFlash;
     use crate::watchdog::{self, ROLL, Watchdog};
 
@@ -53,7 +53,7 @@ mod app {
     #[local]
     struct Local {
         wire: Wire,
-        session: Session<Arm, JOINTS, PARAMETERS, Counter>,
+        session: &'static mut BoardSession,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
@@ -61,15 +61,15 @@ mod app {
         enable: TorqueEnable<EnablePin>,
         kept: SafetyReason,
         watchdog: Watchdog,
-        learner: &'static mut Learner<Arm, JOINTS, PARAMETERS>,
+        learner: &'static mut BoardLearner,
         drain: Option<log::Drain>,
     }
 
     #[init(local = [
+        session_room: MaybeUninit<BoardSession> = MaybeUninit::uninit(),
+        learner_room: MaybeUninit<BoardLearner> = MaybeUninit::uninit(),
         receive_ring: Queue<u8, RECEIVE_RING> = Queue::new(),
         transmit_ring: Queue<u8, TRANSMIT_RING> = Queue::new(),
-        room: Learner<Arm, JOINTS, PARAMETERS> =
-            Learner::idle(LearnerConfig::for_arm::<Arm>(1e-3)),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
@@ -89,11 +89,11 @@ mod app {
                 .enabled()
         });
         let mut rcc = cx.device.RCC.constrain();
-        let gpioa = cx.device.GPIOA.split(&mut rcc);
-        let gpiob = cx.device.GPIOB.split(&mut rcc);
-        gpiob.pb12.into_push_pull_output_in_state(PinState::Low);
-        gpioa.pa2.into_alternate::<7>();
-        gpioa.pa3.into_alternate::<7>().internal_pull_up(true);
+        let ports = board::Ports {
+            a: cx.device.GPIOA,
+            b: cx.device.GPIOB,
+        };
+        board::start_pins(ports, &mut rcc);
 
         let mut core = cx.core;
         let (counter, counter_hz) = if emulated {
@@ -104,7 +104,8 @@ mod app {
         let booting = counter::now();
         let drain = emulated.then(|| log::Drain::start(cx.device.USART3));
         defmt::info!(
-            "boot: clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            "boot: {=str}, clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            board::NAME,
             clocks.source,
             clocks.cpu_hz,
             reset_reason,
@@ -124,7 +125,7 @@ mod app {
             link_baud: board::LINK_BAUD,
             ..BoardDescription::plain(Counter)
         };
-        let Ok(mut session) = Session::new(description) else {
+        let Some(session) = open(cx.local.session_room, description) else {
             fault::leave(Reason::Setup, line!());
         };
         let mut desk = Desk::new();
@@ -132,11 +133,12 @@ mod app {
         let stored = session.boot_from(&mut store, &mut desk);
         defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
-        let prior = session.feed_forward().state().active;
-        let learner = cx.local.room;
-        let config = LearnerConfig::for_arm::<Arm>(period_s);
-        if learner.restart(config, &prior).is_err() {
+        let prior = &session.feed_forward().state().active;
+        let Some(learner) = furnish(cx.local.learner_room, period_s, prior) else {
             fault::leave(Reason::Setup, line!());
+        };
+        if let Some(joint) = board::OWN_JOINT {
+            learner.learn_only(joint);
         }
         let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
@@ -279,7 +281,7 @@ mod app {
 
     #[task(binds = EXTI2, priority = 2, local = [learner], shared = [desk])]
     fn learn(mut cx: learn::Context) {
-        let learner: &mut Learner<Arm, JOINTS, PARAMETERS> = cx.local.learner;
+        let learner = cx.local.learner;
         while let Some(lesson) = cx.shared.desk.lock(|desk| desk.begin(learner)) {
             let start = counter::now();
             learner.study(&lesson);

@@ -130,8 +130,8 @@ impl NorFlash for StoreFlash {
         let erased = self.unlocked(|flash| {
             for sector in sectors {
                 let number = STORE_SECTOR + sector as u8;
-                // SAFETY: 10 and 11 are sectors of this chip, and memory.x keeps the program out of them.
                 let cr = flash.registers.cr();
+                // SAFETY: 10 and 11 are sectors of this chip, and memory.x keeps the program out of them.
                 cr.write(|w| unsafe { w.psize().psize32().ser().set_bit().snb().bits(number) });
                 cr.modify(|_, w| w.strt().set_bit());
                 flash.finished()?;

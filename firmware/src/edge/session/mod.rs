@@ -22,6 +22,7 @@ use crate::edge::wire::{
     BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, Decoder, FrameBuffer,
     ResetReason, SampleFrame,
 };
+use crate::excitation::Player;
 use crate::feedforward::{FeedForward, FeedForwardConfig};
 use crate::joint::JointVector;
 use crate::learning::{ConfigError, ParameterSet};
@@ -102,6 +103,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     feed_forward: FeedForward<A, N, P>,
     safety: Safety<N>,
     gains: [f32; N],
+    player: Player<N>,
     bank: ParameterBank,
     /// Room for a bank on its way in, which is not believed before all of it is.
     incoming: ParameterBank,
@@ -137,6 +139,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             link: LinkState::default(),
             feed_forward: FeedForward::new(config, ParameterSet::nominal::<A>(NETWORK_SEED))?,
             gains: [0.0; N],
+            player: Player::new::<A, P>(configuration.period_us),
             bank,
             incoming: ParameterBank::empty(),
             transfer: Transfer::new(),

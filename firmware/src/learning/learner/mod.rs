@@ -92,6 +92,8 @@ pub struct LearnerState<const N: usize, const P: usize> {
 pub struct Learner<A: Arm<N, P>, const N: usize, const P: usize> {
     config: LearnerConfig<N, P>,
     state: LearnerState<N, P>,
+    /// The only joint whose rows count, if not all do.
+    own: Option<usize>,
     arm: PhantomData<A>,
 }
 
@@ -134,6 +136,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 pending: [None; N],
                 innovation_variance: [1.0; N],
             },
+            own: None,
             arm: PhantomData,
         }
     }
@@ -156,6 +159,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.next_tick = 0;
         self.start_from(prior);
         Ok(())
+    }
+
+    /// From now on learns from the rows of `joint` alone, one tick in `N`: for a board that drives that joint only. The
+    /// other joints keep their friction and network; rigid-body parameters are still those of the whole arm, as far as
+    /// this joint sees them. A restart leaves it so.
+    pub fn learn_only(&mut self, joint: usize) {
+        self.own = Some(joint);
     }
 
     /// What the learner knows.
@@ -196,7 +206,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.window.push(lesson.measured.as_ref());
         let joint = lesson.tick as usize % N;
         let mut step = None;
-        if self.may_learn(lesson) {
+        let learns = self.may_learn(lesson);
+        if learns && self.own.is_some_and(|own| own != joint) {
+            // Who learns for one joint drives that one: how the torques of the others step binds nobody.
+            step = Some(0.0);
+        } else if learns {
             match self.state.window.conditioned(self.config.inv_period) {
                 Some(seen) => step = self.work_through(lesson.tick, joint, &seen),
                 None => {
