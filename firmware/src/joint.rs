@@ -1,6 +1,6 @@
 //! What is known of the joints at one instant.
 
-use nalgebra::SVector;
+use nalgebra::{ArrayStorage, SVector};
 
 /// One value for each of `N` joints, base to tool.
 pub type JointVector<const N: usize> = SVector<f32, N>;
@@ -16,13 +16,18 @@ pub struct JointMotion<const N: usize> {
     pub qdd: JointVector<N>,
 }
 
+/// A vector of zeros where constants are made.
+pub(crate) const fn zero_vector<const R: usize>() -> SVector<f32, R> {
+    SVector::from_array_storage(ArrayStorage([[0.0; R]; 1]))
+}
+
 impl<const N: usize> JointMotion<N> {
     /// All joints at zero, at rest.
-    pub fn zero() -> Self {
+    pub const fn zero() -> Self {
         Self {
-            q: JointVector::zeros(),
-            qd: JointVector::zeros(),
-            qdd: JointVector::zeros(),
+            q: zero_vector(),
+            qd: zero_vector(),
+            qdd: zero_vector(),
         }
     }
 }

@@ -36,6 +36,8 @@ impl Flags {
     pub const NO_MEASUREMENT: Self = Self(1 << 11);
     /// A share, or the whole torque, is being slewed to zero because nothing sound is left to put in its place.
     pub const WITHDRAWN: Self = Self(1 << 12);
+    /// The torque of the payload was cut to its bound, or was no number and left out.
+    pub const PAYLOAD_CLIPPED: Self = Self(1 << 13);
 
     /// Every bit of `other` is set.
     pub const fn contains(self, other: Self) -> bool {

@@ -1,5 +1,5 @@
 use crate::arm::{Arm, JointLimits};
-use crate::learning::ConfigError;
+use crate::learning::{ConfigError, payload_bound};
 
 /// How the tick behaves; derived from the arm's limits and the period.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,6 +10,10 @@ pub struct FeedForwardConfig<const N: usize> {
     pub acceleration_limit: f32,
     /// Largest change of the torque in one tick, N × N·m.
     pub slew_per_tick: [f32; N],
+    /// Largest torque of a payload, N × N·m.
+    pub payload_bound: [f32; N],
+    /// Largest change in one tick of all that was learnt since the committed set, the payload included, N × N·m.
+    pub learned_slew_per_tick: [f32; N],
     /// Time from a measurement to the middle of the tick its answer acts in, s: cogging is that of the place where the
     /// joint will be then.
     pub lead: f32,
@@ -21,6 +25,8 @@ pub struct FeedForwardConfig<const N: usize> {
 const SLEW_TIME_S: f32 = 0.02;
 const HOLD_TIME_S: f32 = 0.01;
 const ACCELERATION_LIMIT: f32 = 100.0;
+/// Largest step of what was learnt, in units of the torque limit.
+const LEARNED_STEP: f32 = 0.01;
 
 impl<const N: usize> FeedForwardConfig<N> {
     /// Defaults for an arm: its data-sheet limits, the full torque in 20 ms, 10 ms of holding.
@@ -28,15 +34,19 @@ impl<const N: usize> FeedForwardConfig<N> {
     /// * `period_s` period of the tick, s
     pub const fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
         let mut slew_per_tick = [0.0; N];
+        let mut learned_slew_per_tick = [0.0; N];
         let mut joint = 0;
         while joint < N {
             slew_per_tick[joint] = A::LIMITS[joint].torque * period_s / SLEW_TIME_S;
+            learned_slew_per_tick[joint] = LEARNED_STEP * A::LIMITS[joint].torque;
             joint += 1;
         }
         Self {
             limits: A::LIMITS,
             acceleration_limit: ACCELERATION_LIMIT,
             slew_per_tick,
+            payload_bound: const { payload_bound::<A, N, P>() },
+            learned_slew_per_tick,
             // Measured at k, in effect from k + 1 to k + 2.
             lead: 1.5 * period_s,
             // At least one tick: a single lost sample must not make the torque dip.
@@ -51,6 +61,9 @@ impl<const N: usize> FeedForwardConfig<N> {
         let velocity = limits.clone().map(|l| ("limits.velocity", l.velocity));
         let range = limits.map(|l| ("limits.position", l.position.1 - l.position.0));
         let slew = self.slew_per_tick.iter().map(|&s| ("slew_per_tick", s));
+        let payload = self.payload_bound.iter().map(|&b| ("payload_bound", b));
+        let learned = self.learned_slew_per_tick.iter();
+        let learned = learned.map(|&s| ("learned_slew_per_tick", s));
         let acceleration = [
             ("acceleration_limit", self.acceleration_limit),
             ("lead", self.lead),
@@ -59,6 +72,8 @@ impl<const N: usize> FeedForwardConfig<N> {
             .chain(velocity)
             .chain(range)
             .chain(slew)
+            .chain(payload)
+            .chain(learned)
             .chain(acceleration)
         {
             if !(value > 0.0 && value.is_finite()) {

@@ -4,6 +4,7 @@
 //! bounded on its own, then limits.
 
 mod config;
+mod model;
 mod shares;
 mod step;
 
@@ -12,9 +13,11 @@ mod simulation;
 #[cfg(test)]
 mod tests;
 
-pub use crate::learning::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet};
+pub use crate::learning::{
+    JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
+};
 pub use config::FeedForwardConfig;
-pub use shares::{LEARNED_BOUND, NETWORK_BOUND, Shares, evaluate};
+pub use shares::{LEARNED_BOUND, Shares, evaluate};
 pub use step::{FeedForwardScratch, FeedForwardState, adopt, step, step_stale};
 
 use crate::arm::Arm;
@@ -141,9 +144,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
 
     /// Makes `set` active and committed from the next tick on, and sends it to the learner.
     pub fn load(&mut self, set: ParameterSet<N, P>, exchange: &mut Exchange<N, P>) {
-        self.state.active = set;
-        self.state.committed = set;
-        self.state.loaded_at = self.state.tick;
+        self.state.load(&set);
         exchange.published = None;
         exchange.reload = Some((self.state.tick, set));
     }
@@ -178,6 +179,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     /// What survives from tick to tick: active and committed set, counters.
     pub fn state(&self) -> &FeedForwardState<N, P> {
         &self.state
+    }
+
+    /// The active set with what the payload adds to it: the parameters the torque is computed from.
+    pub fn in_force(&self) -> ParameterSet<N, P> {
+        let mut set = self.state.active;
+        set.rigid += self.state.payload;
+        set
     }
 
     /// How the tick behaves.

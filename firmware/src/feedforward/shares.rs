@@ -2,11 +2,9 @@ use super::Torque;
 use crate::arm::Arm;
 use crate::dynamics::{friction, rnea};
 use crate::joint::{JointMotion, JointVector};
-use crate::learning::{ParameterSet, network_inputs};
+use crate::learning::{JointNetwork, NETWORK_BOUND, ParameterSet, network_inputs};
 use crate::limits::{Flags, cut};
 
-/// Bound of the network share, in units of the joint's torque limit. Never optional.
-pub const NETWORK_BOUND: f32 = 0.10;
 /// Bound of all that was learnt since the committed set, in units of the joint's torque limit. Never optional.
 pub const LEARNED_BOUND: f32 = 0.20;
 /// A rigid-body share beyond this many torque limits is a fault of the parameters, not a demanding motion.
@@ -42,12 +40,17 @@ impl<const N: usize> Shares<N> {
 }
 
 /// Shares and total of `set` for `motion`, without limits other than the network's bound, without state.
+#[inline(never)]
 pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
     motion: &JointMotion<N>,
 ) -> Torque<N> {
     let mut flags = Flags::NONE;
-    let shares = shares::<A, N, P>(set, motion, &motion.q, &mut flags);
+    let shares = Shares {
+        rigid: rnea::<A, N, P>(&set.rigid, motion),
+        friction: friction::<A, N, P>(&set.friction, &motion.q, &motion.qd),
+        network: shares_of_networks::<A, N, P>(&set.network, &motion.qd, &mut flags),
+    };
     let total = shares.total();
     flags |= Flags::when(!total.iter().all(|tau| tau.is_finite()), Flags::NOT_FINITE);
     Torque {
@@ -58,30 +61,34 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     }
 }
 
-/// Shares of `set` for `motion`; cogging at `place`, N × rad.
-#[inline]
-pub(super) fn shares<A: Arm<N, P>, const N: usize, const P: usize>(
-    set: &ParameterSet<N, P>,
-    motion: &JointMotion<N>,
-    place: &JointVector<N>,
+/// What the networks say at joint speeds `qd`, cut to their bound, N × N·m.
+#[inline(never)]
+pub(super) fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
+    networks: &[JointNetwork; N],
+    qd: &JointVector<N>,
     flags: &mut Flags,
-) -> Shares<N> {
-    let mut network = JointVector::<N>::zeros();
-    let joints = set.network.iter().zip(&A::LIMITS).zip(motion.qd.iter());
-    for (share, ((net, limits), &qd)) in network.iter_mut().zip(joints) {
-        let [[output]] = net.forward(&network_inputs(qd)).data.0;
+) -> JointVector<N> {
+    let mut shares = JointVector::<N>::zeros();
+    let joints = networks.iter().zip(&A::LIMITS).zip(qd.iter());
+    for (share, ((network, limits), &qd)) in shares.iter_mut().zip(joints) {
+        let [[output]] = network.forward(&network_inputs(qd)).data.0;
         let (bounded, was_cut) = cut(output, NETWORK_BOUND);
         *share = bounded * limits.torque;
         *flags |= Flags::when(was_cut, Flags::NETWORK_CLIPPED);
     }
-    Shares {
-        rigid: rnea::<A, N, P>(&set.rigid, motion),
-        friction: friction::<A, N, P>(&set.friction, place, &motion.qd),
-        network,
-    }
+    shares
 }
 
-/// Makes every share of `joint` in `active` sound and returns their sum, bounded around the committed set's.
+/// What is left of the shares of a joint after the checks, N·m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Selected {
+    /// Sum of the committed set's shares.
+    pub(super) reference: f32,
+    /// What was learnt since, within its bound.
+    pub(super) learned: f32,
+}
+
+/// Makes every share of `joint` in `active` sound and bounds their sum around the committed set's.
 #[inline]
 pub(super) fn select_joint<const N: usize>(
     active: &mut Shares<N>,
@@ -89,7 +96,7 @@ pub(super) fn select_joint<const N: usize>(
     joint: usize,
     torque_limit: f32,
     flags: &mut Flags,
-) -> f32 {
+) -> Selected {
     let shares = [
         (&mut active.rigid, &committed.rigid, RIGID_PLAUSIBLE),
         (
@@ -125,5 +132,5 @@ pub(super) fn select_joint<const N: usize>(
     }
     let (learned, was_cut) = cut(sum - reference, LEARNED_BOUND * torque_limit);
     *flags |= Flags::when(was_cut, Flags::LEARNED_CLIPPED);
-    if was_cut { reference + learned } else { sum }
+    Selected { reference, learned }
 }

@@ -1,10 +1,11 @@
 use super::Torque;
 use super::config::FeedForwardConfig;
-use super::shares::{Shares, select_joint, shares};
+use super::model::{Difference, Loaded, TickMotion};
+use super::shares::{Shares, select_joint};
 use crate::arm::Arm;
-use crate::dynamics::is_angle;
+use crate::dynamics::{BaseParameters, is_angle};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use crate::learning::{Exchange, ParameterSet, Report};
+use crate::learning::{Exchange, MotionRange, ParameterSet, Report};
 use crate::limits::{Flags, cut, limit};
 
 /// What survives from tick to tick.
@@ -22,6 +23,21 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     pub late_sets: u32,
     /// What the guard told with the set in force.
     pub report: Report<N>,
+    /// What the payload adds to the base parameters.
+    pub payload: BaseParameters<P>,
+    /// Torque of the payload in the last tick, after its bound, N × N·m; part of the rigid-body share.
+    pub payload_torque: JointVector<N>,
+    /// The motion for which the active set has been learnt.
+    pub range: MotionRange<N>,
+    /// The set that was last loaded: what was learnt is measured from it.
+    loaded: Loaded<N, P>,
+    active_difference: Difference<N, P>,
+    committed_difference: Difference<N, P>,
+    /// What was learnt, payload included, in the torque of the last tick, and the sum it was part of.
+    learned: Option<JointVector<N>>,
+    sum: JointVector<N>,
+    /// The committed set is another one since the last tick.
+    recommitted: bool,
     pub(super) last: Torque<N>,
     stale_ticks: u32,
     pub(super) loaded_at: u32,
@@ -38,11 +54,45 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             learning: false,
             late_sets: 0,
             report: Report::new(),
+            payload: BaseParameters::zeros(),
+            payload_torque: JointVector::zeros(),
+            range: MotionRange::NONE,
+            loaded: Loaded::new(&set),
+            active_difference: Difference::none(),
+            committed_difference: Difference::none(),
+            learned: None,
+            sum: JointVector::zeros(),
+            recommitted: false,
             last: Torque::zero(),
             stale_ticks: 0,
             loaded_at: 0,
             adoption: Flags::NONE,
         }
+    }
+
+    /// Makes `set` loaded, active and committed from the tick to come on; the hand is empty.
+    pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
+        self.loaded = Loaded::new(set);
+        self.payload.fill(0.0);
+        self.range = MotionRange::NONE;
+        self.learned = None;
+        self.active = *set;
+        self.committed = *set;
+        self.active_difference = Difference::none();
+        self.committed_difference = Difference::none();
+        self.loaded_at = self.tick;
+    }
+
+    pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>) {
+        self.active_difference = self.active_difference.to(set, &self.active, &self.loaded);
+        self.active = *set;
+    }
+
+    pub(super) fn set_committed(&mut self, set: &ParameterSet<N, P>) {
+        self.committed_difference =
+            self.committed_difference
+                .to(set, &self.committed, &self.loaded);
+        self.committed = *set;
     }
 }
 
@@ -73,12 +123,17 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 ///
 /// The desired motion is cut to the limits first. A desired motion that is not finite is no motion: the tick is then as
 /// good as [`step_stale`]. Of each share of each joint the active set's value counts if it is finite and plausible, the
-/// committed set's if not, and none if that is bad too. The sum may differ from the committed set's by `LEARNED_BOUND`,
-/// and leaves through saturation and slew. Cogging alone follows the measured position.
+/// committed set's if not, and none if that is bad too. What was learnt since the set was loaded is evaluated for the
+/// motion it was learnt on: beyond, it stays what it was at the edge. The sum may differ from the committed set's by
+/// `LEARNED_BOUND`, the payload by a bound of its own comes on top, and both together change by no more than
+/// `learned_slew_per_tick`, whatever is adopted and whatever the motion. The rest is saturation and slew.
+/// Cogging alone follows the measured position.
 ///
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///
-/// Cost: both sets are evaluated in every tick, so that a fallback costs no more than its absence.
+/// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: four times the RNEA,
+/// two friction rows a joint, all networks twice.
+#[inline(never)]
 pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
     state: &mut FeedForwardState<N, P>,
@@ -91,20 +146,61 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     };
     let mut ignored = Flags::NONE;
     let place = cogging_place(config, &desired, sample.measured.as_ref());
-    scratch.active = shares::<A, N, P>(&state.active, &desired, &place, &mut flags);
-    scratch.committed = shares::<A, N, P>(&state.committed, &desired, &place, &mut ignored);
+    let motion = TickMotion::new::<A, P>(&desired, &state.range, &place);
+    let loaded = motion.loaded::<A, P>(&state.loaded);
+    scratch.active =
+        motion.shares::<A, P>(&loaded, &state.active, &state.active_difference, &mut flags);
+    scratch.committed = motion.shares::<A, P>(
+        &loaded,
+        &state.committed,
+        &state.committed_difference,
+        &mut ignored,
+    );
+    let mut payload = motion.payload::<A, P>(&state.payload);
+    let recommitted = core::mem::take(&mut state.recommitted);
     let mut target = JointVector::<N>::zeros();
-    let joints = config.limits.iter().zip(target.iter_mut());
-    for (joint, (limits, target)) in joints.enumerate() {
-        let bound = limits.torque;
-        *target = select_joint(
+    let mut learned = JointVector::<N>::zeros();
+    for (joint, limits) in config.limits.iter().enumerate() {
+        let selected = select_joint(
             &mut scratch.active,
             &scratch.committed,
             joint,
-            bound,
+            limits.torque,
             &mut flags,
         );
+        let (Some(target), Some(learned), Some(payload), Some(rigid)) = (
+            target.get_mut(joint),
+            learned.get_mut(joint),
+            payload.get_mut(joint),
+            scratch.active.rigid.get_mut(joint),
+        ) else {
+            continue;
+        };
+        let (Some(&bound), Some(&slew)) = (
+            config.payload_bound.get(joint),
+            config.learned_slew_per_tick.get(joint),
+        ) else {
+            continue;
+        };
+        let finite = payload.is_finite();
+        let (carried, was_cut) = cut(if finite { *payload } else { 0.0 }, bound);
+        flags |= Flags::when(was_cut || !finite, Flags::PAYLOAD_CLIPPED);
+        *payload = carried;
+        *rigid += carried;
+        let wanted = selected.learned + carried;
+        let before = match (&state.learned, recommitted) {
+            (None, _) => wanted,
+            // Measured from another set now: the torque goes on from where it was.
+            (Some(_), true) => state.sum.get(joint).copied().unwrap_or(0.0) - selected.reference,
+            (Some(learned), false) => learned.get(joint).copied().unwrap_or(0.0),
+        };
+        let (step, slewed) = cut(wanted - before, slew);
+        *learned = if slewed { before + step } else { wanted };
+        *target = selected.reference + *learned;
     }
+    state.payload_torque = payload;
+    state.learned = Some(learned);
+    state.sum = target;
     state.stale_ticks = 0;
     finish(config, state, target, scratch.active, flags)
 }
@@ -223,6 +319,7 @@ fn finish<const N: usize, const P: usize>(
 ///
 /// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
 /// learning is on, counts as late; what was published before the last [`FeedForward::load`](super::FeedForward::load) is dropped.
+#[inline(never)]
 pub fn adopt<const N: usize, const P: usize>(
     state: &mut FeedForwardState<N, P>,
     exchange: &mut Exchange<N, P>,
@@ -237,10 +334,13 @@ pub fn adopt<const N: usize, const P: usize>(
     match exchange.published.take() {
         Some(finished) if finished.closed.wrapping_sub(state.loaded_at) < u32::MAX / 2 => {
             let closed = finished.closed;
-            state.active = finished.set;
+            state.set_active(&finished.set);
             if finished.commit {
-                state.committed = finished.set;
+                state.set_committed(&finished.set);
+                state.recommitted = true;
             }
+            state.payload = finished.payload;
+            state.range = finished.range;
             state.report = finished.report;
             state.adoption |= Flags::SET_ADOPTED;
             if closed != due {

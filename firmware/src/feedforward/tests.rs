@@ -11,6 +11,12 @@ const P: usize = 40;
 type Tick = FeedForward<Ur5, N, P>;
 type Set = ParameterSet<N, P>;
 
+/// Everything the arm can do has been learnt.
+const WIDE: MotionRange<N> = MotionRange {
+    velocity: [1e3; N],
+    acceleration: [1e3; N],
+};
+
 fn set() -> Set {
     let mut set = Set::nominal::<Ur5>(3);
     for (joint, friction) in set.friction.iter_mut().enumerate() {
@@ -138,7 +144,9 @@ fn a_broken_share_is_replaced_by_the_committed_one_and_the_others_go_on() {
     ];
     for spoil in spoil {
         let mut tick = tick(set());
-        spoil(&mut tick.state.active);
+        let mut broken = set();
+        spoil(&mut broken);
+        tick.state.set_active(&broken);
         let torque = settled(&mut tick, &motion);
         assert_eq!(torque.shares, whole);
         assert!(
@@ -155,8 +163,10 @@ fn a_share_broken_in_both_sets_is_withdrawn_alone_at_the_slew_limit() {
     let motion = motion(1.1);
     let mut tick = tick(set());
     let before = settled(&mut tick, &motion);
-    tick.state.active.rigid.fill(f32::NAN);
-    tick.state.committed.rigid.fill(f32::NAN);
+    let mut broken = set();
+    broken.rigid.fill(f32::NAN);
+    tick.state.set_active(&broken);
+    tick.state.set_committed(&broken);
     let next = tick.step(&sample(motion));
     assert!(next.flags.contains(Flags::WITHDRAWN | Flags::SLEWED));
     for j in 0..N {
@@ -171,8 +181,11 @@ fn what_was_learnt_is_bounded_around_the_committed_set() {
     let motion = motion(0.3);
     let mut tick = tick(set());
     let committed = settled(&mut tick, &motion).total;
-    tick.state.active.rigid *= 3.0;
-    tick.state.active.network[0].output_bias[0] = 5.0;
+    let mut learnt = set();
+    learnt.rigid *= 3.0;
+    learnt.network[0].output_bias[0] = 5.0;
+    tick.state.set_active(&learnt);
+    tick.state.range = WIDE;
     let torque = settled(&mut tick, &motion);
     assert!(
         torque
@@ -272,9 +285,17 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
             net.output_bias.iter_mut().for_each(|v| wild(v, &mut bits));
         }
         let mut tick = tick(set());
-        tick.state.active = start;
-        if round % 2 == 0 {
-            tick.state.committed = start;
+        match round % 4 {
+            0 => tick.state.load(&start),
+            1 => tick.state.set_active(&start),
+            2 => {
+                tick.state.set_active(&start);
+                tick.state.set_committed(&start);
+            }
+            _ => tick.state.payload = start.rigid,
+        }
+        if round % 3 == 0 {
+            tick.state.range = WIDE;
         }
         for step in 0..4 {
             let mut desired = motion(round as f32);

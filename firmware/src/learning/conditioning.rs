@@ -1,4 +1,4 @@
-use crate::joint::{JointMeasurement, JointMotion, JointVector};
+use crate::joint::{JointMeasurement, JointMotion, JointVector, zero_vector};
 
 /// Length of the smoothing filter, ticks.
 pub const TAPS: usize = 31;
@@ -40,10 +40,10 @@ pub struct MeasurementWindow<const N: usize> {
 
 impl<const N: usize> MeasurementWindow<N> {
     /// A window without measurements.
-    pub fn new() -> Self {
+    pub const fn new() -> Self {
         Self {
             q: [[0.0; 2 * TAPS]; N],
-            tau: [JointVector::zeros(); TORQUES],
+            tau: [zero_vector(); TORQUES],
             next: 0,
             filled: 0,
             torque_next: 0,
@@ -88,6 +88,7 @@ impl<const N: usize> MeasurementWindow<N> {
     /// * `inv_period` 1/T, 1/s      * returns rad, rad/s, rad/s², N·m
     ///
     /// Cost: `5 · DELAY` multiply-adds a joint.
+    #[inline(never)]
     pub fn conditioned(&self, inv_period: f32) -> Option<Conditioned<N>> {
         if self.filled < TAPS {
             return None;

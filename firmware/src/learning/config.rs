@@ -1,6 +1,7 @@
+use super::guard_config::GuardConfig;
+use super::trainer::TrainerConfig;
 use crate::arm::Arm;
 use crate::dynamics::FrictionParameters;
-use crate::network::StepParameters;
 
 /// A configuration that cannot work, with the field that is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,8 +47,10 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub velocity_gate: f32,
     /// Rows in which any joint seems to accelerate faster are refused, rad/s²: the encoder is at fault, not the model.
     pub acceleration_limit: f32,
-    /// Step of the networks; errors in units of the torque limit.
-    pub network: StepParameters,
+    /// How the networks are trained.
+    pub network: TrainerConfig,
+    /// When the guard believes what.
+    pub guard: GuardConfig,
 }
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
@@ -77,10 +80,12 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             box_sigmas: 4.0,
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
-            network: StepParameters {
-                learning_rate: 0.001,
-                error_clip: 0.03,
+            network: TrainerConfig {
+                rate: 0.001,
+                hidden: 0.1,
+                clip_sigmas: 3.0,
             },
+            guard: GuardConfig::for_arm::<A, N, P>(1.0 / period_s),
         }
     }
 
@@ -95,7 +100,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("outlier_sigmas", self.outlier_sigmas),
             ("process_noise", self.process_noise),
             ("torque_step", self.torque_step),
-            ("network.error_clip", self.network.error_clip),
+            ("network.clip_sigmas", self.network.clip_sigmas),
         ];
         let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
         for (field, value) in positive.into_iter().chain(rigid) {
@@ -108,10 +113,13 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         if !friction.all(|s| s >= 0.0 && s.is_finite()) {
             return Err(ConfigError::NotPositive("friction_sigma"));
         }
-        if !(0.0..1.0).contains(&self.network.learning_rate) {
-            return Err(ConfigError::RateOutOfRange("network.learning_rate"));
+        if !(0.0..1.0).contains(&self.network.rate) {
+            return Err(ConfigError::RateOutOfRange("network.rate"));
         }
-        Ok(())
+        if !(0.0..=1.0).contains(&self.network.hidden) {
+            return Err(ConfigError::RateOutOfRange("network.hidden"));
+        }
+        self.guard.validate()
     }
 }
 

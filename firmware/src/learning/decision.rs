@@ -39,7 +39,8 @@ pub enum Reason {
     Thawed = 17,
     /// The change stayed and is no payload: friction is learnt anew, out of sight of the torque.
     Relearning = 18,
-    /// The relearnt set explains the torques and is followed again. Figure: its residual over that of the active set.
+    /// Time for relearning is over: alarms are listened to again. Figure: residual of the estimate over that of the
+    /// committed set.
     Relearnt = 19,
     /// A trained network was believed. Figure: its residual over that of the one before.
     NetworkPromoted = 20,
@@ -49,9 +50,12 @@ pub enum Reason {
     TrustLost = 22,
     /// The model explains all joints well again. Figure: the trust figure.
     TrustRegained = 23,
-    /// A joint's measured torque runs against the model's, or is far off its size: its rows are refused. Figure: the
-    /// gain found.
+    /// All measured torques are off by one factor: that is the sensors or the drives, not the arm. What is learnt from
+    /// them stays out of the torque. Figure: the factor.
     DriveGain = 24,
+    /// The estimate explains unseen rows better than the committed set: the active set follows it. Figure: its residual
+    /// over that of the committed set.
+    Followed = 25,
 }
 
 /// One decision of the guard.

@@ -20,6 +20,7 @@ const VARIANCE_RANGE: (f32, f32) = (0.1, 400.0);
 const WANDERING: usize = 4;
 
 /// The torque row of one joint: N·m for each unit of each linear parameter.
+#[inline(never)]
 pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     seen: &Conditioned<N>,
@@ -55,11 +56,27 @@ pub struct Estimator<const N: usize, const P: usize> {
     wandering: [usize; N],
 }
 
+/// What the estimate made of a row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Correction {
+    /// What it left unexplained before, in units of the torque limit.
+    pub residual: f32,
+    /// The variance that was to be expected of it, in units of the configured one.
+    pub variance: f32,
+}
+
 impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Starts from `prior`, as uncertain as the configuration says.
     pub fn new(prior: &ParameterSet<N, P>) -> Self {
+        let mut estimator = Self::idle();
+        estimator.parameters = Stacked::of(prior);
+        estimator
+    }
+
+    /// All parameters zero and as uncertain as a prior.
+    pub(super) const fn idle() -> Self {
         Self {
-            parameters: Stacked::of(prior),
+            parameters: Stacked::filled(0.0),
             filter: UdFilter::new(),
             variance: [1.0; N],
             wandering: [0; N],
@@ -74,9 +91,14 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.wandering = [0; N];
     }
 
-    /// Takes the linear parameters of `set` for the estimate; what is known of their covariance stays.
-    pub(super) fn move_to(&mut self, set: &ParameterSet<N, P>) {
-        self.parameters = Stacked::of(set);
+    /// Takes `parameters` for the estimate; what is known of their covariance stays.
+    pub(super) fn move_to(&mut self, parameters: &Stacked<N, P>) {
+        self.parameters = *parameters;
+    }
+
+    /// Raises the doubt about one friction parameter by `variance`, in units of the prior's.
+    pub(super) fn reopen(&mut self, joint: usize, column: usize, variance: f32) {
+        self.filter.add_noise(joint, column, variance);
     }
 
     /// The estimate, in the units of the parameters.
@@ -96,10 +118,11 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 
     /// Takes in the torque `tau` of `joint`, whose limit is `limit`, N·m, with its `row`.
     ///
-    /// * returns what the estimate left unexplained before, in units of the torque limit; `None` if a number was not
-    ///   finite: then the estimate has not changed
+    /// * returns what the estimate left unexplained before; `None` if a number was not finite: then the estimate has not
+    ///   changed
     ///
     /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
+    #[inline(never)]
     pub fn correct(
         &mut self,
         config: &LearnerConfig<N, P>,
@@ -108,7 +131,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         limit: f32,
         row: &Stacked<N, P>,
         tau: f32,
-    ) -> Option<f32> {
+    ) -> Option<Correction> {
         let inv_noise = 1.0 / (config.noise * limit);
         let sigma = Stacked::sigma(config);
         let innovation = (tau - row.dot(&self.parameters)) * inv_noise;
@@ -147,7 +170,10 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         *measured = grown.clamp(lower, upper);
         let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
         self.move_by(config, prior, &sigma, &gain, clipped / variance);
-        Some(innovation * config.noise)
+        Some(Correction {
+            residual: innovation * config.noise,
+            variance,
+        })
     }
 
     /// θ ← θ + σ gain step, each kept within ±box of the prior's, friction never pushing.
@@ -181,8 +207,17 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 impl<const N: usize, const P: usize> Stacked<N, P> {
     /// Σ a b.
     pub fn dot(&self, other: &Self) -> f32 {
+        self.friction_dot(other) + self.rigid_dot(other)
+    }
+
+    /// The part of [`dot`](Self::dot) that friction has.
+    pub(super) fn friction_dot(&self, other: &Self) -> f32 {
         dot(self.friction.as_flattened(), other.friction.as_flattened())
-            + dot(&self.rigid, &other.rigid)
+    }
+
+    /// The part of [`dot`](Self::dot) that the rigid body has.
+    pub(super) fn rigid_dot(&self, other: &Self) -> f32 {
+        dot(&self.rigid, &other.rigid)
     }
 }
 

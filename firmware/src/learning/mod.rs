@@ -8,23 +8,37 @@
 mod conditioning;
 mod config;
 mod decision;
+mod detector;
 mod estimator;
+mod evidence;
 mod exchange;
+mod guard;
+mod guard_config;
 mod learner;
+mod monitor;
 mod parameters;
+mod payload;
 mod quality;
 mod request;
+mod small_filter;
 mod stacked;
+mod trainer;
+mod trial;
 mod ud;
 
 pub use conditioning::{Conditioned, DELAY, MeasurementWindow, TAPS};
 pub use config::{ConfigError, LearnerConfig};
 pub use decision::{DECISIONS, Decision, DecisionLog, Reason};
-pub use estimator::{Estimator, torque_row};
+pub use detector::DetectorConfig;
+pub use estimator::{Correction, Estimator, torque_row};
 pub use exchange::{Exchange, Lesson, MotionRange, Publication, Report};
+pub use guard_config::{GuardConfig, payload_bound, rated_payload};
 pub use learner::{Learner, LearnerState, LearnerStatistics};
-pub use parameters::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet, network_inputs};
+pub use parameters::{
+    JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet, network_inputs,
+};
 pub use quality::{ModelQuality, PayloadEstimate, Phase};
 pub use request::{Request, RequestPending};
 pub use stacked::Stacked;
+pub use trainer::TrainerConfig;
 pub use ud::UdFilter;

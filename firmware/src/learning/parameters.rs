@@ -1,5 +1,6 @@
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, FrictionParameters};
+use crate::joint::zero_vector;
 use crate::math::tanh;
 use crate::network::BpNetwork;
 use nalgebra::SVector;
@@ -8,6 +9,8 @@ use nalgebra::SVector;
 pub const NETWORK_INPUTS: usize = 3;
 /// Hidden units of a joint's network.
 pub const NETWORK_HIDDEN: usize = 6;
+/// Bound of the network share, in units of the joint's torque limit. Never optional.
+pub const NETWORK_BOUND: f32 = 0.10;
 /// The network of one joint. All joints together are one block-masked network, 18-36-6 for six joints.
 pub type JointNetwork = BpNetwork<NETWORK_INPUTS, NETWORK_HIDDEN, 1>;
 
@@ -23,6 +26,15 @@ pub struct ParameterSet<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> ParameterSet<N, P> {
+    /// Nothing at all: no body, no friction, silent networks without hidden layers.
+    pub(super) const fn nothing() -> Self {
+        Self {
+            rigid: zero_vector(),
+            friction: [FrictionParameters::NONE; N],
+            network: [JointNetwork::zeros(); N],
+        }
+    }
+
     /// The description's rigid body, no friction, and networks that say nothing yet: random hidden layers (joint `j`
     /// from `seed + j`) under output layers of zeros.
     pub fn nominal<A: Arm<N, P>>(seed: u32) -> Self {

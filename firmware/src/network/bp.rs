@@ -1,7 +1,7 @@
 use super::activation::{Activation, Relu};
 use super::random::{RandomStart, square_root};
 use core::marker::PhantomData;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{ArrayStorage, SMatrix, SVector};
 
 /// A back-propagation network with one hidden layer: `I` inputs, `H` hidden units, `O` linear outputs.
 ///
@@ -41,12 +41,12 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     pub const WEIGHTS: usize = H * I + H + O * H + O;
 
     /// The network whose weights are all zero; its output is zero.
-    pub fn zeros() -> Self {
+    pub const fn zeros() -> Self {
         Self {
-            hidden_weights: SMatrix::zeros(),
-            hidden_bias: SVector::zeros(),
-            output_weights: SMatrix::zeros(),
-            output_bias: SVector::zeros(),
+            hidden_weights: SMatrix::from_array_storage(ArrayStorage([[0.0; H]; I])),
+            hidden_bias: SVector::from_array_storage(ArrayStorage([[0.0; H]; 1])),
+            output_weights: SMatrix::from_array_storage(ArrayStorage([[0.0; O]; H])),
+            output_bias: SVector::from_array_storage(ArrayStorage([[0.0; O]; 1])),
             activation: PhantomData,
         }
     }
@@ -66,6 +66,13 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// A random hidden layer under an output layer of zeros: the network says nothing until it has learnt something.
     pub fn silent(seed: u32) -> Self {
         Self::silent_from(&mut RandomStart::new(seed))
+    }
+
+    /// The same hidden layer under an output layer of zeros.
+    pub fn silenced(mut self) -> Self {
+        self.output_weights = SMatrix::zeros();
+        self.output_bias = SVector::zeros();
+        self
     }
 
     fn silent_from(start: &mut RandomStart) -> Self {

@@ -69,6 +69,19 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         target: &SVector<f32, O>,
         step: &StepParameters,
     ) -> SVector<f32, O> {
+        self.update_layers(x, target, step, 1.0)
+    }
+
+    /// [`update`](Self::update) with a rate of its own for the hidden layer: `hidden` times that of the output layer.
+    /// With 0 the hidden layer stays as it is.
+    #[inline]
+    pub fn update_layers(
+        &mut self,
+        x: &SVector<f32, I>,
+        target: &SVector<f32, O>,
+        step: &StepParameters,
+        hidden: f32,
+    ) -> SVector<f32, O> {
         let a = self.hidden(x);
         let error = self.output(&a) - target;
         let clipped = error.map(|e| clip(e, step.error_clip));
@@ -76,12 +89,13 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         let sensitivity = 1.0 + deltas.power + (1.0 + squared(x)) * deltas.sensitivity;
         let rate = step.learning_rate / (1.0 + sensitivity);
         // A sum of the step's factors is finite only if each is; the weights are touched after that, never before.
-        let probe = 0.0 * (rate + deltas.sum + sum(&deltas.output) + squared(x));
+        let hidden_rate = hidden * rate;
+        let probe = 0.0 * (rate + hidden_rate + deltas.sum + sum(&deltas.output) + squared(x));
         if probe == 0.0 {
             descend(&mut self.output_weights, &a, &deltas.output, rate);
             descend_bias(&mut self.output_bias, &deltas.output, rate);
-            descend(&mut self.hidden_weights, x, &deltas.hidden, rate);
-            descend_bias(&mut self.hidden_bias, &deltas.hidden, rate);
+            descend(&mut self.hidden_weights, x, &deltas.hidden, hidden_rate);
+            descend_bias(&mut self.hidden_bias, &deltas.hidden, hidden_rate);
         }
         error
     }

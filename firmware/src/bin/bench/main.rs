@@ -42,8 +42,10 @@ fn main() -> ! {
 
 #[cfg(target_os = "none")]
 fn run(calls: u32) -> Option<()> {
-    let learner = stage::Stage::learner()?;
-    let mut learner = cortex_m::singleton!(: Learner<Ur5, JOINTS, PARAMETERS> = learner)?;
+    /// Too large for the stack, and for code that would build it: it lies in the image.
+    static mut LEARNER: Learner<Ur5, JOINTS, PARAMETERS> = stage::Stage::LEARNER;
+    // SAFETY: this function runs once, nothing else names the static, and no interrupt is enabled.
+    let mut learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
     for row in rows::ROWS {
         // Every row starts from the same stage, so that a row added or removed does not move the others.
         let mut stage = stage::Stage::new(learner)?;

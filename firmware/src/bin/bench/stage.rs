@@ -54,11 +54,9 @@ pub(crate) struct Stage {
 }
 
 impl Stage {
-    /// A learner for the stages, one after the other; `None` if its configuration does not validate.
-    pub(crate) fn learner() -> Option<Learner<Ur5, JOINTS, PARAMETERS>> {
-        let set = ParameterSet::nominal::<Ur5>(1);
-        Learner::new(LearnerConfig::for_arm::<Ur5>(PERIOD), set).ok()
-    }
+    /// A learner for the stages, one after the other.
+    pub(crate) const LEARNER: Learner<Ur5, JOINTS, PARAMETERS> =
+        Learner::idle(LearnerConfig::for_arm::<Ur5>(PERIOD));
 
     /// The stage after the warm-up; `None` if a configuration does not validate.
     pub(crate) fn new(learner: &'static mut Learner<Ur5, JOINTS, PARAMETERS>) -> Option<Self> {

@@ -28,6 +28,11 @@ pub(crate) fn furnish(
     period_s: f32,
     prior: &ParameterSet<JOINTS, PARAMETERS>,
 ) -> Option<&'static mut BoardLearner> {
-    let learner = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), *prior).ok()?;
-    Some(room.write(learner))
+    /// Written from the image: built on the stack it would not fit.
+    const IDLE: BoardLearner = Learner::idle(LearnerConfig::for_arm::<Arm>(1e-3));
+    let learner = room.write(IDLE);
+    learner
+        .restart(LearnerConfig::for_arm::<Arm>(period_s), prior)
+        .ok()?;
+    Some(learner)
 }

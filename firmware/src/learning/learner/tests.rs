@@ -1,13 +1,16 @@
 use super::*;
 use crate::arm::ur5::Ur5;
 use crate::joint::{JointMeasurement, JointVector};
+use crate::learning::Request;
 use crate::limits::Flags;
 
 const N: usize = 6;
 const P: usize = 40;
 
+/// A learner that never raises an alarm: the arm of these tests is none that could be explained.
 fn learner() -> Learner<Ur5, N, P> {
-    let config = LearnerConfig::for_arm::<Ur5>(1e-3);
+    let mut config = LearnerConfig::for_arm::<Ur5>(1e-3);
+    config.guard.detector.threshold = 1e9;
     Learner::new(config, ParameterSet::nominal::<Ur5>(1)).unwrap()
 }
 
@@ -76,21 +79,15 @@ fn a_lost_lesson_is_a_gap() {
 }
 
 #[test]
-fn each_tick_teaches_the_network_of_its_own_joint_only() {
+fn networks_are_trained_out_of_sight_of_the_torque() {
     let mut learner = learner();
     teach(&mut learner, 0..30, true);
-    for tick in 30..36 {
-        let before = learner.state.candidate;
+    let before = learner.state.trainer;
+    for tick in 30..600 {
         teach(&mut learner, tick..tick + 1, true);
-        for joint in 0..N {
-            let moved = learner.state.candidate.network[joint] != before.network[joint];
-            assert_eq!(
-                moved,
-                joint == tick as usize % N,
-                "joint {joint} at tick {tick}"
-            );
-        }
+        assert_eq!(learner.state.candidate.network, learner.state.prior.network);
     }
+    assert!(learner.state.trainer != before);
 }
 
 #[test]
@@ -98,13 +95,11 @@ fn a_learner_of_one_joint_learns_from_its_rows_and_leaves_the_others_as_they_are
     let mut learner = learner();
     learner.learn_only(1);
     teach(&mut learner, 0..600, true);
-    let LearnerState {
-        prior, candidate, ..
-    } = &learner.state;
-    assert_ne!(candidate.rigid, prior.rigid);
+    let prior = Stacked::of(&learner.state.prior);
+    let estimate = learner.state.estimate.parameters();
+    assert_ne!(estimate.rigid, prior.rigid);
     for joint in 0..N {
-        let moved = candidate.network[joint] != prior.network[joint]
-            || candidate.friction[joint] != prior.friction[joint];
+        let moved = estimate.friction[joint] != prior.friction[joint];
         assert_eq!(moved, joint == 1, "joint {joint}");
     }
     let statistics = learner.state.statistics;
@@ -151,14 +146,14 @@ fn one_glitch_of_one_encoder_teaches_nothing_to_any_joint() {
     }
     // A few places of the window weigh nothing in the acceleration; those rows are as good as the others.
     assert!(glitched.state.statistics.rejected >= 15);
-    let apart = glitched.state.candidate.rigid - clean.state.candidate.rigid;
-    let moved = clean.state.candidate.rigid - clean.state.prior.rigid;
-    assert!(
-        apart.amax() < 0.2 * moved.amax(),
-        "{} of {}",
-        apart.amax(),
-        moved.amax()
-    );
+    let of = |learner: &Learner<Ur5, N, P>| learner.state.estimate.parameters().rigid;
+    let (glitched, clean, prior) = (of(&glitched), of(&clean), clean.state.prior.rigid);
+    let largest = |a: [f32; P], b: &[f32]| {
+        let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+        apart.fold(0.0, f32::max)
+    };
+    let (apart, moved) = (largest(glitched, &clean), largest(clean, prior.as_slice()));
+    assert!(apart < 0.2 * moved, "{apart} of {moved}");
 }
 
 #[test]
@@ -224,7 +219,7 @@ fn a_configuration_that_cannot_work_is_refused() {
     let mut sigma = good;
     sigma.rigid_sigma[7] = 0.0;
     let mut rate = good;
-    rate.network.learning_rate = f32::NAN;
+    rate.network.rate = f32::NAN;
     assert_eq!(good.validate(), Ok(()));
     assert_eq!(
         sigma.validate(),
@@ -232,7 +227,7 @@ fn a_configuration_that_cannot_work_is_refused() {
     );
     assert_eq!(
         rate.validate(),
-        Err(ConfigError::RateOutOfRange("network.learning_rate"))
+        Err(ConfigError::RateOutOfRange("network.rate"))
     );
     assert!(
         LearnerConfig::<N, P>::for_arm::<Ur5>(0.0)
@@ -267,10 +262,10 @@ fn a_rollback_on_request_restores_the_kept_parameters_bit_for_bit() {
         ask(&mut learner, 201, Request::Snapshot),
         Some(Reason::Kept)
     );
-    teach(&mut learner, 201..400, true);
+    teach(&mut learner, 201..1200, true);
     assert_ne!(learner.state.candidate, before);
     assert_eq!(
-        ask(&mut learner, 400, Request::Rollback),
+        ask(&mut learner, 1200, Request::Rollback),
         Some(Reason::RolledBack)
     );
     assert_eq!(learner.state.candidate, before);

@@ -94,9 +94,9 @@ impl Controller {
         self.safety.status()
     }
 
-    /// The set that the torque is computed from.
-    pub(super) fn active(&self) -> &Set {
-        &self.feedforward.state().active
+    /// The parameters that the torque is computed from, payload included.
+    pub(super) fn active(&self) -> Set {
+        self.feedforward.in_force()
     }
 
     /// What the learner knows.

@@ -259,11 +259,11 @@ impl<'w> Watch<'w> {
         let t_s = tick as f64 * PERIOD_S;
         let at = |time_s: f64| (time_s / PERIOD_S).round() as usize == tick;
         if at(self.still_s + 1.0) {
-            self.settled = Some(*board.active());
+            self.settled = Some(board.active());
         }
         for payload in &self.events.payloads {
             if at(payload.from_s) {
-                self.before_pick = Some(self.world.said(board.active()));
+                self.before_pick = Some(self.world.said(&board.active()));
             }
             if at(payload.from_s + WEIGHED_AFTER_S) {
                 let believed = board.report().quality.payload;
@@ -272,7 +272,7 @@ impl<'w> Watch<'w> {
             if let Some(before) = &self.before_pick
                 && at(payload.to_s + RESTORED_AFTER_S)
             {
-                let now = self.world.said(board.active());
+                let now = self.world.said(&board.active());
                 self.trace.restored.push(relative_change(before, &now));
             }
         }
@@ -286,7 +286,7 @@ impl<'w> Watch<'w> {
         };
         if tick.is_multiple_of(every) {
             self.needed.update(self.world, plant);
-            let said = self.world.said(board.active());
+            let said = self.world.said(&board.active());
             let error = self.world.error(&said, &self.needed.torques);
             let of_step = self.needed.step.map(|step| {
                 let missed = self.world.in_limits(&said, &self.needed.torques);
@@ -344,7 +344,7 @@ impl<'w> Watch<'w> {
         self.look(ticks, board, plant);
         if let Some(settled) = &self.settled {
             let sigma = Stacked::sigma(&self.start.config());
-            let (before, after) = (Stacked::of(settled), Stacked::of(board.active()));
+            let (before, after) = (Stacked::of(settled), Stacked::of(&board.active()));
             let columns = before.iter().zip(after.iter()).zip(sigma.iter());
             self.trace.drift = columns
                 .map(|((before, after), sigma)| f64::from((after - before).abs() / sigma))

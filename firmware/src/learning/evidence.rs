@@ -1,0 +1,161 @@
+//! Which of two models explains the torques better, on rows that neither has been fitted on.
+
+/// What the rows of the last seconds say for a challenger against a champion, and what they say of a common factor on
+/// all torques. Residuals in standard deviations of the measurement; old rows fade with the time constant of
+/// [`MEMORY_ROWS`].
+///
+/// ```text
+/// d = champion² − challenger²      t = Σ d / √Σ d²
+/// ```
+/// The pairs share their noise, so t notices a better model long before the mean squares differ visibly.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Evidence {
+    advantage: f32,
+    scatter: f32,
+    champion: f32,
+    challenger: f32,
+    /// Σ y², Σ y m, Σ m² of measured torque y and the champion's m.
+    measured: f32,
+    cross: f32,
+    modelled: f32,
+    /// Rows, faded like the sums: what noise alone leaves of a torque in these units.
+    weight: f32,
+    rows: u32,
+}
+
+/// Rows after which evidence has faded to 37 %.
+const MEMORY_ROWS: f32 = 4096.0;
+const FADE: f32 = 1.0 - 1.0 / MEMORY_ROWS;
+/// Residuals count up to this many standard deviations: an outlier is not evidence.
+const CLIP: f32 = 6.0;
+/// A common factor is believed when it leaves less than this of what the champion leaves beyond the noise.
+const GAIN_RATIO: f32 = 0.2;
+
+impl Evidence {
+    /// No row yet.
+    pub(super) const NONE: Self = Self {
+        advantage: 0.0,
+        scatter: 0.0,
+        champion: 0.0,
+        challenger: 0.0,
+        measured: 0.0,
+        cross: 0.0,
+        modelled: 0.0,
+        weight: 0.0,
+        rows: 0,
+    };
+
+    /// Takes one row: measured torque, what the champion makes of it, what the challenger leaves; in standard deviations.
+    pub(super) fn note(&mut self, measured: f32, champion: f32, challenger_residual: f32) {
+        let left = measured - champion;
+        let sum = measured * measured + champion * champion + challenger_residual;
+        if !sum.is_finite() {
+            return;
+        }
+        let (a, b) = (
+            left.clamp(-CLIP, CLIP),
+            challenger_residual.clamp(-CLIP, CLIP),
+        );
+        let (a, b) = (a * a, b * b);
+        let d = a - b;
+        let fade = |sum: &mut f32, value: f32| *sum = FADE * *sum + value;
+        fade(&mut self.advantage, d);
+        fade(&mut self.scatter, d * d);
+        fade(&mut self.champion, a);
+        fade(&mut self.challenger, b);
+        fade(&mut self.measured, measured * measured);
+        fade(&mut self.cross, measured * champion);
+        fade(&mut self.modelled, champion * champion);
+        fade(&mut self.weight, 1.0);
+        self.rows = self.rows.saturating_add(1);
+    }
+
+    /// Rows taken.
+    pub(super) fn rows(&self) -> u32 {
+        self.rows
+    }
+
+    /// The challenger is better by `sigmas` standard deviations (worse, if `sigmas` is negative).
+    pub(super) fn favours(&self, sigmas: f32) -> bool {
+        // t > s without a root: compare squares with their signs.
+        let signed = self.advantage * self.advantage.abs();
+        let bound = sigmas * sigmas.abs() * self.scatter;
+        if sigmas < 0.0 {
+            signed < bound
+        } else {
+            signed > bound
+        }
+    }
+
+    /// Mean square residual of the challenger over that of the champion.
+    pub(super) fn ratio(&self) -> f32 {
+        if self.champion > 0.0 {
+            self.challenger / self.champion
+        } else {
+            1.0
+        }
+    }
+
+    /// The factor on all torques that explains what the champion leaves, if one does: sensors or drives are off, not the
+    /// arm. `error` is how far from 1 it has to be.
+    pub(super) fn common_gain(&self, error: f32) -> Option<f32> {
+        if self.modelled.partial_cmp(&0.0) != Some(core::cmp::Ordering::Greater) {
+            return None;
+        }
+        let gain = self.cross / self.modelled;
+        let left = self.measured - gain * self.cross - self.weight;
+        let before = self.measured - 2.0 * self.cross + self.modelled - self.weight;
+        ((gain - 1.0).abs() > error && left < GAIN_RATIO * before).then_some(gain)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Noise of about one standard deviation, torques of thirty.
+    fn rows(count: u32) -> impl Iterator<Item = (f32, f32)> {
+        (0..count).map(|k| {
+            let t = k as f32;
+            let noise = 1.4 * (t * 2.399).sin();
+            (30.0 * (t * 0.013).sin() + 8.0, noise)
+        })
+    }
+
+    #[test]
+    fn a_model_that_is_a_tenth_of_the_noise_better_is_noticed_and_an_equal_one_is_not() {
+        let (mut better, mut equal) = (Evidence::NONE, Evidence::NONE);
+        for (torque, noise) in rows(20_000) {
+            let champion = torque + 0.2 * (torque * 0.7).sin();
+            better.note(torque + noise, champion, noise);
+            equal.note(torque + noise, torque, noise);
+        }
+        assert!(better.favours(3.0) && !better.favours(-3.0));
+        assert!(!equal.favours(3.0) && !equal.favours(-3.0));
+        assert!(better.ratio() < 1.0);
+    }
+
+    #[test]
+    fn a_common_factor_is_told_from_a_wrong_model() {
+        for gain in [-1.0, 0.8, 1.2] {
+            let (mut scaled, mut offset) = (Evidence::NONE, Evidence::NONE);
+            for (torque, noise) in rows(5000) {
+                scaled.note(gain * torque + noise, torque, noise);
+                offset.note(torque + 5.0 + noise, torque, noise);
+            }
+            let found = scaled.common_gain(0.08).unwrap_or(0.0);
+            assert!((found - gain).abs() < 0.02, "{found} for {gain}");
+            assert_eq!(offset.common_gain(0.08), None);
+        }
+        assert_eq!(Evidence::NONE.common_gain(0.08), None);
+    }
+
+    #[test]
+    fn what_is_not_finite_is_no_evidence() {
+        let mut evidence = Evidence::NONE;
+        evidence.note(f32::NAN, 1.0, 1.0);
+        evidence.note(1.0, f32::INFINITY, 1.0);
+        evidence.note(1.0, 1.0, f32::NAN);
+        assert_eq!(evidence, Evidence::NONE);
+    }
+}

@@ -1,0 +1,153 @@
+//! Hundredths of a second: the detector, and the trial after an alarm.
+
+use super::{Learner, count};
+use crate::arm::Arm;
+use crate::dynamics::{BaseParameters, FrictionParameters, friction, regressor_row, rnea};
+use crate::joint::JointVector;
+use crate::learning::conditioning::Conditioned;
+use crate::learning::detector::Slice;
+use crate::learning::payload::{payload_base, payload_row, payload_torque};
+use crate::learning::quality::Phase;
+use crate::math::sqrt;
+
+/// Range of a joint's usual mean square, in variances of a measurement: white noise leaves a tenth in a slice of ten.
+const SLICE_RANGE: (f32, f32) = (0.1, 4.0);
+/// What one slice counts in it.
+const SLICE_STEP: f32 = 1.0 / 256.0;
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
+    /// One tick of measurements: gathers the slice, works on one joint of the slice before, learns one row.
+    #[inline(never)]
+    pub(super) fn work_through(
+        &mut self,
+        tick: u32,
+        joint: usize,
+        seen: &Conditioned<N>,
+    ) -> Option<f32> {
+        if !plausible::<A, N, P>(seen, self.config.acceleration_limit) {
+            self.state.guard.forget_slices();
+            count(&mut self.state.statistics.rejected);
+            return None;
+        }
+        let residual = self.unexplained(seen);
+        let gate = self.config.velocity_gate;
+        let ticks = self.config.guard.slice_ticks;
+        let guard = &mut self.state.guard;
+        if let Some(slice) = guard.decimator.push(&seen.motion, &residual, gate, ticks) {
+            guard.waiting = Some((slice, 0));
+        }
+        if let Some((slice, turn)) = guard.waiting {
+            guard.waiting = (turn + 1 < N).then_some((slice, turn + 1));
+            self.weigh(tick, turn, &slice);
+            if turn + 1 == N {
+                self.judge(tick);
+            }
+        }
+        self.learn_row(tick, joint, seen)
+    }
+
+    /// What the model leaves of the torques, the payload not counted, N × N·m.
+    #[inline(never)]
+    fn unexplained(&self, seen: &Conditioned<N>) -> JointVector<N> {
+        // The detector asks what is new to the estimate; a payload comes on top of what is in the torque.
+        let state = &self.state;
+        let weighing = state.phase() == Phase::Trial || state.guard.loaded();
+        let (rigid, drives) = if weighing {
+            (state.candidate.rigid, state.candidate.friction)
+        } else {
+            let estimate = state.estimate.parameters();
+            let drives = estimate.friction.map(FrictionParameters::from_columns);
+            (BaseParameters::<P>::from(estimate.rigid), drives)
+        };
+        seen.tau
+            - rnea::<A, N, P>(&rigid, &seen.motion)
+            - friction::<A, N, P>(&drives, &seen.motion.q, &seen.motion.qd)
+    }
+
+    /// One joint of a slice.
+    #[inline(never)]
+    fn weigh(&mut self, tick: u32, joint: usize, slice: &Slice<N>) {
+        let state = &mut self.state;
+        let (Some(true), Some(&left), Some(limits), Some(&measured), Some(&innovation)) = (
+            slice.moving.get(joint),
+            slice.residual.get(joint),
+            A::LIMITS.get(joint),
+            state.estimate.variance().get(joint),
+            state.innovation_variance.get(joint),
+        ) else {
+            return;
+        };
+        let row = regressor_row::<A, N, P>(joint, &slice.motion).data.0[0];
+        let row = payload_row::<A, N, P>(&row);
+        let unit = self.config.noise * limits.torque;
+        let config = &self.config.guard;
+        let sigma = unit * sqrt(measured);
+        let guard = &mut state.guard;
+        let Some(usual) = guard.slice_variance.get_mut(joint) else {
+            return;
+        };
+        let inflated = sigma * sqrt(config.inflation * *usual);
+        match state.report.quality.phase {
+            Phase::Trial => guard
+                .trial
+                .note(&guard.payload, &row, left, sigma, inflated),
+            Phase::Healthy => {
+                let unexplained = left - payload_torque(&guard.payload, &row);
+                let spread = unexplained / sigma;
+                let square = (spread * spread).min(SLICE_RANGE.1);
+                *usual += (square - *usual) * SLICE_STEP;
+                if *usual < SLICE_RANGE.0 {
+                    *usual = SLICE_RANGE.0;
+                }
+                if guard.weighing(config) {
+                    guard.filter.update(&row, left, inflated);
+                }
+                let z = unexplained / (unit * sqrt(innovation));
+                if let Some(sum) = guard.detector.push(&config.detector, joint, z) {
+                    self.raise_alarm(tick, joint, sum);
+                }
+            }
+            Phase::Relearning | Phase::Stopped => {}
+        }
+    }
+
+    /// After the last joint of a slice.
+    #[inline(never)]
+    fn judge(&mut self, tick: u32) {
+        let config = &self.config.guard;
+        let guard = &mut self.state.guard;
+        match self.state.report.quality.phase {
+            Phase::Trial => {
+                let loaded = guard.loaded();
+                if let Some(verdict) = guard.trial.judge(config, loaded) {
+                    self.end_trial(tick, verdict);
+                }
+            }
+            Phase::Healthy => {
+                if guard.weighing(config) {
+                    guard.payload = guard.filter.payload();
+                    guard.payload_base = payload_base::<A, N, P>(&guard.payload);
+                }
+                if guard.loaded() {
+                    guard.slices_carried = guard.slices_carried.saturating_add(1);
+                }
+            }
+            Phase::Relearning | Phase::Stopped => {}
+        }
+    }
+}
+
+/// Nothing in `seen` is beyond what the arm can do. A model fitted to the impossible is worth nothing; a wild encoder
+/// shows in the acceleration first.
+fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
+    seen: &Conditioned<N>,
+    acceleration_limit: f32,
+) -> bool {
+    let motion = seen.motion.qd.iter().zip(seen.motion.qdd.iter());
+    let mut joints = motion.zip(seen.tau.iter()).zip(&A::LIMITS);
+    joints.all(|(((qd, qdd), tau), limits)| {
+        qd.abs() <= 2.0 * limits.velocity
+            && qdd.abs() <= acceleration_limit
+            && tau.abs() <= 2.0 * limits.torque
+    })
+}
