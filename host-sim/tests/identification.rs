@@ -266,6 +266,18 @@ fn what_is_wrong_with_a_log_is_said_in_one_line() {
             "bad.csv:10: column q4_rad: \"NaN\" is not a finite number",
         ),
         (
+            with_line(1, lines[0].replace("tau3_nm", "tau2_nm")),
+            "bad.csv:1: column tau2_nm appears twice",
+        ),
+        (
+            with_line(10, format!("{},0", lines[9])),
+            "bad.csv:10: 26 fields where the header has 25",
+        ),
+        (
+            with_line(10, lines[9].replace(fields[0], "0.001")),
+            "bad.csv:10: column t_s: 0.001 does not come after 0.035",
+        ),
+        (
             with_line(10, lines[8].to_owned()),
             "bad.csv:10: column t_s: 0.035 does not come after 0.035",
         ),
@@ -281,6 +293,9 @@ fn what_is_wrong_with_a_log_is_said_in_one_line() {
     for (wrong, expected) in [
         (["--methods", "olz"], "unknown method 'olz'"),
         (["--columns", "friction"], "unknown column set 'friction'"),
+        (["--filter", "fourier"], "needs --period-s or --excitation"),
+        (["--gains", "standstill"], "no motor currents"),
+        (["--still-rad-s", "50"], "no joint moves"),
     ] {
         let done = identify(&[
             "--log",
@@ -307,6 +322,47 @@ fn a_joint_that_stands_still_is_named_by_its_unseen_parameters() {
         assert!(message.contains(name), "{message}");
     }
     assert!(!message.contains("Fv1"), "{message}");
+}
+
+#[test]
+fn columns_without_a_place_on_the_board_are_named_and_the_others_reach_the_bank() {
+    let here = Directory::new("identify-columns");
+    let (path, out) = (here.file("log.csv"), here.file("out"));
+    log(&path, 4000, 0.0, None, 0.1);
+    let columns = "coulomb-viscous+offset+stribeck+cogging+cubic";
+    let methods = "wls,irls";
+    let done = identify(&[
+        "--log",
+        text(&path),
+        "--out",
+        text(&out),
+        "--columns",
+        columns,
+        "--methods",
+        methods,
+    ]);
+    let said = String::from_utf8_lossy(&done.stdout).into_owned();
+    assert!(said.contains("the board has no column cubic"), "{said}");
+    let bank = Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .args(["bank", text(&out.join("parameters.bank"))])
+        .output()
+        .expect("runs");
+    let bank = String::from_utf8_lossy(&bank.stdout).into_owned();
+    // An identified column has a value of its own and a deviation smaller than that of a bank nobody identified.
+    for name in ["Fv1", "Fc1", "Fsn1", "Fsw1", "Fo1", "Gs1", "Gc1"] {
+        let line = bank
+            .lines()
+            .find(|line| line.starts_with(&format!("{name} ")));
+        let fields: Vec<&str> = line.expect(name).split_whitespace().collect();
+        assert!(
+            fields[1].parse::<f64>().expect("a number") != 0.0,
+            "{line:?}"
+        );
+    }
+    let report = fs::read_to_string(out.join("report.json")).expect("written");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let interval = &report["methods"]["wls"]["parameters"][0]["ci95"];
+    assert!(interval[0].as_f64() < interval[1].as_f64(), "{interval}");
 }
 
 #[test]

@@ -1,12 +1,14 @@
 use super::boards::BoardChoice;
+use super::campaign;
 use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unusable};
 use crate::board::Client;
+use crate::experiment::campaign::Shard;
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
 use crate::experiment::learning::soak::{self, SoakConfig};
 use crate::experiment::learning::{self, LearningConfig, LearningReport};
-use crate::experiment::{EXPERIMENTS, real_ur5, replay_real};
+use crate::experiment::{EXPERIMENTS, efficiency, real_ur5, replay_real};
 use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
 use clap::Args;
@@ -27,9 +29,21 @@ pub(super) struct Arguments {
     /// Only the scenarios of learning whose names begin so
     #[arg(long, value_name = "NAME")]
     only: Option<String>,
-    /// The short form of the scenarios of learning
+    /// The short form of learning, excitation and paper
     #[arg(long)]
-    quick: bool,
+    pub(super) quick: bool,
+    /// Seeds of excitation [default: 20] and paper [default: 10]
+    #[arg(long, value_name = "N")]
+    pub(super) seeds: Option<u64>,
+    /// Only this part of excitation or paper, for example 2/8; `merge` puts the parts together
+    #[arg(long, value_name = "i/n")]
+    pub(super) shard: Option<Shard>,
+    /// Robot of excitation: a built-in name or a description file
+    #[arg(long, default_value = "ur5")]
+    pub(super) robot: String,
+    /// Excitation that paper trains on, an excitation.json for the UR5 [default: a precomputed one]
+    #[arg(long, value_name = "FILE")]
+    pub(super) excitation: Option<PathBuf>,
     /// Put learning's table of measured against reach between its marks in this file
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
@@ -45,7 +59,7 @@ pub(super) struct Arguments {
     board: BoardChoice,
     /// Seed of plant, prior, paths and noise
     #[arg(long, default_value_t = DemoConfig::default().seed)]
-    seed: u64,
+    pub(super) seed: u64,
     /// Arm time with learning on, long run, s
     #[arg(long, default_value_t = DemoConfig::default().learning_s)]
     learning_s: f64,
@@ -58,6 +72,9 @@ pub(super) struct Arguments {
     /// Ticks of soak that are compared with the board
     #[arg(long, default_value_t = 1_000_000)]
     board_ticks: usize,
+    /// Noise draws of each case of efficiency
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    draws: u32,
     /// Directory of the logs of real-ur5 and replay-real
     #[arg(long, value_name = "DIR", default_value = "tests/data/ur5-real")]
     logs: PathBuf,
@@ -76,10 +93,25 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         return Ok(());
     }
+    let sharded = ["excitation", "paper"];
+    if arguments.shard.is_some()
+        && !arguments
+            .name
+            .as_deref()
+            .is_some_and(|name| sharded.contains(&name))
+    {
+        return Err(unusable(format!(
+            "--shard: only {} can be sharded",
+            sharded.join(" and ")
+        )));
+    }
     match (arguments.name.as_deref(), &arguments.out) {
         (Some("demo"), Some(out)) => run_demo(arguments, out),
+        (Some("excitation"), Some(out)) => campaign::run_excitation(arguments, out),
         (Some("learning"), Some(out)) => run_learning(arguments, out),
         (Some("soak"), Some(out)) => run_soak(arguments, out),
+        (Some("paper"), Some(out)) => campaign::run_paper(arguments, out),
+        (Some("efficiency"), Some(out)) => run_efficiency(arguments, out),
         (Some("real-ur5"), Some(out)) => run_real_ur5(arguments, out),
         (Some("replay-real"), Some(out)) => run_replay_real(arguments, out),
         (name, _) => Err(unusable(format!(
@@ -246,6 +278,29 @@ fn run_replay_real(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
     say(format_args!(
         "decisions of the guard       {:?}",
         report.decisions_count
+    ))?;
+    Ok(())
+}
+
+fn run_efficiency(arguments: &Arguments, out: &Path) -> Result<(), Failure> {
+    let bar = Bar::new();
+    let draws = arguments.draws as usize;
+    let (report, page) = efficiency::run(out, arguments.seed, draws, &|stage, done, all| {
+        bar.show(stage, done, all);
+    })?;
+    drop(bar);
+    let json = serde_json::to_string_pretty(&report)? + "\n";
+    write_whole(&out.join("report.html"), page.as_bytes())?;
+    write_whole(&out.join("report.json"), json.as_bytes())?;
+    for case in &report.cases {
+        say(format_args!(
+            "{:<36} irls {:.3} x Cramér–Rao, wls {:.3} x",
+            case.noise, case.irls_over_cramer_rao_ratio, case.wls_over_cramer_rao_ratio
+        ))?;
+    }
+    say(format_args!(
+        "report       {}",
+        out.join("report.html").display()
     ))?;
     Ok(())
 }

@@ -1,5 +1,6 @@
 use super::terminal::say;
 use super::{Failure, unusable};
+use crate::excitation::Excitation;
 use crate::files::write_whole;
 use crate::identification::{
     ColumnSet, IdentifyConfig, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit, identify,
@@ -36,6 +37,16 @@ pub(super) struct Arguments {
     /// warm-up; or full for all but the last
     #[arg(long, default_value = "coulomb-viscous")]
     columns: ColumnSet,
+    /// Filter of the training logs; fourier folds a log that repeats into one period and projects it on the harmonics
+    /// below the cut-offs. Validation logs always go through the zero-phase Butterworth filter.
+    #[arg(long, default_value = "butterworth")]
+    filter: Filter,
+    /// Period of the training logs, s, for --filter fourier
+    #[arg(long, conflicts_with = "excitation")]
+    period_s: Option<f64>,
+    /// The excitation.json that the training logs repeat, for --filter fourier
+    #[arg(long, value_name = "FILE")]
+    excitation: Option<PathBuf>,
     /// Cut-off of the zero-phase filter on the motion, Hz; above that on the torque, so that the filter on both sides
     /// of the equation is the same where it acts
     #[arg(long, default_value_t = 40.0)]
@@ -46,6 +57,10 @@ pub(super) struct Arguments {
     /// A joint slower than this stands still, rad/s
     #[arg(long, default_value_t = 0.05)]
     still_rad_s: f64,
+    /// Where drive gains come from when the logs hold currents: the description, or the gravity torque of the description
+    /// over the current while the arm stands still
+    #[arg(long, default_value = "description")]
+    gains: Gains,
     /// Robot whose parameters are the truth
     #[arg(long, value_name = "ROBOT")]
     truth: Option<String>,
@@ -55,6 +70,42 @@ pub(super) struct Arguments {
     /// Seed of random starts and of the 80/20 split
     #[arg(long, default_value_t = 1)]
     seed: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Gains {
+    Description,
+    Standstill,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Filter {
+    Butterworth,
+    Fourier,
+}
+
+/// The period to fold training logs on, if that is wanted.
+fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
+    let period_s = match (&arguments.excitation, arguments.period_s) {
+        (Some(path), _) => {
+            let text =
+                std::fs::read_to_string(path).map_err(|error| crate::files::at(path, error))?;
+            let series: Excitation = serde_json::from_str(&text)
+                .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
+            Some(series.period_s)
+        }
+        (None, period_s) => period_s,
+    };
+    match (arguments.filter, period_s) {
+        (Filter::Butterworth, _) => Ok(None),
+        (Filter::Fourier, Some(period_s)) if period_s.is_finite() && period_s > 0.0 => {
+            Ok(Some(period_s))
+        }
+        (Filter::Fourier, Some(_)) => Err(unusable("--period-s must be positive")),
+        (Filter::Fourier, None) => Err(unusable(
+            "--filter fourier needs --period-s or --excitation",
+        )),
+    }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
@@ -114,6 +165,8 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
             torque_hz: (torque_hz > 0.0).then_some(torque_hz),
             still_rad_s: not_negative("--still-rad-s", arguments.still_rad_s)?,
         },
+        gains_from_standstill: arguments.gains == Gains::Standstill,
+        fold_period_s: fold_period_s(arguments)?,
         seed: arguments.seed,
         truth,
     })
@@ -164,6 +217,17 @@ fn identify_arm<const N: usize>(
     write_whole(&arguments.out.join("report.json"), json.as_bytes())?;
     for note in &report.notes {
         say(format_args!("note  {note}"))?;
+    }
+    for (joint, gain) in report.drive_gains.iter().enumerate() {
+        let found = gain.std_nm_a.map_or_else(
+            || "of the description, standstill does not tell it".to_owned(),
+            |std| format!("± {std:.3}, description {:.3}", gain.description_nm_a),
+        );
+        say(format_args!(
+            "gain  joint {}  {:.3} N·m/A {found}",
+            joint + 1,
+            gain.gain_nm_a
+        ))?;
     }
     say(format_args!(
         "rank {}, condition number {:.1} ({})",

@@ -2,12 +2,15 @@
 
 mod bank;
 mod boards;
+mod campaign;
 mod disturbances;
 mod excite;
 mod experiment;
 mod faults;
 mod generate;
 mod identify;
+mod merge;
+mod motion_log;
 mod on_board;
 mod progress;
 mod run;
@@ -59,6 +62,7 @@ enum Command {
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
     Faults(faults::Arguments),
+    Merge(merge::Arguments),
 }
 
 /// Reads the command line and does what it says. Asking for help or the version ends the process.
@@ -75,6 +79,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
+        Command::Merge(arguments) => merge::run(&arguments),
     }
 }
 

@@ -1,14 +1,15 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
+use super::motion_log::{Effort, MotionLog};
 use super::on_board;
 use super::progress::Bar;
-use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
+use super::simulate::{MotionArguments, PERIOD_S};
 use super::terminal::{self, say};
 use super::{Failure, bank, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::files::write_whole;
 use crate::report::closed_loop::{self, ClosedLoopLog, ClosedLoopReport, LinkReport};
 use crate::robot::Robot;
-use crate::table::{TableWriter, joint_columns};
+use crate::table::joint_columns;
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::excitation::Cue;
@@ -97,10 +98,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     if arguments.excite_on_board {
         on_board::load::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
     }
-    let mut header = log_header::<N>();
-    header.extend(joint_columns("feed_forward", "nm", N));
-    header.push("flags".to_owned());
-    let mut log = TableWriter::create(&arguments.out.join("log.csv"), &header)?;
+    let mut columns = joint_columns("feed_forward", "nm", N);
+    columns.push("flags".to_owned());
+    let mut log = MotionLog::<N>::create(&arguments.out.join("log.csv"), Effort::Torque, &columns)?;
     let mut seen = ClosedLoopLog::<N>::new(scene.ticks);
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
@@ -118,10 +118,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
         seen.add(&record);
-        let mut row = log_row(&record, &record.measured);
-        row.extend(record.feed_forward.iter().map(|tau| f64::from(*tau)));
-        row.push(f64::from(record.flags));
-        log.row(row)?;
+        let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
+        let flags = f64::from(record.flags);
+        log.add(&record, record.measured, answer.chain([flags]).collect())?;
         ticks += 1;
         if arguments.excite_on_board && on_board::has_ended(&mut board, tick, record.stage)? {
             break;

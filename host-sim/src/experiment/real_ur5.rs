@@ -98,6 +98,8 @@ pub fn run(
                 methods: vec![method],
                 columns,
                 prepare: PREPARE,
+                fold_period_s: None,
+                gains_from_standstill: false,
                 seed,
                 truth: None,
             };
@@ -119,7 +121,7 @@ pub fn run(
             Ok::<Vec<Option<f64>>, Box<dyn Error>>(rmse.collect())
         };
         let wls = rmse(MethodName::Wls, ColumnSet::plain())?;
-        let recommended = rmse(MethodName::Irls, RECOMMENDED.parse::<ColumnSet>()?)?;
+        let recommended = rmse(MethodName::Consistent, RECOMMENDED.parse::<ColumnSet>()?)?;
         let ratio: Vec<Option<f64>> = wls
             .iter()
             .zip(&recommended)
@@ -139,7 +141,7 @@ pub fn run(
         .flat_map(|path| path.vs_wls_ratio.iter().flatten());
     let report = RealReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        recommended: format!("irls, {RECOMMENDED}"),
+        recommended: format!("consistent, {RECOMMENDED}"),
         reference: "wls, coulomb-viscous".to_owned(),
         torque_cutoff_hz: PREPARE.torque_hz.unwrap_or(0.0),
         motion_cutoff_hz: PREPARE.motion_hz,

@@ -164,29 +164,38 @@ fn reweighted<const N: usize>(
     layout: &Layout<N>,
     theta: &DVector<f64>,
 ) -> (JointSums, f64) {
-    let active = &layout.active[joint];
-    let own: Vec<f64> = active.iter().map(|&place| theta[place]).collect();
-    let rows: Vec<(&[f64], f64, f64)> = sample
-        .iter()
-        .filter(|row| row.moving[joint])
-        .map(|row| {
-            let x = row.columns(layout, joint);
-            let predicted: f64 = x.iter().zip(&own).map(|(x, theta)| x * theta).sum();
-            (x, row.clean[joint], row.clean[joint] - predicted)
-        })
+    let moving = sample.iter().filter(|row| row.moving[joint]);
+    let mut sizes: Vec<f64> = moving
+        .map(|row| (row.clean[joint] - row.linear(layout, theta, joint)).abs())
         .collect();
-    let mut sizes: Vec<f64> = rows.iter().map(|(_, _, residual)| residual.abs()).collect();
     let sigma = (1.4826 * median(&mut sizes)).max(SIGMA_FLOOR);
-    let mut x = Vec::with_capacity(rows.len() * active.len());
-    let mut tau = Vec::with_capacity(rows.len());
-    for (columns, torque, residual) in rows {
+    (huber(joint, sample, layout, theta, sigma), sigma)
+}
+
+/// One joint's sums, rows farther than 1.345 `sigma` (N·m) from what `theta` says weighing less [Huber 1981].
+pub(super) fn huber<const N: usize>(
+    joint: usize,
+    sample: &[&SampleRow<N>],
+    layout: &Layout<N>,
+    theta: &DVector<f64>,
+    sigma: f64,
+) -> JointSums {
+    let active = layout.active[joint].len();
+    let mut x = Vec::with_capacity(sample.len() * active);
+    let mut tau = Vec::with_capacity(sample.len());
+    for row in sample.iter().filter(|row| row.moving[joint]) {
+        let residual = row.clean[joint] - row.linear(layout, theta, joint);
         let weight = (HUBER * sigma / residual.abs()).min(1.0).sqrt();
-        x.extend(columns.iter().map(|value| weight * value));
-        tau.push(weight * torque);
+        x.extend(
+            row.columns(layout, joint)
+                .iter()
+                .map(|value| weight * value),
+        );
+        tau.push(weight * row.clean[joint]);
     }
-    let mut sums = JointSums::new(active.len());
+    let mut sums = JointSums::new(active);
     sums.add(&x, &tau);
-    (sums, sigma)
+    sums
 }
 
 /// RMS residual of each joint, N·m, corrected for the parameters its equations paid for.

@@ -4,9 +4,13 @@
 //! `normal` (one pass over any number of rows, memory that does not grow) → `methods` → `validation` → `record`.
 
 mod bank;
+mod bootstrap;
 mod columns;
 mod consistent;
 mod filter;
+mod fourier;
+mod gains;
+mod learning_curve;
 mod log;
 mod methods;
 mod normal;
@@ -19,6 +23,7 @@ mod speed;
 mod split;
 mod stream;
 mod study;
+mod trial;
 mod truth;
 mod validation;
 
@@ -30,7 +35,10 @@ pub use methods::{Fit, METHODS, MethodName};
 pub use normal::{IdentificationError, NormalEquations};
 pub use page::page;
 pub use prepare::{MotionSource, Preparation, PrepareConfig, Prepared};
-pub use record::{MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord};
+pub use record::{
+    GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,
+};
 pub use stream::{Gathered, SampleRow, for_each_prepared};
 pub use study::{IdentifyConfig, Outcome, Progress, identify};
+pub use trial::{Trial, fit_rows};
 pub use validation::{Candidate, FileScores};

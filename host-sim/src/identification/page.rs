@@ -53,6 +53,7 @@ pub fn page<const N: usize>(
         sections.push(trace_section(report, trace)?);
     }
     sections.extend(loss_section(report)?);
+    sections.extend(needs_section(report));
     sections.push(parameters_section(report));
     let notes: Vec<Vec<String>> = report.notes.iter().map(|note| vec![note.clone()]).collect();
     sections.push(Section {
@@ -124,7 +125,11 @@ fn methods_section(report: &Report) -> Section {
 }
 
 fn file_section<const N: usize>(report: &Report, file: &str) -> Section {
-    let mut header = vec!["method".to_owned(), "all joints".to_owned()];
+    let mut header = vec![
+        "method".to_owned(),
+        "all joints".to_owned(),
+        "95 %".to_owned(),
+    ];
     header.extend((1..=N).map(|joint| format!("J{joint} / N·m")));
     header.extend(["bound".to_owned()]);
     let rows = report.methods.iter().filter_map(|(name, method)| {
@@ -132,6 +137,11 @@ fn file_section<const N: usize>(report: &Report, file: &str) -> Section {
         let mut row = vec![
             name.clone(),
             format!("{:.2} %", 100.0 * record.joints_nrmse_moving_ratio),
+            record
+                .joints_nrmse_moving_ratio_ci95
+                .map_or("–".to_owned(), |[low, high]| {
+                    format!("{:.2} … {:.2} %", 100.0 * low, 100.0 * high)
+                }),
         ];
         row.extend(
             record
@@ -146,7 +156,7 @@ fn file_section<const N: usize>(report: &Report, file: &str) -> Section {
     let header: Vec<&str> = header.iter().map(String::as_str).collect();
     Section {
         heading: format!("Unseen: {file}"),
-        caption: "RMS error of each joint while it moves, and the Cramér–Rao bound of the part that training noise causes."
+        caption: "RMS error of each joint while it moves, the interval by bootstrap over seconds of this log, and the Cramér–Rao bound of the part that training noise causes."
             .to_owned(),
         legend: Vec::new(),
         body: table(&header, &rows.collect::<Vec<_>>()),
@@ -232,6 +242,38 @@ fn loss_section(report: &Report) -> Result<Option<Section>, Box<dyn Error>> {
     }))
 }
 
+/// Error on the first validation log by rows of training.
+fn needs_section(report: &Report) -> Option<Section> {
+    let curves = || report.methods.values().map(|method| &method.learning_curve);
+    let longest = curves().max_by_key(|curve| curve.len())?;
+    if longest.is_empty() {
+        return None;
+    }
+    let mut header = vec!["method".to_owned()];
+    header.extend(longest.iter().map(|point| format!("{} rows", point.rows)));
+    header.push("seconds, all rows".to_owned());
+    let rows = report.methods.iter().map(|(name, method)| {
+        let curve = &method.learning_curve;
+        let mut row = vec![name.clone()];
+        row.extend(longest.iter().map(|wanted| {
+            let point = curve.iter().find(|point| point.rows == wanted.rows);
+            point.map_or("–".to_owned(), |point| {
+                format!("{:.2} %", 100.0 * point.joints_nrmse_moving_ratio)
+            })
+        }));
+        let last = curve.last();
+        row.push(last.map_or("–".to_owned(), |point| format!("{:.3}", point.seconds)));
+        row
+    });
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    Some(Section {
+        heading: "Rows and seconds each method needs".to_owned(),
+        caption: "Torque error on the first unseen file after training on the first rows of the logs only.".to_owned(),
+        legend: Vec::new(),
+        body: table(&header, &rows.collect::<Vec<_>>()),
+    })
+}
+
 fn parameters_section(report: &Report) -> Section {
     let method = report.methods.get("irls").or_else(|| {
         report
@@ -247,6 +289,9 @@ fn parameters_section(report: &Report) -> Section {
                     parameter.name.clone(),
                     format!("{:.5}", parameter.value),
                     format!("{:.5}", parameter.std),
+                    parameter.ci95.map_or("–".to_owned(), |[low, high]| {
+                        format!("{low:.5} … {high:.5}")
+                    }),
                     parameter
                         .truth
                         .map_or("–".to_owned(), |truth| format!("{truth:.5}")),
@@ -260,6 +305,6 @@ fn parameters_section(report: &Report) -> Section {
         caption: "Base set: the first independent columns from left to right, links in Craig frames, about the link origin."
             .to_owned(),
         legend: Vec::new(),
-        body: table(&["parameter", "value", "deviation", "truth", "unit"], &rows),
+        body: table(&["parameter", "value", "deviation", "95 %", "truth", "unit"], &rows),
     }
 }

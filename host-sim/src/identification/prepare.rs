@@ -41,6 +41,8 @@ pub struct Preparation {
     pub acceleration: MotionSource,
     /// A joint slower than this stands still, rad/s.
     pub still_rad_s: f64,
+    /// Stride of rows that were folded into one period and projected on harmonics.
+    pub(super) folded_stride: Option<usize>,
     motion: Option<Butterworth>,
     torque: Option<Butterworth>,
 }
@@ -60,6 +62,7 @@ impl Preparation {
             velocity,
             acceleration,
             still_rad_s: config.still_rad_s,
+            folded_stride: None,
             motion: Butterworth::new(config.motion_hz, period_s),
             torque: config
                 .torque_hz
@@ -93,6 +96,9 @@ impl Preparation {
     /// Rows taken at just that rate are white again: nothing a slow motion says is lost, and the residuals' variance
     /// gives the parameters' deviations without correction.
     pub fn stride(&self) -> usize {
+        if let Some(stride) = self.folded_stride {
+            return stride;
+        }
         self.torque.as_ref().map_or(1, |filter| {
             let rate_hz = 2.0 * 0.898 * filter.cutoff_hz();
             ((1.0 / (rate_hz * self.period_s)).round() as usize).max(1)
@@ -100,7 +106,7 @@ impl Preparation {
     }
 
     /// Half width of the running median that finds spikes: 7 ms, in which a joint torque hardly bends, 2 rows at least.
-    fn spike_reach(&self) -> usize {
+    pub(super) fn spike_reach(&self) -> usize {
         ((0.007 / self.period_s).round() as usize).clamp(2, 7)
     }
 
@@ -179,19 +185,47 @@ pub struct Prepared<const N: usize> {
 impl<const N: usize> Prepared<N> {
     /// Prepares a stretch.
     pub fn new(stretch: &Stretch<N>, preparation: &Preparation, layout: &Layout<N>) -> Self {
-        let states = preparation.motion(&stretch.rows);
+        let tau: Vec<f64> = stretch.rows.iter().flat_map(|row| row.tau).collect();
+        let (clean, spikes) = despiked(&tau, N, preparation.spike_reach());
+        let raw = Raw {
+            index: stretch.index,
+            states: preparation.motion(&stretch.rows),
+            tau,
+            clean,
+            spikes,
+            core: stretch.core.clone(),
+            t_s: stretch.rows.iter().map(|row| row.t_s).collect(),
+        };
+        Self::of(raw, preparation, layout, &|table, width| {
+            preparation.smooth_torque(table, width);
+        })
+    }
+
+    /// Regressor and torque through the same filter `smooth`, which takes a table and its width.
+    pub(super) fn of(
+        raw: Raw<N>,
+        preparation: &Preparation,
+        layout: &Layout<N>,
+        smooth: &dyn Fn(&mut [f64], usize),
+    ) -> Self {
+        let Raw {
+            index,
+            states,
+            mut tau,
+            mut clean,
+            spikes,
+            core,
+            t_s,
+        } = raw;
         let mut scratch = DMatrix::zeros(N, (crate::robot::LINK_PARAMETERS + 1) * N);
         let mut panel = Vec::with_capacity(states.len() * layout.width);
-        for (state, row) in states.iter().zip(&stretch.rows) {
-            let age_s = row.t_s - preparation.start_s;
-            layout.append_row(state, age_s, &mut scratch, &mut panel);
+        for (state, t_s) in states.iter().zip(&t_s) {
+            layout.append_row(state, t_s - preparation.start_s, &mut scratch, &mut panel);
         }
-        let mut tau: Vec<f64> = stretch.rows.iter().flat_map(|row| row.tau).collect();
-        let (mut clean, spikes) = despiked(&tau, N, preparation.spike_reach());
         let mut speeds = SpeedSums::new(layout);
-        for row in stretch.core.clone() {
+        for row in core.clone() {
             // Blocks of a second take turns.
-            let half = ((stretch.rows[row].t_s - preparation.start_s) as usize) % 2;
+            let half = ((t_s[row] - preparation.start_s) as usize) % 2;
             let panel = &panel[row * layout.width..(row + 1) * layout.width];
             for joint in 0..N {
                 let qd = states[row].qd[joint];
@@ -200,19 +234,37 @@ impl<const N: usize> Prepared<N> {
                 }
             }
         }
-        preparation.smooth_torque(&mut panel, layout.width);
-        preparation.smooth_torque(&mut tau, N);
-        preparation.smooth_torque(&mut clean, N);
+        smooth(&mut panel, layout.width);
+        smooth(&mut tau, N);
+        smooth(&mut clean, N);
         Self {
-            index: stretch.index,
+            index,
+            states,
             panel,
             tau,
             clean,
             spikes,
-            core: stretch.core.clone(),
-            t_s: stretch.rows.iter().map(|row| row.t_s).collect(),
-            states,
+            core,
+            t_s,
             speeds,
         }
     }
+}
+
+/// What a stretch says before its regressor is made.
+pub(super) struct Raw<const N: usize> {
+    /// Number of the stretch.
+    pub(super) index: usize,
+    /// Motion.
+    pub(super) states: Vec<State<N>>,
+    /// Torques, N a row, N·m.
+    pub(super) tau: Vec<f64>,
+    /// The same without spikes.
+    pub(super) clean: Vec<f64>,
+    /// Spikes taken out.
+    pub(super) spikes: usize,
+    /// The rows that count.
+    pub(super) core: Range<usize>,
+    /// Times, s.
+    pub(super) t_s: Vec<f64>,
 }

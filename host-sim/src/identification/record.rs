@@ -20,6 +20,10 @@ pub struct ValidationRecord {
     pub torque_rms_moving_nm: Vec<Option<f64>>,
     /// Root of the mean over the joints of `nrmse_moving_ratio` squared.
     pub joints_nrmse_moving_ratio: f64,
+    /// Where `joints_nrmse_moving_ratio` lies with 95 % confidence: bootstrap over blocks of one second of this log.
+    pub joints_nrmse_moving_ratio_ci95: Option<[f64; 2]>,
+    /// The same of `rmse_moving_nm`.
+    pub rmse_moving_nm_ci95: Vec<Option<[f64; 2]>>,
     /// Moving rows of every joint.
     pub rows_moving: Vec<u64>,
     /// The part of it that the noise of the training log must cause at least (Cramér–Rao).
@@ -39,6 +43,10 @@ pub struct ParameterRecord {
     pub unit: String,
     /// Standard deviation.
     pub std: f64,
+    /// 95 % confidence interval by bootstrap over 40 blocks of the training rows (`ols`, `wls`, `irls`): unlike `std` it
+    /// counts errors of the model that last longer than a row.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
     /// True value, where known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<f64>,
@@ -51,6 +59,19 @@ pub struct SplitRecord {
     pub rmse_moving_nm: Vec<Option<f64>>,
     /// The same over RMS torque.
     pub nrmse_moving_ratio: Vec<Option<f64>>,
+}
+
+/// What a method makes of the first part of the training rows.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LearningPoint {
+    /// Share of the rows, from the start.
+    pub share_ratio: f64,
+    /// Rows.
+    pub rows: usize,
+    /// Time of the fit, s.
+    pub seconds: f64,
+    /// Error on the first validation log.
+    pub joints_nrmse_moving_ratio: f64,
 }
 
 /// One method.
@@ -73,6 +94,9 @@ pub struct MethodRecord {
     pub epochs: usize,
     /// Time of the fit, without reading the logs, s.
     pub seconds: f64,
+    /// What it makes of growing shares of at most 4000 rows; shares that do not show every parameter are left out.
+    /// `bp_residual` is given filtered rows here, which serve it worse than the raw ones of the whole log.
+    pub learning_curve: Vec<LearningPoint>,
     /// Loss by epoch, thinned: epoch, RMSE as a ratio of the noise (`bp_physical`), of the spread of the torques
     /// (`bp_black_box`), of the torque limit (`bp_residual`, mean of the joints).
     pub loss_ratio: Vec<(usize, f64)>,
@@ -88,6 +112,19 @@ pub struct MethodRecord {
     pub base_parameter_error_ratio_by_epoch: Vec<(usize, f64)>,
 }
 
+/// The gain of one drive.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct GainRecord {
+    /// Gain that was used, N·m/A.
+    pub gain_nm_a: f64,
+    /// Its standard deviation; `null` where standstill does not tell it and the description's was taken.
+    pub std_nm_a: Option<f64>,
+    /// Gain of the description, N·m/A.
+    pub description_nm_a: f64,
+    /// Times the arm stood still.
+    pub stands: usize,
+}
+
 /// The whole report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
@@ -99,10 +136,15 @@ pub struct Report {
     pub seed: u64,
     /// Friction columns.
     pub columns: String,
+    /// Drive gains found from standstill, joint by joint; none where those of the description were taken.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub drive_gains: Vec<GainRecord>,
     /// Training logs.
     pub logs: Vec<String>,
     /// What was derived, cut, or thinned.
     pub notes: Vec<String>,
+    /// Period on which training logs were folded, s.
+    pub fold_period_s: Option<f64>,
     /// Cut-off of the filter on the motion, Hz.
     pub motion_cutoff_hz: f64,
     /// Cut-off of the filter on torque and regressor, Hz; `null` for none.

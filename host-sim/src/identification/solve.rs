@@ -2,7 +2,7 @@
 
 use super::columns::Layout;
 use super::consistent::consistent;
-use super::methods::{Fit, MethodName, irls, ols, wls};
+use super::methods::{Fit, MethodName, huber, irls, ols, wls};
 use super::normal::NormalEquations;
 use super::record::{MethodRecord, ParameterRecord, SplitRecord};
 use super::residual::residual;
@@ -13,6 +13,7 @@ use super::truth::base_error;
 use super::validation::Candidate;
 use crate::robot::Robot;
 use crate::training::{BlackBox, Descent, LinearLayer, PhysicalConfig, Trained};
+use nalgebra::DVector;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::time::Instant;
@@ -86,6 +87,15 @@ impl<'a, const N: usize> Material<'a, N> {
             speeds,
             rows: sample.len(),
             sample,
+        }
+    }
+}
+
+impl<const N: usize> Material<'_, N> {
+    /// Huber's weights for the residuals of `theta` on the sums without spikes.
+    pub(super) fn weigh(&mut self, layout: &Layout<N>, theta: &DVector<f64>, sigma: &[f64; N]) {
+        for (joint, (sums, &sigma)) in self.clean_sums.joints.iter_mut().zip(sigma).enumerate() {
+            *sums = huber(joint, &self.sample, layout, theta, sigma);
         }
     }
 }
@@ -267,6 +277,7 @@ impl<const N: usize> Solved<N> {
                 value: fit.theta[place],
                 unit: parameter.unit.to_owned(),
                 std: deviations[place],
+                ci95: None,
                 truth: truth.and_then(|truth| truth[place]),
             })
             .collect()
@@ -287,6 +298,7 @@ impl<const N: usize> Solved<N> {
             rows: self.rows,
             epochs: self.epochs,
             seconds: self.seconds,
+            learning_curve: Vec::new(),
             loss_ratio: self.losses.clone(),
             distance_from_free_nats: self.distance_nats,
             epochs_to_1_05_wls: self.epochs_to_wls,

@@ -1,8 +1,10 @@
 //! The paper's split: 80 % of the rows to train on, 20 % to judge by. It flatters.
 
+use super::columns::Layout;
 use super::record::SplitRecord;
 use super::solve::{Material, Problem, solve_all};
 use super::stream::{Gathered, SampleRow};
+use super::validation::Candidate;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::error::Error;
@@ -26,27 +28,34 @@ pub(super) fn split<const N: usize>(
     Ok(solved
         .iter()
         .map(|solved| {
-            let (mut rmse, mut ratio) = (Vec::new(), Vec::new());
-            for joint in 0..N {
-                let (mut error, mut power, mut count) = (0.0, 0.0, 0.0);
-                for row in held_out.iter().filter(|row| row.moving[joint]) {
-                    let theta = solved.candidate.theta();
-                    let linear = theta.map_or(0.0, |theta| row.linear(layout, theta, joint));
-                    let network = solved
-                        .candidate
-                        .network(&row.state)
-                        .map_or(0.0, |tau| tau[joint]);
-                    error += (linear + network - row.tau[joint]).powi(2);
-                    power += row.tau[joint].powi(2);
-                    count += 1.0;
-                }
-                rmse.push((count > 0.0).then(|| f64::sqrt(error / count)));
-                ratio.push((power > 0.0).then(|| f64::sqrt(error / power)));
-            }
+            let (rmse_moving_nm, nrmse_moving_ratio) = errors(layout, &solved.candidate, &held_out);
             SplitRecord {
-                rmse_moving_nm: rmse,
-                nrmse_moving_ratio: ratio,
+                rmse_moving_nm,
+                nrmse_moving_ratio,
             }
         })
         .collect())
+}
+
+/// RMS error of every joint over its moving rows, N·m, and over the RMS torque.
+pub(super) fn errors<const N: usize>(
+    layout: &Layout<N>,
+    candidate: &Candidate<N>,
+    rows: &[&SampleRow<N>],
+) -> (Vec<Option<f64>>, Vec<Option<f64>>) {
+    let (mut rmse, mut ratio) = (Vec::new(), Vec::new());
+    for joint in 0..N {
+        let (mut error, mut power, mut count) = (0.0, 0.0, 0.0);
+        for row in rows.iter().filter(|row| row.moving[joint]) {
+            let theta = candidate.theta();
+            let linear = theta.map_or(0.0, |theta| row.linear(layout, theta, joint));
+            let network = candidate.network(&row.state).map_or(0.0, |tau| tau[joint]);
+            error += (linear + network - row.tau[joint]).powi(2);
+            power += row.tau[joint].powi(2);
+            count += 1.0;
+        }
+        rmse.push((count > 0.0).then(|| f64::sqrt(error / count)));
+        ratio.push((power > 0.0).then(|| f64::sqrt(error / power)));
+    }
+    (rmse, ratio)
 }

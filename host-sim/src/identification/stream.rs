@@ -255,6 +255,26 @@ pub struct SampleRow<const N: usize> {
     pub panel: Box<[f64]>,
 }
 
+impl<const N: usize> SampleRow<N> {
+    /// One row of a prepared stretch.
+    pub(super) fn of(
+        layout: &Layout<N>,
+        preparation: &Preparation,
+        prepared: &Prepared<N>,
+        row: usize,
+    ) -> Self {
+        let state = prepared.states[row];
+        let values = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
+        Self {
+            state,
+            tau: values(&prepared.tau),
+            clean: values(&prepared.clean),
+            moving: std::array::from_fn(|joint| state.qd[joint].abs() > preparation.still_rad_s),
+            panel: prepared.panel[row * layout.width..(row + 1) * layout.width].into(),
+        }
+    }
+}
+
 /// Most rows of the sample.
 pub(super) const SAMPLE: usize = 60_000;
 
@@ -324,18 +344,9 @@ impl<const N: usize> Gathered<N> {
             self.clean_sums.joints[joint].add(&x, &clean);
         }
         for &row in &rows {
-            let state = prepared.states[row];
             if self.rows.is_multiple_of(self.thinning) {
-                let values = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
-                self.sample.push(SampleRow {
-                    state,
-                    tau: values(&prepared.tau),
-                    clean: values(&prepared.clean),
-                    moving: std::array::from_fn(|joint| {
-                        state.qd[joint].abs() > preparation.still_rad_s
-                    }),
-                    panel: prepared.panel[row * layout.width..(row + 1) * layout.width].into(),
-                });
+                self.sample
+                    .push(SampleRow::of(layout, preparation, prepared, row));
             }
             self.rows += 1;
             if self.sample.len() > SAMPLE {

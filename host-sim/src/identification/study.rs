@@ -1,7 +1,11 @@
 //! All methods side by side on the same logs.
 
+use super::bootstrap::parameter_intervals;
 use super::columns::{ColumnSet, Layout};
 use super::consistent::consistent;
+use super::fourier::folded;
+use super::gains::standstill_gains;
+use super::learning_curve::learning_curves;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::IdentificationError;
 use super::prepare::PrepareConfig;
@@ -27,7 +31,11 @@ pub struct IdentifyConfig {
     pub columns: ColumnSet,
     /// Filters and standstill.
     pub prepare: PrepareConfig,
-    /// Seed of random starts and of the split.
+    /// Training logs repeat with this period, s: fold them and project on its harmonics instead of filtering.
+    pub fold_period_s: Option<f64>,
+    /// Find the drive gains from standstill first.
+    pub gains_from_standstill: bool,
+    /// Seed of random starts, of the split and of resampling.
     pub seed: u64,
     /// The robot whose parameters are the truth, if somebody knows it.
     pub truth: Option<Robot>,
@@ -63,6 +71,16 @@ pub fn identify<const N: usize>(
     config: &IdentifyConfig,
     progress: Progress<'_>,
 ) -> Result<Outcome<N>, Box<dyn Error>> {
+    let mut robot = robot.clone();
+    let mut drive_gains = Vec::new();
+    if config.gains_from_standstill {
+        progress("drive gains");
+        drive_gains = standstill_gains::<N>(&robot, logs, config.prepare.still_rad_s)?;
+        for (joint, record) in robot.joints.iter_mut().zip(&drive_gains) {
+            joint.drive.gain = record.gain_nm_a;
+        }
+    }
+    let robot = &robot;
     let other_size = || format!("robot '{}' has not {N} joints", robot.name);
     let layout = Layout::<N>::new(robot, &config.columns).ok_or_else(other_size)?;
     let (on_board, left_out) = config.columns.on_board();
@@ -89,6 +107,16 @@ pub fn identify<const N: usize>(
             solved.record(&layout, truth.as_deref(), split),
         );
     }
+    for solved in &solved {
+        let intervals = parameter_intervals(&layout, &all, solved, config.seed);
+        if let (Some(intervals), Some(method)) =
+            (intervals, methods.get_mut(&solved.name.to_string()))
+        {
+            for (parameter, interval) in method.parameters.iter_mut().zip(intervals) {
+                parameter.ci95 = Some(interval);
+            }
+        }
+    }
     if let Some(trained) = methods.get_mut("bp_physical") {
         trained.base_parameter_error_ratio_by_epoch =
             error_curve(&all, &layout, &bound, truth.as_deref(), config.seed);
@@ -112,6 +140,7 @@ pub fn identify<const N: usize>(
         let limit = scores.propagated(&layout, &bound.covariance);
         for (place, solved) in solved.iter().enumerate() {
             let mut record = scores.record(place);
+            scores.intervals(place, config.seed, &mut record);
             record.cramer_rao_nrmse_moving_ratio = Some(limit);
             if let (Some(truth), Candidate::Linear(theta)) = (&truth, &solved.candidate)
                 && truth.iter().all(Option::is_some)
@@ -128,6 +157,12 @@ pub fn identify<const N: usize>(
             }
         }
         if trace.is_empty() {
+            progress("growing shares of the logs");
+            for (name, curve) in learning_curves(&problem, &gathered, &scores.sample) {
+                if let Some(method) = methods.get_mut(&name.to_string()) {
+                    method.learning_curve = curve;
+                }
+            }
             trace = scores.trace;
         }
     }
@@ -151,8 +186,10 @@ pub fn identify<const N: usize>(
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: config.seed,
         columns: config.columns.to_string(),
+        drive_gains,
         logs: logs.iter().map(|path| key_of(path, logs)).collect(),
         notes,
+        fold_period_s: config.fold_period_s,
         motion_cutoff_hz: config.prepare.motion_hz,
         torque_cutoff_hz: config.prepare.torque_hz,
         still_rad_s: config.prepare.still_rad_s,
@@ -199,6 +236,12 @@ fn gather<const N: usize>(
     let mut gathered = Gathered::new(layout);
     for path in logs {
         progress(&format!("reading {}", path.display()));
+        if let Some(period_s) = config.fold_period_s {
+            let (preparation, prepared) =
+                folded(path, robot, layout, &config.prepare, period_s, notes)?;
+            gathered.add(layout, &preparation, &prepared);
+            continue;
+        }
         for_each_prepared(
             path,
             robot,

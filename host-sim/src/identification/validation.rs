@@ -1,9 +1,11 @@
 //! How well a model says the torques of a log it has not seen.
 
+use super::bootstrap::{middle, resample};
 use super::columns::Layout;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
 use super::record::ValidationRecord;
+use super::stream::SampleRow;
 use crate::dynamics::State;
 use crate::training::BlackBox;
 use foretorque::feedforward::{JointNetwork, NETWORK_BOUND};
@@ -76,10 +78,25 @@ pub struct FileScores<const N: usize> {
     range: [(f64, f64); N],
     /// Sums over the moving rows, for bounds.
     pub sums: NormalEquations<N>,
+    /// Sums over the moving rows of each second.
+    blocks: Vec<Block<N>>,
+    /// A thinned sample of its rows.
+    pub sample: Vec<SampleRow<N>>,
     /// Time, measured torque, and the torque that every candidate predicts, thinned, for the plot.
     pub trace: Vec<(f64, [f64; N], Vec<[f64; N]>)>,
 }
 
+/// Squared errors of every candidate, squared torques and rows of one second, moving rows only.
+#[derive(Clone, Debug)]
+struct Block<const N: usize> {
+    second: i64,
+    errors: Vec<[f64; N]>,
+    torque: [f64; N],
+    count: [f64; N],
+}
+
+/// Rows a sample keeps.
+const SAMPLE: usize = 2000;
 /// Points a trace keeps.
 const TRACE: usize = 1500;
 
@@ -93,6 +110,8 @@ impl<const N: usize> FileScores<N> {
             count: zero,
             range: [(f64::INFINITY, f64::NEG_INFINITY); N],
             sums: NormalEquations::new(layout),
+            blocks: Vec::new(),
+            sample: Vec::new(),
             trace: Vec::new(),
         }
     }
@@ -117,6 +136,7 @@ impl<const N: usize> FileScores<N> {
             })
             .collect();
         let stride = preparation.stride();
+        let (first, seconds) = self.open_blocks(prepared, candidates.len());
         for (joint, active) in layout.active.iter().enumerate() {
             let (mut x, mut tau) = (Vec::new(), Vec::new());
             for row in prepared.core.clone() {
@@ -124,6 +144,8 @@ impl<const N: usize> FileScores<N> {
                 let moving = prepared.states[row].qd[joint].abs() > preparation.still_rad_s;
                 let start = row * layout.width + layout.offset[joint];
                 let columns = &prepared.panel[start..start + active.len()];
+                let place = first + seconds[row - prepared.core.start];
+                let block = &mut self.blocks[place];
                 let put = |sums: &mut Sums, value: f64| {
                     if moving {
                         sums.moving += value;
@@ -131,18 +153,27 @@ impl<const N: usize> FileScores<N> {
                         sums.still += value;
                     }
                 };
-                for ((candidate, shares), errors) in
-                    candidates.iter().zip(&networks).zip(&mut self.errors)
+                for (((candidate, shares), errors), in_block) in candidates
+                    .iter()
+                    .zip(&networks)
+                    .zip(&mut self.errors)
+                    .zip(&mut block.errors)
                 {
                     let linear = candidate.linear(columns, active);
                     let share = shares
                         .as_ref()
                         .map_or(0.0, |shares| shares[row * N + joint]);
-                    put(&mut errors[joint], (linear + share - measured).powi(2));
+                    let square = (linear + share - measured).powi(2);
+                    put(&mut errors[joint], square);
+                    if moving {
+                        in_block[joint] += square;
+                    }
                 }
                 put(&mut self.torque[joint], measured * measured);
                 put(&mut self.count[joint], 1.0);
                 if moving {
+                    block.torque[joint] += measured * measured;
+                    block.count[joint] += 1.0;
                     let (low, high) = self.range[joint];
                     self.range[joint] = (low.min(measured), high.max(measured));
                     if row % stride == 0 {
@@ -152,6 +183,12 @@ impl<const N: usize> FileScores<N> {
                 }
             }
             self.sums.joints[joint].add(&x, &tau);
+        }
+        for row in prepared.core.clone().step_by(stride) {
+            if self.sample.len() < SAMPLE {
+                self.sample
+                    .push(SampleRow::of(layout, preparation, prepared, row));
+            }
         }
         for row in prepared.core.clone().step_by(stride) {
             if self.trace.len() >= TRACE {
@@ -170,6 +207,70 @@ impl<const N: usize> FileScores<N> {
             self.trace
                 .push((prepared.t_s[row], at(&prepared.tau), predicted));
         }
+    }
+
+    /// Opens a block for every second of the stretch; returns the first of them and, row by row, which of them it is.
+    fn open_blocks(&mut self, prepared: &Prepared<N>, candidates: usize) -> (usize, Vec<usize>) {
+        let mut first = self.blocks.len();
+        let second = |row: usize| prepared.t_s[row].floor() as i64;
+        if let (Some(last), Some(row)) = (self.blocks.last(), prepared.core.clone().next())
+            && last.second == second(row)
+        {
+            first -= 1;
+        }
+        let places = prepared
+            .core
+            .clone()
+            .map(|row| {
+                if self.blocks.len() == first
+                    || self.blocks.last().map(|block| block.second) != Some(second(row))
+                {
+                    self.blocks.push(Block {
+                        second: second(row),
+                        errors: vec![[0.0; N]; candidates],
+                        torque: [0.0; N],
+                        count: [0.0; N],
+                    });
+                }
+                self.blocks.len() - 1 - first
+            })
+            .collect();
+        (first, places)
+    }
+
+    /// Puts the 95 % intervals of one candidate into its record.
+    pub fn intervals(&self, candidate: usize, seed: u64, record: &mut ValidationRecord) {
+        let draws = resample(self.blocks.len().max(1), seed, |draw| {
+            let (mut errors, mut torque, mut count) = ([0.0; N], [0.0; N], [0.0; N]);
+            for &place in draw {
+                let block = self.blocks.get(place)?;
+                for joint in 0..N {
+                    errors[joint] += block.errors[candidate][joint];
+                    torque[joint] += block.torque[joint];
+                    count[joint] += block.count[joint];
+                }
+            }
+            Some((errors, torque, count))
+        });
+        let mut ratios: Vec<f64> = draws
+            .iter()
+            .map(|(errors, torque, _)| {
+                let ratios = errors
+                    .iter()
+                    .zip(torque)
+                    .filter(|(_, torque)| **torque > 0.0);
+                let ratios: Vec<f64> = ratios.map(|(error, torque)| error / torque).collect();
+                (ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt()
+            })
+            .collect();
+        record.joints_nrmse_moving_ratio_ci95 = middle(&mut ratios);
+        record.rmse_moving_nm_ci95 = (0..N)
+            .map(|joint| {
+                let moved = draws.iter().filter(|(_, _, count)| count[joint] > 0.0);
+                let rmse = moved.map(|(errors, _, count)| (errors[joint] / count[joint]).sqrt());
+                middle(&mut rmse.collect::<Vec<f64>>())
+            })
+            .collect();
     }
 
     /// The figures of one candidate.
@@ -197,6 +298,8 @@ impl<const N: usize> FileScores<N> {
                 Some(moving(j)? / (high - low))
             }),
             torque_rms_moving_nm: joints(&torque),
+            joints_nrmse_moving_ratio_ci95: None,
+            rmse_moving_nm_ci95: Vec::new(),
             joints_nrmse_moving_ratio: (squares / ratios.len().max(1) as f64).sqrt(),
             rows_moving: (0..N).map(|j| self.count[j].moving as u64).collect(),
             cramer_rao_nrmse_moving_ratio: None,

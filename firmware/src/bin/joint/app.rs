@@ -137,6 +137,9 @@ mod app {
         let Some(learner) = furnish(cx.local.learner_room, period_s, prior) else {
             fault::leave(Reason::Setup, line!());
         };
+        if let Some(joint) = board::OWN_JOINT {
+            learner.learn_only(joint);
+        }
         let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
 

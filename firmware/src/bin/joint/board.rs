@@ -55,6 +55,10 @@ pub(crate) const WATCHDOG_PRESCALER: u8 = 2;
 /// ends after 50 ms of silence all the same; what takes longer is a hung task.
 pub(crate) const WATCHDOG_RELOAD: u16 = 200;
 
+/// The only joint that this board drives, from 0, and so the only one whose rows it learns from; `None` for all. The
+/// torques of all joints are computed either way: the recursion passes through all of them.
+pub(crate) const OWN_JOINT: Option<usize> = None;
+
 /// The ports whose pins are used here.
 pub(crate) struct Ports {
     pub(crate) a: GPIOA,

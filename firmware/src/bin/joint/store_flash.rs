@@ -131,11 +131,8 @@ impl NorFlash for StoreFlash {
             for sector in sectors {
                 let number = STORE_SECTOR + sector as u8;
                 let cr = flash.registers.cr();
-                cr.write(|w| {
-                    // SAFETY: 10 and 11 are sectors of this chip, and memory.x keeps the program out of them.
-                    let w = unsafe { w.snb().bits(number) };
-                    w.psize().psize32().ser().set_bit()
-                });
+                // SAFETY: 10 and 11 are sectors of this chip, and memory.x keeps the program out of them.
+                cr.write(|w| unsafe { w.psize().psize32().ser().set_bit().snb().bits(number) });
                 cr.modify(|_, w| w.strt().set_bit());
                 flash.finished()?;
             }

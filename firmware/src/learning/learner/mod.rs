@@ -60,6 +60,8 @@ pub struct LearnerState<const N: usize, const P: usize> {
 pub struct Learner<A: Arm<N, P>, const N: usize, const P: usize> {
     config: LearnerConfig<N, P>,
     state: LearnerState<N, P>,
+    /// The only joint whose rows count, if not all do.
+    own: Option<usize>,
     arm: PhantomData<A>,
 }
 
@@ -87,6 +89,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 closed_round: None,
                 pending: [None; N],
             },
+            own: None,
             arm: PhantomData,
         })
     }
@@ -108,6 +111,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.next_tick = 0;
         self.state.start_from(prior);
         Ok(())
+    }
+
+    /// From now on learns from the rows of `joint` alone, one tick in `N`: for a board that drives that joint only. The
+    /// other joints keep their friction and network; rigid-body parameters are still those of the whole arm, as far as
+    /// this joint sees them. A restart leaves it so.
+    pub fn learn_only(&mut self, joint: usize) {
+        self.own = Some(joint);
     }
 
     /// What the learner knows.
@@ -147,6 +157,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let mut step = None;
         if !lesson.enabled {
             self.state.resume(lesson.tick);
+        } else if self.own.is_some_and(|own| own != joint) {
+            // Who learns for one joint drives that one: how the torques of the others step binds nobody.
+            step = Some(0.0);
         } else if self.state.report.quality.phase != Phase::Stopped {
             match self.state.window.conditioned(self.config.inv_period) {
                 Some(seen) => step = self.learn_row(joint, &seen),

@@ -94,6 +94,24 @@ fn each_tick_teaches_the_network_of_its_own_joint_only() {
 }
 
 #[test]
+fn a_learner_of_one_joint_learns_from_its_rows_and_leaves_the_others_as_they_are() {
+    let mut learner = learner();
+    learner.learn_only(1);
+    teach(&mut learner, 0..600, true);
+    let LearnerState {
+        prior, candidate, ..
+    } = &learner.state;
+    assert_ne!(candidate.rigid, prior.rigid);
+    for joint in 0..N {
+        let moved = candidate.network[joint] != prior.network[joint]
+            || candidate.friction[joint] != prior.friction[joint];
+        assert_eq!(moved, joint == 1, "joint {joint}");
+    }
+    let statistics = learner.state.statistics;
+    assert!(statistics.accepted > 0 && statistics.accepted <= 100);
+}
+
+#[test]
 fn a_joint_that_hardly_moves_teaches_nothing() {
     let mut learner = learner();
     for tick in 0..100 {

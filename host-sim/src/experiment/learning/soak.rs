@@ -77,6 +77,8 @@ struct Source<'w> {
     arms: [Plant<N>; 2],
     random: ChaCha8Rng,
     tick: usize,
+    /// The arm as it was at the last sample: without or with a payload.
+    arm: usize,
 }
 
 impl<'w> Source<'w> {
@@ -93,6 +95,7 @@ impl<'w> Source<'w> {
             arms: [plant, loaded],
             random: ChaCha8Rng::seed_from_u64(world.seed),
             tick: 0,
+            arm: 0,
         })
     }
 
@@ -101,7 +104,8 @@ impl<'w> Source<'w> {
         self.tick += 1;
         let wanted = self.path.at(t_s);
         let held = t_s % PAYLOAD_EVERY_S > PAYLOAD_EVERY_S - 10.0;
-        let torque = self.arms[usize::from(held)].true_torque(&wanted);
+        self.arm = usize::from(held);
+        let torque = self.arms[self.arm].true_torque(&wanted);
         let joints = &self.world.described.joints;
         let measured = JointMeasurement {
             q: wanted.q.map(|q| {
@@ -191,7 +195,7 @@ fn native(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
             advance();
         }
     }
-    let needed = world.needed(&source.arms[0]);
+    let needed = world.needed(&source.arms[source.arm]);
     let error = world.error(&world.said(board.active()), &needed);
     Ok(SoakReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),

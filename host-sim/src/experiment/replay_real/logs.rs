@@ -131,6 +131,8 @@ fn batch(
         columns,
         prepare: PREPARE,
         seed,
+        fold_period_s: None,
+        gains_from_standstill: false,
         truth: None,
     };
     let outcome = identify::<N>(robot, training, held_out, &config, &|_| ())?;

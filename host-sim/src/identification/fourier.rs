@@ -1,0 +1,286 @@
+//! Periodic logs: all periods folded into one and projected on its harmonics.
+//!
+//! A motion that repeats has nothing between the harmonics of its period, so whatever is there is noise: averaging and
+//! projection take it out without any edge, and the derivatives of the series are exact [Swevers et al. 1997]. Regressor
+//! and torque are projected on the same harmonics.
+
+use super::columns::Layout;
+use super::filter::{despiked, median};
+use super::log::{LogReader, LogRow};
+use super::prepare::{MotionSource, Preparation, PrepareConfig, Prepared, Raw};
+use crate::dynamics::{Joints, State};
+use crate::robot::Robot;
+use crate::table::TableError;
+use std::error::Error;
+use std::f64::consts::TAU;
+use std::path::Path;
+
+/// Rows whose spikes are looked for together.
+const CHUNK: usize = 16_384;
+/// A row farther than this share of the rows' period from its place is no row of an even log.
+const UNEVEN: f64 = 0.25;
+
+/// Folds a log whose motion repeats every `period_s` and prepares the one period that comes out. Memory is that of one
+/// period, whatever the length of the log.
+///
+/// Errors: [`TableError`] of a bad row; one line when the period is no whole number of rows, a row is out of place, or the
+/// log is shorter than the period.
+pub(super) fn folded<const N: usize>(
+    path: &Path,
+    robot: &Robot,
+    layout: &Layout<N>,
+    config: &PrepareConfig,
+    period_s: f64,
+    notes: &mut Vec<String>,
+) -> Result<(Preparation, Prepared<N>), Box<dyn Error>> {
+    let mut reader = LogReader::<N>::open(path, robot)?;
+    let name = path.display();
+    let mut chunk: Vec<LogRow<N>> = Vec::with_capacity(CHUNK);
+    let mut fold: Option<Fold<N>> = None;
+    loop {
+        let row = reader.next_row()?;
+        chunk.extend(row);
+        if chunk.len() == CHUNK || row.is_none() {
+            let fold = match &mut fold {
+                Some(fold) => fold,
+                None => fold.insert(Fold::new(&chunk, period_s, path)?),
+            };
+            fold.add(&chunk, config, path)?;
+            chunk.clear();
+        }
+        if row.is_none() {
+            break;
+        }
+    }
+    let fold = fold.ok_or_else(|| TableError::Empty {
+        path: path.to_owned(),
+    })?;
+    if fold.count.contains(&0.0) {
+        return Err(format!("{name}: the log does not show a whole period of {period_s} s").into());
+    }
+    let phases = fold.count.len();
+    let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
+    let (of_motion, of_torque) = (
+        harmonics(config.motion_hz),
+        harmonics(config.torque_hz.unwrap_or(f64::INFINITY)),
+    );
+    notes.push(format!(
+        "{name}: {:.2} periods of {period_s} s folded into one; motion on {of_motion} harmonics, torque and regressor on {of_torque}",
+        fold.count.iter().sum::<f64>() / phases as f64
+    ));
+    let mut preparation = fold.preparation(config);
+    preparation.folded_stride = Some((phases / (2 * of_torque + 1)).max(1));
+    let raw = fold.period(of_motion, period_s);
+    let prepared = Prepared::of(raw, &preparation, layout, &|table, width| {
+        let harmonics = Harmonics::of(table, width, of_torque);
+        harmonics.evaluate(table, 0, period_s);
+    });
+    Ok((preparation, prepared))
+}
+
+/// Sums over all periods at each phase.
+struct Fold<const N: usize> {
+    start_s: f64,
+    row_s: f64,
+    count: Vec<f64>,
+    t_s: Vec<f64>,
+    q: Vec<f64>,
+    tau: Vec<f64>,
+    clean: Vec<f64>,
+    spikes: usize,
+}
+
+impl<const N: usize> Fold<N> {
+    fn new(first: &[LogRow<N>], period_s: f64, path: &Path) -> Result<Self, Box<dyn Error>> {
+        let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
+        let row_s = median(&mut steps);
+        if first.len() < 3 {
+            return Err(Box::new(TableError::Empty {
+                path: path.to_owned(),
+            }));
+        }
+        let phases = (period_s / row_s).round();
+        if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
+            return Err(format!(
+                "{}: a period of {period_s} s is no whole number of rows, which are {row_s:.6} s apart",
+                path.display()
+            )
+            .into());
+        }
+        let phases = phases as usize;
+        Ok(Self {
+            start_s: first[0].t_s,
+            row_s,
+            count: vec![0.0; phases],
+            t_s: vec![0.0; phases],
+            q: vec![0.0; phases * N],
+            tau: vec![0.0; phases * N],
+            clean: vec![0.0; phases * N],
+            spikes: 0,
+        })
+    }
+
+    fn add(
+        &mut self,
+        rows: &[LogRow<N>],
+        config: &PrepareConfig,
+        path: &Path,
+    ) -> Result<(), Box<dyn Error>> {
+        let tau: Vec<f64> = rows.iter().flat_map(|row| row.tau).collect();
+        let reach = self.preparation(config).spike_reach();
+        let (clean, spikes) = despiked(&tau, N, reach);
+        self.spikes += spikes;
+        for (k, row) in rows.iter().enumerate() {
+            let place = (row.t_s - self.start_s) / self.row_s;
+            if (place - place.round()).abs() > UNEVEN {
+                return Err(format!(
+                    "{}:{}: column t_s: {} is off the even spacing of {:.6} s that folding needs",
+                    path.display(),
+                    row.line,
+                    row.t_s,
+                    self.row_s
+                )
+                .into());
+            }
+            let phase = place.round() as usize % self.count.len();
+            self.count[phase] += 1.0;
+            self.t_s[phase] += row.t_s;
+            for joint in 0..N {
+                self.q[phase * N + joint] += row.q[joint];
+                self.tau[phase * N + joint] += row.tau[joint];
+                self.clean[phase * N + joint] += clean[k * N + joint];
+            }
+        }
+        Ok(())
+    }
+
+    fn preparation(&self, config: &PrepareConfig) -> Preparation {
+        let derived = MotionSource::Derived;
+        Preparation::new(config, self.start_s, self.row_s, derived, derived)
+    }
+
+    /// The mean period, its motion on harmonics.
+    fn period(mut self, harmonics: usize, period_s: f64) -> Raw<N> {
+        for (phase, count) in self.count.iter().enumerate() {
+            self.t_s[phase] /= count;
+            for table in [&mut self.q, &mut self.tau, &mut self.clean] {
+                for value in &mut table[phase * N..(phase + 1) * N] {
+                    *value /= count;
+                }
+            }
+        }
+        let series = Harmonics::of(&self.q, N, harmonics);
+        let mut motion = [self.q.clone(), self.q.clone(), self.q];
+        for (order, table) in motion.iter_mut().enumerate() {
+            series.evaluate(table, order, period_s);
+        }
+        let joints = |table: &[f64], row: usize| {
+            Joints::<N>::from_column_slice(&table[row * N..(row + 1) * N])
+        };
+        let phases = self.count.len();
+        Raw {
+            index: 0,
+            states: (0..phases)
+                .map(|row| State {
+                    q: joints(&motion[0], row),
+                    qd: joints(&motion[1], row),
+                    qdd: joints(&motion[2], row),
+                })
+                .collect(),
+            tau: self.tau,
+            clean: self.clean,
+            spikes: self.spikes,
+            core: 0..phases,
+            t_s: self.t_s,
+        }
+    }
+}
+
+/// Fourier series of the columns of a table that holds one period: mean, then cosine and sine of each harmonic.
+struct Harmonics {
+    width: usize,
+    coefficients: Vec<f64>,
+    /// cos and sin of each phase.
+    turn: Vec<(f64, f64)>,
+}
+
+impl Harmonics {
+    fn of(table: &[f64], width: usize, count: usize) -> Self {
+        let phases = table.len() / width;
+        let turn: Vec<(f64, f64)> = (0..phases)
+            .map(|phase| {
+                let (sin, cos) = (TAU * phase as f64 / phases as f64).sin_cos();
+                (cos, sin)
+            })
+            .collect();
+        let mut coefficients = vec![0.0; (2 * count + 1) * width];
+        for (phase, row) in table.chunks_exact(width).enumerate() {
+            for (k, place) in coefficients.chunks_exact_mut(width).enumerate() {
+                let (cos, sin) = turn[k.div_ceil(2) * phase % phases];
+                let scale = if k == 0 { 1.0 } else { 2.0 } / phases as f64;
+                let factor = scale * if k % 2 == 1 || k == 0 { cos } else { sin };
+                for (sum, value) in place.iter_mut().zip(row) {
+                    *sum += factor * value;
+                }
+            }
+        }
+        Self {
+            width,
+            coefficients,
+            turn,
+        }
+    }
+
+    /// The series, or its first or second derivative over time, at every phase.
+    fn evaluate(&self, table: &mut [f64], derivative: usize, period_s: f64) {
+        let phases = self.turn.len();
+        for (phase, row) in table.chunks_exact_mut(self.width).enumerate() {
+            row.fill(0.0);
+            for (k, own) in self.coefficients.chunks_exact(self.width).enumerate() {
+                let harmonic = k.div_ceil(2);
+                let (cos, sin) = self.turn[harmonic * phase % phases];
+                let w = TAU * harmonic as f64 / period_s;
+                let even = k % 2 == 1 || k == 0;
+                let factor = match (derivative, even) {
+                    (0, true) => cos,
+                    (0, false) => sin,
+                    (1, true) => -w * sin,
+                    (1, false) => w * cos,
+                    (_, true) => -w * w * cos,
+                    (_, false) => -w * w * sin,
+                };
+                for (value, own) in row.iter_mut().zip(own) {
+                    *value += factor * own;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn harmonics_come_back_with_their_exact_derivatives_and_noise_between_them_goes() {
+        let (phases, period_s) = (200, 4.0);
+        let w = TAU / period_s;
+        let t = |phase: usize| period_s * phase as f64 / phases as f64;
+        let wave = |t: f64| 0.3 + (w * t).sin() - 0.4 * (3.0 * w * t).cos();
+        let mut table: Vec<f64> = (0..phases)
+            .map(|phase| wave(t(phase)) + 0.1 * (40.0 * w * t(phase)).sin())
+            .collect();
+        let series = Harmonics::of(&table, 1, 5);
+        let exact: [&dyn Fn(f64) -> f64; 3] = [
+            &wave,
+            &|t| w * (w * t).cos() + 1.2 * w * (3.0 * w * t).sin(),
+            &|t| -w * w * (w * t).sin() + 3.6 * w * w * (3.0 * w * t).cos(),
+        ];
+        for (order, exact) in exact.iter().enumerate() {
+            series.evaluate(&mut table, order, period_s);
+            for (phase, value) in table.iter().enumerate() {
+                assert!((value - exact(t(phase))).abs() < 1e-9, "{order} {phase}");
+            }
+        }
+    }
+}
