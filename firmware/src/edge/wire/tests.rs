@@ -2,6 +2,7 @@ use super::codec::encode_as;
 use super::*;
 use crate::edge::bank::BankError;
 use crate::edge::safety::{SafetyReason, SafetyState, SafetyStatus};
+use crate::edge::store::StoreError;
 use crate::edge::telemetry::{Cost, Statistics};
 use proptest::prelude::*;
 use serde::Serialize;
@@ -187,6 +188,9 @@ fn nack() -> impl Strategy<Value = NackReason> {
         safety().prop_map(|status| NackReason::Unsafe(status.reason)),
         Just(NackReason::Busy),
         Just(NackReason::Key),
+        any::<u32>().prop_map(|found| NackReason::Store(StoreError::WrongArm { found })),
+        any::<u16>()
+            .prop_map(|place| { NackReason::Store(StoreError::Bank(BankError::Weight(place))) }),
         any::<u16>().prop_map(|every| NackReason::Bandwidth { every }),
     ]
 }
@@ -523,7 +527,9 @@ fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
         board("Ack", BoardMessage::Ack),
         board(
             "Nack",
-            BoardMessage::Nack(NackReason::Bank(BankError::WrongArm { found: u32::MAX }))
+            BoardMessage::Nack(NackReason::Store(StoreError::Bank(BankError::WrongArm {
+                found: u32::MAX
+            })))
         ),
         board(
             "BankChunk",
