@@ -6,6 +6,7 @@ mod excite;
 mod experiment;
 mod generate;
 mod identify;
+mod key;
 mod progress;
 mod run;
 mod simulate;

@@ -651,6 +651,24 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
         );
         assert_eq!(row(&page[heading..], &std::format!("| {name} |")), wanted);
     }
+    for (name, joints) in [("six", 6), ("seven", 7)] {
+        let bytes = size::sample(joints) + size::full_torque(joints);
+        let share = size::receive_permille(bytes, 1000);
+        let sums = std::format!(
+            "({} + {}) × {}",
+            size::sample(joints),
+            size::full_torque(joints),
+            size::RECEIVE_INSTRUCTIONS + size::RECEIVE_OVERHEAD
+        );
+        let told = std::format!("{}.{} %", share / 10, share % 10);
+        assert!(page.contains(&sums) && page.contains(&told), "{name}: {sums}, {told}");
+    }
+    let heading = page.find("| bit | field |").unwrap();
+    for field in Field::ALL {
+        let line = row(&page[heading..], &std::format!("| {} | ", field as u8));
+        let ends = std::format!("| {} |", field.bytes(6));
+        assert!(line.ends_with(&ends), "{line}: {ends}");
+    }
     for (name, resolution, range) in [
         ("position", Position::RESOLUTION, Position::MAX),
         ("velocity", Velocity::RESOLUTION, Velocity::MAX),

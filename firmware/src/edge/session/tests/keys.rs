@@ -3,7 +3,7 @@ use crate::edge::wire::MAC_BYTES;
 use crate::edge::write_key::WriteKey;
 
 fn key(byte: u8) -> WriteKey {
-    WriteKey::from_slot([byte; 32]).unwrap()
+    WriteKey::from_slot([byte; 16]).unwrap()
 }
 
 fn locked(seed: u8) -> Board {
