@@ -8,7 +8,9 @@ mod body;
 mod file;
 mod perturbation;
 mod placement;
+mod schema;
 mod shape;
+mod write;
 
 pub use perturbation::Perturbation;
 pub use shape::{Capsule, Workspace, segment_distance};
@@ -166,7 +168,7 @@ pub struct Joint {
 }
 
 /// How columns of a foreign log are called; `{}` stands for the joint number, counted from 1.
-#[derive(Clone, Debug, Default, PartialEq, serde::Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogColumns {
     /// Time, s.

@@ -195,6 +195,26 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
             "simulate --robot ur5 --out file/log.csv --trajectory validation".to_owned(),
             &["file"],
         ),
+        (
+            format!("{run} validation --payload 3@2..1"),
+            &["--payload", "end after that"],
+        ),
+        (
+            format!("{run} validation --push 7:10@1..2"),
+            &["--push", "no joint 7"],
+        ),
+        (
+            format!("{run} validation --lost 1.5"),
+            &["--lost", "between 0 and 1"],
+        ),
+        (
+            "experiment learning --board native --only frobnicate --out out".to_owned(),
+            &["'frobnicate'", "--list"],
+        ),
+        (
+            "experiment replay-real --logs nowhere --out out".to_owned(),
+            &["nowhere"],
+        ),
         ("bank file".to_owned(), &["file"]),
     ];
     for (arguments, words) in cases {

@@ -119,7 +119,14 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
     let report = fs::read_to_string(out.join("report.json")).expect("written");
     let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
     assert_eq!(report["rank"], 52);
-    for method in ["ols", "wls", "irls", "bp_physical", "bp_residual"] {
+    for method in [
+        "ols",
+        "wls",
+        "irls",
+        "consistent",
+        "bp_physical",
+        "bp_residual",
+    ] {
         let record = &report["methods"][method];
         let error = record["validation"]["unseen.csv"]["joints_nrmse_moving_ratio"].as_f64();
         assert!(error.expect(method) < 0.01, "{method}: {error:?}");
@@ -176,6 +183,55 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
 }
 
 #[test]
+fn the_consistent_parameters_are_a_description_that_can_be_used() {
+    let here = Directory::new("identify-consistent");
+    let (train, out) = (here.file("train.csv"), here.file("out"));
+    // Noise enough to drive least squares out of what bodies can have.
+    log(&train, 2000, 0.0, None, 3.0);
+    let done = identify(&[
+        "--log",
+        text(&train),
+        "--out",
+        text(&out),
+        "--methods",
+        "irls,consistent",
+    ]);
+    assert!(
+        done.status.success(),
+        "{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
+    let report = fs::read_to_string(out.join("report.json")).expect("written");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let identified = Robot::load(text(&out.join("robot.toml"))).expect("a description");
+    let parameters = report["methods"]["consistent"]["parameters"]
+        .as_array()
+        .expect("a list");
+    // The base parameters of the description are the ones that were reported.
+    for (parameter, value) in parameters.iter().zip(identified.base_parameters()) {
+        let reported = parameter["value"].as_f64().expect("a number");
+        assert!((reported - value).abs() < 1e-9, "{parameter}");
+    }
+    for joint in &identified.joints {
+        assert!(joint.link.mass > 0.0 && joint.drive.rotor_inertia > 0.0);
+        assert!(joint.link.second_moments().symmetric_eigenvalues().min() > 0.0);
+        assert!(joint.friction.viscous > 0.0 && joint.friction.coulomb > 0.0);
+    }
+    let in_urdf = Robot::load(text(&out.join("robot.urdf"))).expect("a URDF");
+    assert!((in_urdf.joints[1].link.mass - identified.joints[1].link.mass).abs() < 1e-12);
+    let generated = Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .args(["generate", "--robot", text(&out.join("robot.toml"))])
+        .args(["--out", text(&here.file("ur5.rs"))])
+        .output()
+        .expect("runs");
+    assert!(
+        generated.status.success(),
+        "{}",
+        String::from_utf8_lossy(&generated.stderr)
+    );
+}
+
+#[test]
 fn what_is_wrong_with_a_log_is_said_in_one_line() {
     let here = Directory::new("identify-wrong");
     let (good, bad, out) = (
@@ -224,7 +280,6 @@ fn what_is_wrong_with_a_log_is_said_in_one_line() {
     }
     for (wrong, expected) in [
         (["--methods", "olz"], "unknown method 'olz'"),
-        (["--methods", "consistent"], "not part of this build"),
         (["--columns", "friction"], "unknown column set 'friction'"),
     ] {
         let done = identify(&[

@@ -26,14 +26,14 @@ pub(super) struct Arguments {
     /// Log of an unseen path to validate on; may be given several times
     #[arg(long, value_name = "FILE")]
     validate: Vec<PathBuf>,
-    /// Directory for report.json, report.html and parameters.bank
+    /// Directory for report.json, report.html, parameters.bank, and robot.toml and robot.urdf of the consistent parameters
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Methods, separated by commas: ols, wls, irls, bp_physical, bp_black_box, bp_residual. The physically
-    /// consistent method is not part of this build.
+    /// Methods, separated by commas: ols, wls, irls, consistent, bp_physical, bp_black_box, bp_residual
     #[arg(long, value_delimiter = ',', value_name = "LIST")]
     methods: Vec<MethodName>,
-    /// Friction columns, joined by '+': coulomb-viscous, offset, stribeck, sqrt, cubic, load, cogging; or full
+    /// Friction columns, joined by '+': coulomb-viscous, offset, stribeck, sqrt, cubic, load, cogging,
+    /// warm-up; or full for all but the last
     #[arg(long, default_value = "coulomb-viscous")]
     columns: ColumnSet,
     /// Cut-off of the zero-phase filter on the motion, Hz; above that on the torque, so that the filter on both sides
@@ -128,9 +128,8 @@ fn bank<A: foretorque::arm::Arm<N, P>, const N: usize, const P: usize>(
     }
     bank_of_fit::<A, N, P>(
         robot,
-        &outcome.plain,
-        &outcome.plain_fit.theta,
-        &outcome.plain_fit.deviations(),
+        &outcome.bank_layout,
+        &outcome.bank_fit,
         outcome.networks.as_deref(),
     )
 }
@@ -182,6 +181,14 @@ fn identify_arm<const N: usize>(
             );
         }
         say(format_args!("{line}"))?;
+    }
+    if let Some(robot) = &outcome.robot {
+        let path = arguments.out.join("robot.toml");
+        write_whole(&path, robot.to_toml()?.as_bytes())?;
+        say(format_args!("robot   {}", path.display()))?;
+        let path = arguments.out.join("robot.urdf");
+        write_whole(&path, crate::urdf::write(robot).as_bytes())?;
+        say(format_args!("robot   {}", path.display()))?;
     }
     match bank(&outcome) {
         Some(bank) => {

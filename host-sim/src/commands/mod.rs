@@ -2,6 +2,7 @@
 
 mod bank;
 mod boards;
+mod disturbances;
 mod excite;
 mod experiment;
 mod generate;

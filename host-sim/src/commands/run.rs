@@ -120,7 +120,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
         seen.add(&record);
-        let mut row = log_row(&record);
+        let mut row = log_row(&record, &record.measured);
         row.extend(record.feed_forward.iter().map(|tau| f64::from(*tau)));
         row.push(f64::from(record.flags));
         log.row(row)?;

@@ -1,9 +1,10 @@
+use super::disturbances::DisturbanceArguments;
 use super::progress::Bar;
 use super::{Failure, unusable};
 use crate::control::PdConfig;
-use crate::dynamics::ReferenceModel;
+use crate::dynamics::{Joints, ReferenceModel};
 use crate::experiment::closed_loop::{ClosedLoop, TickRecord};
-use crate::plant::{Plant, PlantConfig};
+use crate::plant::{Measurement, Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
 use crate::table::{TableWriter, joint_columns, state_columns};
 use crate::trajectory::Trajectory;
@@ -18,6 +19,9 @@ pub(super) struct Arguments {
     robot: String,
     #[command(flatten)]
     motion: MotionArguments,
+    /// Write motor currents, torque over drive gain, in the place of torques
+    #[arg(long)]
+    current: bool,
     /// Log to write: t_s, desired q, qd, qdd, then measured position and torque
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -42,6 +46,8 @@ pub(super) struct MotionArguments {
     /// Standard deviation of the torque noise, share of the torque limit
     #[arg(long, default_value_t = 0.01)]
     torque_noise: f64,
+    #[command(flatten)]
+    disturbances: DisturbanceArguments,
     /// The plant is the description itself, not a variation of it by up to 20 %
     #[arg(long)]
     exact: bool,
@@ -81,7 +87,7 @@ impl MotionArguments {
         };
         let config = PlantConfig {
             torque_noise: self.torque_noise,
-            ..PlantConfig::default()
+            ..self.disturbances.plant_config()?
         };
         let nominal = ReferenceModel::<N>::new(robot).ok_or_else(other_size)?;
         let trajectory = Trajectory::load(
@@ -99,7 +105,10 @@ impl MotionArguments {
                 .min(ends.duration_s()),
         };
         Ok(Scene {
-            plant: Plant::new(&truth, config, self.seed).ok_or_else(other_size)?,
+            plant: Plant::new(&truth, config, self.seed)
+                .ok_or_else(other_size)?
+                .with_events(self.disturbances.events::<N>()?)
+                .with_faults(self.disturbances.faults()?),
             pd: PdConfig::tuned(&nominal, self.pd_bandwidth_hz, PERIOD_S),
             trajectory,
             ticks: (duration_s / PERIOD_S).round() as usize,
@@ -120,7 +129,20 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let mut log = TableWriter::create(&arguments.out, &log_header::<N>())?;
+    let mut header = log_header::<N>();
+    if arguments.current {
+        let torques = joint_columns("tau", "nm", N);
+        let currents = joint_columns("i", "a", N);
+        for name in &mut header {
+            if let Some(joint) = torques.iter().position(|torque| torque == name) {
+                name.clone_from(&currents[joint]);
+            }
+        }
+    }
+    let gains = arguments
+        .current
+        .then(|| Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain)));
+    let mut log = TableWriter::create(&arguments.out, &header)?;
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,
@@ -131,7 +153,13 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     )?;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, None)?;
-        log.row(log_row(&record))?;
+        // What is lost on the way is in no log.
+        if let Some(mut seen) = record.reported {
+            if let Some(gains) = &gains {
+                seen.tau = seen.tau.component_div(gains);
+            }
+            log.row(log_row(&record, &seen))?;
+        }
         if tick % 256 == 0 {
             bar.show("simulate", tick, scene.ticks);
         }
@@ -149,13 +177,14 @@ pub(super) fn log_header<const N: usize>() -> Vec<String> {
     header
 }
 
-pub(super) fn log_row<const N: usize>(record: &TickRecord<N>) -> Vec<f64> {
+/// A row of a log, with what was measured as `seen`.
+pub(super) fn log_row<const N: usize>(record: &TickRecord<N>, seen: &Measurement<N>) -> Vec<f64> {
     let mut row = vec![record.t_s];
     for values in [
-        &record.measured.q,
+        &seen.q,
         &record.desired.qd,
         &record.desired.qdd,
-        &record.measured.tau,
+        &seen.tau,
         &record.desired.q,
     ] {
         row.extend(values.iter());

@@ -5,9 +5,10 @@ pub mod demo;
 pub mod learning;
 pub mod prior;
 pub mod real_ur5;
+pub mod replay_real;
 
 /// Names of the studies, each with one line on what it shows.
-pub const EXPERIMENTS: [(&str, &str); 3] = [
+pub const EXPERIMENTS: [(&str, &str); 5] = [
     (
         "demo",
         "from a wrong prior, learn on the board in closed loop, freeze, play an unseen path",
@@ -19,5 +20,13 @@ pub const EXPERIMENTS: [(&str, &str); 3] = [
     (
         "real-ur5",
         "identify a real UR5 on some paths, validate on the others, every path held out in turn",
+    ),
+    (
+        "replay-real",
+        "the board learns a real UR5 from its logs, row by row, against batch least squares",
+    ),
+    (
+        "soak",
+        "ten million ticks of learning: finite, positive, where exact arithmetic is, the same bits on the board",
     ),
 ];

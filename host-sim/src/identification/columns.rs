@@ -35,22 +35,34 @@ pub enum FrictionColumn {
     CoggingSine,
     /// `cos(z q)`
     CoggingCosine,
+    /// `qd t`, t since the start of the log: viscous friction that changes as the drive warms up
+    WarmUp,
 }
 
 impl FrictionColumn {
-    /// Short name and unit of the parameter.
+    /// The board has this column.
+    pub(super) fn on_board(self) -> bool {
+        match self {
+            Self::Viscous | Self::Coulomb | Self::StribeckNarrow | Self::StribeckWide => true,
+            Self::Offset | Self::CoggingSine | Self::CoggingCosine => true,
+            Self::Root | Self::Cubic | Self::Load | Self::WarmUp => false,
+        }
+    }
+
+    /// Short name, as in a parameter bank, and unit of the parameter.
     fn name(self) -> (&'static str, &'static str) {
         match self {
             Self::Viscous => ("Fv", "N·m·s/rad"),
             Self::Coulomb => ("Fc", "N·m"),
             Self::Offset => ("Fo", "N·m"),
-            Self::StribeckNarrow => ("Fs_narrow", "N·m"),
-            Self::StribeckWide => ("Fs_wide", "N·m"),
+            Self::StribeckNarrow => ("Fsn", "N·m"),
+            Self::StribeckWide => ("Fsw", "N·m"),
             Self::Root => ("Fr", "N·m·(s/rad)^0.5"),
             Self::Cubic => ("F3", "N·m·(s/rad)^3"),
             Self::Load => ("Fl", "1"),
             Self::CoggingSine => ("Gs", "N·m"),
             Self::CoggingCosine => ("Gc", "N·m"),
+            Self::WarmUp => ("Fvt", "N·m/rad"),
         }
     }
 }
@@ -60,7 +72,7 @@ impl FrictionColumn {
 pub struct ColumnSet(Vec<FrictionColumn>);
 
 /// Words of a column set and what they stand for.
-const WORDS: [(&str, &[FrictionColumn]); 7] = [
+const WORDS: [(&str, &[FrictionColumn]); 8] = [
     (
         "coulomb-viscous",
         &[FrictionColumn::Viscous, FrictionColumn::Coulomb],
@@ -77,6 +89,7 @@ const WORDS: [(&str, &[FrictionColumn]); 7] = [
         "cogging",
         &[FrictionColumn::CoggingSine, FrictionColumn::CoggingCosine],
     ),
+    ("warm-up", &[FrictionColumn::WarmUp]),
 ];
 
 impl FromStr for ColumnSet {
@@ -87,7 +100,8 @@ impl FromStr for ColumnSet {
         let mut columns: Vec<FrictionColumn> = WORDS[0].1.to_vec();
         for word in text.split('+').map(str::trim) {
             let found: Vec<FrictionColumn> = if word == "full" {
-                WORDS
+                // Warm-up is no property of a motion: it has to be asked for.
+                WORDS[..WORDS.len() - 1]
                     .iter()
                     .flat_map(|(_, columns)| *columns)
                     .copied()
@@ -97,7 +111,7 @@ impl FromStr for ColumnSet {
                 let (_, columns) = known.ok_or_else(|| {
                     let names: Vec<&str> = WORDS.iter().map(|(name, _)| *name).collect();
                     format!(
-                        "unknown column set '{word}': join any of {} by '+', or take full",
+                        "unknown column set '{word}': join any of {} by '+', or take full for all but warm-up",
                         names.join(", ")
                     )
                 })?;
@@ -114,9 +128,18 @@ impl FromStr for ColumnSet {
 }
 
 impl ColumnSet {
-    /// What the board has: viscous and Coulomb friction.
+    /// Viscous and Coulomb friction.
     pub fn plain() -> Self {
         Self(WORDS[0].1.to_vec())
+    }
+
+    /// The part of it that the board has, and the words for the rest.
+    pub fn on_board(&self) -> (Self, Vec<&'static str>) {
+        let (known, other): (Vec<_>, Vec<_>) = self.0.iter().partition(|column| column.on_board());
+        let words = WORDS
+            .iter()
+            .filter(|(_, columns)| other.contains(&columns[0]));
+        (Self(known), words.map(|(word, _)| *word).collect())
     }
 
     /// Its terms.
@@ -246,10 +269,22 @@ impl<const N: usize> Layout<N> {
             .collect()
     }
 
+    /// Widths of the two Stribeck bells, rad/s.
+    pub(super) fn stribeck_widths(&self) -> [f64; 2] {
+        STRIBECK_WIDTHS_RAD_S
+    }
+
     /// Appends the active columns of all joints at `state` to `table`.
     ///
+    /// * `age_s` time since the start of the log
     /// * `scratch` N × 11 N matrix, zero at first; entries that are always zero are never written.
-    pub fn append_row(&self, state: &State<N>, scratch: &mut DMatrix<f64>, table: &mut Vec<f64>) {
+    pub fn append_row(
+        &self,
+        state: &State<N>,
+        age_s: f64,
+        scratch: &mut DMatrix<f64>,
+        table: &mut Vec<f64>,
+    ) {
         self.model.regressor_into(state, scratch, 0);
         let rigid = if self.set.columns().contains(&FrictionColumn::Load) {
             Some(self.model.inverse_dynamics(state))
@@ -278,6 +313,7 @@ impl<const N: usize> Layout<N> {
                 FrictionColumn::Load => sign * rigid.as_ref().map_or(0.0, |tau| tau[joint].abs()),
                 FrictionColumn::CoggingSine => (self.cogging[joint] * q).sin(),
                 FrictionColumn::CoggingCosine => (self.cogging[joint] * q).cos(),
+                FrictionColumn::WarmUp => qd * age_s,
             }));
         }
     }

@@ -17,19 +17,22 @@ pub enum MethodName {
     Wls,
     /// Iteratively reweighted, Huber's weights, spikes taken out beforehand.
     Irls,
+    /// The robust fit, moved to what bodies can have.
+    Consistent,
     /// One linear BP layer whose weights are the parameters.
     BpPhysical,
     /// A BP network on all positions, velocities and accelerations.
     BpBlackBox,
-    /// The plain linear model and one small BP network a joint for what it leaves.
+    /// The linear model of the board and one small BP network a joint for what it leaves.
     BpResidual,
 }
 
 /// All methods, in the order of the report.
-pub const METHODS: [(MethodName, &str); 6] = [
+pub const METHODS: [(MethodName, &str); 7] = [
     (MethodName::Ols, "ols"),
     (MethodName::Wls, "wls"),
     (MethodName::Irls, "irls"),
+    (MethodName::Consistent, "consistent"),
     (MethodName::BpPhysical, "bp_physical"),
     (MethodName::BpBlackBox, "bp_black_box"),
     (MethodName::BpResidual, "bp_residual"),
@@ -49,10 +52,10 @@ impl FromStr for MethodName {
         let names: Vec<&str> = METHODS.iter().map(|(_, name)| *name).collect();
         match METHODS.iter().find(|(_, name)| *name == text) {
             Some((method, _)) => Ok(*method),
-            None if text == "consistent" => Err(
-                "the physically consistent method (semidefinite programme) is not part of this build".to_owned(),
-            ),
-            None => Err(format!("unknown method '{text}': one of {}", names.join(", "))),
+            None => Err(format!(
+                "unknown method '{text}': one of {}",
+                names.join(", ")
+            )),
         }
     }
 }
@@ -163,14 +166,11 @@ fn reweighted<const N: usize>(
 ) -> (JointSums, f64) {
     let active = &layout.active[joint];
     let own: Vec<f64> = active.iter().map(|&place| theta[place]).collect();
-    let panel = |row: &SampleRow<N>| {
-        layout.offset[joint]..layout.offset[joint] + row.panel.len().min(active.len())
-    };
     let rows: Vec<(&[f64], f64, f64)> = sample
         .iter()
         .filter(|row| row.moving[joint])
         .map(|row| {
-            let x = &row.panel[panel(row)];
+            let x = row.columns(layout, joint);
             let predicted: f64 = x.iter().zip(&own).map(|(x, theta)| x * theta).sum();
             (x, row.clean[joint], row.clean[joint] - predicted)
         })
@@ -210,13 +210,17 @@ impl<const N: usize> Fit<N> {
 }
 
 impl<const N: usize> SampleRow<N> {
+    /// Active columns of one joint.
+    pub fn columns(&self, layout: &Layout<N>, joint: usize) -> &[f64] {
+        let start = layout.offset[joint];
+        &self.panel[start..start + layout.active[joint].len()]
+    }
+
     /// Torque of the linear model at one joint, N·m.
     pub fn linear(&self, layout: &Layout<N>, theta: &DVector<f64>, joint: usize) -> f64 {
-        let columns = &self.panel[layout.offset[joint]..];
-        let active = &layout.active[joint];
-        columns
+        self.columns(layout, joint)
             .iter()
-            .zip(active)
+            .zip(&layout.active[joint])
             .map(|(x, &place)| x * theta[place])
             .sum()
     }

@@ -5,6 +5,7 @@
 
 mod bank;
 mod columns;
+mod consistent;
 mod filter;
 mod log;
 mod methods;
@@ -12,8 +13,13 @@ mod normal;
 mod page;
 mod prepare;
 mod record;
+mod residual;
+mod solve;
+mod speed;
+mod split;
 mod stream;
 mod study;
+mod truth;
 mod validation;
 
 pub use bank::bank_of_fit;

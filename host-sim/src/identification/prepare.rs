@@ -3,6 +3,7 @@
 use super::columns::Layout;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
+use super::speed::SpeedSums;
 use crate::dynamics::{Joints, State};
 use nalgebra::DMatrix;
 use std::ops::Range;
@@ -30,12 +31,16 @@ pub struct PrepareConfig {
 /// What one log is prepared with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preparation {
+    /// Time of the first row, s.
+    pub start_s: f64,
     /// Period of the rows, s.
     pub period_s: f64,
     /// Source of the velocities.
     pub velocity: MotionSource,
     /// Source of the accelerations.
     pub acceleration: MotionSource,
+    /// A joint slower than this stands still, rad/s.
+    pub still_rad_s: f64,
     motion: Option<Butterworth>,
     torque: Option<Butterworth>,
 }
@@ -44,14 +49,17 @@ impl Preparation {
     /// The filters for rows `period_s` apart. A cut-off that rows this far apart cannot show is no filter at all.
     pub fn new(
         config: &PrepareConfig,
+        start_s: f64,
         period_s: f64,
         velocity: MotionSource,
         acceleration: MotionSource,
     ) -> Self {
         Self {
+            start_s,
             period_s,
             velocity,
             acceleration,
+            still_rad_s: config.still_rad_s,
             motion: Butterworth::new(config.motion_hz, period_s),
             torque: config
                 .torque_hz
@@ -164,6 +172,8 @@ pub struct Prepared<const N: usize> {
     pub core: Range<usize>,
     /// Times of all rows, s.
     pub t_s: Vec<f64>,
+    /// What every joint's raw torque says at each speed.
+    pub speeds: SpeedSums<N>,
 }
 
 impl<const N: usize> Prepared<N> {
@@ -172,23 +182,37 @@ impl<const N: usize> Prepared<N> {
         let states = preparation.motion(&stretch.rows);
         let mut scratch = DMatrix::zeros(N, (crate::robot::LINK_PARAMETERS + 1) * N);
         let mut panel = Vec::with_capacity(states.len() * layout.width);
-        for state in &states {
-            layout.append_row(state, &mut scratch, &mut panel);
+        for (state, row) in states.iter().zip(&stretch.rows) {
+            let age_s = row.t_s - preparation.start_s;
+            layout.append_row(state, age_s, &mut scratch, &mut panel);
         }
         let mut tau: Vec<f64> = stretch.rows.iter().flat_map(|row| row.tau).collect();
         let (mut clean, spikes) = despiked(&tau, N, preparation.spike_reach());
+        let mut speeds = SpeedSums::new(layout);
+        for row in stretch.core.clone() {
+            // Blocks of a second take turns.
+            let half = ((stretch.rows[row].t_s - preparation.start_s) as usize) % 2;
+            let panel = &panel[row * layout.width..(row + 1) * layout.width];
+            for joint in 0..N {
+                let qd = states[row].qd[joint];
+                if qd.abs() > preparation.still_rad_s {
+                    speeds.add(layout, joint, half, qd, panel, clean[row * N + joint]);
+                }
+            }
+        }
         preparation.smooth_torque(&mut panel, layout.width);
         preparation.smooth_torque(&mut tau, N);
         preparation.smooth_torque(&mut clean, N);
         Self {
             index: stretch.index,
-            states,
             panel,
             tau,
             clean,
             spikes,
             core: stretch.core.clone(),
             t_s: stretch.rows.iter().map(|row| row.t_s).collect(),
+            states,
+            speeds,
         }
     }
 }

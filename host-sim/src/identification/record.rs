@@ -76,6 +76,10 @@ pub struct MethodRecord {
     /// Loss by epoch, thinned: epoch, RMSE as a ratio of the noise (`bp_physical`), of the spread of the torques
     /// (`bp_black_box`), of the torque limit (`bp_residual`, mean of the joints).
     pub loss_ratio: Vec<(usize, f64)>,
+    /// What physical consistency costs: half the squared Mahalanobis distance from the free fit, nats. Noise alone makes
+    /// about half the number of parameters of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distance_from_free_nats: Option<f64>,
     /// Epochs to 1.05 times the loss of weighted least squares (`bp_physical`), accelerated and plain.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub epochs_to_1_05_wls: Option<[Option<usize>; 2]>,
@@ -122,7 +126,8 @@ pub struct Report {
     pub condition_number_of: String,
     /// Condition number of all columns at unit length.
     pub condition_number_equilibrated: f64,
-    /// The method whose parameters went into the bank.
+    /// The method whose parameters went into the bank: the one with the least error on the validation logs (mean of
+    /// `joints_nrmse_moving_ratio`) of those the board can run; without such logs, on the rows the split held out.
     pub recommended: String,
     /// Methods by name.
     pub methods: BTreeMap<String, MethodRecord>,

@@ -4,6 +4,7 @@ use super::columns::Layout;
 use super::log::{LogReader, LogRow};
 use super::normal::NormalEquations;
 use super::prepare::{MotionSource, Preparation, PrepareConfig, Prepared, Stretch};
+use super::speed::SpeedSums;
 use crate::dynamics::State;
 use crate::robot::Robot;
 use crate::table::TableError;
@@ -117,7 +118,10 @@ fn choose<const N: usize>(
         .windows(2)
         .position(|pair| pair[1].t_s - pair[0].t_s > GAP_PERIODS * period_s);
     let preview = &preview[..whole.map_or(preview.len(), |row| row + 1)];
-    let at = |velocity, acceleration| Preparation::new(config, period_s, velocity, acceleration);
+    let start_s = preview.first().map_or(0.0, |row| row.t_s);
+    let at = |velocity, acceleration| {
+        Preparation::new(config, start_s, period_s, velocity, acceleration)
+    };
     let derived = at(MotionSource::Derived, MotionSource::Derived);
     let distance =
         |a: &[State<N>], b: &[State<N>], of: fn(&State<N>) -> &nalgebra::SVector<f64, N>| {
@@ -268,6 +272,8 @@ pub struct Gathered<const N: usize> {
     pub thinning: usize,
     /// Rows that went into the sums.
     pub rows: usize,
+    /// What every joint's raw torque says at each speed.
+    pub speeds: SpeedSums<N>,
     /// Rows read, edges left out.
     pub rows_read: usize,
     /// Of these, those in which each joint stands still.
@@ -285,6 +291,7 @@ impl<const N: usize> Gathered<N> {
             sample: Vec::new(),
             thinning: 1,
             rows: 0,
+            speeds: SpeedSums::new(layout),
             rows_read: 0,
             still: [0; N],
             spikes: 0,
@@ -292,26 +299,21 @@ impl<const N: usize> Gathered<N> {
     }
 
     /// Adds a stretch.
-    pub fn add(
-        &mut self,
-        layout: &Layout<N>,
-        config: &PrepareConfig,
-        preparation: &Preparation,
-        prepared: &Prepared<N>,
-    ) {
+    pub fn add(&mut self, layout: &Layout<N>, preparation: &Preparation, prepared: &Prepared<N>) {
         let stride = preparation.stride();
         self.spikes += prepared.spikes;
+        self.speeds.merge(&prepared.speeds);
         self.rows_read += prepared.core.len();
         for row in prepared.core.clone() {
             for (still, qd) in self.still.iter_mut().zip(prepared.states[row].qd.iter()) {
-                *still += usize::from(qd.abs() <= config.still_rad_s);
+                *still += usize::from(qd.abs() <= preparation.still_rad_s);
             }
         }
         let rows: Vec<usize> = prepared.core.clone().step_by(stride).collect();
         for (joint, active) in layout.active.iter().enumerate() {
             let (mut x, mut tau, mut clean) = (Vec::new(), Vec::new(), Vec::new());
             for &row in &rows {
-                if prepared.states[row].qd[joint].abs() > config.still_rad_s {
+                if prepared.states[row].qd[joint].abs() > preparation.still_rad_s {
                     let start = row * layout.width + layout.offset[joint];
                     x.extend_from_slice(&prepared.panel[start..start + active.len()]);
                     tau.push(prepared.tau[row * N + joint]);
@@ -329,7 +331,9 @@ impl<const N: usize> Gathered<N> {
                     state,
                     tau: values(&prepared.tau),
                     clean: values(&prepared.clean),
-                    moving: std::array::from_fn(|joint| state.qd[joint].abs() > config.still_rad_s),
+                    moving: std::array::from_fn(|joint| {
+                        state.qd[joint].abs() > preparation.still_rad_s
+                    }),
                     panel: prepared.panel[row * layout.width..(row + 1) * layout.width].into(),
                 });
             }

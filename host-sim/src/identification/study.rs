@@ -1,24 +1,22 @@
 //! All methods side by side on the same logs.
 
-use super::columns::{ColumnSet, FrictionColumn, Layout};
-use super::methods::{Fit, MethodName, irls, ols, wls};
-use super::normal::{IdentificationError, NormalEquations};
+use super::columns::{ColumnSet, Layout};
+use super::consistent::consistent;
+use super::methods::{Fit, MethodName, wls};
+use super::normal::IdentificationError;
 use super::prepare::PrepareConfig;
-use super::record::{MethodRecord, ParameterRecord, Report, SplitRecord};
-use super::stream::{Gathered, SampleRow, for_each_prepared};
+use super::record::{MethodRecord, Report};
+use super::solve::{Material, Problem, Solved, solve_all, unsolvable};
+use super::split::split;
+use super::stream::{Gathered, for_each_prepared};
+use super::truth::{error_curve, truths};
 use super::validation::{Candidate, FileScores};
 use crate::robot::Robot;
-use crate::training::{
-    BlackBox, Descent, LinearLayer, PhysicalConfig, ResidualConfig, Trained, train_residual,
-};
 use foretorque::feedforward::JointNetwork;
 use nalgebra::DVector;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 /// What is to be done.
 #[derive(Clone, Debug)]
@@ -43,42 +41,19 @@ pub type Progress<'a> = &'a dyn Fn(&str);
 pub struct Outcome<const N: usize> {
     /// All figures.
     pub report: Report,
-    /// Layout of the plain columns, which the board has.
-    pub plain: Layout<N>,
-    /// The robust fit over the plain columns.
-    pub plain_fit: Fit<N>,
-    /// Residual networks, if they were trained.
+    /// Columns that the board has.
+    pub bank_layout: Layout<N>,
+    /// The recommended fit over them.
+    pub bank_fit: Fit<N>,
+    /// The recommended residual networks, if it has any.
     pub networks: Option<Box<[JointNetwork; N]>>,
+    /// The description with the consistent parameters, if they were asked for.
+    pub robot: Option<Robot>,
     /// Time, measured and predicted torque on the first validation log: of the recommended method.
     pub trace: Vec<(f64, [f64; N], [f64; N])>,
 }
 
-/// One method after its training.
-struct Solved<const N: usize> {
-    name: MethodName,
-    candidate: Candidate<N>,
-    fit: Option<Fit<N>>,
-    rows: usize,
-    epochs: usize,
-    seconds: f64,
-    losses: Vec<(usize, f64)>,
-    epochs_to_wls: Option<[Option<usize>; 2]>,
-}
-
-/// What a method is trained on.
-struct Material<'a, const N: usize> {
-    sums: &'a NormalEquations<N>,
-    clean_sums: &'a NormalEquations<N>,
-    sample: Vec<&'a SampleRow<N>>,
-    rows: usize,
-}
-
-/// Share of the rows the paper trains on.
-const TRAINING_SHARE: f64 = 0.8;
-/// Points of a loss curve in the report.
-const CURVE: usize = 200;
-
-/// Identifies, validates, reports. `None` as layout means the robot has not `N` joints.
+/// Identifies, validates, reports.
 ///
 /// Errors: of the logs ([`crate::table::TableError`]), or [`IdentificationError`].
 pub fn identify<const N: usize>(
@@ -90,50 +65,21 @@ pub fn identify<const N: usize>(
 ) -> Result<Outcome<N>, Box<dyn Error>> {
     let other_size = || format!("robot '{}' has not {N} joints", robot.name);
     let layout = Layout::<N>::new(robot, &config.columns).ok_or_else(other_size)?;
-    let plain = Layout::<N>::new(robot, &ColumnSet::plain()).ok_or_else(other_size)?;
+    let (on_board, left_out) = config.columns.on_board();
+    let board = Layout::<N>::new(robot, &on_board).ok_or_else(other_size)?;
     let mut notes = Vec::new();
-    let mut gathered = Gathered::new(&layout);
-    for path in logs {
-        progress(&format!("reading {}", path.display()));
-        for_each_prepared(
-            path,
-            robot,
-            &layout,
-            &config.prepare,
-            &mut notes,
-            &mut |preparation, prepared| {
-                gathered.add(&layout, &config.prepare, preparation, &prepared);
-            },
-        )?;
-    }
-    if gathered.sums.count() == 0.0 {
-        let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
-        return Err(Box::new(IdentificationError::NoMotion {
-            logs: names.join(", "),
-        }));
-    }
-    gathered.sums.check_rank(&layout)?;
-    if gathered.thinning > 1 {
-        notes.push(format!(
-            "irls, bp_black_box and bp_residual used every {}th of the rows in the sums; the other methods all of them",
-            gathered.thinning
-        ));
-    }
-    let all = Material {
-        sums: &gathered.sums,
-        clean_sums: &gathered.clean_sums,
-        sample: gathered.sample.iter().collect(),
-        rows: gathered.rows,
+    let gathered = gather(robot, &layout, logs, config, &mut notes, progress)?;
+    let problem = Problem {
+        robot,
+        layout: &layout,
+        board: &board,
+        methods: &config.methods,
+        seed: config.seed,
     };
-    let plain_fit =
-        wls(&gathered.clean_sums.subset(&layout, &plain), &plain).ok_or_else(unsolvable)?;
-    let solved = solve_all(robot, &layout, &plain, &all, config, progress)?;
+    let all = Material::all(&gathered);
+    let solved = solve_all(&problem, &all, progress)?;
     progress("80/20 split");
-    let splits = split(robot, &layout, &plain, &gathered, config)?;
-    let recommended = recommended(&solved);
-    // The recommended method comes first, so that it is the one in the plot.
-    let mut candidates: Vec<&Candidate<N>> = vec![&solved[recommended].candidate];
-    candidates.extend(solved.iter().map(|solved| &solved.candidate));
+    let splits = split(&problem, &gathered)?;
     let bound = wls(&gathered.sums, &layout).ok_or_else(unsolvable)?;
     let truth = config.truth.as_ref().map(|truth| truths(truth, &layout));
     let mut methods: BTreeMap<String, MethodRecord> = BTreeMap::new();
@@ -145,8 +91,9 @@ pub fn identify<const N: usize>(
     }
     if let Some(trained) = methods.get_mut("bp_physical") {
         trained.base_parameter_error_ratio_by_epoch =
-            error_curve(&all, &layout, &bound, truth.as_deref(), config);
+            error_curve(&all, &layout, &bound, truth.as_deref(), config.seed);
     }
+    let candidates: Vec<&Candidate<N>> = solved.iter().map(|solved| &solved.candidate).collect();
     let mut trace = Vec::new();
     for path in validate {
         progress(&format!("validating {}", path.display()));
@@ -158,19 +105,13 @@ pub fn identify<const N: usize>(
             &config.prepare,
             &mut notes,
             &mut |preparation, prepared| {
-                scores.add(
-                    &layout,
-                    &config.prepare,
-                    preparation,
-                    &prepared,
-                    &candidates,
-                );
+                scores.add(&layout, preparation, &prepared, &candidates);
             },
         )?;
         let key = key_of(path, validate);
         let limit = scores.propagated(&layout, &bound.covariance);
         for (place, solved) in solved.iter().enumerate() {
-            let mut record = scores.record(place + 1);
+            let mut record = scores.record(place);
             record.cramer_rao_nrmse_moving_ratio = Some(limit);
             if let (Some(truth), Candidate::Linear(theta)) = (&truth, &solved.candidate)
                 && truth.iter().all(Option::is_some)
@@ -190,12 +131,21 @@ pub fn identify<const N: usize>(
             trace = scores.trace;
         }
     }
+    let recommended = recommended(&solved, &methods);
+    let bank_fit = for_bank(
+        &problem,
+        &gathered,
+        &solved[recommended],
+        left_out.is_empty(),
+    )?;
+    if !left_out.is_empty() {
+        notes.push(format!(
+            "the board has no column {}: the bank holds a fit without",
+            left_out.join(", ")
+        ));
+    }
     let (condition_number, condition_number_equilibrated) =
         gathered.sums.condition_numbers(&layout);
-    let networks = solved.iter().find_map(|solved| match &solved.candidate {
-        Candidate::Residual { networks, .. } => Some(networks.clone()),
-        _ => None,
-    });
     let report = Report {
         robot: robot.name.clone(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -223,24 +173,119 @@ pub fn identify<const N: usize>(
     };
     Ok(Outcome {
         report,
-        plain,
-        plain_fit,
-        networks,
-        trace,
+        bank_layout: board.clone(),
+        bank_fit,
+        networks: match &solved[recommended].candidate {
+            Candidate::Residual { networks, .. } => Some(networks.clone()),
+            _ => None,
+        },
+        robot: solved.iter().find_map(|solved| solved.robot.clone()),
+        trace: trace
+            .into_iter()
+            .map(|(t_s, tau, predicted)| (t_s, tau, predicted[recommended]))
+            .collect(),
     })
 }
 
-fn unsolvable() -> String {
-    "the normal equations cannot be solved".to_owned()
+/// One pass over the training logs.
+fn gather<const N: usize>(
+    robot: &Robot,
+    layout: &Layout<N>,
+    logs: &[PathBuf],
+    config: &IdentifyConfig,
+    notes: &mut Vec<String>,
+    progress: Progress<'_>,
+) -> Result<Gathered<N>, Box<dyn Error>> {
+    let mut gathered = Gathered::new(layout);
+    for path in logs {
+        progress(&format!("reading {}", path.display()));
+        for_each_prepared(
+            path,
+            robot,
+            layout,
+            &config.prepare,
+            notes,
+            &mut |preparation, prepared| {
+                gathered.add(layout, preparation, &prepared);
+            },
+        )?;
+    }
+    if gathered.sums.count() == 0.0 {
+        let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
+        return Err(Box::new(IdentificationError::NoMotion {
+            logs: names.join(", "),
+        }));
+    }
+    gathered.sums.check_rank(layout)?;
+    if gathered.thinning > 1 {
+        notes.push(format!(
+            "irls, consistent, bp_black_box and bp_residual used every {}th of the rows in the sums; the other methods all of them",
+            gathered.thinning
+        ));
+    }
+    Ok(gathered)
 }
 
-/// The robust fit where it was asked for, else the first method that has parameters, else the first.
-fn recommended<const N: usize>(solved: &[Solved<N>]) -> usize {
-    let place = |wanted: &dyn Fn(&Solved<N>) -> bool| solved.iter().position(wanted);
-    place(&|solved| solved.name == MethodName::BpResidual)
-        .or_else(|| place(&|solved| solved.name == MethodName::Irls))
-        .or_else(|| place(&|solved| solved.fit.is_some()))
-        .unwrap_or(0)
+/// The method with the least error on moving rows it was not trained on, of those the board can run: mean over the
+/// validation logs, or without any the rows that the split held out.
+fn recommended<const N: usize>(
+    solved: &[Solved<N>],
+    methods: &BTreeMap<String, MethodRecord>,
+) -> usize {
+    let error = |solved: &Solved<N>| {
+        let record = methods.get(&solved.name.to_string())?;
+        let logs = record.validation.len();
+        let sum: f64 = record
+            .validation
+            .values()
+            .map(|log| log.joints_nrmse_moving_ratio)
+            .sum();
+        Some(if logs > 0 {
+            sum / logs as f64
+        } else {
+            let ratios = record.split_80_20.nrmse_moving_ratio.iter().flatten();
+            ratios.map(|ratio| ratio * ratio).sum::<f64>()
+        })
+    };
+    let mut best = (0, f64::INFINITY);
+    for (place, solved) in solved.iter().enumerate() {
+        let on_board = !matches!(solved.candidate, Candidate::BlackBox(_));
+        if let Some(error) = error(solved).filter(|error| on_board && *error < best.1) {
+            best = (place, error);
+        }
+    }
+    best.0
+}
+
+/// The recommended parameters over the columns that the board has.
+///
+/// * `complete` the board has all columns
+fn for_bank<const N: usize>(
+    problem: &Problem<'_, N>,
+    gathered: &Gathered<N>,
+    solved: &Solved<N>,
+    complete: bool,
+) -> Result<Fit<N>, Box<dyn Error>> {
+    if let (true, Some(fit)) = (complete, &solved.fit) {
+        return Ok(fit.clone());
+    }
+    if let (Candidate::Residual { .. }, Some(fit)) = (&solved.candidate, &solved.fit) {
+        let places = problem.layout.places_of(problem.board);
+        return Ok(Fit {
+            theta: fit.theta.select_rows(&places),
+            covariance: fit.covariance.select_rows(&places).select_columns(&places),
+            ..fit.clone()
+        });
+    }
+    let sums = gathered.clean_sums.subset(problem.layout, problem.board);
+    let free = wls(&sums, problem.board).ok_or_else(unsolvable)?;
+    Ok(match solved.name {
+        MethodName::Consistent => {
+            let found = consistent(problem.robot, problem.board, &free);
+            found.ok_or_else(unsolvable)?.fit
+        }
+        _ => free,
+    })
 }
 
 /// The file's name, or its path where two files share a name.
@@ -254,385 +299,4 @@ fn key_of(path: &Path, all: &[PathBuf]) -> String {
         .count();
     name.filter(|_| twins <= 1)
         .unwrap_or_else(|| path.display().to_string())
-}
-
-/// True parameters as far as the layout's columns have one. A column is the truth's own only where nothing of the truth
-/// hides in another column.
-fn truths<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<Option<f64>> {
-    let base = robot.base_parameters();
-    let mut out: Vec<Option<f64>> = base.into_iter().map(Some).collect();
-    for parameter in layout.parameters.iter().skip(layout.base) {
-        out.push(parameter.friction.and_then(|(column, joint)| {
-            let friction = &robot.joints[joint].friction;
-            let simple = friction.stribeck_ratio == 0.0;
-            match column {
-                FrictionColumn::Viscous if simple => Some(friction.viscous),
-                FrictionColumn::Coulomb if simple => Some(friction.coulomb),
-                FrictionColumn::CoggingSine => Some(friction.cogging),
-                FrictionColumn::Viscous | FrictionColumn::Coulomb => None,
-                FrictionColumn::StribeckNarrow | FrictionColumn::StribeckWide if !simple => None,
-                _ => Some(0.0),
-            }
-        }));
-    }
-    out
-}
-
-fn solve_all<const N: usize>(
-    robot: &Robot,
-    layout: &Layout<N>,
-    plain: &Layout<N>,
-    material: &Material<'_, N>,
-    config: &IdentifyConfig,
-    progress: Progress<'_>,
-) -> Result<Vec<Solved<N>>, Box<dyn Error>> {
-    let mut out = Vec::new();
-    for &name in &config.methods {
-        progress(&name.to_string());
-        let start = Instant::now();
-        let mut solved = match name {
-            MethodName::Ols => linear(name, ols(material.sums, layout), material.rows)?,
-            MethodName::Wls => linear(name, wls(material.sums, layout), material.rows)?,
-            MethodName::Irls => linear(
-                name,
-                irls(material.clean_sums, &material.sample, layout),
-                material.sample.len(),
-            )?,
-            MethodName::BpPhysical => physical(layout, material, config, progress)?,
-            MethodName::BpBlackBox => black_box(material, config, progress),
-            MethodName::BpResidual => residual(robot, layout, plain, material, config)?,
-        };
-        solved.seconds = start.elapsed().as_secs_f64();
-        out.push(solved);
-    }
-    Ok(out)
-}
-
-fn linear<const N: usize>(
-    name: MethodName,
-    fit: Option<Fit<N>>,
-    rows: usize,
-) -> Result<Solved<N>, Box<dyn Error>> {
-    let fit = fit.ok_or_else(unsolvable)?;
-    Ok(Solved {
-        name,
-        candidate: Candidate::Linear(fit.theta.clone()),
-        rows,
-        epochs: fit.iterations,
-        seconds: 0.0,
-        losses: Vec::new(),
-        epochs_to_wls: None,
-        fit: Some(fit),
-    })
-}
-
-fn layer_of<const N: usize>(
-    material: &Material<'_, N>,
-    layout: &Layout<N>,
-    fit: &Fit<N>,
-) -> LinearLayer {
-    let (gram, moment) = material.sums.weighted(layout, &fit.sigma);
-    let joints = material.sums.joints.iter().zip(&fit.sigma);
-    let power = joints
-        .map(|(joint, sigma)| joint.power / (sigma * sigma))
-        .sum();
-    LinearLayer::new(&gram, &moment, power, material.sums.count())
-}
-
-/// Every joint's rows are divided by the noise an ordinary fit leaves, so that the layer's loss is the weighted one.
-fn physical<const N: usize>(
-    layout: &Layout<N>,
-    material: &Material<'_, N>,
-    config: &IdentifyConfig,
-    progress: Progress<'_>,
-) -> Result<Solved<N>, Box<dyn Error>> {
-    let reference = wls(material.sums, layout).ok_or_else(unsolvable)?;
-    let layer = layer_of(material, layout, &reference);
-    let goal = layer.loss_of(&reference.theta);
-    let mut watch =
-        |epoch: usize, loss: f64| progress(&format!("bp_physical  epoch {epoch}  loss {loss:.5}"));
-    let train = |descent, watch: &mut dyn FnMut(usize, f64)| -> Trained {
-        layer.train(&PhysicalConfig::new(descent, config.seed), watch)
-    };
-    let fast = train(Descent::Accelerated, &mut watch);
-    let slow = train(Descent::Plain, &mut watch);
-    Ok(Solved {
-        name: MethodName::BpPhysical,
-        candidate: Candidate::Linear(fast.theta.clone()),
-        rows: material.rows,
-        epochs: fast.losses.len().saturating_sub(1),
-        seconds: 0.0,
-        losses: thinned(&fast.losses),
-        epochs_to_wls: Some([fast.epochs_to(1.05, goal), slow.epochs_to(1.05, goal)]),
-        // The layer ends where weighted least squares does, so its uncertainty is the same.
-        fit: Some(Fit {
-            theta: fast.theta,
-            ..reference
-        }),
-    })
-}
-
-/// Error of the base parameters as the accelerated layer trains; empty without a truth.
-fn error_curve<const N: usize>(
-    material: &Material<'_, N>,
-    layout: &Layout<N>,
-    reference: &Fit<N>,
-    truth: Option<&[Option<f64>]>,
-    config: &IdentifyConfig,
-) -> Vec<(usize, f64)> {
-    let Some(truth) = truth else {
-        return Vec::new();
-    };
-    let layer = layer_of(material, layout, reference);
-    let mut curve = Vec::new();
-    for max_epochs in [1, 2, 5, 10, 20, 30, 50, 75, 100, 150, 200, 300, 500, 1000] {
-        let config = PhysicalConfig {
-            max_epochs,
-            starts: 1,
-            ..PhysicalConfig::new(Descent::Accelerated, config.seed)
-        };
-        let trained = layer.train(&config, &mut |_, _| ());
-        if let Some(error) = base_error(&trained.theta, truth, layout.base) {
-            curve.push((max_epochs, error));
-        }
-    }
-    curve
-}
-
-fn black_box<const N: usize>(
-    material: &Material<'_, N>,
-    config: &IdentifyConfig,
-    progress: Progress<'_>,
-) -> Solved<N> {
-    let rows: Vec<_> = material
-        .sample
-        .iter()
-        .map(|row| (row.state, row.tau, row.moving))
-        .collect();
-    let network = BlackBox::train(&rows, config.seed, &mut |epoch, loss| {
-        progress(&format!("bp_black_box  epoch {epoch}  loss {loss:.5}"));
-    });
-    Solved {
-        name: MethodName::BpBlackBox,
-        rows: rows.len(),
-        epochs: network.losses.len(),
-        seconds: 0.0,
-        losses: thinned(&network.losses),
-        candidate: Candidate::BlackBox(Box::new(network)),
-        fit: None,
-        epochs_to_wls: None,
-    }
-}
-
-fn residual<const N: usize>(
-    robot: &Robot,
-    layout: &Layout<N>,
-    plain: &Layout<N>,
-    material: &Material<'_, N>,
-    config: &IdentifyConfig,
-) -> Result<Solved<N>, Box<dyn Error>> {
-    let fit = wls(&material.clean_sums.subset(layout, plain), plain).ok_or_else(unsolvable)?;
-    let places = layout.places_of(plain);
-    let widened = |values: &DVector<f64>| {
-        let mut out = DVector::zeros(layout.parameters.len());
-        for (value, &place) in values.iter().zip(&places) {
-            out[place] = *value;
-        }
-        out
-    };
-    let theta = widened(&fit.theta);
-    let limits: [f64; N] = std::array::from_fn(|joint| robot.joints[joint].limits.torque);
-    let trained: Vec<(JointNetwork, Vec<f64>)> = std::thread::scope(|scope| {
-        let theta = &theta;
-        let joints: Vec<_> = (0..N)
-            .map(|joint| {
-                scope.spawn(move || {
-                    let moving = material.sample.iter().filter(|row| row.moving[joint]);
-                    let samples: Vec<(f64, f64)> = moving
-                        .map(|row| {
-                            let left = row.clean[joint] - row.linear(layout, theta, joint);
-                            (row.state.qd[joint], left / limits[joint])
-                        })
-                        .collect();
-                    let residual = ResidualConfig {
-                        seed: config.seed,
-                        ..ResidualConfig::default()
-                    };
-                    train_residual(&samples, robot.joints[joint].limits.velocity, &residual)
-                })
-            })
-            .collect();
-        // A joint that panicked has said so already.
-        joints
-            .into_iter()
-            .filter_map(|joint| joint.join().ok())
-            .collect()
-    });
-    let epochs = trained
-        .iter()
-        .map(|(_, losses)| losses.len())
-        .max()
-        .unwrap_or(0);
-    let mean: Vec<f64> = (0..epochs)
-        .map(|epoch| {
-            let at = |losses: &[f64]| losses.get(epoch).or(losses.last()).copied().unwrap_or(0.0);
-            trained.iter().map(|(_, losses)| at(losses)).sum::<f64>() / N as f64
-        })
-        .collect();
-    let networks: Vec<JointNetwork> = trained.into_iter().map(|(network, _)| network).collect();
-    let networks: [JointNetwork; N] = networks
-        .try_into()
-        .map_err(|_| "a network could not be trained")?;
-    let mut covariance = nalgebra::DMatrix::zeros(layout.parameters.len(), layout.parameters.len());
-    for (row, &r) in places.iter().enumerate() {
-        for (column, &c) in places.iter().enumerate() {
-            covariance[(r, c)] = fit.covariance[(row, column)];
-        }
-    }
-    Ok(Solved {
-        name: MethodName::BpResidual,
-        candidate: Candidate::Residual {
-            theta: theta.clone(),
-            networks: Box::new(networks),
-            limits,
-        },
-        fit: Some(Fit {
-            theta,
-            covariance,
-            sigma: fit.sigma,
-            iterations: fit.iterations,
-        }),
-        rows: material.sample.len(),
-        epochs,
-        seconds: 0.0,
-        losses: thinned(&mean),
-        epochs_to_wls: None,
-    })
-}
-
-/// Trains on 80 % of the rows, drawn at random, and scores on the rest.
-fn split<const N: usize>(
-    robot: &Robot,
-    layout: &Layout<N>,
-    plain: &Layout<N>,
-    gathered: &Gathered<N>,
-    config: &IdentifyConfig,
-) -> Result<Vec<SplitRecord>, Box<dyn Error>> {
-    let mut random = ChaCha8Rng::seed_from_u64(config.seed);
-    let (training, held_out): (Vec<&SampleRow<N>>, Vec<&SampleRow<N>>) = gathered
-        .sample
-        .iter()
-        .partition(|_| random.random_range(0.0..1.0) < TRAINING_SHARE);
-    let sums = |pick: fn(&SampleRow<N>) -> &[f64; N]| {
-        let mut sums = NormalEquations::new(layout);
-        for joint in 0..N {
-            let (mut x, mut tau) = (Vec::new(), Vec::new());
-            for row in training.iter().filter(|row| row.moving[joint]) {
-                let start = layout.offset[joint];
-                x.extend_from_slice(&row.panel[start..start + layout.active[joint].len()]);
-                tau.push(pick(row)[joint]);
-            }
-            sums.joints[joint].add(&x, &tau);
-        }
-        sums
-    };
-    let (raw, clean) = (sums(|row| &row.tau), sums(|row| &row.clean));
-    let material = Material {
-        sums: &raw,
-        clean_sums: &clean,
-        rows: training.len(),
-        sample: training,
-    };
-    let solved = solve_all(robot, layout, plain, &material, config, &|_| ())?;
-    Ok(solved
-        .iter()
-        .map(|solved| {
-            let (mut rmse, mut ratio) = (Vec::new(), Vec::new());
-            for joint in 0..N {
-                let (mut error, mut power, mut count) = (0.0, 0.0, 0.0);
-                for row in held_out.iter().filter(|row| row.moving[joint]) {
-                    let theta = solved.candidate.theta();
-                    let linear = theta.map_or(0.0, |theta| row.linear(layout, theta, joint));
-                    let network = solved
-                        .candidate
-                        .network(&row.state)
-                        .map_or(0.0, |tau| tau[joint]);
-                    error += (linear + network - row.tau[joint]).powi(2);
-                    power += row.tau[joint].powi(2);
-                    count += 1.0;
-                }
-                rmse.push((count > 0.0).then(|| f64::sqrt(error / count)));
-                ratio.push((power > 0.0).then(|| f64::sqrt(error / power)));
-            }
-            SplitRecord {
-                rmse_moving_nm: rmse,
-                nrmse_moving_ratio: ratio,
-            }
-        })
-        .collect())
-}
-
-impl<const N: usize> Solved<N> {
-    fn record(
-        &self,
-        layout: &Layout<N>,
-        truth: Option<&[Option<f64>]>,
-        split_80_20: SplitRecord,
-    ) -> MethodRecord {
-        let parameters = self.fit.as_ref().map_or_else(Vec::new, |fit| {
-            let deviations = fit.deviations();
-            let named = layout.parameters.iter().enumerate();
-            // Columns the method does not have carry neither value nor deviation.
-            let own = named.filter(|(place, _)| fit.covariance[(*place, *place)] > 0.0);
-            own.map(|(place, parameter)| ParameterRecord {
-                name: parameter.name.clone(),
-                value: fit.theta[place],
-                unit: parameter.unit.to_owned(),
-                std: deviations[place],
-                truth: truth.and_then(|truth| truth[place]),
-            })
-            .collect()
-        });
-        let base_parameter_error_ratio = match (&self.fit, truth) {
-            (Some(fit), Some(truth)) => base_error(&fit.theta, truth, layout.base),
-            _ => None,
-        };
-        MethodRecord {
-            validation: BTreeMap::new(),
-            split_80_20,
-            parameters,
-            base_parameter_error_ratio,
-            noise_nm: self
-                .fit
-                .as_ref()
-                .map_or_else(Vec::new, |fit| fit.sigma.to_vec()),
-            rows: self.rows,
-            epochs: self.epochs,
-            seconds: self.seconds,
-            loss_ratio: self.losses.clone(),
-            epochs_to_1_05_wls: self.epochs_to_wls,
-            base_parameter_error_ratio_by_epoch: Vec::new(),
-        }
-    }
-}
-
-fn base_error(theta: &DVector<f64>, truth: &[Option<f64>], base: usize) -> Option<f64> {
-    let truth: Vec<f64> = truth.iter().take(base).copied().collect::<Option<_>>()?;
-    let error: f64 = truth
-        .iter()
-        .zip(theta.iter())
-        .map(|(a, b)| (a - b).powi(2))
-        .sum();
-    let size: f64 = truth.iter().map(|value| value * value).sum();
-    Some((error / size).sqrt())
-}
-
-/// Epoch and loss, at most [`CURVE`] points, first and last kept.
-fn thinned(losses: &[f64]) -> Vec<(usize, f64)> {
-    let stride = losses.len().div_ceil(CURVE).max(1);
-    let last = losses.len().saturating_sub(1);
-    let points = losses.iter().copied().enumerate();
-    points
-        .filter(|(epoch, _)| epoch % stride == 0 || *epoch == last)
-        .collect()
 }

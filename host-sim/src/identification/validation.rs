@@ -2,7 +2,7 @@
 
 use super::columns::Layout;
 use super::normal::NormalEquations;
-use super::prepare::{Preparation, PrepareConfig, Prepared};
+use super::prepare::{Preparation, Prepared};
 use super::record::ValidationRecord;
 use crate::dynamics::State;
 use crate::training::BlackBox;
@@ -37,6 +37,14 @@ impl<const N: usize> Candidate<N> {
         }
     }
 
+    /// Torque of its linear part at a joint with these columns, N·m.
+    fn linear(&self, columns: &[f64], active: &[usize]) -> f64 {
+        self.theta().map_or(0.0, |theta| {
+            let pairs = columns.iter().zip(active);
+            pairs.map(|(x, &place)| x * theta[place]).sum()
+        })
+    }
+
     /// Torques its networks add at `state`, N·m; `None` when it has none.
     pub fn network(&self, state: &State<N>) -> Option<[f64; N]> {
         match self {
@@ -68,8 +76,8 @@ pub struct FileScores<const N: usize> {
     range: [(f64, f64); N],
     /// Sums over the moving rows, for bounds.
     pub sums: NormalEquations<N>,
-    /// Time, measured and predicted torque of the first candidate, thinned, for the plot.
-    pub trace: Vec<(f64, [f64; N], [f64; N])>,
+    /// Time, measured torque, and the torque that every candidate predicts, thinned, for the plot.
+    pub trace: Vec<(f64, [f64; N], Vec<[f64; N]>)>,
 }
 
 /// Points a trace keeps.
@@ -93,7 +101,6 @@ impl<const N: usize> FileScores<N> {
     pub fn add(
         &mut self,
         layout: &Layout<N>,
-        config: &PrepareConfig,
         preparation: &Preparation,
         prepared: &Prepared<N>,
         candidates: &[&Candidate<N>],
@@ -114,7 +121,7 @@ impl<const N: usize> FileScores<N> {
             let (mut x, mut tau) = (Vec::new(), Vec::new());
             for row in prepared.core.clone() {
                 let measured = prepared.tau[row * N + joint];
-                let moving = prepared.states[row].qd[joint].abs() > config.still_rad_s;
+                let moving = prepared.states[row].qd[joint].abs() > preparation.still_rad_s;
                 let start = row * layout.width + layout.offset[joint];
                 let columns = &prepared.panel[start..start + active.len()];
                 let put = |sums: &mut Sums, value: f64| {
@@ -127,13 +134,7 @@ impl<const N: usize> FileScores<N> {
                 for ((candidate, shares), errors) in
                     candidates.iter().zip(&networks).zip(&mut self.errors)
                 {
-                    let linear = candidate.theta().map_or(0.0, |theta| {
-                        columns
-                            .iter()
-                            .zip(active)
-                            .map(|(x, &place)| x * theta[place])
-                            .sum()
-                    });
+                    let linear = candidate.linear(columns, active);
                     let share = shares
                         .as_ref()
                         .map_or(0.0, |shares| shares[row * N + joint]);
@@ -152,29 +153,22 @@ impl<const N: usize> FileScores<N> {
             }
             self.sums.joints[joint].add(&x, &tau);
         }
-        if let Some(first) = candidates.first() {
-            for row in prepared.core.clone().step_by(stride) {
-                if self.trace.len() >= TRACE {
-                    break;
-                }
-                let at = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
-                let shares: [f64; N] = networks[0].as_deref().map_or([0.0; N], at);
-                let predicted = std::array::from_fn(|joint| {
+        for row in prepared.core.clone().step_by(stride) {
+            if self.trace.len() >= TRACE {
+                break;
+            }
+            let at = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
+            let predicted = candidates.iter().zip(&networks).map(|(candidate, shares)| {
+                let shares: [f64; N] = shares.as_deref().map_or([0.0; N], at);
+                std::array::from_fn(|joint| {
                     let start = row * layout.width + layout.offset[joint];
                     let columns = &prepared.panel[start..];
-                    let active = &layout.active[joint];
-                    let linear: f64 = first.theta().map_or(0.0, |theta| {
-                        columns
-                            .iter()
-                            .zip(active)
-                            .map(|(x, &place)| x * theta[place])
-                            .sum()
-                    });
-                    linear + shares[joint]
-                });
-                self.trace
-                    .push((prepared.t_s[row], at(&prepared.tau), predicted));
-            }
+                    candidate.linear(columns, &layout.active[joint]) + shares[joint]
+                })
+            });
+            let predicted = predicted.collect();
+            self.trace
+                .push((prepared.t_s[row], at(&prepared.tau), predicted));
         }
     }
 

@@ -1,6 +1,6 @@
 //! Mass distributions: which ones exist, and how several become one.
 
-use super::{Link, Placement};
+use super::{LINK_PARAMETERS, Link, Placement};
 use nalgebra::{Matrix3, Vector3};
 
 impl Link {
@@ -17,6 +17,21 @@ impl Link {
             Some("breaks the triangle inequality: no body has these principal moments")
         } else {
             None
+        }
+    }
+
+    /// The link with these standard parameters (eq. 14), the inverse of [`Link::standard_parameters`].
+    ///
+    /// Assumes: a positive mass.
+    pub fn from_standard_parameters(x: &[f64; LINK_PARAMETERS]) -> Self {
+        let [mass, mx, my, mz, xx, yy, zz, xy, xz, yz] = *x;
+        let com = Vector3::new(mx, my, mz) / mass;
+        let about_origin = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let apart = com.dot(&com) * Matrix3::identity() - com * com.transpose();
+        Self {
+            mass,
+            com,
+            inertia_com: about_origin - mass * apart,
         }
     }
 

@@ -1,138 +1,15 @@
 //! The description file: TOML, units in the names of the fields.
 
+use super::schema::{
+    CapsuleFile, DhFile, DriveFile, FrameFile, FrictionFile, LimitsFile, LinkFile, RobotFile,
+    WorkspaceFile,
+};
 use super::{
-    Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
-    RobotError, Workspace,
+    Capsule, Drive, Friction, Joint, Limits, Link, MAX_JOINTS, Placement, Robot, RobotError,
+    Workspace,
 };
 use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
-use serde::Deserialize;
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RobotFile {
-    name: String,
-    #[serde(default = "earth")]
-    gravity_m_s2: [f64; 3],
-    joints: Vec<JointFile>,
-    flange: Option<FrameFile>,
-    log_columns: Option<LogColumns>,
-    #[serde(default)]
-    workspace: WorkspaceFile,
-}
-
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct WorkspaceFile {
-    table_height_m: Option<f64>,
-    #[serde(default)]
-    clearance_m: f64,
-}
-
-/// Ends and radius in the frame of the link's mass distribution.
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CapsuleFile {
-    from_m: [f64; 3],
-    to_m: [f64; 3],
-    radius_m: f64,
-}
-
-fn earth() -> [f64; 3] {
-    [0.0, 0.0, -9.81]
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct JointFile {
-    name: String,
-    dh: Option<DhFile>,
-    frame: Option<FrameFile>,
-    link: LinkFile,
-    drive: DriveFile,
-    friction: FrictionFile,
-    limits: LimitsFile,
-    #[serde(default)]
-    capsules: Vec<CapsuleFile>,
-}
-
-/// A standard Denavit–Hartenberg row, `T = Rz(q) Tz(d) Tx(a) Rx(alpha)`.
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DhFile {
-    d_m: f64,
-    a_m: f64,
-    alpha_rad: f64,
-}
-
-/// Joint frame in the frame before it, roll–pitch–yaw about fixed axes: `R = Rz(yaw) Ry(pitch) Rx(roll)`.
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FrameFile {
-    xyz_m: [f64; 3],
-    rpy_rad: [f64; 3],
-}
-
-/// Mass distribution in the DH frame of the link, or in the joint frame where the joint is given by a `frame`.
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LinkFile {
-    mass_kg: f64,
-    com_m: [f64; 3],
-    inertia_kg_m2: InertiaFile,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct InertiaFile {
-    xx: f64,
-    yy: f64,
-    zz: f64,
-    #[serde(default)]
-    xy: f64,
-    #[serde(default)]
-    xz: f64,
-    #[serde(default)]
-    yz: f64,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DriveFile {
-    #[serde(default)]
-    rotor_inertia_kg_m2: f64,
-    #[serde(default = "one")]
-    gain_nm_a: f64,
-    encoder_bits: u32,
-}
-
-fn one() -> f64 {
-    1.0
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FrictionFile {
-    viscous_nm_s_rad: f64,
-    coulomb_nm: f64,
-    #[serde(default)]
-    stribeck_ratio: f64,
-    #[serde(default = "one")]
-    stribeck_velocity_rad_s: f64,
-    #[serde(default)]
-    cogging_nm: f64,
-    #[serde(default)]
-    cogging_cycles_rev: f64,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LimitsFile {
-    position_rad: [f64; 2],
-    velocity_rad_s: f64,
-    acceleration_rad_s2: f64,
-    torque_nm: f64,
-}
 
 /// Reads, checks and converts a description.
 pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {

@@ -8,4 +8,4 @@ mod residual;
 pub use black_box::BlackBox;
 pub use network::TrainingNetwork;
 pub use physical::{Descent, LinearLayer, PhysicalConfig, Trained};
-pub use residual::{ResidualConfig, train_residual};
+pub use residual::{ResidualConfig, SpeedPoint, train_residual};

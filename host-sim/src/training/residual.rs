@@ -7,6 +7,17 @@ use foretorque::feedforward::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS};
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
 
+/// What a joint's torque leaves at one speed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpeedPoint {
+    /// Speed, rad/s.
+    pub qd: f64,
+    /// Residual over the torque limit, a ratio.
+    pub residual: f64,
+    /// Rows behind it.
+    pub weight: f64,
+}
+
 /// How a residual network is trained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResidualConfig {
@@ -16,9 +27,7 @@ pub struct ResidualConfig {
     pub starts: usize,
     /// Most steps of one start.
     pub max_steps: usize,
-    /// Rows at most.
-    pub rows: usize,
-    /// Weight decay against the error in units of noise: without it, units fit noise where few rows are.
+    /// Weight decay against the error in units of the residual: without it, units fit noise where few rows are.
     pub decay: f64,
 }
 
@@ -27,64 +36,86 @@ impl Default for ResidualConfig {
         Self {
             seed: 1,
             starts: 4,
-            max_steps: 60,
-            rows: 4000,
-            decay: 1e-3,
+            max_steps: 100,
+            decay: 1e-4,
         }
     }
 }
 
-/// Trains one joint's network on velocities, rad/s, and residuals over the torque limit, ratios. Returns the network in
-/// the board's precision, and the loss (RMSE, ratio of the torque limit) after every step of the best start.
+/// Trains one joint's network on the mean residuals of two halves of a log. Returns the network in the board's precision,
+/// and the loss (RMSE, ratio of the torque limit) after every step of the best start; `watch` sees step and loss of every
+/// start.
 ///
 /// Levenberg–Marquardt steps on the back-propagated Jacobian [Hagan and Menhaj 1994]: 31 weights are few enough to solve
-/// for. A residual counts for no more than three deviations from those at nearly the same speed. Speeds the log does not hold, up to `fastest`,
-/// rad/s, are given the residual at the fastest speed it does hold: a rectifier would continue the last slope.
+/// for. Speeds the log does not hold, up to `fastest`, rad/s, are given the residual at the fastest speed it does hold: a
+/// rectifier would continue the last slope.
 ///
-/// A network that was trained on every other tenth of the samples and does not improve the tenths between says nothing.
+/// Networks that were trained on either half and do not improve the other say nothing.
 pub fn train_residual(
-    samples: &[(f64, f64)],
+    halves: &[Vec<SpeedPoint>; 2],
     fastest: f64,
     config: &ResidualConfig,
+    watch: &mut dyn FnMut(usize, f64),
 ) -> (JointNetwork, Vec<f64>) {
-    let tenth = samples.len().div_ceil(10).max(1);
-    let every_other = |first: usize| -> Vec<(f64, f64)> {
-        let blocks = samples.chunks(tenth).skip(first).step_by(2);
-        blocks.flatten().copied().collect()
-    };
-    let (probe, _) = fit(&every_other(0), fastest, config);
-    let unseen = every_other(1);
-    let without: f64 = unseen.iter().map(|(_, residual)| residual * residual).sum();
-    let left = |(qd, residual): &(f64, f64)| {
-        (f64::from(probe.forward(&network_inputs(*qd as f32))[0]) - residual).powi(2)
-    };
-    let with: f64 = unseen.iter().map(left).sum();
-    if with < WORTHWHILE * without {
-        fit(samples, fastest, config)
+    let (mut gain, mut doubt) = (0.0, 0.0);
+    for (own, other) in [(0, 1), (1, 0)] {
+        let (probe, _) = fit(&halves[own], fastest, config, &mut |_, _| ());
+        let noise = noise(&halves[other]);
+        for point in &halves[other] {
+            let said = f64::from(probe.forward(&network_inputs(point.qd as f32))[0]);
+            gain += point.weight * (2.0 * point.residual - said) * said;
+            // Variance of the term before: the residual of n rows has noise² / n.
+            doubt += 4.0 * noise * point.weight * said * said;
+        }
+    }
+    if gain > CERTAIN * doubt.sqrt() {
+        let all: Vec<SpeedPoint> = halves.iter().flatten().copied().collect();
+        fit(&all, fastest, config, watch)
     } else {
         (JointNetwork::silent(config.seed as u32), Vec::new())
     }
 }
 
-/// A network must leave less than this share of the power of residuals it was not trained on.
-const WORTHWHILE: f64 = 0.98;
+/// Deviations by which networks must improve rows they were not trained on.
+const CERTAIN: f64 = 1.0;
 
-fn fit(samples: &[(f64, f64)], fastest: f64, config: &ResidualConfig) -> (JointNetwork, Vec<f64>) {
-    let stride = samples.len().div_ceil(config.rows).max(1);
-    let mut rows: Vec<(f64, f64)> = samples.iter().copied().step_by(stride).collect();
-    if rows.len() < 4 * JointNetwork::WEIGHTS {
+/// Variance of a single row, from the differences of neighbours in speed, which hold the noise of both and hardly
+/// anything of the curve [von Neumann 1941].
+fn noise(points: &[SpeedPoint]) -> f64 {
+    let squares = points.windows(2).map(|pair| {
+        let joint = pair[0].weight * pair[1].weight / (pair[0].weight + pair[1].weight);
+        joint * (pair[0].residual - pair[1].residual).powi(2)
+    });
+    squares.sum::<f64>() / points.len().saturating_sub(1).max(1) as f64
+}
+
+/// Fewest speeds from which a network is trained.
+const FEWEST: usize = 30;
+
+fn fit(
+    points: &[SpeedPoint],
+    fastest: f64,
+    config: &ResidualConfig,
+    watch: &mut dyn FnMut(usize, f64),
+) -> (JointNetwork, Vec<f64>) {
+    if points.len() < FEWEST {
         // Too little to learn from: say nothing.
         return (JointNetwork::silent(config.seed as u32), Vec::new());
     }
-    without_outliers(&mut rows);
-    rows.extend(beyond(&rows, fastest));
-    let inputs: Vec<[f64; NETWORK_INPUTS]> = rows
-        .iter()
-        .map(|(qd, _)| std::array::from_fn(|i| f64::from(network_inputs(*qd as f32)[i])))
-        .collect();
-    let unit = (rows.iter().map(|(_, r)| r * r).sum::<f64>() / rows.len() as f64).sqrt();
+    let mut points = points.to_vec();
+    points.extend(beyond(&points, fastest));
+    let all: f64 = points.iter().map(|point| point.weight).sum();
+    let square = |point: &SpeedPoint| point.weight * point.residual.powi(2);
+    let unit = (points.iter().map(square).sum::<f64>() / all).sqrt();
     let unit = unit.max(f64::MIN_POSITIVE);
-    let targets: Vec<f64> = rows.iter().map(|(_, r)| r / unit).collect();
+    let rows: Vec<Row> = points
+        .iter()
+        .map(|point| Row {
+            inputs: std::array::from_fn(|i| f64::from(network_inputs(point.qd as f32)[i])),
+            target: point.residual / unit,
+            weight: point.weight / all,
+        })
+        .collect();
     let mut best: Option<(TrainingNetwork, Vec<f64>)> = None;
     for start in 0..config.starts.max(1) as u64 {
         let network = TrainingNetwork::silent(
@@ -93,7 +124,9 @@ fn fit(samples: &[(f64, f64)], fastest: f64, config: &ResidualConfig) -> (JointN
             1,
             config.seed.wrapping_add(start),
         );
-        let (network, losses) = descend(network, &inputs, &targets, config);
+        let (network, losses) = descend(network, &rows, config, &mut |step, loss| {
+            watch(step, loss * unit);
+        });
         let loss = |losses: &[f64]| losses.last().copied().unwrap_or(f64::INFINITY);
         if best
             .as_ref()
@@ -111,46 +144,35 @@ fn fit(samples: &[(f64, f64)], fastest: f64, config: &ResidualConfig) -> (JointN
     }
 }
 
-/// Neighbours in speed a residual is compared with, on each side.
-const NEIGHBOURS: usize = 25;
-
-/// Sorts the rows by speed and cuts every residual to three deviations (by the median) around the median of its
-/// neighbours in speed: the scatter is judged where it is, so that a peak at low speed is no outlier.
-fn without_outliers(rows: &mut [(f64, f64)]) {
-    rows.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let residuals: Vec<f64> = rows.iter().map(|(_, residual)| *residual).collect();
-    let middle = |values: &mut [f64]| {
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
-    };
-    for (row, (_, residual)) in rows.iter_mut().enumerate() {
-        let near = row.saturating_sub(NEIGHBOURS)..(row + NEIGHBOURS + 1).min(residuals.len());
-        let mut values = residuals[near].to_vec();
-        let centre = middle(&mut values);
-        for value in &mut values {
-            *value = (*value - centre).abs();
-        }
-        let bound = 3.0 * 1.4826 * middle(&mut values);
-        *residual = residual.clamp(centre - bound, centre + bound);
-    }
+/// One equation of the training.
+struct Row {
+    inputs: [f64; NETWORK_INPUTS],
+    target: f64,
+    /// Share of all rows.
+    weight: f64,
 }
 
-/// Rows between the fastest speed seen, each way, and `fastest`, with the mean residual near the fastest speed seen.
-fn beyond(rows: &[(f64, f64)], fastest: f64) -> Vec<(f64, f64)> {
+/// Points between the fastest speed seen, each way, and `fastest`, with the mean residual near the fastest speed seen.
+/// Together they weigh a tenth of what was seen.
+fn beyond(points: &[SpeedPoint], fastest: f64) -> Vec<SpeedPoint> {
+    const COUNT: usize = 20;
+    let all: f64 = points.iter().map(|point| point.weight).sum();
     let mut out = Vec::new();
     for way in [1.0, -1.0] {
-        let seen = rows.iter().map(|(qd, _)| qd * way).fold(0.0, f64::max);
-        let near: Vec<f64> = rows
+        let seen = points
             .iter()
-            .filter(|(qd, _)| qd * way > 0.9 * seen)
-            .map(|(_, residual)| *residual)
-            .collect();
+            .map(|point| point.qd * way)
+            .fold(0.0, f64::max);
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for point in points.iter().filter(|point| point.qd * way > 0.8 * seen) {
+            sum += point.weight * point.residual;
+            weight += point.weight;
+        }
         if seen > 0.0 && seen < fastest {
-            let mean = near.iter().sum::<f64>() / near.len().max(1) as f64;
-            let count = rows.len() / 20;
-            out.extend((1..=count).map(|k| {
-                let qd = seen + (fastest - seen) * k as f64 / count as f64;
-                (way * qd, mean)
+            out.extend((1..=COUNT).map(|k| SpeedPoint {
+                qd: way * (seen + (fastest - seen) * k as f64 / COUNT as f64),
+                residual: sum / weight,
+                weight: 0.05 * all / COUNT as f64,
             }));
         }
     }
@@ -159,32 +181,32 @@ fn beyond(rows: &[(f64, f64)], fastest: f64) -> Vec<(f64, f64)> {
 
 fn descend(
     mut network: TrainingNetwork,
-    inputs: &[[f64; NETWORK_INPUTS]],
-    targets: &[f64],
+    rows: &[Row],
     config: &ResidualConfig,
+    watch: &mut dyn FnMut(usize, f64),
 ) -> (TrainingNetwork, Vec<f64>) {
     let size = network.weights.len();
-    let count = targets.len() as f64;
     let mut damping = 1e-2;
-    let mut loss = objective(&network, inputs, targets, config.decay);
+    let mut loss = objective(&network, rows, config.decay);
     let mut losses = vec![loss.1];
     'steps: for _ in 0..config.max_steps {
         let mut normal = DMatrix::<f64>::zeros(size, size);
         let mut slope = DVector::<f64>::zeros(size);
         let mut jacobian = vec![0.0; size];
         let (mut a, mut y) = ([0.0; NETWORK_HIDDEN], [0.0]);
-        for (x, target) in inputs.iter().zip(targets) {
+        for row in rows {
+            let x = &row.inputs;
             network.forward(x, &mut a, &mut y);
             jacobian.fill(0.0);
             network.backward(x, &a, &[1.0], &mut jacobian);
-            let error = y[0] - target;
+            let error = y[0] - row.target;
             for r in 0..size {
                 if jacobian[r] == 0.0 {
                     continue;
                 }
-                slope[r] += jacobian[r] * error / count;
+                slope[r] += row.weight * jacobian[r] * error;
                 for c in 0..=r {
-                    normal[(r, c)] += jacobian[r] * jacobian[c] / count;
+                    normal[(r, c)] += row.weight * jacobian[r] * jacobian[c];
                 }
             }
         }
@@ -209,12 +231,13 @@ fn descend(
                     *weight -= step;
                 }
             }
-            let now = objective(&moved, inputs, targets, config.decay);
+            let now = objective(&moved, rows, config.decay);
             if now.0 < loss.0 {
                 let gain = loss.0 - now.0;
                 network = moved;
                 loss = now;
                 losses.push(now.1);
+                watch(losses.len() - 1, now.1);
                 damping = (damping * 0.3_f64).max(1e-9);
                 if gain < 1e-7 * loss.0 {
                     break 'steps;
@@ -231,19 +254,13 @@ fn descend(
 }
 
 /// Objective with weight decay, and RMSE without.
-fn objective(
-    network: &TrainingNetwork,
-    inputs: &[[f64; NETWORK_INPUTS]],
-    targets: &[f64],
-    decay: f64,
-) -> (f64, f64) {
+fn objective(network: &TrainingNetwork, rows: &[Row], decay: f64) -> (f64, f64) {
     let (mut a, mut y) = ([0.0; NETWORK_HIDDEN], [0.0]);
-    let mut sum = 0.0;
-    for (x, target) in inputs.iter().zip(targets) {
-        network.forward(x, &mut a, &mut y);
-        sum += (y[0] - target).powi(2);
+    let mut mean = 0.0;
+    for row in rows {
+        network.forward(&row.inputs, &mut a, &mut y);
+        mean += row.weight * (y[0] - row.target).powi(2);
     }
-    let mean = sum / targets.len().max(1) as f64;
     let weights: f64 = network.weights.iter().map(|w| w * w).sum();
     (0.5 * (mean + decay * weights), mean.sqrt())
 }
@@ -269,33 +286,45 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stribeck_curve_is_learnt_to_a_fifth_and_holds_beyond_the_speeds_seen() {
+    fn a_stribeck_curve_is_learnt_to_a_tenth_and_holds_beyond_the_speeds_seen() {
         let curve = |qd: f64| 0.02 * qd.signum() * (-(qd / 0.1).powi(2)).exp();
-        let samples: Vec<(f64, f64)> = (0..4000)
-            .map(|k| 1.5 * (f64::from(k) * 0.0137).sin())
+        let points: Vec<SpeedPoint> = (0..400)
+            .map(|k| 1.5 * f64::from(k - 200) / 200.0)
             .filter(|qd| qd.abs() > 0.05)
-            .map(|qd| (qd, curve(qd)))
+            .map(|qd| SpeedPoint {
+                qd,
+                residual: curve(qd),
+                weight: 1.0,
+            })
             .collect();
-        let (network, losses) = train_residual(&samples, 3.0, &ResidualConfig::default());
-        let error = samples.iter().map(|(qd, r)| {
-            (f64::from(network.forward(&network_inputs(*qd as f32))[0]) - r).powi(2)
+        let halves = [points.clone(), points.clone()];
+        let (network, losses) =
+            train_residual(&halves, 3.0, &ResidualConfig::default(), &mut |_, _| ());
+        let error = points.iter().map(|point| {
+            let said = f64::from(network.forward(&network_inputs(point.qd as f32))[0]);
+            (said - point.residual).powi(2)
         });
-        let power: f64 = samples.iter().map(|(_, r)| r * r).sum();
+        let power: f64 = points.iter().map(|point| point.residual.powi(2)).sum();
         let ratio = (error.sum::<f64>() / power).sqrt();
-        assert!(ratio < 0.2, "{ratio}");
+        assert!(ratio < 0.1, "{ratio}");
         assert!(losses.len() > 1);
         assert!(network.forward(&network_inputs(3.0))[0].abs() < 0.003);
     }
 
     #[test]
     fn a_network_that_could_only_learn_noise_says_nothing() {
-        let samples: Vec<(f64, f64)> = (0..2000)
-            .map(|k| {
-                let k = f64::from(k);
-                ((k * 0.0137).sin(), 0.01 * (k * 12.9898).sin())
-            })
-            .collect();
-        let (network, _) = train_residual(&samples, 3.0, &ResidualConfig::default());
+        let half = |phase: f64| -> Vec<SpeedPoint> {
+            (0..200)
+                .map(|k| SpeedPoint {
+                    qd: f64::from(k) / 100.0 - 1.0,
+                    residual: 0.01 * (f64::from(k) * 12.9898 + phase).sin(),
+                    weight: 1.0,
+                })
+                .collect()
+        };
+        let halves = [half(0.0), half(2.0)];
+        let config = ResidualConfig::default();
+        let (network, _) = train_residual(&halves, 3.0, &config, &mut |_, _| ());
         assert!((0..20).all(|k| network.forward(&network_inputs(0.1 * k as f32 - 1.0))[0] == 0.0));
     }
 }

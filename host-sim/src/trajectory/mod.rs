@@ -199,6 +199,22 @@ mod tests {
     }
 
     #[test]
+    fn a_path_of_one_joint_moves_the_others_only_afterwards() {
+        let robot = Robot::load("ur5").expect("built in");
+        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        let alone = path.clone().of_joint_until(1, 15.0);
+        for k in 0..=300 {
+            let t_s = 0.1 * f64::from(k);
+            let (all, one) = (path.at(t_s), alone.at(t_s));
+            assert_eq!(all.qd[1], one.qd[1], "{t_s}");
+            if t_s <= 15.0 {
+                assert_eq!(one.q[0], path.at(0.0).q[0], "{t_s}");
+            }
+        }
+        assert_eq!(alone.at(20.0), path.at(20.0));
+    }
+
+    #[test]
     fn samples_are_held_until_the_next_is_due_and_rest_afterwards() {
         let state = |v: f64| State {
             q: Joints::<1>::repeat(v),

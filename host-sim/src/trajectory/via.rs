@@ -83,6 +83,19 @@ impl<const N: usize> ViaPath<N> {
         self
     }
 
+    /// The same path, of `joint` alone until about `alone_s`; the others wait where they begin.
+    pub fn of_joint_until(mut self, joint: usize, alone_s: f64) -> Self {
+        let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);
+        let waiting = (alone_s / self.segment_s) as usize + 1;
+        for (q, slope) in self.via.iter_mut().take(waiting) {
+            for other in (0..N).filter(|&other| other != joint) {
+                q[other] = start[other];
+                slope[other] = 0.0;
+            }
+        }
+        self
+    }
+
     /// Length, s.
     pub fn duration_s(&self) -> f64 {
         self.segment_s * (self.via.len() - 1) as f64

@@ -12,8 +12,10 @@ mod chain;
 mod document;
 mod error;
 mod tree;
+mod write;
 
 pub use error::{JointProblem, UrdfError, UrdfProblem};
+pub use write::write;
 
 use crate::robot::Robot;
 use std::path::Path;

@@ -103,6 +103,12 @@ const BARS: &[(&str, &str, Side, f64)] = &[
         AtMost,
         0.85,
     ),
+    (
+        "network-",
+        "unseen_with_over_without_network_worst_ratio",
+        AtMost,
+        1.0,
+    ),
 ];
 
 /// One figure against its bar.

@@ -5,10 +5,11 @@ use super::identified::Starts;
 use super::scenario::{Scenario, Start};
 use super::world::{N, PERIOD_S, Set, World};
 use crate::dynamics::Joints;
-use crate::experiment::closed_loop::{Answer, ClosedLoop};
+use crate::experiment::closed_loop::{Answer, ClosedLoop, motion_f32};
 use crate::metrics::{MOVING_RAD_S, TrackingError};
 use crate::plant::{Events, Payload, Plant};
 use crate::trajectory::Trajectory;
+use foretorque::edge::safety::SafetyStatus;
 use foretorque::joint::JointSample;
 use foretorque::learning::{Decision, LearnerStatistics, PayloadEstimate, Stacked};
 use foretorque::limits::Flags;
@@ -24,6 +25,8 @@ pub(super) enum Board {
     Frozen,
     /// A board with the firmware's configuration, everything switched on.
     Learning,
+    /// The same, but its networks are not trained.
+    NoNetwork,
 }
 
 /// Feed-forward error and tracking error of one second.
@@ -67,6 +70,10 @@ pub(super) struct Trace {
     pub(super) late_sets: u32,
     /// Checksum (FNV-1a) of all torques, bit for bit.
     pub(super) checksum: u64,
+    /// Whether torque left the board at the end.
+    pub(super) safety: SafetyStatus,
+    /// The sample that the board was armed with.
+    pub(super) arming: Option<JointSample<N>>,
     /// The samples that went in and the torques that came out, where they were asked for.
     pub(super) tape: Vec<(Option<JointSample<N>>, [u32; N])>,
 }
@@ -129,9 +136,15 @@ impl Run<'_> {
             .with_events(events.clone())
             .with_faults(scenario.faults);
         let start = self.starts.set(scenario.start);
-        let learning = self.board == Board::Learning;
-        let mut board = Controller::new(start, scenario.start.config(), learning)?;
+        let learning = matches!(self.board, Board::Learning | Board::NoNetwork);
+        let mut config = scenario.start.config();
+        if self.board == Board::NoNetwork {
+            config.network.learning_rate = 0.0;
+        }
+        let mut board = Controller::new(start, config, learning)?;
         let mut run = ClosedLoop::new(&mut plant, &pd, &path, PERIOD_S, None)?;
+        let arming = board.arming_sample(motion_f32(&path.at(0.0)));
+        board.arm(&arming).map_err(|reason| format!("{reason:?}"))?;
         let mut watch = Watch::new(self, events, &path, &plant);
         let mut acting = Joints::zeros();
         for tick in 0..self.ticks() {
@@ -165,6 +178,8 @@ impl Run<'_> {
                 progress(1000);
             }
         }
+        watch.trace.arming = Some(arming);
+        watch.trace.safety = board.safety();
         Ok(watch.finish(&board, &plant, self.ticks()))
     }
 }
@@ -274,7 +289,7 @@ impl<'w> Watch<'w> {
             let said = self.world.said(board.active());
             let error = self.world.error(&said, &self.needed.torques);
             let of_step = self.needed.step.map(|step| {
-                let missed = in_limits(self.world, &said, &self.needed.torques);
+                let missed = self.world.in_limits(&said, &self.needed.torques);
                 missed / step
             });
             self.trace.looks.push(Look {
@@ -352,7 +367,7 @@ impl Needed {
         }
         self.torques = world.needed(plant);
         if carried && changed {
-            self.step = Some(in_limits(world, &self.torques, &self.bare));
+            self.step = Some(world.in_limits(&self.torques, &self.bare));
         }
         if !carried {
             self.bare.clone_from(&self.torques);
@@ -360,16 +375,6 @@ impl Needed {
         self.carried = carried;
         self.valid_until_s = plant.t_s() + 1.0;
     }
-}
-
-/// RMS difference of two runs of torques, each joint in units of its limit.
-fn in_limits(world: &World, a: &[Joints<N>], b: &[Joints<N>]) -> f64 {
-    let limits = Joints::<N>::from_iterator(world.described.joints.iter().map(|j| j.limits.torque));
-    let differences = a.iter().zip(b);
-    let squares: f64 = differences
-        .map(|(a, b)| (a - b).component_div(&limits).norm_squared())
-        .sum();
-    (squares / a.len().max(1) as f64).sqrt()
 }
 
 /// RMS of the change over RMS of the torque, root mean square of the joints.

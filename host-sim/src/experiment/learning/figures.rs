@@ -5,6 +5,7 @@ use super::scenario::Scenario;
 use super::world::N;
 use crate::metrics::TrackingError;
 use crate::plant::Events;
+use foretorque::edge::safety::SafetyState;
 use std::collections::BTreeMap;
 
 /// Figures by name; the unit is the end of the name.
@@ -15,6 +16,7 @@ pub(super) struct Traces {
     pub(super) learning: Trace,
     pub(super) frozen: Trace,
     pub(super) pd: Option<Trace>,
+    pub(super) no_network: Option<Trace>,
 }
 
 /// Length of the windows in which learned and frozen are compared, s.
@@ -33,6 +35,7 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
         learning,
         frozen,
         pd,
+        no_network,
     } = traces;
     let mut put = |name: &str, value: f64| {
         out.insert(name.to_owned(), value);
@@ -41,9 +44,11 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
     put("first_nrmse_moving_percent", 100.0 * first(&learning.looks));
     put("last_nrmse_moving_percent", 100.0 * last(learning));
     put("last_frozen_nrmse_moving_percent", 100.0 * last(frozen));
-    let worst = worst_window(&learning.seconds, &frozen.seconds);
-    put("worst_window_learned_over_frozen_ratio", worst.0);
-    put("worst_window_begins_s", worst.1);
+    // Short runs have no window that counts.
+    if let Some(worst) = worst_window(&learning.seconds, &frozen.seconds) {
+        put("worst_window_learned_over_frozen_ratio", worst.0);
+        put("worst_window_begins_s", worst.1);
+    }
     let tracked = |trace: &Trace| tracking(&trace.seconds);
     put("tracking_learned_mrad", tracked(learning).mean_rms_mrad());
     put("tracking_frozen_mrad", tracked(frozen).mean_rms_mrad());
@@ -70,6 +75,8 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
     let mut put = |name: &str, value: f64| {
         out.insert(name.to_owned(), value);
     };
+    let armed = learning.safety.state == SafetyState::Armed;
+    put("armed_at_the_end_count", f64::from(u8::from(armed)));
     put("least_trust_ratio", f64::from(learning.least_trust));
     match scenario.name {
         "convergence" => {
@@ -89,6 +96,22 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
     }
     if !events.pushes.is_empty() {
         collisions(events, learning, &mut put);
+    }
+    if let Some(without) = no_network {
+        let late = |trace: &Trace| trace.looks[trace.looks.len() / 2..].to_vec();
+        let ratios: Vec<f64> = late(learning)
+            .iter()
+            .zip(late(without))
+            .map(|(with, without)| with.nrmse / without.nrmse)
+            .collect();
+        put(
+            "unseen_with_over_without_network_ratio",
+            ratios.iter().sum::<f64>() / ratios.len() as f64,
+        );
+        put(
+            "unseen_with_over_without_network_worst_ratio",
+            largest(&ratios),
+        );
     }
     if let Some(pd) = pd {
         let alone = tracked(pd);
@@ -140,17 +163,15 @@ fn stays_below(looks: &[Look], bound: f64) -> f64 {
     looks.get(first).map_or(f64::NAN, |look| look.t_s)
 }
 
-/// The worst ratio of learned over frozen error on any window, and where that begins, s.
-fn worst_window(learned: &[Second], frozen: &[Second]) -> (f64, f64) {
-    let mut worst = (f64::NAN, f64::NAN);
+/// The worst ratio of learned over frozen error on any window that counts and has motion, and where that begins, s.
+fn worst_window(learned: &[Second], frozen: &[Second]) -> Option<(f64, f64)> {
     let windows = learned.windows(WINDOW_S).zip(frozen.windows(WINDOW_S));
-    for (begin, (learned, frozen)) in windows.enumerate().skip(FIRST_WINDOW_S) {
-        let ratio = nrmse(learned) / nrmse(frozen);
-        if ratio > worst.0 || worst.0.is_nan() && ratio.is_finite() {
-            worst = (ratio, begin as f64);
-        }
-    }
-    worst
+    windows
+        .enumerate()
+        .skip(FIRST_WINDOW_S)
+        .map(|(begin, (learned, frozen))| (nrmse(learned) / nrmse(frozen), begin as f64))
+        .filter(|(ratio, _)| ratio.is_finite())
+        .max_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// NRMSE of the moving rows of some seconds, ratio.

@@ -49,16 +49,14 @@ impl Starts {
 }
 
 impl Start {
-    /// How the learner goes on from there: as the firmware has it; what a plain friction model leaves out stays out.
+    /// How the learner goes on from there: as the firmware has it; a plain friction model has no Stribeck
+    /// columns, and gets none.
     pub(super) fn config(self) -> LearnerConfig<N, P> {
         let mut config = Controller::config();
         if self == Self::PlainFriction {
             for sigma in &mut config.friction_sigma {
-                let (viscous, coulomb) = (sigma.viscous, sigma.coulomb);
-                *sigma = foretorque::dynamics::FrictionParameters::from_columns(
-                    sigma.columns().map(|sigma| UNUSED * sigma),
-                );
-                (sigma.viscous, sigma.coulomb) = (viscous, coulomb);
+                sigma.stribeck_narrow *= UNUSED;
+                sigma.stribeck_wide *= UNUSED;
             }
         }
         config

@@ -2,24 +2,35 @@
 //! everything that may go wrong.
 
 mod bars;
+mod baselines;
+mod comparison;
 mod controller;
 mod drive;
+mod emulated;
 mod figures;
 mod identified;
 mod page;
 mod scenario;
+pub mod soak;
+pub mod table;
+mod twin;
 mod world;
 
 pub use bars::Outcome;
+pub use comparison::MethodReport;
+pub use emulated::EmulatedReport;
 
+use crate::board::Client;
+use crate::parallel::{cores, in_parallel};
 use drive::{Board, Run, Trace};
 use figures::{Figures, Traces, figures};
+use foretorque::arm::ur5::JOINTS;
 use identified::Starts;
 use scenario::{SCENARIOS, Scenario};
 use serde::Serialize;
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::error::Error;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use world::World;
 
@@ -63,6 +74,10 @@ pub struct LearningReport {
     pub seed: u64,
     /// Scenarios by name.
     pub scenarios: BTreeMap<String, ScenarioReport>,
+    /// Estimators side by side on the same rows, by name; empty where only some scenarios were asked for.
+    pub comparison: BTreeMap<String, MethodReport>,
+    /// Scenarios replayed on the board, by name; empty without a board.
+    pub emulated: BTreeMap<String, EmulatedReport>,
     /// Figures against their bars.
     pub outcomes: Vec<Outcome>,
 }
@@ -79,11 +94,12 @@ pub fn scenarios() -> impl Iterator<Item = (String, &'static str)> {
     })
 }
 
-/// Runs the scenarios on all cores. Returns the figures and the page.
+/// Runs the scenarios on all cores, then some of them again on `board`. Returns the figures and the page.
 ///
-/// Errors: no scenario has that name.
+/// Errors: no scenario has that name; the board's.
 pub fn run(
     config: &LearningConfig,
+    mut board: Option<&mut Client<JOINTS>>,
     progress: Progress<'_>,
 ) -> Result<(LearningReport, String), Box<dyn Error>> {
     let wanted: Vec<(String, &Scenario, f64)> = SCENARIOS
@@ -98,28 +114,29 @@ pub fn run(
                 .is_none_or(|only| name.starts_with(only))
         })
         .collect();
-    if wanted.is_empty() {
+    let comparison_alone = config.only.as_deref() == Some("comparison");
+    if wanted.is_empty() && !comparison_alone {
         let only = config.only.as_deref().unwrap_or_default();
         return Err(format!("no scenario begins with '{only}': --list shows them").into());
     }
     let world = World::new(config.seed)?;
     let starts = Starts::new(&world)?;
     let mut runs = Vec::new();
-    for (place, (_, scenario, bandwidth_hz)) in wanted.iter().enumerate() {
-        let boards: &[Board] = if scenario.against_pd {
-            &[Board::Learning, Board::Frozen, Board::None]
-        } else {
-            &[Board::Learning, Board::Frozen]
-        };
-        runs.extend(boards.iter().map(|board| {
+    for (place, (name, scenario, bandwidth_hz)) in wanted.iter().enumerate() {
+        let mut boards = vec![Board::Learning, Board::Frozen];
+        boards.extend(scenario.against_pd.then_some(Board::None));
+        boards.extend(scenario.without_network.then_some(Board::NoNetwork));
+        runs.extend(boards.iter().map(|board_kind| {
             let run = Run {
                 world: &world,
                 starts: &starts,
                 scenario,
                 bandwidth_hz: *bandwidth_hz,
-                board: *board,
+                board: *board_kind,
                 quick: config.quick,
-                tape: false,
+                tape: board.is_some()
+                    && *board_kind == Board::Learning
+                    && emulated::REPLAYED.contains(&name.as_str()),
             };
             (place, run)
         }));
@@ -129,7 +146,7 @@ pub fn run(
     for ((place, run), trace) in runs.iter().zip(traces) {
         by_place.entry(*place).or_default().push((run.board, trace));
     }
-    let mut scenarios = BTreeMap::new();
+    let (mut scenarios, mut emulated) = (BTreeMap::new(), BTreeMap::new());
     for (place, traces) in by_place {
         let (name, scenario, _) = &wanted[place];
         let mut traces: BTreeMap<u8, Trace> = traces
@@ -144,7 +161,20 @@ pub fn run(
             learning,
             frozen,
             pd: take(Board::None),
+            no_network: take(Board::NoNetwork),
         };
+        if let Some(board) = board
+            .as_deref_mut()
+            .filter(|_| !traces.learning.tape.is_empty())
+        {
+            let (start, all) = (starts.set(scenario.start), traces.learning.tape.len());
+            let done = Cell::new(0);
+            let replayed = emulated::replay(board, start, &traces.learning, &|ticks| {
+                done.set(done.get() + ticks);
+                progress("ticks on the board", done.get(), all);
+            })?;
+            emulated.insert(name.clone(), replayed);
+        }
         let events = scenario.events(&world, config.quick);
         let figures = figures(scenario, &events, &traces);
         scenarios.insert(
@@ -159,11 +189,19 @@ pub fn run(
             },
         );
     }
+    let comparison = match config.only {
+        Some(_) if !comparison_alone => BTreeMap::new(),
+        _ => comparison::compare(&world, config.quick, &|done, all| {
+            progress("estimators compared", done, all);
+        })?,
+    };
     let outcomes = bars::outcomes(scenarios.iter().map(|(name, s)| (name, &s.figures)));
     let report = LearningReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: config.seed,
         scenarios,
+        comparison,
+        emulated,
         outcomes,
     };
     let page = page::page(&report)?;
@@ -184,44 +222,43 @@ fn run_all(
     let mut order: Vec<usize> = (0..runs.len()).collect();
     order.sort_by_key(|&k| std::cmp::Reverse(runs[k].1.ticks()));
     let all: usize = runs.iter().map(|(_, run)| run.ticks() / 1000).sum();
-    let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let found: Mutex<Vec<Option<Result<Trace, String>>>> = Mutex::new(vec![None; runs.len()]);
+    let done = AtomicUsize::new(0);
     let advance = |ticks: usize| {
         let before = done.fetch_add(ticks / 1000, Ordering::Relaxed);
         progress("seconds of arm time", before + ticks / 1000, all);
     };
-    let work = || {
-        while let Some(&k) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let trace = runs[k].1.trace(&advance).map_err(|error| error.to_string());
-            if let Ok(mut found) = found.lock() {
-                found[k] = Some(trace);
-            }
-        }
+    let work = |&k: &usize| {
+        (
+            k,
+            runs[k].1.trace(&advance).map_err(|error| error.to_string()),
+        )
     };
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..cores {
-            scope.spawn(work);
-        }
-    });
-    let found = found.into_inner().map_err(|_| "a run ended early")?;
-    found
-        .into_iter()
-        .map(|trace| Ok(trace.ok_or("a run ended early")??))
-        .collect()
+    let mut found = in_parallel(cores(), &order, work, || {});
+    found.sort_by_key(|(k, _)| *k);
+    let traces = found.into_iter().map(|(_, trace)| Ok(trace?));
+    traces.collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::board::Native;
+    use foretorque::arm::ur5::{PARAMETERS, Ur5};
+    use std::time::Duration;
 
     fn report(only: &str) -> LearningReport {
+        let native = Native::<Ur5, JOINTS, PARAMETERS>::new().expect("boots");
+        let mut board =
+            Client::connect::<Ur5, PARAMETERS>(Box::new(native), Duration::from_secs(1))
+                .expect("hello");
         let config = LearningConfig {
             seed: 1,
             only: Some(only.to_owned()),
             quick: true,
         };
-        run(&config, &|_, _, _| {}).expect("runs").0
+        run(&config, Some(&mut board), &|_, _, _| {})
+            .expect("runs")
+            .0
     }
 
     #[test]
@@ -237,6 +274,10 @@ mod tests {
                 "{name}: {last}"
             );
         }
+        // The firmware's session, over its link, gives the same bits.
+        let replayed = &first.emulated["convergence-pd6"];
+        assert_eq!(replayed.ticks_count, 22_000);
+        assert_eq!(replayed.ticks_with_other_bits_count, 0);
         // As text, in which what never happened is equal to itself.
         let text = |report: &LearningReport| serde_json::to_string(report).expect("is written");
         assert_eq!(text(&first), text(&report("convergence")));

@@ -14,7 +14,7 @@ pub(super) enum Start {
     Wrong,
     /// Identified by least squares on 40 s of another path.
     Identified,
-    /// The same, with viscous and Coulomb friction only, and nothing else learnt of friction.
+    /// The same without the Stribeck columns: what the networks are there for.
     PlainFriction,
 }
 
@@ -25,8 +25,8 @@ pub(super) enum Motion {
     Task,
     /// Its task for so long, s; then it stands still.
     TaskThenStill(f64),
-    /// One joint of its task, from 0; the others stand still.
-    OneJoint(usize),
+    /// One joint of its task, from 0, for so long, s, while the others stand still; then all.
+    OneJointFirst(usize, f64),
 }
 
 /// What happens to the arm.
@@ -57,6 +57,8 @@ pub(super) struct Scenario {
     pub(super) faults: ReportFaults,
     /// PD control alone is run too, to divide its tracking error by.
     pub(super) against_pd: bool,
+    /// A board whose networks are not trained is run too.
+    pub(super) without_network: bool,
 }
 
 /// The first event is at this time, s: the board has settled by then.
@@ -94,11 +96,12 @@ const PLAIN: Scenario = Scenario {
     motion: Motion::Task,
     happening: Happening::Nothing,
     seconds: 60.0,
-    quick_s: 14.0,
+    quick_s: 22.0,
     plant: PLANT,
     viscous: 1.0,
     faults: NO_FAULTS,
     against_pd: false,
+    without_network: false,
 };
 
 /// The arm as it was identified, without drift, against PD control alone.
@@ -147,7 +150,6 @@ pub(super) const SCENARIOS: &[Scenario] = &[
         shows: "15 s of task, then 61 s of standstill",
         motion: Motion::TaskThenStill(15.0),
         seconds: 77.0,
-        quick_s: 20.0,
         ..PLAIN
     },
     Scenario {
@@ -260,14 +262,16 @@ pub(super) const SCENARIOS: &[Scenario] = &[
     ),
     Scenario {
         name: "one-joint",
-        shows: "only the shoulder lift moves",
-        motion: Motion::OneJoint(1),
+        shows: "40 s in which only the shoulder lift moves, then all joints",
+        motion: Motion::OneJointFirst(1, 40.0),
+        seconds: 70.0,
         ..PLAIN
     },
     Scenario {
         name: "network",
-        shows: "a plain friction model, and the networks beside it",
+        shows: "a friction model without Stribeck columns, and the networks beside it",
         start: Start::PlainFriction,
+        without_network: true,
         ..PLAIN
     },
     TRACKING,
@@ -307,11 +311,13 @@ impl Scenario {
         let seconds = self.length_s(quick);
         let moving_s = match self.motion {
             Motion::TaskThenStill(moving_s) => moving_s,
-            Motion::Task | Motion::OneJoint(_) => seconds,
+            Motion::Task | Motion::OneJointFirst(..) => seconds,
         };
         let task = world.task(moving_s, 1 + self.stream());
         match self.motion {
-            Motion::OneJoint(joint) => Trajectory::Via(task.of_joint(joint)),
+            Motion::OneJointFirst(joint, alone_s) => {
+                Trajectory::Via(task.of_joint_until(joint, alone_s))
+            }
             Motion::Task | Motion::TaskThenStill(_) => Trajectory::Via(task),
         }
     }

@@ -109,4 +109,16 @@ impl World {
         }
         error
     }
+
+    /// RMS difference of two runs of torques, each joint in units of its limit.
+    pub(super) fn in_limits(&self, a: &[Joints<N>], b: &[Joints<N>]) -> f64 {
+        let joints = self.described.joints.iter();
+        let limits = Joints::<N>::from_iterator(joints.map(|joint| joint.limits.torque));
+        let squares: f64 = a
+            .iter()
+            .zip(b)
+            .map(|(a, b)| (a - b).component_div(&limits).norm_squared())
+            .sum();
+        (squares / a.len().max(1) as f64).sqrt()
+    }
 }

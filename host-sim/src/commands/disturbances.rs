@@ -1,0 +1,235 @@
+//! What may happen to the simulated arm, and what may be wrong with what it reports.
+
+use super::{Failure, unusable};
+use crate::dynamics::Joints;
+use crate::plant::{Events, Payload, PlantConfig, Push, ReportFaults};
+use clap::Args;
+use std::ops::Range;
+use std::str::FromStr;
+
+/// Options of `simulate` and `run`.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Disturbances")]
+pub(super) struct DisturbanceArguments {
+    /// A payload of so many kg is in the hand from T1 to T2, s; may be given several times
+    #[arg(long, value_name = "KG@T1..T2")]
+    payload: Vec<During<f64>>,
+    /// Centre of mass of the payloads in the frame of the last link, m
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        default_value = "0,0,0.1323",
+        allow_hyphen_values = true
+    )]
+    payload_com: Triple,
+    /// A torque from outside, N·m, on joint J (from 1) from T1 to T2, s; may be given several times
+    #[arg(long, value_name = "J:NM@T1..T2")]
+    push: Vec<During<JointTorque>>,
+    /// Growth of viscous friction, share in ten minutes
+    #[arg(long, default_value_t = 0.3, allow_hyphen_values = true)]
+    viscous_drift: f64,
+    /// Coulomb friction under load, share of the torque against gravity and velocity products
+    #[arg(long, default_value_t = 0.0)]
+    load_friction: f64,
+    /// Torque the drives make over the torque asked of them: torque constants that are wrong
+    #[arg(long, default_value_t = 1.0)]
+    drive_gain: f64,
+    /// Factor on every reported torque: a wrong current sensor; negative = wrong sign
+    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
+    sensor_gain: f64,
+    /// Share of reported torques that are off by 20 % of the limit
+    #[arg(long, default_value_t = 0.0)]
+    outliers: f64,
+    /// Share of reported positions with a flipped encoder bit
+    #[arg(long, default_value_t = 0.0)]
+    glitches: f64,
+    /// Share of reports that carry a number that is none
+    #[arg(long, default_value_t = 0.0)]
+    not_a_number: f64,
+    /// Share of reports that are lost: in no log, and the board has none in that tick
+    #[arg(long, default_value_t = 0.0)]
+    lost: f64,
+    /// Share of reports that are late: the one before comes in their place
+    #[arg(long, default_value_t = 0.0)]
+    late: f64,
+}
+
+/// Something from one time to another, s.
+#[derive(Clone, Debug, PartialEq)]
+struct During<T> {
+    what: T,
+    time_s: Range<f64>,
+}
+
+/// A torque on one joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct JointTorque {
+    /// The joint, from 1.
+    joint: usize,
+    torque_nm: f64,
+}
+
+/// Three numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Triple([f64; 3]);
+
+fn number(text: &str) -> Result<f64, String> {
+    let value = text.trim().parse::<f64>().ok();
+    value
+        .filter(|value| value.is_finite())
+        .ok_or_else(|| format!("'{text}' is no number"))
+}
+
+impl FromStr for JointTorque {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (joint, torque) = text.split_once(':').ok_or("not of the form J:NM@T1..T2")?;
+        Ok(Self {
+            joint: joint
+                .parse()
+                .ok()
+                .filter(|joint| *joint > 0)
+                .ok_or_else(|| format!("'{joint}' is no joint, they count from 1"))?,
+            torque_nm: number(torque)?,
+        })
+    }
+}
+
+impl FromStr for Triple {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let values: Vec<f64> = text.split(',').map(number).collect::<Result<_, _>>()?;
+        let values = values.try_into().map_err(|_| "not three numbers")?;
+        Ok(Self(values))
+    }
+}
+
+impl<T: FromStr> FromStr for During<T>
+where
+    T::Err: ToString,
+{
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (what, time) = text
+            .split_once('@')
+            .ok_or("no @ between what and when it happens")?;
+        let (from, to) = time.split_once("..").ok_or("no .. between begin and end")?;
+        let time_s = number(from)?..number(to)?;
+        if time_s.start < 0.0 || time_s.is_empty() {
+            return Err("it must begin at 0 s or later, and end after that".to_owned());
+        }
+        Ok(Self {
+            what: what.parse().map_err(|error: T::Err| error.to_string())?,
+            time_s,
+        })
+    }
+}
+
+impl DisturbanceArguments {
+    /// The plant, its noise apart.
+    ///
+    /// Errors: a number that makes no sense.
+    pub(super) fn plant_config(&self) -> Result<PlantConfig, Failure> {
+        if !(self.drive_gain.is_finite() && self.drive_gain > 0.0) {
+            return Err(unusable("--drive-gain must be positive"));
+        }
+        if !(self.load_friction.is_finite() && self.load_friction >= 0.0) {
+            return Err(unusable("--load-friction must not be negative"));
+        }
+        if !(self.viscous_drift.is_finite() && self.viscous_drift > -1.0) {
+            return Err(unusable("--viscous-drift must be more than -1"));
+        }
+        Ok(PlantConfig {
+            viscous_drift: self.viscous_drift / 600.0,
+            load_friction: self.load_friction,
+            drive_gain: self.drive_gain,
+            ..PlantConfig::default()
+        })
+    }
+
+    /// What happens to the arm.
+    ///
+    /// Errors: a joint it has not, a mass that is none.
+    pub(super) fn events<const N: usize>(&self) -> Result<Events<N>, Failure> {
+        let mut events = Events::default();
+        for During { what, time_s } in &self.payload {
+            if !(what.is_finite() && *what > 0.0) {
+                return Err(unusable("--payload: a mass must be positive"));
+            }
+            let Triple(com_m) = self.payload_com;
+            events
+                .payloads
+                .push(Payload::cube(*what, com_m, time_s.start, time_s.end));
+        }
+        for During { what, time_s } in &self.push {
+            let mut torque = Joints::<N>::zeros();
+            match torque.get_mut(what.joint - 1) {
+                Some(slot) => *slot = what.torque_nm,
+                None => {
+                    return Err(unusable(format!(
+                        "--push: there is no joint {}, the last one is {N}",
+                        what.joint
+                    )));
+                }
+            }
+            events.pushes.push(Push {
+                torque,
+                from_s: time_s.start,
+                to_s: time_s.end,
+            });
+        }
+        Ok(events)
+    }
+
+    /// What is wrong with what the arm reports.
+    ///
+    /// Errors: a share that is none.
+    pub(super) fn faults(&self) -> Result<ReportFaults, Failure> {
+        for (share, option) in [
+            (self.outliers, "--outliers"),
+            (self.glitches, "--glitches"),
+            (self.not_a_number, "--not-a-number"),
+            (self.lost, "--lost"),
+            (self.late, "--late"),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(unusable(format!("{option} must lie between 0 and 1")));
+            }
+        }
+        if !(self.sensor_gain.is_finite() && self.sensor_gain != 0.0) {
+            return Err(unusable("--sensor-gain must be a number other than 0"));
+        }
+        Ok(ReportFaults {
+            torque_gain: self.sensor_gain,
+            outliers: self.outliers,
+            glitches: self.glitches,
+            not_a_number: self.not_a_number,
+            lost: self.lost,
+            late: self.late,
+            ..ReportFaults::default()
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_happens_is_read_as_it_is_written() {
+        let payload: During<f64> = "2.5@1..4.5".parse().expect("a payload");
+        assert_eq!((payload.what, payload.time_s), (2.5, 1.0..4.5));
+        let push: During<JointTorque> = "2:-30@0.5..0.6".parse().expect("a push");
+        assert_eq!((push.what.joint, push.what.torque_nm), (2, -30.0));
+        assert_eq!(push.time_s, 0.5..0.6);
+        for bad in ["2.5", "2.5@1", "x@1..2", "2@2..1", "2@-1..2", "2@1..1"] {
+            assert!(bad.parse::<During<f64>>().is_err(), "{bad}");
+        }
+        for bad in ["3@1..2", "0:3@1..2", "x:3@1..2", "1:@1..2"] {
+            assert!(bad.parse::<During<JointTorque>>().is_err(), "{bad}");
+        }
+    }
+}

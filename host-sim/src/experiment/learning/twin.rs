@@ -1,0 +1,106 @@
+//! The firmware's estimator once more, on the plain covariance and in f64: where exact arithmetic would be.
+
+use super::world::{N, P, Set};
+use foretorque::arm::Arm;
+use foretorque::arm::ur5::Ur5;
+use foretorque::dynamics::FRICTION_COLUMNS;
+use foretorque::learning::{LearnerConfig, Stacked};
+use nalgebra::{DMatrix, DVector};
+
+/// Friction columns of a joint that wander: viscous, Coulomb and the Stribeck pair.
+const WANDERING: usize = 4;
+/// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
+const MEDIAN: f64 = 0.6745;
+const VARIANCE_STEP: f64 = 1.005;
+const VARIANCE_RANGE: (f64, f64) = (0.1, 400.0);
+
+/// The twin. Parameters in prior standard deviations from the start.
+pub(super) struct Twin {
+    config: LearnerConfig<N, P>,
+    start: DVector<f64>,
+    sigma: DVector<f64>,
+    theta: DVector<f64>,
+    covariance: DMatrix<f64>,
+    variance: [f64; N],
+}
+
+fn wide(numbers: &Stacked<N, P>) -> DVector<f64> {
+    let numbers: Vec<f64> = numbers.iter().map(|&x| f64::from(x)).collect();
+    DVector::from_vec(numbers)
+}
+
+impl Twin {
+    pub(super) fn new(config: LearnerConfig<N, P>, prior: &Set) -> Self {
+        let start = wide(&Stacked::of(prior));
+        let n = start.len();
+        Self {
+            sigma: wide(&Stacked::sigma(&config)),
+            config,
+            start,
+            theta: DVector::zeros(n),
+            covariance: DMatrix::identity(n, n),
+            variance: [1.0; N],
+        }
+    }
+
+    /// Takes in the torque `tau` of `joint` with its row, as the estimator does:
+    /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(z, ±k) / √S`.
+    pub(super) fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
+        let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
+        let unit = f64::from(self.config.noise * limit);
+        let raw = wide(row);
+        let value = &self.start + self.sigma.component_mul(&self.theta);
+        let innovation = (f64::from(tau) - raw.dot(&value)) / unit;
+        let phi = raw.component_mul(&self.sigma) / unit;
+        let first = joint * FRICTION_COLUMNS;
+        for k in first..first + WANDERING {
+            if self.covariance[(k, k)] < 1.0 {
+                self.covariance[(k, k)] += f64::from(self.config.process_noise);
+            }
+        }
+        let spread = &self.covariance * &phi;
+        let s = phi.dot(&spread) + self.variance[joint];
+        self.covariance.ger(-1.0 / s, &spread, &spread, 1.0);
+        let z = innovation / s.sqrt();
+        let variance = &mut self.variance[joint];
+        *variance *= if z.abs() > MEDIAN {
+            VARIANCE_STEP
+        } else {
+            1.0 / VARIANCE_STEP
+        };
+        *variance = variance.clamp(VARIANCE_RANGE.0, VARIANCE_RANGE.1);
+        let most = f64::from(self.config.outlier_sigmas);
+        self.theta
+            .axpy(z.clamp(-most, most) / s.sqrt(), &spread, 1.0);
+        let half_width = f64::from(self.config.box_sigmas);
+        self.theta
+            .apply(|theta| *theta = theta.clamp(-half_width, half_width));
+        for joint in 0..N {
+            self.resist(joint * FRICTION_COLUMNS);
+        }
+    }
+
+    /// Keeps the friction of the joint whose columns begin at `first` from pushing.
+    fn resist(&mut self, first: usize) {
+        let Self {
+            start,
+            sigma,
+            theta,
+            ..
+        } = self;
+        let mut floor = |k: usize, bound: f64| {
+            theta[k] = theta[k].max((bound - start[k]) / sigma[k]);
+            start[k] + sigma[k] * theta[k]
+        };
+        floor(first, 0.0);
+        let coulomb = floor(first + 1, 0.0);
+        floor(first + 2, -0.5 * coulomb);
+        floor(first + 3, -0.5 * coulomb);
+    }
+
+    /// Largest distance of any parameter of `estimate`, prior standard deviations.
+    pub(super) fn distance(&self, estimate: &Stacked<N, P>) -> f64 {
+        let found = (wide(estimate) - &self.start).component_div(&self.sigma);
+        (found - &self.theta).amax()
+    }
+}

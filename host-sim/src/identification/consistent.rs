@@ -1,0 +1,320 @@
+//! Physically consistent parameters: a convex programme over everything the arm is made of.
+//!
+//! The base parameters β and friction φ of a robust fit say `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)` about y = (β, φ). Here β = B x, with x
+//! all standard parameters and rotor inertias, and x must be what bodies can have: every link's pseudo-inertia
+//!
+//! ```text
+//! P = | Σ    m c |      Σ = ½ tr(I) 1 − I,   I about the link origin
+//!     | m cᵀ  m  |
+//! ```
+//! is positive definite [Wensing, Kim and Slotine 2018, eq. 21], rotor inertias and plain friction are positive. Torque cannot
+//! see all of x: what it leaves open stays near the description in the affine-invariant sense of the Bregman divergence
+//! `tr(P₀⁻¹P) − log det(P₀⁻¹P) − 4` [Lee, Wensing and Park 2020], which is also the barrier of the cone, so that one
+//! path-following Newton method minimises the whole. A conic solver from a library would need LAPACK on the machine for
+//! its semidefinite cones; with 4 × 4 blocks, Cholesky factors of nalgebra are all that is needed.
+
+use super::columns::{FrictionColumn, Layout};
+use super::methods::Fit;
+use super::normal::solve;
+use crate::dynamics::BaseMap;
+use crate::robot::{LINK_PARAMETERS, Link, Robot};
+use nalgebra::{DMatrix, DVector, Matrix4};
+
+/// A consistent fit, and the robot it describes.
+#[derive(Clone, Debug)]
+pub(super) struct ConsistentFit<const N: usize> {
+    /// The fit in the parameters of the layout.
+    pub fit: Fit<N>,
+    /// The description with the identified links, rotors and friction.
+    pub robot: Robot,
+    /// What consistency costs: `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)`. Noise alone makes half the number of parameters of it.
+    pub distance_nats: f64,
+}
+
+/// Weight of the divergence from the description at the start of the path, in nats, and at its end. The optimum is missed
+/// by less than the last weight times the number of barriers (6 a joint), far less than what noise makes of it.
+const WEIGHTS: (f64, f64) = (1e6, 1e-2);
+/// Each weight over the one before.
+const WEIGHT_STEP: f64 = 0.1;
+/// Newton steps at one weight at most, and the decrement (nats) at which it is settled.
+const STEPS: usize = 60;
+const SETTLED: f64 = 1e-8;
+/// Least second moment of a link of the description, as a share of their sum: figures of thin bodies lie on the edge of
+/// the cone, and the path must start inside.
+const THINNEST: f64 = 1e-3;
+/// Least value of a positive scalar of the description from which the path may start, SI.
+const LEAST: f64 = 1e-3;
+
+/// The consistent parameters nearest to what `free` says, in the metric of its covariance. `None` when a matrix that
+/// must be positive definite is not.
+pub(super) fn consistent<const N: usize>(
+    robot: &Robot,
+    layout: &Layout<N>,
+    free: &Fit<N>,
+) -> Option<ConsistentFit<N>> {
+    let (_, information) = solve_damped(&free.covariance, &DVector::zeros(free.theta.len()))?;
+    let map = parameter_map(&robot.base_map(), layout);
+    let cone = Cone::around::<N>(robot, layout);
+    let hessian = map.tr_mul(&(&information * &map));
+    let moment = map.tr_mul(&(&information * &free.theta));
+    let cost = |z: &DVector<f64>| 0.5 * z.dot(&(&hessian * z)) - moment.dot(z);
+    let mut z = cone.centre.clone();
+    let (mut weight, mut steps) = (WEIGHTS.0, 0);
+    let mut doubt = DMatrix::zeros(z.len(), z.len());
+    while weight >= 0.99 * WEIGHTS.1 {
+        for _ in 0..STEPS {
+            let mut slope = &hessian * &z - &moment;
+            let mut curvature = hessian.clone();
+            cone.differentiate(&z, weight, &mut slope, &mut curvature)?;
+            let (step, inverse) = solve_damped(&curvature, &-&slope)?;
+            doubt = inverse;
+            steps += 1;
+            let decrement = -slope.dot(&step);
+            if decrement < SETTLED {
+                break;
+            }
+            let before = cost(&z) + weight * cone.divergence(&z)?;
+            let mut length = 1.0;
+            // Short enough to stay inside the cone and to gain: convexity guarantees both in the end.
+            while length > 1e-12 {
+                let next = &z + &step * length;
+                let after = cone.divergence(&next).map(|d| cost(&next) + weight * d);
+                if after.is_some_and(|after| after <= before - 0.1 * length * decrement) {
+                    z = next;
+                    break;
+                }
+                length *= 0.5;
+            }
+            if length <= 1e-12 {
+                // Nothing left to gain in this arithmetic.
+                break;
+            }
+        }
+        weight *= WEIGHT_STEP;
+    }
+    let theta = &map * &z;
+    let apart = &theta - &free.theta;
+    Some(ConsistentFit {
+        distance_nats: 0.5 * apart.dot(&(&information * &apart)),
+        robot: described(robot, layout, &z),
+        fit: Fit {
+            covariance: &map * doubt * map.transpose(),
+            theta,
+            sigma: free.sigma,
+            iterations: free.iterations + steps,
+        },
+    })
+}
+
+/// [`solve`], with as little on the diagonal as the factorisation needs: what torque cannot see is curved by the divergence
+/// alone, and that may lie below the rounding of what it sees. A damped Newton step still descends.
+fn solve_damped(
+    matrix: &DMatrix<f64>,
+    right: &DVector<f64>,
+) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    let damped = |damping: f64| {
+        let mut matrix = matrix.clone();
+        for k in 0..matrix.nrows() {
+            matrix[(k, k)] *= 1.0 + damping;
+        }
+        solve(&matrix, right)
+    };
+    [0.0, 1e-14, 1e-13, 1e-12, 1e-11, 1e-10]
+        .into_iter()
+        .find_map(damped)
+}
+
+/// From (standard parameters, rotor inertias, friction) to the parameters of the layout.
+fn parameter_map<const N: usize>(base: &BaseMap, layout: &Layout<N>) -> DMatrix<f64> {
+    let full = (LINK_PARAMETERS + 1) * N;
+    let friction = layout.parameters.len() - layout.base;
+    let mut map = DMatrix::zeros(layout.parameters.len(), full + friction);
+    for term in &base.terms {
+        map[(term.base, term.standard)] = term.weight;
+    }
+    for k in 0..friction {
+        map[(layout.base + k, full + k)] = 1.0;
+    }
+    map
+}
+
+/// Where parameters are possible: pseudo-inertias and some scalars positive, each with its value in the description.
+struct Cone {
+    /// Inverse pseudo-inertia of each link of the description; link k has parameters from 10 k.
+    links: Vec<Matrix4<f64>>,
+    /// Places of the positive scalars.
+    scalars: Vec<usize>,
+    /// The description, moved inside.
+    centre: DVector<f64>,
+}
+
+impl Cone {
+    fn around<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Self {
+        let full = (LINK_PARAMETERS + 1) * N;
+        let mut centre = DVector::zeros(full + layout.parameters.len() - layout.base);
+        let mut links = Vec::new();
+        for (index, joint) in robot.joints.iter().enumerate() {
+            let inside = inside(&joint.link).standard_parameters();
+            centre
+                .rows_mut(LINK_PARAMETERS * index, LINK_PARAMETERS)
+                .copy_from_slice(&inside);
+            // `inside` has made it positive definite.
+            links.extend(pseudo_inertia(&inside).try_inverse());
+            centre[LINK_PARAMETERS * N + index] = joint.drive.rotor_inertia.max(LEAST);
+        }
+        let mut scalars: Vec<usize> = (LINK_PARAMETERS * N..full).collect();
+        for (k, parameter) in layout.parameters.iter().skip(layout.base).enumerate() {
+            let Some((column, joint)) = parameter.friction else {
+                continue;
+            };
+            let friction = &robot.joints[joint].friction;
+            let described = match column {
+                FrictionColumn::Viscous => friction.viscous,
+                FrictionColumn::Coulomb => friction.coulomb,
+                // Peaks, offsets and ripple have no sign.
+                _ => continue,
+            };
+            scalars.push(full + k);
+            centre[full + k] = described.max(LEAST);
+        }
+        Self {
+            links,
+            scalars,
+            centre,
+        }
+    }
+
+    /// Divergence from the description, nats; `None` outside the cone.
+    fn divergence(&self, z: &DVector<f64>) -> Option<f64> {
+        let mut sum = 0.0;
+        for (link, inverse) in self.links.iter().enumerate() {
+            let p = pseudo_inertia(&z.as_slice()[LINK_PARAMETERS * link..]);
+            let factor = p.cholesky()?.l();
+            let log_det = 2.0 * factor.diagonal().map(f64::ln).sum();
+            sum += (inverse * p).trace() - log_det;
+        }
+        for &place in &self.scalars {
+            let value = z[place];
+            if value <= 0.0 {
+                return None;
+            }
+            sum += value / self.centre[place] - value.ln();
+        }
+        sum.is_finite().then_some(sum)
+    }
+
+    /// Adds gradient and Hessian of the divergence, times `weight`; `None` outside the cone.
+    fn differentiate(
+        &self,
+        z: &DVector<f64>,
+        weight: f64,
+        slope: &mut DVector<f64>,
+        curvature: &mut DMatrix<f64>,
+    ) -> Option<()> {
+        for (link, described) in self.links.iter().enumerate() {
+            let start = LINK_PARAMETERS * link;
+            let inverse = pseudo_inertia(&z.as_slice()[start..]).cholesky()?.inverse();
+            // ∂/∂x_k = tr((P₀⁻¹ − P⁻¹) E_k),  ∂²/∂x_k∂x_l = tr(P⁻¹ E_k P⁻¹ E_l)
+            let turned: Vec<Matrix4<f64>> =
+                (0..LINK_PARAMETERS).map(|k| inverse * unit(k)).collect();
+            for k in 0..LINK_PARAMETERS {
+                slope[start + k] += weight * ((described * unit(k)).trace() - turned[k].trace());
+                for l in 0..LINK_PARAMETERS {
+                    curvature[(start + k, start + l)] += weight * (turned[k] * turned[l]).trace();
+                }
+            }
+        }
+        for &place in &self.scalars {
+            let value = z[place];
+            if value <= 0.0 {
+                return None;
+            }
+            slope[place] += weight * (1.0 / self.centre[place] - 1.0 / value);
+            curvature[(place, place)] += weight / (value * value);
+        }
+        Some(())
+    }
+}
+
+/// Pseudo-inertia of a link with these standard parameters.
+fn pseudo_inertia(x: &[f64]) -> Matrix4<f64> {
+    x.iter()
+        .take(LINK_PARAMETERS)
+        .enumerate()
+        .map(|(k, x)| unit(k) * *x)
+        .sum()
+}
+
+/// Pseudo-inertia of one unit of the standard parameter `k`.
+fn unit(k: usize) -> Matrix4<f64> {
+    let mut e = Matrix4::zeros();
+    match k {
+        0 => e[(3, 3)] = 1.0,
+        1..=3 => {
+            e[(k - 1, 3)] = 1.0;
+            e[(3, k - 1)] = 1.0;
+        }
+        4..=6 => {
+            for axis in 0..3 {
+                e[(axis, axis)] = if axis == k - 4 { -0.5 } else { 0.5 };
+            }
+        }
+        _ => {
+            let (a, b) = [(0, 1), (0, 2), (1, 2)][k - 7];
+            e[(a, b)] = -1.0;
+            e[(b, a)] = -1.0;
+        }
+    }
+    e
+}
+
+/// The link, fattened where its second moments of mass are none or next to none.
+fn inside(link: &Link) -> Link {
+    let moments = link.second_moments();
+    let sum = moments.trace().max(LEAST * LEAST);
+    let mut eigen = moments.symmetric_eigen();
+    eigen
+        .eigenvalues
+        .apply(|value| *value = value.max(THINNEST * sum));
+    let moments = eigen.recompose();
+    Link {
+        inertia_com: moments.trace() * nalgebra::Matrix3::identity() - moments,
+        ..*link
+    }
+}
+
+/// The robot with links, rotors and friction from `z`. Friction that the layout does not have is none.
+fn described<const N: usize>(robot: &Robot, layout: &Layout<N>, z: &DVector<f64>) -> Robot {
+    let full = (LINK_PARAMETERS + 1) * N;
+    let mut robot = robot.clone();
+    for (index, joint) in robot.joints.iter_mut().enumerate() {
+        let x: [f64; LINK_PARAMETERS] = std::array::from_fn(|k| z[LINK_PARAMETERS * index + k]);
+        joint.link = Link::from_standard_parameters(&x);
+        joint.drive.rotor_inertia = z[LINK_PARAMETERS * N + index];
+        let of = |wanted: FrictionColumn| -> f64 {
+            let own = layout.parameters.iter().skip(layout.base);
+            let place = own
+                .enumerate()
+                .find(|(_, parameter)| parameter.friction == Some((wanted, index)));
+            place.map_or(0.0, |(k, _)| z[full + k])
+        };
+        let friction = &mut joint.friction;
+        friction.viscous = of(FrictionColumn::Viscous);
+        friction.coulomb = of(FrictionColumn::Coulomb);
+        friction.stribeck_ratio = 0.0;
+        let [narrow, wide] = layout.stribeck_widths();
+        let peaks = (
+            of(FrictionColumn::StribeckNarrow),
+            of(FrictionColumn::StribeckWide),
+        );
+        let (height, area) = (peaks.0 + peaks.1, narrow * peaks.0 + wide * peaks.1);
+        // One bell of the same height and area; a description cannot hold two, nor a dip.
+        if height > 0.0 && area > 0.0 && friction.coulomb > 0.0 {
+            friction.stribeck_ratio = height / friction.coulomb;
+            friction.stribeck_velocity = area / height;
+        }
+        // The description's ripple is a sine.
+        friction.cogging = of(FrictionColumn::CoggingSine).max(0.0);
+    }
+    robot
+}

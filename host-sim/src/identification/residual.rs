@@ -1,0 +1,141 @@
+//! The linear model that the board has and one small BP network a joint for what it leaves.
+
+use super::columns::Layout;
+use super::methods::{Fit, MethodName, wls};
+use super::normal::NormalEquations;
+use super::solve::{Material, Problem, Solved, thinned, unsolvable};
+use super::study::Progress;
+use super::validation::Candidate;
+use crate::training::{ResidualConfig, train_residual};
+use foretorque::feedforward::JointNetwork;
+use foretorque::learning::network_inputs;
+use nalgebra::{DMatrix, DVector};
+use std::error::Error;
+use std::sync::mpsc::channel;
+
+/// Times the linear model is fitted, each time to what the networks leave: a friction curve that the linear model cannot
+/// follow would bend its other parameters.
+const ROUNDS: usize = 3;
+
+/// One network and the loss of each step, as a ratio of the torque limit.
+type Trained = (JointNetwork, Vec<f64>);
+
+/// Fits the columns of the board to rows without spikes and trains the networks on what is left, in turns.
+pub(super) fn residual<const N: usize>(
+    problem: &Problem<'_, N>,
+    material: &Material<'_, N>,
+    progress: Progress<'_>,
+) -> Result<Solved<N>, Box<dyn Error>> {
+    let Problem {
+        robot,
+        layout,
+        board,
+        ..
+    } = *problem;
+    let limits: [f64; N] = std::array::from_fn(|joint| robot.joints[joint].limits.torque);
+    let solve = |sums: &NormalEquations<N>| {
+        let fit = wls(&sums.subset(layout, board), board).ok_or_else(unsolvable)?;
+        Ok::<Fit<N>, String>(widened(&fit, layout, board))
+    };
+    let mut fit = solve(&material.clean_sums)?;
+    let mut trained = train(problem, material, &fit.theta, &limits, progress);
+    for _ in 1..ROUNDS {
+        let mut sums = material.clean_sums.clone();
+        for (joint, (network, _)) in trained.iter().enumerate() {
+            let torque = |qd: f64| {
+                let output = network.forward(&network_inputs(qd as f32))[0];
+                f64::from(output) * limits[joint]
+            };
+            material
+                .speeds
+                .subtract(joint, &mut sums.joints[joint], &torque);
+        }
+        fit = solve(&sums)?;
+        trained = train(problem, material, &fit.theta, &limits, progress);
+    }
+    let epochs = trained.iter().map(|(_, losses)| losses.len()).max();
+    let mean: Vec<f64> = (0..epochs.unwrap_or(0))
+        .map(|epoch| {
+            let at = |losses: &[f64]| losses.get(epoch).or(losses.last()).copied().unwrap_or(0.0);
+            trained.iter().map(|(_, losses)| at(losses)).sum::<f64>() / N as f64
+        })
+        .collect();
+    let networks: Vec<JointNetwork> = trained.into_iter().map(|(network, _)| network).collect();
+    let networks: [JointNetwork; N] = networks
+        .try_into()
+        .map_err(|_| "a network could not be trained")?;
+    let candidate = Candidate::Residual {
+        theta: fit.theta.clone(),
+        networks: Box::new(networks),
+        limits,
+    };
+    Ok(Solved {
+        fit: Some(fit),
+        epochs: mean.len(),
+        losses: thinned(&mean),
+        ..Solved::plain(MethodName::BpResidual, candidate, material.sample.len())
+    })
+}
+
+/// Trains the networks of all joints on what `theta` leaves.
+fn train<const N: usize>(
+    problem: &Problem<'_, N>,
+    material: &Material<'_, N>,
+    theta: &DVector<f64>,
+    limits: &[f64; N],
+    progress: Progress<'_>,
+) -> Vec<Trained> {
+    let (told, news) = channel();
+    std::thread::scope(|scope| {
+        let joints: Vec<_> = (0..N)
+            .map(|joint| {
+                let told = told.clone();
+                scope.spawn(move || {
+                    let of = |half| {
+                        let speeds = &material.speeds;
+                        speeds.residuals(problem.layout, theta, joint, half, limits[joint])
+                    };
+                    let config = ResidualConfig {
+                        seed: problem.seed,
+                        ..ResidualConfig::default()
+                    };
+                    let fastest = problem.robot.joints[joint].limits.velocity;
+                    train_residual(&[of(0), of(1)], fastest, &config, &mut |step, loss| {
+                        // Nobody listens only when the command is already failing.
+                        let _ = told.send((joint, step, loss));
+                    })
+                })
+            })
+            .collect();
+        drop(told);
+        for (joint, step, loss) in news {
+            progress(&format!(
+                "bp_residual  joint {}  step {step}  loss {:.4} % of the torque limit",
+                joint + 1,
+                100.0 * loss
+            ));
+        }
+        // A joint that panicked has said so already.
+        let joints = joints.into_iter();
+        joints.filter_map(|joint| joint.join().ok()).collect()
+    })
+}
+
+/// A fit over the columns of the board as one over all columns; the others are zero, and certain to be.
+fn widened<const N: usize>(fit: &Fit<N>, layout: &Layout<N>, board: &Layout<N>) -> Fit<N> {
+    let places = layout.places_of(board);
+    let size = layout.parameters.len();
+    let mut theta = DVector::zeros(size);
+    let mut covariance = DMatrix::zeros(size, size);
+    for (own, &place) in places.iter().enumerate() {
+        theta[place] = fit.theta[own];
+        for (other, &column) in places.iter().enumerate() {
+            covariance[(place, column)] = fit.covariance[(own, other)];
+        }
+    }
+    Fit {
+        theta,
+        covariance,
+        ..fit.clone()
+    }
+}

@@ -1,0 +1,69 @@
+//! Against the truth, where somebody knows it.
+
+use super::columns::{FrictionColumn, Layout};
+use super::methods::Fit;
+use super::solve::{Material, layer_of};
+use crate::robot::Robot;
+use crate::training::{Descent, PhysicalConfig};
+use nalgebra::DVector;
+
+/// True parameters as far as the layout's columns have one. A column is the truth's own only where nothing of the truth
+/// hides in another column.
+pub(super) fn truths<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<Option<f64>> {
+    let base = robot.base_parameters();
+    let mut out: Vec<Option<f64>> = base.into_iter().map(Some).collect();
+    for parameter in layout.parameters.iter().skip(layout.base) {
+        out.push(parameter.friction.and_then(|(column, joint)| {
+            let friction = &robot.joints[joint].friction;
+            let simple = friction.stribeck_ratio == 0.0;
+            match column {
+                FrictionColumn::Viscous if simple => Some(friction.viscous),
+                FrictionColumn::Coulomb if simple => Some(friction.coulomb),
+                FrictionColumn::CoggingSine => Some(friction.cogging),
+                FrictionColumn::Viscous | FrictionColumn::Coulomb => None,
+                FrictionColumn::StribeckNarrow | FrictionColumn::StribeckWide if !simple => None,
+                _ => Some(0.0),
+            }
+        }));
+    }
+    out
+}
+
+/// Norm of the error of the base parameters over their norm.
+pub(super) fn base_error(theta: &DVector<f64>, truth: &[Option<f64>], base: usize) -> Option<f64> {
+    let truth: Vec<f64> = truth.iter().take(base).copied().collect::<Option<_>>()?;
+    let error: f64 = truth
+        .iter()
+        .zip(theta.iter())
+        .map(|(a, b)| (a - b).powi(2))
+        .sum();
+    let size: f64 = truth.iter().map(|value| value * value).sum();
+    Some((error / size).sqrt())
+}
+
+/// Error of the base parameters as the accelerated layer trains; empty without a truth.
+pub(super) fn error_curve<const N: usize>(
+    material: &Material<'_, N>,
+    layout: &Layout<N>,
+    reference: &Fit<N>,
+    truth: Option<&[Option<f64>]>,
+    seed: u64,
+) -> Vec<(usize, f64)> {
+    let Some(truth) = truth else {
+        return Vec::new();
+    };
+    let layer = layer_of(material, layout, reference);
+    let mut curve = Vec::new();
+    for max_epochs in [1, 2, 5, 10, 20, 30, 50, 75, 100, 150, 200, 300, 500, 1000] {
+        let config = PhysicalConfig {
+            max_epochs,
+            starts: 1,
+            ..PhysicalConfig::new(Descent::Accelerated, seed)
+        };
+        let trained = layer.train(&config, &mut |_, _| ());
+        if let Some(error) = base_error(&trained.theta, truth, layout.base) {
+            curve.push((max_epochs, error));
+        }
+    }
+    curve
+}

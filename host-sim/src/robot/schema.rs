@@ -1,0 +1,130 @@
+//! The description file as TOML: what is read and what is written, units in the names of the fields.
+
+use super::LogColumns;
+use serde::{Deserialize, Serialize};
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RobotFile {
+    pub(super) name: String,
+    #[serde(default = "earth")]
+    pub(super) gravity_m_s2: [f64; 3],
+    pub(super) joints: Vec<JointFile>,
+    pub(super) flange: Option<FrameFile>,
+    pub(super) log_columns: Option<LogColumns>,
+    #[serde(default)]
+    pub(super) workspace: WorkspaceFile,
+}
+
+#[derive(Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WorkspaceFile {
+    pub(super) table_height_m: Option<f64>,
+    #[serde(default)]
+    pub(super) clearance_m: f64,
+}
+
+/// Ends and radius in the frame of the link's mass distribution.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CapsuleFile {
+    pub(super) from_m: [f64; 3],
+    pub(super) to_m: [f64; 3],
+    pub(super) radius_m: f64,
+}
+
+fn earth() -> [f64; 3] {
+    [0.0, 0.0, -9.81]
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct JointFile {
+    pub(super) name: String,
+    pub(super) dh: Option<DhFile>,
+    pub(super) frame: Option<FrameFile>,
+    pub(super) link: LinkFile,
+    pub(super) drive: DriveFile,
+    pub(super) friction: FrictionFile,
+    pub(super) limits: LimitsFile,
+    #[serde(default)]
+    pub(super) capsules: Vec<CapsuleFile>,
+}
+
+/// A standard Denavit–Hartenberg row, `T = Rz(q) Tz(d) Tx(a) Rx(alpha)`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DhFile {
+    pub(super) d_m: f64,
+    pub(super) a_m: f64,
+    pub(super) alpha_rad: f64,
+}
+
+/// Joint frame in the frame before it, roll–pitch–yaw about fixed axes: `R = Rz(yaw) Ry(pitch) Rx(roll)`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FrameFile {
+    pub(super) xyz_m: [f64; 3],
+    pub(super) rpy_rad: [f64; 3],
+}
+
+/// Mass distribution in the DH frame of the link, or in the joint frame where the joint is given by a `frame`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LinkFile {
+    pub(super) mass_kg: f64,
+    pub(super) com_m: [f64; 3],
+    pub(super) inertia_kg_m2: InertiaFile,
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct InertiaFile {
+    pub(super) xx: f64,
+    pub(super) yy: f64,
+    pub(super) zz: f64,
+    #[serde(default)]
+    pub(super) xy: f64,
+    #[serde(default)]
+    pub(super) xz: f64,
+    #[serde(default)]
+    pub(super) yz: f64,
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DriveFile {
+    #[serde(default)]
+    pub(super) rotor_inertia_kg_m2: f64,
+    #[serde(default = "one")]
+    pub(super) gain_nm_a: f64,
+    pub(super) encoder_bits: u32,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FrictionFile {
+    pub(super) viscous_nm_s_rad: f64,
+    pub(super) coulomb_nm: f64,
+    #[serde(default)]
+    pub(super) stribeck_ratio: f64,
+    #[serde(default = "one")]
+    pub(super) stribeck_velocity_rad_s: f64,
+    #[serde(default)]
+    pub(super) cogging_nm: f64,
+    #[serde(default)]
+    pub(super) cogging_cycles_rev: f64,
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LimitsFile {
+    pub(super) position_rad: [f64; 2],
+    pub(super) velocity_rad_s: f64,
+    pub(super) acceleration_rad_s2: f64,
+    pub(super) torque_nm: f64,
+}
