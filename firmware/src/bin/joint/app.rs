@@ -12,6 +12,7 @@
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
+    use core::mem::MaybeUninit;
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
     use foretorque::arm::Arm as _;
@@ -21,7 +22,7 @@ mod app {
     use foretorque::edge::store::Store;
     use foretorque::edge::telemetry::CostMeter;
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
-    use foretorque::learning::{Learner, LearnerConfig};
+    use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::gpio::PinState;
     use stm32f4xx_hal::pac::Interrupt;
@@ -37,6 +38,9 @@ mod app {
     use crate::secret;
     use crate::store_flash::StoreFlash;
     use crate::watchdog::{self, ROLL, Watchdog};
+
+    type JointSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
+    type JointLearner = Learner<Arm, JOINTS, PARAMETERS>;
 
     /// Ticks between two lines of the log.
     const LOG_EVERY: u32 = 1000;
@@ -56,7 +60,7 @@ mod app {
     #[local]
     struct Local {
         wire: Wire,
-        session: Session<Arm, JOINTS, PARAMETERS, Counter>,
+        session: &'static mut JointSession,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
@@ -65,13 +69,15 @@ mod app {
         kept: SafetyReason,
         watchdog: Watchdog,
         store: Store<StoreFlash>,
-        learner: Learner<Arm, JOINTS, PARAMETERS>,
+        learner: &'static mut JointLearner,
         drain: Option<log::Drain>,
     }
 
     #[init(local = [
         receive_ring: Queue<u8, RECEIVE_RING> = Queue::new(),
         transmit_ring: Queue<u8, TRANSMIT_RING> = Queue::new(),
+        session_room: MaybeUninit<JointSession> = MaybeUninit::uninit(),
+        learner_room: MaybeUninit<JointLearner> = MaybeUninit::uninit(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
@@ -130,18 +136,14 @@ mod app {
             seed,
             ..BoardDescription::plain(Counter)
         };
-        let Ok(mut session) = Session::new(description) else {
-            fault::leave(Reason::Setup, line!());
-        };
+        let session = new_session(cx.local.session_room, description);
         let mut desk = Desk::new();
         let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
         let stored = session.boot_from(&mut store, &mut desk);
         defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = session.feed_forward().state().active;
-        let Ok(learner) = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior) else {
-            fault::leave(Reason::Setup, line!());
-        };
+        let learner = new_learner(cx.local.learner_room, period_s, &prior);
         let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
 
@@ -180,6 +182,31 @@ mod app {
                 drain,
             },
         )
+    }
+
+    /// Builds the session where it stays. A function of its own, so that what building takes of the stack is given back.
+    #[inline(never)]
+    fn new_session(
+        room: &'static mut MaybeUninit<JointSession>,
+        description: BoardDescription<Counter>,
+    ) -> &'static mut JointSession {
+        match Session::new(description) {
+            Ok(session) => room.write(session),
+            Err(_) => fault::leave(Reason::Setup, line!()),
+        }
+    }
+
+    /// Builds the learner likewise.
+    #[inline(never)]
+    fn new_learner(
+        room: &'static mut MaybeUninit<JointLearner>,
+        period_s: f32,
+        prior: &ParameterSet<JOINTS, PARAMETERS>,
+    ) -> &'static mut JointLearner {
+        match Learner::new(LearnerConfig::for_arm::<Arm>(period_s), *prior) {
+            Ok(learner) => room.write(learner),
+            Err(_) => fault::leave(Reason::Setup, line!()),
+        }
     }
 
     #[task(binds = USART2, priority = 4, local = [wire])]

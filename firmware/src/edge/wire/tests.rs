@@ -661,7 +661,10 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
             size::RECEIVE_INSTRUCTIONS + size::RECEIVE_OVERHEAD
         );
         let told = std::format!("{}.{} %", share / 10, share % 10);
-        assert!(page.contains(&sums) && page.contains(&told), "{name}: {sums}, {told}");
+        assert!(
+            page.contains(&sums) && page.contains(&told),
+            "{name}: {sums}, {told}"
+        );
     }
     let heading = page.find("| bit | field |").unwrap();
     for field in Field::ALL {
