@@ -19,6 +19,8 @@ fn main() {
     println!("cargo::rerun-if-env-changed=DEFMT_LOG");
     let level = std::env::var("DEFMT_LOG").unwrap_or_else(|_| "info".into());
     println!("cargo::rustc-env=DEFMT_LOG={level}");
-    // Only `joint` has a logger; the script keeps the table of its messages in a section the board never loads.
-    println!("cargo::rustc-link-arg-bin=joint=-Tdefmt.x");
+    // Only these have a logger; the script keeps the table of its messages in a section the board never loads.
+    for logs in ["joint", "joint-pyboard"] {
+        println!("cargo::rustc-link-arg-bin={logs}=-Tdefmt.x");
+    }
 }

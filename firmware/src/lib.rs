@@ -18,6 +18,7 @@
 //! | [`network`] | the back-propagation network and its gradient: nothing of robots |
 //! | [`learning`] | incremental updates of the parameters, published whole |
 //! | [`feedforward`], [`limits`] | the tick: shares, checks, limits, flags |
+//! | [`excitation`] | the Fourier series of eq. 17, checked and played by the board |
 //! | [`edge`] | frames, parameter bank, session, hardware adapters |
 //!
 //! Doors open downwards only. Nothing allocates, nothing blocks, and no input makes the tick panic or answer a torque
@@ -40,6 +41,7 @@
 pub mod arm;
 pub mod dynamics;
 pub mod edge;
+pub mod excitation;
 pub mod feedforward;
 pub mod joint;
 pub mod learning;

@@ -318,7 +318,7 @@ fn the_log_of_the_flashable_firmware_is_text() {
         Ur5::HASH
     );
     let start = [
-        "info: boot: clock Emulated at 168000000 Hz, started by Unknown, left before by None at 0x0",
+        "info: boot: odrive-v3, clock Emulated at 168000000 Hz, started by Unknown, left before by None at 0x0",
         &hello,
     ];
     let lines: Vec<&str> = log.lines().collect();

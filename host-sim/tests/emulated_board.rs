@@ -155,6 +155,25 @@ fn the_flashable_firmware_gives_the_same_bytes_as_the_native_board_while_it_lear
 }
 
 #[test]
+fn the_second_board_answers_as_the_first_and_holds_its_own_enable_low() {
+    // What goes to the set/reset register of GPIOB to switch PB8 off (RM0090 8.4.7).
+    const OFF: &str = "write (size 4, offset 0x018, value 0x01000000)";
+    let trace = std::path::PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("pyboard.trace");
+    let mut options = QemuOptions::new(Image::Joint);
+    options.elf.set_file_name("joint-pyboard");
+    options.trace = Some(trace.clone());
+    let expected = Talk::begin(native()).learn(100);
+    let answered = Talk::begin(started(&options)).learn(100);
+    assert!(answered == expected, "the two boards differ");
+    let trace = std::fs::read_to_string(trace).expect("the emulator writes a trace");
+    assert!(
+        trace
+            .lines()
+            .any(|l| l.contains("GPIOB") && l.contains(OFF))
+    );
+}
+
+#[test]
 fn the_bulk_firmware_gives_the_same_bytes_as_the_native_board_while_it_learns() {
     let expected = Talk::begin(native()).learn(10_000);
     let answered = Talk::begin(emulator(Image::Bulk)).learn(10_000);

@@ -1,7 +1,9 @@
 //! Set-up, demo, bench and test of foretorque in one command each.
 
 mod bench;
+mod capi;
 mod demo;
+mod flash;
 mod setup;
 mod shell;
 mod test;
@@ -12,6 +14,7 @@ use std::process::ExitCode;
 use anyhow::Result;
 use lexopt::prelude::*;
 
+use flash::Board;
 use setup::Way;
 
 const HELP: &str = "\
@@ -20,9 +23,11 @@ Set-up, demo, bench and test of foretorque in one command each.
 Usage: cargo xtask <COMMAND> [OPTIONS]
 
 Commands:
-  setup   Bring what the other commands need: the board's Rust target, the emulator, clippy and rustfmt
+  setup   Bring what the other commands need: the board's Rust target, the emulator, clippy, rustfmt, a compiler for C
   demo    Set up, build, run the main job in the emulator and write target/foretorque/demo/report.html
   bench   Set up, measure what the firmware costs, compare with docs/budget.md, write target/foretorque/bench.json
+  flash   Set up, build, write .bin and .hex into target/foretorque/flash, and flash the ELF by probe-rs
+  capi    Set up, build the static library for C and its example
   test    Set up, pass every gate (format, lints, builds, tests, docs) and end with counts
 
 Options:
@@ -31,6 +36,8 @@ Options:
                            rustup     `rustup target add`, bounded in time
                            debian     Debian's rustc and sources: core is built once and linked as a toolchain
       --check            setup only: change nothing, list what is here and what is missing, fail if anything is
+      --board <BOARD>    flash only: odrive (without it) or pyboard
+      --image            flash only: write the images, flash nothing
       --accept           bench only: write docs/budget.md anew; limits may go down, never up
   -h, --help             Print this help
 
@@ -43,22 +50,43 @@ the directory.
 #[derive(Debug, PartialEq)]
 enum Request {
     Help,
-    Setup { forced: Option<Way>, check: bool },
-    Demo { forced: Option<Way> },
-    Test { forced: Option<Way> },
-    Bench { forced: Option<Way>, accept: bool },
+    Setup {
+        forced: Option<Way>,
+        check: bool,
+    },
+    Demo {
+        forced: Option<Way>,
+    },
+    Test {
+        forced: Option<Way>,
+    },
+    Bench {
+        forced: Option<Way>,
+        accept: bool,
+    },
+    Capi {
+        forced: Option<Way>,
+    },
+    Flash {
+        forced: Option<Way>,
+        board: Board,
+        image: bool,
+    },
 }
 
 /// Reads the command line; the error is one line fit for the user.
 fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
     let (mut command, mut forced) = (None, None);
-    let (mut check, mut accept) = (false, false);
+    let (mut check, mut accept, mut image) = (false, false, false);
+    let mut board = None;
     while let Some(arg) = args.next()? {
         match arg {
             Short('h') | Long("help") => return Ok(Request::Help),
             Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
             Long("check") => check = true,
             Long("accept") => accept = true,
+            Long("image") => image = true,
+            Long("board") => board = Some(args.value()?.parse::<Board>()?),
             Value(name) if command.is_none() => command = Some(name.string()?),
             other => return Err(other.unexpected()),
         }
@@ -69,10 +97,19 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
         Some("demo") => Request::Demo { forced },
         Some("bench") => Request::Bench { forced, accept },
         Some("test") => Request::Test { forced },
+        Some("capi") => Request::Capi { forced },
+        Some("flash") => Request::Flash {
+            forced,
+            board: board.unwrap_or(Board::Odrive),
+            image,
+        },
         Some(other) => return Err(format!("there is no command `{other}`").into()),
     };
     if check && !matches!(request, Request::Setup { .. }) {
         return Err("--check belongs to `cargo xtask setup`".into());
+    }
+    if (image || board.is_some()) && !matches!(request, Request::Flash { .. }) {
+        return Err("--image and --board belong to `cargo xtask flash`".into());
     }
     if accept && !matches!(request, Request::Bench { .. }) {
         return Err("--accept belongs to `cargo xtask bench`".into());
@@ -100,10 +137,16 @@ fn main() -> ExitCode {
         Request::Setup {
             forced,
             check: false,
-        } => setup::run(forced).map(drop),
+        } => setup::run(forced).and_then(|_| setup::bring_c_compiler()),
         Request::Demo { forced } => demo::run(forced),
         Request::Bench { forced, accept } => bench::run(forced, accept),
         Request::Test { forced } => test::run(forced),
+        Request::Capi { forced } => capi::run(forced),
+        Request::Flash {
+            forced,
+            board,
+            image,
+        } => flash::run(forced, board, image),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -144,6 +187,14 @@ mod tests {
                 accept: true
             })
         );
+        assert_eq!(
+            request("flash --image --board pyboard"),
+            Ok(Request::Flash {
+                forced: None,
+                board: Board::Pyboard,
+                image: true
+            })
+        );
         assert_eq!(request(""), Ok(Request::Help));
         assert_eq!(request("test --help"), Ok(Request::Help));
     }
@@ -157,6 +208,8 @@ mod tests {
             ("setup --toolchain nix", "installed, rustup or debian"),
             ("demo --check", "--check"),
             ("test --accept", "--accept"),
+            ("flash --board nucleo", "odrive or pyboard"),
+            ("test --image", "--image"),
         ] {
             let error = request(line).unwrap_err();
             assert!(error.contains(named), "`{line}` gave `{error}`");

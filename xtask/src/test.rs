@@ -9,6 +9,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail};
 
 use crate::bench;
+use crate::capi;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
 use crate::toolchain::Tools;
@@ -58,6 +59,10 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         outcomes.push(pass(name, || shell::run(&mut gate)));
     }
     outcomes.push(pass("linked firmware", bench::check_firmware));
+    outcomes.push(pass("library for C", || {
+        setup::bring_c_compiler()?;
+        capi::build(tools)
+    }));
     // After the builds, because the tests run the board's ELF files.
     let mut counts = Counts::default();
     outcomes.push(pass("tests", || {

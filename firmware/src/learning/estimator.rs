@@ -42,7 +42,8 @@ pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ_i ← θ_i + σ_i (Pφ)_i clip(z, ±k) / √S
 /// ```
 /// with σ the configured noise of the joint's torque and σ_i the prior standard deviation of a parameter, so that the
-/// filter starts from P = I. Nothing is forgotten; friction alone wanders (a random walk, up to the prior's doubt). R is
+/// filter starts from P = I. Nothing is forgotten; friction alone wanders (a random walk, up to the prior's doubt; one
+/// column a row, in turn, with the noise of all). R is
 /// the variance the joint is found to have: half of the |z| lie beyond 0.6745 when it is right. Innovations beyond k
 /// standard deviations act as if they had k [Huber 1964].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,6 +51,8 @@ pub struct Estimator<const N: usize, const P: usize> {
     parameters: Stacked<N, P>,
     filter: UdFilter<N, P>,
     variance: [f32; N],
+    /// The friction column of each joint that wanders with its next row.
+    wandering: [usize; N],
 }
 
 impl<const N: usize, const P: usize> Estimator<N, P> {
@@ -59,6 +62,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             parameters: Stacked::of(prior),
             filter: UdFilter::new(),
             variance: [1.0; N],
+            wandering: [0; N],
         }
     }
 
@@ -67,6 +71,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.parameters = Stacked::of(prior);
         self.filter.reset();
         self.variance = [1.0; N];
+        self.wandering = [0; N];
     }
 
     /// Takes the linear parameters of `set` for the estimate; what is known of their covariance stays.
@@ -111,18 +116,20 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         if !innovation.is_finite() {
             return None;
         }
-        let doubt = self.filter.friction_variance(joint)?;
-        for (column, doubt) in doubt.into_iter().enumerate().take(WANDERING) {
-            if doubt < 1.0 {
-                self.filter.add_noise(joint, column, config.process_noise);
+        let column = self.wandering.get_mut(joint)?;
+        if self.filter.friction_variance(joint, *column)? < 1.0 {
+            let noise = WANDERING as f32 * config.process_noise;
+            self.filter.add_noise(joint, *column, noise);
+        }
+        *column = (*column + 1) % WANDERING;
+        let mut phi = *row;
+        for (phi, sigma) in phi.parts_mut().into_iter().zip(sigma.parts()) {
+            for (phi, sigma) in phi.iter_mut().zip(sigma) {
+                *phi *= sigma * inv_noise;
             }
         }
-        let mut phi = *row;
-        for (phi, sigma) in phi.iter_mut().zip(sigma.iter()) {
-            *phi *= sigma * inv_noise;
-        }
         let mut gain = Stacked::filled(0.0);
-        let variance = self.filter.update(&phi, *measured, &mut gain);
+        let variance = self.filter.update(joint, &phi, *measured, &mut gain);
         if !(variance > 0.0 && variance.is_finite()) {
             // Nothing sound is left in the factors: as uncertain as at first, but nothing wrong either.
             self.filter.reset();
@@ -153,11 +160,15 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         step: f32,
     ) {
         let prior = Stacked::of(prior);
-        let columns = sigma.iter().zip(gain.iter()).zip(prior.iter());
-        for (theta, ((&sigma, &gain), &prior)) in self.parameters.iter_mut().zip(columns) {
-            let moved = *theta + sigma * gain * step;
-            let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
-            *theta = if outside { prior + bounded } else { moved };
+        let parts = sigma.parts().into_iter().zip(gain.parts());
+        let parts = parts.zip(prior.parts());
+        for (theta, ((sigma, gain), prior)) in self.parameters.parts_mut().into_iter().zip(parts) {
+            let columns = sigma.iter().zip(gain).zip(prior);
+            for (theta, ((&sigma, &gain), &prior)) in theta.iter_mut().zip(columns) {
+                let moved = *theta + sigma * gain * step;
+                let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
+                *theta = if outside { prior + bounded } else { moved };
+            }
         }
         for friction in &mut self.parameters.friction {
             *friction = FrictionParameters::from_columns(*friction)
@@ -192,14 +203,15 @@ mod tests {
         theta: Vec<f64>,
         p: Vec<Vec<f64>>,
         variance: [f64; N],
+        visits: [usize; N],
     }
 
     impl Twin {
         fn correct(&mut self, joint: usize, phi: &[f64], innovation: f64, process_noise: f64) {
-            for k in (WIDTH * joint)..(WIDTH * joint + WANDERING) {
-                if self.p[k][k] < 1.0 {
-                    self.p[k][k] += process_noise;
-                }
+            let k = WIDTH * joint + self.visits[joint] % WANDERING;
+            self.visits[joint] += 1;
+            if self.p[k][k] < 1.0 {
+                self.p[k][k] += WANDERING as f64 * process_noise;
             }
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
@@ -276,6 +288,7 @@ mod tests {
                 .map(|i| (0..n).map(|k| f64::from(u8::from(i == k))).collect())
                 .collect(),
             variance: [1.0; N],
+            visits: [0; N],
         };
         let (mut worst, mut random) = (0.0f64, 7);
         for tick in 0..1_000_000 {

@@ -9,6 +9,7 @@ use foretorque::edge::wire::{
     TelemetryFrame,
 };
 use foretorque::edge::write_key::WriteKey;
+use foretorque::excitation::{Cue, ExcitationProgram, Stage};
 use foretorque::feedforward::{Shares, Torque};
 use foretorque::joint::{JointMotion, JointSample, JointVector};
 use foretorque::learning::Request;
@@ -49,6 +50,8 @@ pub struct TickReply<const N: usize> {
     pub total: JointVector<N>,
     /// What it is made of.
     pub shares: BoardShares<N>,
+    /// Where the excitation stands and what it asks of the arm, if the board plays one.
+    pub excited: Option<(Stage, JointMotion<N>)>,
 }
 
 /// What the host saw of the link.
@@ -176,6 +179,15 @@ impl<const N: usize> Client<N> {
                 safety: reply.safety,
                 total: reply.total.into(),
                 shares: BoardShares::Joint(reply.tick as usize % N, reply.shares),
+                excited: None,
+            }),
+            BoardMessage::Excited(reply) => Ok(TickReply {
+                tick: reply.torque.tick,
+                flags: Flags(reply.torque.flags),
+                safety: reply.torque.safety,
+                total: reply.torque.total.into(),
+                shares: BoardShares::Joint(reply.torque.tick as usize % N, reply.torque.shares),
+                excited: Some((reply.stage, reply.desired())),
             }),
             BoardMessage::FullTorque(reply) => {
                 let torque = Torque::from(&reply);
@@ -185,6 +197,7 @@ impl<const N: usize> Client<N> {
                     safety: reply.safety,
                     total: torque.total,
                     shares: BoardShares::All(torque.shares),
+                    excited: None,
                 })
             }
             other => Err(refused(other)),
@@ -322,12 +335,7 @@ impl<const N: usize> Client<N> {
         let mut room = [0; ParameterBank::MAX_BYTES];
         let bytes = bank.encode(&mut room).map_err(BoardError::Bank)?;
         let mac = self.signature(bytes)?;
-        for (place, chunk) in bytes.chunks(CHUNK).enumerate() {
-            self.command(&HostMessage::BankWrite {
-                offset: (place * CHUNK) as u16,
-                bytes: chunk.iter().copied().collect(),
-            })?;
-        }
+        self.upload(bytes)?;
         // Not asked twice: the first commit ends the upload, so a second would be refused although the first was good.
         let sequence = self.post(&HostMessage::BankCommit {
             length: bytes.len() as u16,
@@ -351,6 +359,29 @@ impl<const N: usize> Client<N> {
         }
     }
 
+    /// Sends `program` and has the board take it over, whole or not at all. Learning must be off; the board's check runs
+    /// in the ticks that follow.
+    pub fn load_excitation(&mut self, program: &ExcitationProgram<N>) -> Result<(), BoardError> {
+        let mut room = [0; ParameterBank::MAX_BYTES];
+        let bytes = program
+            .encode(&mut room)
+            .expect("an excitation of few joints is shorter than a bank");
+        self.upload(bytes)?;
+        let sequence = self.post(&HostMessage::ExcitationLoad {
+            length: bytes.len() as u16,
+            crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
+        })?;
+        acknowledged(self.wait_for(sequence, self.timeout)?)
+    }
+
+    /// Starts, stops or releases the excitation on the board, or asks for it; where it then stands.
+    pub fn excitation(&mut self, cue: Cue) -> Result<Stage, BoardError> {
+        match self.ask(&HostMessage::Excitation(cue))? {
+            BoardMessage::Excitation(stage) => Ok(stage),
+            other => Err(refused(other)),
+        }
+    }
+
     /// Has the board keep its parameters over power-off. The board is disarmed; learning must be off.
     pub fn save(&mut self) -> Result<(), BoardError> {
         self.at_the_store(&HostMessage::Save)
@@ -366,6 +397,16 @@ impl<const N: usize> Client<N> {
         self.bring_to_rest()?;
         let sequence = self.post(message)?;
         acknowledged(self.wait_for(sequence, STORE_TIMEOUT)?)
+    }
+
+    fn upload(&mut self, bytes: &[u8]) -> Result<(), BoardError> {
+        for (place, chunk) in bytes.chunks(CHUNK).enumerate() {
+            self.command(&HostMessage::BankWrite {
+                offset: (place * CHUNK) as u16,
+                bytes: chunk.iter().copied().collect(),
+            })?;
+        }
+        Ok(())
     }
 
     /// The bank in force on the board, what it has learnt included.

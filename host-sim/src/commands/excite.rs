@@ -149,7 +149,7 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
     Ok(())
 }
 
-fn read(path: &Path, robot: &Robot) -> Result<Excitation, Failure> {
+pub(super) fn read(path: &Path, robot: &Robot) -> Result<Excitation, Failure> {
     let text = std::fs::read_to_string(path).map_err(|error| at(path, error))?;
     let named = |error: &dyn std::fmt::Display| unusable(format!("{}: {error}", path.display()));
     let excitation: Excitation = serde_json::from_str(&text).map_err(|error| named(&error))?;

@@ -1,8 +1,10 @@
 use super::boards::BoardChoice;
+use super::campaign;
 use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unusable};
 use crate::board::Client;
+use crate::experiment::campaign::Shard;
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
 use crate::experiment::learning::soak::{self, SoakConfig};
 use crate::experiment::learning::{self, LearningConfig, LearningReport};
@@ -27,9 +29,21 @@ pub(super) struct Arguments {
     /// Only the scenarios of learning whose names begin so
     #[arg(long, value_name = "NAME")]
     only: Option<String>,
-    /// The short form of the scenarios of learning
+    /// The short form of learning, excitation and paper
     #[arg(long)]
-    quick: bool,
+    pub(super) quick: bool,
+    /// Seeds of excitation [default: 20] and paper [default: 10]
+    #[arg(long, value_name = "N")]
+    pub(super) seeds: Option<u64>,
+    /// Only this part of excitation or paper, for example 2/8; `merge` puts the parts together
+    #[arg(long, value_name = "i/n")]
+    pub(super) shard: Option<Shard>,
+    /// Robot of excitation: a built-in name or a description file
+    #[arg(long, default_value = "ur5")]
+    pub(super) robot: String,
+    /// Excitation that paper trains on, an excitation.json for the UR5 [default: a precomputed one]
+    #[arg(long, value_name = "FILE")]
+    pub(super) excitation: Option<PathBuf>,
     /// Put learning's table of measured against reach between its marks in this file
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
@@ -45,7 +59,7 @@ pub(super) struct Arguments {
     board: BoardChoice,
     /// Seed of plant, prior, paths and noise
     #[arg(long, default_value_t = DemoConfig::default().seed)]
-    seed: u64,
+    pub(super) seed: u64,
     /// Arm time with learning on, long run, s
     #[arg(long, default_value_t = DemoConfig::default().learning_s)]
     learning_s: f64,
@@ -76,10 +90,24 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         return Ok(());
     }
+    let sharded = ["excitation", "paper"];
+    if arguments.shard.is_some()
+        && !arguments
+            .name
+            .as_deref()
+            .is_some_and(|name| sharded.contains(&name))
+    {
+        return Err(unusable(format!(
+            "--shard: only {} can be sharded",
+            sharded.join(" and ")
+        )));
+    }
     match (arguments.name.as_deref(), &arguments.out) {
         (Some("demo"), Some(out)) => run_demo(arguments, out),
+        (Some("excitation"), Some(out)) => campaign::run_excitation(arguments, out),
         (Some("learning"), Some(out)) => run_learning(arguments, out),
         (Some("soak"), Some(out)) => run_soak(arguments, out),
+        (Some("paper"), Some(out)) => campaign::run_paper(arguments, out),
         (Some("real-ur5"), Some(out)) => run_real_ur5(arguments, out),
         (Some("replay-real"), Some(out)) => run_replay_real(arguments, out),
         (name, _) => Err(unusable(format!(

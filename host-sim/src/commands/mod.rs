@@ -2,12 +2,16 @@
 
 mod bank;
 mod boards;
+mod campaign;
 mod disturbances;
 mod excite;
 mod experiment;
 mod generate;
 mod identify;
 mod key;
+mod merge;
+mod motion_log;
+mod on_board;
 mod progress;
 mod run;
 mod simulate;
@@ -57,6 +61,7 @@ enum Command {
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
+    Merge(merge::Arguments),
 }
 
 /// Reads the command line and does what it says. Asking for help or the version ends the process.
@@ -72,6 +77,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Merge(arguments) => merge::run(&arguments),
     }
 }
 

@@ -1,16 +1,19 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
+use super::motion_log::{Effort, MotionLog};
+use super::on_board;
 use super::progress::Bar;
-use super::simulate::{MotionArguments, PERIOD_S, log_header, log_row};
+use super::simulate::{MotionArguments, PERIOD_S};
 use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::files::write_whole;
 use crate::report::closed_loop::{self, ClosedLoopLog, ClosedLoopReport, LinkReport};
 use crate::robot::Robot;
-use crate::table::{TableWriter, joint_columns};
+use crate::table::joint_columns;
 use crate::telemetry::{Recorder, Selection};
 use clap::Args;
 use foretorque::arm::Arm;
+use foretorque::excitation::Cue;
 use std::path::PathBuf;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
@@ -33,6 +36,13 @@ pub(super) struct Arguments {
     /// Record what the board tells into telemetry.csv: fields and every how many ticks, such as state,total,quality/10
     #[arg(long, value_name = "FIELDS/TICKS")]
     telemetry: Option<Selection>,
+    /// Have the board play the excitation of --trajectory itself: uploaded, checked there, approached from 0.1 rad beside
+    /// its beginning, and followed as the board asks
+    #[arg(long)]
+    excite_on_board: bool,
+    /// Tracking error of any joint at which the board breaks its excitation off, rad
+    #[arg(long, default_value_t = 0.05, requires = "excite_on_board")]
+    tracking_rad: f32,
     /// Learn while it runs
     #[arg(long)]
     learn: bool,
@@ -95,10 +105,12 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }
-    let mut header = log_header::<N>();
-    header.extend(joint_columns("feed_forward", "nm", N));
-    header.push("flags".to_owned());
-    let mut log = TableWriter::create(&arguments.out.join("log.csv"), &header)?;
+    if arguments.excite_on_board {
+        on_board::load::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
+    }
+    let mut columns = joint_columns("feed_forward", "nm", N);
+    columns.push("flags".to_owned());
+    let mut log = MotionLog::<N>::create(&arguments.out.join("log.csv"), Effort::Torque, &columns)?;
     let mut seen = ClosedLoopLog::<N>::new(scene.ticks);
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
@@ -117,15 +129,22 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         }
         None => None,
     };
+    if arguments.excite_on_board {
+        board.excitation(Cue::Start)?;
+    }
+    let mut ticks = 0;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, Some(&mut board))?;
         seen.add(&record);
-        let mut row = log_row(&record, &record.measured);
-        row.extend(record.feed_forward.iter().map(|tau| f64::from(*tau)));
-        row.push(f64::from(record.flags));
-        log.row(row)?;
+        let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
+        let flags = f64::from(record.flags);
+        log.add(&record, record.measured, answer.chain([flags]).collect())?;
         if let Some(recorder) = &mut recorder {
             recorder.take(&board.take_telemetry())?;
+        }
+        ticks += 1;
+        if arguments.excite_on_board && on_board::has_ended(&mut board, tick, record.stage)? {
+            break;
         }
         if tick % 256 == 0 {
             bar.show("run", tick, scene.ticks);
@@ -141,7 +160,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         robot: robot.name.clone(),
         board: arguments.board.to_string(),
         seed: arguments.motion.seed,
-        ticks: scene.ticks,
+        ticks,
         period_s: PERIOD_S,
         toolchain: arguments.board.toolchain(),
         learning: arguments.learn,

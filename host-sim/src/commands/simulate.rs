@@ -1,12 +1,12 @@
 use super::disturbances::DisturbanceArguments;
+use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
 use super::{Failure, unusable};
 use crate::control::PdConfig;
 use crate::dynamics::{Joints, ReferenceModel};
-use crate::experiment::closed_loop::{ClosedLoop, TickRecord};
-use crate::plant::{Measurement, Plant, PlantConfig};
+use crate::experiment::closed_loop::ClosedLoop;
+use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
-use crate::table::{TableWriter, joint_columns, state_columns};
 use crate::trajectory::Trajectory;
 use clap::Args;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ pub(super) struct Arguments {
     /// Write motor currents, torque over drive gain, in the place of torques
     #[arg(long)]
     current: bool,
-    /// Log to write: t_s, desired q, qd, qdd, then measured position and torque
+    /// Log to write: t_s, measured q with its slopes qd and qdd, measured torque, desired position
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -129,20 +129,15 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let mut header = log_header::<N>();
-    if arguments.current {
-        let torques = joint_columns("tau", "nm", N);
-        let currents = joint_columns("i", "a", N);
-        for name in &mut header {
-            if let Some(joint) = torques.iter().position(|torque| torque == name) {
-                name.clone_from(&currents[joint]);
-            }
-        }
-    }
     let gains = arguments
         .current
         .then(|| Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain)));
-    let mut log = TableWriter::create(&arguments.out, &header)?;
+    let effort = if arguments.current {
+        Effort::Current
+    } else {
+        Effort::Torque
+    };
+    let mut log = MotionLog::<N>::create(&arguments.out, effort, &[])?;
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,
@@ -158,7 +153,7 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
             if let Some(gains) = &gains {
                 seen.tau = seen.tau.component_div(gains);
             }
-            log.row(log_row(&record, &seen))?;
+            log.add(&record, seen, Vec::new())?;
         }
         if tick % 256 == 0 {
             bar.show("simulate", tick, scene.ticks);
@@ -166,28 +161,4 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     }
     log.finish()?;
     Ok(())
-}
-
-/// Header of a log: q and torque are measured, qd and qdd desired; `desired1_rad…` is where the arm should be.
-pub(super) fn log_header<const N: usize>() -> Vec<String> {
-    let mut header = vec!["t_s".to_owned()];
-    header.extend(state_columns(N));
-    header.extend(joint_columns("tau", "nm", N));
-    header.extend(joint_columns("desired", "rad", N));
-    header
-}
-
-/// A row of a log, with what was measured as `seen`.
-pub(super) fn log_row<const N: usize>(record: &TickRecord<N>, seen: &Measurement<N>) -> Vec<f64> {
-    let mut row = vec![record.t_s];
-    for values in [
-        &seen.q,
-        &record.desired.qd,
-        &record.desired.qdd,
-        &seen.tau,
-        &record.desired.q,
-    ] {
-        row.extend(values.iter());
-    }
-    row
 }

@@ -22,6 +22,7 @@ mod rates;
 mod rows;
 mod search;
 mod series;
+mod upload;
 mod variables;
 
 pub use certificate::{Certificate, LimitCheck};

@@ -5,6 +5,7 @@ use crate::control::{self, PdConfig, PdState};
 use crate::dynamics::{Joints, State};
 use crate::plant::{Measurement, Plant};
 use crate::trajectory::Trajectory;
+use foretorque::excitation::Stage;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 
 /// What happened in one tick.
@@ -28,6 +29,8 @@ pub struct TickRecord<const N: usize> {
     pub shares: Option<BoardShares<N>>,
     /// Flags that came with it.
     pub flags: u16,
+    /// Where the board's own excitation stands, while it is in charge of the desired motion.
+    pub stage: Option<Stage>,
 }
 
 /// What a board answers to one sample.
@@ -44,7 +47,8 @@ pub struct Answer<const N: usize> {
 /// A trajectory that is being played under PD control, with the torque of a board added where there is one.
 ///
 /// The latency of the feed-forward is one tick: the request of tick k asks for the torque of tick k + 1 and carries the
-/// motion desired then; what is answered acts from k + 1 on. The PD torque acts at once.
+/// motion desired then; what is answered acts from k + 1 on. The PD torque acts at once. A board that plays an excitation of
+/// its own answers the motion too, and that is followed in the trajectory's place.
 #[derive(Debug)]
 pub struct ClosedLoop<'t, const N: usize> {
     pd: &'t PdConfig<N>,
@@ -104,17 +108,25 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         plant: &mut Plant<N>,
         board: Option<&mut Client<N>>,
     ) -> Result<TickRecord<N>, BoardError> {
-        self.tick_with(plant, |sample| {
+        let mut excited = None;
+        let mut record = self.tick_with(plant, |sample| {
             let (Some(board), Some(sample)) = (board, sample) else {
                 return Ok(None);
             };
             let reply = board.sample(sample)?;
+            excited = reply.excited;
             Ok(Some(Answer {
                 total: reply.total,
                 shares: Some(reply.shares),
                 flags: reply.flags.0,
             }))
-        })
+        })?;
+        if let Some((stage, motion)) = excited {
+            // The board chose what the arm shall do in the next tick.
+            record.stage = Some(stage);
+            self.desired = motion_f64(&motion);
+        }
+        Ok(record)
     }
 
     /// Runs one tick with any board. `ask` gets the sample, none if it was lost on the way; without an answer the
@@ -159,11 +171,21 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             feed_forward: self.answer,
             shares: answer.and_then(|answer| answer.shares),
             flags: answer.map_or(0, |answer| answer.flags),
+            stage: None,
         };
         plant.advance(&tau, self.period_s);
         self.desired = next;
         self.tick += 1;
         Ok(record)
+    }
+}
+
+/// A motion as the board asks for it.
+fn motion_f64<const N: usize>(motion: &JointMotion<N>) -> State<N> {
+    State {
+        q: motion.q.cast(),
+        qd: motion.qd.cast(),
+        qdd: motion.qdd.cast(),
     }
 }
 

@@ -1,21 +1,32 @@
 //! The reproducible studies.
 
+pub mod campaign;
 pub mod closed_loop;
 pub mod demo;
+pub mod excitation;
 pub mod learning;
+pub mod paper;
 pub mod prior;
 pub mod real_ur5;
 pub mod replay_real;
 
 /// Names of the studies, each with one line on what it shows.
-pub const EXPERIMENTS: [(&str, &str); 5] = [
+pub const EXPERIMENTS: [(&str, &str); 7] = [
     (
         "demo",
         "from a wrong prior, learn on the board in closed loop, freeze, play an unseen path",
     ),
     (
+        "excitation",
+        "one optimised excitation for every seed, every limit recounted; shardable",
+    ),
+    (
         "learning",
         "learned against frozen, in closed loop, over everything that may go wrong",
+    ),
+    (
+        "paper",
+        "the paper's experiment step by step, then every method over noise, friction and outliers; shardable",
     ),
     (
         "real-ur5",

@@ -19,6 +19,7 @@ mod speed;
 mod split;
 mod stream;
 mod study;
+mod trial;
 mod truth;
 mod validation;
 
@@ -33,4 +34,5 @@ pub use prepare::{MotionSource, Preparation, PrepareConfig, Prepared};
 pub use record::{MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord};
 pub use stream::{Gathered, SampleRow, for_each_prepared};
 pub use study::{IdentifyConfig, Outcome, Progress, identify};
+pub use trial::{Trial, fit_rows};
 pub use validation::{Candidate, FileScores};

@@ -70,13 +70,26 @@ pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
         });
         link_end = end;
     }
+    let flange = flange.map_or(link_end, |flange| link_end.then(&flange));
+    if let (Some(tool), Some(last)) = (&raw.tool, joints.last_mut()) {
+        let at = |field: &str| format!("tool.{}", field.trim_start_matches("link."));
+        let body = LinkFile {
+            mass_kg: tool.mass_kg,
+            com_m: tool.com_m,
+            inertia_kg_m2: tool.inertia_kg_m2,
+        };
+        let body = link_in_craig_frame(&body, &flange, &check, &at)?;
+        last.link = Link::lumped(&[last.link, body]).unwrap_or(last.link);
+        last.capsules
+            .extend(capsules(&tool.capsules, &flange, &check, &at)?);
+    }
     let workspace = workspace(&raw.workspace, &check)?;
     Ok(Robot {
         workspace,
         name: raw.name,
         gravity: Vector3::from(raw.gravity_m_s2),
         joints,
-        flange: flange.map_or(link_end, |flange| link_end.then(&flange)),
+        flange,
         log_columns: raw.log_columns,
     })
 }

@@ -11,6 +11,8 @@ pub(super) struct RobotFile {
     pub(super) gravity_m_s2: [f64; 3],
     pub(super) joints: Vec<JointFile>,
     pub(super) flange: Option<FrameFile>,
+    #[serde(skip_serializing)]
+    pub(super) tool: Option<ToolFile>,
     pub(super) log_columns: Option<LogColumns>,
     #[serde(default)]
     pub(super) workspace: WorkspaceFile,
@@ -31,6 +33,17 @@ pub(super) struct CapsuleFile {
     pub(super) from_m: [f64; 3],
     pub(super) to_m: [f64; 3],
     pub(super) radius_m: f64,
+}
+
+/// What is bolted to the flange, in the flange's frame. Becomes part of the last link.
+#[derive(Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ToolFile {
+    pub(super) mass_kg: f64,
+    pub(super) com_m: [f64; 3],
+    pub(super) inertia_kg_m2: InertiaFile,
+    #[serde(default)]
+    pub(super) capsules: Vec<CapsuleFile>,
 }
 
 fn earth() -> [f64; 3] {

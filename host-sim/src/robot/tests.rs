@@ -106,3 +106,37 @@ fn bad_descriptions_are_refused_with_file_and_field() {
     assert!(Robot::parse("t", "name = 3").is_err());
     assert!(Robot::parse("t", "name = \"x\"\njoints = []").is_err());
 }
+
+#[test]
+fn a_tool_becomes_part_of_the_last_link() {
+    let tool = "
+        [tool]
+        mass_kg = 0.8
+        com_m = [0.0, 0.0, 0.05]
+        inertia_kg_m2 = { xx = 0.001, yy = 0.001, zz = 0.0005 }
+        capsules = [{ from_m = [0.0, 0.0, 0.0], to_m = [0.0, 0.0, 0.1], radius_m = 0.04 }]
+    ";
+    let (bare, with) = (
+        Robot::parse("t", UR5).unwrap(),
+        Robot::parse("t", &format!("{UR5}{tool}")).unwrap(),
+    );
+    let (own, lumped) = (&bare.joints[5].link, &with.joints[5].link);
+    assert!((lumped.mass - 0.9879).abs() < 1e-12);
+    let com: Vector3<f64> = (0.1879 * own.com + 0.8 * Vector3::new(0.0, 0.0, 0.05)) / 0.9879;
+    assert!((lumped.com - com).amax() < 1e-12);
+    assert_eq!(bare.joints[..5], with.joints[..5]);
+    assert_eq!(with.joints[5].capsules.len(), 2);
+    // The flange of the UR5 is its last joint's frame.
+    assert_eq!(
+        with.joints[5].capsules[1].ends[1],
+        Vector3::new(0.0, 0.0, 0.1)
+    );
+    for (bad, message) in [
+        ("mass_kg = -1", "t: tool.mass_kg: is -1, must be positive"),
+        ("mass = 0.8", "unknown field `mass`"),
+    ] {
+        let text = format!("{UR5}{}", tool.replace("mass_kg = 0.8", bad));
+        let error = Robot::parse("t", &text).unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+    }
+}

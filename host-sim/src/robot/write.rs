@@ -32,6 +32,8 @@ impl Robot {
             name: self.name.clone(),
             gravity_m_s2: self.gravity.into(),
             joints,
+            // Part of the last link by now.
+            tool: None,
             flange: (flange != Placement::identity()).then(|| frame_file(&flange)),
             log_columns: self.log_columns.clone(),
             workspace: WorkspaceFile {

@@ -18,22 +18,22 @@ pub mod random_6_b;
 pub mod random_7_a;
 pub mod random_7_b;
 
-/// Calls `check::<Arm, N, P>()` for the UR5, the Panda and the ten random arms.
+/// Calls `check::<Arm, N, P>()`, with arguments if there are any, for the UR5, the Panda and the ten random arms.
 #[macro_export]
 macro_rules! each_arm {
-    ($check:ident) => {
-        $check::<foretorque::arm::ur5::Ur5, 6, 40>();
-        $check::<foretorque::arm::panda::Panda, 7, 48>();
-        $check::<$crate::arms::random_1_a::Random1A, 1, 3>();
-        $check::<$crate::arms::random_1_b::Random1B, 1, 3>();
-        $check::<$crate::arms::random_2_a::Random2A, 2, 11>();
-        $check::<$crate::arms::random_2_b::Random2B, 2, 11>();
-        $check::<$crate::arms::random_4_a::Random4A, 4, 27>();
-        $check::<$crate::arms::random_4_b::Random4B, 4, 27>();
-        $check::<$crate::arms::random_6_a::Random6A, 6, 43>();
-        $check::<$crate::arms::random_6_b::Random6B, 6, 43>();
-        $check::<$crate::arms::random_7_a::Random7A, 7, 51>();
-        $check::<$crate::arms::random_7_b::Random7B, 7, 51>();
+    ($check:ident $(, $argument:expr)*) => {
+        $check::<foretorque::arm::ur5::Ur5, 6, 40>($($argument),*);
+        $check::<foretorque::arm::panda::Panda, 7, 48>($($argument),*);
+        $check::<$crate::arms::random_1_a::Random1A, 1, 3>($($argument),*);
+        $check::<$crate::arms::random_1_b::Random1B, 1, 3>($($argument),*);
+        $check::<$crate::arms::random_2_a::Random2A, 2, 11>($($argument),*);
+        $check::<$crate::arms::random_2_b::Random2B, 2, 11>($($argument),*);
+        $check::<$crate::arms::random_4_a::Random4A, 4, 27>($($argument),*);
+        $check::<$crate::arms::random_4_b::Random4B, 4, 27>($($argument),*);
+        $check::<$crate::arms::random_6_a::Random6A, 6, 43>($($argument),*);
+        $check::<$crate::arms::random_6_b::Random6B, 6, 43>($($argument),*);
+        $check::<$crate::arms::random_7_a::Random7A, 7, 51>($($argument),*);
+        $check::<$crate::arms::random_7_b::Random7B, 7, 51>($($argument),*);
     };
 }
 

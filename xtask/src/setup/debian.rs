@@ -67,23 +67,20 @@ fn as_root(args: &[&str]) -> Result<Command> {
     Ok(command)
 }
 
+/// Waits for other installers and slow archives, but not for ever.
+const PATIENCE: [&str; 7] = [
+    "-qq",
+    "-o",
+    "DPkg::Lock::Timeout=120",
+    "-o",
+    "Acquire::Retries=2",
+    "-o",
+    "Acquire::http::Timeout=30",
+];
+
 /// Installs the emulator, the compiler set, or both.
 pub(crate) fn install(emulator: bool, rust: bool) -> Result<()> {
-    // An earlier run may have been stopped in the middle of dpkg; on a sound machine this does nothing.
-    run(&mut as_root(&["dpkg", "--configure", "-a"])?)?;
-    let patience = [
-        "-qq",
-        "-o",
-        "DPkg::Lock::Timeout=120",
-        "-o",
-        "Acquire::Retries=2",
-        "-o",
-        "Acquire::http::Timeout=30",
-    ];
-    // One broken source among many fails the update; the lists of the others may still suffice.
-    if let Err(error) = run(as_root(&["apt-get", "update"])?.args(patience)) {
-        println!("set-up: {error:#}; going on with the lists that are here");
-    }
+    refresh()?;
     let mut packages = Vec::new();
     if emulator {
         packages.push("qemu-system-arm");
@@ -91,6 +88,22 @@ pub(crate) fn install(emulator: bool, rust: bool) -> Result<()> {
     if rust {
         packages.extend(rust_packages()?);
     }
+    install_packages(&packages)
+}
+
+/// Makes the installer's state sound and its lists new.
+pub(crate) fn refresh() -> Result<()> {
+    // An earlier run may have been stopped in the middle of dpkg; on a sound machine this does nothing.
+    run(&mut as_root(&["dpkg", "--configure", "-a"])?)?;
+    // One broken source among many fails the update; the lists of the others may still suffice.
+    if let Err(error) = run(as_root(&["apt-get", "update"])?.args(PATIENCE)) {
+        println!("set-up: {error:#}; going on with the lists that are here");
+    }
+    Ok(())
+}
+
+/// Installs packages from the lists that are here.
+pub(crate) fn install_packages(packages: &[&str]) -> Result<()> {
     println!("set-up: apt-get install {}", packages.join(" "));
     // Never at the price of what is installed: Debian's two compilers exclude each other.
     let mut install = as_root(&[
@@ -101,7 +114,7 @@ pub(crate) fn install(emulator: bool, rust: bool) -> Result<()> {
         "--no-remove",
     ])?;
     run(install
-        .args(patience)
+        .args(PATIENCE)
         .args(["-o", "Dpkg::Use-Pty=0"])
         .args(packages))
 }

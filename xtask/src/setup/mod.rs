@@ -14,7 +14,7 @@ use anyhow::{Context as _, Result, bail};
 pub(crate) use plan::Way;
 use plan::{Facts, Means, Need, Plan, Step, missing, plan};
 
-use crate::shell::{command, run_bounded, timed};
+use crate::shell::{capture, command, run_bounded, timed};
 use crate::toolchain::{TARGET, Toolchain, Tools, linked_name};
 
 /// Bound on rustup when other ways are left to try, and when it is the only one.
@@ -26,6 +26,9 @@ pub(crate) fn check(forced: Option<Way>) -> Result<()> {
     let facts = probe::facts();
     println!("{}", probe::describe(&facts));
     let needs = missing(&facts, forced);
+    if !has_c_compiler() {
+        println!("  {C_COMPILER}: missing; only `capi` and `test` need it");
+    }
     if needs.is_empty() {
         println!("nothing is missing");
         return Ok(());
@@ -75,6 +78,30 @@ pub(crate) fn run(forced: Option<Way>) -> Result<Tools> {
             }
         }
     }
+}
+
+/// The compiler of the example in C.
+pub(crate) const C_COMPILER: &str = "arm-none-eabi-gcc";
+
+/// Brings the compiler for C, which only the library for C needs.
+pub(crate) fn bring_c_compiler() -> Result<()> {
+    if has_c_compiler() {
+        return Ok(());
+    }
+    let held = lock()?;
+    timed("installing the compiler for C (about 60 MB)", || {
+        debian::refresh()?;
+        debian::install_packages(&["gcc-arm-none-eabi"])
+    })?;
+    drop(held);
+    if !has_c_compiler() {
+        bail!("{C_COMPILER} is missing: install the package gcc-arm-none-eabi");
+    }
+    Ok(())
+}
+
+fn has_c_compiler() -> bool {
+    capture(command(C_COMPILER).arg("--version")).is_some()
 }
 
 /// The facts after a step, with its means used up.

@@ -13,17 +13,21 @@ mod board;
 #[expect(dead_code, reason = "the emulator has no cycle counter")]
 mod counter;
 #[cfg(target_os = "none")]
+#[path = "../joint/rooms.rs"]
+mod rooms;
+#[cfg(target_os = "none")]
 mod semihost;
 
 #[cfg(target_os = "none")]
 mod run {
-    use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use core::mem::MaybeUninit;
+
+    use foretorque::edge::session::{BoardDescription, Desk};
     use foretorque::edge::wire::{Capabilities, FrameBuffer, ResetReason};
-    use foretorque::learning::{Learner, LearnerConfig};
     use stm32f4xx_hal::pac;
 
-    use crate::board::{Arm, JOINTS, PARAMETERS};
     use crate::counter::{self, Counter};
+    use crate::rooms::{BoardLearner, BoardSession, furnish, open};
     use crate::semihost::{Streams, exit};
 
     /// Runs until the host hangs up. Ends the emulator with an error when it could not start.
@@ -43,11 +47,12 @@ mod run {
             reset_reason: ResetReason::Unknown,
             ..BoardDescription::plain(Counter)
         };
-        let mut session = Session::<Arm, JOINTS, PARAMETERS, _>::new(board).ok()?;
+        let room = cortex_m::singleton!(: MaybeUninit<BoardSession> = MaybeUninit::uninit())?;
+        let session = open(room, board)?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
-        let prior = session.feed_forward().state().active;
-        let mut learner: Learner<Arm, _, _> =
-            Learner::new(LearnerConfig::for_arm::<Arm>(period_s), prior).ok()?;
+        let prior = &session.feed_forward().state().active;
+        let room = cortex_m::singleton!(: MaybeUninit<BoardLearner> = MaybeUninit::uninit())?;
+        let learner = furnish(room, period_s, prior)?;
         let mut desk = Desk::new();
         let mut out = FrameBuffer::new();
         let mut buffer = [0u8; 1024];
@@ -58,7 +63,7 @@ mod run {
                 return Some(());
             }
             out.clear();
-            desk.work(&mut learner, &Counter);
+            desk.work(learner, &Counter);
             let Some(bytes) = streams.read(&mut buffer) else {
                 return Some(());
             };

@@ -18,13 +18,11 @@ mod app {
     use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
     use foretorque::edge::safety::{SafetyReason, Task};
-    use foretorque::edge::session::{BoardDescription, Desk, Session};
+    use foretorque::edge::session::{BoardDescription, Desk};
     use foretorque::edge::store::Store;
     use foretorque::edge::telemetry::CostMeter;
     use foretorque::edge::wire::{Capabilities, FrameBuffer};
-    use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
     use heapless::spsc::{Consumer, Producer, Queue};
-    use stm32f4xx_hal::gpio::PinState;
     use stm32f4xx_hal::pac::Interrupt;
     use stm32f4xx_hal::prelude::*;
 
@@ -35,12 +33,10 @@ mod app {
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
     use crate::log;
     use crate::pace::{self, Pace};
+    use crate::rooms::{BoardLearner, BoardSession, furnish, open};
     use crate::secret;
     use crate::store_flash::StoreFlash;
     use crate::watchdog::{self, ROLL, Watchdog};
-
-    type JointSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
-    type JointLearner = Learner<Arm, JOINTS, PARAMETERS>;
 
     /// Ticks between two lines of the log.
     const LOG_EVERY: u32 = 1000;
@@ -60,7 +56,7 @@ mod app {
     #[local]
     struct Local {
         wire: Wire,
-        session: &'static mut JointSession,
+        session: &'static mut BoardSession,
         received: Consumer<'static, u8>,
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
@@ -69,15 +65,15 @@ mod app {
         kept: SafetyReason,
         watchdog: Watchdog,
         store: Store<StoreFlash>,
-        learner: &'static mut JointLearner,
+        learner: &'static mut BoardLearner,
         drain: Option<log::Drain>,
     }
 
     #[init(local = [
+        session_room: MaybeUninit<BoardSession> = MaybeUninit::uninit(),
+        learner_room: MaybeUninit<BoardLearner> = MaybeUninit::uninit(),
         receive_ring: Queue<u8, RECEIVE_RING> = Queue::new(),
         transmit_ring: Queue<u8, TRANSMIT_RING> = Queue::new(),
-        session_room: MaybeUninit<JointSession> = MaybeUninit::uninit(),
-        learner_room: MaybeUninit<JointLearner> = MaybeUninit::uninit(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let (reason, place) = fault::take();
@@ -98,11 +94,11 @@ mod app {
                 .enabled()
         });
         let mut rcc = cx.device.RCC.constrain();
-        let gpioa = cx.device.GPIOA.split(&mut rcc);
-        let gpiob = cx.device.GPIOB.split(&mut rcc);
-        gpiob.pb12.into_push_pull_output_in_state(PinState::Low);
-        gpioa.pa2.into_alternate::<7>();
-        gpioa.pa3.into_alternate::<7>().internal_pull_up(true);
+        let ports = board::Ports {
+            a: cx.device.GPIOA,
+            b: cx.device.GPIOB,
+        };
+        board::start_pins(ports, &mut rcc);
 
         let mut core = cx.core;
         let (counter, counter_hz) = if emulated {
@@ -113,7 +109,8 @@ mod app {
         let booting = counter::now();
         let drain = emulated.then(|| log::Drain::start(cx.device.USART3));
         defmt::info!(
-            "boot: clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            "boot: {=str}, clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+            board::NAME,
             clocks.source,
             clocks.cpu_hz,
             reset_reason,
@@ -136,14 +133,18 @@ mod app {
             seed,
             ..BoardDescription::plain(Counter)
         };
-        let session = new_session(cx.local.session_room, description);
+        let Some(session) = open(cx.local.session_room, description) else {
+            fault::leave(Reason::Setup, line!());
+        };
         let mut desk = Desk::new();
         let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
         let stored = session.boot_from(&mut store, &mut desk);
         defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
-        let prior = session.feed_forward().state().active;
-        let learner = new_learner(cx.local.learner_room, period_s, &prior);
+        let prior = &session.feed_forward().state().active;
+        let Some(learner) = furnish(cx.local.learner_room, period_s, prior) else {
+            fault::leave(Reason::Setup, line!());
+        };
         let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
         pace.follow(session.configuration());
 
@@ -182,31 +183,6 @@ mod app {
                 drain,
             },
         )
-    }
-
-    /// Builds the session where it stays. A function of its own, so that what building takes of the stack is given back.
-    #[inline(never)]
-    fn new_session(
-        room: &'static mut MaybeUninit<JointSession>,
-        description: BoardDescription<Counter>,
-    ) -> &'static mut JointSession {
-        match Session::new(description) {
-            Ok(session) => room.write(session),
-            Err(_) => fault::leave(Reason::Setup, line!()),
-        }
-    }
-
-    /// Builds the learner likewise.
-    #[inline(never)]
-    fn new_learner(
-        room: &'static mut MaybeUninit<JointLearner>,
-        period_s: f32,
-        prior: &ParameterSet<JOINTS, PARAMETERS>,
-    ) -> &'static mut JointLearner {
-        match Learner::new(LearnerConfig::for_arm::<Arm>(period_s), *prior) {
-            Ok(learner) => room.write(learner),
-            Err(_) => fault::leave(Reason::Setup, line!()),
-        }
     }
 
     #[task(binds = USART2, priority = 4, local = [wire])]

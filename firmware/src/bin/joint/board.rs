@@ -1,7 +1,15 @@
-//! The board in one file: chip constants, clocks and pins. Another board changes this file only.
+//! The board in one file: chip constants, clocks and pins. Another board is another file like this one, and a binary
+//! that names it: `joint-pyboard` is one.
 //!
 //! STM32F405RG on a joint controller of the ODrive v3 class. Sources: RM0090 (reference manual), DS8626 (data sheet).
 
+use stm32f4xx_hal::gpio::PinState;
+use stm32f4xx_hal::pac::{GPIOA, GPIOB};
+use stm32f4xx_hal::prelude::*;
+use stm32f4xx_hal::rcc::Rcc;
+
+/// What the log calls it.
+pub(crate) const NAME: &str = "odrive-v3";
 /// The arm this firmware is for, its joints and its base parameters.
 pub(crate) use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
 
@@ -38,9 +46,28 @@ pub(crate) const LINK_BAUD: u32 = 2_000_000;
 
 /// Torque enable of the motor stage: PB12, active high, pulled low on the board (EN_GATE of a DRV8301).
 pub(crate) const ENABLE_PIN: u8 = 12;
+/// Port of the enable, written by the fault handlers without the owner of its pins.
+pub(crate) type EnablePort = GPIOB;
 
 /// Division of the watchdog's oscillator, 17 to 47 kHz (DS8626 table 42): 16, which its register calls 2.
 pub(crate) const WATCHDOG_PRESCALER: u8 = 2;
 /// Counts after which an unfed watchdog bites: 68 to 188 ms. The longest legal period of the tick is 100 ms, but torque
 /// ends after 50 ms of silence all the same; what takes longer is a hung task.
 pub(crate) const WATCHDOG_RELOAD: u16 = 200;
+
+/// The ports whose pins are used here.
+pub(crate) struct Ports {
+    pub(crate) a: GPIOA,
+    pub(crate) b: GPIOB,
+}
+
+/// Gives every pin its job: enable low, link on PA2 (TX) and PA3 (RX), the two that the connector calls GPIO 3 and 4.
+pub(crate) fn start_pins(ports: Ports, rcc: &mut Rcc) {
+    let a = ports.a.split(rcc);
+    let b = ports.b.split(rcc);
+    b.pb12.into_push_pull_output_in_state(PinState::Low);
+    // Alternate function 7 is USART2 (DS8626 table 9).
+    a.pa2.into_alternate::<7>();
+    // Held high while nobody is plugged in: an open line is full of start bits.
+    a.pa3.into_alternate::<7>().internal_pull_up(true);
+}

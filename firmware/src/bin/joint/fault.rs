@@ -11,7 +11,7 @@ use embedded_hal::digital::{ErrorType, OutputPin};
 use foretorque::edge::hal::TorqueEnable;
 use foretorque::edge::safety::SafetyReason;
 use foretorque::edge::wire::ResetReason;
-use stm32f4xx_hal::pac::{GPIOB, RCC};
+use stm32f4xx_hal::pac::RCC;
 
 use crate::board;
 
@@ -47,7 +47,7 @@ static mut LATCHED: MaybeUninit<[u32; 3]> = MaybeUninit::uninit();
 /// Says that [`KEPT`] and [`LATCHED`] were written by this firmware: power-on leaves anything there.
 const MARK: u32 = 0x7041_5553;
 
-/// Torque enable, PB12: a pin without state, because a fault handler must be able to make one out of nothing.
+/// Torque enable: a pin without state, because a fault handler must be able to make one out of nothing.
 pub(crate) struct EnablePin;
 
 impl ErrorType for EnablePin {
@@ -68,7 +68,7 @@ impl OutputPin for EnablePin {
 
 fn write_set_reset(bits: u32) {
     // SAFETY: BSRR is write-only and changes the named bits in one access (RM0090 8.4.7); no other code drives them.
-    unsafe { (*GPIOB::ptr()).bsrr().write(|w| w.bits(bits)) };
+    unsafe { (*board::EnablePort::ptr()).bsrr().write(|w| w.bits(bits)) };
 }
 
 /// Why the board restarted last time, and where; forgets it.

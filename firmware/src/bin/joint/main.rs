@@ -18,6 +18,8 @@ mod log;
 #[cfg(target_os = "none")]
 mod pace;
 #[cfg(target_os = "none")]
+mod rooms;
+#[cfg(target_os = "none")]
 mod secret;
 #[cfg(target_os = "none")]
 mod store_flash;

@@ -48,7 +48,7 @@ impl ParameterBank {
     }
 
     /// [`decode`](Self::decode) into a bank that is there already; after an error its content means nothing.
-    pub(crate) fn decode_into(&mut self, bytes: &[u8]) -> Result<(), BankError> {
+    pub fn decode_into(&mut self, bytes: &[u8]) -> Result<(), BankError> {
         let rest = bytes.strip_prefix(&MAGIC).ok_or(BankError::NotABank)?;
         let &version = rest.first().ok_or(BankError::NotABank)?;
         if version != VERSION {
@@ -74,7 +74,7 @@ impl ParameterBank {
     }
 
     /// A bank of nothing, for no arm.
-    pub(crate) const fn empty() -> Self {
+    pub const fn empty() -> Self {
         Self {
             arm_hash: 0,
             arm: Name::new(),

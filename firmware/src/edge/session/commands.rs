@@ -11,6 +11,7 @@ use crate::edge::wire::{
     BankSource, BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, MAC_BYTES,
     NackReason, Pacing, SampleFrame,
 };
+use crate::excitation::{Cue, ExcitationError, Player};
 use crate::learning::{ParameterSet, Request};
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
@@ -44,6 +45,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
         self.writable()?;
+        if self.player.stage().in_charge() {
+            return Err(NackReason::Excitation(ExcitationError::Running));
+        }
         if !Configuration::PERIODS_US.contains(&wanted.period_us) {
             return Err(NackReason::Period);
         }
@@ -70,6 +74,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             .restart(config, set)
             .map_err(|_| NackReason::Period)?;
         self.configuration = configuration;
+        self.player = Player::new::<A, P>(configuration.period_us);
         self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
         self.stream.end();
         self.newest = None;
@@ -117,6 +122,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.gains = gains;
         core::mem::swap(&mut self.bank, &mut self.incoming);
         Ok(())
+    }
+
+    /// Takes over the uploaded excitation, all of it or nothing.
+    #[inline(never)]
+    pub(super) fn load_excitation(&mut self, length: u16, crc: u32) -> Result<(), NackReason> {
+        self.writable()?;
+        let program = self.transfer.program(length, crc)?;
+        self.player.load(&program).map_err(NackReason::Excitation)
+    }
+
+    pub(super) fn excitation(&mut self, cue: Cue) -> Result<BoardMessage<N>, NackReason> {
+        self.player.cue(cue).map_err(NackReason::Excitation)?;
+        Ok(BoardMessage::Excitation(self.player.stage()))
     }
 
     /// Answers with a piece of a bank; that of the stored one comes when the store has brought it.
@@ -213,9 +231,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             return Ok(());
         };
         let verified = match (self.challenge.take(), mac) {
-            (Some(nonce), Some(mac)) => {
-                key.verifies(&mac, &nonce, A::HASH, self.transfer.uploaded())
-            }
+            (Some(nonce), Some(mac)) => key.verifies(&mac, &nonce, A::HASH, self.transfer.come()),
             _ => false,
         };
         if verified {

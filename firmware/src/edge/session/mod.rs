@@ -23,6 +23,7 @@ use crate::edge::wire::{
     MAC_BYTES, ResetReason, SampleFrame,
 };
 use crate::edge::write_key::WriteKey;
+use crate::excitation::Player;
 use crate::feedforward::{FeedForward, FeedForwardConfig};
 use crate::joint::JointVector;
 use crate::learning::{ConfigError, ParameterSet};
@@ -109,6 +110,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     feed_forward: FeedForward<A, N, P>,
     safety: Safety<N>,
     gains: [f32; N],
+    player: Player<N>,
     bank: ParameterBank,
     /// Room for a bank on its way in, which is not believed before all of it is.
     incoming: ParameterBank,
@@ -149,6 +151,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             link: LinkState::default(),
             feed_forward: FeedForward::new(config, ParameterSet::nominal::<A>(NETWORK_SEED))?,
             gains: [0.0; N],
+            player: Player::new::<A, P>(configuration.period_us),
             bank,
             incoming: ParameterBank::empty(),
             transfer: Transfer::new(),

@@ -75,6 +75,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 Ok(()) => return,
                 Err(reason) => Err(reason),
             },
+            HostMessage::Excitation(cue) => match self.excitation(cue) {
+                Ok(stage) => return self.answer(sequence, &stage, out),
+                Err(reason) => Err(reason),
+            },
             HostMessage::Challenge => match self.challenge() {
                 Ok(nonce) => {
                     return self.answer(sequence, &BoardMessage::Challenge { nonce }, out);
@@ -100,6 +104,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         match message {
             HostMessage::BankWrite { offset, bytes } => self.write(offset, &bytes),
             HostMessage::BankCommit { length, crc, mac } => self.commit(length, crc, mac, desk),
+            HostMessage::ExcitationLoad { length, crc } => self.load_excitation(length, crc),
             HostMessage::Configure(configuration) => self.configure(configuration, desk),
             HostMessage::Learning { on } => self.set_learning(on),
             HostMessage::Reset => self.reset(sequence, desk),
@@ -124,6 +129,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             | HostMessage::BankRead { .. }
             | HostMessage::Save
             | HostMessage::Restore
+            | HostMessage::Excitation(_)
             | HostMessage::Challenge => Ok(()),
         }
     }

@@ -4,7 +4,8 @@ use super::stream::Instant;
 use super::{Clock, Desk, Session};
 use crate::arm::Arm;
 use crate::edge::wire::{
-    BoardMessage, FrameBuffer, FullTorqueFrame, Pacing, ReplyMode, SampleFrame, TorqueFrame,
+    BoardMessage, ExcitedFrame, FrameBuffer, FullTorqueFrame, Pacing, ReplyMode, SampleFrame,
+    TorqueFrame,
 };
 use crate::joint::JointSample;
 
@@ -63,7 +64,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         if let Some((sequence, _)) = sample {
             self.last_sequence = sequence;
         }
-        let heard: Option<JointSample<N>> = sample.map(|(_, frame)| frame.sample(&self.gains));
+        let mut heard: Option<JointSample<N>> = sample.map(|(_, frame)| frame.sample(&self.gains));
+        let excited = self.player.step(heard.as_ref());
+        if let (Some(sample), Some(desired)) = (&mut heard, excited) {
+            sample.desired = desired;
+        }
         let sample = self.safety.admit(heard, u32::from(periods));
         let start = self.board.clock.now();
         let mut torque = match &sample {
@@ -80,9 +85,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 .lesson(sample.and_then(|sample| sample.measured)),
         );
         let status = self.safety.status();
-        let reply = match self.configuration.reply {
-            ReplyMode::Decimated => BoardMessage::Torque(TorqueFrame::new(&torque, status)),
-            ReplyMode::Full => BoardMessage::FullTorque(FullTorqueFrame::new(&torque, status)),
+        let reply = match (excited, self.configuration.reply) {
+            (Some(desired), _) => {
+                let frame = TorqueFrame::new(&torque, status);
+                BoardMessage::Excited(ExcitedFrame::new(frame, self.player.stage(), &desired))
+            }
+            (None, ReplyMode::Decimated) => BoardMessage::Torque(TorqueFrame::new(&torque, status)),
+            (None, ReplyMode::Full) => {
+                BoardMessage::FullTorque(FullTorqueFrame::new(&torque, status))
+            }
         };
         self.answer(self.last_sequence, &reply, out);
         if self.stream.due(torque.tick) {

@@ -1,7 +1,8 @@
 use crate::edge::bank::{BankError, ParameterBank};
 use crate::edge::wire::{CHUNK, CRC, Chunk, NackReason};
+use crate::excitation::{ExcitationError, ExcitationProgram};
 
-/// One parameter bank on its way up or down, in one room.
+/// One parameter bank on its way up or down, or an excitation on its way up, in one room.
 pub(super) struct Transfer {
     bytes: [u8; ParameterBank::MAX_BYTES],
     length: usize,
@@ -53,7 +54,7 @@ impl Transfer {
     }
 
     /// The bytes that have come so far.
-    pub(super) fn uploaded(&self) -> &[u8] {
+    pub(super) fn come(&self) -> &[u8] {
         match self.direction {
             Direction::Up => self.bytes.get(..self.length).unwrap_or_default(),
             Direction::Idle | Direction::Down => &[],
@@ -76,15 +77,35 @@ impl Transfer {
         crc: u32,
         room: &mut ParameterBank,
     ) -> Result<(), NackReason> {
-        let complete = self.direction == Direction::Up && self.length == usize::from(length);
-        let bytes = self.bytes.get(..self.length).unwrap_or_default();
-        let read = if complete && CRC.checksum(bytes) == crc {
-            room.decode_into(bytes).map_err(NackReason::Bank)
-        } else {
-            Err(NackReason::Checksum)
-        };
+        let uploaded = self.uploaded(length, crc);
+        let read = uploaded.and_then(|bytes| room.decode_into(bytes).map_err(NackReason::Bank));
         self.abort();
         read
+    }
+
+    /// The uploaded excitation, if it is all there. The upload is over, whatever comes of it.
+    pub(super) fn program<const N: usize>(
+        &mut self,
+        length: u16,
+        crc: u32,
+    ) -> Result<ExcitationProgram<N>, NackReason> {
+        let uploaded = self.uploaded(length, crc);
+        let read = uploaded.and_then(|bytes| {
+            ExcitationProgram::decode(bytes)
+                .ok_or(NackReason::Excitation(ExcitationError::Number(0)))
+        });
+        self.abort();
+        read
+    }
+
+    fn uploaded(&self, length: u16, crc: u32) -> Result<&[u8], NackReason> {
+        let complete = self.direction == Direction::Up && self.length == usize::from(length);
+        let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        if complete && CRC.checksum(bytes) == crc {
+            Ok(bytes)
+        } else {
+            Err(NackReason::Checksum)
+        }
     }
 
     /// Keeps `bank` for reading; an unfinished upload is dropped.

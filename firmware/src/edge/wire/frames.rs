@@ -2,6 +2,7 @@
 
 use super::{Acceleration, Effort, Position, Velocity};
 use crate::edge::safety::SafetyStatus;
+use crate::excitation::Stage;
 use crate::feedforward::{Shares, Torque};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::limits::Flags;
@@ -182,6 +183,46 @@ impl<const N: usize> TorqueFrame<N> {
             total: array(&torque.total),
             shares: [rigid, friction, network]
                 .map(|share| share.get(joint).copied().unwrap_or(0.0)),
+        }
+    }
+}
+
+/// Torque of one tick whose desired motion was the board's own, with that motion.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExcitedFrame<const N: usize> {
+    /// The torque, and the shares of one joint.
+    pub torque: TorqueFrame<N>,
+    /// Where the excitation stands.
+    pub stage: Stage,
+    /// Desired positions of the tick in which the torque takes effect.
+    #[serde(with = "BigArray")]
+    pub q: [Position; N],
+    /// Desired velocities.
+    #[serde(with = "BigArray")]
+    pub qd: [Velocity; N],
+    /// Desired accelerations.
+    #[serde(with = "BigArray")]
+    pub qdd: [Acceleration; N],
+}
+
+impl<const N: usize> ExcitedFrame<N> {
+    /// The frame of `torque`, which belongs to `desired`.
+    pub fn new(torque: TorqueFrame<N>, stage: Stage, desired: &JointMotion<N>) -> Self {
+        Self {
+            torque,
+            stage,
+            q: array(&desired.q).map(Position::encode),
+            qd: array(&desired.qd).map(Velocity::encode),
+            qdd: array(&desired.qdd).map(Acceleration::encode),
+        }
+    }
+
+    /// The desired motion, as near as the frame carries it.
+    pub fn desired(&self) -> JointMotion<N> {
+        JointMotion {
+            q: self.q.map(Position::decode).into(),
+            qd: self.qd.map(Velocity::decode).into(),
+            qdd: self.qdd.map(Acceleration::decode).into(),
         }
     }
 }

@@ -1,13 +1,14 @@
 //! What is said on the link, in both directions.
 
 use super::{
-    BoardHello, Configuration, EvaluatedFrame, FullTorqueFrame, MotionFrame, SampleFrame,
-    TelemetryFrame, TorqueFrame,
+    BoardHello, Configuration, EvaluatedFrame, ExcitedFrame, FullTorqueFrame, MotionFrame,
+    SampleFrame, TelemetryFrame, TorqueFrame,
 };
 use crate::edge::bank::BankError;
 use crate::edge::safety::SafetyReason;
 use crate::edge::store::StoreError;
 use crate::edge::telemetry::Statistics;
+use crate::excitation::{Cue, ExcitationError, Stage};
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -112,6 +113,18 @@ pub enum HostMessage<const N: usize> {
     Challenge,
     /// Start the processor anew, torque off. The fault that is latched stays. Answer: the hello after boot.
     Reboot,
+    /// The upload is an excitation ([`ExcitationProgram`](crate::excitation::ExcitationProgram)), complete, and shall be
+    /// taken over. Refused while armed. Answer: ack, and its check begins with the next tick.
+    ExcitationLoad {
+        /// Its length in bytes.
+        #[serde(with = "postcard::fixint::le")]
+        length: u16,
+        /// CRC-32 over it.
+        #[serde(with = "postcard::fixint::le")]
+        crc: u32,
+    },
+    /// Start, stop, release the excitation, or ask for its stage. Answer: [`BoardMessage::Excitation`].
+    Excitation(Cue),
 }
 
 /// From the board to the host. A frame carries the sequence number of the host's frame that it answers.
@@ -149,6 +162,10 @@ pub enum BoardMessage<const N: usize> {
         /// The bytes.
         nonce: [u8; MAC_BYTES],
     },
+    /// Where the excitation stands.
+    Excitation(Stage),
+    /// Torque of one tick whose desired motion was the excitation's, with that motion.
+    Excited(ExcitedFrame<N>),
 }
 
 /// Why something was not done.
@@ -189,6 +206,8 @@ pub enum NackReason {
         #[serde(with = "postcard::fixint::le")]
         every: u16,
     },
+    /// The excitation cannot be played, or not now.
+    Excitation(ExcitationError),
 }
 
 impl fmt::Display for NackReason {
@@ -201,6 +220,7 @@ impl fmt::Display for NackReason {
             Self::TooLong => f.write_str("parameter bank too long"),
             Self::Checksum => f.write_str("parameter bank damaged or incomplete"),
             Self::Bank(error) => write!(f, "{error}"),
+            Self::Excitation(error) => write!(f, "{error}"),
             Self::Armed => f.write_str("only while disarmed"),
             Self::Unsafe(reason) => write!(f, "{reason}"),
             Self::Busy => f.write_str("busy with what was asked before"),

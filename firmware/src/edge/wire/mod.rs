@@ -18,7 +18,8 @@ pub(crate) use codec::encode_as;
 pub use codec::{EncodeError, FrameBuffer, encode};
 pub use decoder::{DecodeError, Decoder, FrameView};
 pub use frames::{
-    EvaluatedFrame, FullTorqueFrame, MotionFrame, SampleFlags, SampleFrame, TorqueFrame,
+    EvaluatedFrame, ExcitedFrame, FullTorqueFrame, MotionFrame, SampleFlags, SampleFrame,
+    TorqueFrame,
 };
 pub use identity::{
     BoardHello, Capabilities, Configuration, CounterKind, Pacing, ReplyMode, ResetReason,

@@ -32,6 +32,11 @@ pub const fn telemetry(content: usize) -> usize {
     frame(4 + 2 + 1 + (content > 127) as usize + content)
 }
 
+/// Wire size of a torque with the shares of one joint and the desired motion of an excitation, its stage at its longest.
+pub const fn excited(joints: usize) -> usize {
+    torque(joints) + 3 + 8 * joints
+}
+
 /// Sample of six joints: the cyclic request of the link, B.
 pub const SAMPLE_6: usize = sample(6);
 /// Torque of six joints: the cyclic reply of the link, B.
@@ -70,3 +75,4 @@ pub const fn receive_permille(bytes: usize, rate_hz: u64) -> u64 {
 const _: () = assert!(SAMPLE_6 <= 96 && TORQUE_6 <= 64);
 const _: () = assert!(headroom_permille(sample(7), 1000, 2_000_000) >= 300);
 const _: () = assert!(headroom_permille(full_torque(7), 1000, 2_000_000) >= 300);
+const _: () = assert!(excited(7) <= full_torque(7));

@@ -4,6 +4,7 @@ use crate::edge::bank::BankError;
 use crate::edge::safety::{SafetyReason, SafetyState, SafetyStatus};
 use crate::edge::store::StoreError;
 use crate::edge::telemetry::{Cost, Statistics};
+use crate::excitation::{AbortReason, Cue, ExcitationError, Stage};
 use proptest::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -138,6 +139,10 @@ fn commands() -> impl Strategy<Value = HostMessage<N>> {
             .prop_map(|(fields, every)| HostMessage::Telemetry { fields, every }),
         Just(HostMessage::Challenge),
         Just(HostMessage::Reboot),
+        (any::<u16>(), any::<u32>())
+            .prop_map(|(length, crc)| HostMessage::ExcitationLoad { length, crc }),
+        prop::sample::select(std::vec![Cue::Status, Cue::Start, Cue::Stop, Cue::Release])
+            .prop_map(HostMessage::Excitation),
     ]
 }
 
@@ -192,6 +197,16 @@ fn nack() -> impl Strategy<Value = NackReason> {
         any::<u16>()
             .prop_map(|place| { NackReason::Store(StoreError::Bank(BankError::Weight(place))) }),
         any::<u16>().prop_map(|every| NackReason::Bandwidth { every }),
+        any::<u8>().prop_map(|j| NackReason::Excitation(ExcitationError::NotAtRest(j))),
+    ]
+}
+
+fn stage() -> impl Strategy<Value = Stage> {
+    prop_oneof![
+        Just(Stage::Empty),
+        Just(Stage::Playing),
+        any::<u8>().prop_map(|j| Stage::Refused(ExcitationError::CertificateBroken(j))),
+        any::<u8>().prop_map(|j| Stage::Aborted(AbortReason::Tracking(j))),
     ]
 }
 
@@ -293,6 +308,25 @@ fn board_message() -> impl Strategy<Value = BoardMessage<N>> {
         statistics().prop_map(BoardMessage::Statistics),
         telemetry().prop_map(BoardMessage::Telemetry),
         any::<[u8; MAC_BYTES]>().prop_map(|nonce| BoardMessage::Challenge { nonce }),
+        stage().prop_map(BoardMessage::Excitation),
+        (stage(), sample(), floats(), floats()).prop_map(|(stage, motion, total, shares)| {
+            BoardMessage::Excited(ExcitedFrame {
+                torque: TorqueFrame {
+                    tick: 7,
+                    flags: 3,
+                    safety: SafetyStatus {
+                        state: SafetyState::Armed,
+                        reason: SafetyReason::Disarmed,
+                    },
+                    total,
+                    shares,
+                },
+                stage,
+                q: motion.desired_q,
+                qd: motion.desired_qd,
+                qdd: motion.desired_qdd,
+            })
+        }),
     ]
 }
 
@@ -486,6 +520,11 @@ fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
         ),
         host("Challenge", HostMessage::Challenge),
         host("Reboot", HostMessage::Reboot),
+        host(
+            "ExcitationLoad",
+            HostMessage::ExcitationLoad { length: 1, crc: 1 }
+        ),
+        host("Excitation", HostMessage::Excitation(Cue::Start)),
     ];
     let from_board = std::vec![
         board(
@@ -557,13 +596,33 @@ fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
                 nonce: [1; MAC_BYTES]
             }
         ),
+        board(
+            "Excitation",
+            BoardMessage::Excitation(Stage::Aborted(AbortReason::Tracking(1)))
+        ),
+        board(
+            "Excited",
+            BoardMessage::Excited(ExcitedFrame {
+                torque: TorqueFrame {
+                    tick: 1,
+                    flags: 1,
+                    safety,
+                    total: ones,
+                    shares: [1.0; 3],
+                },
+                stage: Stage::Aborted(AbortReason::Tracking(1)),
+                q: [Position::encode(1.0); J],
+                qd: [Velocity::encode(1.0); J],
+                qdd: [Acceleration::encode(1.0); J],
+            })
+        ),
     ];
     [from_host, from_board]
 }
 
 #[test]
 fn cyclic_frames_have_the_sizes_that_the_link_is_planned_for() {
-    fn cyclic<const J: usize>() -> [usize; 3] {
+    fn cyclic<const J: usize>() -> [usize; 4] {
         let of = |wanted| {
             sizes::<J>()
                 .into_iter()
@@ -572,15 +631,25 @@ fn cyclic_frames_have_the_sizes_that_the_link_is_planned_for() {
                 .unwrap()
                 .1
         };
-        [of("Sample"), of("Torque"), of("FullTorque")]
+        [of("Sample"), of("Torque"), of("FullTorque"), of("Excited")]
     }
     assert_eq!(
         cyclic::<6>(),
-        [size::sample(6), size::torque(6), size::full_torque(6)]
+        [
+            size::sample(6),
+            size::torque(6),
+            size::full_torque(6),
+            size::excited(6)
+        ]
     );
     assert_eq!(
         cyclic::<7>(),
-        [size::sample(7), size::torque(7), size::full_torque(7)]
+        [
+            size::sample(7),
+            size::torque(7),
+            size::full_torque(7),
+            size::excited(7)
+        ]
     );
     assert!(size::sample(6) <= 96 && size::torque(6) <= 64);
     for joints in [6, 7] {
@@ -630,6 +699,8 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
         ("reply, 7 joints", size::torque(7)),
         ("full reply, 6 joints", size::full_torque(6)),
         ("full reply, 7 joints", size::full_torque(7)),
+        ("reply with motion, 6 joints", size::excited(6)),
+        ("reply with motion, 7 joints", size::excited(7)),
     ] {
         let headroom = permille(bytes);
         let wanted = std::format!(

@@ -1,5 +1,3 @@
-//! Hardware at the edge of the board, generic over embedded-hal: today the pin that lets torque through.
-
 use embedded_hal::digital::OutputPin;
 
 /// The torque enable input of a motor stage, active high. Off after construction.

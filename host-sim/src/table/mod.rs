@@ -3,147 +3,18 @@
 //! `t_s`, then `q1_rad…`, `qd1_rad_s…`, `qdd1_rad_s2…`, `tau1_nm…`; further columns are ignored on reading. A name that
 //! ends in `.gz` is compressed. Every error names file, line and column.
 
+mod error;
+mod writer;
+
+pub use error::TableError;
+pub use writer::TableWriter;
+
 use crate::dynamics::{Joints, State};
-use crate::files::{WholeFile, at};
-use flate2::Compression;
+use crate::files::at;
 use flate2::read::MultiGzDecoder;
-use flate2::write::GzEncoder;
-use std::fmt;
 use std::fs::File;
-use std::io::{self, BufReader, Read, Write};
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
-
-/// What is wrong with a table.
-#[derive(Debug)]
-pub enum TableError {
-    /// The file cannot be opened or read.
-    File(io::Error),
-    /// The file is no CSV (wrong encoding, broken compression).
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// What the reader said.
-        reason: String,
-    },
-    /// The header lacks a column.
-    MissingColumn {
-        /// The file.
-        path: PathBuf,
-        /// The first column that is missing.
-        column: String,
-    },
-    /// The header names a column twice.
-    RepeatedColumn {
-        /// The file.
-        path: PathBuf,
-        /// The column.
-        column: String,
-    },
-    /// The header names a column of a joint the robot does not have.
-    ExtraColumn {
-        /// The file.
-        path: PathBuf,
-        /// The column.
-        column: String,
-        /// Joints of the robot.
-        joints: usize,
-    },
-    /// A row has more or fewer fields than the header.
-    Ragged {
-        /// The file.
-        path: PathBuf,
-        /// Line of the row, from 1.
-        line: u64,
-        /// Fields of the row.
-        found: usize,
-        /// Fields of the header.
-        expected: usize,
-    },
-    /// A field is no finite number.
-    NotANumber {
-        /// The file.
-        path: PathBuf,
-        /// Line of the row, from 1.
-        line: u64,
-        /// Column of the field.
-        column: String,
-        /// What stands there.
-        text: String,
-    },
-    /// Time stands still or runs backwards.
-    Time {
-        /// The file.
-        path: PathBuf,
-        /// Line of the row, from 1.
-        line: u64,
-        /// Time of the row, s.
-        t_s: f64,
-        /// Time of the row before, s.
-        previous_s: f64,
-    },
-    /// There is a header at most.
-    Empty {
-        /// The file.
-        path: PathBuf,
-    },
-}
-
-impl fmt::Display for TableError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::File(error) => write!(f, "{error}"),
-            Self::Unreadable { path, reason } => write!(f, "{}: {reason}", path.display()),
-            Self::MissingColumn { path, column } => {
-                write!(f, "{}:1: column {column} is missing", path.display())
-            }
-            Self::RepeatedColumn { path, column } => {
-                write!(f, "{}:1: column {column} appears twice", path.display())
-            }
-            Self::ExtraColumn {
-                path,
-                column,
-                joints,
-            } => write!(
-                f,
-                "{}:1: column {column} is one too many: the robot has {joints} joints",
-                path.display()
-            ),
-            Self::Ragged {
-                path,
-                line,
-                found,
-                expected,
-            } => write!(
-                f,
-                "{}:{line}: {found} fields where the header has {expected}",
-                path.display()
-            ),
-            Self::NotANumber {
-                path,
-                line,
-                column,
-                text,
-            } => write!(
-                f,
-                "{}:{line}: column {column}: {text:?} is not a finite number",
-                path.display()
-            ),
-            Self::Time {
-                path,
-                line,
-                t_s,
-                previous_s,
-            } => write!(
-                f,
-                "{}:{line}: column t_s: {t_s} does not come after {previous_s}",
-                path.display()
-            ),
-            Self::Empty { path } => write!(f, "{}: no rows", path.display()),
-        }
-    }
-}
-
-impl std::error::Error for TableError {}
 
 /// One row of a table of states.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -311,72 +182,6 @@ impl<const N: usize> Iterator for StateReader<N> {
             Err(error) => return Some(Err(unreadable(&self.path, &error))),
         };
         Some(self.parse(&record))
-    }
-}
-
-/// Writes a table that is whole or absent.
-pub struct TableWriter {
-    writer: csv::Writer<Sink>,
-}
-
-enum Sink {
-    Plain(WholeFile),
-    Compressed(GzEncoder<WholeFile>),
-}
-
-impl Write for Sink {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match self {
-            Self::Plain(file) => file.write(bytes),
-            Self::Compressed(encoder) => encoder.write(bytes),
-        }
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        match self {
-            Self::Plain(file) => file.flush(),
-            Self::Compressed(encoder) => encoder.flush(),
-        }
-    }
-}
-
-impl TableWriter {
-    /// Starts a table with its header row.
-    ///
-    /// Errors: the file system's.
-    pub fn create(path: &Path, header: &[String]) -> io::Result<Self> {
-        let file = WholeFile::create(path)?;
-        let sink = if is_compressed(path) {
-            Sink::Compressed(GzEncoder::new(file, Compression::default()))
-        } else {
-            Sink::Plain(file)
-        };
-        let mut writer = csv::Writer::from_writer(sink);
-        writer.write_record(header)?;
-        Ok(Self { writer })
-    }
-
-    /// Adds a row. Numbers are written with as many digits as bring back the same value.
-    ///
-    /// Errors: the file system's, or a row of another width than the header.
-    pub fn row<T: fmt::Display>(&mut self, values: impl IntoIterator<Item = T>) -> io::Result<()> {
-        self.writer
-            .write_record(values.into_iter().map(|value| value.to_string()))?;
-        Ok(())
-    }
-
-    /// Completes the table and gives it its name.
-    ///
-    /// Errors: the file system's.
-    pub fn finish(self) -> io::Result<()> {
-        let sink = self
-            .writer
-            .into_inner()
-            .map_err(|error| io::Error::other(error.to_string()))?;
-        match sink {
-            Sink::Plain(file) => file.finish(),
-            Sink::Compressed(encoder) => encoder.finish()?.finish(),
-        }
     }
 }
 

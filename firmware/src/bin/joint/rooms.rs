@@ -1,0 +1,33 @@
+//! The two largest things the board has, session and learner, each in a static room and made in a function of its own:
+//! every frame they were handed through would need stack for all of them.
+
+use core::mem::MaybeUninit;
+
+use foretorque::edge::session::{BoardDescription, Session};
+use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
+
+use crate::board::{Arm, JOINTS, PARAMETERS};
+use crate::counter::Counter;
+
+pub(crate) type BoardSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
+pub(crate) type BoardLearner = Learner<Arm, JOINTS, PARAMETERS>;
+
+/// Puts a session at tick 0 into `room`; `None` if a limit of the arm cannot work.
+#[inline(never)]
+pub(crate) fn open(
+    room: &'static mut MaybeUninit<BoardSession>,
+    board: BoardDescription<Counter>,
+) -> Option<&'static mut BoardSession> {
+    Some(room.write(Session::new(board).ok()?))
+}
+
+/// Puts a learner that starts from `prior` into `room`; `None` if its configuration does not validate.
+#[inline(never)]
+pub(crate) fn furnish(
+    room: &'static mut MaybeUninit<BoardLearner>,
+    period_s: f32,
+    prior: &ParameterSet<JOINTS, PARAMETERS>,
+) -> Option<&'static mut BoardLearner> {
+    let learner = Learner::new(LearnerConfig::for_arm::<Arm>(period_s), *prior).ok()?;
+    Some(room.write(learner))
+}

@@ -1,0 +1,63 @@
+//! The library for C: static library, and the example in C that the tests run in the emulator.
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, Result};
+
+use crate::setup::{self, Way};
+use crate::shell::{self, command};
+use crate::toolchain::{PROFILE, TARGET, Tools};
+
+/// C's own half of the example, from the workspace's root.
+const PLACE: &str = "firmware/capi";
+
+/// Sets up, compiler for C included, and builds both.
+pub(crate) fn run(forced: Option<Way>) -> Result<()> {
+    let tools = setup::run(forced)?;
+    setup::bring_c_compiler()?;
+    build(tools)?;
+    println!(
+        "library: {}\nheader:  {PLACE}/include/foretorque.h\nexample: {}",
+        built("libforetorque_capi.a").display(),
+        built("capi-example").display()
+    );
+    Ok(())
+}
+
+/// Builds the static library, whose link proves that nothing in it panics, and the example.
+pub(crate) fn build(tools: Tools) -> Result<()> {
+    let mut library = tools.board.tool("cargo");
+    library.args(["rustc", "--profile", PROFILE, "--target", TARGET]);
+    library.args(["-p", "foretorque-capi", "--lib"]);
+    library.args(["--crate-type", "staticlib"]);
+    shell::run(&mut library)?;
+
+    let place = shell::root().join(PLACE);
+    let example = place.join("example");
+    let mut compiler = command(setup::C_COMPILER);
+    compiler
+        .args(["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard"])
+        .args(["-mfpu=fpv4-sp-d16", "-std=c11", "-O2", "-Wall", "-Wextra"])
+        // The example compares bits with another machine: no fused operations.
+        .args([
+            "-Werror",
+            "-ffp-contract=off",
+            "-ffreestanding",
+            "-nostdlib",
+        ])
+        .arg("-I")
+        .arg(place.join("include"))
+        .arg(example.join("main.c"))
+        .arg(example.join("startup.c"))
+        .arg(built("libforetorque_capi.a"))
+        .arg("-T")
+        .arg(example.join("link.ld"))
+        .args(["-Wl,--gc-sections", "-Wl,-z,noexecstack", "-o"])
+        .arg(built("capi-example"));
+    shell::run(&mut compiler).context("the example in C does not build")
+}
+
+fn built(name: &str) -> PathBuf {
+    let target = shell::root().join("target");
+    target.join(TARGET).join(PROFILE).join(name)
+}

@@ -1,0 +1,256 @@
+//! From the linked ELF to the board: images for any programmer, and the ELF itself through probe-rs.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use elf::ElfBytes;
+use elf::abi::PT_LOAD;
+use elf::endian::LittleEndian;
+use ihex::Record;
+
+use crate::demo;
+use crate::setup::{self, Way};
+use crate::shell::{self, capture, command};
+use crate::toolchain::{PROFILE, TARGET};
+
+/// Where the images go, from the workspace's root.
+const OUT: &str = "target/foretorque/flash";
+/// What probe-rs calls the chip of both boards.
+const CHIP: &str = "STM32F405RGTx";
+/// What erased flash reads as.
+const ERASED: u8 = 0xff;
+/// Bytes of a line of Intel HEX.
+const HEX_LINE: usize = 16;
+
+/// A board that has a firmware here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Board {
+    /// ODrive v3 class: `joint`.
+    Odrive,
+    /// pyboard v1.1: `joint-pyboard`.
+    Pyboard,
+}
+
+impl std::str::FromStr for Board {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "odrive" => Ok(Self::Odrive),
+            "pyboard" => Ok(Self::Pyboard),
+            other => Err(format!("unknown board `{other}`: it is odrive or pyboard")),
+        }
+    }
+}
+
+impl Board {
+    const fn binary(self) -> &'static str {
+        match self {
+            Self::Odrive => "joint",
+            Self::Pyboard => "joint-pyboard",
+        }
+    }
+}
+
+/// Sets up, builds the firmware as the demo does, writes its images, and unless `image_only` flashes the ELF.
+pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result<()> {
+    let tools = setup::run(forced)?;
+    shell::run(tools.board.board_cargo("build").arg("--bins"))?;
+    let elf = elf(board.binary());
+    let bytes = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
+    let segments = loadable(&bytes)?;
+    write_images(&segments, board.binary())?;
+    println!("ELF:  {} ({} bytes)", shown(&elf).display(), bytes.len());
+    if board == Board::Odrive {
+        println!("demo: {}", compared(&bytes));
+    }
+    if image_only {
+        return Ok(());
+    }
+    if capture(command("probe-rs").arg("--version")).is_none() {
+        bail!(
+            "probe-rs is not installed (https://probe.rs/docs/getting-started/installation); the images above suit \
+             any other programmer"
+        );
+    }
+    let mut download = command("probe-rs");
+    download.args(["download", "--chip", CHIP, "--verify"]);
+    shell::run(download.arg(&elf))?;
+    shell::run(command("probe-rs").args(["reset", "--chip", CHIP]))
+}
+
+/// The flashable ELF of a binary.
+pub(crate) fn elf(binary: &str) -> PathBuf {
+    let target = shell::root().join("target");
+    target.join(TARGET).join(PROFILE).join(binary)
+}
+
+/// Whether the ELF is byte for byte the one that the last demo emulated.
+fn compared(bytes: &[u8]) -> String {
+    let copy = shell::root().join(demo::ELF_COPY);
+    match fs::read(copy) {
+        Ok(emulated) if emulated == bytes => {
+            format!("the same bytes as {}, which it emulated", demo::ELF_COPY)
+        }
+        Ok(_) => format!(
+            "other bytes than {}: the source has changed",
+            demo::ELF_COPY
+        ),
+        Err(_) => "has not run here; `cargo xtask demo` emulates this very file".into(),
+    }
+}
+
+/// What is written into the flash: address, bytes; in ascending order.
+type Segment = (u32, Vec<u8>);
+
+fn loadable(elf: &[u8]) -> Result<Vec<Segment>> {
+    let file = ElfBytes::<LittleEndian>::minimal_parse(elf).context("the firmware is no ELF")?;
+    let mut segments = Vec::new();
+    for header in file.segments().context("the firmware is not linked")? {
+        if header.p_type == PT_LOAD && header.p_filesz > 0 {
+            // The address in the file of start values of variables is in flash; they are copied to RAM at boot.
+            let address = u32::try_from(header.p_paddr)?;
+            segments.push((address, file.segment_data(&header)?.to_vec()));
+        }
+    }
+    segments.sort_by_key(|(address, _)| *address);
+    let overlap = segments
+        .windows(2)
+        .any(|two| two[0].0 as usize + two[0].1.len() > two[1].0 as usize);
+    ensure!(
+        !segments.is_empty() && !overlap,
+        "the firmware has no segments to load, or two that overlap"
+    );
+    Ok(segments)
+}
+
+/// Writes both images, reads them back, and makes sure that they hold what the ELF loads, and nothing else.
+fn write_images(segments: &[Segment], name: &str) -> Result<()> {
+    let out = shell::root().join(OUT);
+    fs::create_dir_all(&out).with_context(|| format!("cannot write {}", out.display()))?;
+    let bin = out.join(name).with_extension("bin");
+    let hex = out.join(name).with_extension("hex");
+    fs::write(&bin, flat(segments)).with_context(|| format!("cannot write {}", bin.display()))?;
+    fs::write(&hex, intel_hex(segments)?)
+        .with_context(|| format!("cannot write {}", hex.display()))?;
+
+    let base = segments.first().map_or(0, |(address, _)| *address);
+    let image = fs::read(&bin)?;
+    let in_bin = |address: u32| image.get((address - base) as usize).copied();
+    let lines = read_hex(&fs::read_to_string(&hex)?)?;
+    let loaded: Vec<(u32, u8)> = bytes_of(segments).collect();
+    ensure!(
+        lines == loaded && loaded.iter().all(|&(at, byte)| in_bin(at) == Some(byte)),
+        "an image does not hold what the ELF loads"
+    );
+    println!(
+        "bin:  {} ({} bytes from {base:#010x}, read back and compared with the ELF)",
+        shown(&bin).display(),
+        image.len()
+    );
+    println!("hex:  {} (likewise)", shown(&hex).display());
+    Ok(())
+}
+
+fn bytes_of(segments: &[Segment]) -> impl Iterator<Item = (u32, u8)> {
+    segments
+        .iter()
+        .flat_map(|(address, bytes)| (*address..).zip(bytes.iter().copied()))
+}
+
+/// One block from the first segment's address; what lies between two segments is left erased.
+fn flat(segments: &[Segment]) -> Vec<u8> {
+    let mut image = Vec::new();
+    let base = segments.first().map_or(0, |(address, _)| *address);
+    for (address, bytes) in segments {
+        image.resize((address - base) as usize, ERASED);
+        image.extend_from_slice(bytes);
+    }
+    image
+}
+
+fn intel_hex(segments: &[Segment]) -> Result<String> {
+    let mut records = Vec::new();
+    let mut upper = None;
+    for (address, bytes) in segments {
+        let mut at = *address;
+        let mut rest = bytes.as_slice();
+        while !rest.is_empty() {
+            if upper != Some(at >> 16) {
+                upper = Some(at >> 16);
+                records.push(Record::ExtendedLinearAddress((at >> 16) as u16));
+            }
+            // A line ends where the upper half of the address changes.
+            let room = 0x1_0000 - (at & 0xffff) as usize;
+            let (line, later) = rest.split_at(HEX_LINE.min(room).min(rest.len()));
+            records.push(Record::Data {
+                offset: at as u16,
+                value: line.to_vec(),
+            });
+            at += line.len() as u32;
+            rest = later;
+        }
+    }
+    records.push(Record::EndOfFile);
+    let text = ihex::create_object_file_representation(&records);
+    Ok(text.context("a line of the HEX file is too long")? + "\n")
+}
+
+/// Every byte of a HEX file with its address, in the order of the file.
+fn read_hex(text: &str) -> Result<Vec<(u32, u8)>> {
+    let mut bytes = Vec::new();
+    let mut upper = 0;
+    for record in ihex::Reader::new(text) {
+        match record.context("a line of the HEX file is damaged")? {
+            Record::ExtendedLinearAddress(half) => upper = u32::from(half) << 16,
+            Record::Data { offset, value } => {
+                bytes.extend((upper | u32::from(offset)..).zip(value))
+            }
+            Record::EndOfFile => break,
+            other => bail!("a record of the HEX file is of no use here: {other:?}"),
+        }
+    }
+    Ok(bytes)
+}
+
+/// A path as one would type it in the workspace's root.
+fn shown(path: &Path) -> &Path {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
+    root.and_then(|root| path.strip_prefix(root).ok())
+        .unwrap_or(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn segments() -> Vec<Segment> {
+        let code = (0..70_000_u32).map(|k| (k * 7) as u8).collect();
+        vec![(0x0800_0000, code), (0x0802_0005, vec![1, 2, 3])]
+    }
+
+    #[test]
+    fn hex_holds_every_byte_at_its_address_across_the_64_k_lines() {
+        let text = intel_hex(&segments()).unwrap();
+        let expected: Vec<_> = bytes_of(&segments()).collect();
+        assert_eq!(read_hex(&text).unwrap(), expected);
+        assert!(text.starts_with(":020000040800F2\n"), "{}", &text[..40]);
+    }
+
+    #[test]
+    fn a_flipped_digit_of_a_hex_file_is_seen() {
+        let text = intel_hex(&segments()).unwrap();
+        let wrong = text.replacen("0007", "0008", 1);
+        assert_ne!(wrong, text);
+        assert!(read_hex(&wrong).is_err());
+    }
+
+    #[test]
+    fn the_flat_image_is_erased_between_segments() {
+        let image = flat(&segments());
+        assert_eq!(image.len(), 0x2_0008);
+        assert_eq!(image[70_000], ERASED);
+        assert_eq!(image[0x2_0004..], [ERASED, 1, 2, 3]);
+    }
+}
