@@ -17,6 +17,7 @@ pub mod plant;
 pub mod report;
 pub mod robot;
 pub mod table;
+pub mod telemetry;
 pub mod training;
 pub mod trajectory;
 pub mod urdf;

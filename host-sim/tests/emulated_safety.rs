@@ -2,7 +2,8 @@
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::edge::safety::{SafetyReason, SafetyState};
-use foretorque::edge::wire::{Configuration, NackReason, Pacing, ResetReason};
+use foretorque::edge::wire::{Configuration, Field, NackReason, Pacing, ResetReason};
+use foretorque::edge::write_key::WriteKey;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use host_sim::board::qemu::{Emulator, Image, QemuOptions};
 use host_sim::board::{BoardError, Client};
@@ -117,8 +118,9 @@ fn a_board_paced_by_its_timer_ends_the_torque_when_samples_stay_away() {
         .expect("it has a timer");
     trial.client.arm(&sample()).expect("it can be armed");
     trial.client.sample(&sample()).expect("a torque");
-    assert!(trial.enabled());
-    // The time of the emulator moves on when somebody talks to it; what is said here is no sample.
+    let pins = trial.lines("GPIOB");
+    assert!(pins.iter().any(|line| line.contains(ON)), "it was armed");
+    // The time of the emulator moves on when somebody talks to it, in leaps; what is said here is no sample.
     let deadline = Instant::now() + BOOT;
     while trial.enabled() {
         assert!(Instant::now() < deadline, "the torque ends");
@@ -230,4 +232,50 @@ fn the_watchdog_goes_hungry_when_the_learner_hangs_although_the_tick_goes_on() {
     let statistics = trial.client.statistics().expect("counters");
     assert_eq!(statistics.ticks, 100);
     assert!(statistics.watchdog_feeds <= 1, "{statistics:?}");
+}
+
+#[test]
+fn a_board_with_a_key_in_its_flash_takes_signed_banks_only() {
+    let key = [0xA7; 16];
+    let file = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("board.key");
+    fs::write(&file, key).expect("the directory is there");
+    let mut options = QemuOptions::new(Image::Joint);
+    options.key = Some(file);
+    let mut trial = Trial::of("key", options);
+    let before = trial.client.read_bank().expect("reading is free");
+    let mut bank = before.clone();
+    bank.columns[0].value += 0.5;
+    let error = trial.client.upload_bank(&bank).expect_err("it has a key");
+    assert!(error.to_string().contains("--key-file"), "{error}");
+    let stranger = WriteKey::from_slot([1; 16]).expect("a key");
+    trial.client.set_write_key(stranger);
+    let error = trial.client.upload_bank(&bank).expect_err("a wrong key");
+    assert!(
+        matches!(error, BoardError::Refused(NackReason::Key)),
+        "{error}"
+    );
+    assert_eq!(trial.client.read_bank().expect("a bank"), before);
+    trial
+        .client
+        .set_write_key(WriteKey::from_slot(key).expect("a key"));
+    trial.client.upload_bank(&bank).expect("the right key");
+    assert_eq!(trial.client.read_bank().expect("a bank"), bank);
+}
+
+#[test]
+fn telemetry_comes_over_the_line_beside_the_replies() {
+    let mut trial = Trial::start("telemetry");
+    let all = (1 << Field::ALL.len()) - 1;
+    let error = trial.client.stream(all, 1).expect_err("the line is full");
+    let BoardError::Refused(NackReason::Bandwidth { every }) = error else {
+        panic!("{error}");
+    };
+    trial.client.stream(all, every).expect("so seldom it fits");
+    for _ in 0..3 * every {
+        trial.client.sample(&sample()).expect("an answer");
+    }
+    let frames = trial.client.take_telemetry();
+    let of_first = frames.iter().filter(|frame| frame.tick == frames[0].tick);
+    let fields = of_first.fold(0, |fields, frame| fields | frame.fields);
+    assert_eq!(fields, all);
 }

@@ -7,3 +7,4 @@ pub mod session;
 pub mod store;
 pub mod telemetry;
 pub mod wire;
+pub mod write_key;

@@ -4,9 +4,11 @@ use foretorque::edge::bank::ParameterBank;
 use foretorque::edge::safety::{ARM_SAMPLES, SafetyReason, SafetyState, SafetyStatus};
 use foretorque::edge::telemetry::Statistics;
 use foretorque::edge::wire::{
-    BankSource, BoardHello, BoardMessage, CHUNK, Chunk, Configuration, DecodeError, Decoder,
-    FrameBuffer, HostMessage, NackReason, SampleFlags, SampleFrame, TelemetryFrame,
+    BankSource, BoardHello, BoardMessage, CHUNK, Capabilities, Chunk, Configuration, DecodeError,
+    Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason, SampleFlags, SampleFrame,
+    TelemetryFrame,
 };
+use foretorque::edge::write_key::WriteKey;
 use foretorque::excitation::{Cue, ExcitationProgram, Stage};
 use foretorque::feedforward::{Shares, Torque};
 use foretorque::joint::{JointMotion, JointSample, JointVector};
@@ -19,6 +21,8 @@ const ATTEMPTS: usize = 3;
 /// How long one hello is waited for while a board may still be booting.
 const HELLO_TIMEOUT: Duration = Duration::from_millis(300);
 
+/// How long the store may take: erasing a sector of 128 KiB takes up to 2 s (DS8626 table 48), and it has two.
+const STORE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Samples that a board is given, at most, to become ready to be armed.
 const ARM_ATTEMPTS: u32 = 30;
 /// Samples that a board is given, at most, to bring its torque to zero: many times what its slew limit takes.
@@ -83,6 +87,7 @@ pub struct Client<const N: usize> {
     presented: Option<SampleFrame<N>>,
     /// What it told unasked.
     telemetry: Vec<TelemetryFrame>,
+    key: Option<WriteKey>,
 }
 
 impl<const N: usize> Client<N> {
@@ -119,6 +124,7 @@ impl<const N: usize> Client<N> {
             safety: SafetyStatus::default(),
             presented: None,
             telemetry: Vec::new(),
+            key: None,
         };
         client.hello = client.greet(boot)?;
         client.safety = client.hello.safety;
@@ -133,6 +139,11 @@ impl<const N: usize> Client<N> {
             });
         }
         Ok(client)
+    }
+
+    /// Signs uploads from now on, where the board asks for it.
+    pub fn set_write_key(&mut self, key: WriteKey) {
+        self.key = Some(key);
     }
 
     /// How long an answer is waited for.
@@ -323,14 +334,29 @@ impl<const N: usize> Client<N> {
         self.bring_to_rest()?;
         let mut room = [0; ParameterBank::MAX_BYTES];
         let bytes = bank.encode(&mut room).map_err(BoardError::Bank)?;
+        let mac = self.signature(bytes)?;
         self.upload(bytes)?;
         // Not asked twice: the first commit ends the upload, so a second would be refused although the first was good.
         let sequence = self.post(&HostMessage::BankCommit {
             length: bytes.len() as u16,
             crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
-            mac: None,
+            mac,
         })?;
         acknowledged(self.wait_for(sequence, self.timeout)?)
+    }
+
+    /// The signature of an upload, where the board has a write key.
+    fn signature(&mut self, bank: &[u8]) -> Result<Option<[u8; MAC_BYTES]>, BoardError> {
+        if !self.hello.capabilities.contains(Capabilities::WRITE_KEY) {
+            return Ok(None);
+        }
+        let key = self.key.ok_or(BoardError::NoKey)?;
+        match self.ask(&HostMessage::Challenge)? {
+            BoardMessage::Challenge { nonce } => {
+                Ok(Some(key.sign_upload(&nonce, self.hello.arm_hash, bank)))
+            }
+            other => Err(refused(other)),
+        }
     }
 
     /// Sends `program` and has the board take it over, whole or not at all. Learning must be off; the board's check runs
@@ -354,6 +380,23 @@ impl<const N: usize> Client<N> {
             BoardMessage::Excitation(stage) => Ok(stage),
             other => Err(refused(other)),
         }
+    }
+
+    /// Has the board keep its parameters over power-off. The board is disarmed; learning must be off.
+    pub fn save(&mut self) -> Result<(), BoardError> {
+        self.at_the_store(&HostMessage::Save)
+    }
+
+    /// Has the board take over its stored parameters. The board is disarmed; learning must be off.
+    pub fn restore(&mut self) -> Result<(), BoardError> {
+        self.at_the_store(&HostMessage::Restore)
+    }
+
+    /// Not asked twice: what the store was asked for it does, however long it takes.
+    fn at_the_store(&mut self, message: &HostMessage<N>) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
+        let sequence = self.post(message)?;
+        acknowledged(self.wait_for(sequence, STORE_TIMEOUT)?)
     }
 
     fn upload(&mut self, bytes: &[u8]) -> Result<(), BoardError> {
@@ -530,7 +573,7 @@ fn refused<const N: usize>(answer: BoardMessage<N>) -> BoardError {
 
 /// Stands where the board's hello will stand.
 fn nobody() -> BoardHello {
-    use foretorque::edge::wire::{Capabilities, CounterKind, Name, ResetReason};
+    use foretorque::edge::wire::{CounterKind, Name, ResetReason};
     BoardHello {
         arm_hash: 0,
         arm: Name::new(),

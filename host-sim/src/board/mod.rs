@@ -58,6 +58,8 @@ pub enum BoardError {
     Refused(NackReason),
     /// The answer is not one to the question.
     UnexpectedAnswer,
+    /// The board has a write key, and this program was given none.
+    NoKey,
     /// The bank cannot be sent, or what was read is none.
     Bank(BankError),
 }
@@ -77,6 +79,7 @@ impl fmt::Display for BoardError {
             Self::Restarted(reason) => write!(f, "the board has started over ({reason:?})"),
             Self::Refused(reason) => write!(f, "the board refused: {reason}"),
             Self::UnexpectedAnswer => f.write_str("the board gave an answer to another question"),
+            Self::NoKey => f.write_str("the board has a write key: an upload needs --key-file"),
             Self::Bank(error) => write!(f, "{error}"),
         }
     }

@@ -17,6 +17,8 @@ use super::child::Guarded;
 
 /// The emulator's program.
 const EMULATOR: &str = "qemu-system-arm";
+/// Where the write key is (memory.x).
+const KEY_START: u32 = 0x080A_0000;
 /// Where the store begins (memory.x).
 const STORE_START: u32 = 0x080C_0000;
 /// How long the end of a dying emulator is waited for.
@@ -71,6 +73,8 @@ pub struct QemuOptions {
     pub log: Option<PathBuf>,
     /// File with the content of the store's sectors, which the emulated board can read and not change; `None` for zeros.
     pub store: Option<PathBuf>,
+    /// File with the bytes of the board's write key; `None` for a board without one.
+    pub key: Option<PathBuf>,
     /// File for the accesses to parts of the chip that the emulator does not model, pins among them.
     pub trace: Option<PathBuf>,
 }
@@ -87,6 +91,7 @@ impl QemuOptions {
             boot: Duration::from_secs(10),
             log: None,
             store: None,
+            key: None,
             trace: None,
         }
     }
@@ -183,11 +188,14 @@ impl Emulator {
             .stderr(Stdio::piped())
             .arg("-kernel")
             .arg(&options.elf);
-        if let Some(store) = &options.store {
-            command.arg("-device").arg(format!(
-                "loader,file={},addr={STORE_START:#x},force-raw=on",
-                store.display()
-            ));
+        let contents = [(&options.store, STORE_START), (&options.key, KEY_START)];
+        for (file, start) in contents {
+            if let Some(file) = file {
+                command.arg("-device").arg(format!(
+                    "loader,file={},addr={start:#x},force-raw=on",
+                    file.display()
+                ));
+            }
         }
         if let Some(trace) = &options.trace {
             command.args(["-d", "unimp", "-D"]).arg(trace);

@@ -1,21 +1,126 @@
+use super::boards::{BoardChoice, OnArm, on_arm};
 use super::terminal::say;
-use super::{Failure, unusable};
-use clap::Args;
+use super::{Failure, key, unusable};
+use crate::files::write_whole;
+use crate::robot::Robot;
+use clap::{Args, ValueEnum};
+use foretorque::arm::Arm;
 use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{self, Ur5};
 use foretorque::edge::bank::{BankError, ParameterBank};
+use foretorque::edge::wire::BankSource;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Print what a parameter bank holds
+/// Print what a parameter bank holds; with a board, send it there or bring it from there
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
     /// Bank file
     file: PathBuf,
+    /// Board: native, qemu, qemu-usart or serial:PORT
+    #[arg(long, requires = "robot")]
+    board: Option<BoardChoice>,
+    /// Robot that the board drives: a built-in name or a description file
+    #[arg(long, requires = "board")]
+    robot: Option<String>,
+    /// Bring this bank of the board into FILE, instead of sending FILE to the board
+    #[arg(long, value_enum, requires = "board")]
+    read: Option<Source>,
+    /// Have the board keep over power-off what it was sent
+    #[arg(long, requires = "board", conflicts_with = "read")]
+    save: bool,
+    /// Write key of the board, 32 hexadecimal digits
+    #[arg(long, value_name = "FILE", requires = "board")]
+    key_file: Option<PathBuf>,
+}
+
+/// Banks on a board.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Source {
+    /// In force, with all that was learnt
+    Live,
+    /// Last loaded or committed
+    Committed,
+    /// In the store
+    Stored,
+    /// Live, and printed as the difference from the stored one
+    Learnt,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let bank = read(&arguments.file)?;
+    if let (Some(_), Some(robot)) = (&arguments.board, &arguments.robot) {
+        if arguments.read.is_none() {
+            // Before a board is disturbed: is it a bank?
+            read(&arguments.file)?;
+        }
+        if let Some((live, stored)) = on_arm(robot, arguments)? {
+            return differences(&live, &stored);
+        }
+    }
+    print(&read(&arguments.file)?)
+}
+
+impl OnArm for &Arguments {
+    /// Live and stored bank, where their difference is wanted.
+    type Output = Option<(ParameterBank, ParameterBank)>;
+
+    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
+        self,
+        _: &Robot,
+    ) -> Result<Self::Output, Failure> {
+        let Some(board) = &self.board else {
+            return Ok(None);
+        };
+        let mut board = board.connect::<A, N, P>(None)?;
+        if let Some(file) = &self.key_file {
+            board.set_write_key(key::read(file)?);
+        }
+        let Some(source) = self.read else {
+            board.upload_bank(&read(&self.file)?)?;
+            if self.save {
+                board.save()?;
+            }
+            return Ok(None);
+        };
+        let bank = board.read_bank_of(match source {
+            Source::Live | Source::Learnt => BankSource::Live,
+            Source::Committed => BankSource::Committed,
+            Source::Stored => BankSource::Stored,
+        })?;
+        let stored = match source {
+            Source::Learnt => Some(board.read_bank_of(BankSource::Stored)?),
+            _ => None,
+        };
+        write_whole(&self.file, &bytes(&bank)?)?;
+        Ok(stored.map(|stored| (bank, stored)))
+    }
+}
+
+/// Prints what has changed from the stored bank to the live one.
+fn differences(live: &ParameterBank, stored: &ParameterBank) -> Result<(), Failure> {
+    say(format_args!(
+        "{:<8} {:>14} {:>14} {:>14}",
+        "column", "stored (SI)", "live", "change"
+    ))?;
+    for column in &live.columns {
+        // Columns that a bank does not have are zero.
+        let before = stored.column(column.id).map_or(0.0, |column| column.value);
+        say(format_args!(
+            "{:<8} {:>14.6} {:>14.6} {:>14.6}",
+            column.id.to_string(),
+            before,
+            column.value,
+            column.value - before
+        ))?;
+    }
+    let pairs = live.weights.iter().zip(&stored.weights);
+    let changes = pairs.map(|(live, stored)| f64::from(live - stored).powi(2));
+    let rms = (changes.sum::<f64>() / live.weights.len().max(1) as f64).sqrt();
+    say(format_args!("\nweights   changed by {rms:.6} RMS"))?;
+    Ok(())
+}
+
+fn print(bank: &ParameterBank) -> Result<(), Failure> {
     say(format_args!(
         "arm       {} ({:08x})",
         bank.arm, bank.arm_hash
@@ -32,7 +137,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     ))?;
     say(format_args!(
         "usable    {}",
-        match usable(&bank) {
+        match usable(bank) {
             Ok(()) => format!("yes, on a board that drives {}", bank.arm),
             Err(error) => format!("no: {error}"),
         }

@@ -9,6 +9,7 @@ mod experiment;
 mod faults;
 mod generate;
 mod identify;
+mod key;
 mod merge;
 mod motion_log;
 mod on_board;

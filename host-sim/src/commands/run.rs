@@ -4,12 +4,13 @@ use super::on_board;
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S};
 use super::terminal::{self, say};
-use super::{Failure, bank, unusable};
+use super::{Failure, bank, key, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
 use crate::files::write_whole;
 use crate::report::closed_loop::{self, ClosedLoopLog, ClosedLoopReport, LinkReport};
 use crate::robot::Robot;
 use crate::table::joint_columns;
+use crate::telemetry::{Recorder, Selection};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::excitation::Cue;
@@ -29,6 +30,12 @@ pub(super) struct Arguments {
     /// Parameter bank to start from; without it the description's rigid body
     #[arg(long, value_name = "FILE")]
     bank: Option<PathBuf>,
+    /// Write key of the board, 32 hexadecimal digits
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
+    /// Record what the board tells into telemetry.csv: fields and every how many ticks, such as state,total,quality/10
+    #[arg(long, value_name = "FIELDS/TICKS")]
+    telemetry: Option<Selection>,
     /// Have the board play the excitation of --trajectory itself: uploaded, checked there, approached from 0.1 rad beside
     /// its beginning, and followed as the board asks
     #[arg(long)]
@@ -42,7 +49,7 @@ pub(super) struct Arguments {
     /// Write the log of the firmware as text (qemu-usart only)
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
-    /// Directory for log.csv, report.json, report.html and bank.bin, the parameters in force at the end
+    /// Directory for log.csv, report.json, report.html and bank.bin, the parameters in force at the end; telemetry.csv
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -92,6 +99,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut board = arguments
         .board
         .connect::<A, N, P>(arguments.stream().as_deref())?;
+    if let Some(file) = &arguments.key_file {
+        board.set_write_key(key::read(file)?);
+    }
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
     }
@@ -111,6 +121,14 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         Some(&mut board),
     )?;
     board.learning(arguments.learn)?;
+    let mut recorder = match arguments.telemetry {
+        Some(chosen) => {
+            board.stream(chosen.fields, chosen.every)?;
+            let path = arguments.out.join("telemetry.csv");
+            Some(Recorder::create(&path, chosen, N, PERIOD_S)?)
+        }
+        None => None,
+    };
     if arguments.excite_on_board {
         board.excitation(Cue::Start)?;
     }
@@ -121,6 +139,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
         let flags = f64::from(record.flags);
         log.add(&record, record.measured, answer.chain([flags]).collect())?;
+        if let Some(recorder) = &mut recorder {
+            recorder.take(&board.take_telemetry())?;
+        }
         ticks += 1;
         if arguments.excite_on_board && on_board::has_ended(&mut board, tick, record.stage)? {
             break;
@@ -131,6 +152,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     }
     drop(bar);
     board.learning(false)?;
+    board.stream(0, 1)?;
     board.disarm()?;
     let statistics = board.statistics()?;
     let learnt = bank::bytes(&board.read_bank()?)?;
@@ -157,6 +179,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     };
     let page = closed_loop::html(&report, &seen, &terminal::command_line())?;
     log.finish()?;
+    if let Some(recorder) = recorder {
+        recorder.finish()?;
+    }
     write_whole(&arguments.out.join("bank.bin"), &learnt)?;
     write_whole(&arguments.out.join("report.html"), page.as_bytes())?;
     let text = serde_json::to_string_pretty(&report)? + "\n";

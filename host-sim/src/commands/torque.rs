@@ -1,7 +1,7 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::simulate::PERIOD_S;
-use super::{Failure, bank};
+use super::{Failure, bank, key};
 use crate::experiment::closed_loop::motion_f32;
 use crate::robot::Robot;
 use crate::table::{StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns};
@@ -30,6 +30,9 @@ pub(super) struct Arguments {
     /// millisecond
     #[arg(long, value_name = "FILE|validation", conflicts_with = "input")]
     trajectory: Option<String>,
+    /// Write key of the board, 32 hexadecimal digits
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
     /// Seed of the validation path
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -87,6 +90,9 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     let (timed, states) = arguments.states::<N>(robot)?;
     let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {
+        if let Some(file) = &arguments.key_file {
+            board.set_write_key(key::read(file)?);
+        }
         board.upload_bank(bank)?;
     }
     let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();

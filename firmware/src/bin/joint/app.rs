@@ -6,14 +6,14 @@
 //! | 4 | `timer`: notes that a tick is due | SysTick | the period |
 //! | 3 | `tick`: decode, feed-forward, reply | the end of a frame, or `timer` | the period |
 //! | 2 | `learn`: one lesson a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
-//! | 0 | `idle`: log, watchdog | every interrupt | the watchdog's time |
+//! | 0 | `idle`: log, store, watchdog | every interrupt | the watchdog's time |
 //!
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use core::mem::MaybeUninit;
-    use core::sync::atomic::{AtomicU32, Ordering};
+    use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
     use foretorque::arm::Arm as _;
     use foretorque::edge::hal::TorqueEnable;
@@ -34,6 +34,7 @@ mod app {
     use crate::log;
     use crate::pace::{self, Pace};
     use crate::rooms::{BoardLearner, BoardSession, furnish, open};
+    use crate::secret;
     use crate::store_flash::StoreFlash;
     use crate::watchdog::{self, ROLL, Watchdog};
 
@@ -44,6 +45,8 @@ mod app {
 
     /// Ticks run, for the log.
     static TICKS: AtomicU32 = AtomicU32::new(0);
+    /// The tick's task has run since `idle` looked last.
+    static TICKED: AtomicBool = AtomicBool::new(false);
 
     #[shared]
     struct Shared {
@@ -61,6 +64,7 @@ mod app {
         enable: TorqueEnable<EnablePin>,
         kept: SafetyReason,
         watchdog: Watchdog,
+        store: Store<StoreFlash>,
         learner: &'static mut BoardLearner,
         drain: Option<log::Drain>,
     }
@@ -76,6 +80,7 @@ mod app {
         let reset_reason = fault::reset_reason(reason, &cx.device.RCC);
         let kept = fault::latched();
         let clocks = clock::start(&cx.device.RCC, &cx.device.FLASH);
+        let seed = secret::seed(&cx.device.RNG, &cx.device.RCC);
         let emulated = clocks.source == ClockSource::Emulated;
 
         // Switched off by its constructor; only a session that a host has armed switches it on.
@@ -116,6 +121,7 @@ mod app {
         let description = BoardDescription {
             capabilities: Capabilities::LEARNING
                 | Capabilities::TIMER
+                | Capabilities::STORE
                 | Capabilities::WATCHDOG
                 | Capabilities::REBOOT,
             counter,
@@ -123,6 +129,8 @@ mod app {
             reset_reason,
             kept_fault: kept,
             link_baud: board::LINK_BAUD,
+            write_key: secret::write_key(),
+            seed,
             ..BoardDescription::plain(Counter)
         };
         let Some(session) = open(cx.local.session_room, description) else {
@@ -173,6 +181,7 @@ mod app {
                 enable,
                 kept,
                 watchdog: Watchdog::start(cx.device.IWDG),
+                store,
                 learner,
                 drain,
             },
@@ -219,6 +228,7 @@ mod app {
             if pace::take_due() {
                 session.timer_tick(desk, out);
             }
+            session.collect(desk, out);
             loop {
                 let mut chunk = [0; CHUNK];
                 let mut count = 0;
@@ -265,6 +275,7 @@ mod app {
             session.note_overrun();
         }
         TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
+        TICKED.store(true, Ordering::Relaxed);
         ROLL.present(Task::Tick);
         if session.link_alive() {
             ROLL.present(Task::Link);
@@ -291,8 +302,8 @@ mod app {
         ROLL.present(Task::Learner);
     }
 
-    #[idle(local = [drain, watchdog])]
-    fn idle(cx: idle::Context) -> ! {
+    #[idle(local = [drain, watchdog, store], shared = [desk])]
+    fn idle(mut cx: idle::Context) -> ! {
         let mut logged = 0;
         loop {
             let ticks = TICKS.load(Ordering::Relaxed);
@@ -313,9 +324,25 @@ mod app {
             if let Some(drain) = cx.local.drain {
                 drain.empty();
             }
+            if let Some(mut job) = cx.shared.desk.lock(|desk| desk.store.begin()) {
+                let store = &mut *cx.local.store;
+                let outcome = cx
+                    .local
+                    .watchdog
+                    .patient(|| job.carry_out(store, Arm::HASH));
+                cx.shared.desk.lock(|desk| desk.store.finish(&job, outcome));
+                // It answers the host.
+                rtic::pend(Interrupt::EXTI1);
+            }
             ROLL.present(Task::Housekeeping);
             cx.local.watchdog.feed_if_all_present();
-            cortex_m::asm::wfi();
+            // A tick that came since the beginning of this round may have left work: an interrupt that is only pending
+            // ends the wait too, so none is slept through.
+            cortex_m::interrupt::free(|_| {
+                if !TICKED.swap(false, Ordering::Relaxed) {
+                    cortex_m::asm::wfi();
+                }
+            });
         }
     }
 }

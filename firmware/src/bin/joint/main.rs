@@ -20,6 +20,8 @@ mod pace;
 #[cfg(target_os = "none")]
 mod rooms;
 #[cfg(target_os = "none")]
+mod secret;
+#[cfg(target_os = "none")]
 mod store_flash;
 #[cfg(target_os = "none")]
 mod watchdog;

@@ -28,6 +28,9 @@ mod pace;
 #[path = "../joint/rooms.rs"]
 mod rooms;
 #[cfg(target_os = "none")]
+#[path = "../joint/secret.rs"]
+mod secret;
+#[cfg(target_os = "none")]
 #[path = "../joint/store_flash.rs"]
 mod store_flash;
 #[cfg(target_os = "none")]

@@ -18,6 +18,7 @@ mod proof {
 
     use foretorque::edge::session::{BoardDescription, Clock, Desk, Session};
     use foretorque::edge::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage};
+    use foretorque::edge::write_key::{KEY_BYTES, WriteKey};
     use foretorque::learning::{Learner, LearnerConfig};
     use {panic_never as _, stm32f4xx_hal as _};
 
@@ -41,8 +42,11 @@ mod proof {
 
     fn run() -> Option<()> {
         let mut session = black_box(
-            Session::<Arm, JOINTS, PARAMETERS, _>::new(black_box(BoardDescription::plain(Opaque)))
-                .ok()?,
+            Session::<Arm, JOINTS, PARAMETERS, _>::new(black_box(BoardDescription {
+                write_key: WriteKey::from_slot(black_box([1; KEY_BYTES])),
+                ..BoardDescription::plain(Opaque)
+            }))
+            .ok()?,
         );
         let set = black_box(session.feed_forward().state().active);
         let mut learner: Learner<Arm, _, _> =
@@ -54,6 +58,7 @@ mod proof {
             // Everything the link can say: decode, tick, bank, statistics, reset.
             session.receive(black_box(&bytes), &mut desk, &mut out);
             session.timer_tick(&mut desk, &mut out);
+            session.collect(&mut desk, &mut out);
             session.note_overrun();
             session.greet(&mut out);
             // The learner as the board runs it, and as the other owners do.

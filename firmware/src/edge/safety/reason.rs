@@ -154,4 +154,47 @@ mod tests {
         }
         assert_eq!(SafetyReason::from_code(200), SafetyReason::Restarted);
     }
+
+    /// The row of the page that begins with these cells.
+    fn row<'p>(page: &'p str, cells: &str) -> Option<&'p str> {
+        page.lines().find(|line| line.starts_with(cells))
+    }
+
+    #[test]
+    fn the_page_of_safety_names_every_state_reason_and_flag() {
+        use crate::limits::Flags;
+        let page = include_str!("../../../../docs/safety.md");
+        let states = [
+            SafetyState::Disarmed,
+            SafetyState::Armed,
+            SafetyState::RampDown,
+            SafetyState::Fault,
+        ];
+        for state in states {
+            let cells = std::format!("| {} | `{state:?}` |", state as u8);
+            assert!(row(page, &cells).is_some(), "{cells}");
+        }
+        for reason in SafetyReason::ALL {
+            let cells = std::format!("| {} | `{reason:?}` |", reason.code());
+            assert!(row(page, &cells).is_some(), "{cells}");
+        }
+        for (flag, name) in [
+            (Flags::SATURATED, "SATURATED"),
+            (Flags::SLEWED, "SLEWED"),
+            (Flags::NETWORK_CLIPPED, "NETWORK_CLIPPED"),
+            (Flags::LEARNED_CLIPPED, "LEARNED_CLIPPED"),
+            (Flags::STALE_SAMPLE, "STALE_SAMPLE"),
+            (Flags::SHARE_FALLBACK, "SHARE_FALLBACK"),
+            (Flags::NOT_FINITE, "NOT_FINITE"),
+            (Flags::LEARNING_ON, "LEARNING_ON"),
+            (Flags::SET_ADOPTED, "SET_ADOPTED"),
+            (Flags::SET_LATE, "SET_LATE"),
+            (Flags::DESIRED_CLAMPED, "DESIRED_CLAMPED"),
+            (Flags::NO_MEASUREMENT, "NO_MEASUREMENT"),
+            (Flags::WITHDRAWN, "WITHDRAWN"),
+        ] {
+            let cells = std::format!("| {} | `{name}` |", flag.0.trailing_zeros());
+            assert!(row(page, &cells).is_some(), "{cells}");
+        }
+    }
 }

@@ -8,15 +8,15 @@ use crate::edge::safety::SafetyLimits;
 use crate::edge::session::Desk;
 use crate::edge::telemetry::CostMeter;
 use crate::edge::wire::{
-    BankSource, BoardMessage, Capabilities, Configuration, Decoder, MAC_BYTES, NackReason, Pacing,
-    SampleFrame,
+    BankSource, BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, MAC_BYTES,
+    NackReason, Pacing, SampleFrame,
 };
 use crate::excitation::{Cue, ExcitationError, Player};
 use crate::learning::{ParameterSet, Request};
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     /// Parameters may be written: no torque flows, and nothing is learnt.
-    fn writable(&self) -> Result<(), NackReason> {
+    pub(super) fn writable(&self) -> Result<(), NackReason> {
         if !self.safety.at_rest() {
             Err(NackReason::Armed)
         } else if self.feed_forward.state().learning {
@@ -88,10 +88,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         length: u16,
         crc: u32,
-        _mac: Option<[u8; MAC_BYTES]>,
+        mac: Option<[u8; MAC_BYTES]>,
         desk: &mut Desk<N, P>,
     ) -> Result<(), NackReason> {
         self.writable()?;
+        self.signed(mac)?;
         self.transfer.commit(length, crc, &mut self.incoming)?;
         self.take_over(desk)
     }
@@ -108,7 +109,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     }
 
     /// Makes the bank that came in the one in force, if it is one for this board.
-    fn take_over(&mut self, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+    pub(super) fn take_over(&mut self, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
         let gains = self.incoming.drive_gains().map_err(NackReason::Bank)?;
         let set = self.incoming.set::<A, N, P>().map_err(NackReason::Bank)?;
         let period_s = seconds(&self.configuration);
@@ -136,30 +137,50 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         Ok(BoardMessage::Excitation(self.player.stage()))
     }
 
+    /// Answers with a piece of a bank; that of the stored one comes when the store has brought it.
     #[inline(never)]
     pub(super) fn read(
         &mut self,
+        sequence: u16,
         source: BankSource,
         offset: u16,
-    ) -> Result<BoardMessage<N>, NackReason> {
-        if offset == 0 {
-            let state = self.feed_forward.state();
-            let set = match source {
-                BankSource::Live => &state.active,
-                BankSource::Committed => &state.committed,
-                BankSource::Stored => return Err(NackReason::NotCapable),
-            };
-            self.bank.refresh::<A, N, P>(set);
-            self.transfer
-                .snapshot(&self.bank)
-                .map_err(NackReason::Bank)?;
+        desk: &mut Desk<N, P>,
+        out: &mut FrameBuffer,
+    ) {
+        let taken = match (source, offset) {
+            (_, 1..) => Ok(()),
+            (BankSource::Stored, 0) => match self.fetch(sequence, true, desk) {
+                Ok(()) => return,
+                Err(reason) => Err(reason),
+            },
+            (BankSource::Live | BankSource::Committed, 0) => {
+                let state = self.feed_forward.state();
+                let set = match source {
+                    BankSource::Committed => &state.committed,
+                    _ => &state.active,
+                };
+                self.bank.refresh::<A, N, P>(set);
+                let taken = self.transfer.snapshot(&self.bank);
+                taken.map_err(NackReason::Bank)
+            }
+        };
+        match taken {
+            Ok(()) => self.read_on(sequence, offset, out),
+            Err(reason) => self.answer(sequence, &BoardMessage::Nack(reason), out),
         }
-        let (length, bytes) = self.transfer.read(offset)?;
-        Ok(BoardMessage::BankChunk {
-            offset,
-            length,
-            bytes,
-        })
+    }
+
+    /// Answers with a piece of the snapshot.
+    pub(super) fn read_on(&mut self, sequence: u16, offset: u16, out: &mut FrameBuffer) {
+        let answer = match self.transfer.read(offset) {
+            Ok((length, bytes)) => BoardMessage::BankChunk {
+                offset,
+                length,
+                bytes,
+            },
+            Err(reason) => BoardMessage::Nack(reason),
+        };
+        self.answer(sequence, &answer, out);
     }
 
     pub(super) fn write(&mut self, offset: u16, bytes: &[u8]) -> Result<(), NackReason> {
@@ -192,8 +213,40 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         Ok(())
     }
 
+    /// What the signature of the next upload has to be over.
+    #[inline(never)]
     pub(super) fn challenge(&mut self) -> Result<[u8; MAC_BYTES], NackReason> {
-        Err(NackReason::NotCapable)
+        let key = self.board.write_key.ok_or(NackReason::NotCapable)?;
+        let nonce = key.challenge(&self.board.seed, self.challenges);
+        self.challenges = self.challenges.wrapping_add(1);
+        self.challenge = Some(nonce);
+        Ok(nonce)
+    }
+
+    /// The upload may be taken over, as far as the write key is concerned. A challenge is used up; a refused upload is
+    /// over.
+    #[inline(never)]
+    fn signed(&mut self, mac: Option<[u8; MAC_BYTES]>) -> Result<(), NackReason> {
+        let Some(key) = &self.board.write_key else {
+            return Ok(());
+        };
+        let verified = match (self.challenge.take(), mac) {
+            (Some(nonce), Some(mac)) => key.verifies(&mac, &nonce, A::HASH, self.transfer.come()),
+            _ => false,
+        };
+        if verified {
+            return Ok(());
+        }
+        self.transfer.abort();
+        Err(NackReason::Key)
+    }
+
+    pub(super) fn arm(&mut self, desk: &Desk<N, P>) -> Result<(), NackReason> {
+        // While the flash is written the processor stands still.
+        if desk.store.is_busy() {
+            return Err(NackReason::Busy);
+        }
+        self.safety.arm().map_err(NackReason::Unsafe)
     }
 
     #[inline(never)]

@@ -1,5 +1,6 @@
 use super::Clock;
 use crate::arm::Arm;
+use crate::edge::store::StoreDesk;
 use crate::edge::telemetry::CostMeter;
 use crate::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
 use heapless::spsc::Queue;
@@ -26,6 +27,8 @@ pub struct Desk<const N: usize, const P: usize> {
     lessons: Queue<Lesson<N>, 16>,
     pub(super) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
+    /// Orders for the store, which the housekeeping carries out.
+    pub store: StoreDesk,
     pub(super) lessons_lost: u32,
     pub(super) learn_cost: CostMeter,
 }
@@ -37,6 +40,7 @@ impl<const N: usize, const P: usize> Desk<N, P> {
             lessons: Queue::new(),
             exchange: Exchange::new(),
             restart: None,
+            store: StoreDesk::new(),
             lessons_lost: 0,
             learn_cost: CostMeter::new(),
         }

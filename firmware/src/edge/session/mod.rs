@@ -20,8 +20,9 @@ use crate::edge::safety::{Safety, SafetyLimits, SafetyReason, SafetyStatus};
 use crate::edge::telemetry::{Cost, CostMeter};
 use crate::edge::wire::{
     BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, Decoder, FrameBuffer,
-    ResetReason, SampleFrame,
+    MAC_BYTES, ResetReason, SampleFrame,
 };
+use crate::edge::write_key::WriteKey;
 use crate::excitation::Player;
 use crate::feedforward::{FeedForward, FeedForwardConfig};
 use crate::joint::JointVector;
@@ -49,6 +50,10 @@ pub struct BoardDescription<C = NoClock> {
     pub kept_fault: SafetyReason,
     /// Bit rate of its line, 1/s; 0 where the link is none.
     pub link_baud: u32,
+    /// The write key, where it has one.
+    pub write_key: Option<WriteKey>,
+    /// Differs from start to start, for the challenges that a board with a write key gives.
+    pub seed: [u8; MAC_BYTES],
 }
 
 impl<C> BoardDescription<C> {
@@ -63,6 +68,8 @@ impl<C> BoardDescription<C> {
             reset_reason: ResetReason::Unknown,
             kept_fault: SafetyReason::None,
             link_baud: 0,
+            write_key: None,
+            seed: [0; MAC_BYTES],
         }
     }
 
@@ -119,6 +126,11 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     watchdog_feeds: u32,
     boot_counts: u32,
     stream: Stream,
+    /// The challenge that the next signature has to be over.
+    challenge: Option<[u8; MAC_BYTES]>,
+    challenges: u32,
+    /// What the store is to bring is only to be read.
+    fetched_to_be_read: bool,
     reboot: bool,
 }
 
@@ -153,6 +165,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             watchdog_feeds: 0,
             boot_counts: 0,
             stream: Stream::new(),
+            challenge: None,
+            challenges: 0,
+            fetched_to_be_read: false,
             reboot: false,
         })
     }
@@ -226,7 +241,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             joints: N as u8,
             base_columns: P as u8,
             firmware: name(self.board.firmware),
-            capabilities: self.board.capabilities,
+            capabilities: match self.board.write_key {
+                Some(_) => self.board.capabilities | Capabilities::WRITE_KEY,
+                None => self.board.capabilities,
+            },
             counter: self.board.counter,
             counter_hz: self.board.counter_hz,
             configuration: self.configuration,

@@ -64,8 +64,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 let statistics = self.statistics(desk);
                 return self.answer(sequence, &BoardMessage::Statistics(statistics), out);
             }
-            HostMessage::BankRead { source, offset } => match self.read(source, offset) {
-                Ok(chunk) => return self.answer(sequence, &chunk, out),
+            HostMessage::BankRead { source, offset } => {
+                return self.read(sequence, source, offset, desk, out);
+            }
+            HostMessage::Save => match self.save(sequence, desk) {
+                Ok(()) => return,
+                Err(reason) => Err(reason),
+            },
+            HostMessage::Restore => match self.fetch(sequence, false, desk) {
+                Ok(()) => return,
                 Err(reason) => Err(reason),
             },
             HostMessage::Excitation(cue) => match self.excitation(cue) {
@@ -101,7 +108,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Configure(configuration) => self.configure(configuration, desk),
             HostMessage::Learning { on } => self.set_learning(on),
             HostMessage::Reset => self.reset(sequence, desk),
-            HostMessage::Arm => self.safety.arm().map_err(NackReason::Unsafe),
+            HostMessage::Arm => self.arm(desk),
             HostMessage::Disarm => {
                 self.safety.disarm();
                 Ok(())
@@ -114,13 +121,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Request { code } => self.request(code, desk),
             HostMessage::Telemetry { fields, every } => self.stream_telemetry(fields, every),
             HostMessage::Reboot => self.ask_for_reboot(),
-            HostMessage::Save | HostMessage::Restore => Err(NackReason::NotCapable),
             // Answered otherwise, above.
             HostMessage::Hello
             | HostMessage::Sample(_)
             | HostMessage::Evaluate(_)
             | HostMessage::Statistics
             | HostMessage::BankRead { .. }
+            | HostMessage::Save
+            | HostMessage::Restore
             | HostMessage::Excitation(_)
             | HostMessage::Challenge => Ok(()),
         }

@@ -5,8 +5,8 @@ use embedded_storage::nor_flash::NorFlash;
 use super::{Clock, Desk, Session};
 use crate::arm::Arm;
 use crate::edge::bank::ParameterBank;
-use crate::edge::store::{Store, StoreError, StoreState};
-use crate::edge::wire::NackReason;
+use crate::edge::store::{Store, StoreError, StoreOrder, StoreState};
+use crate::edge::wire::{BoardMessage, Capabilities, FrameBuffer, NackReason};
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     /// Begins with the newest set that the store kept for this arm; where there is none, the bank of the firmware stays.
@@ -25,6 +25,71 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             Err(error) => StoreState::Failed(error),
         }
     }
+
+    /// Orders the set in force to be kept; [`collect`](Self::collect) answers.
+    #[inline(never)]
+    pub(super) fn save(&mut self, sequence: u16, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+        self.writable()?;
+        self.storing()?;
+        self.bank
+            .refresh::<A, N, P>(&self.feed_forward.state().active);
+        ordered(desk.store.save(sequence, &self.bank))
+    }
+
+    /// Orders the stored set to be brought back, to be taken over or only to be read; [`collect`](Self::collect) answers.
+    pub(super) fn fetch(
+        &mut self,
+        sequence: u16,
+        to_be_read: bool,
+        desk: &mut Desk<N, P>,
+    ) -> Result<(), NackReason> {
+        self.writable()?;
+        self.storing()?;
+        ordered(desk.store.restore(sequence))?;
+        self.fetched_to_be_read = to_be_read;
+        Ok(())
+    }
+
+    fn storing(&self) -> Result<(), NackReason> {
+        if self.board.capabilities.contains(Capabilities::STORE) {
+            Ok(())
+        } else {
+            Err(NackReason::NotCapable)
+        }
+    }
+
+    /// Answers what the store was asked for, when it is done. To be called when the housekeeping has handed an order back.
+    #[inline(never)]
+    pub fn collect(&mut self, desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
+        let Some(answer) = desk.store.collect() else {
+            return;
+        };
+        let sequence = answer.requester;
+        let done = match (answer.order, answer.outcome) {
+            (_, Err(error)) => Err(NackReason::Store(error)),
+            (StoreOrder::Save, Ok(_)) => Ok(()),
+            (StoreOrder::Restore, Ok(bytes)) if self.fetched_to_be_read => {
+                self.transfer.hold(bytes);
+                return self.read_on(sequence, 0, out);
+            }
+            (StoreOrder::Restore, Ok(bytes)) => self
+                .incoming
+                .decode_into(bytes)
+                .map_err(NackReason::Bank)
+                // No torque can flow since the order was taken, but learning may have been switched on.
+                .and_then(|()| self.writable())
+                .and_then(|()| self.take_over(desk)),
+        };
+        let answer = match done {
+            Ok(()) => BoardMessage::Ack,
+            Err(reason) => BoardMessage::Nack(reason),
+        };
+        self.answer(sequence, &answer, out);
+    }
+}
+
+fn ordered(taken: bool) -> Result<(), NackReason> {
+    if taken { Ok(()) } else { Err(NackReason::Busy) }
 }
 
 /// A session that has just booted refuses a set for what is in it alone.

@@ -53,6 +53,23 @@ impl Transfer {
         Ok(())
     }
 
+    /// The bytes that have come so far.
+    pub(super) fn come(&self) -> &[u8] {
+        match self.direction {
+            Direction::Up => self.bytes.get(..self.length).unwrap_or_default(),
+            Direction::Idle | Direction::Down => &[],
+        }
+    }
+
+    /// Keeps `bytes` for reading, as far as there is room; an unfinished upload is dropped.
+    pub(super) fn hold(&mut self, bytes: &[u8]) {
+        self.length = self.bytes.len().min(bytes.len());
+        for (slot, byte) in self.bytes.iter_mut().zip(bytes) {
+            *slot = *byte;
+        }
+        self.direction = Direction::Down;
+    }
+
     /// Reads the uploaded bank into `room`, if it is all there. The upload is over, whatever comes of it.
     pub(super) fn commit(
         &mut self,

@@ -6,6 +6,7 @@ use super::{
 };
 use crate::edge::bank::BankError;
 use crate::edge::safety::SafetyReason;
+use crate::edge::store::StoreError;
 use crate::edge::telemetry::Statistics;
 use crate::excitation::{Cue, ExcitationError, Stage};
 use core::fmt;
@@ -197,6 +198,8 @@ pub enum NackReason {
     Busy,
     /// The board has a write key, and the answer to its challenge is missing or wrong.
     Key,
+    /// The store failed; the board runs on from RAM.
+    Store(StoreError),
     /// The line has no room for these fields so often; so seldom it has, or never where this is 0.
     Bandwidth {
         /// Ticks from record to record.
@@ -222,6 +225,7 @@ impl fmt::Display for NackReason {
             Self::Unsafe(reason) => write!(f, "{reason}"),
             Self::Busy => f.write_str("busy with what was asked before"),
             Self::Key => f.write_str("the write key's signature is missing or wrong"),
+            Self::Store(error) => write!(f, "{error}"),
             Self::Bandwidth { every: 0 } => f.write_str("the line has no room for telemetry"),
             Self::Bandwidth { every } => {
                 write!(f, "the line has room for that every {every} ticks")

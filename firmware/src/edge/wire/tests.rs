@@ -2,6 +2,7 @@ use super::codec::encode_as;
 use super::*;
 use crate::edge::bank::BankError;
 use crate::edge::safety::{SafetyReason, SafetyState, SafetyStatus};
+use crate::edge::store::StoreError;
 use crate::edge::telemetry::{Cost, Statistics};
 use crate::excitation::{AbortReason, Cue, ExcitationError, Stage};
 use proptest::prelude::*;
@@ -192,6 +193,9 @@ fn nack() -> impl Strategy<Value = NackReason> {
         safety().prop_map(|status| NackReason::Unsafe(status.reason)),
         Just(NackReason::Busy),
         Just(NackReason::Key),
+        any::<u32>().prop_map(|found| NackReason::Store(StoreError::WrongArm { found })),
+        any::<u16>()
+            .prop_map(|place| { NackReason::Store(StoreError::Bank(BankError::Weight(place))) }),
         any::<u16>().prop_map(|every| NackReason::Bandwidth { every }),
         any::<u8>().prop_map(|j| NackReason::Excitation(ExcitationError::NotAtRest(j))),
     ]
@@ -562,7 +566,9 @@ fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
         board("Ack", BoardMessage::Ack),
         board(
             "Nack",
-            BoardMessage::Nack(NackReason::Bank(BankError::WrongArm { found: u32::MAX }))
+            BoardMessage::Nack(NackReason::Store(StoreError::Bank(BankError::WrongArm {
+                found: u32::MAX
+            })))
         ),
         board(
             "BankChunk",
@@ -715,6 +721,27 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
             share % 10
         );
         assert_eq!(row(&page[heading..], &std::format!("| {name} |")), wanted);
+    }
+    for (name, joints) in [("six", 6), ("seven", 7)] {
+        let bytes = size::sample(joints) + size::full_torque(joints);
+        let share = size::receive_permille(bytes, 1000);
+        let sums = std::format!(
+            "({} + {}) × {}",
+            size::sample(joints),
+            size::full_torque(joints),
+            size::RECEIVE_INSTRUCTIONS + size::RECEIVE_OVERHEAD
+        );
+        let told = std::format!("{}.{} %", share / 10, share % 10);
+        assert!(
+            page.contains(&sums) && page.contains(&told),
+            "{name}: {sums}, {told}"
+        );
+    }
+    let heading = page.find("| bit | field |").unwrap();
+    for field in Field::ALL {
+        let line = row(&page[heading..], &std::format!("| {} | ", field as u8));
+        let ends = std::format!("| {} |", field.bytes(6));
+        assert!(line.ends_with(&ends), "{line}: {ends}");
     }
     for (name, resolution, range) in [
         ("position", Position::RESOLUTION, Position::MAX),

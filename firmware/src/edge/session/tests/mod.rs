@@ -2,7 +2,9 @@
 
 mod arming;
 mod banks;
+mod keys;
 mod line;
+mod stored;
 mod streams;
 mod ticks;
 
