@@ -52,7 +52,7 @@ impl Controller {
 
     /// What arms the board at rest in `desired`: a sample that is shown until the board believes it.
     pub(super) fn arming_sample(&self, desired: JointMotion<N>) -> JointSample<N> {
-        let tau = evaluate::<Ur5, N, P>(self.active(), &desired).total;
+        let tau = evaluate::<Ur5, N, P>(&self.active(), &desired).total;
         JointSample {
             measured: Some(JointMeasurement { q: desired.q, tau }),
             desired,

@@ -196,7 +196,7 @@ fn native(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
         }
     }
     let needed = world.needed(&source.arms[source.arm]);
-    let error = world.error(&world.said(board.active()), &needed);
+    let error = world.error(&world.said(&board.active()), &needed);
     Ok(SoakReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: world.seed,
