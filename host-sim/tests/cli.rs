@@ -3,6 +3,7 @@
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
+use foretorque::edge::wire::PROTOCOL_VERSION;
 use foretorque::joint::{JointMotion, JointVector};
 use host_sim::board::{Native, Transport};
 use serialport::{SerialPort, TTYPort};
@@ -284,7 +285,10 @@ fn a_board_of_another_protocol_version_is_refused() {
         ),
     );
     assert!(
-        said.contains("the board speaks protocol version 2, this program version 1"),
+        said.contains(&format!(
+            "the board speaks protocol version {}, this program version {PROTOCOL_VERSION}",
+            PROTOCOL_VERSION + 1
+        )),
         "{said}"
     );
     assert_eq!(files(&room), Vec::<String>::new());
@@ -317,18 +321,20 @@ fn the_log_of_the_flashable_firmware_is_text() {
         "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
         Ur5::HASH
     );
-    let start = [
-        "info: boot: odrive-v3, clock Emulated at 168000000 Hz, started by Unknown, left before by None at 0x0",
-        &hello,
-    ];
     let lines: Vec<&str> = log.lines().collect();
-    assert_eq!(lines[..2], start);
-    assert!(lines[2].starts_with("info: tick 1"), "{log}");
+    assert_eq!(
+        lines[0],
+        "info: boot: odrive-v3, clock Emulated at 168000000 Hz, started by Unknown, left before by None at 0x0"
+    );
+    assert!(lines[1].starts_with("info: store: "), "{log}");
+    assert!(lines[2].starts_with(&hello), "{log}");
+    assert!(lines[2].ends_with(" counts from clock to hello"), "{log}");
+    assert!(lines[3].starts_with("info: tick 1"), "{log}");
     assert!(
-        lines[2].ends_with(" 0 lost, 0 overruns, 0 ticks missed"),
+        lines[3].ends_with(" 0 lost, 0 overruns, 0 ticks missed"),
         "{log}"
     );
-    assert_eq!(lines.len(), 3);
+    assert_eq!(lines.len(), 4);
     let mut made = files(&room);
     made.sort();
     assert_eq!(made, ["board.log", "out"]);

@@ -25,8 +25,13 @@ fn client() -> Client<N> {
     Client::connect::<Ur5, P>(native(), BOOT).expect("the native board answers")
 }
 
-/// A smooth motion of all joints, measured exactly.
+/// A smooth motion of all joints of an arm a tenth heavier than its description and with friction, measured exactly.
 fn sample(k: u32) -> JointSample<N> {
+    let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
+    truth.rigid *= 1.1;
+    for friction in &mut truth.friction {
+        (friction.viscous, friction.coulomb) = (2.0, 1.0);
+    }
     let t = k as f32 * 1e-3;
     let desired = JointMotion {
         q: JointVector::from_fn(|j, _| (t + j as f32).sin()),
@@ -37,7 +42,7 @@ fn sample(k: u32) -> JointSample<N> {
         desired,
         measured: Some(JointMeasurement {
             q: desired.q,
-            tau: desired.q * 3.0,
+            tau: evaluate::<Ur5, N, P>(&truth, &desired).total,
         }),
     }
 }
@@ -134,7 +139,7 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
         learner.learn(&bare.lesson(heard.measured), &mut exchange);
     }
     bare.set_learning(true);
-    for k in 0..500 {
+    for k in 0..4000 {
         // What the scaled integers make of the sample is what both see.
         let frame = foretorque::edge::wire::SampleFrame::new(&sample(k));
         let heard = frame.sample(&[0.0; N]);

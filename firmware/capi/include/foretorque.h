@@ -91,7 +91,7 @@ uint32_t foretorque_arm_hash(void);
 // Makes a feed-forward at tick 0 in `memory`, with the parameters of the description and learning off, and hands it out
 // through `out`. There is nothing to free: the memory is the caller's, and is free when the caller stops using it.
 //
-// Takes about twice `foretorque_size` of stack, once; the other calls take a few kilobytes.
+// Every call takes a few kilobytes of stack.
 //
 // # Safety
 // `memory` points to `size` bytes that nobody else uses as long as the result is used; `out` may be written.

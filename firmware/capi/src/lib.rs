@@ -96,21 +96,34 @@ pub struct Foretorque {
 }
 
 impl Foretorque {
-    fn new(period_s: f32) -> Option<Self> {
+    /// Makes a feed-forward at tick 0 in `place`, part by part: as a whole it would lie on the stack first. `None` if the
+    /// period cannot work; then `place` is worth nothing.
+    ///
+    /// # Safety
+    /// `place` is aligned, may be written and is nobody else's.
+    unsafe fn furnish(place: *mut Self, period_s: f32) -> Option<()> {
+        /// Written from the image.
+        const IDLE: Learner<Arm, JOINTS, PARAMETERS> =
+            Learner::idle(LearnerConfig::for_arm::<Arm>(1e-3));
         if !PERIODS_S.contains(&period_s) {
             return None;
         }
         let set = ParameterSet::nominal::<Arm>(NETWORK_SEED);
         let config = FeedForwardConfig::for_arm::<Arm, PARAMETERS>(period_s);
-        Some(Self {
-            feed_forward: FeedForward::new(config, set).ok()?,
-            learner: Learner::new(LearnerConfig::for_arm::<Arm>(period_s), set).ok()?,
-            exchange: Exchange::new(),
-            lesson: None,
-            bank: ParameterBank::nominal::<Arm, JOINTS, PARAMETERS>(),
-            incoming: ParameterBank::empty(),
-            period_s,
-        })
+        // SAFETY: every part of `place` may be written, and the learner is read only after it was.
+        unsafe {
+            (&raw mut (*place).feed_forward).write(FeedForward::new(config, set).ok()?);
+            (&raw mut (*place).exchange).write(Exchange::new());
+            (&raw mut (*place).lesson).write(None);
+            (&raw mut (*place).bank).write(ParameterBank::nominal::<Arm, JOINTS, PARAMETERS>());
+            (&raw mut (*place).incoming).write(ParameterBank::empty());
+            (&raw mut (*place).period_s).write(period_s);
+            let learner = &raw mut (*place).learner;
+            learner.write(IDLE);
+            (*learner)
+                .restart(LearnerConfig::for_arm::<Arm>(period_s), &set)
+                .ok()
+        }
     }
 
     fn load(&mut self, bytes: &[u8]) -> Option<()> {
@@ -178,7 +191,7 @@ pub extern "C" fn foretorque_arm_hash() -> u32 {
 /// Makes a feed-forward at tick 0 in `memory`, with the parameters of the description and learning off, and hands it out
 /// through `out`. There is nothing to free: the memory is the caller's, and is free when the caller stops using it.
 ///
-/// Takes about twice `foretorque_size` of stack, once; the other calls take a few kilobytes.
+/// Every call takes a few kilobytes of stack.
 ///
 /// # Safety
 /// `memory` points to `size` bytes that nobody else uses as long as the result is used; `out` may be written.
@@ -199,12 +212,11 @@ pub unsafe extern "C" fn foretorque_init(
     if !place.is_aligned() {
         return ForetorqueStatus::Misaligned;
     }
-    let Some(made) = Foretorque::new(period_s) else {
-        return ForetorqueStatus::Period;
-    };
     // SAFETY: not null, aligned and large enough, as just checked, and the caller's to give; `out` may be written.
     unsafe {
-        place.write(made);
+        if Foretorque::furnish(place, period_s).is_none() {
+            return ForetorqueStatus::Period;
+        }
         out.write(place);
     }
     ForetorqueStatus::Ok

@@ -2,7 +2,7 @@
 //! against the tables of an outside tool.
 //!
 //! Two files on the semihosting command line. The first holds records of f32, little-endian: the number of the arm in
-//! [`answer`], then q, qd and qdd of its joints. The second gets, for each record, the N torques of `rnea` and the N
+//! `answer`, then q, qd and qdd of its joints. The second gets, for each record, the N torques of `rnea` and the N
 //! products of `regressor_row` and the base parameters.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
