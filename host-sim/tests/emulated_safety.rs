@@ -215,8 +215,9 @@ fn the_watchdog_is_fed_while_every_task_answers() {
         trial.client.sample(&sample()).expect("an answer");
     }
     let statistics = trial.client.statistics().expect("counters");
-    assert!(feeds(&trial) >= start + 90, "{} feeds", feeds(&trial));
-    assert!(statistics.watchdog_feeds >= 90, "{statistics:?}");
+    // Two samples that come close together are answered by one feed.
+    assert!(feeds(&trial) >= start + 50, "{} feeds", feeds(&trial));
+    assert!(statistics.watchdog_feeds >= 50, "{statistics:?}");
 }
 
 #[test]
