@@ -367,7 +367,7 @@ fn credible(k: u32) -> JointSample<JOINTS> {
     sample
 }
 
-// Of an arm in its ordinary life: lessons in an alarm may last longer than a tick, which makes a set late and is counted.
+// Of an arm in its ordinary life: with torques no arm has, sets were seen late here, which is counted; why is not known.
 #[test]
 fn no_lesson_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
     // A board paced by its timer runs some twenty ticks for each sample that reaches it from here.

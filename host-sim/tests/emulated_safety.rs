@@ -213,11 +213,12 @@ fn the_watchdog_is_fed_while_every_task_answers() {
     let start = feeds(&trial);
     for _ in 0..100 {
         trial.client.sample(&sample()).expect("an answer");
+        // Two samples that come close together are answered by one feed: a question leaves the board time between them.
+        trial.client.statistics().expect("counters");
     }
     let statistics = trial.client.statistics().expect("counters");
-    // Two samples that come close together are answered by one feed.
-    assert!(feeds(&trial) >= start + 50, "{} feeds", feeds(&trial));
-    assert!(statistics.watchdog_feeds >= 50, "{statistics:?}");
+    assert!(feeds(&trial) >= start + 90, "{} feeds", feeds(&trial));
+    assert!(statistics.watchdog_feeds >= 90, "{statistics:?}");
 }
 
 #[test]
