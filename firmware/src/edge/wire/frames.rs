@@ -7,7 +7,6 @@ use crate::feedforward::{Shares, Torque};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::limits::Flags;
 use serde::{Deserialize, Serialize};
-use serde_big_array::BigArray;
 
 /// What a sample carries besides the desired motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,19 +32,19 @@ pub struct SampleFrame<const N: usize> {
     /// Motor temperature of joint `sequence % N`, °C; [`NO_TEMPERATURE`](Self::NO_TEMPERATURE) where not known.
     pub temperature_c: i8,
     /// Desired positions for the tick in which the torque takes effect.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub desired_q: [Position; N],
     /// Desired velocities.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub desired_qd: [Velocity; N],
     /// Desired accelerations.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub desired_qdd: [Acceleration; N],
     /// Measured positions.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub q: [Position; N],
     /// Measured torques in N·m, or currents in A.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub effort: [Effort; N],
 }
 
@@ -119,13 +118,13 @@ impl<const N: usize> SampleFrame<N> {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionFrame<const N: usize> {
     /// Positions, rad.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub q: [f32; N],
     /// Velocities, rad/s.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub qd: [f32; N],
     /// Accelerations, rad/s².
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub qdd: [f32; N],
 }
 
@@ -161,7 +160,7 @@ pub struct TorqueFrame<const N: usize> {
     /// Whether torque leaves, and why not.
     pub safety: SafetyStatus,
     /// The torque, N·m, every bit of it.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub total: [f32; N],
     /// Rigid-body, friction and network share of joint `tick % N`, N·m.
     pub shares: [f32; 3],
@@ -195,13 +194,13 @@ pub struct ExcitedFrame<const N: usize> {
     /// Where the excitation stands.
     pub stage: Stage,
     /// Desired positions of the tick in which the torque takes effect.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub q: [Position; N],
     /// Desired velocities.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub qd: [Velocity; N],
     /// Desired accelerations.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub qdd: [Acceleration; N],
 }
 
@@ -266,16 +265,16 @@ pub struct EvaluatedFrame<const N: usize> {
     #[serde(with = "postcard::fixint::le")]
     pub flags: u16,
     /// Sum of the shares, after limits where there is a tick.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub total: [f32; N],
     /// Rigid-body share.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub rigid: [f32; N],
     /// Friction share.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub friction: [f32; N],
     /// Network share.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub network: [f32; N],
 }
 

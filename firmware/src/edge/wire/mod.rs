@@ -3,6 +3,7 @@
 //! A frame is `COBS( postcard(header, message) ++ CRC-32 ) 0x00`. No byte of a frame is zero but its last, so a receiver
 //! that joined late, or was fed garbage, is back in step at the next zero. `docs/protocol.md` is the page of this room.
 
+mod array;
 mod codec;
 mod decoder;
 mod frames;
