@@ -70,6 +70,22 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         }
     }
 
+    /// Back to what [`new`](Self::new) makes of `set`, in place: a board does it in the tick, whose stack is small.
+    #[inline(never)]
+    pub(super) fn restart(&mut self, set: &ParameterSet<N, P>) {
+        self.tick = 0;
+        self.load(set);
+        self.learning = false;
+        self.late_sets = 0;
+        self.report = Report::new();
+        self.payload_torque = JointVector::zeros();
+        self.sum = JointVector::zeros();
+        self.recommitted = false;
+        self.last = Torque::zero();
+        self.stale_ticks = 0;
+        self.adoption = Flags::NONE;
+    }
+
     /// Makes `set` loaded, active and committed from the tick to come on; the hand is empty.
     pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
         self.loaded = Loaded::new(set);
@@ -315,7 +331,8 @@ pub fn adopt<const N: usize, const P: usize>(
     let due = state.tick.wrapping_sub(rounds / 2 + 1);
     // The first round after a start or a load may be cut short, so nothing is due from it.
     let expected = state.learning && state.tick.wrapping_sub(state.loaded_at) >= 2 * rounds;
-    match exchange.published.take() {
+    // Read where it lies: a copy would be half of the tick's stack.
+    match &exchange.published {
         Some(finished) if finished.closed.wrapping_sub(state.loaded_at) < u32::MAX / 2 => {
             let closed = finished.closed;
             state.set_active(&finished.set);
@@ -338,4 +355,5 @@ pub fn adopt<const N: usize, const P: usize>(
         }
         _ => {}
     }
+    exchange.published = None;
 }

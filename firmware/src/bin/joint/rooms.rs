@@ -18,7 +18,7 @@ pub(crate) fn open(
     room: &'static mut MaybeUninit<BoardSession>,
     board: BoardDescription<Counter>,
 ) -> Option<&'static mut BoardSession> {
-    Some(room.write(Session::new(board).ok()?))
+    Session::furnish(room, board).ok()
 }
 
 /// Puts a learner that starts from `prior` into `room`; `None` if its configuration does not validate.

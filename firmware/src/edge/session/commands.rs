@@ -61,6 +61,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     }
 
     /// The tick starts over at 0 with `set`, and so does the learner. Changes nothing when it fails.
+    #[inline(never)]
     fn restart(
         &mut self,
         configuration: Configuration,
@@ -78,7 +79,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
         self.stream.end();
         self.newest = None;
-        desk.restart(period_s, *set);
+        desk.restart(period_s, set);
         Ok(())
     }
 
