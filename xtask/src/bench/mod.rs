@@ -11,6 +11,7 @@ mod gates;
 mod image;
 mod memory;
 mod report;
+mod rooms;
 mod thumb;
 mod trace;
 
@@ -87,6 +88,7 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
         committed?
     };
     println!("\n{}", report::table(&rows, &memory, &budget));
+    println!("{}", rooms::table(&joint));
     println!("executed instructions by kind");
     for row in &rows {
         println!("{}", report::mix(row));

@@ -127,8 +127,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Takes over the uploaded excitation, all of it or nothing.
     #[inline(never)]
-    pub(super) fn load_excitation(&mut self, length: u16, crc: u32) -> Result<(), NackReason> {
+    pub(super) fn load_excitation(
+        &mut self,
+        length: u16,
+        crc: u32,
+        mac: Option<[u8; MAC_BYTES]>,
+    ) -> Result<(), NackReason> {
         self.writable()?;
+        self.signed(mac)?;
         let program = self.transfer.program(length, crc)?;
         self.player.load(&program).map_err(NackReason::Excitation)
     }

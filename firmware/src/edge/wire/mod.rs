@@ -32,7 +32,7 @@ pub use record::{Field, TELEMETRY_BYTES, TelemetryFrame};
 pub use scaled::{Acceleration, Effort, I16, I24, Position, Velocity};
 
 /// Version of the protocol. It changes whenever a frame of the old version would be read differently or not at all.
-pub const PROTOCOL_VERSION: u8 = 2;
+pub const PROTOCOL_VERSION: u8 = 3;
 
 /// Largest frame before COBS: header, message and CRC, in bytes.
 pub const MAX_PAYLOAD: usize = 240;
