@@ -33,6 +33,10 @@ pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// The row of joint `J`, whose link moves like `link`; one instance for each joint, so that what is 0 in its own frame
 /// costs nothing.
 #[inline(always)]
+#[expect(
+    clippy::absurd_extreme_comparisons,
+    reason = "the loop is written out joint by joint, the first one too"
+)]
 fn row_from<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
     mut link: LinkMotion,
     motion: &JointMotion<N>,
