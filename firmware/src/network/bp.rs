@@ -168,21 +168,12 @@ fn accumulate<const B: usize, const R: usize>(
     rows: impl Fn(&[f32; R]) -> Option<&[f32; B]>,
 ) {
     let mut sums = *block;
-    let mut add = |column, x| {
+    for (column, &x) in columns.iter().zip(x) {
         if let Some(rows) = rows(column) {
             for (sum, weight) in sums.iter_mut().zip(rows) {
                 *sum += weight * x;
             }
         }
-    };
-    // Two columns a round: half of the counting.
-    let ((pairs, last), (x_pairs, x_last)) = (columns.as_chunks(), x.as_chunks());
-    for ([column, next], [x, x_next]) in pairs.iter().zip(x_pairs) {
-        add(column, x);
-        add(next, x_next);
-    }
-    for (column, x) in last.iter().zip(x_last) {
-        add(column, x);
     }
     *block = sums;
 }
