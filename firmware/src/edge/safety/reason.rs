@@ -58,11 +58,15 @@ pub enum SafetyReason {
     TooFar,
     /// The torque is still on its way to zero.
     StillRamping,
+    /// The torque command did not reach the board's own motor stage.
+    Stage,
+    /// The board's own encoder gives no position.
+    Encoder,
 }
 
 impl SafetyReason {
     /// Every reason, in the order of their codes.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 20] = [
         Self::None,
         Self::Disarmed,
         Self::CommandTimeout,
@@ -81,6 +85,8 @@ impl SafetyReason {
         Self::NoSample,
         Self::TooFar,
         Self::StillRamping,
+        Self::Stage,
+        Self::Encoder,
     ];
 
     /// The code on the wire and in the memory that outlives a reset.
@@ -116,6 +122,8 @@ impl fmt::Display for SafetyReason {
             Self::NoSample => "no fresh sample with a plausible position",
             Self::TooFar => "desired position too far from the measured one",
             Self::StillRamping => "torque still on its way to zero",
+            Self::Stage => "motor stage takes no command",
+            Self::Encoder => "the board's encoder gives no position",
         })
     }
 }

@@ -5,6 +5,7 @@ mod commands;
 mod counters;
 mod desk;
 mod link;
+mod own_joint;
 mod receive;
 mod stored;
 mod stream;
@@ -13,6 +14,7 @@ mod transfer;
 
 pub use clock::{Clock, NoClock};
 pub use desk::Desk;
+pub use own_joint::{HostMeasures, OwnJoint};
 
 use crate::arm::Arm;
 use crate::edge::bank::{NETWORK_SEED, ParameterBank, name};
@@ -214,9 +216,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.safety.latched()
     }
 
-    /// Latches a fault that the owner of the hardware has seen; the torque goes to zero.
-    pub fn trip(&mut self, fault: SafetyReason) {
-        self.safety.trip(fault);
+    /// Latches a fault that the owner of the hardware has seen, and because of which no torque is put out any more: it is
+    /// zero from now on.
+    pub fn cut(&mut self, fault: SafetyReason) {
+        self.safety.cut(fault);
+        self.feed_forward.applied(self.safety.output());
     }
 
     /// Samples come, or none have to because no torque flows: what the link answers in the roll of a watchdog.

@@ -16,7 +16,7 @@ pub enum EncoderError {
     Refused(u8),
     /// The first frame after a start, and the one after a bus error, bring the answer to nobody's question.
     Pipeline,
-    /// The chip has not finished its start-up.
+    /// The chip has not finished its start-up, or is not there and its line is low.
     NotReady,
     /// The magnet is too weak, or too far away.
     MagnetWeak,
@@ -30,21 +30,33 @@ pub enum EncoderError {
     NoReference,
 }
 
+impl EncoderError {
+    /// What it is, in words, without what came with it.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Configuration => "encoder configuration cannot work",
+            Self::Bus(_) => "encoder bus",
+            Self::Parity => "encoder answer with a wrong parity",
+            Self::Flagged => "encoder flags an error",
+            Self::Refused(_) => "encoder refused a frame",
+            Self::Pipeline => "encoder has not been asked yet",
+            Self::NotReady => "encoder is not ready",
+            Self::MagnetWeak => "encoder magnet too weak",
+            Self::MagnetStrong => "encoder magnet too strong",
+            Self::Overflow => "encoder angle overflow",
+            Self::Jump => "encoder reading jumped",
+            Self::NoReference => "encoder turn not known",
+        }
+    }
+}
+
 impl fmt::Display for EncoderError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.text())?;
         match self {
-            Self::Configuration => f.write_str("encoder configuration cannot work"),
-            Self::Bus(kind) => write!(f, "encoder bus: {kind}"),
-            Self::Parity => f.write_str("encoder answer with a wrong parity"),
-            Self::Flagged => f.write_str("encoder flags an error"),
-            Self::Refused(bits) => write!(f, "encoder refused a frame ({bits:#05b})"),
-            Self::Pipeline => f.write_str("encoder has not been asked yet"),
-            Self::NotReady => f.write_str("encoder is not ready"),
-            Self::MagnetWeak => f.write_str("encoder magnet too weak"),
-            Self::MagnetStrong => f.write_str("encoder magnet too strong"),
-            Self::Overflow => f.write_str("encoder angle overflow"),
-            Self::Jump => f.write_str("encoder reading jumped"),
-            Self::NoReference => f.write_str("encoder turn not known"),
+            Self::Bus(kind) => write!(f, ": {kind}"),
+            Self::Refused(bits) => write!(f, " ({bits:#05b})"),
+            _ => Ok(()),
         }
     }
 }

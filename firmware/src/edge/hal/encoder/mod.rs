@@ -1,3 +1,5 @@
+#[cfg(test)]
+pub(crate) mod chip;
 mod error;
 
 pub use error::EncoderError;
