@@ -19,6 +19,7 @@ pub use own_joint::{HostMeasures, OwnJoint};
 use crate::arm::Arm;
 use crate::edge::bank::{NETWORK_SEED, ParameterBank, name};
 use crate::edge::safety::{Safety, SafetyLimits, SafetyReason, SafetyStatus};
+use crate::edge::store::StoreHealth;
 use crate::edge::telemetry::{Cost, CostMeter};
 use crate::edge::wire::{
     BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, Decoder, FrameBuffer,
@@ -126,6 +127,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     receive_cost: Cost,
     reply_latency: Cost,
     watchdog_feeds: u32,
+    store: StoreHealth,
     boot_counts: u32,
     stream: Stream,
     /// The challenge that the next signature has to be over.
@@ -165,6 +167,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             receive_cost: Cost::default(),
             reply_latency: Cost::default(),
             watchdog_feeds: 0,
+            store: StoreHealth::Unused,
             boot_counts: 0,
             stream: Stream::new(),
             challenge: None,
