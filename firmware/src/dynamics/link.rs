@@ -91,7 +91,7 @@ pub fn is_angle(q: f32) -> bool {
 /// The angles, rad, are numbers, and none is beyond ±1000 rad: their squares sum to at most 1000² rad², one comparison
 /// for all.
 #[inline(always)]
-pub fn are_angles<const N: usize>(q: &JointVector<N>) -> bool {
+pub(super) fn are_angles<const N: usize>(q: &JointVector<N>) -> bool {
     let mut sum = 0.0;
     for q in q.iter() {
         sum += q * q;

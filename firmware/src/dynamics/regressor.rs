@@ -10,7 +10,7 @@ use nalgebra::{SMatrix, SVector};
 ///
 /// * `joint` 0 to N − 1; any other gives a row of zeros
 ///
-/// Limits: where [`are_angles`] fails every entry is NaN.
+/// Limits: where the squares of the angles sum to more than 1000² rad², or one is NaN, every entry is NaN.
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link from `joint` on.
 pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
@@ -33,6 +33,10 @@ pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// The row of joint `J`, whose link moves like `link`; one instance for each joint, so that what is 0 in its own frame
 /// costs nothing.
 #[inline(always)]
+#[expect(
+    clippy::absurd_extreme_comparisons,
+    reason = "the loop is written out joint by joint, the first one too"
+)]
 fn row_from<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
     mut link: LinkMotion,
     motion: &JointMotion<N>,
@@ -67,7 +71,7 @@ fn row_from<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
 /// A unit of one link parameter makes a force F and a moment n about the link origin; joint r feels them through its
 /// partial velocities at that origin, `s · n + v · F` [Kane and Levinson 1985, section 4.4].
 ///
-/// Limits: an angle beyond ±1000 rad or NaN makes every entry NaN, as it does in [`super::rnea`].
+/// Limits: those of [`regressor_row`].
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link and joint before it.
 #[expect(
     clippy::absurd_extreme_comparisons,
