@@ -25,7 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const JOINT: usize = 1;
 const FULL_SCALE_NM: f32 = 12.5 * 16.0;
 const TOP: f32 = 8400.0;
-/// Zero torque for ever; what never comes to pass.
+/// What never comes to pass.
 const NEVER: u16 = u16::MAX;
 /// Bytes that a reading of the encoder moves.
 const READING: u16 = 4;
