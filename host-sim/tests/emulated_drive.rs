@@ -210,6 +210,9 @@ fn encoder(angle: u16, readings: u16) -> Vec<u16> {
 
 /// A fault line that is high until the encoder has been read `readings` times.
 fn drive(readings: u16) -> Vec<u16> {
+    if readings == NEVER {
+        return vec![0x2001, 0x4770]; // movs r0, #1; bx lr
+    }
     let mut code = COUNTER.concat();
     code.push(0x680A); // ldr r2, [r1]
     code.extend(mov16(3, readings.saturating_mul(READING), false));
@@ -273,6 +276,22 @@ fn a_board_without_its_encoder_refuses_to_arm_and_says_why() {
     }
     assert_eq!(trial.refusal(), SafetyReason::Encoder);
     trial.is_off();
+}
+
+#[test]
+fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
+    // `mov.w r0, #256; bx lr`: no byte came in time.
+    let silent = vec![0xF44F, 0x7080, 0x4770];
+    let patches = [("3spi8exchange", silent), ("4pins8pin_high", drive(NEVER))];
+    let mut trial = Trial::start("bus", &patches);
+    for tick in 0..10 {
+        let reply = trial.sample(&still());
+        assert_eq!(reply.tick, tick);
+        assert_eq!(reply.safety.reason, SafetyReason::Encoder);
+    }
+    assert_eq!(trial.refusal(), SafetyReason::Encoder);
+    let log = trial.log();
+    assert!(log.contains("encoder: encoder bus"), "{log}");
 }
 
 #[test]
