@@ -49,7 +49,7 @@ pub(super) struct Arguments {
     excitation: Option<PathBuf>,
     /// Cut-off of the zero-phase filter on the motion, Hz; above that on the torque, so that the filter on both sides
     /// of the equation is the same where it acts
-    #[arg(long, default_value_t = 100.0)]
+    #[arg(long, default_value_t = 40.0)]
     motion_hz: f64,
     /// Cut-off of the zero-phase filter on torque and regressor, Hz; 0 for none
     #[arg(long, default_value_t = 20.0)]

@@ -172,7 +172,7 @@ mod tests {
         }
         let mut sums = NormalEquations::new(layout);
         let mut scratch = DMatrix::zeros(6, (LINK_PARAMETERS + 1) * 6);
-        for _ in 0..rows {
+        for row in 0..rows {
             let mut draw = |reach: f64| {
                 crate::dynamics::Joints::from_fn(|_, _| random.random_range(-reach..reach))
             };
@@ -183,7 +183,7 @@ mod tests {
             };
             let noise = draw(1.0);
             let mut panel = Vec::new();
-            layout.append_row(&state, 0.0, &mut scratch, &mut panel);
+            layout.append_row(&state, 0.01 * row as f64, &mut scratch, &mut panel);
             for joint in 0..6 {
                 let x = &panel[layout.offset[joint]..][..layout.active[joint].len()];
                 let active = layout.active[joint].iter();
