@@ -170,9 +170,9 @@ fn the_log_of_the_flashable_firmware_is_text() {
     let room = room("log");
     succeeds(
         &room,
-        "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log board.log",
+        "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log logs/board.log",
     );
-    let log = fs::read_to_string(room.join("board.log")).expect("it was written");
+    let log = fs::read_to_string(room.join("logs/board.log")).expect("it was written");
     let hello = format!(
         "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
         Ur5::HASH
@@ -184,7 +184,10 @@ fn the_log_of_the_flashable_firmware_is_text() {
     );
     assert!(lines[1].starts_with("info: store: "), "{log}");
     assert!(lines[2].starts_with(&hello), "{log}");
-    assert!(lines[2].ends_with(" counts from clock to hello"), "{log}");
+    assert!(
+        lines[2].ends_with(" counts (0 us) from clock to hello"),
+        "{log}"
+    );
     assert!(lines[3].starts_with("info: tick 1"), "{log}");
     assert!(
         lines[3].ends_with(" 0 lost, 0 overruns, 0 ticks missed"),
@@ -193,7 +196,8 @@ fn the_log_of_the_flashable_firmware_is_text() {
     assert_eq!(lines.len(), 4);
     let mut made = files(&room);
     made.sort();
-    assert_eq!(made, ["board.log", "out"]);
+    assert_eq!(made, ["logs", "out"]);
+    assert_eq!(files(&room.join("logs")), ["board.log"]);
     let said = fails(
         &room,
         "run --robot ur5 --trajectory validation --out out --log board.log",
