@@ -45,7 +45,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let reason = if lesson.flags.contains(Flags::NOT_FINITE) {
             Some(Reason::FrozenNotFinite)
-        } else if lesson.flags.contains(Flags::STALE_SAMPLE) {
+        } else if lesson.flags.contains(Flags::STALE_SAMPLE) && !state.window.is_whole() {
             Some(Reason::FrozenStale)
         } else if lesson.flags.contains(Flags::SATURATED) {
             Some(Reason::FrozenSaturated)
