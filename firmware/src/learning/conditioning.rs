@@ -1,4 +1,4 @@
-use crate::joint::{JointMeasurement, JointMotion, JointVector};
+use crate::joint::{JointMeasurement, JointMotion, JointVector, zero_vector};
 
 /// Length of the smoothing filter, ticks.
 pub const TAPS: usize = 31;
@@ -17,16 +17,20 @@ const INV_CURVATURE: f32 = 1.0 / (SUM_4 - SUM_2 * SUM_2 / SUM_0);
 /// 10 rad/s² and 1 kHz, less than the steps of most encoders.
 const BRIDGED: usize = 4;
 
-/// Torque samples kept to delay them as the filter delays the motion; a power of two makes the index cheap.
-const TORQUES: usize = DELAY + 1;
-const _: () = assert!(TORQUES.is_power_of_two());
+/// Torque samples that are averaged around the middle of the window. One joint's row is learnt in a tick, so its next row is
+/// six ticks away in an arm of six joints: a mean of five samples has news of five ticks for the price of one row. Over
+/// ±2 ticks the torque is a straight line, but for cogging, which loses a tenth of its height at 1.5 rad/s and 202 cycles a
+/// turn.
+pub(super) const AVERAGED: usize = 5;
+/// Torques kept to delay them as the filter delays the motion.
+const TORQUES: usize = DELAY + 1 + AVERAGED / 2;
 
 /// Motion and torque of the same instant, `DELAY` ticks ago.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditioned<const N: usize> {
     /// Smoothed position, and velocity and acceleration of the same quadratic.
     pub motion: JointMotion<N>,
-    /// Torque as measured, delayed, not smoothed: its noise stays white.
+    /// Mean of the [`AVERAGED`] torques around that instant: the noise of means that have no sample in common is white.
     pub tau: JointVector<N>,
 }
 
@@ -35,18 +39,19 @@ pub struct Conditioned<const N: usize> {
 /// A measurement that is missing is a gap. So is one that says to the last bit what the one before said, torque noise
 /// and all: it came late, and the measurement of its tick is still on its way. The first one after a gap may have been
 /// due in it and is not believed either: a position that is shifted by a tick bends the quadratic, and a torque that is
-/// fitted to it is worse than none. Positions in a short gap are put on a straight line between its ends. Torques are not
-/// made up: an instant without one has no row.
+/// fitted to it is worse than none. A short gap is bridged with a straight line between its ends; an instant whose own torque
+/// is such a guess has no row.
 ///
 /// Positions are stored twice, `TAPS` apart, so that the window is one run of memory wherever it begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasurementWindow<const N: usize> {
     q: [[f32; 2 * TAPS]; N],
-    /// `None` where the torque of a tick is not known.
-    tau: [Option<JointVector<N>>; TORQUES],
+    tau: [JointVector<N>; TORQUES],
     next: usize,
     filled: usize,
     torque_next: usize,
+    /// A bit for each tick, the newest lowest: it was measured, and not bridged.
+    measured: u32,
     /// What arrived last, believed or not.
     newest: Option<JointMeasurement<N>>,
     /// Ticks since the last measurement that was believed.
@@ -58,10 +63,11 @@ impl<const N: usize> MeasurementWindow<N> {
     pub const fn new() -> Self {
         Self {
             q: [[0.0; 2 * TAPS]; N],
-            tau: [None; TORQUES],
+            tau: [zero_vector(); TORQUES],
             next: 0,
             filled: 0,
             torque_next: 0,
+            measured: 0,
             newest: None,
             gap: 0,
         }
@@ -94,27 +100,33 @@ impl<const N: usize> MeasurementWindow<N> {
             }
             return;
         };
-        self.bridge(&measured.q);
-        self.append(&measured.q, Some(measured.tau));
+        self.bridge(&measured);
+        self.append(&measured, true);
     }
 
-    /// Fills the gap before `q` with positions on a straight line.
-    fn bridge(&mut self, q: &JointVector<N>) {
+    /// Fills the gap before `end` with a straight line.
+    fn bridge(&mut self, end: &JointMeasurement<N>) {
         let steps = core::mem::take(&mut self.gap) + 1;
+        if steps == 1 {
+            return;
+        }
         let newest = (self.next + TAPS - 1) % TAPS;
-        let mut start = *q;
-        for (start, q) in start.iter_mut().zip(&self.q) {
+        let mut between = *end;
+        for (start, q) in between.q.iter_mut().zip(&self.q) {
             *start = q.get(newest).copied().unwrap_or(*start);
         }
-        let step = (q - start) * (1.0 / steps as f32);
+        between.tau = self.tau[(self.torque_next + TORQUES - 1) % TORQUES];
+        let part = 1.0 / steps as f32;
+        let (q, tau) = ((end.q - between.q) * part, (end.tau - between.tau) * part);
         for _ in 1..steps {
-            start += step;
-            self.append(&start, None);
+            between.q += q;
+            between.tau += tau;
+            self.append(&between, false);
         }
     }
 
-    fn append(&mut self, q: &JointVector<N>, tau: Option<JointVector<N>>) {
-        for (q, &value) in self.q.iter_mut().zip(q.as_slice()) {
+    fn append(&mut self, seen: &JointMeasurement<N>, measured: bool) {
+        for (q, &value) in self.q.iter_mut().zip(seen.q.as_slice()) {
             let (first, second) = q.split_at_mut(TAPS);
             for half in [first, second] {
                 if let Some(slot) = half.get_mut(self.next) {
@@ -123,8 +135,9 @@ impl<const N: usize> MeasurementWindow<N> {
             }
         }
         self.next = (self.next + 1) % TAPS;
-        self.tau[self.torque_next % TORQUES] = tau;
+        self.tau[self.torque_next % TORQUES] = seen.tau;
         self.torque_next = (self.torque_next + 1) % TORQUES;
+        self.measured = self.measured << 1 | u32::from(measured);
         self.filled = (self.filled + 1).min(TAPS);
     }
 
@@ -143,10 +156,10 @@ impl<const N: usize> MeasurementWindow<N> {
     /// Cost: `5 · DELAY` multiply-adds a joint.
     #[inline(never)]
     pub fn conditioned(&self, inv_period: f32) -> Option<Conditioned<N>> {
-        if self.filled < TAPS || self.gap > 0 {
+        let known = self.measured >> DELAY & 1 == 1;
+        if self.filled < TAPS || self.gap > 0 || !known {
             return None;
         }
-        let tau = self.tau[self.torque_next % TORQUES]?;
         let mut motion = JointMotion::<N>::zero();
         for (joint, q) in self.q.iter().enumerate() {
             // After a push `next` is the slot of the oldest measurement.
@@ -156,6 +169,12 @@ impl<const N: usize> MeasurementWindow<N> {
             *motion.qd.get_mut(joint)? = slope * inv_period;
             *motion.qdd.get_mut(joint)? = curvature * inv_period * inv_period;
         }
+        // After a push `torque_next` is the slot of the oldest torque.
+        let mut tau = JointVector::zeros();
+        for age in 0..AVERAGED {
+            tau += self.tau[(self.torque_next + age) % TORQUES];
+        }
+        tau *= 1.0 / AVERAGED as f32;
         Some(Conditioned { motion, tau })
     }
 }
@@ -296,7 +315,7 @@ mod tests {
                     continue;
                 }
                 let (seen, whole) = (seen.unwrap(), whole.unwrap());
-                assert_eq!(seen.tau, whole.tau);
+                assert!((seen.tau - whole.tau).amax() < 1e-4);
                 assert!((seen.motion.q - whole.motion.q).amax() < 2e-5);
                 assert!((seen.motion.qdd - whole.motion.qdd).amax() < 0.2, "{tick}");
             }
@@ -320,7 +339,7 @@ mod tests {
                 continue;
             };
             rows += 1;
-            assert_eq!(seen.tau, whole.tau);
+            assert!((seen.tau - whole.tau).amax() < 1e-4);
             assert!((seen.motion.qdd - whole.motion.qdd).amax() < 0.2);
         }
         assert!(rows > 100, "{rows}");
