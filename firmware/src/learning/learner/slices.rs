@@ -121,7 +121,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         match self.state.report.quality.phase {
             Phase::Trial => {
                 let loaded = guard.loaded();
-                if let Some(verdict) = guard.trial.judge(config, loaded) {
+                let usual = guard.slice_variance.iter().sum::<f32>() * (1.0 / N as f32);
+                if let Some(verdict) = guard.trial.judge(config, loaded, usual) {
                     self.end_trial(tick, verdict);
                 }
             }
