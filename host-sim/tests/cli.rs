@@ -314,9 +314,9 @@ fn the_log_of_the_flashable_firmware_is_text() {
     let room = room("log");
     succeeds(
         &room,
-        "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log board.log",
+        "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log logs/board.log",
     );
-    let log = fs::read_to_string(room.join("board.log")).expect("it was written");
+    let log = fs::read_to_string(room.join("logs/board.log")).expect("it was written");
     let hello = format!(
         "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
         Ur5::HASH
@@ -340,7 +340,8 @@ fn the_log_of_the_flashable_firmware_is_text() {
     assert_eq!(lines.len(), 4);
     let mut made = files(&room);
     made.sort();
-    assert_eq!(made, ["board.log", "out"]);
+    assert_eq!(made, ["logs", "out"]);
+    assert_eq!(files(&room.join("logs")), ["board.log"]);
     let said = fails(
         &room,
         "run --robot ur5 --trajectory validation --out out --log board.log",
