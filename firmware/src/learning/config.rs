@@ -9,7 +9,7 @@ use crate::dynamics::FrictionParameters;
 pub enum ConfigError {
     /// The field must be a positive, finite number.
     NotPositive(&'static str),
-    /// The learning rate of the field is outside `0..1`.
+    /// The field is outside `0..1`.
     RateOutOfRange(&'static str),
 }
 
@@ -81,8 +81,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
             network: TrainerConfig {
-                rate: 0.001,
-                hidden: 0.1,
+                output_sigma: 0.02,
+                hidden_rate: 1e-4,
                 clip_sigmas: 3.0,
             },
             guard: GuardConfig::for_arm::<A, N, P>(1.0 / period_s),
@@ -113,11 +113,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         if !friction.all(|s| s >= 0.0 && s.is_finite()) {
             return Err(ConfigError::NotPositive("friction_sigma"));
         }
-        if !(0.0..1.0).contains(&self.network.rate) {
-            return Err(ConfigError::RateOutOfRange("network.rate"));
+        if !(0.0..1.0).contains(&self.network.output_sigma) {
+            return Err(ConfigError::RateOutOfRange("network.output_sigma"));
         }
-        if !(0.0..=1.0).contains(&self.network.hidden) {
-            return Err(ConfigError::RateOutOfRange("network.hidden"));
+        if !(0.0..1.0).contains(&self.network.hidden_rate) {
+            return Err(ConfigError::RateOutOfRange("network.hidden_rate"));
         }
         self.guard.validate()
     }
