@@ -367,7 +367,9 @@ fn credible(k: u32) -> JointSample<JOINTS> {
     sample
 }
 
-// Of an arm in its ordinary life: with torques no arm has, sets were seen late here, which is counted; why is not known.
+// Of an arm in its ordinary life. The host sends as soon as it is answered, not after a millisecond: where the emulator
+// has to translate code it meets for the first time, as in an alarm, several samples come within one lesson, and a set is
+// late. It is counted, and no board that is sampled once a millisecond sees it.
 #[test]
 fn no_lesson_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
     // A board paced by its timer runs some twenty ticks for each sample that reaches it from here.

@@ -3,7 +3,7 @@
 
 use crate::arm::Arm;
 use crate::joint::JointVector;
-use crate::math::{SinCos, exp, sin_cos_quarters, tanh};
+use crate::math::{SinCos, bell, sin_cos_quarters, tanh_1_5_15};
 
 /// Number of friction columns of one joint.
 pub const FRICTION_COLUMNS: usize = 7;
@@ -14,7 +14,7 @@ pub const FRICTION_COLUMNS: usize = 7;
 /// under which learning ignores a joint, where the smoothed sign has reached 0.9999. The sign is that of the desired
 /// velocity: it closes no loop that could chatter.
 pub const SIGN_WIDTH: f32 = 0.01;
-const INV_SIGN_WIDTH: f32 = 1.0 / SIGN_WIDTH;
+const INV_WIDEST_SIGN: f32 = 1.0 / (15.0 * SIGN_WIDTH);
 
 /// Reciprocal of the Stribeck velocity of the wide column, s/rad: 0.14 rad/s. The narrow one has half of that.
 ///
@@ -100,6 +100,54 @@ impl FrictionParameters {
     }
 }
 
+/// The sign of a joint speed smoothed over three widths: `tanh(qd / width)`.
+///
+/// Friction takes the sharp one, the residual networks the other two. Their widths are multiples of each other, so that
+/// one exponential serves all three.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SmoothedSign {
+    /// Over 0.15 rad/s.
+    pub wide: f32,
+    /// Over 0.03 rad/s.
+    pub narrow: f32,
+    /// Over [`SIGN_WIDTH`].
+    pub sharp: f32,
+}
+
+impl SmoothedSign {
+    /// Of the speed `qd`, rad/s.
+    ///
+    /// Cost: one [`tanh_1_5_15`].
+    #[inline]
+    pub fn of(qd: f32) -> Self {
+        let [wide, narrow, sharp] = tanh_1_5_15(qd * INV_WIDEST_SIGN);
+        Self {
+            wide,
+            narrow,
+            sharp,
+        }
+    }
+}
+
+/// Sine and cosine of the cogging phase z q of a joint at `q`, rad; both 0 where there is no cogging.
+///
+/// * `cycles` z, cogging periods in one turn of the joint
+///
+/// The phase reaches 1269 rad on a UR5, beyond [`sin_cos`](crate::math::sin_cos): it is taken in quarter turns, which
+/// are reduced exactly. What is left is the rounding of z 2/π q: phase within 1.6e-7 z |q| (2e-4 rad at one turn and
+/// z = 202, 1e-4 N·m of the 0.5 N·m of a large joint).
+///
+/// Limits: NaN where z |q| exceeds 6.5e6 rad or `q` is no number.
+/// Cost: one [`sin_cos_quarters`].
+#[inline]
+pub fn cogging(cycles: f32, q: f32) -> SinCos {
+    if cycles > 0.0 {
+        sin_cos_quarters(cycles * core::f32::consts::FRAC_2_PI * q)
+    } else {
+        SinCos { sin: 0.0, cos: 0.0 }
+    }
+}
+
 /// The friction columns of one joint at position `q`, rad, and velocity `qd`, rad/s.
 ///
 /// ```text
@@ -109,24 +157,20 @@ impl FrictionParameters {
 ///
 /// * `cycles` z, cogging periods in one turn of the joint; 0 makes both cogging columns 0
 ///
-/// The phase z q reaches 1269 rad on a UR5, beyond [`sin_cos`](crate::math::sin_cos): it is taken in quarter turns, which
-/// are reduced exactly. What is left is the rounding of z 2/π q: phase within 1.6e-7 z |q| (2e-4 rad at one turn and
-/// z = 202, 1e-4 N·m of the 0.5 N·m of a large joint).
-///
-/// Limits: the cogging columns are NaN where z |q| exceeds 6.5e6 rad or `q` is no number.
-/// Cost: one [`tanh`], one [`exp`] (the narrow peak is the fourth power of the wide one), one [`sin_cos_quarters`],
-/// 10 multiplications.
+/// Limits: those of [`cogging`].
+/// Cost: one [`SmoothedSign`], one [`bell`], one [`cogging`], 7 multiplications.
 #[inline]
 pub fn friction_row(cycles: f32, q: f32, qd: f32) -> [f32; FRICTION_COLUMNS] {
-    let sign = tanh(qd * INV_SIGN_WIDTH);
-    let ratio = qd * INV_WIDE;
-    let wide = exp(-(ratio * ratio));
+    friction_columns(qd, SmoothedSign::of(qd).sharp, cogging(cycles, q))
+}
+
+/// [`friction_row`] where the smoothed sign and the cogging are known.
+///
+/// Cost: one [`bell`] (the narrow peak is the fourth power of the wide one), 6 multiplications.
+#[inline]
+pub fn friction_columns(qd: f32, sign: f32, cogging: SinCos) -> [f32; FRICTION_COLUMNS] {
+    let wide = bell(qd * INV_WIDE);
     let squared = wide * wide;
-    let cogging = if cycles > 0.0 {
-        sin_cos_quarters(cycles * core::f32::consts::FRAC_2_PI * q)
-    } else {
-        SinCos { sin: 0.0, cos: 0.0 }
-    };
     [
         qd,
         sign,

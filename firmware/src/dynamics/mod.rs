@@ -11,7 +11,10 @@ mod rnea;
 mod term;
 
 pub use closed_form::{gravity_torque, mass_matrix, velocity_torque};
-pub use friction::{FRICTION_COLUMNS, FrictionParameters, SIGN_WIDTH, friction, friction_row};
+pub use friction::{
+    FRICTION_COLUMNS, FrictionParameters, SIGN_WIDTH, SmoothedSign, cogging, friction,
+    friction_columns, friction_row,
+};
 pub use link::is_angle;
 pub use regressor::{regressor, regressor_row};
 pub use rnea::rnea;

@@ -1,17 +1,21 @@
 //! The models a tick evaluates: the loaded one, and what was learnt since, for the motion it was learnt on.
 
-use super::shares::{Shares, shares_of_networks};
-use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, FRICTION_COLUMNS, FrictionParameters, friction_row, rnea};
-use crate::joint::{JointMotion, JointVector};
-use crate::learning::{MotionRange, ParameterSet};
+use super::config::FeedForwardConfig;
+use super::shares::{JointShares, network_share};
+use crate::dynamics::{
+    BaseParameters, FRICTION_COLUMNS, FrictionParameters, SmoothedSign, friction_columns,
+};
+use crate::joint::JointMotion;
+use crate::learning::{JointNetwork, MotionRange, ParameterSet, network_inputs_at};
 use crate::limits::{Flags, cut};
+use crate::math::SinCos;
+use nalgebra::SVector;
 
 /// The linear parameters of the set that was last loaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Loaded<const N: usize, const P: usize> {
-    rigid: BaseParameters<P>,
-    friction: [FrictionParameters; N],
+    pub(super) rigid: BaseParameters<P>,
+    pub(super) friction: [FrictionParameters; N],
 }
 
 impl<const N: usize, const P: usize> Loaded<N, P> {
@@ -26,7 +30,7 @@ impl<const N: usize, const P: usize> Loaded<N, P> {
 /// How the linear parameters of a set differ from those of the loaded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Difference<const N: usize, const P: usize> {
-    rigid: BaseParameters<P>,
+    pub(super) rigid: BaseParameters<P>,
     friction: [[f32; FRICTION_COLUMNS]; N],
     /// The network of the joint is not the one that was loaded.
     network: [bool; N],
@@ -68,116 +72,111 @@ impl<const N: usize, const P: usize> Difference<N, P> {
 }
 
 /// The motion of a tick: as it is wanted, and cut to what has been learnt.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TickMotion<const N: usize> {
-    desired: JointMotion<N>,
-    bounded: JointMotion<N>,
-    rows: [[f32; FRICTION_COLUMNS]; N],
-    bounded_rows: [[f32; FRICTION_COLUMNS]; N],
+    pub(super) desired: JointMotion<N>,
+    pub(super) bounded: JointMotion<N>,
 }
 
 impl<const N: usize> TickMotion<N> {
-    /// Cuts speeds and accelerations of `desired` to `range`; cogging at `place`, N × rad.
-    ///
-    /// Cost: two [`friction_row`]s a joint.
-    #[inline(never)]
-    pub(super) fn new<A: Arm<N, P>, const P: usize>(
-        desired: &JointMotion<N>,
-        range: &MotionRange<N>,
-        place: &JointVector<N>,
-    ) -> Self {
-        let mut bounded = *desired;
-        let speeds = bounded.qd.iter_mut().zip(&range.velocity);
-        speeds.for_each(|(qd, &widest)| *qd = cut(*qd, widest).0);
-        let accelerations = bounded.qdd.iter_mut().zip(&range.acceleration);
-        accelerations.for_each(|(qdd, &widest)| *qdd = cut(*qdd, widest).0);
+    /// At rest.
+    pub(super) const fn zero() -> Self {
         Self {
-            desired: *desired,
-            bounded,
-            rows: friction_rows::<A, N, P>(place, &desired.qd),
-            bounded_rows: friction_rows::<A, N, P>(place, &bounded.qd),
+            desired: JointMotion::zero(),
+            bounded: JointMotion::zero(),
         }
     }
 
-    /// Rigid-body and friction torque of the loaded set, for the motion as it is wanted.
+    /// Takes `wanted`, cut to the limits, and its speeds and accelerations cut to `range` as well; `false` if a number
+    /// in it is not finite.
     #[inline]
-    pub(super) fn loaded<A: Arm<N, P>, const P: usize>(
-        &self,
-        set: &Loaded<N, P>,
-    ) -> (JointVector<N>, JointVector<N>) {
-        let columns = set.friction.map(FrictionParameters::columns);
-        (
-            rigid_torque::<A, N, P>(&set.rigid, &self.desired),
-            friction_torque(&columns, &self.rows),
-        )
-    }
-
-    /// The shares of `set`: those of the loaded one for the motion as it is wanted, and what `difference` adds for the
-    /// motion that was learnt.
-    #[inline(never)]
-    pub(super) fn shares<A: Arm<N, P>, const P: usize>(
-        &self,
-        loaded: &(JointVector<N>, JointVector<N>),
-        set: &ParameterSet<N, P>,
-        difference: &Difference<N, P>,
+    pub(super) fn take(
+        &mut self,
+        config: &FeedForwardConfig<N>,
+        range: &MotionRange<N>,
+        wanted: &JointMotion<N>,
         flags: &mut Flags,
-    ) -> Shares<N> {
-        let mut speed = self.desired.qd;
-        let speeds = speed.iter_mut().zip(self.bounded.qd.iter());
-        for ((speed, &bounded), &learnt) in speeds.zip(&difference.network) {
-            if learnt {
-                *speed = bounded;
+    ) -> bool {
+        for joint in 0..N {
+            let (q, qd, qdd) = (wanted.q[joint], wanted.qd[joint], wanted.qdd[joint]);
+            if !(q.is_finite() && qd.is_finite() && qdd.is_finite()) {
+                return false;
             }
+            let limits = &config.limits[joint];
+            let (lower, upper) = limits.position;
+            let inside = if q > upper {
+                upper
+            } else if q < lower {
+                lower
+            } else {
+                q
+            };
+            let (velocity, fast) = cut(qd, limits.velocity);
+            let (acceleration, abrupt) = cut(qdd, config.acceleration_limit);
+            *flags |= Flags::when(inside != q || fast || abrupt, Flags::DESIRED_CLAMPED);
+            self.desired.q[joint] = inside;
+            self.desired.qd[joint] = velocity;
+            self.desired.qdd[joint] = acceleration;
+            self.bounded.q[joint] = inside;
+            self.bounded.qd[joint] = cut(velocity, range.velocity[joint]).0;
+            self.bounded.qdd[joint] = cut(acceleration, range.acceleration[joint]).0;
         }
-        Shares {
-            rigid: loaded.0 + rigid_torque::<A, N, P>(&difference.rigid, &self.bounded),
-            friction: loaded.1 + friction_torque(&difference.friction, &self.bounded_rows),
-            network: shares_of_networks::<A, N, P>(&set.network, &speed, flags),
-        }
+        true
     }
+}
 
-    /// Torque of a payload that adds `payload` to the base parameters, for the motion as it is wanted: its mass is
-    /// known, not only what it did so far. N × N·m.
+/// What friction and network of one joint make of one speed.
+pub(super) struct AtSpeed {
+    columns: [f32; FRICTION_COLUMNS],
+    inputs: SVector<f32, { crate::learning::NETWORK_INPUTS }>,
+}
+
+impl AtSpeed {
+    /// At the speed `qd`, rad/s, where cogging is `cogging`.
     #[inline]
-    pub(super) fn payload<A: Arm<N, P>, const P: usize>(
-        &self,
-        payload: &BaseParameters<P>,
-    ) -> JointVector<N> {
-        rigid_torque::<A, N, P>(payload, &self.desired)
-    }
-}
-
-/// [`rnea`], once in the binary for the four models of a tick.
-#[inline(never)]
-fn rigid_torque<A: Arm<N, P>, const N: usize, const P: usize>(
-    rigid: &BaseParameters<P>,
-    motion: &JointMotion<N>,
-) -> JointVector<N> {
-    rnea::<A, N, P>(rigid, motion)
-}
-
-#[inline]
-fn friction_rows<A: Arm<N, P>, const N: usize, const P: usize>(
-    place: &JointVector<N>,
-    qd: &JointVector<N>,
-) -> [[f32; FRICTION_COLUMNS]; N] {
-    let mut rows = [[0.0; FRICTION_COLUMNS]; N];
-    let joints = place.iter().zip(qd.iter()).zip(&A::COGGING_CYCLES);
-    for (row, ((&place, &qd), &cycles)) in rows.iter_mut().zip(joints) {
-        *row = friction_row(cycles, place, qd);
-    }
-    rows
-}
-
-#[inline]
-fn friction_torque<const N: usize>(
-    columns: &[[f32; FRICTION_COLUMNS]; N],
-    rows: &[[f32; FRICTION_COLUMNS]; N],
-) -> JointVector<N> {
-    let mut tau = JointVector::<N>::zeros();
-    for (tau, (columns, row)) in tau.iter_mut().zip(columns.iter().zip(rows)) {
-        for (parameter, column) in columns.iter().zip(row) {
-            *tau += parameter * column;
+    pub(super) fn new(qd: f32, cogging: SinCos) -> Self {
+        let sign = SmoothedSign::of(qd);
+        Self {
+            columns: friction_columns(qd, sign.sharp, cogging),
+            inputs: network_inputs_at(qd, &sign),
         }
     }
-    tau
+
+    /// Torque of `friction`, N·m.
+    #[inline]
+    pub(super) fn friction(&self, friction: &[f32; FRICTION_COLUMNS]) -> f32 {
+        let mut tau = 0.0;
+        for (parameter, column) in friction.iter().zip(&self.columns) {
+            tau += parameter * column;
+        }
+        tau
+    }
+}
+
+impl<const N: usize, const P: usize> Difference<N, P> {
+    /// The shares of `joint` by a set that differs from the loaded one by `self`: to what the loaded one says for the
+    /// motion as it is wanted, in `rigid` and `friction`, comes what was learnt, for the motion that was learnt.
+    ///
+    /// * `rigid` torque of the loaded rigid body and of what was learnt of it, N·m
+    #[inline]
+    pub(super) fn shares(
+        &self,
+        joint: usize,
+        (rigid, friction): (f32, f32),
+        network: &JointNetwork,
+        [desired, bounded]: &[AtSpeed; 2],
+        torque_limit: f32,
+        flags: &mut Flags,
+    ) -> JointShares {
+        let speed = if self.network[joint] {
+            bounded
+        } else {
+            desired
+        };
+        JointShares {
+            rigid,
+            friction: friction + bounded.friction(&self.friction[joint]),
+            network: network_share(network, &speed.inputs, torque_limit, flags),
+        }
+    }
 }

@@ -2,8 +2,9 @@ use super::Torque;
 use crate::arm::Arm;
 use crate::dynamics::{friction, rnea};
 use crate::joint::{JointMotion, JointVector};
-use crate::learning::{JointNetwork, NETWORK_BOUND, ParameterSet, network_inputs};
+use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet, network_inputs};
 use crate::limits::{Flags, cut};
+use nalgebra::SVector;
 
 /// Bound of all that was learnt since the committed set, in units of the joint's torque limit. Never optional.
 pub const LEARNED_BOUND: f32 = 0.20;
@@ -63,7 +64,7 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
 
 /// What the networks say at joint speeds `qd`, cut to their bound, N × N·m.
 #[inline(never)]
-pub(super) fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
+fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
     networks: &[JointNetwork; N],
     qd: &JointVector<N>,
     flags: &mut Flags,
@@ -71,66 +72,83 @@ pub(super) fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut shares = JointVector::<N>::zeros();
     let joints = networks.iter().zip(&A::LIMITS).zip(qd.iter());
     for (share, ((network, limits), &qd)) in shares.iter_mut().zip(joints) {
-        let [[output]] = network.forward(&network_inputs(qd)).data.0;
-        let (bounded, was_cut) = cut(output, NETWORK_BOUND);
-        *share = bounded * limits.torque;
-        *flags |= Flags::when(was_cut, Flags::NETWORK_CLIPPED);
+        *share = network_share(network, &network_inputs(qd), limits.torque, flags);
     }
     shares
+}
+
+/// What the network of one joint says, cut to its bound, N·m.
+#[inline]
+pub(super) fn network_share(
+    network: &JointNetwork,
+    inputs: &SVector<f32, NETWORK_INPUTS>,
+    torque_limit: f32,
+    flags: &mut Flags,
+) -> f32 {
+    let [[output]] = network.forward(inputs).data.0;
+    let (bounded, was_cut) = cut(output, NETWORK_BOUND);
+    *flags |= Flags::when(was_cut, Flags::NETWORK_CLIPPED);
+    bounded * torque_limit
+}
+
+/// The shares of one joint, N·m each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct JointShares {
+    pub(super) rigid: f32,
+    pub(super) friction: f32,
+    pub(super) network: f32,
 }
 
 /// What is left of the shares of a joint after the checks, N·m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Selected {
+    /// The active set's shares, each replaced by the committed set's where it was not sound.
+    pub(super) shares: JointShares,
     /// Sum of the committed set's shares.
     pub(super) reference: f32,
     /// What was learnt since, within its bound.
     pub(super) learned: f32,
 }
 
-/// Makes every share of `joint` in `active` sound and bounds their sum around the committed set's.
+/// Makes every share in `active` sound and bounds their sum around the committed set's.
 #[inline]
-pub(super) fn select_joint<const N: usize>(
-    active: &mut Shares<N>,
-    committed: &Shares<N>,
-    joint: usize,
+pub(super) fn select(
+    active: &JointShares,
+    committed: &JointShares,
     torque_limit: f32,
     flags: &mut Flags,
 ) -> Selected {
-    let shares = [
-        (&mut active.rigid, &committed.rigid, RIGID_PLAUSIBLE),
-        (
-            &mut active.friction,
-            &committed.friction,
-            FRICTION_PLAUSIBLE,
-        ),
-        (&mut active.network, &committed.network, NETWORK_BOUND),
-    ];
-    let mut sum = 0.0;
-    let mut reference = 0.0;
-    for (active, committed, plausible) in shares {
-        let (Some(active), Some(&committed)) = (active.get_mut(joint), committed.get(joint)) else {
-            continue;
-        };
+    let (mut sum, mut reference) = (0.0, 0.0);
+    let mut sound = |active: f32, committed: f32, plausible: f32| {
         let bound = plausible * torque_limit;
         // A comparison with a not-a-number is false: it counts as implausible.
         let committed_sound = committed.abs() <= bound;
-        let stand_in = if committed_sound { committed } else { 0.0 };
-        let sound = active.abs() <= bound;
-        if !sound {
+        let active_sound = active.abs() <= bound;
+        let mut share = active;
+        if !active_sound {
             *flags |= Flags::when(!active.is_finite(), Flags::NOT_FINITE);
             *flags |= if committed_sound {
                 Flags::SHARE_FALLBACK
             } else {
                 Flags::WITHDRAWN
             };
-            *active = stand_in;
+            share = if committed_sound { committed } else { 0.0 };
         }
-        sum += *active;
+        sum += share;
         // Without a sound committed share there is nothing to measure the learnt change against.
-        reference += if committed_sound { committed } else { *active };
-    }
+        reference += if committed_sound { committed } else { share };
+        share
+    };
+    let shares = JointShares {
+        rigid: sound(active.rigid, committed.rigid, RIGID_PLAUSIBLE),
+        friction: sound(active.friction, committed.friction, FRICTION_PLAUSIBLE),
+        network: sound(active.network, committed.network, NETWORK_BOUND),
+    };
     let (learned, was_cut) = cut(sum - reference, LEARNED_BOUND * torque_limit);
     *flags |= Flags::when(was_cut, Flags::LEARNED_CLIPPED);
-    Selected { reference, learned }
+    Selected {
+        shares,
+        reference,
+        learned,
+    }
 }

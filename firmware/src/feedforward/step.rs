@@ -1,10 +1,10 @@
 use super::Torque;
 use super::config::FeedForwardConfig;
-use super::model::{Difference, Loaded, TickMotion};
-use super::shares::{Shares, select_joint};
+use super::model::{AtSpeed, Difference, Loaded, TickMotion};
+use super::shares::{Shares, select};
 use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, is_angle};
-use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use crate::dynamics::{BaseParameters, cogging, is_angle, rnea};
+use crate::joint::{JointMotion, JointSample, JointVector};
 use crate::learning::{Exchange, MotionRange, ParameterSet, Report};
 use crate::limits::{Flags, cut, limit};
 
@@ -96,19 +96,30 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
     }
 }
 
-/// Working memory of one tick: the shares by the active and by the committed set.
+/// Working memory of one tick: the motion, and what rigid bodies need for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardScratch<const N: usize> {
-    active: Shares<N>,
-    committed: Shares<N>,
+    motion: TickMotion<N>,
+    /// Torques of the loaded set and of the payload for the motion as it is wanted, and of what the active and the
+    /// committed set have learnt, for the motion that was learnt; N × N·m each.
+    loaded: JointVector<N>,
+    payload: JointVector<N>,
+    active: JointVector<N>,
+    committed: JointVector<N>,
+    /// What was learnt, payload included, within all its bounds, N × N·m.
+    learned: JointVector<N>,
 }
 
 impl<const N: usize> FeedForwardScratch<N> {
     /// Room for one tick.
     pub fn new() -> Self {
         Self {
-            active: Shares::zero(),
-            committed: Shares::zero(),
+            motion: TickMotion::zero(),
+            loaded: JointVector::zeros(),
+            payload: JointVector::zeros(),
+            active: JointVector::zeros(),
+            committed: JointVector::zeros(),
+            learned: JointVector::zeros(),
         }
     }
 }
@@ -132,7 +143,7 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///
 /// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: four times the RNEA,
-/// two friction rows a joint, all networks twice.
+/// smoothed signs and Stribeck peaks at two speeds of each joint, all networks twice.
 #[inline(never)]
 pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
@@ -141,68 +152,85 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     sample: &JointSample<N>,
 ) -> Torque<N> {
     let mut flags = Flags::when(sample.measured.is_none(), Flags::NO_MEASUREMENT);
-    let Some(desired) = within_limits(config, &sample.desired, &mut flags) else {
+    let motion = &mut scratch.motion;
+    if !motion.take(config, &state.range, &sample.desired, &mut flags) {
         return hold(config, state, flags | Flags::NOT_FINITE);
+    }
+    scratch.loaded = rigid_torque::<A, N, P>(&state.loaded.rigid, &motion.desired);
+    scratch.payload = rigid_torque::<A, N, P>(&state.payload, &motion.desired);
+    scratch.active = rigid_torque::<A, N, P>(&state.active_difference.rigid, &motion.bounded);
+    scratch.committed = rigid_torque::<A, N, P>(&state.committed_difference.rigid, &motion.bounded);
+    // Where nothing was measured the joint is where it should be.
+    let (place, lead) = match &sample.measured {
+        Some(measured) => (&measured.q, config.lead),
+        None => (&motion.desired.q, 0.0),
     };
-    let mut ignored = Flags::NONE;
-    let place = cogging_place(config, &desired, sample.measured.as_ref());
-    let motion = TickMotion::new::<A, P>(&desired, &state.range, &place);
-    let loaded = motion.loaded::<A, P>(&state.loaded);
-    scratch.active =
-        motion.shares::<A, P>(&loaded, &state.active, &state.active_difference, &mut flags);
-    scratch.committed = motion.shares::<A, P>(
-        &loaded,
-        &state.committed,
-        &state.committed_difference,
-        &mut ignored,
-    );
-    let mut payload = motion.payload::<A, P>(&state.payload);
     let recommitted = core::mem::take(&mut state.recommitted);
-    let mut target = JointVector::<N>::zeros();
-    let mut learned = JointVector::<N>::zeros();
-    for (joint, limits) in config.limits.iter().enumerate() {
-        let selected = select_joint(
-            &mut scratch.active,
-            &scratch.committed,
+    let mut ignored = Flags::NONE;
+    for joint in 0..N {
+        let limits = &config.limits[joint];
+        let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
+        let cogging = cogging(
+            A::COGGING_CYCLES[joint],
+            cogging_place(place[joint] + qd * lead, q),
+        );
+        let speeds = [qd, motion.bounded.qd[joint]].map(|qd| AtSpeed::new(qd, cogging));
+        let friction = speeds[0].friction(&state.loaded.friction[joint].columns());
+        let active = state.active_difference.shares(
             joint,
+            (scratch.loaded[joint] + scratch.active[joint], friction),
+            &state.active.network[joint],
+            &speeds,
             limits.torque,
             &mut flags,
         );
-        let (Some(target), Some(learned), Some(payload), Some(rigid)) = (
-            target.get_mut(joint),
-            learned.get_mut(joint),
-            payload.get_mut(joint),
-            scratch.active.rigid.get_mut(joint),
-        ) else {
-            continue;
-        };
-        let (Some(&bound), Some(&slew)) = (
-            config.payload_bound.get(joint),
-            config.learned_slew_per_tick.get(joint),
-        ) else {
-            continue;
-        };
+        let committed = state.committed_difference.shares(
+            joint,
+            (scratch.loaded[joint] + scratch.committed[joint], friction),
+            &state.committed.network[joint],
+            &speeds,
+            limits.torque,
+            &mut ignored,
+        );
+        let selected = select(&active, &committed, limits.torque, &mut flags);
+
+        let payload = scratch.payload[joint];
         let finite = payload.is_finite();
-        let (carried, was_cut) = cut(if finite { *payload } else { 0.0 }, bound);
+        let (carried, was_cut) = cut(
+            if finite { payload } else { 0.0 },
+            config.payload_bound[joint],
+        );
         flags |= Flags::when(was_cut || !finite, Flags::PAYLOAD_CLIPPED);
-        *payload = carried;
-        *rigid += carried;
+        state.payload_torque[joint] = carried;
         let wanted = selected.learned + carried;
         let before = match (&state.learned, recommitted) {
             (None, _) => wanted,
             // Measured from another set now: the torque goes on from where it was.
-            (Some(_), true) => state.sum.get(joint).copied().unwrap_or(0.0) - selected.reference,
-            (Some(learned), false) => learned.get(joint).copied().unwrap_or(0.0),
+            (Some(_), true) => state.sum[joint] - selected.reference,
+            (Some(learned), false) => learned[joint],
         };
-        let (step, slewed) = cut(wanted - before, slew);
-        *learned = if slewed { before + step } else { wanted };
-        *target = selected.reference + *learned;
+        let (step, slewed) = cut(wanted - before, config.learned_slew_per_tick[joint]);
+        let learned = if slewed { before + step } else { wanted };
+        scratch.learned[joint] = learned;
+        state.sum[joint] = selected.reference + learned;
+        let shares = &mut state.last.shares;
+        shares.rigid[joint] = selected.shares.rigid + carried;
+        shares.friction[joint] = selected.shares.friction;
+        shares.network[joint] = selected.shares.network;
     }
-    state.payload_torque = payload;
-    state.learned = Some(learned);
-    state.sum = target;
+    state.learned = Some(scratch.learned);
     state.stale_ticks = 0;
-    finish(config, state, target, scratch.active, flags)
+    let target = state.sum;
+    finish(config, state, &target, flags)
+}
+
+/// [`rnea`], once in the binary for the four rigid bodies of a tick.
+#[inline(never)]
+fn rigid_torque<A: Arm<N, P>, const N: usize, const P: usize>(
+    rigid: &BaseParameters<P>,
+    motion: &JointMotion<N>,
+) -> JointVector<N> {
+    rnea::<A, N, P>(rigid, motion)
 }
 
 /// A tick without a sample: the torque is held for `hold_ticks`, then goes to zero at the slew limit.
@@ -213,58 +241,16 @@ pub fn step_stale<const N: usize, const P: usize>(
     hold(config, state, Flags::NO_MEASUREMENT)
 }
 
-/// Where the joints will be when the torque acts, for the cogging, N × rad: a tracking error of a few milliradians turns
-/// its phase, so the measured position counts where there is one, carried on at the desired speed.
+/// Where a joint will be when the torque acts, for the cogging, rad: a tracking error of a few milliradians turns its
+/// phase, so the measured position counts, carried on at the desired speed.
 #[inline]
-fn cogging_place<const N: usize>(
-    config: &FeedForwardConfig<N>,
-    desired: &JointMotion<N>,
-    measured: Option<&JointMeasurement<N>>,
-) -> JointVector<N> {
-    let Some(measured) = measured else {
-        return desired.q;
-    };
-    let mut place = measured.q + desired.qd * config.lead;
-    for (place, &desired) in place.iter_mut().zip(desired.q.iter()) {
-        // A wild encoder must not take the friction share with it.
-        if !is_angle(*place) {
-            *place = desired;
-        }
+fn cogging_place(measured: f32, desired: f32) -> f32 {
+    // A wild encoder must not take the friction share with it.
+    if is_angle(measured) {
+        measured
+    } else {
+        desired
     }
-    place
-}
-
-/// `motion` cut to the limits; `None` if a number in it is not finite.
-#[inline]
-fn within_limits<const N: usize>(
-    config: &FeedForwardConfig<N>,
-    motion: &JointMotion<N>,
-    flags: &mut Flags,
-) -> Option<JointMotion<N>> {
-    let mut bounded = *motion;
-    let joints = bounded
-        .q
-        .iter_mut()
-        .zip(bounded.qd.iter_mut())
-        .zip(bounded.qdd.iter_mut());
-    for (limits, ((q, qd), qdd)) in config.limits.iter().zip(joints) {
-        if !(q.is_finite() && qd.is_finite() && qdd.is_finite()) {
-            return None;
-        }
-        let (lower, upper) = limits.position;
-        let inside = if *q > upper {
-            upper
-        } else if *q < lower {
-            lower
-        } else {
-            *q
-        };
-        let (velocity, fast) = cut(*qd, limits.velocity);
-        let (acceleration, abrupt) = cut(*qdd, config.acceleration_limit);
-        *flags |= Flags::when(inside != *q || fast || abrupt, Flags::DESIRED_CLAMPED);
-        (*q, *qd, *qdd) = (inside, velocity, acceleration);
-    }
-    Some(bounded)
 }
 
 fn hold<const N: usize, const P: usize>(
@@ -273,16 +259,16 @@ fn hold<const N: usize, const P: usize>(
     flags: Flags,
 ) -> Torque<N> {
     let flags = flags | Flags::STALE_SAMPLE;
-    let last = state.last;
     if state.stale_ticks < config.hold_ticks {
         state.stale_ticks += 1;
-        return finish(config, state, last.total, last.shares, flags);
+        let target = state.last.total;
+        return finish(config, state, &target, flags);
     }
+    state.last.shares = Shares::zero();
     finish(
         config,
         state,
-        JointVector::zeros(),
-        Shares::zero(),
+        &JointVector::zeros(),
         flags | Flags::WITHDRAWN,
     )
 }
@@ -292,24 +278,22 @@ fn hold<const N: usize, const P: usize>(
 fn finish<const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
     state: &mut FeedForwardState<N, P>,
-    target: JointVector<N>,
-    shares: Shares<N>,
+    target: &JointVector<N>,
     flags: Flags,
 ) -> Torque<N> {
     let mut flags = flags | state.adoption | Flags::when(state.learning, Flags::LEARNING_ON);
-    let mut total = state.last.total;
-    let bounds = config.limits.iter().zip(&config.slew_per_tick);
-    for ((total, &target), (limits, &slew)) in total.iter_mut().zip(target.iter()).zip(bounds) {
-        let (torque, limited) = limit(target, *total, limits.torque, slew);
-        *total = torque;
+    for joint in 0..N {
+        let (torque, limited) = limit(
+            target[joint],
+            state.last.total[joint],
+            config.limits[joint].torque,
+            config.slew_per_tick[joint],
+        );
+        state.last.total[joint] = torque;
         flags |= limited;
     }
-    state.last = Torque {
-        total,
-        shares,
-        flags,
-        tick: state.tick,
-    };
+    state.last.flags = flags;
+    state.last.tick = state.tick;
     state.adoption = Flags::NONE;
     state.tick = state.tick.wrapping_add(1);
     state.last

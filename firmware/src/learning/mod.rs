@@ -34,6 +34,7 @@ pub use estimator::{Correction, Estimator, torque_row};
 pub use exchange::{Exchange, Lesson, MotionRange, Publication, Report};
 pub use guard_config::{GuardConfig, payload_bound, rated_payload};
 pub use learner::{Learner, LearnerState, LearnerStatistics};
+pub(crate) use parameters::network_inputs_at;
 pub use parameters::{
     JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet, network_inputs,
 };

@@ -1,7 +1,6 @@
 use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, FrictionParameters};
+use crate::dynamics::{BaseParameters, FrictionParameters, SmoothedSign};
 use crate::joint::zero_vector;
-use crate::math::tanh;
 use crate::network::BpNetwork;
 use nalgebra::SVector;
 
@@ -64,5 +63,11 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
 /// are what a Stribeck curve needs; `qd/2` scales velocity to order one.
 #[inline]
 pub fn network_inputs(qd: f32) -> SVector<f32, NETWORK_INPUTS> {
-    SVector::from([0.5 * qd, tanh(qd * (1.0 / 0.03)), tanh(qd * (1.0 / 0.15))])
+    network_inputs_at(qd, &SmoothedSign::of(qd))
+}
+
+/// [`network_inputs`] where the smoothed signs of the speed are known.
+#[inline]
+pub(crate) fn network_inputs_at(qd: f32, sign: &SmoothedSign) -> SVector<f32, NETWORK_INPUTS> {
+    SVector::from([0.5 * qd, sign.narrow, sign.wide])
 }
