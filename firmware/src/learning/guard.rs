@@ -40,7 +40,7 @@ pub(super) struct Guard<const N: usize, const P: usize> {
     /// From the last and the last but one checkpoint: an alarm comes after the change.
     pub(super) checkpoints: [Checkpoint<N, P>; 2],
     /// The estimate against the committed set.
-    pub(super) evidence: Evidence,
+    pub(super) evidence: Evidence<N>,
     pub(super) committed: Stacked<N, P>,
     /// The active set follows the estimate.
     pub(super) following: bool,

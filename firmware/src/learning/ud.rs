@@ -164,15 +164,16 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     pub fn friction_variance(&self, joint: usize, column: usize) -> Option<f32> {
         let row = self.friction.get(joint)?.get(column)?;
         let own = *self.diagonal.friction.get(joint)?.get(column)?;
-        let mut sums = [own, 0.0];
-        let friction = row.friction.as_flattened().iter();
-        for (u, d) in friction.zip(self.diagonal.friction.as_flattened()) {
-            sums[0] += u * u * d;
-        }
-        for (u, d) in row.rigid.iter().zip(&self.diagonal.rigid) {
-            sums[1] += u * u * d;
-        }
-        Some(sums[0] + sums[1])
+        let [friction, rigid] = self.diagonal.parts();
+        let [u_friction, u_rigid] = row.parts();
+        Some(own + spread(u_friction, friction) + spread(u_rigid, rigid))
+    }
+
+    /// Variance of base parameter `column`, in units of the prior's; `None` if there is no such. As
+    /// [`friction_variance`](Self::friction_variance).
+    pub fn rigid_variance(&self, column: usize) -> Option<f32> {
+        let own = *self.diagonal.rigid.get(column)?;
+        Some(own + spread(self.rigid.get(column)?, &self.diagonal.rigid))
     }
 
     /// Adds `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
@@ -299,6 +300,15 @@ impl Turns<'_> {
         }
         b
     }
+}
+
+/// Σ u² d.
+fn spread(row: &[f32], diagonal: &[f32]) -> f32 {
+    let mut sum = 0.0;
+    for (u, d) in row.iter().zip(diagonal) {
+        sum += u * u * d;
+    }
+    sum
 }
 
 #[inline(always)]

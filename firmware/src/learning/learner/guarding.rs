@@ -45,7 +45,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let reason = if lesson.flags.contains(Flags::NOT_FINITE) {
             Some(Reason::FrozenNotFinite)
-        } else if lesson.flags.contains(Flags::STALE_SAMPLE) {
+        } else if lesson.flags.contains(Flags::STALE_SAMPLE) && !state.window.is_whole() {
             Some(Reason::FrozenStale)
         } else if lesson.flags.contains(Flags::SATURATED) {
             Some(Reason::FrozenSaturated)
@@ -184,6 +184,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 _ => config.proof_rows,
             };
             let settled = evidence.rows() >= patience;
+            let covered = evidence.covers_all_joints();
             let fault = evidence.common_gain(config.gain_error).filter(|_| settled);
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
                 state.note(tick, Reason::DriveGain, None, gain);
@@ -196,7 +197,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 if evidence.favours(-config.proof_sigmas) {
                     state.roll_back();
                     state.note(tick, Reason::RolledBack, None, evidence.ratio());
-                } else {
+                } else if covered {
                     state.follow(&pending, self.config.torque_step);
                     let followed = state.guard.followed;
                     let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
@@ -210,7 +211,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                         state.note(tick, Reason::Committed, None, evidence.ratio());
                     }
                 }
-            } else if settled && fault.is_none() && evidence.favours(config.proof_sigmas) {
+            } else if settled && covered && fault.is_none() && evidence.favours(config.proof_sigmas)
+            {
                 state.guard.following = true;
                 state.guard.followed = 0;
                 state.note(tick, Reason::Followed, None, evidence.ratio());
@@ -232,6 +234,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         } else {
             PayloadEstimate::default()
         };
+        state
+            .monitor
+            .ask(state.estimate.filter(), &mut state.report.quality);
         if rounds.is_multiple_of(TRUST_ROUNDS)
             && let Some(lost) = state
                 .monitor
