@@ -2,7 +2,7 @@
 
 use super::term::{Matrix, Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
-use crate::joint::JointMotion;
+use crate::joint::{JointMotion, JointVector};
 use crate::math::{LARGEST_ANGLE, sin_cos};
 use core::marker::PhantomData;
 
@@ -86,6 +86,17 @@ fn acceleration_field(omega: Vector, alpha: Vector) -> Matrix {
 #[inline(always)]
 pub fn is_angle(q: f32) -> bool {
     q.abs() <= LARGEST_ANGLE
+}
+
+/// The angles, rad, are numbers, and none is beyond ±1000 rad: their squares sum to at most 1000² rad², one comparison
+/// for all.
+#[inline(always)]
+pub(super) fn are_angles<const N: usize>(q: &JointVector<N>) -> bool {
+    let mut sum = 0.0;
+    for q in q.iter() {
+        sum += q * q;
+    }
+    sum <= LARGEST_ANGLE * LARGEST_ANGLE
 }
 
 /// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)`.

@@ -1,6 +1,6 @@
 //! The joint torque regressor: one row, or all of them.
 
-use super::link::{BaseSet, LinkMotion, is_angle, origin, rotation};
+use super::link::{BaseSet, LinkMotion, are_angles, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
 use crate::joint::JointMotion;
@@ -10,42 +10,48 @@ use nalgebra::{SMatrix, SVector};
 ///
 /// * `joint` 0 to N − 1; any other gives a row of zeros
 ///
-/// Limits: an angle beyond ±1000 rad or NaN makes every entry NaN, as it does in [`super::rnea`].
+/// Limits: where the squares of the angles sum to more than 1000² rad², or one is NaN, every entry is NaN.
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link from `joint` on.
 pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
+    if !are_angles(&motion.q) {
+        return SVector::repeat(f32::NAN);
+    }
+    let mut link = LinkMotion::base::<A, N, P>();
     outward!(J < N {
+        let rot = rotation::<A, N, P>(J, motion.q[J]);
+        link = link.next::<A, N, P>(J, &rot, motion);
         if joint == J {
-            return row_of::<A, N, P, J>(motion);
+            return row_from::<A, N, P, J>(link, motion);
         }
     });
     SVector::zeros()
 }
 
-/// The row of joint `J`; one instance for each joint, so that what is 0 in its own frame costs nothing.
+/// The row of joint `J`, whose link moves like `link`; one instance for each joint, so that what is 0 in its own frame
+/// costs nothing.
+#[inline(always)]
 #[expect(
     clippy::absurd_extreme_comparisons,
     reason = "the loop is written out joint by joint, the first one too"
 )]
-fn row_of<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
+fn row_from<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
+    mut link: LinkMotion,
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
-    // Not `SVector::zeros()`, which hides the array: its entries would be cleared by memset and copied at the end.
-    let mut row = SVector::from([0.0; P]);
-    let mut link = LinkMotion::base::<A, N, P>();
+    // Not `SVector::zeros()`, which hides the array: it would be copied at the end. And −0, not 0: where no link moves
+    // the joint it is stored, where one does it is not; zeros would be cleared by memset, all of them.
+    let mut row = SVector::from([-0.0; P]);
     let mut axis = JointAxis::OWN;
     outward!(I < N {
-        if !is_angle(motion.q[I]) {
-            return SVector::repeat(f32::NAN);
+        if I > J {
+            let rot = rotation::<A, N, P>(I, motion.q[I]);
+            link = link.next::<A, N, P>(I, &rot, motion);
+            axis = axis.carried(&rot, origin::<A, N, P>(I));
         }
-        let rot = rotation::<A, N, P>(I, motion.q[I]);
-        link = link.next::<A, N, P>(I, &rot, motion);
         if I >= J {
-            if I != J {
-                axis = axis.carried(&rot, origin::<A, N, P>(I));
-            }
             let entries = axis.power_of_unit_parameters(&link);
             for (index, entry) in BaseSet::<A, N, P>::LINK[I].iter().zip(entries) {
                 if let Some(index) = *index {
@@ -65,7 +71,7 @@ fn row_of<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
 /// A unit of one link parameter makes a force F and a moment n about the link origin; joint r feels them through its
 /// partial velocities at that origin, `s · n + v · F` [Kane and Levinson 1985, section 4.4].
 ///
-/// Limits: an angle beyond ±1000 rad or NaN makes every entry NaN, as it does in [`super::rnea`].
+/// Limits: those of [`regressor_row`].
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link and joint before it.
 #[expect(
     clippy::absurd_extreme_comparisons,
@@ -77,10 +83,10 @@ pub fn regressor<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut rows = SMatrix::from([[0.0; N]; P]);
     let mut link = LinkMotion::base::<A, N, P>();
     let mut axes = [JointAxis::OWN; N];
+    if !are_angles(&motion.q) {
+        return SMatrix::repeat(f32::NAN);
+    }
     outward!(I < N {
-        if !is_angle(motion.q[I]) {
-            return SMatrix::repeat(f32::NAN);
-        }
         let rot = rotation::<A, N, P>(I, motion.q[I]);
         link = link.next::<A, N, P>(I, &rot, motion);
         outward!(J < N {

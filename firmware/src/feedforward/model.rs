@@ -46,28 +46,28 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         }
     }
 
-    /// `set` less `loaded`; its networks are learnt if they were so in `self`, or are not those of `before`.
-    pub(super) fn to(
-        &self,
+    /// Becomes `set` less `loaded`; its networks are learnt if they were so, or are not those of `before`.
+    pub(super) fn update(
+        &mut self,
         set: &ParameterSet<N, P>,
         before: &ParameterSet<N, P>,
         loaded: &Loaded<N, P>,
-    ) -> Self {
-        let mut difference = Self::none();
-        difference.rigid = set.rigid - loaded.rigid;
+    ) {
+        let both = set.rigid.iter().zip(loaded.rigid.iter());
+        for (rigid, (set, loaded)) in self.rigid.iter_mut().zip(both) {
+            *rigid = set - loaded;
+        }
         let drives = set.friction.iter().zip(&loaded.friction);
-        for (columns, (set, loaded)) in difference.friction.iter_mut().zip(drives) {
+        for (columns, (set, loaded)) in self.friction.iter_mut().zip(drives) {
             let both = set.columns().into_iter().zip(loaded.columns());
             for (column, (set, loaded)) in columns.iter_mut().zip(both) {
                 *column = set - loaded;
             }
         }
-        difference.network = self.network;
         let networks = set.network.iter().zip(&before.network);
-        for (learnt, (set, before)) in difference.network.iter_mut().zip(networks) {
+        for (learnt, (set, before)) in self.network.iter_mut().zip(networks) {
             *learnt |= set != before;
         }
-        difference
     }
 }
 

@@ -84,14 +84,14 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
     }
 
     pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>) {
-        self.active_difference = self.active_difference.to(set, &self.active, &self.loaded);
+        self.active_difference
+            .update(set, &self.active, &self.loaded);
         self.active = *set;
     }
 
     pub(super) fn set_committed(&mut self, set: &ParameterSet<N, P>) {
-        self.committed_difference =
-            self.committed_difference
-                .to(set, &self.committed, &self.loaded);
+        self.committed_difference
+            .update(set, &self.committed, &self.loaded);
         self.committed = *set;
     }
 }
@@ -315,9 +315,8 @@ pub fn adopt<const N: usize, const P: usize>(
     let due = state.tick.wrapping_sub(rounds / 2 + 1);
     // The first round after a start or a load may be cut short, so nothing is due from it.
     let expected = state.learning && state.tick.wrapping_sub(state.loaded_at) >= 2 * rounds;
-    match exchange.published.take() {
+    match &exchange.published {
         Some(finished) if finished.closed.wrapping_sub(state.loaded_at) < u32::MAX / 2 => {
-            let closed = finished.closed;
             state.set_active(&finished.set);
             if finished.commit {
                 state.set_committed(&finished.set);
@@ -327,7 +326,7 @@ pub fn adopt<const N: usize, const P: usize>(
             state.range = finished.range;
             state.report = finished.report;
             state.adoption |= Flags::SET_ADOPTED;
-            if closed != due {
+            if finished.closed != due {
                 state.adoption |= Flags::SET_LATE;
                 state.late_sets = state.late_sets.saturating_add(1);
             }
@@ -338,4 +337,5 @@ pub fn adopt<const N: usize, const P: usize>(
         }
         _ => {}
     }
+    exchange.published = None;
 }

@@ -34,7 +34,8 @@ struct JointEvidence {
     scatter: f32,
     /// Its rows, faded with those of all.
     weight: f32,
-    /// By how much the challenger would change its torque while it stands still, in units of the torque limit.
+    /// By how much the challenger would change its torque while it stands still at most, in units of the torque limit;
+    /// faded too.
     untold: f32,
 }
 
@@ -45,12 +46,8 @@ const FADE: f32 = 1.0 - 1.0 / MEMORY_ROWS;
 const CLIP: f32 = 6.0;
 /// A common factor is believed when it leaves less than this of what the champion leaves beyond the noise.
 const GAIN_RATIO: f32 = 0.2;
-/// Rows of a joint, faded, from which on it has told what it thinks.
-const TOLD_ROWS: f32 = 20.0;
 /// Change of the torque of a joint that has not told, in units of the torque limit, that is no matter.
 const UNTOLD_CHANGE: f32 = 0.01;
-/// The challenger may be worse for no joint by more than this many standard deviations.
-const VETO_SIGMAS: f32 = 2.0;
 
 /// t > s without a root: squares with their signs are compared.
 fn exceeds(advantage: f32, scatter: f32, sigmas: f32) -> bool {
@@ -110,6 +107,7 @@ impl<const N: usize> Evidence<N> {
             told.advantage *= FADE;
             told.scatter *= FADE;
             told.weight *= FADE;
+            told.untold *= FADE;
         }
         if let Some(told) = self.joints.get_mut(joint) {
             told.advantage += d;
@@ -122,15 +120,20 @@ impl<const N: usize> Evidence<N> {
     /// `joint` stands still and tells nothing; the challenger would change its torque by `change`, in units of its limit.
     pub(super) fn note_still(&mut self, joint: usize, change: f32) {
         if let Some(told) = self.joints.get_mut(joint) {
-            told.untold = change.abs();
+            // The most of it: a change that swings through zero is one.
+            let change = change.abs();
+            if change > told.untold {
+                told.untold = change;
+            }
         }
     }
 
-    /// No joint speaks against the challenger: each has told and does not find it worse, or its torque is left as it is.
-    pub(super) fn covers_all_joints(&self) -> bool {
+    /// No joint speaks against the challenger: each has told it on `rows` rows and does not find it worse by more than
+    /// `sigmas` standard deviations, or its torque is left as it is.
+    pub(super) fn no_joint_objects(&self, rows: f32, sigmas: f32) -> bool {
         self.joints.iter().all(|told| {
-            if told.weight >= TOLD_ROWS {
-                !exceeds(-told.advantage, told.scatter, VETO_SIGMAS)
+            if told.weight >= rows {
+                !exceeds(-told.advantage, told.scatter, sigmas)
             } else {
                 told.untold <= UNTOLD_CHANGE
             }
@@ -230,16 +233,22 @@ mod tests {
             evidence.note(0, torque + noise, torque + 2.0, noise);
             evidence.note_still(1, 0.05);
         }
-        assert!(evidence.favours(3.0) && !evidence.covers_all_joints());
+        assert!(evidence.favours(3.0) && !evidence.no_joint_objects(100.0, 0.0));
+        // Only once what it would have been is long ago.
         evidence.note_still(1, 0.001);
-        assert!(evidence.covers_all_joints());
-        for (torque, noise) in rows(200) {
+        assert!(!evidence.no_joint_objects(100.0, 0.0));
+        for (torque, noise) in rows(8000) {
+            evidence.note(0, torque + noise, torque + 2.0, noise);
+        }
+        assert!(evidence.no_joint_objects(100.0, 0.0));
+        for (torque, noise) in rows(400) {
             evidence.note(1, torque + noise, torque, noise + 2.0);
         }
-        assert!(evidence.favours(3.0) && !evidence.covers_all_joints());
-        for (torque, noise) in rows(400) {
+        assert!(evidence.favours(3.0) && !evidence.no_joint_objects(100.0, 0.0));
+        assert!(!evidence.no_joint_objects(100.0, 3.0));
+        for (torque, noise) in rows(800) {
             evidence.note(1, torque + noise, torque + 2.0, noise);
         }
-        assert!(evidence.covers_all_joints());
+        assert!(evidence.no_joint_objects(100.0, 0.0));
     }
 }

@@ -28,8 +28,7 @@ pub struct GuardConfig {
     pub evidence_slices: u32,
     /// Slices after which a candidate that has not been believed is refused.
     pub time_out_slices: u32,
-    /// Slices for which a payload is weighed on after it was believed; for the first tenth of them the arm's own
-    /// parameters rest.
+    /// Slices for which a payload is weighed on after it was believed.
     pub weighing_slices: u32,
     /// Rows after which an estimate may be followed, if it has proved itself on them.
     pub proof_rows: u32,

@@ -6,8 +6,8 @@
 //! Replacement and the timing of the prefetch are assumptions.
 
 use super::image::FLASH;
+use super::step::Step;
 use super::thumb::{Class, Flow, Instruction, PC, Registers};
-use super::trace::Step;
 
 const WAIT_STATES: u64 = 5;
 const LINE_BITS: u32 = 4;

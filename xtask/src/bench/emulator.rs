@@ -10,10 +10,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 
 use super::image::Image;
+use super::spread::{Spread, TICKS};
 use super::trace::{self, Call};
 use crate::shell;
 
-/// No run takes longer than a few seconds; one that does hangs.
+/// No run takes longer than half a minute; one that does hangs.
 const LIMIT: Duration = Duration::from_secs(120);
 
 /// The row whose function returns at once: what it is counted beyond its own instructions is the bracket.
@@ -32,9 +33,9 @@ impl Counts {
     }
 }
 
-/// Counts the instructions of `calls` calls of every row, exactly and the same in every run.
-pub(crate) fn count(elf: &Path, calls: u32) -> Result<Vec<Counts>> {
-    let mut command = machine(elf, calls);
+/// Counts the instructions of `calls` calls of every row and of the long run, exactly and the same in every run.
+pub(crate) fn count(elf: &Path, calls: u32) -> Result<(Vec<Counts>, Spread)> {
+    let mut command = machine(elf, calls, TICKS);
     // One instruction is one nanosecond of virtual time, and TIM2 counts nanoseconds.
     command.args(["-icount", "shift=0,sleep=off"]);
     command.stdout(Stdio::piped()).stderr(Stdio::inherit());
@@ -43,7 +44,11 @@ pub(crate) fn count(elf: &Path, calls: u32) -> Result<Vec<Counts>> {
         child.read_to_string(&mut text)?;
         Ok(text)
     })?;
-    read_counts(&text)
+    let (rows, long_run) = text
+        .trim_end()
+        .rsplit_once('\n')
+        .context("the bench program said nothing")?;
+    Ok((read_counts(rows)?, Spread::read(long_run, TICKS)?))
 }
 
 /// Traces `calls` calls of each of `rows`.
@@ -53,7 +58,7 @@ pub(crate) fn trace(
     calls: u32,
     rows: &[String],
 ) -> Result<Vec<Vec<Call>>> {
-    let mut command = machine(elf, calls);
+    let mut command = machine(elf, calls, 0);
     // One instruction a block, and every block through the loop that logs the processor.
     command.args(["-singlestep", "-d", "cpu,nochain"]);
     // The same pipe under a name: the emulator's own standard error is not buffered, five times slower.
@@ -64,7 +69,7 @@ pub(crate) fn trace(
     })
 }
 
-fn machine(elf: &Path, calls: u32) -> Command {
+fn machine(elf: &Path, calls: u32, ticks: u32) -> Command {
     let mut command = shell::command("qemu-system-arm");
     command
         .args([
@@ -75,7 +80,7 @@ fn machine(elf: &Path, calls: u32) -> Command {
             "none",
         ])
         .args(["-serial", "none", "-semihosting-config"])
-        .arg(format!("enable=on,target=native,arg={calls}"))
+        .arg(format!("enable=on,target=native,arg={calls},arg={ticks}"))
         .arg("-kernel")
         .arg(elf);
     command

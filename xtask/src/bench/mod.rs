@@ -3,6 +3,7 @@
 //! Two runs of one ELF in the emulator: one counts the instructions of every call, the other logs the processor before
 //! each instruction. What was logged is decoded here and priced. The two must agree, call by call.
 
+mod anchors;
 mod budget;
 mod calls;
 mod cycles;
@@ -11,6 +12,8 @@ mod gates;
 mod image;
 mod memory;
 mod report;
+mod spread;
+mod step;
 mod thumb;
 mod trace;
 
@@ -23,6 +26,7 @@ use budget::{Budget, Measured};
 use emulator::Counts;
 use image::Image;
 use memory::Memory;
+use spread::{PERMILLE_LIMIT, Spread};
 use trace::Call;
 
 use crate::setup::{self, Way};
@@ -59,6 +63,10 @@ impl Row {
     fn instructions_quantity(&self) -> String {
         format!("{}, instructions", self.name)
     }
+
+    fn cycles_quantity(&self) -> String {
+        format!("{}, est. cycles", self.name)
+    }
 }
 
 /// Measures, prints the table, writes `bench.json`, and compares with the budget; `accept` writes the budget anew.
@@ -71,12 +79,12 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
             .args(["--bin", "bench", "--bin", "joint"]),
     )?;
     let toolchain = version(tools.board)?;
-    let rows = measure()?;
+    let (rows, spread) = measure()?;
     let joint = Image::read(&elf("joint"))?;
     let seen = gates::check(&joint)?;
     let memory = Memory::of(&joint)?;
 
-    let measured = quantities(&rows, &memory);
+    let measured = quantities(&rows, &spread, &memory);
     let committed = Budget::read();
     let budget = if accept {
         let before = committed.unwrap_or_default();
@@ -87,6 +95,7 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
         committed?
     };
     println!("\n{}", report::table(&rows, &memory, &budget));
+    println!("{}\n", report::spread(&spread));
     println!("executed instructions by kind");
     for row in &rows {
         println!("{}", report::mix(row));
@@ -99,8 +108,11 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
     if let Some(parent) = out.parent() {
         fs::create_dir_all(parent)?;
     }
-    fs::write(&out, report::json(&toolchain, &rows, &memory, &budget))
-        .with_context(|| format!("cannot write {}", out.display()))?;
+    fs::write(
+        &out,
+        report::json(&toolchain, &rows, &spread, &memory, &budget),
+    )
+    .with_context(|| format!("cannot write {}", out.display()))?;
     println!("figures: {OUT}");
 
     let verdict = budget.compare(&toolchain, &measured);
@@ -117,13 +129,18 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
     Ok(())
 }
 
-/// The gates on the linked firmware, which must have been built: what its handlers reach, and that its RAM suffices.
+/// The gates on the linked firmware, which must have been built: what its handlers reach, and that its RAM suffices. On the
+/// board that drives its joint, too, whose tick does more.
 pub(crate) fn check_firmware() -> Result<()> {
-    let joint = Image::read(&elf("joint"))?;
-    let seen = gates::check(&joint)?;
-    let memory = Memory::of(&joint)?;
+    ["joint", "joint-drive"].into_iter().try_for_each(check)
+}
+
+fn check(name: &str) -> Result<()> {
+    let image = Image::read(&elf(name)).with_context(|| format!("cannot read `{name}`"))?;
+    let seen = gates::check(&image).with_context(|| format!("in `{name}`"))?;
+    let memory = Memory::of(&image).with_context(|| format!("in `{name}`"))?;
     println!(
-        "{seen} functions reachable from interrupts: no panic, no software f64, no allocator; stack bounded by {} B, \
+        "{name}: {seen} functions reachable from interrupts: no panic, no software f64, no allocator; stack bounded by {} B, \
          the tick's by {} B",
         memory.nested_bytes, memory.stack_bytes
     );
@@ -141,11 +158,11 @@ fn version(toolchain: Toolchain) -> Result<String> {
     Ok(line.context("rustc names no version")?.trim().to_owned())
 }
 
-/// Counts and traces every row and lets the two runs judge each other.
-fn measure() -> Result<Vec<Row>> {
+/// Counts and traces every row and lets the two runs judge each other; counts the long run.
+fn measure() -> Result<(Vec<Row>, Spread)> {
     let path = elf("bench");
     let image = Image::read(&path)?;
-    let counts = emulator::count(&path, COUNTED)?;
+    let (counts, spread) = emulator::count(&path, COUNTED)?;
     let names: Vec<String> = counts.iter().map(|row| row.name.clone()).collect();
     let traces = emulator::trace(&path, &image, TRACED, &names)?;
     let mut pairs = counts.iter().zip(&traces);
@@ -153,9 +170,10 @@ fn measure() -> Result<Vec<Row>> {
     let (empty, own) = pairs.next().context("the bench program has no rows")?;
     let own = own.first().context("the first row was not traced")?;
     let bracket = empty.max().saturating_sub(own.instructions);
-    pairs
+    let rows = pairs
         .map(|(counts, calls)| row(&image, counts, calls, bracket))
-        .collect()
+        .collect::<Result<_>>()?;
+    Ok((rows, spread.without(bracket)))
 }
 
 fn row(image: &Image, counts: &Counts, calls: &[Call], bracket: u32) -> Result<Row> {
@@ -211,13 +229,14 @@ fn row(image: &Image, counts: &Counts, calls: &[Call], bracket: u32) -> Result<R
 }
 
 /// Everything that has a budget.
-fn quantities(rows: &[Row], memory: &Memory) -> Vec<Measured> {
+fn quantities(rows: &[Row], spread: &Spread, memory: &Memory) -> Vec<Measured> {
     let mut measured = Vec::new();
     let mut add = |quantity: String, value: u64, how| {
         measured.push(Measured {
             quantity,
             value,
             how,
+            allowed: None,
         });
     };
     for row in rows {
@@ -227,7 +246,7 @@ fn quantities(rows: &[Row], memory: &Memory) -> Vec<Measured> {
             "emulator, counted by TIM2 under -icount",
         );
         add(
-            format!("{}, est. cycles", row.name),
+            row.cycles_quantity(),
             row.cycles.ceil() as u64,
             "estimate over the traced instructions",
         );
@@ -248,5 +267,11 @@ fn quantities(rows: &[Row], memory: &Memory) -> Vec<Measured> {
     ] {
         add(format!("{name}, bytes"), u64::from(bytes), how);
     }
+    measured.push(Measured {
+        quantity: spread.quantity(),
+        value: spread.permille(),
+        how: "emulator, 100000 different ticks with the learner at work",
+        allowed: Some(PERMILLE_LIMIT),
+    });
     measured
 }

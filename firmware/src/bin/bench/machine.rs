@@ -35,8 +35,8 @@ pub(crate) fn count(run: fn(&mut Stage), stage: &mut Stage) -> u32 {
     now().wrapping_sub(before)
 }
 
-/// The number on the command line that the host passes by semihosting.
-pub(crate) fn calls() -> u32 {
+/// The numbers on the command line that the host passes by semihosting: calls of each row, ticks of the long run.
+pub(crate) fn numbers() -> (u32, u32) {
     const SYS_GET_CMDLINE: usize = 0x15;
     let mut text = [0u8; 32];
     // Cells, because the host writes the length of the text back.
@@ -44,18 +44,20 @@ pub(crate) fn calls() -> u32 {
     // SAFETY: the block holds the address and the size of a buffer that outlives the call, as the operation requires
     // (ARM semihosting 2.0, SYS_GET_CMDLINE); the host writes both.
     let failed = unsafe { syscall(SYS_GET_CMDLINE, &block) };
-    let digits = black_box(&text)
-        .iter()
-        .skip_while(|byte| !byte.is_ascii_digit())
-        .take_while(|byte| byte.is_ascii_digit());
-    let number = digits.fold(0u32, |n, byte| {
-        n.wrapping_mul(10).wrapping_add(u32::from(byte - b'0'))
-    });
-    if failed != 0 || number == 0 {
-        CALLS
-    } else {
-        number
+    if failed != 0 {
+        return (CALLS, 0);
     }
+    let mut words = black_box(&text)
+        .split(|byte| !byte.is_ascii_digit())
+        .filter(|word| !word.is_empty());
+    let mut number = || {
+        let digits = words.next().unwrap_or_default().iter();
+        digits.fold(0u32, |n, byte| {
+            n.wrapping_mul(10).wrapping_add(u32::from(byte - b'0'))
+        })
+    };
+    let calls = number();
+    (if calls == 0 { CALLS } else { calls }, number())
 }
 
 #[panic_handler]

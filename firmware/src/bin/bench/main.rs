@@ -2,7 +2,7 @@
 //!
 //! One line `name count` leaves over semihosting for every call of every row. The count is that of TIM2, which under
 //! `-icount shift=0` advances by one for each executed instruction. The semihosting command line is the number of
-//! calls of each row.
+//! calls of each row, then the number of ticks of the long run, of which one line `name least sum most` leaves.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 /// An arm without round numbers, from the acceptance tests: sparsity must not be mistaken for skill.
@@ -10,6 +10,8 @@
 #[expect(unreachable_pub, reason = "written by the generator for a library")]
 #[path = "../../../../tests/tests/calibrated/arm.rs"]
 mod calibrated;
+#[cfg(target_os = "none")]
+mod long_run;
 #[cfg(target_os = "none")]
 mod machine;
 #[cfg(target_os = "none")]
@@ -30,7 +32,8 @@ fn main() -> ! {
     use cortex_m_semihosting::{debug, hprintln};
 
     machine::start_counter();
-    if run(machine::calls()).is_none() {
+    let (calls, ticks) = machine::numbers();
+    if run(calls, ticks).is_none() {
         hprintln!("the configuration of the tick does not validate");
         debug::exit(debug::EXIT_FAILURE);
     }
@@ -41,7 +44,7 @@ fn main() -> ! {
 }
 
 #[cfg(target_os = "none")]
-fn run(calls: u32) -> Option<()> {
+fn run(calls: u32, ticks: u32) -> Option<()> {
     /// Too large for the stack, and for code that would build it: it lies in the image.
     static mut LEARNER: Learner<Ur5, JOINTS, PARAMETERS> = stage::Stage::LEARNER;
     // SAFETY: this function runs once, nothing else names the static, and no interrupt is enabled.
@@ -55,6 +58,16 @@ fn run(calls: u32) -> Option<()> {
             cortex_m_semihosting::hprintln!("{} {}", row.name, count);
         }
         learner = stage.learner;
+    }
+    if ticks > 0 {
+        let mut stage = stage::Stage::new(learner)?;
+        let spread = long_run::of_step(&mut stage, ticks);
+        cortex_m_semihosting::hprintln!(
+            "feedforward_step {} {} {}",
+            spread.least,
+            spread.sum,
+            spread.most
+        );
     }
     Some(())
 }

@@ -21,7 +21,7 @@ macro_rules! rows {
     ($($name:ident($stage:pat) $body:expr;)*) => {
         $(
             #[inline(never)]
-            fn $name($stage: &mut Stage) {
+            pub(crate) fn $name($stage: &mut Stage) {
                 $body
             }
         )*

@@ -21,8 +21,6 @@ const CHECKPOINT_TICKS: u32 = 128;
 const REOPENED: f32 = 0.05;
 /// Ticks for which alarms are not listened to after such a change.
 const RELEARNING_TICKS: u32 = 5000;
-/// Slices for which a payload has to be carried for the friction learnt meanwhile to stay: half a minute.
-const LONG_CARRIED_SLICES: u32 = 3000;
 /// Rounds between two looks at trust.
 const TRUST_ROUNDS: u32 = 16;
 
@@ -184,7 +182,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 _ => config.proof_rows,
             };
             let settled = evidence.rows() >= patience;
-            let covered = evidence.covers_all_joints();
+            let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
+            // What is a little better on a few rows of a joint may be fitted to those.
+            let told = if early {
+                config.proof_rows / N as u32
+            } else {
+                config.proof_rows
+            } as f32;
             let fault = evidence.common_gain(config.gain_error).filter(|_| settled);
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
                 state.note(tick, Reason::DriveGain, None, gain);
@@ -197,10 +201,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 if evidence.favours(-config.proof_sigmas) {
                     state.roll_back();
                     state.note(tick, Reason::RolledBack, None, evidence.ratio());
-                } else if covered {
+                } else if evidence.no_joint_objects(told, config.proof_sigmas) {
                     state.follow(&pending, self.config.torque_step);
                     let followed = state.guard.followed;
-                    let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
                     let due = followed >= config.commit_rows
                         || followed >= config.commit_rows / 4 && early;
                     if due {
@@ -211,7 +214,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                         state.note(tick, Reason::Committed, None, evidence.ratio());
                     }
                 }
-            } else if settled && covered && fault.is_none() && evidence.favours(config.proof_sigmas)
+            } else if settled
+                && evidence.no_joint_objects(told, 0.0)
+                && fault.is_none()
+                && evidence.favours(config.proof_sigmas)
             {
                 state.guard.following = true;
                 state.guard.followed = 0;
@@ -292,7 +298,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
             return;
         };
         let (mut estimate, mut active) = (before.estimate, before.active);
-        if guard.slices_carried >= LONG_CARRIED_SLICES {
+        if !guard.resting() {
             estimate.friction = self.estimate.parameters().friction;
             active.friction = Stacked::of(&self.candidate).friction;
         }

@@ -88,7 +88,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 },
             );
             verdict = Verdict::Frozen;
-            if state.phase().learns() && !state.guard.resting(&self.config.guard) {
+            if state.phase().learns() && !state.guard.resting() {
                 let correction =
                     state
                         .estimate

@@ -1,0 +1,90 @@
+//! What the measured quantities are to reach, and the best that anybody else has published.
+//!
+//! The peers' figures were measured as ours are: instructions executed in the emulator, cycles estimated at zero wait
+//! states. gcc fuses multiplications with additions, our code never does.
+
+/// One quantity of the budget beside others.
+struct Anchor {
+    /// As the budget names it.
+    quantity: &'static str,
+    /// What this project wants to reach.
+    reach: Option<u32>,
+    /// The best peer.
+    peer: Option<Peer>,
+}
+
+/// Somebody else's figure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Peer {
+    pub(crate) value: u32,
+    pub(crate) who: &'static str,
+}
+
+const NEWLIB: &str = "newlib sinf + cosf";
+const PINOCCHIO: &str = "Pinocchio + CasADi, 60 run-time parameters, gcc -Ofast";
+const PINOCCHIO_ROWS: &str = "Pinocchio + CasADi, all rows of 60 columns";
+const CMSIS: &str = "CMSIS-DSP mat_vec_mult";
+const PLAIN_C: &str = "plain C, -O3 -ffast-math -funroll-loops";
+
+const ANCHORS: &[Anchor] = &[
+    against("sin_cos, instructions", 40, 152, NEWLIB),
+    beside("sin_cos, est. cycles", 272, NEWLIB),
+    against("rnea_ur5, instructions", 1000, 1790, PINOCCHIO),
+    against("rnea_ur5, est. cycles", 1700, 2908, PINOCCHIO),
+    against(
+        "rnea_calibrated, instructions",
+        1700,
+        1890,
+        "the best known",
+    ),
+    against("regressor_row_ur5, instructions", 500, 2834, PINOCCHIO_ROWS),
+    against("regressor_ur5, instructions", 1800, 2834, PINOCCHIO_ROWS),
+    beside("regressor_ur5, est. cycles", 4216, PINOCCHIO_ROWS),
+    against("bp_18_32_6_forward, instructions", 2600, 3049, CMSIS),
+    against("bp_18_32_6_forward, est. cycles", 4766, 4766, PLAIN_C),
+    against("bp_18_32_6_update, instructions", 6500, 7926, PLAIN_C),
+    against("bp_18_32_6_update, est. cycles", 11635, 11635, PLAIN_C),
+    // A tenth of 1 ms at 168 MHz.
+    alone("feedforward_step, est. cycles", 16_800),
+    alone("flash, bytes", 128 << 10),
+    alone("static RAM, bytes", 64 << 10),
+    alone("stack of the tick, bytes", 8 << 10),
+];
+
+const fn against(quantity: &'static str, reach: u32, value: u32, who: &'static str) -> Anchor {
+    Anchor {
+        quantity,
+        reach: Some(reach),
+        peer: Some(Peer { value, who }),
+    }
+}
+
+const fn beside(quantity: &'static str, value: u32, who: &'static str) -> Anchor {
+    Anchor {
+        quantity,
+        reach: None,
+        peer: Some(Peer { value, who }),
+    }
+}
+
+const fn alone(quantity: &'static str, reach: u32) -> Anchor {
+    Anchor {
+        quantity,
+        reach: Some(reach),
+        peer: None,
+    }
+}
+
+/// What `quantity` is to reach; `None` if nothing was set.
+pub(crate) fn reach(quantity: &str) -> Option<u32> {
+    find(quantity)?.reach
+}
+
+/// The best peer of `quantity`; `None` if nobody is known.
+pub(crate) fn peer(quantity: &str) -> Option<Peer> {
+    find(quantity)?.peer
+}
+
+fn find(quantity: &str) -> Option<&'static Anchor> {
+    ANCHORS.iter().find(|anchor| anchor.quantity == quantity)
+}
