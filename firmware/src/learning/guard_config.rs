@@ -121,8 +121,8 @@ impl GuardConfig {
             },
             detector: DetectorConfig {
                 clip: 9.5,
-                drift: 2.5,
-                threshold: 20.0,
+                drift: 3.2,
+                threshold: 25.0,
             },
             heaviest: const { 1.2 * rated_payload::<A, N, P>() },
             lightest: 0.25,

@@ -69,6 +69,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One joint of a slice.
     #[inline(never)]
     fn weigh(&mut self, tick: u32, joint: usize, slice: &Slice<N>) {
+        if self.own.is_some_and(|own| own != joint) {
+            // What is left of a joint whose friction is not learnt here is no news.
+            return;
+        }
         let state = &mut self.state;
         let (Some(true), Some(&left), Some(limits), Some(&measured), Some(&innovation)) = (
             slice.moving.get(joint),
@@ -132,7 +136,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         match self.state.report.quality.phase {
             Phase::Trial => {
                 let loaded = guard.loaded();
-                if let Some(verdict) = guard.trial.judge(config, loaded) {
+                if let Some(verdict) = guard.trial.judge(config, loaded, self.own.is_some()) {
                     self.end_trial(tick, verdict);
                 }
             }
