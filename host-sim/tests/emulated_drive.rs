@@ -25,7 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const JOINT: usize = 1;
 const FULL_SCALE_NM: f32 = 12.5 * 16.0;
 const TOP: f32 = 8400.0;
-/// Zero torque for ever; what never comes to pass.
+/// What never comes to pass.
 const NEVER: u16 = u16::MAX;
 /// Bytes that a reading of the encoder moves.
 const READING: u16 = 4;
@@ -195,24 +195,31 @@ fn encoder(angle: u16, readings: u16) -> Vec<u16> {
     ]);
     code.extend(mov16(0, angle, false));
     code.extend(mov16(0, diagnostics, true));
-    code.extend(mov16(1, readings.saturating_mul(READING), false));
     code.extend([
         0x00D3, // lsls r3, r2, #3
         0x41D8, // rors r0, r3
         0xB2C0, // uxtb r0, r0
-        0x428A, // cmp r2, r1
-        0xBF28, // it hs
-        0x2000, // movhs r0, #0
-        0x4770, // bx lr
     ]);
+    if readings != NEVER {
+        code.extend(mov16(1, readings * READING, false));
+        code.extend([
+            0x428A, // cmp r2, r1
+            0xBF28, // it hs
+            0x2000, // movhs r0, #0
+        ]);
+    }
+    code.push(0x4770); // bx lr
     code
 }
 
 /// A fault line that is high until the encoder has been read `readings` times.
 fn drive(readings: u16) -> Vec<u16> {
+    if readings == NEVER {
+        return vec![0x2001, 0x4770]; // movs r0, #1; bx lr
+    }
     let mut code = COUNTER.concat();
     code.push(0x680A); // ldr r2, [r1]
-    code.extend(mov16(3, readings.saturating_mul(READING), false));
+    code.extend(mov16(3, readings * READING, false));
     code.extend([
         0x1AD0, // subs r0, r2, r3
         0x0FC0, // lsrs r0, r0, #31
@@ -273,6 +280,22 @@ fn a_board_without_its_encoder_refuses_to_arm_and_says_why() {
     }
     assert_eq!(trial.refusal(), SafetyReason::Encoder);
     trial.is_off();
+}
+
+#[test]
+fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
+    // `mov.w r0, #256; bx lr`: no byte came in time.
+    let silent = vec![0xF44F, 0x7080, 0x4770];
+    let patches = [("3spi8exchange", silent), ("4pins8pin_high", drive(NEVER))];
+    let mut trial = Trial::start("bus", &patches);
+    for tick in 0..10 {
+        let reply = trial.sample(&still());
+        assert_eq!(reply.tick, tick);
+        assert_eq!(reply.safety.reason, SafetyReason::Encoder);
+    }
+    assert_eq!(trial.refusal(), SafetyReason::Encoder);
+    let log = trial.log();
+    assert!(log.contains("encoder: encoder bus"), "{log}");
 }
 
 #[test]
@@ -348,7 +371,8 @@ fn a_stop_ends_the_pulses_at_once() {
 fn silence_ends_the_pulses() {
     let mut trial = Trial::equipped("silence", 0, NEVER, NEVER);
     let configuration = Configuration {
-        period_us: 2000,
+        // The time-out is some two hundred ticks then, which a busy host does not miss between two samples.
+        period_us: 250,
         pacing: Pacing::SysTick,
         ..Configuration::default()
     };
@@ -361,7 +385,9 @@ fn silence_ends_the_pulses() {
     }
     trial.client.arm(&still()).expect("it can be armed");
     trial.sample(&still());
-    assert!(trial.stage().enabled);
+    let trace = fs::read_to_string(&trial.trace).expect("the emulator writes a trace");
+    let on = |line| matches!(written(line), Some(("GPIOB", 0x18, bits)) if bits == 1 << 8);
+    assert!(trace.lines().any(on), "it was armed");
     // The time of the emulator moves on when somebody talks to it, in leaps; what is said here is no sample.
     let deadline = Instant::now() + PATIENCE;
     while trial.stage().enabled {

@@ -332,7 +332,9 @@ mod tests {
                 (*random >> 11) as f64 / (1u64 << 53) as f64 - 0.5
             })
             .sum();
-        tau[joint] = row.dot(&truth) + (0.01 * noise) as f32 * Ur5::LIMITS[joint].torque;
+        // A row is made from a mean of torques.
+        let noise = 0.01 * noise / (AVERAGED as f64).sqrt();
+        tau[joint] = row.dot(&truth) + noise as f32 * Ur5::LIMITS[joint].torque;
         (row, tau[joint])
     }
 

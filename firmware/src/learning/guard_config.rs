@@ -130,7 +130,7 @@ impl GuardConfig {
             mass_sigma: 0.15,
             inflation: 5.0,
             residual_ratio: 0.6,
-            calm: 0.7,
+            calm: 0.5,
             evidence_slices: 5,
             time_out_slices: 300,
             weighing_slices: 1000,

@@ -183,12 +183,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             };
             let settled = evidence.rows() >= patience;
             let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
-            // What is a little better on a few rows of a joint may be fitted to those.
-            let told = if early {
-                config.proof_rows / N as u32
-            } else {
-                config.proof_rows
-            } as f32;
+            // A little better on some joints may be worse on others; much better is worth it.
+            let much = evidence.ratio() < config.residual_ratio;
+            let told = config.proof_rows as f32;
+            let agreed = |sigmas: f32| much || evidence.no_joint_objects(told, sigmas);
             let fault = evidence.common_gain(config.gain_error).filter(|_| settled);
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
                 state.note(tick, Reason::DriveGain, None, gain);
@@ -201,7 +199,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 if evidence.favours(-config.proof_sigmas) {
                     state.roll_back();
                     state.note(tick, Reason::RolledBack, None, evidence.ratio());
-                } else if evidence.no_joint_objects(told, config.proof_sigmas) {
+                } else if agreed(config.proof_sigmas) {
                     state.follow(&pending, self.config.torque_step);
                     let followed = state.guard.followed;
                     let due = followed >= config.commit_rows
@@ -215,7 +213,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                     }
                 }
             } else if settled
-                && evidence.no_joint_objects(told, 0.0)
+                && agreed(0.0)
                 && fault.is_none()
                 && evidence.favours(config.proof_sigmas)
             {

@@ -136,7 +136,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         match self.state.report.quality.phase {
             Phase::Trial => {
                 let loaded = guard.loaded();
-                if let Some(verdict) = guard.trial.judge(config, loaded, self.own.is_some()) {
+                let mut usual = 0.0;
+                let joints = guard.slice_variance.iter();
+                for ((square, _), measured) in joints.zip(self.state.estimate.variance()) {
+                    usual += square / (AVERAGED as f32 * measured * N as f32);
+                }
+                let alone = self.own.is_some();
+                let verdict = guard.trial.judge(config, loaded, alone, usual);
+                if let Some(verdict) = verdict {
                     self.end_trial(tick, verdict);
                 }
             }
