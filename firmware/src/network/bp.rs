@@ -97,13 +97,13 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// Output of the network for input `x`.
     ///
     /// Cost: `I H + H O` multiply-adds and `H` activations.
-    #[inline]
+    #[inline(always)]
     pub fn forward(&self, x: &SVector<f32, I>) -> SVector<f32, O> {
         self.output(&self.hidden(x))
     }
 
     /// Outputs of the hidden units for input `x`.
-    #[inline]
+    #[inline(always)]
     pub fn hidden(&self, x: &SVector<f32, I>) -> SVector<f32, H> {
         let mut a = self.hidden_bias;
         sweep(&self.hidden_weights, x, &mut a);
@@ -114,7 +114,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     }
 
     /// Output of the network for hidden outputs `a`.
-    #[inline]
+    #[inline(always)]
     pub fn output(&self, a: &SVector<f32, H>) -> SVector<f32, O> {
         let mut y = self.output_bias;
         sweep(&self.output_weights, a, &mut y);
@@ -135,7 +135,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
 /// `y += W x`, in blocks of eight, four, two and one rows whose sums stay in registers while the columns go by.
 ///
 /// Every element adds its products in the order of the columns whatever its block, so the bits do not depend on it.
-#[inline]
+#[inline(always)]
 fn sweep<const R: usize, const C: usize>(
     weights: &SMatrix<f32, R, C>,
     x: &SVector<f32, C>,
@@ -164,13 +164,13 @@ fn sweep<const R: usize, const C: usize>(
 }
 
 /// What is left of `column` after whole blocks of `BLOCK` rows.
-#[inline]
+#[inline(always)]
 fn tail<const BLOCK: usize>(column: &[f32]) -> &[f32] {
     column.as_chunks::<BLOCK>().1
 }
 
 /// Adds the products of one block of rows, column by column.
-#[inline]
+#[inline(always)]
 fn accumulate<const B: usize, const R: usize>(
     columns: &[[f32; R]],
     x: &[f32],

@@ -62,7 +62,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// * returns the error `y − target` before the step, unclipped. If it is not finite, nothing changes.
     ///
     /// Cost: forward pass, and `2 I H + 4 H O` multiply-adds.
-    #[inline]
+    #[inline(always)]
     pub fn update(
         &mut self,
         x: &SVector<f32, I>,
@@ -74,7 +74,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
 
     /// [`update`](Self::update) with a rate of its own for the hidden layer: `hidden` times that of the output layer.
     /// With 0 the hidden layer stays as it is.
-    #[inline]
+    #[inline(always)]
     pub fn update_layers(
         &mut self,
         x: &SVector<f32, I>,
@@ -101,7 +101,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     }
 
     /// The deltas of output errors `output`, where the hidden outputs are `a`.
-    #[inline]
+    #[inline(always)]
     fn propagate_back(&self, a: &SVector<f32, H>, output: SVector<f32, O>) -> Deltas<H, O> {
         let mut sensitivity = 0.0;
         let mut power = 0.0;
@@ -133,7 +133,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
 }
 
 /// `W ← W − rate · delta sourceᵀ`, column by column.
-#[inline]
+#[inline(always)]
 fn descend<const R: usize, const C: usize>(
     weights: &mut SMatrix<f32, R, C>,
     source: &SVector<f32, C>,
@@ -160,7 +160,7 @@ fn descend<const R: usize, const C: usize>(
 }
 
 /// `b ← b − rate · delta`.
-#[inline]
+#[inline(always)]
 fn descend_bias<const R: usize>(bias: &mut SVector<f32, R>, delta: &SVector<f32, R>, rate: f32) {
     for (bias, delta) in bias.as_mut_slice().iter_mut().zip(delta.as_slice()) {
         *bias -= rate * delta;
@@ -168,7 +168,7 @@ fn descend_bias<const R: usize>(bias: &mut SVector<f32, R>, delta: &SVector<f32,
 }
 
 /// `value` cut to ±`bound`. Not `f32::clamp`, which panics when the bound is not a number.
-#[inline]
+#[inline(always)]
 fn clip(value: f32, bound: f32) -> f32 {
     if value > bound {
         bound
@@ -179,12 +179,12 @@ fn clip(value: f32, bound: f32) -> f32 {
     }
 }
 
-#[inline]
+#[inline(always)]
 fn squared<const R: usize>(v: &SVector<f32, R>) -> f32 {
     v.as_slice().iter().map(|v| v * v).sum()
 }
 
-#[inline]
+#[inline(always)]
 fn sum<const R: usize>(v: &SVector<f32, R>) -> f32 {
     v.as_slice().iter().sum()
 }
