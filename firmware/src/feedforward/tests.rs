@@ -435,3 +435,78 @@ fn a_configuration_that_cannot_work_is_refused() {
         Err(ConfigError::NotPositive("limits.position"))
     );
 }
+
+#[test]
+fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_the_limit() {
+    for seed in 1..=40u32 {
+        let mut word = seed;
+        let mut dice = move || {
+            word = word.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (word >> 8) as f32 / 8_388_608.0 - 1.0
+        };
+        let path: [[f32; 3]; N] =
+            core::array::from_fn(|_| [dice() * 3.0, 1.0 + dice(), 0.4 + 0.4 * dice()]);
+        let at = |tick: u32| {
+            let angle = |j: usize| path[j][0] + path[j][1] * tick as f32 * 1e-3;
+            let [speed, size] = [1, 2].map(|k| move |j: usize| path[j][k]);
+            JointMotion::<N> {
+                q: JointVector::from_fn(|j, _| size(j) * angle(j).sin()),
+                qd: JointVector::from_fn(|j, _| size(j) * speed(j) * angle(j).cos()),
+                qdd: JointVector::from_fn(|j, _| -size(j) * speed(j).powi(2) * angle(j).sin()),
+            }
+        };
+        let mut tick = tick(set());
+        let mut exchange = Exchange::new();
+        let (mut largest, mut steps) = (0.0f32, 0);
+        let mut before: Option<(JointVector<N>, JointVector<N>)> = None;
+        for now in 0..600 {
+            // A round closes three ticks before its set is taken; some rounds bring nothing new.
+            if now >= 60 && now % 6 == 0 && dice() > 0.3 {
+                let mut new = set();
+                for value in new.rigid.iter_mut() {
+                    *value *= 1.0 + 0.5 * dice();
+                }
+                for (joint, friction) in new.friction.iter_mut().enumerate() {
+                    friction.coulomb += 0.05 * dice().abs() * Ur5::LIMITS[joint].torque;
+                    new.network[joint].output_bias[0] = 0.1 * dice();
+                }
+                let mut publication = finished(now - 1, new);
+                publication.range = WIDE;
+                publication.commit = dice() > 0.5;
+                for (place, nominal) in publication.payload.iter_mut().zip(Ur5::NOMINAL) {
+                    *place = 0.1 * dice() * nominal;
+                }
+                exchange.published = Some(publication);
+            }
+            let committed = tick.state().committed;
+            tick.adopt(&mut exchange);
+            let recommitted = tick.state().committed != committed;
+            let desired = at(now);
+            let torque = tick.step(&sample(desired));
+            if now < 50 {
+                continue;
+            }
+            assert!(!torque.flags.contains(Flags::SATURATED), "seed {seed}");
+            // Measured from the committed set, whose own torque follows the motion.
+            let reference = evaluate::<Ur5, N, P>(&tick.state().committed, &desired).total;
+            if let Some((total, learned)) = before {
+                let change = if recommitted {
+                    torque.total - total
+                } else {
+                    torque.total - reference - learned
+                };
+                for j in 0..N {
+                    let part = change[j].abs() / Ur5::LIMITS[j].torque;
+                    largest = largest.max(part);
+                    steps += u32::from(part > 0.0099);
+                    assert!(
+                        part < 0.0101,
+                        "seed {seed}, tick {now}, joint {j}: {part}, commit: {recommitted}"
+                    );
+                }
+            }
+            before = Some((torque.total, torque.total - reference));
+        }
+        assert!(steps > 20, "the bound was hardly touched: {largest}");
+    }
+}

@@ -9,7 +9,7 @@ use crate::dynamics::FrictionParameters;
 pub enum ConfigError {
     /// The field must be a positive, finite number.
     NotPositive(&'static str),
-    /// The learning rate of the field is outside `0..1`.
+    /// The field is outside `0..1`.
     RateOutOfRange(&'static str),
 }
 
@@ -57,7 +57,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
     /// numbers of its own: an inertial parameter of link `j` is uncertain by 30 % of its nominal value plus what 2 %
     /// of the joint's torque limit would hold up against gravity (first moments) or accelerate at 10 rad/s²
-    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 2 % of the
+    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 3 % of the
     /// limit, each Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
     ///
     /// * `period_s` period of the tick, s
@@ -81,8 +81,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
             network: TrainerConfig {
-                rate: 0.001,
-                hidden: 0.1,
+                output_sigma: 0.02,
+                hidden_rate: 1e-4,
                 clip_sigmas: 3.0,
             },
             guard: GuardConfig::for_arm::<A, N, P>(1.0 / period_s),
@@ -113,11 +113,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         if !friction.all(|s| s >= 0.0 && s.is_finite()) {
             return Err(ConfigError::NotPositive("friction_sigma"));
         }
-        if !(0.0..1.0).contains(&self.network.rate) {
-            return Err(ConfigError::RateOutOfRange("network.rate"));
+        if !(0.0..1.0).contains(&self.network.output_sigma) {
+            return Err(ConfigError::RateOutOfRange("network.output_sigma"));
         }
-        if !(0.0..=1.0).contains(&self.network.hidden) {
-            return Err(ConfigError::RateOutOfRange("network.hidden"));
+        if !(0.0..1.0).contains(&self.network.hidden_rate) {
+            return Err(ConfigError::RateOutOfRange("network.hidden_rate"));
         }
         self.guard.validate()
     }
@@ -172,7 +172,7 @@ const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [Fric
     while joint < N {
         let limits = A::LIMITS[joint];
         sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
-        sigma[joint].coulomb = 0.02 * limits.torque;
+        sigma[joint].coulomb = 0.03 * limits.torque;
         sigma[joint].stribeck_narrow = 0.01 * limits.torque;
         sigma[joint].stribeck_wide = 0.01 * limits.torque;
         sigma[joint].offset = 0.005 * limits.torque;

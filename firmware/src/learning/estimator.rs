@@ -15,8 +15,16 @@ const MEDIAN_SQUARED: f32 = 0.6745 * 0.6745;
 const VARIANCE_STEP: f32 = 1.005;
 /// Range of the variance, in units of the configured one.
 const VARIANCE_RANGE: (f32, f32) = (0.02, 400.0);
-/// Variance at first: that of a mean of white noise, which is what a row is made from.
-const FIRST_VARIANCE: f32 = 1.0 / AVERAGED as f32;
+/// Variance at first, fifty times that of a mean of white noise, which is what a row is made from: real wrists scatter by
+/// 4 to 12 % of their limits, and what the first rows are believed too much stays in the covariance.
+const FIRST_VARIANCE: f32 = 50.0 / AVERAGED as f32;
+/// The first rows move the variance by this over their number, the step with which the median of a normal z is found in
+/// the fewest rows: `1 / (2 φ(m) m)` with m = 0.6745 [Robbins and Monro 1951].
+const VARIANCE_GAIN: f32 = 2.3;
+/// Rows after which that step is the lasting one.
+const NOTICED_ROWS: f32 = VARIANCE_GAIN / (VARIANCE_STEP - 1.0);
+/// Rows for which the first variance counts.
+const FIRST_ROWS: f32 = 4.0;
 
 /// The first friction columns of a joint, those that change with temperature and wear, wander; offset and cogging do not.
 const WANDERING: usize = 4;
@@ -54,6 +62,8 @@ pub struct Estimator<const N: usize, const P: usize> {
     parameters: Stacked<N, P>,
     filter: UdFilter<N, P>,
     variance: [f32; N],
+    /// Rows that each is known from, as far as they were uncertain because of noise.
+    noticed: [f32; N],
     /// The friction column of each joint that wanders with its next row.
     wandering: [usize; N],
 }
@@ -81,6 +91,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             parameters: Stacked::filled(0.0),
             filter: UdFilter::new(),
             variance: [FIRST_VARIANCE; N],
+            noticed: [FIRST_ROWS; N],
             wandering: [0; N],
         }
     }
@@ -90,6 +101,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.parameters = Stacked::of(prior);
         self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
+        self.noticed = [FIRST_ROWS; N];
         self.wandering = [0; N];
     }
 
@@ -138,6 +150,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let sigma = Stacked::sigma(config);
         let innovation = (tau - row.dot(&self.parameters)) * inv_noise;
         let measured = self.variance.get_mut(joint)?;
+        let noticed = self.noticed.get_mut(joint)?;
         if !innovation.is_finite() {
             return None;
         }
@@ -164,10 +177,18 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let squared = innovation * innovation;
         let beyond = squared > MEDIAN_SQUARED * variance;
         let (lower, upper) = VARIANCE_RANGE;
-        let grown = if beyond {
-            *measured * VARIANCE_STEP
+        let step = if *noticed < NOTICED_ROWS {
+            // An innovation that comes from doubt about the parameters says nothing of the noise.
+            let share = *measured / variance;
+            *noticed += share;
+            1.0 + VARIANCE_GAIN * share / *noticed
         } else {
-            *measured * (1.0 / VARIANCE_STEP)
+            VARIANCE_STEP
+        };
+        let grown = if beyond {
+            *measured * step
+        } else {
+            *measured / step
         };
         *measured = grown.clamp(lower, upper);
         let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
@@ -240,6 +261,7 @@ mod tests {
         theta: Vec<f64>,
         p: Vec<Vec<f64>>,
         variance: [f64; N],
+        noticed: [f64; N],
         visits: [usize; N],
     }
 
@@ -260,7 +282,12 @@ mod tests {
             }
             let z = innovation / s.sqrt();
             let up = z.abs() > 0.6745;
-            self.variance[joint] *= if up { 1.005 } else { 1.0 / 1.005 };
+            let mut step = 1.005;
+            if self.noticed[joint] < f64::from(NOTICED_ROWS) {
+                self.noticed[joint] += self.variance[joint] / s;
+                step = 1.0 + 2.3 * self.variance[joint] / s / self.noticed[joint];
+            }
+            self.variance[joint] *= if up { step } else { 1.0 / step };
             for (theta, gain) in self.theta.iter_mut().zip(&gain) {
                 let moved = *theta + gain * z.clamp(-3.0, 3.0) / s.sqrt();
                 *theta = moved.clamp(-4.0, 4.0);
@@ -327,6 +354,7 @@ mod tests {
                 .map(|i| (0..n).map(|k| f64::from(u8::from(i == k))).collect())
                 .collect(),
             variance: [f64::from(FIRST_VARIANCE); N],
+            noticed: [f64::from(FIRST_ROWS); N],
             visits: [0; N],
         };
         let (mut worst, mut random) = (0.0f64, 7);

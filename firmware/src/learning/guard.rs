@@ -36,8 +36,9 @@ pub(super) struct Guard<const N: usize, const P: usize> {
     pub(super) filter: PayloadFilter,
     pub(super) slices_carried: u32,
     pub(super) trial: Trial,
-    /// Mean square of each joint's slices while nothing happens, in variances of a measurement.
-    pub(super) slice_variance: [f32; N],
+    /// Mean square of each joint's slices while nothing happens, in units of the configured noise, and how many of them
+    /// it is the mean of.
+    pub(super) slice_variance: [(f32, u32); N],
     /// From before the payload in the torque.
     pub(super) unloaded: Option<Checkpoint<N, P>>,
     /// From the last and the last but one checkpoint: an alarm comes after the change.
@@ -76,7 +77,7 @@ impl<const N: usize, const P: usize> Guard<N, P> {
             filter: PayloadFilter::new(&nothing, &payload_sigma(config.heaviest)),
             slices_carried: 0,
             trial: Trial::new(config, &nothing),
-            slice_variance: [1.0; N],
+            slice_variance: [(1.0, 0); N],
             unloaded: None,
             checkpoints: [checkpoint; 2],
             evidence: Evidence::NONE,

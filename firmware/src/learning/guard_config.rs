@@ -120,9 +120,9 @@ impl GuardConfig {
                 shortest
             },
             detector: DetectorConfig {
-                clip: 3.0,
-                drift: 0.7,
-                threshold: 6.0,
+                clip: 9.5,
+                drift: 3.2,
+                threshold: 25.0,
             },
             heaviest: const { 1.2 * rated_payload::<A, N, P>() },
             lightest: 0.25,

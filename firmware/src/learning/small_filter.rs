@@ -65,6 +65,13 @@ impl<const K: usize> SmallFilter<K> {
         }
     }
 
+    /// Adds `variance` to every entry of D: what the numbers may have changed by since the row before.
+    pub(super) fn wander(&mut self, variance: f32) {
+        for d in &mut self.diagonal {
+            *d += variance;
+        }
+    }
+
     /// Variance of number `index`; 0 if there is none.
     ///
     /// ```text

@@ -1,24 +1,40 @@
-use super::parameters::{JointNetwork, NETWORK_BOUND, network_inputs};
+use super::parameters::{JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, network_inputs};
+use super::small_filter::SmallFilter;
 use crate::limits::cut;
 use crate::network::StepParameters;
 use nalgebra::SVector;
 
-/// Rows of a joint on which a challenger is judged: 9 s at 167 rows a second.
-const TRIAL_ROWS: u32 = 1500;
-/// A challenger has to leave less than this part of the mean square residual of the network in force.
-const PROMOTION_RATIO: f32 = 0.98;
-/// Significance of a promotion, squared.
-const SIGNIFICANCE: f32 = 9.0;
+/// Weights that lead to the output, with its threshold.
+const OUTPUTS: usize = NETWORK_HIDDEN + 1;
+/// Rows of a block: 0.1 s at 167 rows a second. What is left of a torque stays for tenths of a second, so it is blocks
+/// that are counted, not rows.
+const BLOCK_ROWS: u32 = 16;
+/// Weight of all older blocks in the one after: 37 % after 4096 rows, 25 s.
+const FADE: f32 = 1.0 - BLOCK_ROWS as f32 / 4096.0;
+/// Rows of a joint on which a trainee has to prove itself at least, 6 s.
+const PROOF_ROWS: u32 = 1000;
+/// Rows after which a network in the torque may be found to harm.
+const HARM_ROWS: u32 = 256;
+/// Significance of a proof.
+const SIGNIFICANCE: f32 = 3.0;
+/// Significance that a joint's own rows must have, where those of all joints together prove it: noise hides in a joint
+/// what is plain in six.
+const OWN_SIGNIFICANCE: f32 = 0.5;
+/// A trainee has to leave less than this part of the mean square residual of the network in force.
+const PROMOTION_RATIO: f32 = 0.995;
 /// Residuals count up to this many standard deviations.
 const CLIP: f32 = 6.0;
+/// Variance that each row gives back to the output weights, in units of the prior's: the drives change.
+const WANDERING: f32 = 1e-8;
 
 /// How the networks are trained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainerConfig {
-    /// Step of the output layer, as a fraction of the step that would cancel the error of a row; 0 trains nothing.
-    pub rate: f32,
-    /// Step of the hidden layer, over that of the output layer; 0 leaves it as it is.
-    pub hidden: f32,
+    /// Prior standard deviation of the weights that lead to the output, in units of the torque limit; 0 trains nothing.
+    pub output_sigma: f32,
+    /// Back-propagation step of the hidden layer, as a fraction of the step that would cancel the error of a row; 0 leaves
+    /// it as it is.
+    pub hidden_rate: f32,
     /// Errors beyond this many standard deviations of the measurement act as if they had this many.
     pub clip_sigmas: f32,
 }
@@ -34,47 +50,99 @@ pub(super) struct NetworkRow {
     pub sigma: f32,
 }
 
-/// How a trial of a network ended.
+/// What the evidence says of a network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum NetworkVerdict {
-    /// The challenger takes the place of the network in force. Its mean square residual over that of the other.
+    /// The trainee takes the place of the network in force. Its mean square residual over that of the other.
     Promoted(f32),
     /// The network in force makes the torque worse than none. Its mean square residual over that without.
     Silenced(f32),
 }
 
-/// Sums over one trial.
+/// Differences of squared residuals, summed, with the sum of their squares over blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Sums {
-    rows: u32,
-    active: f32,
-    challenger: f32,
-    silent: f32,
-    /// Σ (active² − challenger²)², Σ (active² − silent²)².
+struct Difference {
+    block: f32,
+    sum: f32,
     scatter: f32,
-    silent_scatter: f32,
 }
 
-impl Sums {
+impl Difference {
+    const NONE: Self = Self {
+        block: 0.0,
+        sum: 0.0,
+        scatter: 0.0,
+    };
+
+    fn close_block(&mut self) {
+        self.sum = FADE * self.sum + self.block;
+        self.scatter = FADE * self.scatter + self.block * self.block;
+        self.block = 0.0;
+    }
+
+    /// The sum lies more than `sigmas` standard deviations above 0.
+    fn proves(&self, sigmas: f32) -> bool {
+        self.sum > 0.0 && self.sum * self.sum > sigmas * sigmas * self.scatter
+    }
+}
+
+/// What the rows of a joint say of its networks; squares in variances of a measurement, faded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Record {
+    rows: u32,
+    active: f32,
+    trainee: f32,
+    silent: f32,
+    /// active² − trainee².
+    advantage: Difference,
+    /// active² − silent².
+    harm: Difference,
+}
+
+impl Record {
     const NONE: Self = Self {
         rows: 0,
         active: 0.0,
-        challenger: 0.0,
+        trainee: 0.0,
         silent: 0.0,
-        scatter: 0.0,
-        silent_scatter: 0.0,
+        advantage: Difference::NONE,
+        harm: Difference::NONE,
     };
+
+    /// Takes the squares of one row. Returns whether it completes a block.
+    fn note(&mut self, active: f32, trainee: f32, silent: f32) -> bool {
+        self.rows += 1;
+        self.active += active;
+        self.trainee += trainee;
+        self.silent += silent;
+        self.advantage.block += active - trainee;
+        self.harm.block += active - silent;
+        let whole = self.rows.is_multiple_of(BLOCK_ROWS);
+        if whole {
+            self.advantage.close_block();
+            self.harm.close_block();
+            for sum in [&mut self.active, &mut self.trainee, &mut self.silent] {
+                *sum *= FADE;
+            }
+        }
+        whole
+    }
 }
 
 /// Trains the networks of the joints on what the linear parameters leave, out of sight of the torque.
 ///
-/// The trainee learns from every row. A copy of it, the challenger, is held as it is and judged against the network in
-/// force on rows that came after it was made: none of them has fitted it. Only a challenger that wins is believed.
+/// The output layer is a Kalman filter's state: it is linear in what the hidden units say, and a descent at a rate that
+/// noise allows would take minutes to find what the filter has found after some seconds. The hidden layer goes down the
+/// gradient by back-propagation, normalised and clipped.
+///
+/// Every row is first predicted by the trainee, by the network in force and by none, then learnt: no prediction has seen
+/// its row. Only a trainee whose record proves it better goes into the torque; one that harms is taken out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct NetworkTrainer<const N: usize> {
     trainee: [JointNetwork; N],
-    challenger: [JointNetwork; N],
-    sums: [Sums; N],
+    /// Doubt about each output layer. Its state is what is still to be added to the weights: nothing.
+    filter: [SmallFilter<OUTPUTS>; N],
+    record: [Record; N],
 }
 
 impl<const N: usize> NetworkTrainer<N> {
@@ -82,8 +150,8 @@ impl<const N: usize> NetworkTrainer<N> {
     pub(super) const fn new(networks: &[JointNetwork; N]) -> Self {
         Self {
             trainee: *networks,
-            challenger: *networks,
-            sums: [Sums::NONE; N],
+            filter: [SmallFilter::new([0.0; OUTPUTS]); N],
+            record: [Record::NONE; N],
         }
     }
 
@@ -91,7 +159,7 @@ impl<const N: usize> NetworkTrainer<N> {
     ///
     /// * `active` the network in force, replaced where the verdict says so
     ///
-    /// Cost: the network of the joint forwards three times and backwards once.
+    /// Cost: the network of the joint forwards three times and backwards once, one row of a filter of seven.
     #[inline(never)]
     pub(super) fn train(
         &mut self,
@@ -100,58 +168,86 @@ impl<const N: usize> NetworkTrainer<N> {
         row: &NetworkRow,
         active: &mut JointNetwork,
     ) -> Option<NetworkVerdict> {
-        let NetworkRow {
-            qd,
-            residual,
-            sigma,
-        } = *row;
+        if config.output_sigma <= 0.0 {
+            return None;
+        }
+        let inverse = 1.0 / row.sigma;
+        let x = network_inputs(row.qd);
         let trainee = self.trainee.get_mut(joint)?;
-        let challenger = self.challenger.get_mut(joint)?;
-        let sums = self.sums.get_mut(joint)?;
-        let x = network_inputs(qd);
-        let inverse = 1.0 / sigma;
+        let hidden = trainee.hidden(&x);
+        let said = trainee.output(&hidden)[0];
         let square = |said: f32| {
-            let z = cut((residual - said) * inverse, CLIP).0;
+            let z = cut((row.residual - said) * inverse, CLIP).0;
             z * z
         };
-        let said = |network: &JointNetwork| cut(network.forward(&x)[0], NETWORK_BOUND).0;
+        let bounded = |said: f32| cut(said, NETWORK_BOUND).0;
         let silent = square(0.0);
-        let (active_left, challenger_left) = (square(said(active)), square(said(challenger)));
-        if !(residual + active_left + challenger_left + silent).is_finite() {
+        let active_left = square(bounded(active.forward(&x)[0]));
+        let trainee_left = square(bounded(said));
+        if !(row.residual + inverse + active_left + trainee_left + silent).is_finite() {
             return None;
         }
-        let advantage = active_left - challenger_left;
-        let harm = active_left - silent;
-        sums.rows += 1;
-        sums.active += active_left;
-        sums.challenger += challenger_left;
-        sums.silent += silent;
-        sums.scatter += advantage * advantage;
-        sums.silent_scatter += harm * harm;
+        let whole = self
+            .record
+            .get_mut(joint)?
+            .note(active_left, trainee_left, silent);
         let step = StepParameters {
-            learning_rate: config.rate,
-            error_clip: config.clip_sigmas * sigma,
+            learning_rate: config.hidden_rate,
+            error_clip: config.clip_sigmas * row.sigma,
         };
-        trainee.update_layers(&x, &SVector::from([residual]), &step, config.hidden);
-        if sums.rows < TRIAL_ROWS {
-            return None;
+        let before = *trainee;
+        trainee.update_layers(&x, &SVector::from([row.residual]), &step, 1.0);
+        // The output layer is the filter's.
+        trainee.output_weights = before.output_weights;
+        trainee.output_bias = before.output_bias;
+        let filter = self.filter.get_mut(joint)?;
+        let scale = config.output_sigma * inverse;
+        let mut phi = [scale; OUTPUTS];
+        for (phi, hidden) in phi.iter_mut().zip(hidden.iter()) {
+            *phi = scale * hidden;
         }
-        let done = core::mem::replace(sums, Sums::NONE);
-        let proven = |gain: f32, scatter: f32| gain > 0.0 && gain * gain > SIGNIFICANCE * scatter;
-        let verdict = if done.challenger < PROMOTION_RATIO * done.active
-            && done.challenger < PROMOTION_RATIO * done.silent
-            && proven(done.active - done.challenger, done.scatter)
-        {
-            *active = *challenger;
-            Some(NetworkVerdict::Promoted(done.challenger / done.active))
-        } else if proven(done.active - done.silent, done.silent_scatter) {
-            *active = active.silenced();
-            Some(NetworkVerdict::Silenced(done.active / done.silent))
+        filter.wander(WANDERING);
+        let left = cut((row.residual - said) * inverse, config.clip_sigmas).0;
+        filter.update(&phi, left, 1.0);
+        let found = core::mem::replace(&mut filter.theta, [0.0; OUTPUTS]);
+        let weights = trainee.output_weights.iter_mut();
+        let weights = weights.chain(trainee.output_bias.iter_mut());
+        for (weight, found) in weights.zip(found) {
+            *weight += config.output_sigma * found;
+        }
+        if whole {
+            self.judge(joint, active)
         } else {
             None
+        }
+    }
+
+    /// What the record of `joint` says at the end of a block.
+    fn judge(&mut self, joint: usize, active: &mut JointNetwork) -> Option<NetworkVerdict> {
+        let mut all = Difference::NONE;
+        for record in &self.record {
+            all.sum += record.advantage.sum;
+            all.scatter += record.advantage.scatter;
+        }
+        let trainee = self.trainee.get(joint)?;
+        let record = self.record.get_mut(joint)?;
+        let better = record.advantage.proves(SIGNIFICANCE)
+            || all.proves(SIGNIFICANCE) && record.advantage.proves(OWN_SIGNIFICANCE);
+        let verdict = if better
+            && record.rows >= PROOF_ROWS
+            && record.trainee < PROMOTION_RATIO * record.active
+            && record.trainee < record.silent
+        {
+            *active = *trainee;
+            NetworkVerdict::Promoted(record.trainee / record.active)
+        } else if record.rows >= HARM_ROWS && record.harm.proves(SIGNIFICANCE) {
+            *active = active.silenced();
+            NetworkVerdict::Silenced(record.active / record.silent)
+        } else {
+            return None;
         };
-        *challenger = *trainee;
-        verdict
+        *record = Record::NONE;
+        Some(verdict)
     }
 }
 
@@ -160,8 +256,8 @@ mod tests {
     use super::*;
 
     const CONFIG: TrainerConfig = TrainerConfig {
-        rate: 1e-3,
-        hidden: 0.1,
+        output_sigma: 0.02,
+        hidden_rate: 1e-4,
         clip_sigmas: 3.0,
     };
 
@@ -182,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_that_explains_unseen_rows_is_believed_and_nothing_is_before_its_trial_ends() {
+    fn a_network_that_explains_unseen_rows_is_believed_and_nothing_is_before_it_is_proven() {
         let [mut active] = silent();
         let mut trainer = NetworkTrainer::new(&[active]);
         let mut believed = None;
@@ -194,11 +290,15 @@ mod tests {
             }
             assert_eq!(active == silent()[0], believed.is_none(), "row {k}");
         }
-        // The first trial judges what nobody has trained.
         assert!(
-            believed.is_some_and(|k| k >= 2 * TRIAL_ROWS - 1),
+            believed.is_some_and(|k| (PROOF_ROWS - 1..2 * PROOF_ROWS).contains(&k)),
             "{believed:?}"
         );
+        for qd in [-1.5, -0.1, 0.1, 1.5] {
+            let said = active.forward(&network_inputs(qd))[0];
+            let wanted = 0.02 * crate::math::tanh(qd * 5.0);
+            assert!((said - wanted).abs() < 0.003, "{said} at {qd}");
+        }
     }
 
     #[test]
@@ -212,15 +312,88 @@ mod tests {
     }
 
     #[test]
-    fn a_network_that_harms_is_silenced_within_one_trial() {
+    fn what_is_plain_in_all_joints_is_believed_of_each_that_does_not_speak_against_it() {
+        // Half of a standard deviation of each joint's own, where all together are six.
+        let mut record = Record::NONE;
+        record.rows = PROOF_ROWS;
+        (record.active, record.trainee, record.silent) = (1000.0, 970.0, 1000.0);
+        (record.advantage.sum, record.advantage.scatter) = (30.0, 150.0);
+        let mut trainer = NetworkTrainer::new(&[silent()[0]; 6]);
+        trainer.record = [record; 6];
+        trainer.record[3].advantage.sum = 0.0;
+        for joint in 0..6 {
+            let mut active = silent()[0];
+            let mut fresh = trainer;
+            let believed = fresh.judge(joint, &mut active).is_some();
+            assert_eq!(believed, joint != 3, "joint {joint}");
+        }
+        let mut alone = NetworkTrainer::new(&silent());
+        alone.record = [record];
+        assert_eq!(alone.judge(0, &mut silent()[0]), None);
+    }
+
+    #[test]
+    fn what_is_left_for_tenths_of_a_second_is_one_piece_of_news() {
+        let (mut white, mut slow) = (Difference::NONE, Difference::NONE);
+        for k in 0..4096u32 {
+            let sign = |k: u32| {
+                if k.wrapping_mul(0x9E37_79B9) >> 31 == 1 {
+                    1.0
+                } else {
+                    -1.0
+                }
+            };
+            white.block += 0.1 + sign(k);
+            slow.block += 0.1 + sign(k / BLOCK_ROWS);
+            if k % BLOCK_ROWS == BLOCK_ROWS - 1 {
+                white.close_block();
+                slow.close_block();
+            }
+        }
+        assert!(white.proves(SIGNIFICANCE) && !slow.proves(SIGNIFICANCE));
+    }
+
+    #[test]
+    fn a_network_that_harms_is_silenced_in_two_seconds() {
         let [mut active] = silent();
         active.output_bias[0] = 0.02;
         let mut trainer = NetworkTrainer::new(&silent());
-        for k in 0..TRIAL_ROWS {
+        for k in 0..HARM_ROWS {
             trainer.train(&CONFIG, 0, &row(k, 0.0), &mut active);
         }
-        let [[left]] = active.forward(&network_inputs(1.0)).data.0;
-        assert!(left.abs() < 1e-3, "{left}");
+        assert_eq!(active, silent()[0]);
+    }
+
+    #[test]
+    fn without_doubt_about_the_output_layer_nothing_is_trained() {
+        let config = TrainerConfig {
+            output_sigma: 0.0,
+            ..CONFIG
+        };
+        let [mut active] = silent();
+        let mut trainer = NetworkTrainer::new(&silent());
+        let before = trainer;
+        for k in 0..5000 {
+            trainer.train(&config, 0, &row(k, 0.02), &mut active);
+        }
+        assert!(trainer == before && active == silent()[0]);
+    }
+
+    #[test]
+    fn the_hidden_layer_goes_down_the_gradient() {
+        let mut trainer = NetworkTrainer::new(&silent());
+        let config = TrainerConfig {
+            hidden_rate: 0.01,
+            ..CONFIG
+        };
+        let [mut active] = silent();
+        for k in 0..500 {
+            trainer.train(&config, 0, &row(k, 0.02), &mut active);
+        }
+        assert_ne!(
+            trainer.trainee[0].hidden_weights,
+            silent()[0].hidden_weights
+        );
     }
 
     #[test]
@@ -230,12 +403,24 @@ mod tests {
         trainer.train(&CONFIG, 0, &row(1, 0.02), &mut active);
         let before = trainer;
         for bad in [f32::NAN, f32::INFINITY] {
-            let broken = NetworkRow {
-                residual: bad,
-                ..row(2, 0.0)
-            };
-            trainer.train(&CONFIG, 0, &broken, &mut active);
-            assert_eq!(trainer, before);
+            let broken = [
+                NetworkRow {
+                    residual: bad,
+                    ..row(2, 0.0)
+                },
+                NetworkRow {
+                    qd: bad,
+                    ..row(2, 0.0)
+                },
+                NetworkRow {
+                    sigma: 1.0 / bad,
+                    ..row(2, 0.0)
+                },
+            ];
+            for row in broken {
+                trainer.train(&CONFIG, 0, &row, &mut active);
+                assert!(trainer == before);
+            }
         }
     }
 }

@@ -23,6 +23,8 @@ const FADE: f32 = 0.75;
 const WARM_UP: u32 = 2;
 /// Rows that the faded sums must stand for: fewer joints than two in motion prove nothing.
 const LEAST_ROWS: f32 = 8.0;
+/// The same where only one joint is listened to: enough to see that it is calm again, never to believe a payload.
+const LEAST_ROWS_ALONE: f32 = 3.0;
 /// What a candidate may leave of the mean square residual of a large disturbance and still count as explaining it.
 const REMAINDER: f32 = 0.02;
 
@@ -88,12 +90,14 @@ impl Trial {
 
     /// After the last joint of a slice: what the evidence says by now.
     ///
+    /// * `alone` only one joint is listened to
     /// * `usual` mean square of the slices while nothing happens, mean of the joints, in variances of a measurement
     #[inline(never)]
     pub(super) fn judge(
         &mut self,
         config: &GuardConfig,
         loaded: bool,
+        alone: bool,
         usual: f32,
     ) -> Option<Verdict> {
         self.slices += 1;
@@ -110,14 +114,15 @@ impl Trial {
         let gone = loaded
             && empty < config.residual_ratio * current
             && (empty < explained || empty < 1.2 * candidate);
-        let count = |counter: &mut u32, holds: bool| {
+        let count = |counter: &mut u32, holds: bool, enough: bool| {
             *counter = if holds && enough { *counter + 1 } else { 0 };
             *counter >= config.evidence_slices
         };
-        let promoted = count(&mut self.proven, believed);
-        let released = count(&mut self.released, gone);
+        let promoted = count(&mut self.proven, believed, enough);
+        let released = count(&mut self.released, gone, enough);
+        let enough = enough || alone && self.rows >= LEAST_ROWS_ALONE;
         let quiet = config.calm + USUAL * usual;
-        let calm = count(&mut self.calm, current < quiet);
+        let calm = count(&mut self.calm, current < quiet, enough);
         for sum in [
             &mut self.rows,
             &mut self.current,

@@ -64,8 +64,18 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     }
 
     /// A random hidden layer under an output layer of zeros: the network says nothing until it has learnt something.
+    ///
+    /// The second half of the units mirrors the first. With `relu(u) − relu(−u) = u` and `relu(u) + relu(−u) = |u|` the
+    /// output layer alone can then say any odd and any even function of the units' inputs, whatever the seed.
     pub fn silent(seed: u32) -> Self {
-        Self::silent_from(&mut RandomStart::new(seed))
+        let mut network = Self::silent_from(&mut RandomStart::new(seed));
+        for weights in &mut network.hidden_weights.data.0 {
+            let (first, second) = weights.split_at_mut(H / 2);
+            for (mirrored, weight) in second.iter_mut().zip(first) {
+                *mirrored = -*weight;
+            }
+        }
+        network
     }
 
     /// The same hidden layer under an output layer of zeros.

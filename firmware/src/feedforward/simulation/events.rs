@@ -237,3 +237,41 @@ fn after_any_event_the_guard_is_healthy_again() {
     let (sample, torque) = cell.step();
     assert!(cell.error(&sample, &torque) < 0.05);
 }
+
+#[test]
+fn a_board_of_one_joint_hears_what_happens_to_that_joint_and_to_no_other() {
+    let mut cell = Cell {
+        board: Board::new(wrong_prior(1), 0),
+        plant: Plant::new(AS_IT_IS),
+        tick: 0,
+        read: 0,
+    };
+    cell.board.learner.learn_only(1);
+    cell.board.feedforward.set_learning(true);
+    for _ in 0..14_000 {
+        cell.step();
+    }
+    cell.decisions();
+    let heard = |cell: &mut Cell, joint: usize, push: f64| {
+        cell.plant.push[joint] = push;
+        for _ in 0..1000 {
+            cell.step();
+        }
+        cell.plant.push[joint] = 0.0;
+        for _ in 0..12_000 {
+            cell.step();
+        }
+        let decisions = cell.decisions();
+        assert!(!has(&decisions, Reason::Promoted), "{decisions:?}");
+        let alarms = decisions
+            .into_iter()
+            .filter(|decision| decision.reason == Reason::Alarm);
+        alarms.map(|alarm| alarm.joint).next()
+    };
+    assert_eq!(heard(&mut cell, 0, 40.0), None);
+    assert_eq!(heard(&mut cell, 4, 8.0), None);
+    assert_eq!(heard(&mut cell, 1, 40.0), Some(Some(1)));
+    let quality = cell.board.learner.state().report.quality;
+    assert_eq!(quality.phase, Phase::Healthy);
+    assert_eq!(quality.payload, PayloadEstimate::default());
+}

@@ -10,10 +10,12 @@ use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
 use crate::math::sqrt;
 
-/// Range of a joint's usual mean square, in variances of a measurement: white noise leaves a tenth in a slice of ten.
-const SLICE_RANGE: (f32, f32) = (0.1, 4.0);
-/// What one slice counts in it.
-const SLICE_STEP: f32 = 1.0 / 256.0;
+/// Range of a joint's usual mean square, in units of the configured noise: white noise leaves a tenth in a slice of ten.
+const SLICE_RANGE: (f32, f32) = (0.1, 400.0);
+/// A slice counts up to this many times the usual mean square in it: what the detector is there for is not usual.
+const SLICE_CLIP: f32 = 4.0;
+/// Slices over which the usual mean square fades; the first ones are averaged.
+const SLICE_MEMORY: u32 = 256;
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One tick of measurements: gathers the slice, works on one joint of the slice before, learns one row.
@@ -67,6 +69,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One joint of a slice.
     #[inline(never)]
     fn weigh(&mut self, tick: u32, joint: usize, slice: &Slice<N>) {
+        if self.own.is_some_and(|own| own != joint) {
+            // What is left of a joint whose friction is not learnt here is no news.
+            return;
+        }
         let state = &mut self.state;
         let (Some(true), Some(&left), Some(limits), Some(&measured), Some(&innovation)) = (
             slice.moving.get(joint),
@@ -85,26 +91,35 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let single = AVERAGED as f32 * measured;
         let sigma = unit * sqrt(single);
         let guard = &mut state.guard;
-        let Some(usual) = guard.slice_variance.get_mut(joint) else {
+        let Some((usual, seen)) = guard.slice_variance.get_mut(joint) else {
             return;
         };
-        let inflated = sigma * sqrt(config.inflation * *usual);
+        let inflated = unit * sqrt(config.inflation * *usual);
         match state.report.quality.phase {
             Phase::Trial => guard
                 .trial
                 .note(&guard.payload, &row, left, sigma, inflated),
             Phase::Healthy => {
                 let unexplained = left - payload_torque(&guard.payload, &row);
-                let spread = unexplained / sigma;
-                let square = (spread * spread).min(SLICE_RANGE.1);
-                *usual += (square - *usual) * SLICE_STEP;
+                let spread = unexplained / unit;
+                let square = spread * spread;
+                let expected = *usual + innovation - measured;
+                let young = *seen < SLICE_MEMORY;
+                *seen += u32::from(young);
+                let most = if young {
+                    SLICE_RANGE.1
+                } else {
+                    SLICE_CLIP * *usual
+                };
+                let counted = if square < most { square } else { most };
+                *usual += (counted - *usual) / *seen as f32;
                 if *usual < SLICE_RANGE.0 {
                     *usual = SLICE_RANGE.0;
                 }
                 if guard.weighing(config) {
                     guard.filter.update(&row, left, inflated);
                 }
-                let z = unexplained / (unit * sqrt(single + innovation - measured));
+                let z = spread / sqrt(expected);
                 if let Some(sum) = guard.detector.push(&config.detector, joint, z) {
                     self.raise_alarm(tick, joint, sum);
                 }
@@ -121,8 +136,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         match self.state.report.quality.phase {
             Phase::Trial => {
                 let loaded = guard.loaded();
-                let usual = guard.slice_variance.iter().sum::<f32>() * (1.0 / N as f32);
-                if let Some(verdict) = guard.trial.judge(config, loaded, usual) {
+                let mut usual = 0.0;
+                let joints = guard.slice_variance.iter();
+                for ((square, _), measured) in joints.zip(self.state.estimate.variance()) {
+                    usual += square / (AVERAGED as f32 * measured * N as f32);
+                }
+                let alone = self.own.is_some();
+                let verdict = guard.trial.judge(config, loaded, alone, usual);
+                if let Some(verdict) = verdict {
                     self.end_trial(tick, verdict);
                 }
             }

@@ -225,7 +225,7 @@ fn a_configuration_that_cannot_work_is_refused() {
     let mut sigma = good;
     sigma.rigid_sigma[7] = 0.0;
     let mut rate = good;
-    rate.network.rate = f32::NAN;
+    rate.network.hidden_rate = f32::NAN;
     assert_eq!(good.validate(), Ok(()));
     assert_eq!(
         sigma.validate(),
@@ -233,7 +233,7 @@ fn a_configuration_that_cannot_work_is_refused() {
     );
     assert_eq!(
         rate.validate(),
-        Err(ConfigError::RateOutOfRange("network.rate"))
+        Err(ConfigError::RateOutOfRange("network.hidden_rate"))
     );
     assert!(
         LearnerConfig::<N, P>::for_arm::<Ur5>(0.0)

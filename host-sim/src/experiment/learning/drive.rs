@@ -142,7 +142,7 @@ impl Run<'_> {
         let learning = matches!(self.board, Board::Learning | Board::NoNetwork);
         let mut config = scenario.start.config();
         if self.board == Board::NoNetwork {
-            config.network.rate = 0.0;
+            config.network.output_sigma = 0.0;
         }
         let mut board = Controller::new(start, config, learning)?;
         let mut run = ClosedLoop::new(&mut plant, &pd, &path, PERIOD_S, None)?;

@@ -13,6 +13,10 @@ const WANDERING: usize = 4;
 const MEDIAN: f64 = 0.6745;
 const VARIANCE_STEP: f64 = 1.005;
 const VARIANCE_RANGE: (f64, f64) = (0.02, 400.0);
+/// Step of the first rows times their number, rows that count as taken before the first, and rows until it lasts.
+const VARIANCE_GAIN: f64 = 2.3;
+const FIRST_ROWS: f64 = 4.0;
+const NOTICED_ROWS: f64 = VARIANCE_GAIN / (VARIANCE_STEP - 1.0);
 
 /// The twin. Parameters in prior standard deviations from the start.
 pub(super) struct Twin {
@@ -22,6 +26,7 @@ pub(super) struct Twin {
     theta: DVector<f64>,
     covariance: DMatrix<f64>,
     variance: [f64; N],
+    noticed: [f64; N],
 }
 
 fn wide(numbers: &Stacked<N, P>) -> DVector<f64> {
@@ -40,6 +45,7 @@ impl Twin {
             theta: DVector::zeros(n),
             covariance: DMatrix::identity(n, n),
             variance: Estimator::new(prior).variance().map(f64::from),
+            noticed: [FIRST_ROWS; N],
         }
     }
 
@@ -62,12 +68,13 @@ impl Twin {
         let s = phi.dot(&spread) + self.variance[joint];
         self.covariance.ger(-1.0 / s, &spread, &spread, 1.0);
         let z = innovation / s.sqrt();
-        let variance = &mut self.variance[joint];
-        *variance *= if z.abs() > MEDIAN {
-            VARIANCE_STEP
-        } else {
-            1.0 / VARIANCE_STEP
-        };
+        let (variance, noticed) = (&mut self.variance[joint], &mut self.noticed[joint]);
+        let mut step = VARIANCE_STEP;
+        if *noticed < NOTICED_ROWS {
+            *noticed += *variance / s;
+            step = 1.0 + VARIANCE_GAIN * *variance / s / *noticed;
+        }
+        *variance *= if z.abs() > MEDIAN { step } else { 1.0 / step };
         *variance = variance.clamp(VARIANCE_RANGE.0, VARIANCE_RANGE.1);
         let most = f64::from(self.config.outlier_sigmas);
         self.theta
