@@ -11,7 +11,8 @@ use crate::plant::{Events, Payload, PlantConfig};
 use crate::trajectory::Trajectory;
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
-use foretorque::learning::{Conditioned, MeasurementWindow, Stacked, torque_row};
+use foretorque::joint::JointVector;
+use foretorque::learning::{Conditioned, DELAY, MeasurementWindow, Stacked, torque_row};
 use serde::Serialize;
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -48,9 +49,15 @@ const PICK_S: f64 = 15.0;
 /// Ticks between two looks.
 const LOOK: usize = 100;
 
+/// An instant as the board's filter shows it, and the torques of that tick alone.
+struct Instant {
+    seen: Conditioned<N>,
+    raw: JointVector<N>,
+}
+
 /// A closed-loop run as rows, with the truth at every look.
 struct Part {
-    rows: Vec<Option<Conditioned<N>>>,
+    rows: Vec<Option<Instant>>,
     needed: Vec<Vec<Joints<N>>>,
 }
 
@@ -154,6 +161,7 @@ fn part(
     let mut run = ClosedLoop::new(&mut plant, &pd, &path, PERIOD_S, None)?;
     let mut window = MeasurementWindow::<N>::new();
     let (mut rows, mut needed) = (Vec::new(), Vec::new());
+    let mut torques = Vec::new();
     for tick in 0..((task_s + still_s) / PERIOD_S).round() as usize {
         if tick.is_multiple_of(LOOK) {
             needed.push(world.needed(&plant));
@@ -161,13 +169,16 @@ fn part(
         let Ok(_) = run.tick_with::<Infallible>(&mut plant, |sample| {
             let measured = sample.and_then(|sample| sample.measured);
             window.push(measured.as_ref());
+            torques.push(measured.map(|measured| measured.tau));
             Ok(sample.map(|sample| Answer {
                 total: evaluate::<Ur5, N, P>(&world.wrong, &sample.desired).total,
                 shares: None,
                 flags: 0,
             }))
         });
-        rows.push(window.conditioned(1.0 / PERIOD_S as f32));
+        let seen = window.conditioned(1.0 / PERIOD_S as f32);
+        let raw = torques.iter().rev().nth(DELAY).copied().flatten();
+        rows.push(seen.zip(raw).map(|(seen, raw)| Instant { seen, raw }));
     }
     Ok(Part { rows, needed })
 }
@@ -178,7 +189,7 @@ fn learn(world: &World, parts: &[Part; 2], feed: &Method) -> MethodReport {
     let mut set = world.wrong;
     let mut curves = [Vec::new(), Vec::new()];
     for (part, curve) in parts.iter().zip(&mut curves) {
-        for (tick, seen) in part.rows.iter().enumerate() {
+        for (tick, instant) in part.rows.iter().enumerate() {
             if tick.is_multiple_of(LOOK) {
                 method.parameters().write(&mut set);
                 let said = world.said(&set);
@@ -187,12 +198,16 @@ fn learn(world: &World, parts: &[Part; 2], feed: &Method) -> MethodReport {
                 let missed = world.in_limits(&said, needed);
                 curve.push((tick as f64 * PERIOD_S, 100.0 * nrmse, missed));
             }
-            let Some(seen) = seen else { continue };
+            let Some(Instant { seen, raw }) = instant else {
+                continue;
+            };
+            // A mean of five ticks' torques would be counted several times by rows that come more often than that.
+            let tau = if feed.rows_a_tick > 1 { raw } else { &seen.tau };
             for k in 0..feed.rows_a_tick {
                 let joint = (tick * feed.rows_a_tick + k) % N;
                 if !feed.gated || seen.motion.qd[joint].abs() >= gate {
                     let row = torque_row::<Ur5, N, P>(joint, seen);
-                    method.correct(joint, &row, seen.tau[joint]);
+                    method.correct(joint, &row, tau[joint]);
                 }
             }
         }
