@@ -20,7 +20,7 @@ fn main() {
     let level = std::env::var("DEFMT_LOG").unwrap_or_else(|_| "info".into());
     println!("cargo::rustc-env=DEFMT_LOG={level}");
     // Only these have a logger; the script keeps the table of its messages in a section the board never loads.
-    for logs in ["joint", "joint-pyboard"] {
+    for logs in ["joint", "joint-pyboard", "joint-drive"] {
         println!("cargo::rustc-link-arg-bin={logs}=-Tdefmt.x");
     }
 }

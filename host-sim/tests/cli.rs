@@ -328,7 +328,10 @@ fn the_log_of_the_flashable_firmware_is_text() {
     );
     assert!(lines[1].starts_with("info: store: "), "{log}");
     assert!(lines[2].starts_with(&hello), "{log}");
-    assert!(lines[2].ends_with(" counts from clock to hello"), "{log}");
+    assert!(
+        lines[2].ends_with(" counts (0 us) from clock to hello"),
+        "{log}"
+    );
     assert!(lines[3].starts_with("info: tick 1"), "{log}");
     assert!(
         lines[3].ends_with(" 0 lost, 0 overruns, 0 ticks missed"),

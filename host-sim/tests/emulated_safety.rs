@@ -1,5 +1,7 @@
 //! Arming, time-out, stop, restart and watchdog of the flashable firmware in the emulator, as the pins and the line show it.
 
+mod patched;
+
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::edge::safety::{SafetyReason, SafetyState};
 use foretorque::edge::wire::{Configuration, Field, NackReason, Pacing, ResetReason};
@@ -7,6 +9,7 @@ use foretorque::edge::write_key::WriteKey;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use host_sim::board::qemu::{Emulator, Image, QemuOptions};
 use host_sim::board::{BoardError, Client};
+use patched::patched;
 use std::fs;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -167,36 +170,13 @@ fn a_restart_disarms_and_keeps_the_latched_fault() {
 
 /// The flashable firmware with the handler of `symbol` replaced by a loop that never ends.
 fn hung(symbol: &str) -> PathBuf {
-    let mut bytes = fs::read(Image::Joint.default_elf()).expect("the firmware is built");
-    let place = {
-        let elf = elf::ElfBytes::<elf::endian::LittleEndian>::minimal_parse(&bytes)
-            .expect("it is an ELF");
-        let (symbols, names) = elf
-            .symbol_table()
-            .expect("readable")
-            .expect("it has symbols");
-        let handler = symbols
-            .iter()
-            .find(|entry| {
-                names
-                    .get(entry.st_name as usize)
-                    .is_ok_and(|name| name == symbol)
-            })
-            .expect("it has the handler");
-        // Bit 0 of the address of a function says that it is Thumb code.
-        let address = handler.st_value & !1;
-        let section = elf
-            .section_headers()
-            .expect("it has sections")
-            .get(usize::from(handler.st_shndx))
-            .expect("the handler is in one");
-        (section.sh_offset + (address - section.sh_addr)) as usize
-    };
     // `b .` (ARM DDI 0403, A7.7.12, encoding T2)
-    bytes[place..place + 2].copy_from_slice(&[0xFE, 0xE7]);
-    let file = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("joint-hung-{symbol}"));
-    fs::write(&file, bytes).expect("it can be written");
-    file
+    let patches = [(symbol, vec![0xE7FE])];
+    patched(
+        &Image::Joint.default_elf(),
+        &format!("joint-hung-{symbol}"),
+        &patches,
+    )
 }
 
 /// Feeds of the watchdog (RM0090 21.4.1) that the emulator saw.

@@ -30,6 +30,8 @@ pub(crate) enum Board {
     Odrive,
     /// pyboard v1.1: `joint-pyboard`.
     Pyboard,
+    /// pyboard v1.1 that drives its own joint: `joint-drive`.
+    Drive,
 }
 
 impl std::str::FromStr for Board {
@@ -39,7 +41,10 @@ impl std::str::FromStr for Board {
         match text {
             "odrive" => Ok(Self::Odrive),
             "pyboard" => Ok(Self::Pyboard),
-            other => Err(format!("unknown board `{other}`: it is odrive or pyboard")),
+            "drive" => Ok(Self::Drive),
+            other => Err(format!(
+                "unknown board `{other}`: it is odrive, pyboard or drive"
+            )),
         }
     }
 }
@@ -49,6 +54,7 @@ impl Board {
         match self {
             Self::Odrive => "joint",
             Self::Pyboard => "joint-pyboard",
+            Self::Drive => "joint-drive",
         }
     }
 }

@@ -40,7 +40,7 @@ Options:
                            rustup     `rustup target add`, bounded in time
                            debian     Debian's rustc and sources: core is built once and linked as a toolchain
       --check            setup only: change nothing, list what is here and what is missing, fail if anything is
-      --board <BOARD>    flash only: odrive (without it) or pyboard
+      --board <BOARD>    flash only: odrive (without it), pyboard or drive
       --image            flash only: write the images, flash nothing
       --accept           bench only: write docs/budget.md anew; limits may go down, never up
       --runs <N>         fuzz only: executions in all (100000000)
@@ -241,7 +241,7 @@ mod tests {
             ("test --accept", "--accept"),
             ("test --runs 3", "--runs"),
             ("fuzz --runs some", "some"),
-            ("flash --board nucleo", "odrive or pyboard"),
+            ("flash --board nucleo", "odrive, pyboard or drive"),
             ("test --image", "--image"),
         ] {
             let error = request(line).unwrap_err();

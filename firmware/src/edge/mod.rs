@@ -1,6 +1,7 @@
-//! Everything that touches the world outside the tick: frames, parameter bank, telemetry, hardware adapters.
+//! Everything that touches the world outside the tick: frames, parameter bank, telemetry, hardware adapters, and the drive of a joint.
 
 pub mod bank;
+pub mod drive;
 pub mod hal;
 pub mod safety;
 pub mod session;

@@ -1,5 +1,6 @@
 //! Counters that say how the board is doing.
 
+use crate::edge::store::StoreHealth;
 use serde::{Deserialize, Serialize};
 
 /// Counters since boot or reset. All saturate or wrap; none stops the tick.
@@ -69,6 +70,8 @@ pub struct Statistics {
     /// Telemetry records of which a part was not sent.
     #[serde(with = "postcard::fixint::le")]
     pub records_lost: u32,
+    /// How the store stands.
+    pub store: StoreHealth,
 }
 
 /// Mean and largest cost.

@@ -13,6 +13,7 @@ use crate::table::joint_columns;
 use crate::telemetry::{Recorder, Selection};
 use clap::Args;
 use foretorque::arm::Arm;
+use foretorque::edge::store::StoreHealth;
 use foretorque::excitation::Cue;
 use std::path::PathBuf;
 
@@ -174,6 +175,8 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         link: LinkReport::from(&statistics),
         late_sets: statistics.late_sets,
         lessons_lost: statistics.lessons_lost,
+        boot_us: board.hello().boot_us(),
+        store: statistics.store,
         tick_cost: statistics.tick_cost.into(),
         learning_cost: statistics.learn_cost.into(),
     };
@@ -192,6 +195,11 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         report.tracking_rms_mrad,
         report.link.errors()
     ))?;
+    if report.store == StoreHealth::Failing {
+        say(
+            "the board's flash keeps nothing: it runs from RAM, and forgets what it learnt at power-off",
+        )?;
+    }
     say(arguments.out.join("report.html").display())?;
     Ok(())
 }

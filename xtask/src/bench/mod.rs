@@ -129,13 +129,18 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
     Ok(())
 }
 
-/// The gates on the linked firmware, which must have been built: what its handlers reach, and that its RAM suffices.
+/// The gates on the linked firmware, which must have been built: what its handlers reach, and that its RAM suffices. On the
+/// board that drives its joint, too, whose tick does more.
 pub(crate) fn check_firmware() -> Result<()> {
-    let joint = Image::read(&elf("joint"))?;
-    let seen = gates::check(&joint)?;
-    let memory = Memory::of(&joint)?;
+    ["joint", "joint-drive"].into_iter().try_for_each(check)
+}
+
+fn check(name: &str) -> Result<()> {
+    let image = Image::read(&elf(name)).with_context(|| format!("cannot read `{name}`"))?;
+    let seen = gates::check(&image).with_context(|| format!("in `{name}`"))?;
+    let memory = Memory::of(&image).with_context(|| format!("in `{name}`"))?;
     println!(
-        "{seen} functions reachable from interrupts: no panic, no software f64, no allocator; stack bounded by {} B, \
+        "{name}: {seen} functions reachable from interrupts: no panic, no software f64, no allocator; stack bounded by {} B, \
          the tick's by {} B",
         memory.nested_bytes, memory.stack_bytes
     );

@@ -16,7 +16,6 @@ mod app {
     use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
     use foretorque::arm::Arm as _;
-    use foretorque::edge::hal::TorqueEnable;
     use foretorque::edge::safety::{SafetyReason, Task};
     use foretorque::edge::session::{BoardDescription, Desk};
     use foretorque::edge::store::Store;
@@ -29,7 +28,8 @@ mod app {
     use crate::board::{self, Arm, JOINTS, PARAMETERS};
     use crate::clock::{self, ClockSource};
     use crate::counter::{self, Counter};
-    use crate::fault::{self, EnablePin, Reason};
+    use crate::drive::Drive;
+    use crate::fault::{self, Reason};
     use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
     use crate::log;
     use crate::pace::{self, Pace};
@@ -61,7 +61,7 @@ mod app {
         waiting: Producer<'static, u8>,
         out: FrameBuffer,
         pace: Pace,
-        enable: TorqueEnable<EnablePin>,
+        drive: Drive,
         kept: SafetyReason,
         watchdog: Watchdog,
         store: Store<StoreFlash>,
@@ -83,8 +83,6 @@ mod app {
         let seed = secret::seed(&cx.device.RNG, &cx.device.RCC);
         let emulated = clocks.source == ClockSource::Emulated;
 
-        // Switched off by its constructor; only a session that a host has armed switches it on.
-        let Ok(enable) = TorqueEnable::new(EnablePin);
         cx.device.RCC.apb1enr().modify(|_, w| {
             w.usart2en()
                 .enabled()
@@ -99,6 +97,9 @@ mod app {
             b: cx.device.GPIOB,
         };
         board::start_pins(ports, &mut rcc);
+        let Some(mut drive) = Drive::start() else {
+            fault::leave(Reason::Setup, line!());
+        };
 
         let mut core = cx.core;
         let (counter, counter_hz) = if emulated {
@@ -157,17 +158,21 @@ mod app {
         let mut out = FrameBuffer::new();
         let boot_counts = counter::now().wrapping_sub(booting);
         session.note_boot(boot_counts);
+        drive.watch(session);
         session.greet(&mut out);
         link::send(&mut waiting, out.as_bytes());
         out.clear();
         defmt::info!(
-            "hello: arm {=str} {=u32:#x}, {} counter, {}, {}, {=u32} counts from clock to hello",
+            "hello: arm {=str} {=u32:#x}, {} counter, {}, {}, {=u32} counts ({=u32} us) from clock to hello",
             Arm::NAME,
             Arm::HASH,
             counter,
             session.configuration(),
             session.safety(),
+            boot_counts,
             boot_counts
+                .checked_div(counter_hz / 1_000_000)
+                .unwrap_or_default()
         );
         (
             Shared { desk },
@@ -178,7 +183,7 @@ mod app {
                 waiting,
                 out,
                 pace,
-                enable,
+                drive,
                 kept,
                 watchdog: Watchdog::start(cx.device.IWDG),
                 store,
@@ -205,7 +210,7 @@ mod app {
         binds = EXTI1,
         priority = 3,
         local = [
-            session, received, waiting, out, pace, enable, kept,
+            session, received, waiting, out, pace, drive, kept,
             troubles: u32 = 0,
             latency: CostMeter = CostMeter::new(),
         ],
@@ -218,15 +223,16 @@ mod app {
             waiting,
             out,
             pace,
-            enable,
+            drive,
             kept,
             troubles,
             latency,
             ..
         } = cx.local;
         cx.shared.desk.lock(|desk| {
+            drive.watch(session);
             if pace::take_due() {
-                session.timer_tick(desk, out);
+                session.timer_tick_with(desk, out, drive.own());
             }
             session.collect(desk, out);
             loop {
@@ -239,9 +245,10 @@ mod app {
                     *slot = byte;
                     count += 1;
                 }
-                session.receive(chunk.get(..count).unwrap_or_default(), desk, out);
+                let bytes = chunk.get(..count).unwrap_or_default();
+                session.receive_with(bytes, desk, out, drive.own());
                 // Before the host reads of it: what is told is done.
-                switch(enable, session.torque_enabled());
+                drive.follow(session);
                 let latched = session.latched_fault();
                 if *kept != latched {
                     *kept = latched;
@@ -282,14 +289,6 @@ mod app {
         }
     }
 
-    /// Brings the enable pin to where it shall be.
-    fn switch(enable: &mut TorqueEnable<EnablePin>, on: bool) {
-        if enable.is_on() != on {
-            // This pin cannot refuse.
-            let Ok(()) = if on { enable.on() } else { enable.off() };
-        }
-    }
-
     #[task(binds = EXTI2, priority = 2, local = [learner], shared = [desk])]
     fn learn(mut cx: learn::Context) {
         let learner = cx.local.learner;
@@ -321,6 +320,7 @@ mod app {
                     pace::missed()
                 );
             }
+            Drive::report();
             if let Some(drain) = cx.local.drain {
                 drain.empty();
             }

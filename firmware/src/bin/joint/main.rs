@@ -10,6 +10,8 @@ mod clock;
 #[cfg(target_os = "none")]
 mod counter;
 #[cfg(target_os = "none")]
+mod drive;
+#[cfg(target_os = "none")]
 mod fault;
 #[cfg(target_os = "none")]
 mod link;

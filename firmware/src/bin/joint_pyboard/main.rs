@@ -13,6 +13,9 @@ mod clock;
 #[path = "../joint/counter.rs"]
 mod counter;
 #[cfg(target_os = "none")]
+#[path = "../joint/drive.rs"]
+mod drive;
+#[cfg(target_os = "none")]
 #[path = "../joint/fault.rs"]
 mod fault;
 #[cfg(target_os = "none")]

@@ -6,7 +6,7 @@
 //!                                                     │  ▲
 //!                                       enable output ┘  └ fault input
 //! ```
-//! Every call is bounded: at most two bus transfers and a few pin accesses, none of them in a loop.
+//! Every call is bounded: at most three bus transfers and a few pin accesses, none of them in a loop.
 
 mod dac;
 mod enable;
@@ -17,6 +17,8 @@ mod stage;
 
 pub use dac::{DacModel, SpiDac};
 pub use enable::TorqueEnable;
+#[cfg(test)]
+pub(crate) use encoder::chip::Chip;
 pub use encoder::{AbsoluteEncoder, Direction, EncoderConfig, EncoderError, EncoderState};
 pub use output::{OutputError, TorqueOutput};
 pub use pwm::PwmWithDirection;

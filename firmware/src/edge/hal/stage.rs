@@ -42,16 +42,27 @@ pub enum StageError {
     Enable,
 }
 
+impl StageError {
+    /// What it is, in words, without what came with it.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Scale => "gain, full scale and limit of the stage do not fit",
+            Self::Disabled => "the motor stage is switched off",
+            Self::Fault => "the motor stage reports a fault",
+            Self::FaultInput => "the fault input cannot be read",
+            Self::NotFinite => "the torque is not a number",
+            Self::Output(_) => "the torque command did not get out",
+            Self::Enable => "the enable output refuses; torque may still flow",
+        }
+    }
+}
+
 impl fmt::Display for StageError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.text())?;
         match self {
-            Self::Scale => f.write_str("gain, full scale and limit of the stage do not fit"),
-            Self::Disabled => f.write_str("the motor stage is switched off"),
-            Self::Fault => f.write_str("the motor stage reports a fault"),
-            Self::FaultInput => f.write_str("the fault input cannot be read"),
-            Self::NotFinite => f.write_str("the torque is not a number"),
-            Self::Output(error) => write!(f, "{error}"),
-            Self::Enable => f.write_str("the enable output refuses; torque may still flow"),
+            Self::Output(error) => write!(f, ": {error}"),
+            _ => Ok(()),
         }
     }
 }
@@ -133,6 +144,16 @@ where
         let switched = self.enable.off().map_err(|_| StageError::Enable);
         let zeroed = self.output.command(0.0).map_err(StageError::Output);
         switched.and(zeroed)
+    }
+
+    /// Switches the stage off if it reports a fault.
+    ///
+    /// Errors: [`StageError::Fault`], [`StageError::FaultInput`]; [`StageError::Enable`], and torque may still flow.
+    pub fn check(&mut self) -> Result<(), StageError> {
+        match self.healthy() {
+            Err(error) if self.enable.is_on() => Err(self.trip(error)),
+            seen => seen,
+        }
     }
 
     /// Torque may flow.

@@ -169,6 +169,18 @@ impl<const N: usize> Safety<N> {
         sample: Option<JointSample<N>>,
         periods: u32,
     ) -> Option<JointSample<N>> {
+        self.admit_from(sample, periods, SafetyReason::None)
+    }
+
+    /// The same on a board with a sensor of its own.
+    ///
+    /// * `sensor` what is wrong with its measurement of this tick
+    pub fn admit_from(
+        &mut self,
+        sample: Option<JointSample<N>>,
+        periods: u32,
+        sensor: SafetyReason,
+    ) -> Option<JointSample<N>> {
         let unheard = self.unheard_ticks.saturating_add(1);
         let (usable, admitted) = match sample {
             None => {
@@ -178,7 +190,7 @@ impl<const N: usize> Safety<N> {
             }
             Some(sample) => {
                 self.unheard_ticks = 0;
-                self.hear(sample, periods.max(unheard))
+                self.hear(sample, periods.max(unheard), sensor)
             }
         };
         self.silent_ticks = if usable {
@@ -200,8 +212,16 @@ impl<const N: usize> Safety<N> {
     }
 
     /// Judges a sample; whether its desired motion can be used, and what is left of it.
-    fn hear(&mut self, mut sample: JointSample<N>, periods: u32) -> (bool, Option<JointSample<N>>) {
-        let verdict = self.plausibility.judge(&self.limits, &sample, periods);
+    fn hear(
+        &mut self,
+        mut sample: JointSample<N>,
+        periods: u32,
+        sensor: SafetyReason,
+    ) -> (bool, Option<JointSample<N>>) {
+        let mut verdict = self.plausibility.judge(&self.limits, &sample, periods);
+        if sensor != SafetyReason::None {
+            verdict.measured = sensor;
+        }
         let usable = verdict.desired == SafetyReason::None;
         self.input = if usable {
             verdict.measured
@@ -310,7 +330,12 @@ impl<const N: usize> Safety<N> {
 
     /// Emergency stop: torque zero and enable pin off at once, in any state; latches. Cannot fail.
     pub fn stop(&mut self) {
-        self.trip(SafetyReason::Stopped);
+        self.cut(SafetyReason::Stopped);
+    }
+
+    /// Torque zero and enable pin off at once, in any state, for `fault`, which latches unless another has. Cannot fail.
+    pub fn cut(&mut self, fault: SafetyReason) {
+        self.trip(fault);
         self.output = JointVector::zeros();
         self.rest();
     }

@@ -63,6 +63,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             implausible: self.safety.implausible(),
             watchdog_feeds: self.watchdog_feeds,
             records_lost: self.stream.lost(),
+            store: self.store,
         }
     }
 }

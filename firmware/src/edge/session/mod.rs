@@ -5,6 +5,7 @@ mod commands;
 mod counters;
 mod desk;
 mod link;
+mod own_joint;
 mod receive;
 mod stored;
 mod stream;
@@ -13,10 +14,12 @@ mod transfer;
 
 pub use clock::{Clock, NoClock};
 pub use desk::Desk;
+pub use own_joint::{HostMeasures, OwnJoint};
 
 use crate::arm::Arm;
 use crate::edge::bank::{NETWORK_SEED, ParameterBank, name};
 use crate::edge::safety::{Safety, SafetyLimits, SafetyReason, SafetyStatus};
+use crate::edge::store::StoreHealth;
 use crate::edge::telemetry::{Cost, CostMeter};
 use crate::edge::wire::{
     BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, Decoder, FrameBuffer,
@@ -124,6 +127,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     receive_cost: Cost,
     reply_latency: Cost,
     watchdog_feeds: u32,
+    store: StoreHealth,
     boot_counts: u32,
     stream: Stream,
     /// The challenge that the next signature has to be over.
@@ -163,6 +167,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             receive_cost: Cost::default(),
             reply_latency: Cost::default(),
             watchdog_feeds: 0,
+            store: StoreHealth::Unused,
             boot_counts: 0,
             stream: Stream::new(),
             challenge: None,
@@ -214,9 +219,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.safety.latched()
     }
 
-    /// Latches a fault that the owner of the hardware has seen; the torque goes to zero.
-    pub fn trip(&mut self, fault: SafetyReason) {
-        self.safety.trip(fault);
+    /// Latches a fault that the owner of the hardware has seen, and because of which no torque is put out any more: it is
+    /// zero from now on.
+    pub fn cut(&mut self, fault: SafetyReason) {
+        self.safety.cut(fault);
+        self.feed_forward.applied(self.safety.output());
     }
 
     /// Samples come, or none have to because no torque flows: what the link answers in the roll of a watchdog.

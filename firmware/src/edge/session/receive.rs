@@ -1,7 +1,7 @@
 //! From the bytes of the link to what they ask for.
 
 use super::link::Order;
-use super::{Clock, Desk, Session};
+use super::{Clock, Desk, HostMeasures, OwnJoint, Session};
 use crate::arm::Arm;
 use crate::edge::wire::{BoardMessage, DecodeError, FrameBuffer, HostMessage, NackReason};
 use crate::feedforward::evaluate;
@@ -12,6 +12,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     ///
     /// Cost: a few instructions a byte; the byte that ends a sample also runs the tick where the link paces.
     pub fn receive(&mut self, bytes: &[u8], desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
+        self.receive_with(bytes, desk, out, &mut HostMeasures);
+    }
+
+    /// The same on a board that measures a joint itself.
+    pub fn receive_with(
+        &mut self,
+        bytes: &[u8],
+        desk: &mut Desk<N, P>,
+        out: &mut FrameBuffer,
+        own: &mut impl OwnJoint,
+    ) {
         for &byte in bytes {
             if self.reboot {
                 return;
@@ -29,7 +40,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                     // A stop that comes late or twice is still a stop.
                     let urgent = matches!(message, HostMessage::Stop);
                     if self.link.accept(sequence, restart) == Order::Forward || urgent {
-                        self.act(sequence, message, desk, out);
+                        self.act(sequence, message, desk, out, own);
                     }
                 }
                 Err(error) => {
@@ -49,9 +60,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         message: HostMessage<N>,
         desk: &mut Desk<N, P>,
         out: &mut FrameBuffer,
+        own: &mut impl OwnJoint,
     ) {
         let done = match message {
-            HostMessage::Sample(sample) => return self.sample(sequence, sample, desk, out),
+            HostMessage::Sample(sample) => return self.sample(sequence, sample, desk, out, own),
             HostMessage::Hello => {
                 return self.answer(sequence, &BoardMessage::Hello(self.hello()), out);
             }

@@ -20,10 +20,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     ) -> StoreState {
         let mut room = [0; ParameterBank::MAX_BYTES];
         let loaded = store.load(A::HASH, &mut room);
-        match loaded.and_then(|bank| self.restore(bank, desk).map_err(refused)) {
+        let state = match loaded.and_then(|bank| self.restore(bank, desk).map_err(refused)) {
             Ok(()) => StoreState::Loaded,
             Err(error) => StoreState::Failed(error),
-        }
+        };
+        self.store = state.health();
+        state
     }
 
     /// Orders the set in force to be kept; [`collect`](Self::collect) answers.
@@ -65,6 +67,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             return;
         };
         let sequence = answer.requester;
+        let state = match answer.outcome {
+            Ok(_) => StoreState::Saved,
+            Err(error) => StoreState::Failed(error),
+        };
+        self.store = self.store.after(answer.order, state);
         let done = match (answer.order, answer.outcome) {
             (_, Err(error)) => Err(NackReason::Store(error)),
             (StoreOrder::Save, Ok(_)) => Ok(()),

@@ -1,8 +1,9 @@
 //! The tick of a board: sample in, feed-forward, safety, torque out.
 
 use super::stream::Instant;
-use super::{Clock, Desk, Session};
+use super::{Clock, Desk, HostMeasures, OwnJoint, Session};
 use crate::arm::Arm;
+use crate::edge::safety::SafetyReason;
 use crate::edge::wire::{
     BoardMessage, ExcitedFrame, FrameBuffer, FullTorqueFrame, Pacing, ReplyMode, SampleFrame,
     TorqueFrame,
@@ -13,13 +14,23 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     /// The board's timer, once a period: runs the tick on the newest sample where the timer paces. Where the link paces it
     /// only watches for silence, which ends a torque that flows.
     pub fn timer_tick(&mut self, desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
+        self.timer_tick_with(desk, out, &mut HostMeasures);
+    }
+
+    /// The same on a board that measures a joint itself.
+    pub fn timer_tick_with(
+        &mut self,
+        desk: &mut Desk<N, P>,
+        out: &mut FrameBuffer,
+        own: &mut impl OwnJoint,
+    ) {
         match self.configuration.pacing {
             Pacing::SysTick => {
                 let sample = self.newest.take();
                 if sample.is_none() {
                     self.link.stale_ticks = self.link.stale_ticks.saturating_add(1);
                 }
-                self.tick(sample, desk, out);
+                self.tick(sample, desk, out, own);
             }
             Pacing::Link => {
                 self.safety.silence();
@@ -34,6 +45,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         sample: SampleFrame<N>,
         desk: &mut Desk<N, P>,
         out: &mut FrameBuffer,
+        own: &mut impl OwnJoint,
     ) {
         let joint = usize::from(sequence) % N;
         if let Some(slot) = self.temperatures_c.get_mut(joint) {
@@ -41,7 +53,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         }
         self.safety.note_temperature(joint, sample.temperature_c);
         match self.configuration.pacing {
-            Pacing::Link => self.tick(Some((sequence, sample)), desk, out),
+            Pacing::Link => self.tick(Some((sequence, sample)), desk, out, own),
             Pacing::SysTick => {
                 if self.newest.replace((sequence, sample)).is_some() {
                     self.link.overtaken = self.link.overtaken.saturating_add(1);
@@ -56,6 +68,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         sample: Option<(u16, SampleFrame<N>)>,
         desk: &mut Desk<N, P>,
         out: &mut FrameBuffer,
+        own: &mut impl OwnJoint,
     ) {
         self.feed_forward.adopt(&mut desk.exchange);
         // A host numbers its frames, one sample a period at most: the numbers bound how long ago the last one was.
@@ -65,11 +78,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             self.last_sequence = sequence;
         }
         let mut heard: Option<JointSample<N>> = sample.map(|(_, frame)| frame.sample(&self.gains));
+        let sensor = own.measure(heard.as_mut(), self.safety.at_rest());
+        if sensor != SafetyReason::None
+            && let Some(sample) = &mut heard
+        {
+            sample.measured = None;
+        }
         let excited = self.player.step(heard.as_ref());
         if let (Some(sample), Some(desired)) = (&mut heard, excited) {
             sample.desired = desired;
         }
-        let sample = self.safety.admit(heard, u32::from(periods));
+        let sample = self.safety.admit_from(heard, u32::from(periods), sensor);
         let start = self.board.clock.now();
         let mut torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),

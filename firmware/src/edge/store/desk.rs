@@ -29,6 +29,46 @@ pub enum StoreState {
     Failed(StoreError),
 }
 
+/// How the store stands, as the link tells it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum StoreHealth {
+    /// The board has none, or nobody has asked it yet.
+    #[default]
+    Unused,
+    /// It has kept, or brought back, what it was asked to.
+    Sound,
+    /// There is no set in it.
+    Empty,
+    /// What is in it is of no use to this firmware, or does not fit it.
+    Refused,
+    /// The flash is worn out, write-protected or not there: the board runs from RAM, and forgets at power-off what it was
+    /// told to keep. Stays until something is kept.
+    Failing,
+}
+
+impl StoreState {
+    /// What the link tells of it.
+    pub const fn health(self) -> StoreHealth {
+        match self {
+            Self::Unused => StoreHealth::Unused,
+            Self::Loaded | Self::Saved => StoreHealth::Sound,
+            Self::Failed(StoreError::Empty) => StoreHealth::Empty,
+            Self::Failed(StoreError::NotKept | StoreError::Flash) => StoreHealth::Failing,
+            Self::Failed(_) => StoreHealth::Refused,
+        }
+    }
+}
+
+impl StoreHealth {
+    /// How it stands after one more order: a flash that has failed to keep is not sound because it could be read.
+    pub(crate) const fn after(self, order: StoreOrder, state: StoreState) -> Self {
+        match (self, order) {
+            (Self::Failing, StoreOrder::Restore) => Self::Failing,
+            _ => state.health(),
+        }
+    }
+}
+
 /// One order in the hands of the housekeeping.
 pub struct StoreJob {
     order: StoreOrder,

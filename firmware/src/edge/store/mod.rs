@@ -23,7 +23,7 @@ mod desk;
 mod log;
 mod record;
 
-pub use desk::{StoreAnswer, StoreDesk, StoreJob, StoreOrder, StoreState};
+pub use desk::{StoreAnswer, StoreDesk, StoreHealth, StoreJob, StoreOrder, StoreState};
 pub use log::Store;
 pub use record::{HEADER_BYTES, SLOT_BYTES};
 

@@ -147,3 +147,12 @@ pub struct BoardHello {
     #[serde(with = "postcard::fixint::le")]
     pub boot_counts: u32,
 }
+
+impl BoardHello {
+    /// Time from its first instructions to its first hello, µs; `None` where its counter tells no time.
+    pub fn boot_us(&self) -> Option<u32> {
+        let counts = u64::from(self.boot_counts) * 1_000_000;
+        let time = counts.checked_div(u64::from(self.counter_hz))?;
+        u32::try_from(time).ok()
+    }
+}

@@ -3,6 +3,7 @@ use super::*;
 use crate::edge::bank::BankError;
 use crate::edge::safety::{SafetyReason, SafetyState, SafetyStatus};
 use crate::edge::store::StoreError;
+use crate::edge::store::StoreHealth;
 use crate::edge::telemetry::{Cost, Statistics};
 use crate::excitation::{AbortReason, Cue, ExcitationError, Stage};
 use proptest::prelude::*;
@@ -236,6 +237,7 @@ fn statistics() -> impl Strategy<Value = Statistics> {
             implausible: b,
             watchdog_feeds: c,
             records_lost: d,
+            store: StoreHealth::Failing,
         }
     })
 }

@@ -8,6 +8,7 @@ use crate::board::BoardShares;
 use crate::dynamics::Joints;
 use crate::experiment::closed_loop::TickRecord;
 use crate::metrics::TrackingError;
+use foretorque::edge::store::StoreHealth;
 use foretorque::edge::telemetry::{Cost, Statistics};
 use foretorque::limits::Flags;
 use serde::Serialize;
@@ -96,6 +97,10 @@ pub struct ClosedLoopReport {
     pub late_sets: u32,
     /// Lessons that found no room.
     pub lessons_lost: u32,
+    /// From the board's first instructions to its hello, µs; nothing where its counter tells no time.
+    pub boot_us: Option<u32>,
+    /// How the board's store stands.
+    pub store: StoreHealth,
     /// Cost of a tick, counts of the board's counter; 0 where it has none.
     pub tick_cost: BoardCost,
     /// Cost of learning from one tick, likewise.

@@ -220,6 +220,7 @@ fn this_run(report: &ClosedLoopReport, command: &str) -> Section {
                 &[
                     row("robot", report.robot.clone()),
                     row("board", report.board.clone()),
+                    row("board's store", format!("{:?}", report.store).to_lowercase()),
                     row("seed", report.seed.to_string()),
                     row("period", format!("{} ms", report.period_s * 1e3)),
                     row("compiler of the board's code", report.toolchain.clone()),

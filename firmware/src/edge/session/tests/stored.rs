@@ -1,11 +1,13 @@
 use super::*;
-use crate::edge::store::{Store, StoreError};
+use crate::edge::store::{Store, StoreError, StoreHealth};
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
+use std::cell::Cell;
+use std::rc::Rc;
 
-/// Flash without faults; the simulated one of the campaigns is the host's.
-struct Flash(Vec<u8>);
+/// Flash that works, or is worn out and says "done" all the same; the simulated one of the campaigns is the host's.
+struct Flash(Vec<u8>, Rc<Cell<bool>>);
 
 #[derive(Debug)]
 struct Never;
@@ -38,14 +40,22 @@ impl NorFlash for Flash {
     const ERASE_SIZE: usize = 16 * 1024;
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), Never> {
-        self.0[from as usize..to as usize].fill(0xFF);
+        if !self.1.get() {
+            self.0[from as usize..to as usize].fill(0xFF);
+        }
         Ok(())
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Never> {
-        self.0[offset as usize..][..bytes.len()].copy_from_slice(bytes);
+        if !self.1.get() {
+            self.0[offset as usize..][..bytes.len()].copy_from_slice(bytes);
+        }
         Ok(())
     }
+}
+
+fn flash(worn: &Rc<Cell<bool>>) -> Flash {
+    Flash(std::vec![0xFF; 2 * 16 * 1024], worn.clone())
 }
 
 fn storing() -> (Board, Store<Flash>) {
@@ -53,7 +63,7 @@ fn storing() -> (Board, Store<Flash>) {
         capabilities: Capabilities::LEARNING | Capabilities::STORE,
         ..BoardDescription::plain(NoClock)
     });
-    (board, Store::new(Flash(std::vec![0xFF; 2 * 16 * 1024])))
+    (board, Store::new(flash(&Rc::default())))
 }
 
 impl Board {
@@ -135,6 +145,38 @@ fn an_empty_store_or_none_says_so_and_changes_nothing() {
     let refused = BoardMessage::Nack(NackReason::NotCapable);
     assert_eq!(without.ask(HostMessage::Save), refused);
     assert_eq!(without.ask(HostMessage::Restore), refused);
+}
+
+#[test]
+fn a_flash_that_keeps_nothing_is_told_until_it_keeps_something() {
+    let (mut board, _) = storing();
+    let worn = Rc::default();
+    let mut store = Store::new(flash(&worn));
+    let told = |board: &mut Board| match board.ask(HostMessage::Statistics) {
+        BoardMessage::Statistics(statistics) => statistics.store,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(told(&mut board), StoreHealth::Unused);
+    board.session.boot_from(&mut store, &mut board.desk);
+    assert_eq!(told(&mut board), StoreHealth::Empty);
+    let saved = board.ask_store(&mut store, &HostMessage::Save);
+    assert_eq!(saved, BoardMessage::Ack);
+    assert_eq!(told(&mut board), StoreHealth::Sound);
+    worn.set(true);
+    let refused = board.ask_store(&mut store, &HostMessage::Save);
+    let not_kept = NackReason::Store(StoreError::NotKept);
+    assert_eq!(refused, BoardMessage::Nack(not_kept));
+    assert_eq!(told(&mut board), StoreHealth::Failing);
+    // What was kept before can still be read, and the board runs; that mends nothing.
+    let restored = board.ask_store(&mut store, &HostMessage::Restore);
+    assert_eq!(restored, BoardMessage::Ack);
+    assert_eq!(told(&mut board), StoreHealth::Failing);
+    board.arm();
+    assert_eq!(board.ask(HostMessage::Stop), BoardMessage::Ack);
+    worn.set(false);
+    let saved = board.ask_store(&mut store, &HostMessage::Save);
+    assert_eq!(saved, BoardMessage::Ack);
+    assert_eq!(told(&mut board), StoreHealth::Sound);
 }
 
 #[test]
