@@ -122,7 +122,7 @@ const fn direction_sin(k: usize) -> f32 {
 ///
 /// Relative error ≤ 2e-7 + 6e-8 x². Down to e⁻⁸⁷, where it stays: finite and positive for every x. NaN gives NaN.
 /// Cost: 11 multiplications, 9 additions, one comparison.
-#[inline]
+#[inline(always)]
 pub fn bell(x: f32) -> f32 {
     let exponent = -(x * x);
     exp(if exponent < SMALLEST_EXPONENT {
@@ -184,7 +184,7 @@ pub fn tanh(x: f32) -> f32 {
 ///
 /// Absolute error ≤ 1.5e-7, 5e-7 and 1.5e-6: that of e, as often as e is a factor. Odd, never beyond ±1. NaN gives NaN.
 /// Cost: 15 multiplications, 15 additions, three divisions, one comparison.
-#[inline]
+#[inline(always)]
 pub fn tanh_1_5_15(x: f32) -> [f32; 3] {
     let sign = x.to_bits() & SIGN;
     let magnitude = x.abs();
@@ -206,7 +206,7 @@ pub fn tanh_1_5_15(x: f32) -> [f32; 3] {
 ///
 /// Relative error ≤ 3e-7 for normal positive x. Zero and what is no positive number give 0; +∞ gives NaN.
 /// Cost: 13 multiplications, 3 subtractions, no division.
-#[inline]
+#[inline(always)]
 pub fn sqrt(x: f32) -> f32 {
     // NaN is not positive either.
     if x > 0.0 {

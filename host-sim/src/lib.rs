@@ -3,6 +3,7 @@
 pub mod board;
 pub mod commands;
 pub mod control;
+mod description;
 pub mod dynamics;
 pub mod excitation;
 pub mod experiment;
@@ -21,3 +22,4 @@ pub mod telemetry;
 pub mod training;
 pub mod trajectory;
 pub mod urdf;
+pub mod via;

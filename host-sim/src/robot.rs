@@ -12,24 +12,17 @@ mod schema;
 mod shape;
 mod write;
 
+pub(crate) use file::parse as parse_description;
 pub use perturbation::Perturbation;
 pub use shape::{Capsule, Workspace, segment_distance};
 
-use crate::urdf::{self, UrdfError};
 use nalgebra::{Matrix3, Vector3};
-use std::path::Path;
 
 /// Number of standard inertial parameters of a link, in the order of eq. 14.
 pub const LINK_PARAMETERS: usize = 10;
 
 /// Most joints an arm may have: the board unrolls its recursions up to here.
 pub const MAX_JOINTS: usize = 8;
-
-/// Descriptions that need no file, by name.
-const BUILT_IN: [(&str, &str); 2] = [
-    ("ur5", include_str!("../robots/ur5.toml")),
-    ("panda", include_str!("../robots/panda.urdf")),
-];
 
 /// Why a robot description was refused.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,6 +31,8 @@ pub enum RobotError {
     NotFound {
         /// What was asked for.
         name: String,
+        /// The built-in names, joined by commas.
+        known: String,
         /// Why it could not be read as a file.
         reason: String,
     },
@@ -58,27 +53,30 @@ pub enum RobotError {
         problem: String,
     },
     /// The file is a URDF that does not describe one arm.
-    Urdf(UrdfError),
+    Urdf {
+        /// What is wrong, with the file and the element.
+        problem: String,
+    },
 }
 
 impl std::fmt::Display for RobotError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::NotFound { name, reason } => {
-                let known: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
-                write!(
-                    f,
-                    "unknown robot '{name}': not one of [{}], and as a file: {reason}",
-                    known.join(", ")
-                )
-            }
+            Self::NotFound {
+                name,
+                known,
+                reason,
+            } => write!(
+                f,
+                "unknown robot '{name}': not one of [{known}], and as a file: {reason}"
+            ),
             Self::Syntax { file, reason } => write!(f, "{file}: {reason}"),
             Self::Field {
                 file,
                 field,
                 problem,
             } => write!(f, "{file}: {field}: {problem}"),
-            Self::Urdf(error) => write!(f, "{error}"),
+            Self::Urdf { problem } => f.write_str(problem),
         }
     }
 }
@@ -203,39 +201,6 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// A built-in robot by name, or a description or URDF file by path.
-    ///
-    /// Errors: [`RobotError`], naming the file and the field.
-    ///
-    /// ```
-    /// let ur5 = host_sim::robot::Robot::load("ur5").unwrap();
-    /// assert_eq!(ur5.joints.len(), 6);
-    /// ```
-    pub fn load(name_or_path: &str) -> Result<Self, RobotError> {
-        if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
-            return Self::parse(name, text);
-        }
-        let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
-            RobotError::NotFound {
-                name: name_or_path.to_owned(),
-                reason: error.to_string(),
-            }
-        })?;
-        Self::parse(name_or_path, &text)
-    }
-
-    /// A robot from the text of a description or of a URDF with a single arm; `file` is only used in messages.
-    ///
-    /// Errors: [`RobotError::Syntax`], [`RobotError::Field`], [`RobotError::Urdf`].
-    pub fn parse(file: &str, text: &str) -> Result<Self, RobotError> {
-        // TOML never begins with '<', XML always does.
-        if text.trim_start().starts_with('<') {
-            let import = urdf::parse(file, text, &urdf::Selection::default());
-            return import.map(|arm| arm.robot).map_err(RobotError::Urdf);
-        }
-        file::parse(file, text)
-    }
-
     /// Number of joints.
     pub fn joint_count(&self) -> usize {
         self.joints.len()

@@ -216,6 +216,11 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
             &["nowhere"],
         ),
         ("bank file".to_owned(), &["file"]),
+        (
+            "run --robot ur5 --board qemu-usart --trajectory validation --out out --log file/board.log"
+                .to_owned(),
+            &["file"],
+        ),
     ];
     for (arguments, words) in cases {
         let output = command(&room, arguments).output().expect("it starts");

@@ -145,3 +145,47 @@ fn what_cannot_be_done_ends_with_one_line_and_a_failure() {
         assert!(!out.exists(), "{arguments:?} leaves files");
     }
 }
+
+#[test]
+fn limits_that_no_excitation_can_keep_are_named_in_one_line() {
+    let room = std::env::temp_dir().join(format!("foretorque-limits-{}", std::process::id()));
+    std::fs::create_dir_all(&room).expect("can be written");
+    let ur5 = include_str!("../robots/ur5.toml");
+    // Of the shoulder, whose torque against gravity no path of this arm keeps below 1 N·m.
+    let (before, after) = ur5
+        .split_once("torque_nm = 150")
+        .expect("the description gives a limit");
+    let (middle, rest) = after.split_once("torque_nm = 150").expect("of joint 2 too");
+    let weak = format!("{before}torque_nm = 150{middle}torque_nm = 1{rest}");
+    std::fs::write(room.join("weak.toml"), weak).expect("can be written");
+    for (arguments, message) in [
+        (
+            ["--robot", "weak.toml", "--range-rad", "3"],
+            "no path keeps all limits; the best one has torque of ",
+        ),
+        (
+            ["--robot", "ur5", "--range-rad", "0.001"],
+            "within these limits torque cannot see all base parameters",
+        ),
+        (
+            ["--robot", "ur5", "--period-s", "0.3"],
+            "no path keeps all limits; the best one has condition number",
+        ),
+    ] {
+        let run = Command::new(env!("CARGO_BIN_EXE_host-sim"))
+            .current_dir(&room)
+            .args(["excite", "--starts", "1", "--iterations", "8", "--out", "x"])
+            .args(arguments)
+            .output()
+            .expect("runs");
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(1), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{arguments:?}: {said}");
+        assert!(
+            said.starts_with("error: ") && said.contains(message),
+            "{said}"
+        );
+        assert!(!room.join("x").exists(), "{arguments:?} leaves files");
+    }
+    std::fs::remove_dir_all(&room).expect("can be taken away");
+}

@@ -6,7 +6,7 @@
 //! Another arm is another `use` below: see docs/arms.md.
 #![cfg_attr(target_os = "none", no_std)]
 
-use core::mem::{align_of, size_of};
+use core::mem::{MaybeUninit, align_of, size_of};
 use core::slice;
 
 use foretorque::arm::Arm as _;
@@ -102,9 +102,12 @@ impl Foretorque {
     /// # Safety
     /// `place` is aligned, may be written and is nobody else's.
     unsafe fn furnish(place: *mut Self, period_s: f32) -> Option<()> {
-        /// Written from the image.
-        const IDLE: Learner<Arm, JOINTS, PARAMETERS> =
-            Learner::idle(LearnerConfig::for_arm::<Arm>(1e-3));
+        /// A learner of zeros, until it is restarted: the image of one with a single other number in it would take 33 kB.
+        const BLANK: Learner<Arm, JOINTS, PARAMETERS> = {
+            // SAFETY: zeros are a value of every field. The compiler looks at the value of a constant, and takes none that
+            // is not valid.
+            unsafe { MaybeUninit::zeroed().assume_init() }
+        };
         if !PERIODS_S.contains(&period_s) {
             return None;
         }
@@ -119,7 +122,7 @@ impl Foretorque {
             (&raw mut (*place).incoming).write(ParameterBank::empty());
             (&raw mut (*place).period_s).write(period_s);
             let learner = &raw mut (*place).learner;
-            learner.write(IDLE);
+            learner.write(BLANK);
             (*learner)
                 .restart(LearnerConfig::for_arm::<Arm>(period_s), &set)
                 .ok()

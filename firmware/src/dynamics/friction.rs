@@ -118,7 +118,7 @@ impl SmoothedSign {
     /// Of the speed `qd`, rad/s.
     ///
     /// Cost: one [`tanh_1_5_15`].
-    #[inline]
+    #[inline(always)]
     pub fn of(qd: f32) -> Self {
         let [wide, narrow, sharp] = tanh_1_5_15(qd * INV_WIDEST_SIGN);
         Self {
@@ -139,7 +139,7 @@ impl SmoothedSign {
 ///
 /// Limits: NaN where z |q| exceeds 4.1e5 rad or `q` is no number.
 /// Cost: one [`sin_cos_quarters`].
-#[inline]
+#[inline(always)]
 pub fn cogging(cycles: f32, q: f32) -> SinCos {
     if cycles > 0.0 {
         sin_cos_quarters(cycles * core::f32::consts::FRAC_2_PI * q)
@@ -159,7 +159,7 @@ pub fn cogging(cycles: f32, q: f32) -> SinCos {
 ///
 /// Limits: those of [`cogging`].
 /// Cost: one [`SmoothedSign`], one [`bell`], one [`cogging`], 7 multiplications.
-#[inline]
+#[inline(always)]
 pub fn friction_row(cycles: f32, q: f32, qd: f32) -> [f32; FRICTION_COLUMNS] {
     friction_columns(qd, SmoothedSign::of(qd).sharp, cogging(cycles, q))
 }
@@ -167,7 +167,7 @@ pub fn friction_row(cycles: f32, q: f32, qd: f32) -> [f32; FRICTION_COLUMNS] {
 /// [`friction_row`] where the smoothed sign and the cogging are known.
 ///
 /// Cost: one [`bell`] (the narrow peak is the fourth power of the wide one), 6 multiplications.
-#[inline]
+#[inline(always)]
 pub fn friction_columns(qd: f32, sign: f32, cogging: SinCos) -> [f32; FRICTION_COLUMNS] {
     let wide = bell(qd * INV_WIDE);
     let squared = wide * wide;

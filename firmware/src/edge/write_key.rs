@@ -38,19 +38,20 @@ impl WriteKey {
         (!blank).then_some(Self(slot))
     }
 
-    /// The signature of an upload: over challenge, arm, length and bytes.
+    /// The signature of an upload, bank or excitation: over challenge, arm, length and bytes. By their first bytes neither
+    /// can be taken for the other.
     pub fn sign_upload(
         &self,
         nonce: &[u8; MAC_BYTES],
         arm_hash: u32,
-        bank: &[u8],
+        upload: &[u8],
     ) -> [u8; MAC_BYTES] {
         let mut code = self.code();
         code.write(UPLOAD);
         code.write(nonce);
         code.write(&arm_hash.to_le_bytes());
-        code.write(&(bank.len() as u32).to_le_bytes());
-        code.write(bank);
+        code.write(&(upload.len() as u32).to_le_bytes());
+        code.write(upload);
         code.finish128().as_bytes()
     }
 
@@ -60,9 +61,9 @@ impl WriteKey {
         signature: &[u8; MAC_BYTES],
         nonce: &[u8; MAC_BYTES],
         arm_hash: u32,
-        bank: &[u8],
+        upload: &[u8],
     ) -> bool {
-        let right = self.sign_upload(nonce, arm_hash, bank);
+        let right = self.sign_upload(nonce, arm_hash, upload);
         let pairs = signature.iter().zip(right);
         let different = pairs.fold(0, |different, (given, right)| different | (given ^ right));
         different == 0

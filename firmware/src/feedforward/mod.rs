@@ -161,13 +161,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     /// Starts over at tick 0 with `set`, as [`new`](Self::new) does.
     ///
     /// Errors: the first field of `config` that cannot work; then nothing has changed.
+    #[inline(never)]
     pub fn restart(
         &mut self,
         config: FeedForwardConfig<N>,
         set: &ParameterSet<N, P>,
     ) -> Result<(), ConfigError> {
         self.configure(config)?;
-        self.state = FeedForwardState::new(*set);
+        self.state.restart(set);
         Ok(())
     }
 

@@ -70,6 +70,22 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         }
     }
 
+    /// Back to what [`new`](Self::new) makes of `set`, in place: a board does it in the tick, whose stack is small.
+    #[inline(never)]
+    pub(super) fn restart(&mut self, set: &ParameterSet<N, P>) {
+        self.tick = 0;
+        self.load(set);
+        self.learning = false;
+        self.late_sets = 0;
+        self.report = Report::new();
+        self.payload_torque = JointVector::zeros();
+        self.sum = JointVector::zeros();
+        self.recommitted = false;
+        self.last = Torque::zero();
+        self.stale_ticks = 0;
+        self.adoption = Flags::NONE;
+    }
+
     /// Makes `set` loaded, active and committed from the tick to come on; the hand is empty.
     pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
         self.loaded = Loaded::new(set);

@@ -65,6 +65,26 @@ fn settled(tick: &mut Tick, motion: &JointMotion<N>) -> Torque<N> {
 }
 
 #[test]
+fn starting_over_leaves_nothing_of_what_was() {
+    let (mut used, fresh) = (tick(set()), tick(Set::nominal::<Ur5>(1)));
+    let mut exchange = Exchange::new();
+    used.set_learning(true);
+    for step in 0..20 {
+        let mut learnt = finished(step, set());
+        learnt.set.friction[2].coulomb += 0.1;
+        (learnt.range, learnt.commit) = (WIDE, step % 7 == 0);
+        exchange.published = Some(learnt);
+        used.adopt(&mut exchange);
+        used.step(&sample(motion(0.1 * step as f32)));
+    }
+    used.step_stale();
+    assert_ne!(used.state(), fresh.state());
+    used.restart(*fresh.config(), &Set::nominal::<Ur5>(1))
+        .unwrap();
+    assert_eq!(used.state(), fresh.state());
+}
+
+#[test]
 fn the_settled_torque_is_the_sum_of_the_evaluated_shares() {
     let motion = motion(0.3);
     let torque = settled(&mut tick(set()), &motion);

@@ -73,7 +73,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             inv_period: 1.0 / period_s,
             noise: 0.01,
             outlier_sigmas: 3.0,
-            process_noise: 5e-7,
+            process_noise: 1e-7,
             torque_step: 0.005,
             rigid_sigma: rigid_sigma::<A, N, P>(),
             friction_sigma: friction_sigma::<A, N, P>(),

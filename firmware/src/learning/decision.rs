@@ -75,10 +75,29 @@ pub struct Decision {
 /// Decisions that are kept.
 pub const DECISIONS: usize = 8;
 
+/// Room for a [`Decision`], without one at first. Zeros have to be a value of it, as of everything in a learner: a board
+/// makes room for one that is nothing but zeros.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Slot {
+    tick: u32,
+    reason: Option<Reason>,
+    joint: Option<u8>,
+    figure: f32,
+}
+
+impl Slot {
+    const EMPTY: Self = Self {
+        tick: 0,
+        reason: None,
+        joint: None,
+        figure: 0.0,
+    };
+}
+
 /// The newest decisions, and how many there were.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DecisionLog {
-    ring: [Option<Decision>; DECISIONS],
+    ring: [Slot; DECISIONS],
     count: u32,
 }
 
@@ -86,7 +105,7 @@ impl DecisionLog {
     /// No decision yet.
     pub const fn new() -> Self {
         Self {
-            ring: [None; DECISIONS],
+            ring: [Slot::EMPTY; DECISIONS],
             count: 0,
         }
     }
@@ -94,7 +113,12 @@ impl DecisionLog {
     /// Takes a decision; the oldest kept one gives way.
     pub(super) fn note(&mut self, decision: Decision) {
         if let Some(slot) = self.ring.get_mut(self.count as usize % DECISIONS) {
-            *slot = Some(decision);
+            *slot = Slot {
+                tick: decision.tick,
+                reason: Some(decision.reason),
+                joint: decision.joint,
+                figure: decision.figure,
+            };
         }
         self.count = self.count.wrapping_add(1);
     }
@@ -110,7 +134,13 @@ impl DecisionLog {
         if age == 0 || age > DECISIONS as u32 {
             return None;
         }
-        *self.ring.get(index as usize % DECISIONS)?
+        let slot = self.ring.get(index as usize % DECISIONS)?;
+        Some(Decision {
+            tick: slot.tick,
+            reason: slot.reason?,
+            joint: slot.joint,
+            figure: slot.figure,
+        })
     }
 
     /// The newest decision.

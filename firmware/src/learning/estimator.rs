@@ -1,4 +1,4 @@
-use super::conditioning::Conditioned;
+use super::conditioning::{AVERAGED, Conditioned};
 use super::config::LearnerConfig;
 use super::parameters::ParameterSet;
 use super::stacked::Stacked;
@@ -14,7 +14,9 @@ const MEDIAN_SQUARED: f32 = 0.6745 * 0.6745;
 /// 167 rows a second.
 const VARIANCE_STEP: f32 = 1.005;
 /// Range of the variance, in units of the configured one.
-const VARIANCE_RANGE: (f32, f32) = (0.1, 400.0);
+const VARIANCE_RANGE: (f32, f32) = (0.02, 400.0);
+/// Variance at first: that of a mean of white noise, which is what a row is made from.
+const FIRST_VARIANCE: f32 = 1.0 / AVERAGED as f32;
 
 /// The first friction columns of a joint, those that change with temperature and wear, wander; offset and cogging do not.
 const WANDERING: usize = 4;
@@ -78,7 +80,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         Self {
             parameters: Stacked::filled(0.0),
             filter: UdFilter::new(),
-            variance: [1.0; N],
+            variance: [FIRST_VARIANCE; N],
             wandering: [0; N],
         }
     }
@@ -87,7 +89,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>) {
         self.parameters = Stacked::of(prior);
         self.filter.reset();
-        self.variance = [1.0; N];
+        self.variance = [FIRST_VARIANCE; N];
         self.wandering = [0; N];
     }
 
@@ -111,7 +113,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         &self.filter
     }
 
-    /// Variance of the torque of each joint as found, in units of the configured one.
+    /// Variance of the averaged torque of each joint as found, in units of the configured one of a single measurement.
     pub fn variance(&self) -> &[f32; N] {
         &self.variance
     }
@@ -303,7 +305,9 @@ mod tests {
                 (*random >> 11) as f64 / (1u64 << 53) as f64 - 0.5
             })
             .sum();
-        tau[joint] = row.dot(&truth) + (0.01 * noise) as f32 * Ur5::LIMITS[joint].torque;
+        // A row is made from a mean of torques.
+        let noise = 0.01 * noise / (AVERAGED as f64).sqrt();
+        tau[joint] = row.dot(&truth) + noise as f32 * Ur5::LIMITS[joint].torque;
         (row, tau[joint])
     }
 
@@ -322,7 +326,7 @@ mod tests {
             p: (0..n)
                 .map(|i| (0..n).map(|k| f64::from(u8::from(i == k))).collect())
                 .collect(),
-            variance: [1.0; N],
+            variance: [f64::from(FIRST_VARIANCE); N],
             visits: [0; N],
         };
         let (mut worst, mut random) = (0.0f64, 7);

@@ -8,8 +8,11 @@
 /// d = champion² − challenger²      t = Σ d / √Σ d²
 /// ```
 /// The pairs share their noise, so t notices a better model long before the mean squares differ visibly.
+///
+/// Parameters are shared by joints, so rows of one joint alone prove nothing of the torques of the others: a joint that
+/// stood still meanwhile may be far off. What is better has to be so for every joint, or leave its torque as it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Evidence {
+pub(super) struct Evidence<const N: usize> {
     advantage: f32,
     scatter: f32,
     champion: f32,
@@ -21,6 +24,19 @@ pub(super) struct Evidence {
     /// Rows, faded like the sums: what noise alone leaves of a torque in these units.
     weight: f32,
     rows: u32,
+    joints: [JointEvidence; N],
+}
+
+/// What one joint says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct JointEvidence {
+    advantage: f32,
+    scatter: f32,
+    /// Its rows, faded with those of all.
+    weight: f32,
+    /// By how much the challenger would change its torque while it stands still at most, in units of the torque limit;
+    /// faded too.
+    untold: f32,
 }
 
 /// Rows after which evidence has faded to 37 %.
@@ -30,8 +46,15 @@ const FADE: f32 = 1.0 - 1.0 / MEMORY_ROWS;
 const CLIP: f32 = 6.0;
 /// A common factor is believed when it leaves less than this of what the champion leaves beyond the noise.
 const GAIN_RATIO: f32 = 0.2;
+/// Change of the torque of a joint that has not told, in units of the torque limit, that is no matter.
+const UNTOLD_CHANGE: f32 = 0.01;
 
-impl Evidence {
+/// t > s without a root: squares with their signs are compared.
+fn exceeds(advantage: f32, scatter: f32, sigmas: f32) -> bool {
+    advantage * advantage.abs() > sigmas * sigmas.abs() * scatter
+}
+
+impl<const N: usize> Evidence<N> {
     /// No row yet.
     pub(super) const NONE: Self = Self {
         advantage: 0.0,
@@ -43,10 +66,23 @@ impl Evidence {
         modelled: 0.0,
         weight: 0.0,
         rows: 0,
+        joints: [JointEvidence {
+            advantage: 0.0,
+            scatter: 0.0,
+            weight: 0.0,
+            untold: 0.0,
+        }; N],
     };
 
-    /// Takes one row: measured torque, what the champion makes of it, what the challenger leaves; in standard deviations.
-    pub(super) fn note(&mut self, measured: f32, champion: f32, challenger_residual: f32) {
+    /// Takes one row of `joint`: measured torque, what the champion makes of it, what the challenger leaves; in standard
+    /// deviations.
+    pub(super) fn note(
+        &mut self,
+        joint: usize,
+        measured: f32,
+        champion: f32,
+        challenger_residual: f32,
+    ) {
         let left = measured - champion;
         let sum = measured * measured + champion * champion + challenger_residual;
         if !sum.is_finite() {
@@ -67,7 +103,41 @@ impl Evidence {
         fade(&mut self.cross, measured * champion);
         fade(&mut self.modelled, champion * champion);
         fade(&mut self.weight, 1.0);
+        for told in &mut self.joints {
+            told.advantage *= FADE;
+            told.scatter *= FADE;
+            told.weight *= FADE;
+            told.untold *= FADE;
+        }
+        if let Some(told) = self.joints.get_mut(joint) {
+            told.advantage += d;
+            told.scatter += d * d;
+            told.weight += 1.0;
+        }
         self.rows = self.rows.saturating_add(1);
+    }
+
+    /// `joint` stands still and tells nothing; the challenger would change its torque by `change`, in units of its limit.
+    pub(super) fn note_still(&mut self, joint: usize, change: f32) {
+        if let Some(told) = self.joints.get_mut(joint) {
+            // The most of it: a change that swings through zero is one.
+            let change = change.abs();
+            if change > told.untold {
+                told.untold = change;
+            }
+        }
+    }
+
+    /// No joint speaks against the challenger: each has told it on `rows` rows and does not find it worse by more than
+    /// `sigmas` standard deviations, or its torque is left as it is.
+    pub(super) fn no_joint_objects(&self, rows: f32, sigmas: f32) -> bool {
+        self.joints.iter().all(|told| {
+            if told.weight >= rows {
+                !exceeds(-told.advantage, told.scatter, sigmas)
+            } else {
+                told.untold <= UNTOLD_CHANGE
+            }
+        })
     }
 
     /// Rows taken.
@@ -77,13 +147,10 @@ impl Evidence {
 
     /// The challenger is better by `sigmas` standard deviations (worse, if `sigmas` is negative).
     pub(super) fn favours(&self, sigmas: f32) -> bool {
-        // t > s without a root: compare squares with their signs.
-        let signed = self.advantage * self.advantage.abs();
-        let bound = sigmas * sigmas.abs() * self.scatter;
         if sigmas < 0.0 {
-            signed < bound
+            exceeds(-self.advantage, self.scatter, -sigmas)
         } else {
-            signed > bound
+            exceeds(self.advantage, self.scatter, sigmas)
         }
     }
 
@@ -124,11 +191,11 @@ mod tests {
 
     #[test]
     fn a_model_that_is_a_tenth_of_the_noise_better_is_noticed_and_an_equal_one_is_not() {
-        let (mut better, mut equal) = (Evidence::NONE, Evidence::NONE);
+        let (mut better, mut equal) = (Evidence::<2>::NONE, Evidence::<2>::NONE);
         for (torque, noise) in rows(20_000) {
             let champion = torque + 0.2 * (torque * 0.7).sin();
-            better.note(torque + noise, champion, noise);
-            equal.note(torque + noise, torque, noise);
+            better.note(0, torque + noise, champion, noise);
+            equal.note(0, torque + noise, torque, noise);
         }
         assert!(better.favours(3.0) && !better.favours(-3.0));
         assert!(!equal.favours(3.0) && !equal.favours(-3.0));
@@ -138,24 +205,50 @@ mod tests {
     #[test]
     fn a_common_factor_is_told_from_a_wrong_model() {
         for gain in [-1.0, 0.8, 1.2] {
-            let (mut scaled, mut offset) = (Evidence::NONE, Evidence::NONE);
+            let (mut scaled, mut offset) = (Evidence::<2>::NONE, Evidence::<2>::NONE);
             for (torque, noise) in rows(5000) {
-                scaled.note(gain * torque + noise, torque, noise);
-                offset.note(torque + 5.0 + noise, torque, noise);
+                scaled.note(0, gain * torque + noise, torque, noise);
+                offset.note(0, torque + 5.0 + noise, torque, noise);
             }
             let found = scaled.common_gain(0.08).unwrap_or(0.0);
             assert!((found - gain).abs() < 0.02, "{found} for {gain}");
             assert_eq!(offset.common_gain(0.08), None);
         }
-        assert_eq!(Evidence::NONE.common_gain(0.08), None);
+        assert_eq!(Evidence::<1>::NONE.common_gain(0.08), None);
     }
 
     #[test]
     fn what_is_not_finite_is_no_evidence() {
-        let mut evidence = Evidence::NONE;
-        evidence.note(f32::NAN, 1.0, 1.0);
-        evidence.note(1.0, f32::INFINITY, 1.0);
-        evidence.note(1.0, 1.0, f32::NAN);
+        let mut evidence = Evidence::<1>::NONE;
+        evidence.note(0, f32::NAN, 1.0, 1.0);
+        evidence.note(0, 1.0, f32::INFINITY, 1.0);
+        evidence.note(0, 1.0, 1.0, f32::NAN);
         assert_eq!(evidence, Evidence::NONE);
+    }
+
+    #[test]
+    fn a_joint_that_stood_still_or_finds_it_worse_speaks_against_what_the_others_find_better() {
+        let mut evidence = Evidence::<2>::NONE;
+        for (torque, noise) in rows(2000) {
+            evidence.note(0, torque + noise, torque + 2.0, noise);
+            evidence.note_still(1, 0.05);
+        }
+        assert!(evidence.favours(3.0) && !evidence.no_joint_objects(100.0, 0.0));
+        // Only once what it would have been is long ago.
+        evidence.note_still(1, 0.001);
+        assert!(!evidence.no_joint_objects(100.0, 0.0));
+        for (torque, noise) in rows(8000) {
+            evidence.note(0, torque + noise, torque + 2.0, noise);
+        }
+        assert!(evidence.no_joint_objects(100.0, 0.0));
+        for (torque, noise) in rows(400) {
+            evidence.note(1, torque + noise, torque, noise + 2.0);
+        }
+        assert!(evidence.favours(3.0) && !evidence.no_joint_objects(100.0, 0.0));
+        assert!(!evidence.no_joint_objects(100.0, 3.0));
+        for (torque, noise) in rows(800) {
+            evidence.note(1, torque + noise, torque + 2.0, noise);
+        }
+        assert!(evidence.no_joint_objects(100.0, 0.0));
     }
 }

@@ -16,6 +16,9 @@ pub(super) struct Checkpoint<const N: usize, const P: usize> {
     pub(super) payload: Payload,
 }
 
+/// Slices for which a payload has to be carried for the arm's own parameters to be learnt on, and for the friction learnt
+/// then to stay: half a minute.
+const LONG_CARRIED_SLICES: u32 = 3000;
 /// Rows after which a set that need not be followed is good enough for networks to be trained on what it leaves.
 const TRAINING_ROWS: u32 = 4096;
 
@@ -40,7 +43,7 @@ pub(super) struct Guard<const N: usize, const P: usize> {
     /// From the last and the last but one checkpoint: an alarm comes after the change.
     pub(super) checkpoints: [Checkpoint<N, P>; 2],
     /// The estimate against the committed set.
-    pub(super) evidence: Evidence,
+    pub(super) evidence: Evidence<N>,
     pub(super) committed: Stacked<N, P>,
     /// The active set follows the estimate.
     pub(super) following: bool,
@@ -102,9 +105,10 @@ impl<const N: usize, const P: usize> Guard<N, P> {
         self.loaded() && self.slices_carried < config.weighing_slices
     }
 
-    /// A payload has just been believed: the arm's own parameters rest until it is weighed well.
-    pub(super) fn resting(&self, config: &GuardConfig) -> bool {
-        self.loaded() && self.slices_carried < config.weighing_slices / 10
+    /// The arm's own parameters rest while a payload is carried, unless for long. On release they are again what they were
+    /// before it: rows learnt meanwhile would be lost, but their covariance would go on as if they were known.
+    pub(super) fn resting(&self) -> bool {
+        self.loaded() && self.slices_carried < LONG_CARRIED_SLICES
     }
 
     /// What was gathered of the torques does not join on to what comes.

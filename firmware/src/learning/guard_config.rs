@@ -28,8 +28,7 @@ pub struct GuardConfig {
     pub evidence_slices: u32,
     /// Slices after which a candidate that has not been believed is refused.
     pub time_out_slices: u32,
-    /// Slices for which a payload is weighed on after it was believed; for the first tenth of them the arm's own
-    /// parameters rest.
+    /// Slices for which a payload is weighed on after it was believed.
     pub weighing_slices: u32,
     /// Rows after which an estimate may be followed, if it has proved itself on them.
     pub proof_rows: u32,
@@ -122,8 +121,8 @@ impl GuardConfig {
             },
             detector: DetectorConfig {
                 clip: 3.0,
-                drift: 1.0,
-                threshold: 8.0,
+                drift: 0.7,
+                threshold: 6.0,
             },
             heaviest: const { 1.2 * rated_payload::<A, N, P>() },
             lightest: 0.25,
@@ -131,7 +130,7 @@ impl GuardConfig {
             mass_sigma: 0.15,
             inflation: 5.0,
             residual_ratio: 0.6,
-            calm: 1.5,
+            calm: 0.5,
             evidence_slices: 5,
             time_out_slices: 300,
             weighing_slices: 1000,

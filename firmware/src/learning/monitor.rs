@@ -1,4 +1,6 @@
 use super::quality::{ModelQuality, Phase};
+use super::ud::UdFilter;
+use crate::dynamics::FRICTION_COLUMNS;
 use crate::math::sqrt;
 
 /// Rows of a joint after which what was seen has faded to 37 %.
@@ -30,6 +32,9 @@ struct Sums {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Monitor<const N: usize> {
     joints: [Sums; N],
+    /// The parameter whose information is asked for next, and that of those before.
+    place: usize,
+    known: f32,
 }
 
 impl<const N: usize> Monitor<N> {
@@ -43,6 +48,33 @@ impl<const N: usize> Monitor<N> {
         };
         Self {
             joints: [NOTHING; N],
+            place: 0,
+            known: 0.0,
+        }
+    }
+
+    /// Asks `filter` for one parameter and brings the information of `quality` up to date after the last of them.
+    ///
+    /// Cost: one row of U, `P + N · FRICTION_COLUMNS` multiply-adds at most.
+    pub(super) fn ask<const P: usize>(
+        &mut self,
+        filter: &UdFilter<N, P>,
+        quality: &mut ModelQuality<N>,
+    ) {
+        let friction = N * FRICTION_COLUMNS;
+        let (joint, column) = (self.place / FRICTION_COLUMNS, self.place % FRICTION_COLUMNS);
+        let variance = match self.place.checked_sub(friction) {
+            None => filter.friction_variance(joint, column),
+            Some(column) => filter.rigid_variance(column),
+        };
+        // Doubt may have been raised beyond the prior's.
+        let known = 1.0 - variance.unwrap_or(1.0);
+        self.known += if known > 0.0 { known } else { 0.0 };
+        self.place += 1;
+        if self.place >= friction + P {
+            quality.information = self.known / self.place as f32;
+            self.place = 0;
+            self.known = 0.0;
         }
     }
 
@@ -120,6 +152,7 @@ impl Phase {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::learning::stacked::Stacked;
 
     fn row(residual: f32) -> Observation {
         Observation {
@@ -160,5 +193,23 @@ mod tests {
         monitor.note(0, &row(f32::NAN));
         monitor.note(7, &row(0.1));
         assert_eq!(monitor, before);
+    }
+
+    #[test]
+    fn information_is_the_mean_part_of_the_doubt_that_rows_have_removed() {
+        const PARAMETERS: usize = 14 + 3;
+        let mut filter = UdFilter::<2, 3>::new();
+        let mut gain = Stacked::filled(0.0);
+        let mut phi = Stacked::filled(0.0);
+        (phi.friction[1][2], phi.rigid[0]) = (3.0, 4.0);
+        filter.update(1, &phi, 1.0, &mut gain);
+        let (mut monitor, mut quality) = (Monitor::<2>::new(), ModelQuality::new());
+        for _ in 0..PARAMETERS {
+            assert_eq!(quality.information, 0.0);
+            monitor.ask(&filter, &mut quality);
+        }
+        // P = I − φφᵀ/(φᵀφ + 1): the trace has lost 25/26.
+        let wanted = 25.0 / 26.0 / PARAMETERS as f32;
+        assert!((quality.information - wanted).abs() < 1e-6, "{quality:?}");
     }
 }

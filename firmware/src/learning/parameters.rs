@@ -37,12 +37,17 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
     /// The description's rigid body, no friction, and networks that say nothing yet: random hidden layers (joint `j`
     /// from `seed + j`) under output layers of zeros.
     pub fn nominal<A: Arm<N, P>>(seed: u32) -> Self {
+        let mut network = [JointNetwork::zeros(); N];
+        for (seed, network) in (0..)
+            .map(|joint| seed.wrapping_add(joint))
+            .zip(&mut network)
+        {
+            *network = JointNetwork::silent(seed);
+        }
         Self {
             rigid: A::NOMINAL.into(),
             friction: [FrictionParameters::NONE; N],
-            network: core::array::from_fn(|joint| {
-                JointNetwork::silent(seed.wrapping_add(joint as u32))
-            }),
+            network,
         }
     }
 

@@ -24,24 +24,27 @@ impl<const N: usize, const P: usize> Stacked<N, P> {
 
     /// The linear parameters of `set`.
     pub fn of(set: &ParameterSet<N, P>) -> Self {
-        let mut stacked = Self::filled(0.0);
-        stacked.friction = set.friction.map(FrictionParameters::columns);
-        stacked.rigid.copy_from_slice(set.rigid.as_slice());
-        stacked
+        let [rigid] = set.rigid.data.0;
+        Self {
+            friction: columns(&set.friction),
+            rigid,
+        }
     }
 
     /// The prior standard deviations of `config`.
     pub fn sigma(config: &LearnerConfig<N, P>) -> Self {
         Self {
-            friction: config.friction_sigma.map(FrictionParameters::columns),
+            friction: columns(&config.friction_sigma),
             rigid: config.rigid_sigma,
         }
     }
 
     /// Puts these parameters into `set`.
     pub fn write(&self, set: &mut ParameterSet<N, P>) {
-        set.friction = self.friction.map(FrictionParameters::from_columns);
-        set.rigid.as_mut_slice().copy_from_slice(&self.rigid);
+        for (friction, &columns) in set.friction.iter_mut().zip(&self.friction) {
+            *friction = FrictionParameters::from_columns(columns);
+        }
+        set.rigid.data.0 = [self.rigid];
     }
 
     /// Friction and rigid body, each as one run of numbers: loops over these cost less than over [`iter`](Self::iter).
@@ -64,4 +67,13 @@ impl<const N: usize, const P: usize> Stacked<N, P> {
         let friction = self.friction.as_flattened_mut();
         friction.iter_mut().chain(&mut self.rigid)
     }
+}
+
+/// The columns of every joint.
+fn columns<const N: usize>(friction: &[FrictionParameters; N]) -> [[f32; FRICTION_COLUMNS]; N] {
+    let mut columns = [[0.0; FRICTION_COLUMNS]; N];
+    for (columns, friction) in columns.iter_mut().zip(friction) {
+        *columns = friction.columns();
+    }
+    columns
 }

@@ -26,6 +26,10 @@ const LEAST_ROWS: f32 = 8.0;
 /// What a candidate may leave of the mean square residual of a large disturbance and still count as explaining it.
 const REMAINDER: f32 = 0.02;
 
+/// Times what is usually left that may be left besides when a disturbance is over: real arms are never explained to the
+/// noise.
+const USUAL: f32 = 2.0;
+
 /// A trial. Squares in variances of a measurement, faded from slice to slice.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Trial {
@@ -83,8 +87,15 @@ impl Trial {
     }
 
     /// After the last joint of a slice: what the evidence says by now.
+    ///
+    /// * `usual` mean square of the slices while nothing happens, mean of the joints, in variances of a measurement
     #[inline(never)]
-    pub(super) fn judge(&mut self, config: &GuardConfig, loaded: bool) -> Option<Verdict> {
+    pub(super) fn judge(
+        &mut self,
+        config: &GuardConfig,
+        loaded: bool,
+        usual: f32,
+    ) -> Option<Verdict> {
         self.slices += 1;
         if self.slices <= WARM_UP {
             // The first rows only tell the candidate where to look.
@@ -105,7 +116,8 @@ impl Trial {
         };
         let promoted = count(&mut self.proven, believed);
         let released = count(&mut self.released, gone);
-        let calm = count(&mut self.calm, current < config.calm);
+        let quiet = config.calm + USUAL * usual;
+        let calm = count(&mut self.calm, current < quiet);
         for sum in [
             &mut self.rows,
             &mut self.current,

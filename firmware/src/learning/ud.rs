@@ -1,5 +1,20 @@
 use super::stacked::Stacked;
 use crate::dynamics::FRICTION_COLUMNS;
+use core::array::{from_mut, from_ref};
+
+/// `each_row!(K < W { body })` runs the body for row K = 0 to W − 1, each time with `K` a constant: written out, the rows'
+/// running sums stay in registers whether the compiler unrolls loops or not.
+macro_rules! each_row {
+    ($k:ident < $w:ident $body:block) => {
+        each_row!($k < $w $body, 0 1 2 3 4 5 6)
+    };
+    ($k:ident < $w:ident $body:block, $($row:literal)*) => {
+        $({
+            const $k: usize = $row;
+            if $k < $w $body
+        })*
+    };
+}
 
 /// Friction entries of all joints.
 type Friction<const N: usize> = [[f32; FRICTION_COLUMNS]; N];
@@ -82,27 +97,33 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let mut f = *phi;
         let start = joint * FRICTION_COLUMNS;
         if let (Some(rows), Some(weights)) = (self.friction.get(joint), phi.friction.get(joint)) {
-            let friction = rows.each_ref().map(|row| row.friction.as_flattened());
-            add_rows(f.friction.as_flattened_mut(), friction, weights, start);
+            let friction = f.friction.as_flattened_mut();
             add_rows(
-                &mut f.rigid,
-                rows.each_ref().map(|row| &row.rigid[..]),
+                friction,
+                rows,
+                |row| row.friction.as_flattened(),
                 weights,
-                0,
+                start,
             );
+            add_rows(&mut f.rigid, rows, |row| &row.rigid, weights, 0);
         }
         let (rows, rest) = self.rigid.as_chunks::<ROWS>();
         let (weights, rest_weights) = phi.rigid.as_chunks::<ROWS>();
         for (block, (rows, weights)) in rows.iter().zip(weights).enumerate() {
             // Links before the joint do not move with it.
             if *weights != [0.0; ROWS] {
-                let rows = rows.each_ref().map(|row| &row[..]);
-                add_rows(&mut f.rigid, rows, weights, block * ROWS);
+                add_rows(&mut f.rigid, rows, |row| row, weights, block * ROWS);
             }
         }
         let start = P - rest.len();
-        for (row, &weight) in rest.iter().zip(rest_weights) {
-            add_rows(&mut f.rigid, [&row[..]], &[weight], start);
+        for (row, weight) in rest.iter().zip(rest_weights) {
+            add_rows(
+                &mut f.rigid,
+                from_ref(row),
+                |row| row,
+                from_ref(weight),
+                start,
+            );
         }
         f
     }
@@ -126,33 +147,27 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let (gains, rest_gains) = gain.friction.as_flattened_mut().as_chunks_mut::<ROWS>();
         let start = rows.len() * ROWS;
         for (block, (rows, gain)) in rows.iter_mut().zip(gains).enumerate() {
-            let mut friction = rows.each_mut().map(|row| row.friction.as_flattened_mut());
-            *gain = turns.corner(&mut friction, block * ROWS);
-            turns.sweep(&mut friction, block * ROWS + ROWS, gain);
-            beyond.sweep(&mut rows.each_mut().map(|row| &mut row.rigid[..]), 0, gain);
+            *gain = turns.corner(rows, friction, block * ROWS);
+            turns.sweep(rows, friction, block * ROWS + ROWS, gain);
+            beyond.sweep(rows, |row| &mut row.rigid, 0, gain);
         }
         for (place, (row, gain)) in rest.iter_mut().zip(rest_gains).enumerate() {
-            let mut b = turns.corner(&mut [row.friction.as_flattened_mut()], start + place);
-            turns.sweep(
-                &mut [row.friction.as_flattened_mut()],
-                start + place + 1,
-                &mut b,
-            );
-            beyond.sweep(&mut [&mut row.rigid[..]], 0, &mut b);
-            [*gain] = b;
+            let (row, gain) = (from_mut(row), from_mut(gain));
+            *gain = turns.corner(row, friction, start + place);
+            turns.sweep(row, friction, start + place + 1, gain);
+            beyond.sweep(row, |row| &mut row.rigid, 0, gain);
         }
         let (rows, rest) = self.rigid.as_chunks_mut::<ROWS>();
         let (gains, rest_gains) = gain.rigid.as_chunks_mut::<ROWS>();
         let start = rows.len() * ROWS;
         for (block, (rows, gain)) in rows.iter_mut().zip(gains).enumerate() {
-            let mut rows = rows.each_mut().map(|row| &mut row[..]);
-            *gain = beyond.corner(&mut rows, block * ROWS);
-            beyond.sweep(&mut rows, block * ROWS + ROWS, gain);
+            *gain = beyond.corner(rows, |row| row, block * ROWS);
+            beyond.sweep(rows, |row| row, block * ROWS + ROWS, gain);
         }
         for (place, (row, gain)) in rest.iter_mut().zip(rest_gains).enumerate() {
-            let mut b = beyond.corner(&mut [&mut row[..]], start + place);
-            beyond.sweep(&mut [&mut row[..]], start + place + 1, &mut b);
-            [*gain] = b;
+            let (row, gain) = (from_mut(row), from_mut(gain));
+            *gain = beyond.corner(row, |row| row, start + place);
+            beyond.sweep(row, |row| row, start + place + 1, gain);
         }
     }
 
@@ -164,15 +179,16 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     pub fn friction_variance(&self, joint: usize, column: usize) -> Option<f32> {
         let row = self.friction.get(joint)?.get(column)?;
         let own = *self.diagonal.friction.get(joint)?.get(column)?;
-        let mut sums = [own, 0.0];
-        let friction = row.friction.as_flattened().iter();
-        for (u, d) in friction.zip(self.diagonal.friction.as_flattened()) {
-            sums[0] += u * u * d;
-        }
-        for (u, d) in row.rigid.iter().zip(&self.diagonal.rigid) {
-            sums[1] += u * u * d;
-        }
-        Some(sums[0] + sums[1])
+        let [friction, rigid] = self.diagonal.parts();
+        let [u_friction, u_rigid] = row.parts();
+        Some(own + spread(u_friction, friction) + spread(u_rigid, rigid))
+    }
+
+    /// Variance of base parameter `column`, in units of the prior's; `None` if there is no such. As
+    /// [`friction_variance`](Self::friction_variance).
+    pub fn rigid_variance(&self, column: usize) -> Option<f32> {
+        let own = *self.diagonal.rigid.get(column)?;
+        Some(own + spread(self.rigid.get(column)?, &self.diagonal.rigid))
     }
 
     /// Adds `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
@@ -258,47 +274,77 @@ struct Turns<'a> {
 
 impl Turns<'_> {
     /// The columns from `start` on: `U_ij ← U_ij + λ_j b_i`, `b_i ← b_i + v_j U_ij` of before.
+    ///
+    /// * `part` the entries of a row that these columns are
     #[inline(always)]
-    fn sweep<const W: usize>(&self, rows: &mut [&mut [f32]; W], start: usize, b: &mut [f32; W]) {
-        let end = self.v.len();
+    fn sweep<R, const W: usize>(
+        &self,
+        rows: &mut [R; W],
+        part: impl Fn(&mut R) -> &mut [f32],
+        start: usize,
+        b: &mut [f32; W],
+    ) {
         let mut sums = *b;
-        // Slices of one and the same length, so that no entry is checked.
-        let (lambda, v) = (from(self.lambda, start, end), from(self.v, start, end));
-        let mut rows = rows
-            .each_mut()
-            .map(|row| row.get_mut(start..end).unwrap_or_default());
-        for (j, (lambda, v)) in lambda.iter().zip(v).enumerate() {
-            for (row, b) in rows.iter_mut().zip(&mut sums) {
-                if let Some(u) = row.get_mut(j) {
-                    let before = *u;
-                    *u = before + lambda * *b;
-                    *b += v * before;
+        for j in start..self.v.len() {
+            let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) else {
+                break;
+            };
+            each_row!(K < W {
+                let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
+                if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
+                    turn_one(u, b, *lambda, *v);
                 }
-            }
+            });
         }
         *b = sums;
     }
 
     /// The columns of the rows' own diagonals, the first of them at `start`; returns b behind them.
     #[inline(always)]
-    fn corner<const W: usize>(&self, rows: &mut [&mut [f32]; W], start: usize) -> [f32; W] {
-        let mut b = [0.0; W];
-        for diagonal in 0..W {
-            let j = start + diagonal;
-            let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) else {
-                continue;
-            };
-            for (row, b) in rows.iter_mut().zip(&mut b).take(diagonal) {
-                if let Some(u) = row.get_mut(j) {
-                    let before = *u;
-                    *u = before + lambda * *b;
-                    *b += v * before;
-                }
+    fn corner<R, const W: usize>(
+        &self,
+        rows: &mut [R; W],
+        part: impl Fn(&mut R) -> &mut [f32],
+        start: usize,
+    ) -> [f32; W] {
+        let mut sums = [0.0; W];
+        each_row!(D < W {
+            let j = start + D;
+            if let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) {
+                each_row!(K < D {
+                    let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
+                    if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
+                        turn_one(u, b, *lambda, *v);
+                    }
+                });
+                set(&mut sums, D, *v);
             }
-            b[diagonal] = *v;
-        }
-        b
+        });
+        sums
     }
+}
+
+/// Σ u² d.
+fn spread(row: &[f32], diagonal: &[f32]) -> f32 {
+    let mut sum = 0.0;
+    for (u, d) in row.iter().zip(diagonal) {
+        sum += u * u * d;
+    }
+    sum
+}
+
+/// One entry of U, and the running sum of its row.
+#[inline(always)]
+fn turn_one(u: &mut f32, b: &mut f32, lambda: f32, v: f32) {
+    let before = *u;
+    *u = before + lambda * *b;
+    *b += v * before;
+}
+
+/// The friction entries of a row.
+#[inline(always)]
+fn friction<const N: usize, const P: usize>(row: &mut Stacked<N, P>) -> &mut [f32] {
+    row.friction.as_flattened_mut()
 }
 
 #[inline(always)]
@@ -308,24 +354,25 @@ fn set(values: &mut [f32], index: usize, value: f32) {
     }
 }
 
-/// The entries from `start` to `end`.
-#[inline(always)]
-fn from(values: &[f32], start: usize, end: usize) -> &[f32] {
-    values.get(start..end).unwrap_or_default()
-}
-
 /// `sum ← sum + Σ weight · row`, from entry `start` on.
 #[inline(always)]
-fn add_rows<const W: usize>(sum: &mut [f32], rows: [&[f32]; W], weights: &[f32; W], start: usize) {
-    let end = sum.len();
-    let rows = rows.map(|row| from(row, start, end));
-    let sum = sum.get_mut(start..end).unwrap_or_default();
-    for (j, sum) in sum.iter_mut().enumerate() {
-        for (row, weight) in rows.iter().zip(weights) {
-            if let Some(u) = row.get(j) {
+fn add_rows<R, const W: usize>(
+    sum: &mut [f32],
+    rows: &[R; W],
+    part: impl Fn(&R) -> &[f32],
+    weights: &[f32; W],
+    start: usize,
+) {
+    for j in start..sum.len() {
+        let Some(sum) = sum.get_mut(j) else {
+            break;
+        };
+        each_row!(K < W {
+            let u = rows.get(K).and_then(|row| part(row).get(j));
+            if let (Some(u), Some(weight)) = (u, weights.get(K)) {
                 *sum += weight * u;
             }
-        }
+        });
     }
 }
 
@@ -337,10 +384,11 @@ const LANES: usize = 4;
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut sums = [0.0; LANES];
-    for (a, b) in a.iter().zip(b) {
-        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
-            *sum += a * b;
-        }
+    for ([a0, a1, a2, a3], [b0, b1, b2, b3]) in a.iter().zip(b) {
+        sums[0] += a0 * b0;
+        sums[1] += a1 * b1;
+        sums[2] += a2 * b2;
+        sums[3] += a3 * b3;
     }
     let mut rest = 0.0;
     for (a, b) in a_rest.iter().zip(b_rest) {

@@ -88,13 +88,13 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// Output of the network for input `x`.
     ///
     /// Cost: `I H + H O` multiply-adds and `H` activations.
-    #[inline]
+    #[inline(always)]
     pub fn forward(&self, x: &SVector<f32, I>) -> SVector<f32, O> {
         self.output(&self.hidden(x))
     }
 
     /// Outputs of the hidden units for input `x`.
-    #[inline]
+    #[inline(always)]
     pub fn hidden(&self, x: &SVector<f32, I>) -> SVector<f32, H> {
         let mut a = unset();
         self.hidden_into(x, &mut a);
@@ -102,13 +102,13 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     }
 
     /// [`hidden`](Self::hidden), written where it shall be.
-    #[inline]
+    #[inline(always)]
     pub(super) fn hidden_into(&self, x: &SVector<f32, I>, a: &mut SVector<f32, H>) {
         layer(&self.hidden_weights, &self.hidden_bias, x, A::value, a);
     }
 
     /// Output of the network for hidden outputs `a`.
-    #[inline]
+    #[inline(always)]
     pub fn output(&self, a: &SVector<f32, H>) -> SVector<f32, O> {
         let mut y = unset();
         layer(&self.output_weights, &self.output_bias, a, |y| y, &mut y);
@@ -130,7 +130,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
 /// by.
 ///
 /// Every element adds its products in the order of the columns whatever its block, so the bits do not depend on it.
-#[inline]
+#[inline(always)]
 fn layer<const R: usize, const C: usize>(
     weights: &SMatrix<f32, R, C>,
     bias: &SVector<f32, R>,
@@ -170,13 +170,13 @@ pub(super) fn unset<const R: usize>() -> SVector<f32, R> {
 }
 
 /// What is left of `column` after whole blocks of `BLOCK` rows.
-#[inline]
+#[inline(always)]
 fn tail<const BLOCK: usize>(column: &[f32]) -> &[f32] {
     column.as_chunks::<BLOCK>().1
 }
 
 /// `b + W x` of one block of rows, two columns at a time.
-#[inline]
+#[inline(always)]
 fn block<const B: usize, const R: usize, const C: usize>(
     columns: &[[f32; R]; C],
     bias: &[f32; B],

@@ -61,7 +61,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// * returns the error `y − target` before the step, unclipped. If it is not finite, nothing changes.
     ///
     /// Cost: forward pass, and `2 I H + 4 H O` multiply-adds.
-    #[inline]
+    #[inline(always)]
     pub fn update(
         &mut self,
         x: &SVector<f32, I>,
@@ -111,14 +111,10 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         hidden: &mut SVector<f32, H>,
     ) -> Deltas {
         let errors: &[f32; O] = &output.data.0[0];
-        let (mut sensitivity, mut power, mut sum) = (0.0, 0.0, 0.0);
-        let mut unit = |weights: &[f32; O], a: f32| {
-            let slope = A::slope(a);
-            let delta = slope * dot(weights, errors);
-            sensitivity += slope * slope * dot(weights, weights);
-            power += a * a;
-            sum += delta;
-            delta
+        let mut deltas = Deltas {
+            sensitivity: 0.0,
+            power: 0.0,
+            sum: 0.0,
         };
         let (pairs, last) = self.output_weights.data.0.as_chunks::<2>();
         let (a_pairs, a_last) = a.as_slice().as_chunks::<2>();
@@ -126,21 +122,38 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         for ((&[one, two], &[a_one, a_two]), hidden) in pairs.iter().zip(a_pairs).zip(hidden_pairs)
         {
             loaded(O * H);
-            *hidden = [unit(&one, a_one), unit(&two, a_two)];
+            *hidden = [
+                deltas.of_unit::<A, O>(&one, errors, a_one),
+                deltas.of_unit::<A, O>(&two, errors, a_two),
+            ];
         }
         for ((weights, &a), hidden) in last.iter().zip(a_last).zip(hidden_last) {
-            *hidden = unit(weights, a);
+            *hidden = deltas.of_unit::<A, O>(weights, errors, a);
         }
-        Deltas {
-            sensitivity,
-            power,
-            sum,
-        }
+        deltas
+    }
+}
+
+impl Deltas {
+    /// The delta of the hidden unit whose output is `a`, from the `errors` of the outputs it leads to.
+    #[inline(always)]
+    fn of_unit<A: Activation, const O: usize>(
+        &mut self,
+        weights: &[f32; O],
+        errors: &[f32; O],
+        a: f32,
+    ) -> f32 {
+        let slope = A::slope(a);
+        let delta = slope * dot(weights, errors);
+        self.sensitivity += slope * slope * dot(weights, weights);
+        self.power += a * a;
+        self.sum += delta;
+        delta
     }
 }
 
 /// `Σ a b`, from the first product on.
-#[inline]
+#[inline(always)]
 fn dot<const L: usize>(a: &[f32; L], b: &[f32; L]) -> f32 {
     let mut products = a.iter().zip(b).map(|(a, b)| a * b);
     let first = products.next().unwrap_or(0.0);
@@ -187,7 +200,7 @@ fn descend<const R: usize, const C: usize>(
 }
 
 /// One block of rows, two columns at a time.
-#[inline]
+#[inline(always)]
 fn descend_block<const B: usize, const R: usize, const C: usize>(
     columns: &mut [[f32; R]; C],
     bias: &mut [f32; B],
@@ -198,28 +211,39 @@ fn descend_block<const B: usize, const R: usize, const C: usize>(
 ) {
     let delta = *delta;
     *bias = array::from_fn(|k| bias[k] - rate * delta[k]);
-    let column_by = |column: &mut [f32; R], source: &f32| {
-        if let Some(weights) = rows(column) {
-            let from = *weights;
-            loaded(R * C);
-            let scale = rate * source;
-            *weights = array::from_fn(|k| from[k] - scale * delta[k]);
-            loaded(R * C);
-        }
-    };
     let (pairs, last) = columns.as_chunks_mut::<2>();
     let (source_pairs, source_last) = source.as_chunks::<2>();
     for ([one, two], [source_one, source_two]) in pairs.iter_mut().zip(source_pairs) {
-        column_by(one, source_one);
-        column_by(two, source_two);
+        if let (Some(one), Some(two)) = (rows(one), rows(two)) {
+            descend_column(one, &delta, rate, source_one, R * C);
+            descend_column(two, &delta, rate, source_two, R * C);
+        }
     }
     for (column, source) in last.iter_mut().zip(source_last) {
-        column_by(column, source);
+        if let Some(weights) = rows(column) {
+            descend_column(weights, &delta, rate, source, R * C);
+        }
     }
 }
 
+/// What one column has of a block of rows, in a matrix of `entries`.
+#[inline(always)]
+fn descend_column<const B: usize>(
+    weights: &mut [f32; B],
+    delta: &[f32; B],
+    rate: f32,
+    source: &f32,
+    entries: usize,
+) {
+    let from = *weights;
+    loaded(entries);
+    let scale = rate * source;
+    *weights = array::from_fn(|k| from[k] - scale * delta[k]);
+    loaded(entries);
+}
+
 /// `value` cut to ±`bound`. Not `f32::clamp`, which panics when the bound is not a number.
-#[inline]
+#[inline(always)]
 fn clip(value: f32, bound: f32) -> f32 {
     if value > bound {
         bound
@@ -230,12 +254,12 @@ fn clip(value: f32, bound: f32) -> f32 {
     }
 }
 
-#[inline]
+#[inline(always)]
 fn squared<const R: usize>(v: &SVector<f32, R>) -> f32 {
     v.as_slice().iter().map(|v| v * v).sum()
 }
 
-#[inline]
+#[inline(always)]
 fn sum<const R: usize>(v: &SVector<f32, R>) -> f32 {
     v.as_slice().iter().sum()
 }

@@ -30,11 +30,11 @@ pub(super) struct Arguments {
     /// Directory for report.json, report.html, parameters.bank, and robot.toml and robot.urdf of the consistent parameters
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Methods, separated by commas: ols, wls, irls, consistent, bp_physical, bp_black_box, bp_residual
+    /// Methods, separated by commas: ols, wls, irls, consistent, evidence, bp_physical, bp_black_box, bp_residual
     #[arg(long, value_delimiter = ',', value_name = "LIST")]
     methods: Vec<MethodName>,
     /// Friction columns, joined by '+': coulomb-viscous, offset, stribeck, sqrt, cubic, load, cogging,
-    /// warm-up; or full for all but the last
+    /// warm-up; or full for all
     #[arg(long, default_value = "coulomb-viscous")]
     columns: ColumnSet,
     /// Filter of the training logs; fourier folds a log that repeats into one period and projects it on the harmonics
@@ -184,6 +184,7 @@ fn bank<A: foretorque::arm::Arm<N, P>, const N: usize, const P: usize>(
         &outcome.bank_layout,
         &outcome.bank_fit,
         outcome.networks.as_deref(),
+        outcome.ripple.as_ref(),
     )
 }
 

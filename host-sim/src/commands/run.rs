@@ -6,7 +6,7 @@ use super::simulate::{MotionArguments, PERIOD_S};
 use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
 use crate::experiment::closed_loop::ClosedLoop;
-use crate::files::write_whole;
+use crate::files::{WholeFile, write_whole};
 use crate::report::closed_loop::{self, ClosedLoopLog, ClosedLoopReport, LinkReport};
 use crate::robot::Robot;
 use crate::table::joint_columns;
@@ -61,6 +61,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "--log: board {} has none, only qemu-usart",
             arguments.board
         )));
+    }
+    if let Some(log) = &arguments.log {
+        // Asked before the emulator starts, which would have complaints of its own about the file.
+        drop(WholeFile::create(log)?);
     }
     let outcome = on_arm(&arguments.robot, arguments);
     if let (Some(stream), Some(log)) = (arguments.stream(), &arguments.log) {

@@ -3,7 +3,7 @@
 use super::rows::Rows;
 use crate::dynamics::{ReferenceModel, State};
 use crate::robot::Robot;
-use crate::trajectory::ViaPath;
+use crate::via::ViaPath;
 use nalgebra::{Cholesky, DMatrix};
 
 /// What a search makes small.

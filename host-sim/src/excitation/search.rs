@@ -316,8 +316,8 @@ impl<'a, const N: usize> Search<'a, N> {
                 if missed.as_ref().is_none_or(|(least, _)| short < *least) {
                     let error = ExcitationError::Unkept {
                         limit: format!("{} of {}", check.limit, check.of),
-                        reached: format!("{:.4} {}", check.worst, check.unit),
-                        asked: format!("{:.4} {}", check.allowed, check.unit),
+                        reached: quantity(check.worst, check.unit),
+                        asked: quantity(check.allowed, check.unit),
                     };
                     missed = Some((short, error));
                 }
@@ -328,6 +328,14 @@ impl<'a, const N: usize> Search<'a, N> {
             (None, Some((_, error))) => Err(error),
             (None, None) => Err(refused),
         }
+    }
+}
+
+/// A value with its unit; numbers without one stand alone.
+fn quantity(value: f64, unit: &str) -> String {
+    match unit {
+        "1" => format!("{value:.4}"),
+        unit => format!("{value:.4} {unit}"),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
 
-use crate::dynamics::{ReferenceModel, State};
+use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use nalgebra::DMatrix;
 use std::fmt;
@@ -100,8 +100,7 @@ impl FromStr for ColumnSet {
         let mut columns: Vec<FrictionColumn> = WORDS[0].1.to_vec();
         for word in text.split('+').map(str::trim) {
             let found: Vec<FrictionColumn> = if word == "full" {
-                // Warm-up is no property of a motion: it has to be asked for.
-                WORDS[..WORDS.len() - 1]
+                WORDS
                     .iter()
                     .flat_map(|(_, columns)| *columns)
                     .copied()
@@ -111,7 +110,7 @@ impl FromStr for ColumnSet {
                 let (_, columns) = known.ok_or_else(|| {
                     let names: Vec<&str> = WORDS.iter().map(|(name, _)| *name).collect();
                     format!(
-                        "unknown column set '{word}': join any of {} by '+', or take full for all but warm-up",
+                        "unknown column set '{word}': join any of {} by '+', or take full for all",
                         names.join(", ")
                     )
                 })?;
@@ -272,6 +271,19 @@ impl<const N: usize> Layout<N> {
     /// Widths of the two Stribeck bells, rad/s.
     pub(super) fn stribeck_widths(&self) -> [f64; 2] {
         STRIBECK_WIDTHS_RAD_S
+    }
+
+    /// `[sin(z q), cos(z q)]` of every joint, z its cogging cycles a turn; zero where the description gives none.
+    pub fn waves(&self, q: &Joints<N>) -> [[f64; 2]; N] {
+        std::array::from_fn(|joint| {
+            let cycles = self.cogging[joint];
+            if cycles > 0.0 {
+                let (sin, cos) = (cycles * q[joint]).sin_cos();
+                [sin, cos]
+            } else {
+                [0.0; 2]
+            }
+        })
     }
 
     /// Appends the active columns of all joints at `state` to `table`.

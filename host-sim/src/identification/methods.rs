@@ -19,6 +19,8 @@ pub enum MethodName {
     Irls,
     /// The robust fit, moved to what bodies can have.
     Consistent,
+    /// The robust fit with a prior whose weight the training rows choose.
+    Evidence,
     /// One linear BP layer whose weights are the parameters.
     BpPhysical,
     /// A BP network on all positions, velocities and accelerations.
@@ -28,11 +30,12 @@ pub enum MethodName {
 }
 
 /// All methods, in the order of the report.
-pub const METHODS: [(MethodName, &str); 7] = [
+pub const METHODS: [(MethodName, &str); 8] = [
     (MethodName::Ols, "ols"),
     (MethodName::Wls, "wls"),
     (MethodName::Irls, "irls"),
     (MethodName::Consistent, "consistent"),
+    (MethodName::Evidence, "evidence"),
     (MethodName::BpPhysical, "bp_physical"),
     (MethodName::BpBlackBox, "bp_black_box"),
     (MethodName::BpResidual, "bp_residual"),

@@ -7,6 +7,7 @@ mod bank;
 mod bootstrap;
 mod columns;
 mod consistent;
+mod evidence;
 mod filter;
 mod fourier;
 mod gains;
@@ -18,6 +19,7 @@ mod page;
 mod prepare;
 mod record;
 mod residual;
+mod ripple;
 mod solve;
 mod speed;
 mod split;
@@ -38,6 +40,7 @@ pub use prepare::{MotionSource, Preparation, PrepareConfig, Prepared};
 pub use record::{
     GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,
 };
+pub use ripple::Ripple;
 pub use stream::{Gathered, SampleRow, for_each_prepared};
 pub use study::{IdentifyConfig, Outcome, Progress, identify};
 pub use trial::{Trial, fit_rows};

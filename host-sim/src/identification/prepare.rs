@@ -168,6 +168,8 @@ pub struct Prepared<const N: usize> {
     pub states: Vec<State<N>>,
     /// Active columns of all joints, row after row, filtered.
     pub panel: Vec<f64>,
+    /// Sine and cosine of the cogging phase of all joints, row after row, filtered.
+    pub waves: Vec<f64>,
     /// Torques, N a row, filtered, N·m.
     pub tau: Vec<f64>,
     /// The same with spikes taken out before filtering, N·m.
@@ -219,8 +221,10 @@ impl<const N: usize> Prepared<N> {
         } = raw;
         let mut scratch = DMatrix::zeros(N, (crate::robot::LINK_PARAMETERS + 1) * N);
         let mut panel = Vec::with_capacity(states.len() * layout.width);
+        let mut waves = Vec::with_capacity(states.len() * 2 * N);
         for (state, t_s) in states.iter().zip(&t_s) {
             layout.append_row(state, t_s - preparation.start_s, &mut scratch, &mut panel);
+            waves.extend(layout.waves(&state.q).as_flattened());
         }
         let mut speeds = SpeedSums::new(layout);
         for row in core.clone() {
@@ -230,17 +234,21 @@ impl<const N: usize> Prepared<N> {
             for joint in 0..N {
                 let qd = states[row].qd[joint];
                 if qd.abs() > preparation.still_rad_s {
-                    speeds.add(layout, joint, half, qd, panel, clean[row * N + joint]);
+                    let waves = &waves[2 * (row * N + joint)..][..2];
+                    let clean = clean[row * N + joint];
+                    speeds.add(layout, joint, half, qd, panel, waves, clean);
                 }
             }
         }
         smooth(&mut panel, layout.width);
+        smooth(&mut waves, 2 * N);
         smooth(&mut tau, N);
         smooth(&mut clean, N);
         Self {
             index,
             states,
             panel,
+            waves,
             tau,
             clean,
             spikes,

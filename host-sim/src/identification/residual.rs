@@ -3,6 +3,7 @@
 use super::columns::Layout;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::NormalEquations;
+use super::ripple::Ripple;
 use super::solve::{Material, Problem, Solved, thinned, unsolvable};
 use super::study::Progress;
 use super::validation::Candidate;
@@ -33,12 +34,29 @@ pub(super) fn residual<const N: usize>(
         ..
     } = *problem;
     let limits: [f64; N] = std::array::from_fn(|joint| robot.joints[joint].limits.torque);
-    let solve = |sums: &NormalEquations<N>| {
-        let fit = wls(&sums.subset(layout, board), board).ok_or_else(unsolvable)?;
-        Ok::<Fit<N>, String>(widened(&fit, layout, board))
+    let mut ripple: Ripple<N> = [[0.0; 2]; N];
+    // Cogging is fast against every other column: fitted in turns, both are there after a few.
+    let solve = |sums: &NormalEquations<N>, ripple: &mut Ripple<N>| {
+        let mut fit = None;
+        for _ in 0..ROUNDS {
+            let mut rest = sums.clone();
+            for (joint, amplitude) in ripple.iter().enumerate() {
+                material
+                    .ripple
+                    .subtract(joint, *amplitude, &mut rest.joints[joint]);
+            }
+            let found = wls(&rest.subset(layout, board), board).ok_or_else(unsolvable)?;
+            let found = widened(&found, layout, board);
+            for (joint, amplitude) in ripple.iter_mut().enumerate() {
+                let own = found.theta.select_rows(&layout.active[joint]);
+                *amplitude = material.ripple.best(joint, &own, found.sigma[joint]);
+            }
+            fit = Some(found);
+        }
+        fit.ok_or_else(unsolvable)
     };
-    let mut fit = solve(&material.clean_sums)?;
-    let mut trained = train(problem, material, &fit.theta, &limits, progress);
+    let mut fit = solve(&material.clean_sums, &mut ripple)?;
+    let mut trained = train(problem, material, (&fit.theta, &ripple), &limits, progress);
     for _ in 1..ROUNDS {
         let mut sums = material.clean_sums.clone();
         for (joint, (network, _)) in trained.iter().enumerate() {
@@ -50,8 +68,8 @@ pub(super) fn residual<const N: usize>(
                 .speeds
                 .subtract(joint, &mut sums.joints[joint], &torque);
         }
-        fit = solve(&sums)?;
-        trained = train(problem, material, &fit.theta, &limits, progress);
+        fit = solve(&sums, &mut ripple)?;
+        trained = train(problem, material, (&fit.theta, &ripple), &limits, progress);
     }
     let epochs = trained.iter().map(|(_, losses)| losses.len()).max();
     let mean: Vec<f64> = (0..epochs.unwrap_or(0))
@@ -66,6 +84,7 @@ pub(super) fn residual<const N: usize>(
         .map_err(|_| "a network could not be trained")?;
     let candidate = Candidate::Residual {
         theta: fit.theta.clone(),
+        ripple,
         networks: Box::new(networks),
         limits,
     };
@@ -77,11 +96,11 @@ pub(super) fn residual<const N: usize>(
     })
 }
 
-/// Trains the networks of all joints on what `theta` leaves.
+/// Trains the networks of all joints on what parameters and cogging leave.
 fn train<const N: usize>(
     problem: &Problem<'_, N>,
     material: &Material<'_, N>,
-    theta: &DVector<f64>,
+    (theta, ripple): (&DVector<f64>, &Ripple<N>),
     limits: &[f64; N],
     progress: Progress<'_>,
 ) -> Vec<Trained> {
@@ -93,7 +112,8 @@ fn train<const N: usize>(
                 scope.spawn(move || {
                     let of = |half| {
                         let speeds = &material.speeds;
-                        speeds.residuals(problem.layout, theta, joint, half, limits[joint])
+                        let ripple = ripple[joint];
+                        speeds.residuals(problem.layout, theta, ripple, joint, half, limits[joint])
                     };
                     let config = ResidualConfig {
                         seed: problem.seed,

@@ -2,10 +2,12 @@
 
 use super::columns::Layout;
 use super::consistent::consistent;
+use super::evidence::evidence;
 use super::methods::{Fit, MethodName, huber, irls, ols, wls};
 use super::normal::NormalEquations;
 use super::record::{MethodRecord, ParameterRecord, SplitRecord};
 use super::residual::residual;
+use super::ripple::RippleSums;
 use super::speed::SpeedSums;
 use super::stream::{Gathered, SampleRow};
 use super::study::Progress;
@@ -39,6 +41,8 @@ pub(super) struct Material<'a, const N: usize> {
     pub(super) sums: NormalEquations<N>,
     /// The same over rows without spikes.
     pub(super) clean_sums: NormalEquations<N>,
+    /// What borders them by the waves of cogging.
+    pub(super) ripple: RippleSums<N>,
     /// Rows for methods that iterate over them.
     pub(super) sample: Vec<&'a SampleRow<N>>,
     /// What raw torques say at each speed.
@@ -53,6 +57,7 @@ impl<'a, const N: usize> Material<'a, N> {
         Self {
             sums: gathered.sums.clone(),
             clean_sums: gathered.clean_sums.clone(),
+            ripple: gathered.ripple.clone(),
             sample: gathered.sample.iter().collect(),
             speeds: gathered.speeds.clone(),
             rows: gathered.rows,
@@ -73,17 +78,28 @@ impl<'a, const N: usize> Material<'a, N> {
             }
             sums
         };
+        let mut ripple = RippleSums::new(layout);
+        for joint in 0..N {
+            let (mut x, mut waves, mut tau) = (Vec::new(), Vec::new(), Vec::new());
+            for row in sample.iter().filter(|row| row.moving[joint]) {
+                x.extend_from_slice(row.columns(layout, joint));
+                waves.extend(row.waves[joint]);
+                tau.push(row.clean[joint]);
+            }
+            ripple.add(joint, &x, &waves, &tau);
+        }
         let mut speeds = SpeedSums::new(layout);
         for (place, row) in sample.iter().enumerate() {
             for joint in (0..N).filter(|&joint| row.moving[joint]) {
                 let half = 10 * place / sample.len() % 2;
                 let (qd, tau) = (row.state.qd[joint], row.clean[joint]);
-                speeds.add(layout, joint, half, qd, &row.panel, tau);
+                speeds.add(layout, joint, half, qd, &row.panel, &row.waves[joint], tau);
             }
         }
         Self {
             sums: sums(|row| &row.tau),
             clean_sums: sums(|row| &row.clean),
+            ripple,
             speeds,
             rows: sample.len(),
             sample,
@@ -166,6 +182,18 @@ pub(super) fn solve_all<const N: usize>(
                     distance_nats: Some(found.distance_nats),
                     ..linear(name, Some(found.fit), sampled)?
                 }
+            }
+            MethodName::Evidence => {
+                let free = robust().ok_or_else(unsolvable)?;
+                let joints = (0..N).map(|joint| {
+                    let sigma = free.sigma[joint];
+                    huber(joint, &material.sample, layout, &free.theta, sigma)
+                });
+                let sums = NormalEquations::<N> {
+                    joints: joints.collect(),
+                };
+                let fit = evidence(problem.robot, layout, &sums, &free.sigma);
+                linear(name, fit, sampled)?
             }
             MethodName::BpPhysical => physical(problem, material, progress)?,
             MethodName::BpBlackBox => black_box(problem, material, progress),

@@ -20,6 +20,8 @@ struct Bin {
     count: f64,
     qd: f64,
     tau: f64,
+    /// Sine and cosine of the cogging phase.
+    waves: [f64; 2],
     x: Vec<f64>,
 }
 
@@ -40,7 +42,8 @@ impl<const N: usize> SpeedSums<N> {
 
     /// Adds one row of one joint, N·m.
     ///
-    /// * `panel` active columns of all joints
+    /// * `panel` active columns of all joints; `waves` sine and cosine of the joint's cogging phase
+    #[expect(clippy::too_many_arguments, reason = "one row has this many parts")]
     pub(super) fn add(
         &mut self,
         layout: &Layout<N>,
@@ -48,6 +51,7 @@ impl<const N: usize> SpeedSums<N> {
         half: usize,
         qd: f64,
         panel: &[f64],
+        waves: &[f64],
         tau: f64,
     ) {
         let share = (qd / FINE_RAD_S).asinh() / (FASTEST_RAD_S / FINE_RAD_S).asinh();
@@ -58,12 +62,16 @@ impl<const N: usize> SpeedSums<N> {
                 count: 0.0,
                 qd: 0.0,
                 tau: 0.0,
+                waves: [0.0; 2],
                 x: vec![0.0; columns.len()],
             })
         });
         bin.count += 1.0;
         bin.qd += qd;
         bin.tau += tau;
+        for (sum, wave) in bin.waves.iter_mut().zip(waves) {
+            *sum += wave;
+        }
         for (sum, x) in bin.x.iter_mut().zip(columns) {
             *sum += x;
         }
@@ -78,6 +86,9 @@ impl<const N: usize> SpeedSums<N> {
                         own.count += other.count;
                         own.qd += other.qd;
                         own.tau += other.tau;
+                        for (sum, wave) in own.waves.iter_mut().zip(&other.waves) {
+                            *sum += wave;
+                        }
                         for (sum, x) in own.x.iter_mut().zip(&other.x) {
                             *sum += x;
                         }
@@ -107,11 +118,12 @@ impl<const N: usize> SpeedSums<N> {
         }
     }
 
-    /// Mean residuals of a linear model at each speed, divided by `unit`, N·m, in one half of the log.
+    /// Mean residuals of a linear model and cogging at each speed, divided by `unit`, N·m, in one half of the log.
     pub(super) fn residuals(
         &self,
         layout: &Layout<N>,
         theta: &DVector<f64>,
+        ripple: [f64; 2],
         joint: usize,
         half: usize,
         unit: f64,
@@ -125,9 +137,10 @@ impl<const N: usize> SpeedSums<N> {
                 .zip(active)
                 .map(|(x, &place)| x * theta[place])
                 .sum();
+            let cogging = ripple[0] * bin.waves[0] + ripple[1] * bin.waves[1];
             SpeedPoint {
                 qd: bin.qd / bin.count,
-                residual: (bin.tau - linear) / bin.count / unit,
+                residual: (bin.tau - linear - cogging) / bin.count / unit,
                 weight: bin.count,
             }
         })

@@ -50,7 +50,8 @@ pub(super) fn errors<const N: usize>(
             let theta = candidate.theta();
             let linear = theta.map_or(0.0, |theta| row.linear(layout, theta, joint));
             let network = candidate.network(&row.state).map_or(0.0, |tau| tau[joint]);
-            error += (linear + network - row.tau[joint]).powi(2);
+            let ripple = candidate.ripple(joint, &row.waves[joint]);
+            error += (linear + ripple + network - row.tau[joint]).powi(2);
             power += row.tau[joint].powi(2);
             count += 1.0;
         }

@@ -4,6 +4,7 @@ use super::columns::Layout;
 use super::log::{LogReader, LogRow};
 use super::normal::NormalEquations;
 use super::prepare::{MotionSource, Preparation, PrepareConfig, Prepared, Stretch};
+use super::ripple::RippleSums;
 use super::speed::SpeedSums;
 use crate::dynamics::State;
 use crate::robot::Robot;
@@ -19,6 +20,8 @@ const STRETCH: usize = 16_384;
 const PREVIEW: usize = 4096;
 /// A step in time of more than this many periods cuts the log.
 const GAP_PERIODS: f64 = 5.0;
+/// Rows in a period of the motion's cut-off from which derivatives of the positions are believed before logged ones.
+const MOTION_ROWS: f64 = 8.0;
 /// Logged velocities farther than this share of their RMS from the derivative of the positions are set-points.
 const VELOCITY_TRUST: f64 = 0.01;
 /// The same for accelerations, which differentiation knows less well.
@@ -147,7 +150,16 @@ fn choose<const N: usize>(
             ));
             return MotionSource::Derived;
         }
-        // Columns somebody mapped are measurements; the project's own may be set-points beside measured positions.
+        // Columns somebody mapped are measurements; the project's own may be set-points beside measured positions, and went
+        // through a filter that nobody knows: where positions come often enough, what is derived from them is nearer to
+        // the torque, whose filter is known.
+        if !reader.is_mapped() && MOTION_ROWS * config.motion_hz * period_s <= 1.0 {
+            notes.push(format!(
+                "{name}: {what} derived from the positions, which come every {:.1} ms; the log's own have another filter",
+                1e3 * period_s
+            ));
+            return MotionSource::Derived;
+        }
         let apart = distance(&logged.motion(preview), base, of);
         if reader.is_mapped() || apart <= trust {
             return MotionSource::Logged;
@@ -253,6 +265,8 @@ pub struct SampleRow<const N: usize> {
     pub moving: [bool; N],
     /// Active columns of all joints.
     pub panel: Box<[f64]>,
+    /// Sine and cosine of every joint's cogging phase, filtered as the columns are.
+    pub waves: [[f64; 2]; N],
 }
 
 impl<const N: usize> SampleRow<N> {
@@ -271,6 +285,10 @@ impl<const N: usize> SampleRow<N> {
             clean: values(&prepared.clean),
             moving: std::array::from_fn(|joint| state.qd[joint].abs() > preparation.still_rad_s),
             panel: prepared.panel[row * layout.width..(row + 1) * layout.width].into(),
+            waves: std::array::from_fn(|joint| {
+                let place = 2 * (row * N + joint);
+                [prepared.waves[place], prepared.waves[place + 1]]
+            }),
         }
     }
 }
@@ -286,6 +304,8 @@ pub struct Gathered<const N: usize> {
     pub sums: NormalEquations<N>,
     /// The same over rows without spikes.
     pub clean_sums: NormalEquations<N>,
+    /// What borders them by the waves of cogging.
+    pub ripple: RippleSums<N>,
     /// Every `thinning`-th of the rows that went into the sums.
     pub sample: Vec<SampleRow<N>>,
     /// See `sample`.
@@ -308,6 +328,7 @@ impl<const N: usize> Gathered<N> {
         Self {
             sums: NormalEquations::new(layout),
             clean_sums: NormalEquations::new(layout),
+            ripple: RippleSums::new(layout),
             sample: Vec::new(),
             thinning: 1,
             rows: 0,
@@ -332,16 +353,19 @@ impl<const N: usize> Gathered<N> {
         let rows: Vec<usize> = prepared.core.clone().step_by(stride).collect();
         for (joint, active) in layout.active.iter().enumerate() {
             let (mut x, mut tau, mut clean) = (Vec::new(), Vec::new(), Vec::new());
+            let mut waves = Vec::new();
             for &row in &rows {
                 if prepared.states[row].qd[joint].abs() > preparation.still_rad_s {
                     let start = row * layout.width + layout.offset[joint];
                     x.extend_from_slice(&prepared.panel[start..start + active.len()]);
                     tau.push(prepared.tau[row * N + joint]);
                     clean.push(prepared.clean[row * N + joint]);
+                    waves.extend_from_slice(&prepared.waves[2 * (row * N + joint)..][..2]);
                 }
             }
             self.sums.joints[joint].add(&x, &tau);
             self.clean_sums.joints[joint].add(&x, &clean);
+            self.ripple.add(joint, &x, &waves, &clean);
         }
         for &row in &rows {
             if self.rows.is_multiple_of(self.thinning) {

@@ -3,6 +3,7 @@
 use super::bootstrap::parameter_intervals;
 use super::columns::{ColumnSet, Layout};
 use super::consistent::consistent;
+use super::evidence::evidence;
 use super::fourier::folded;
 use super::gains::standstill_gains;
 use super::learning_curve::learning_curves;
@@ -10,6 +11,7 @@ use super::methods::{Fit, MethodName, wls};
 use super::normal::IdentificationError;
 use super::prepare::PrepareConfig;
 use super::record::{MethodRecord, Report};
+use super::ripple::Ripple;
 use super::solve::{Material, Problem, Solved, solve_all, unsolvable};
 use super::split::split;
 use super::stream::{Gathered, for_each_prepared};
@@ -55,6 +57,8 @@ pub struct Outcome<const N: usize> {
     pub bank_fit: Fit<N>,
     /// The recommended residual networks, if it has any.
     pub networks: Option<Box<[JointNetwork; N]>>,
+    /// Their direct connections from the cogging phase, N·m.
+    pub ripple: Option<Ripple<N>>,
     /// The description with the consistent parameters, if they were asked for.
     pub robot: Option<Robot>,
     /// Time, measured and predicted torque on the first validation log: of the recommended method.
@@ -216,6 +220,10 @@ pub fn identify<const N: usize>(
             Candidate::Residual { networks, .. } => Some(networks.clone()),
             _ => None,
         },
+        ripple: match &solved[recommended].candidate {
+            Candidate::Residual { ripple, .. } => Some(*ripple),
+            _ => None,
+        },
         robot: solved.iter().find_map(|solved| solved.robot.clone()),
         trace: trace
             .into_iter()
@@ -326,6 +334,10 @@ fn for_bank<const N: usize>(
         MethodName::Consistent => {
             let found = consistent(problem.robot, problem.board, &free);
             found.ok_or_else(unsolvable)?.fit
+        }
+        MethodName::Evidence => {
+            let found = evidence(problem.robot, problem.board, &sums, &free.sigma);
+            found.ok_or_else(unsolvable)?
         }
         _ => free,
     })

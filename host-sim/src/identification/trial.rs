@@ -32,7 +32,9 @@ impl<const N: usize> Trial<N> {
         let network = self.candidate.network(&row.state).unwrap_or([0.0; N]);
         Joints::from_fn(|joint, _| {
             let theta = self.candidate.theta();
-            theta.map_or(0.0, |theta| row.linear(layout, theta, joint)) + network[joint]
+            theta.map_or(0.0, |theta| row.linear(layout, theta, joint))
+                + self.candidate.ripple(joint, &row.waves[joint])
+                + network[joint]
         })
     }
 }

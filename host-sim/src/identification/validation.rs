@@ -5,6 +5,7 @@ use super::columns::Layout;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
 use super::record::ValidationRecord;
+use super::ripple::Ripple;
 use super::stream::SampleRow;
 use crate::dynamics::State;
 use crate::training::BlackBox;
@@ -23,6 +24,8 @@ pub enum Candidate<const N: usize> {
     Residual {
         /// Parameters of the linear part, zero for columns the board does not have.
         theta: DVector<f64>,
+        /// Direct connections of the networks from sine and cosine of the cogging phase, N·m.
+        ripple: Ripple<N>,
         /// One network a joint.
         networks: Box<[JointNetwork; N]>,
         /// Torque limit of every joint, N·m.
@@ -47,7 +50,18 @@ impl<const N: usize> Candidate<N> {
         })
     }
 
-    /// Torques its networks add at `state`, N·m; `None` when it has none.
+    /// Torque at a joint whose cogging phase has these sine and cosine, N·m.
+    pub fn ripple(&self, joint: usize, waves: &[f64]) -> f64 {
+        match self {
+            Self::Residual { ripple, .. } => {
+                let pairs = ripple[joint].iter().zip(waves);
+                pairs.map(|(amplitude, wave)| amplitude * wave).sum()
+            }
+            Self::Linear(_) | Self::BlackBox(_) => 0.0,
+        }
+    }
+
+    /// Torques its networks add at the speeds of `state`, N·m; `None` when it has none.
     pub fn network(&self, state: &State<N>) -> Option<[f64; N]> {
         match self {
             Self::Linear(_) => None,
@@ -159,7 +173,8 @@ impl<const N: usize> FileScores<N> {
                     .zip(&mut self.errors)
                     .zip(&mut block.errors)
                 {
-                    let linear = candidate.linear(columns, active);
+                    let waves = &prepared.waves[2 * (row * N + joint)..][..2];
+                    let linear = candidate.linear(columns, active) + candidate.ripple(joint, waves);
                     let share = shares
                         .as_ref()
                         .map_or(0.0, |shares| shares[row * N + joint]);
@@ -200,7 +215,10 @@ impl<const N: usize> FileScores<N> {
                 std::array::from_fn(|joint| {
                     let start = row * layout.width + layout.offset[joint];
                     let columns = &prepared.panel[start..];
-                    candidate.linear(columns, &layout.active[joint]) + shares[joint]
+                    let waves = &prepared.waves[2 * (row * N + joint)..][..2];
+                    candidate.linear(columns, &layout.active[joint])
+                        + candidate.ripple(joint, waves)
+                        + shares[joint]
                 })
             });
             let predicted = predicted.collect();

@@ -12,7 +12,7 @@ use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
 
 /// Reads, checks and converts a description.
-pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
+pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
     let raw: RobotFile = toml::from_str(text).map_err(|error| syntax(file, text, &error))?;
     let check = Check { file };
     let name_is_plain = raw

@@ -130,9 +130,10 @@ impl LinearLayer {
         self.loss(&w)
     }
 
-    /// Gradient of J.
-    fn gradient(&self, w: &DVector<f64>, loss: f64) -> DVector<f64> {
-        (&self.gram * w - &self.moment) / loss.max(f64::MIN_POSITIVE)
+    /// J ∇J: what eq. 21 takes from the weights at a rate proportional to J. Unlike ∇J it is a number at J = 0, where rows
+    /// without noise end.
+    fn slope(&self, w: &DVector<f64>) -> DVector<f64> {
+        &self.gram * w - &self.moment
     }
 
     /// Trains from random starts; `watch` sees epoch and loss.
@@ -178,13 +179,12 @@ impl LinearLayer {
                 Descent::Accelerated => age / (age + 3.0),
             };
             let ahead = &w + (&w - &before) * momentum;
-            let loss = self.loss(&ahead);
-            let mut next = &ahead - self.gradient(&ahead, loss) * (self.rate * loss);
+            let mut next = &ahead - self.slope(&ahead) * self.rate;
             let mut now = self.loss(&next);
             age += 1.0;
             if now > losses[epoch - 1] && momentum > 0.0 {
                 age = 0.0;
-                next = &w - self.gradient(&w, losses[epoch - 1]) * (self.rate * losses[epoch - 1]);
+                next = &w - self.slope(&w) * self.rate;
                 now = self.loss(&next);
             }
             before = std::mem::replace(&mut w, next);
@@ -254,11 +254,42 @@ mod tests {
     fn the_gradient_of_the_loss_is_its_slope() {
         let (layer, _) = problem();
         let w = DVector::from_element(5, 0.3);
-        let gradient = layer.gradient(&w, layer.loss(&w));
+        let gradient = layer.slope(&w) / layer.loss(&w);
         for c in 0..5 {
             let step = DVector::from_fn(5, |r, _| if r == c { 1e-6 } else { 0.0 });
             let slope = (layer.loss(&(&w + &step)) - layer.loss(&(&w - &step))) / 2e-6;
             assert!((slope - gradient[c]).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn rows_without_noise_give_their_parameters_and_never_a_not_a_number() {
+        // Whole numbers and one column: the loss becomes zero to the last bit, where its gradient is 0 / 0.
+        let exact = LinearLayer::new(
+            &DMatrix::from_element(1, 1, 4.0),
+            &DVector::from_element(1, 8.0),
+            16.0,
+            4.0,
+        );
+        for descent in [Descent::Plain, Descent::Accelerated] {
+            let trained = exact.train(&PhysicalConfig::new(descent, 1), &mut |_, _| ());
+            assert!((trained.theta[0] - 2.0).abs() < 1e-6, "{trained:?}");
+            assert_eq!(trained.losses.last(), Some(&0.0));
+        }
+        let (noisy, _) = problem();
+        let truth = DVector::from_row_slice(&[3.0, -2.0, 1.0, 0.5, -0.02]);
+        // The same columns, torques without noise.
+        let weights = truth.component_div(&noisy.scale);
+        let layer = LinearLayer {
+            moment: &noisy.gram * &weights,
+            power: weights.dot(&(&noisy.gram * &weights)),
+            ..noisy
+        };
+        let trained = layer.train(
+            &PhysicalConfig::new(Descent::Accelerated, 1),
+            &mut |_, _| (),
+        );
+        assert!(trained.losses.iter().all(|loss| loss.is_finite()));
+        assert!((trained.theta.component_div(&truth).add_scalar(-1.0)).amax() < 1e-5);
     }
 }

@@ -5,16 +5,15 @@
 pub mod cartesian;
 mod limits;
 mod source;
-mod via;
 
 pub use limits::BeyondLimits;
 pub use source::TrajectoryError;
-pub use via::ViaPath;
 
 use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
 use crate::robot::Robot;
 use crate::table::StateRow;
+use crate::via::ViaPath;
 use limits::within;
 
 /// Length of the validation path, s.
@@ -126,8 +125,8 @@ impl<const N: usize> Trajectory<N> {
 
 #[cfg(test)]
 mod tests {
-    use super::via::{SEGMENT_S, VIA_RANGE_RAD};
     use super::*;
+    use crate::via::{SEGMENT_S, VIA_RANGE_RAD};
 
     #[test]
     fn validation_path_keeps_its_limits_and_reaches_its_peak() {

@@ -116,6 +116,14 @@ impl Image {
             .then_some(first)
     }
 
+    /// Every function once, whatever names it has.
+    pub(crate) fn distinct_functions(&self) -> impl Iterator<Item = &Function> {
+        let mut before = None;
+        self.functions.iter().filter(move |function| {
+            before.replace(function.code.start) != Some(function.code.start)
+        })
+    }
+
     /// The function that holds `address`.
     pub(crate) fn at(&self, address: u32) -> Option<&Function> {
         let end = self.functions.partition_point(|f| f.code.start <= address);

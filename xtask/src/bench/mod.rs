@@ -12,6 +12,7 @@ mod gates;
 mod image;
 mod memory;
 mod report;
+mod rooms;
 mod spread;
 mod step;
 mod thumb;
@@ -95,6 +96,7 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
         committed?
     };
     println!("\n{}", report::table(&rows, &memory, &budget));
+    println!("{}", rooms::table(&joint));
     println!("{}\n", report::spread(&spread));
     println!("executed instructions by kind");
     for row in &rows {

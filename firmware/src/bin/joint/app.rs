@@ -50,7 +50,7 @@ mod app {
 
     #[shared]
     struct Shared {
-        desk: Desk<JOINTS, PARAMETERS>,
+        desk: &'static mut Desk<JOINTS, PARAMETERS>,
     }
 
     #[local]
@@ -70,6 +70,7 @@ mod app {
     }
 
     #[init(local = [
+        desk_room: MaybeUninit<Desk<JOINTS, PARAMETERS>> = MaybeUninit::uninit(),
         session_room: MaybeUninit<BoardSession> = MaybeUninit::uninit(),
         learner_room: MaybeUninit<BoardLearner> = MaybeUninit::uninit(),
         receive_ring: Queue<u8, RECEIVE_RING> = Queue::new(),
@@ -137,9 +138,9 @@ mod app {
         let Some(session) = open(cx.local.session_room, description) else {
             fault::leave(Reason::Setup, line!());
         };
-        let mut desk = Desk::new();
+        let desk = cx.local.desk_room.write(Desk::new());
         let mut store = Store::new(StoreFlash::new(cx.device.FLASH));
-        let stored = session.boot_from(&mut store, &mut desk);
+        let stored = session.boot_from(&mut store, desk);
         defmt::info!("store: {}", stored);
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = &session.feed_forward().state().active;

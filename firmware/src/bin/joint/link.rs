@@ -116,6 +116,7 @@ impl Wire {
 
     /// Moves waiting bytes into the transmit register while it is free: one on silicon, all in the emulator. True when
     /// there was one.
+    #[inline(always)]
     fn transmit(&mut self) -> bool {
         let mut sent = false;
         while self.usart.sr().read().txe().bit_is_set() {
@@ -139,6 +140,8 @@ impl Wire {
 
 /// Queues frames and wakes the interrupt, which does the sending. False when they found no room; then none is sent,
 /// because half a frame is worth nothing to the other side.
+// Where it is called the length of the ring is known, and with it that nothing is divided by zero.
+#[inline(always)]
 pub(crate) fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
     if bytes.len() > waiting.capacity() - waiting.len() {
         return false;

@@ -61,6 +61,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     }
 
     /// The tick starts over at 0 with `set`, and so does the learner. Changes nothing when it fails.
+    #[inline(never)]
     fn restart(
         &mut self,
         configuration: Configuration,
@@ -78,7 +79,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
         self.stream.end();
         self.newest = None;
-        desk.restart(period_s, *set);
+        desk.restart(period_s, set);
         Ok(())
     }
 
@@ -126,8 +127,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Takes over the uploaded excitation, all of it or nothing.
     #[inline(never)]
-    pub(super) fn load_excitation(&mut self, length: u16, crc: u32) -> Result<(), NackReason> {
+    pub(super) fn load_excitation(
+        &mut self,
+        length: u16,
+        crc: u32,
+        mac: Option<[u8; MAC_BYTES]>,
+    ) -> Result<(), NackReason> {
         self.writable()?;
+        self.signed(mac)?;
         let program = self.transfer.program(length, crc)?;
         self.player.load(&program).map_err(NackReason::Excitation)
     }

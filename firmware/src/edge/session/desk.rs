@@ -88,10 +88,14 @@ impl<const N: usize, const P: usize> Desk<N, P> {
     }
 
     /// Forgets all lessons and sets; the learner starts over from `set` at `period_s`.
-    pub(super) fn restart(&mut self, period_s: f32, set: ParameterSet<N, P>) {
+    #[inline(never)]
+    pub(super) fn restart(&mut self, period_s: f32, set: &ParameterSet<N, P>) {
         while self.lessons.dequeue().is_some() {}
         self.exchange = Exchange::new();
-        self.restart = Some(Restart { period_s, set });
+        self.restart = Some(Restart {
+            period_s,
+            set: *set,
+        });
     }
 }
 

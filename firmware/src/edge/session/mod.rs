@@ -30,6 +30,7 @@ use crate::excitation::Player;
 use crate::feedforward::{FeedForward, FeedForwardConfig};
 use crate::joint::JointVector;
 use crate::learning::{ConfigError, ParameterSet};
+use core::mem::MaybeUninit;
 use link::LinkState;
 use stream::Stream;
 use transfer::Transfer;
@@ -143,20 +144,40 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     ///
     /// Errors: the first limit of the arm that cannot work.
     pub fn new(board: BoardDescription<C>) -> Result<Self, ConfigError> {
+        Ok(Self::around(board, Self::first_tick()?))
+    }
+
+    /// The same in `room`, for a board: it would not fit the stack beside its copies.
+    ///
+    /// Errors: the first limit of the arm that cannot work.
+    #[inline(never)]
+    pub fn furnish(
+        room: &mut MaybeUninit<Self>,
+        board: BoardDescription<C>,
+    ) -> Result<&mut Self, ConfigError> {
+        let feed_forward = Self::first_tick()?;
+        Ok(room.write(Self::around(board, feed_forward)))
+    }
+
+    fn first_tick() -> Result<FeedForward<A, N, P>, ConfigError> {
+        let config = FeedForwardConfig::for_arm::<A, P>(seconds(&Configuration::default()));
+        FeedForward::new(config, ParameterSet::nominal::<A>(NETWORK_SEED))
+    }
+
+    #[inline(never)]
+    fn around(board: BoardDescription<C>, feed_forward: FeedForward<A, N, P>) -> Self {
         let configuration = Configuration::default();
-        let bank = ParameterBank::nominal::<A, N, P>();
-        let config = FeedForwardConfig::for_arm::<A, P>(seconds(&configuration));
         let limits = SafetyLimits::for_arm::<A, P>(seconds(&configuration));
-        Ok(Self {
+        Self {
             safety: Safety::new(limits, board.first_fault()),
             board,
             configuration,
             decoder: Decoder::new(),
             link: LinkState::default(),
-            feed_forward: FeedForward::new(config, ParameterSet::nominal::<A>(NETWORK_SEED))?,
+            feed_forward,
             gains: [0.0; N],
             player: Player::new::<A, P>(configuration.period_us),
-            bank,
+            bank: ParameterBank::nominal::<A, N, P>(),
             incoming: ParameterBank::empty(),
             transfer: Transfer::new(),
             newest: None,
@@ -174,7 +195,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             challenges: 0,
             fetched_to_be_read: false,
             reboot: false,
-        })
+        }
     }
 
     /// The bank in force, as it was loaded, with the values of the active set.

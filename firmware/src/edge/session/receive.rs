@@ -116,7 +116,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         match message {
             HostMessage::BankWrite { offset, bytes } => self.write(offset, &bytes),
             HostMessage::BankCommit { length, crc, mac } => self.commit(length, crc, mac, desk),
-            HostMessage::ExcitationLoad { length, crc } => self.load_excitation(length, crc),
+            HostMessage::ExcitationLoad { length, crc, mac } => {
+                self.load_excitation(length, crc, mac)
+            }
             HostMessage::Configure(configuration) => self.configure(configuration, desk),
             HostMessage::Learning { on } => self.set_learning(on),
             HostMessage::Reset => self.reset(sequence, desk),

@@ -7,7 +7,6 @@ use crate::feedforward::{Shares, Torque};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::limits::Flags;
 use serde::{Deserialize, Serialize};
-use serde_big_array::BigArray;
 
 /// What a sample carries besides the desired motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,19 +32,19 @@ pub struct SampleFrame<const N: usize> {
     /// Motor temperature of joint `sequence % N`, °C; [`NO_TEMPERATURE`](Self::NO_TEMPERATURE) where not known.
     pub temperature_c: i8,
     /// Desired positions for the tick in which the torque takes effect.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub desired_q: [Position; N],
     /// Desired velocities.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub desired_qd: [Velocity; N],
     /// Desired accelerations.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub desired_qdd: [Acceleration; N],
     /// Measured positions.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub q: [Position; N],
     /// Measured torques in N·m, or currents in A.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub effort: [Effort; N],
 }
 
@@ -67,18 +66,18 @@ impl<const N: usize> SampleFrame<N> {
                 None => SampleFlags::default(),
             },
             temperature_c: Self::NO_TEMPERATURE,
-            desired_q: array(&desired.q).map(Position::encode),
-            desired_qd: array(&desired.qd).map(Velocity::encode),
-            desired_qdd: array(&desired.qdd).map(Acceleration::encode),
-            q: array(&measured.q).map(Position::encode),
-            effort: array(&measured.tau).map(Effort::encode),
+            desired_q: encoded(desired.q.as_slice(), Position::encode),
+            desired_qd: encoded(desired.qd.as_slice(), Velocity::encode),
+            desired_qdd: encoded(desired.qdd.as_slice(), Acceleration::encode),
+            q: encoded(measured.q.as_slice(), Position::encode),
+            effort: encoded(measured.tau.as_slice(), Effort::encode),
         }
     }
 
     /// The same with motor currents, A, in the place of the measured torques.
     pub fn with_current(mut self, current: &JointVector<N>) -> Self {
         self.flags = SampleFlags(self.flags.0 | SampleFlags::CURRENT.0);
-        self.effort = array(current).map(Effort::encode);
+        self.effort = encoded(current.as_slice(), Effort::encode);
         self
     }
 
@@ -94,10 +93,10 @@ impl<const N: usize> SampleFrame<N> {
     pub fn sample(&self, gains: &[f32; N]) -> JointSample<N> {
         let current = self.flags.contains(SampleFlags::CURRENT);
         let known = !current || gains.iter().all(|&gain| gain > 0.0);
-        let effort = JointVector::from(self.effort.map(Effort::decode));
+        let effort = decoded(&self.effort, Effort::decode);
         let measured =
             (self.flags.contains(SampleFlags::MEASURED) && known).then(|| JointMeasurement {
-                q: self.q.map(Position::decode).into(),
+                q: decoded(&self.q, Position::decode),
                 tau: if current {
                     effort.component_mul(&JointVector::from(*gains))
                 } else {
@@ -106,9 +105,9 @@ impl<const N: usize> SampleFrame<N> {
             });
         JointSample {
             desired: JointMotion {
-                q: self.desired_q.map(Position::decode).into(),
-                qd: self.desired_qd.map(Velocity::decode).into(),
-                qdd: self.desired_qdd.map(Acceleration::decode).into(),
+                q: decoded(&self.desired_q, Position::decode),
+                qd: decoded(&self.desired_qd, Velocity::decode),
+                qdd: decoded(&self.desired_qdd, Acceleration::decode),
             },
             measured,
         }
@@ -119,13 +118,13 @@ impl<const N: usize> SampleFrame<N> {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionFrame<const N: usize> {
     /// Positions, rad.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub q: [f32; N],
     /// Velocities, rad/s.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub qd: [f32; N],
     /// Accelerations, rad/s².
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub qdd: [f32; N],
 }
 
@@ -161,7 +160,7 @@ pub struct TorqueFrame<const N: usize> {
     /// Whether torque leaves, and why not.
     pub safety: SafetyStatus,
     /// The torque, N·m, every bit of it.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub total: [f32; N],
     /// Rigid-body, friction and network share of joint `tick % N`, N·m.
     pub shares: [f32; 3],
@@ -195,13 +194,13 @@ pub struct ExcitedFrame<const N: usize> {
     /// Where the excitation stands.
     pub stage: Stage,
     /// Desired positions of the tick in which the torque takes effect.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub q: [Position; N],
     /// Desired velocities.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub qd: [Velocity; N],
     /// Desired accelerations.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub qdd: [Acceleration; N],
 }
 
@@ -211,18 +210,18 @@ impl<const N: usize> ExcitedFrame<N> {
         Self {
             torque,
             stage,
-            q: array(&desired.q).map(Position::encode),
-            qd: array(&desired.qd).map(Velocity::encode),
-            qdd: array(&desired.qdd).map(Acceleration::encode),
+            q: encoded(desired.q.as_slice(), Position::encode),
+            qd: encoded(desired.qd.as_slice(), Velocity::encode),
+            qdd: encoded(desired.qdd.as_slice(), Acceleration::encode),
         }
     }
 
     /// The desired motion, as near as the frame carries it.
     pub fn desired(&self) -> JointMotion<N> {
         JointMotion {
-            q: self.q.map(Position::decode).into(),
-            qd: self.qd.map(Velocity::decode).into(),
-            qdd: self.qdd.map(Acceleration::decode).into(),
+            q: decoded(&self.q, Position::decode),
+            qd: decoded(&self.qd, Velocity::decode),
+            qdd: decoded(&self.qdd, Acceleration::decode),
         }
     }
 }
@@ -266,16 +265,16 @@ pub struct EvaluatedFrame<const N: usize> {
     #[serde(with = "postcard::fixint::le")]
     pub flags: u16,
     /// Sum of the shares, after limits where there is a tick.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub total: [f32; N],
     /// Rigid-body share.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub rigid: [f32; N],
     /// Friction share.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub friction: [f32; N],
     /// Network share.
-    #[serde(with = "BigArray")]
+    #[serde(with = "super::array")]
     pub network: [f32; N],
 }
 
@@ -308,4 +307,24 @@ impl<const N: usize> From<&EvaluatedFrame<N>> for Torque<N> {
 
 fn array<const N: usize>(vector: &JointVector<N>) -> [f32; N] {
     (*vector).into()
+}
+
+/// Every number of a vector as it is sent. One loop in a function of its own: `array::map` is written out everywhere.
+#[inline(never)]
+fn encoded<T: Copy + Default, const N: usize>(values: &[f32], encode: impl Fn(f32) -> T) -> [T; N] {
+    let mut codes = [T::default(); N];
+    for (code, &value) in codes.iter_mut().zip(values) {
+        *code = encode(value);
+    }
+    codes
+}
+
+/// Every number of a vector as it was sent.
+#[inline(never)]
+fn decoded<T: Copy, const N: usize>(codes: &[T; N], decode: impl Fn(T) -> f32) -> JointVector<N> {
+    let mut values = JointVector::<N>::zeros();
+    for (value, &code) in values.iter_mut().zip(codes) {
+        *value = decode(code);
+    }
+    values
 }

@@ -114,7 +114,7 @@ pub enum HostMessage<const N: usize> {
     /// Start the processor anew, torque off. The fault that is latched stays. Answer: the hello after boot.
     Reboot,
     /// The upload is an excitation ([`ExcitationProgram`](crate::excitation::ExcitationProgram)), complete, and shall be
-    /// taken over. Refused while armed. Answer: ack, and its check begins with the next tick.
+    /// taken over. Refused while armed or learning. Answer: ack, and its check begins with the next tick.
     ExcitationLoad {
         /// Its length in bytes.
         #[serde(with = "postcard::fixint::le")]
@@ -122,6 +122,8 @@ pub enum HostMessage<const N: usize> {
         /// CRC-32 over it.
         #[serde(with = "postcard::fixint::le")]
         crc: u32,
+        /// Answer to the challenge, where the board has a write key.
+        mac: Option<[u8; MAC_BYTES]>,
     },
     /// Start, stop, release the excitation, or ask for its stage. Answer: [`BoardMessage::Excitation`].
     Excitation(Cue),

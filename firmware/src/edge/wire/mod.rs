@@ -3,6 +3,7 @@
 //! A frame is `COBS( postcard(header, message) ++ CRC-32 ) 0x00`. No byte of a frame is zero but its last, so a receiver
 //! that joined late, or was fed garbage, is back in step at the next zero. `docs/protocol.md` is the page of this room.
 
+mod array;
 mod codec;
 mod decoder;
 mod frames;
@@ -31,7 +32,7 @@ pub use record::{Field, TELEMETRY_BYTES, TelemetryFrame};
 pub use scaled::{Acceleration, Effort, I16, I24, Position, Velocity};
 
 /// Version of the protocol. It changes whenever a frame of the old version would be read differently or not at all.
-pub const PROTOCOL_VERSION: u8 = 2;
+pub const PROTOCOL_VERSION: u8 = 3;
 
 /// Largest frame before COBS: header, message and CRC, in bytes.
 pub const MAX_PAYLOAD: usize = 240;

@@ -21,8 +21,6 @@ const CHECKPOINT_TICKS: u32 = 128;
 const REOPENED: f32 = 0.05;
 /// Ticks for which alarms are not listened to after such a change.
 const RELEARNING_TICKS: u32 = 5000;
-/// Slices for which a payload has to be carried for the friction learnt meanwhile to stay: half a minute.
-const LONG_CARRIED_SLICES: u32 = 3000;
 /// Rounds between two looks at trust.
 const TRUST_ROUNDS: u32 = 16;
 
@@ -45,7 +43,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let reason = if lesson.flags.contains(Flags::NOT_FINITE) {
             Some(Reason::FrozenNotFinite)
-        } else if lesson.flags.contains(Flags::STALE_SAMPLE) {
+        } else if lesson.flags.contains(Flags::STALE_SAMPLE) && !state.window.is_whole() {
             Some(Reason::FrozenStale)
         } else if lesson.flags.contains(Flags::SATURATED) {
             Some(Reason::FrozenSaturated)
@@ -184,6 +182,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 _ => config.proof_rows,
             };
             let settled = evidence.rows() >= patience;
+            let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
+            // A little better on some joints may be worse on others; much better is worth it.
+            let much = evidence.ratio() < config.residual_ratio;
+            let told = config.proof_rows as f32;
+            let agreed = |sigmas: f32| much || evidence.no_joint_objects(told, sigmas);
             let fault = evidence.common_gain(config.gain_error).filter(|_| settled);
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
                 state.note(tick, Reason::DriveGain, None, gain);
@@ -196,10 +199,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 if evidence.favours(-config.proof_sigmas) {
                     state.roll_back();
                     state.note(tick, Reason::RolledBack, None, evidence.ratio());
-                } else {
+                } else if agreed(config.proof_sigmas) {
                     state.follow(&pending, self.config.torque_step);
                     let followed = state.guard.followed;
-                    let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
                     let due = followed >= config.commit_rows
                         || followed >= config.commit_rows / 4 && early;
                     if due {
@@ -210,7 +212,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                         state.note(tick, Reason::Committed, None, evidence.ratio());
                     }
                 }
-            } else if settled && fault.is_none() && evidence.favours(config.proof_sigmas) {
+            } else if settled
+                && agreed(0.0)
+                && fault.is_none()
+                && evidence.favours(config.proof_sigmas)
+            {
                 state.guard.following = true;
                 state.guard.followed = 0;
                 state.note(tick, Reason::Followed, None, evidence.ratio());
@@ -232,6 +238,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         } else {
             PayloadEstimate::default()
         };
+        state
+            .monitor
+            .ask(state.estimate.filter(), &mut state.report.quality);
         if rounds.is_multiple_of(TRUST_ROUNDS)
             && let Some(lost) = state
                 .monitor
@@ -287,7 +296,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
             return;
         };
         let (mut estimate, mut active) = (before.estimate, before.active);
-        if guard.slices_carried >= LONG_CARRIED_SLICES {
+        if !guard.resting() {
             estimate.friction = self.estimate.parameters().friction;
             active.friction = Stacked::of(&self.candidate).friction;
         }

@@ -29,7 +29,7 @@ pub struct LearnerStatistics {
     pub rejected: u32,
     /// Rows not learnt from because the guard had frozen the estimate.
     pub frozen: u32,
-    /// Ticks that found no full window of measurements.
+    /// Ticks without a row: no full window of measurements, or none in its middle or at its end.
     pub incomplete: u32,
     /// Sets laid on the desk.
     pub published: u32,
@@ -214,7 +214,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             match self.state.window.conditioned(self.config.inv_period) {
                 Some(seen) => step = self.work_through(lesson.tick, joint, &seen),
                 None => {
-                    self.state.guard.forget_slices();
+                    if !self.state.window.is_whole() {
+                        self.state.guard.forget_slices();
+                    }
                     count(&mut self.state.statistics.incomplete);
                 }
             }

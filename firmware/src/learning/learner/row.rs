@@ -88,7 +88,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 },
             );
             verdict = Verdict::Frozen;
-            if state.phase().learns() && !state.guard.resting(&self.config.guard) {
+            if state.phase().learns() && !state.guard.resting() {
                 let correction =
                     state
                         .estimate
@@ -102,6 +102,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 let inverse = inv_limit / sigma;
                 let champion = row.dot(&state.guard.committed);
                 state.guard.evidence.note(
+                    joint,
                     own * inverse,
                     champion * inverse,
                     correction.residual / sigma,
@@ -132,8 +133,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 verdict = Verdict::Accepted;
             }
         }
-        let state = &self.state;
-        let step = row.dot(state.estimate.parameters()) - row.dot(&Stacked::of(&state.candidate));
+        let state = &mut self.state;
+        let estimated = row.dot(state.estimate.parameters());
+        if matches!(verdict, Verdict::Gated) {
+            let change = estimated - row.dot(&state.guard.committed);
+            state.guard.evidence.note_still(joint, change * inv_limit);
+        }
+        let step = estimated - row.dot(&Stacked::of(&state.candidate));
         (verdict, Some(step * inv_limit))
     }
 }

@@ -4,7 +4,7 @@ use super::{Learner, count};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, FrictionParameters, friction, regressor_row, rnea};
 use crate::joint::JointVector;
-use crate::learning::conditioning::Conditioned;
+use crate::learning::conditioning::{AVERAGED, Conditioned};
 use crate::learning::detector::Slice;
 use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
@@ -81,7 +81,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let row = payload_row::<A, N, P>(&row);
         let unit = self.config.noise * limits.torque;
         let config = &self.config.guard;
-        let sigma = unit * sqrt(measured);
+        // What one measurement scatters, not the mean of some: the thresholds are in these units.
+        let single = AVERAGED as f32 * measured;
+        let sigma = unit * sqrt(single);
         let guard = &mut state.guard;
         let Some(usual) = guard.slice_variance.get_mut(joint) else {
             return;
@@ -102,7 +104,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 if guard.weighing(config) {
                     guard.filter.update(&row, left, inflated);
                 }
-                let z = unexplained / (unit * sqrt(innovation));
+                let z = unexplained / (unit * sqrt(single + innovation - measured));
                 if let Some(sum) = guard.detector.push(&config.detector, joint, z) {
                     self.raise_alarm(tick, joint, sum);
                 }
@@ -119,7 +121,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         match self.state.report.quality.phase {
             Phase::Trial => {
                 let loaded = guard.loaded();
-                if let Some(verdict) = guard.trial.judge(config, loaded) {
+                let usual = guard.slice_variance.iter().sum::<f32>() * (1.0 / N as f32);
+                if let Some(verdict) = guard.trial.judge(config, loaded, usual) {
                     self.end_trial(tick, verdict);
                 }
             }

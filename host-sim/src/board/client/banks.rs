@@ -30,14 +30,17 @@ impl<const N: usize> Client<N> {
     }
 
     /// The signature of an upload, where the board has a write key.
-    pub(super) fn signature(&mut self, bank: &[u8]) -> Result<Option<[u8; MAC_BYTES]>, BoardError> {
+    pub(super) fn signature(
+        &mut self,
+        upload: &[u8],
+    ) -> Result<Option<[u8; MAC_BYTES]>, BoardError> {
         if !self.hello.capabilities.contains(Capabilities::WRITE_KEY) {
             return Ok(None);
         }
         let key = self.key.ok_or(BoardError::NoKey)?;
         match self.ask(&HostMessage::Challenge)? {
             BoardMessage::Challenge { nonce } => {
-                Ok(Some(key.sign_upload(&nonce, self.hello.arm_hash, bank)))
+                Ok(Some(key.sign_upload(&nonce, self.hello.arm_hash, upload)))
             }
             other => Err(refused(other)),
         }
@@ -50,10 +53,12 @@ impl<const N: usize> Client<N> {
         let bytes = program
             .encode(&mut room)
             .expect("an excitation of few joints is shorter than a bank");
+        let mac = self.signature(bytes)?;
         self.upload(bytes)?;
         let sequence = self.post(&HostMessage::ExcitationLoad {
             length: bytes.len() as u16,
             crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
+            mac,
         })?;
         acknowledged(self.wait_for(sequence, self.timeout)?)
     }

@@ -1,5 +1,6 @@
 //! One arm, one board, one scenario: the one loop that all of them go through.
 
+use super::bound::WeighingBound;
 use super::controller::Controller;
 use super::identified::Starts;
 use super::scenario::{Scenario, Start};
@@ -10,7 +11,7 @@ use crate::metrics::{MOVING_RAD_S, TrackingError};
 use crate::plant::{Events, Payload, Plant};
 use crate::trajectory::Trajectory;
 use foretorque::edge::safety::SafetyStatus;
-use foretorque::joint::JointSample;
+use foretorque::joint::{JointMotion, JointSample};
 use foretorque::learning::{Decision, LearnerStatistics, PayloadEstimate, Stacked};
 use foretorque::limits::Flags;
 use std::convert::Infallible;
@@ -63,6 +64,8 @@ pub(super) struct Trace {
     pub(super) decisions: Vec<(f64, Decision)>,
     /// Of every payload, one second after it was picked: what the board believes, and the truth.
     pub(super) weighed: Vec<(PayloadEstimate, Payload)>,
+    /// Standard deviations of mass, kg, and centre of mass, m, that the torque noise alone leaves then, and the truth.
+    pub(super) weighable: Vec<(f64, f64, Payload)>,
     /// Lowest trust figure.
     pub(super) least_trust: f32,
     /// Ticks with each of these flags.
@@ -165,6 +168,7 @@ impl Run<'_> {
             });
             let needed = plant.true_torque(&record.desired);
             watch.add(record.t_s, &record.desired.qd, &needed, &acting);
+            watch.weigh(tick, &motion_f32(&record.desired));
             watch.track(record.t_s, &(record.desired.q - record.q));
             if let Some(torque) = torque {
                 watch.count(torque.flags, &torque.total.into());
@@ -193,6 +197,9 @@ struct Watch<'w> {
     needed: Needed,
     /// Active set one second after the arm has come to rest.
     settled: Option<Set>,
+    /// The second after the last pick, and the noise of a torque in units of its limit.
+    bound: WeighingBound,
+    noise: f64,
     /// What the set before the last pick says along the unseen path.
     before_pick: Option<Vec<Joints<N>>>,
     /// Decisions of the guard already written down.
@@ -226,6 +233,8 @@ impl<'w> Watch<'w> {
                 step: None,
             },
             settled: None,
+            bound: WeighingBound::new(),
+            noise: run.scenario.plant.torque_noise,
             before_pick: None,
             decided: 0,
             trace: Trace {
@@ -297,6 +306,26 @@ impl<'w> Watch<'w> {
                 nrmse: error.nrmse_moving(),
                 of_step,
             });
+        }
+    }
+
+    /// Follows what can be known of the payload in the first second after a pick.
+    fn weigh(&mut self, tick: usize, motion: &JointMotion<N>) {
+        let tick_of = |time_s: f64| (time_s / PERIOD_S).round() as usize;
+        for payload in &self.events.payloads {
+            let from = tick_of(payload.from_s);
+            let to = tick_of(payload.from_s + WEIGHED_AFTER_S);
+            if tick == from {
+                self.bound = WeighingBound::new();
+            }
+            if (from..to).contains(&tick) {
+                self.bound.add(motion, self.noise);
+            }
+            if tick == to
+                && let Some((mass, com)) = self.bound.sigmas(payload.body.mass, &payload.body.com)
+            {
+                self.trace.weighable.push((mass, com, *payload));
+            }
         }
     }
 

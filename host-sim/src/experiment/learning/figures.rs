@@ -237,6 +237,15 @@ fn payloads(events: &Events<N>, trace: &Trace, put: &mut impl FnMut(&str, f64)) 
         })
         .collect();
     put("com_error_after_1_s_worst_mm", largest(&com));
+    // One standard deviation of the worst pick.
+    let bounds = trace.weighable.iter();
+    let mass: Vec<f64> = bounds
+        .clone()
+        .map(|(mass, _, payload)| 100.0 * mass / payload.body.mass)
+        .collect();
+    put("mass_bound_worst_percent", largest(&mass));
+    let com: Vec<f64> = bounds.map(|(_, com, _)| 1e3 * com).collect();
+    put("com_bound_worst_mm", largest(&com));
     let percent: Vec<f64> = trace.restored.iter().map(|part| 100.0 * part).collect();
     put(
         "torque_after_release_change_worst_percent",

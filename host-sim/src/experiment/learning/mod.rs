@@ -3,6 +3,7 @@
 
 mod bars;
 mod baselines;
+mod bound;
 mod comparison;
 mod controller;
 mod drive;

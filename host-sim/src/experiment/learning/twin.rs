@@ -4,7 +4,7 @@ use super::world::{N, P, Set};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::FRICTION_COLUMNS;
-use foretorque::learning::{LearnerConfig, Stacked};
+use foretorque::learning::{Estimator, LearnerConfig, Stacked};
 use nalgebra::{DMatrix, DVector};
 
 /// Friction columns of a joint that wander: viscous, Coulomb and the Stribeck pair.
@@ -12,7 +12,7 @@ const WANDERING: usize = 4;
 /// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
 const MEDIAN: f64 = 0.6745;
 const VARIANCE_STEP: f64 = 1.005;
-const VARIANCE_RANGE: (f64, f64) = (0.1, 400.0);
+const VARIANCE_RANGE: (f64, f64) = (0.02, 400.0);
 
 /// The twin. Parameters in prior standard deviations from the start.
 pub(super) struct Twin {
@@ -39,7 +39,7 @@ impl Twin {
             start,
             theta: DVector::zeros(n),
             covariance: DMatrix::identity(n, n),
-            variance: [1.0; N],
+            variance: Estimator::new(prior).variance().map(f64::from),
         }
     }
 

@@ -284,6 +284,8 @@ fn row(
         clean: at(clean),
         moving: std::array::from_fn(|joint| state.qd[joint].abs() > MOVING_RAD_S),
         panel: panel.into(),
+        // The arms of this study have no cogging.
+        waves: [[0.0; 2]; JOINTS],
     }
 }
 

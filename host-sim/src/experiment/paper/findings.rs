@@ -39,8 +39,8 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         let fits = |c: &&Condition| {
             friction.is_none_or(|f| c.friction == f)
                 && outliers.is_none_or(|o| (c.outlier_percent > 0.0) == o)
-                // Without noise some methods are exact: no ratio means anything there.
-                && (c.noise_percent > 0.0 || c.outlier_percent > 0.0)
+                // Without noise some methods are exact, with outliers too: no ratio means anything there.
+                && c.noise_percent > 0.0
         };
         grid.iter().copied().filter(fits).collect()
     };

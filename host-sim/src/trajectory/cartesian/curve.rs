@@ -4,7 +4,7 @@ use super::file::Way;
 use super::rotation::{rates, rotation};
 use crate::kinematics::{Twist, rotation_vector};
 use crate::robot::Placement;
-use crate::trajectory::ViaPath;
+use crate::via::ViaPath;
 use nalgebra::{Rotation3, Unit, Vector3, Vector6};
 
 /// A move may turn the tool this far from where it started, rad: half a turn has two ways round.

@@ -1,6 +1,7 @@
 use super::*;
 use crate::edge::wire::MAC_BYTES;
 use crate::edge::write_key::WriteKey;
+use crate::excitation::{Cue, ExcitationProgram, JointSeries, MotionBounds, Stage};
 
 fn key(byte: u8) -> WriteKey {
     WriteKey::from_slot([byte; 16]).unwrap()
@@ -97,4 +98,55 @@ fn a_board_without_a_key_gives_no_challenge_and_needs_no_signature() {
     let bank = uploaded();
     board.write(&bank);
     assert_eq!(commit(&mut board, &bank, None), BoardMessage::Ack);
+}
+
+/// An excitation in which no joint moves.
+fn excitation() -> Vec<u8> {
+    let program = ExcitationProgram::<N> {
+        arm_hash: Ur5::HASH,
+        period_us: 4_000_000,
+        periods: 1,
+        tracking_rad: 0.05,
+        joints: [JointSeries::ZERO; N],
+        certificate: [MotionBounds {
+            position_rad: (-0.5, 0.5),
+            velocity_rad_s: 1.0,
+            acceleration_rad_s2: 5.0,
+        }; N],
+    };
+    program.encode(&mut [0; 1024]).unwrap().to_vec()
+}
+
+fn load(board: &mut Board, program: &[u8], mac: Option<[u8; MAC_BYTES]>) -> BoardMessage<N> {
+    board.write(program);
+    board.ask(HostMessage::ExcitationLoad {
+        length: program.len() as u16,
+        crc: CRC.checksum(program),
+        mac,
+    })
+}
+
+#[test]
+fn an_excitation_needs_the_signature_that_a_bank_needs() {
+    let program = excitation();
+    let refused = BoardMessage::Nack(NackReason::Key);
+    let mut board = locked(1);
+    assert_eq!(load(&mut board, &program, None), refused);
+    let nonce = challenge(&mut board);
+    let foreign = key(4).sign_upload(&nonce, Ur5::HASH, &program);
+    assert_eq!(load(&mut board, &program, Some(foreign)), refused);
+    assert_eq!(
+        board.ask(HostMessage::Excitation(Cue::Status)),
+        BoardMessage::Excitation(Stage::Empty)
+    );
+    let nonce = challenge(&mut board);
+    let mac = key(3).sign_upload(&nonce, Ur5::HASH, &program);
+    assert_eq!(load(&mut board, &program, Some(mac)), BoardMessage::Ack);
+    assert_eq!(load(&mut board, &program, Some(mac)), refused);
+    // For a bank the signature of an excitation is worth nothing.
+    let nonce = challenge(&mut board);
+    let mac = key(3).sign_upload(&nonce, Ur5::HASH, &program);
+    board.write(&program);
+    let answer = commit(&mut board, &program, Some(mac));
+    assert!(matches!(answer, BoardMessage::Nack(NackReason::Bank(_))));
 }

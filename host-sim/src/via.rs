@@ -6,9 +6,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Time between two via points of a random path, s.
-pub(super) const SEGMENT_S: f64 = 1.5;
+pub(crate) const SEGMENT_S: f64 = 1.5;
 /// Range of its via points around zero, rad.
-pub(super) const VIA_RANGE_RAD: f64 = 2.0;
+pub(crate) const VIA_RANGE_RAD: f64 = 2.0;
 
 /// A path through via points, one quintic a segment and joint: continuous up to the acceleration.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,0 +1,206 @@
+//! The program with boards on a serial port and in the emulator, and what it says of a board it cannot use.
+
+mod program;
+
+use foretorque::arm::Arm;
+use foretorque::arm::panda::Panda;
+use foretorque::arm::ur5::Ur5;
+use foretorque::edge::wire::PROTOCOL_VERSION;
+use host_sim::board::{Native, Transport};
+use program::{fails, files, room, states, succeeds};
+use serialport::{SerialPort, TTYPort};
+use std::fs;
+use std::io::{Read, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// A board on a pseudo-terminal, until it goes out of scope.
+struct PlayedBoard {
+    port: String,
+    done: Arc<AtomicBool>,
+    player: Option<JoinHandle<()>>,
+}
+
+impl PlayedBoard {
+    /// Lets `board` answer, every frame changed by `change` on its way to the host.
+    fn start(mut board: impl Transport + Send + 'static, change: fn(&[u8]) -> Vec<u8>) -> Self {
+        let (mut line, end) = TTYPort::pair().expect("the system has pseudo-terminals");
+        let port = end.name().expect("it has a name");
+        line.set_timeout(Duration::from_millis(5))
+            .expect("it has a timeout");
+        let done = Arc::new(AtomicBool::new(false));
+        let ended = Arc::clone(&done);
+        let player = std::thread::spawn(move || {
+            let mut buffer = [0; 1024];
+            while !ended.load(Ordering::Relaxed) {
+                // Nothing to hear, or nobody at the other end yet.
+                let Ok(count) = line.read(&mut buffer) else {
+                    std::thread::sleep(Duration::from_millis(1));
+                    continue;
+                };
+                board.send(&buffer[..count]).expect("the board lives");
+                let count = board
+                    .receive(&mut buffer, Duration::ZERO)
+                    .expect("the board lives");
+                for frame in buffer[..count].split_inclusive(|&byte| byte == 0) {
+                    // A host that has heard enough hangs up.
+                    let _ = line.write_all(&change(frame));
+                }
+            }
+        });
+        drop(end);
+        Self {
+            port,
+            done,
+            player: Some(player),
+        }
+    }
+}
+
+impl Drop for PlayedBoard {
+    fn drop(&mut self) {
+        self.done.store(true, Ordering::Relaxed);
+        if let Some(player) = self.player.take() {
+            let _ = player.join();
+        }
+    }
+}
+
+/// The frame as a board of the next protocol version would send it.
+fn of_the_next_version(frame: &[u8]) -> Vec<u8> {
+    let mut payload = [0; 300];
+    let Some(length) = cobs::decode(frame, &mut payload)
+        .ok()
+        .filter(|&length| length > 4)
+    else {
+        return frame.to_vec();
+    };
+    payload[0] += 1;
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&payload[..length - 4]);
+    payload[length - 4..length].copy_from_slice(&crc.to_le_bytes());
+    let mut changed = vec![0; 300];
+    let length = cobs::encode(&payload[..length], &mut changed);
+    changed.truncate(length);
+    changed.push(0);
+    changed
+}
+
+#[test]
+fn a_board_that_drives_another_robot_is_refused() {
+    let room = room("other-robot");
+    fs::write(room.join("states.csv"), states(6)).expect("it can be written");
+    let native = Native::<Panda, 7, 48>::new().expect("the arm's limits are usable");
+    let board = PlayedBoard::start(native, <[u8]>::to_vec);
+    let said = fails(
+        &room,
+        &format!(
+            "torque --robot ur5 --board serial:{} --in states.csv --out tau.csv",
+            board.port
+        ),
+    );
+    let wanted = format!(
+        "the board drives panda ({:08x}, 7 joints), not ur5 ({:08x})",
+        Panda::HASH,
+        Ur5::HASH
+    );
+    assert!(said.contains(&wanted), "{said}");
+    assert_eq!(files(&room), ["states.csv"]);
+}
+
+#[test]
+fn a_board_on_a_serial_port_computes_torque() {
+    let room = room("serial");
+    fs::write(room.join("states.csv"), states(6)).expect("it can be written");
+    let native = Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable");
+    let board = PlayedBoard::start(native, <[u8]>::to_vec);
+    succeeds(
+        &room,
+        &format!(
+            "torque --robot ur5 --board serial:{} --in states.csv --out tau.csv",
+            board.port
+        ),
+    );
+    succeeds(&room, "torque --robot ur5 --in states.csv --out native.csv");
+    let [serial, native] =
+        ["tau.csv", "native.csv"].map(|name| fs::read(room.join(name)).expect("it was written"));
+    assert!(serial == native, "the port changes nothing");
+}
+
+#[test]
+fn a_board_of_another_protocol_version_is_refused() {
+    let room = room("other-version");
+    let native = Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable");
+    let board = PlayedBoard::start(native, of_the_next_version);
+    let said = fails(
+        &room,
+        &format!(
+            "run --robot ur5 --board serial:{} --trajectory validation --out out",
+            board.port
+        ),
+    );
+    assert!(
+        said.contains(&format!(
+            "the board speaks protocol version {}, this program version {PROTOCOL_VERSION}",
+            PROTOCOL_VERSION + 1
+        )),
+        "{said}"
+    );
+    assert_eq!(files(&room), Vec::<String>::new());
+}
+
+#[test]
+fn the_emulated_board_says_that_it_drives_another_robot() {
+    let room = room("emulated-panda");
+    fs::write(room.join("states.csv"), states(7)).expect("it can be written");
+    for board in ["qemu", "qemu-usart"] {
+        let said = fails(
+            &room,
+            &format!("torque --robot panda --board {board} --in states.csv --out tau.csv"),
+        );
+        assert!(said.contains("the board drives ur5"), "{said}");
+        assert!(said.contains("not panda"), "{said}");
+    }
+    assert_eq!(files(&room), ["states.csv"]);
+}
+
+#[test]
+fn the_log_of_the_flashable_firmware_is_text() {
+    let room = room("log");
+    succeeds(
+        &room,
+        "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log logs/board.log",
+    );
+    let log = fs::read_to_string(room.join("logs/board.log")).expect("it was written");
+    let hello = format!(
+        "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
+        Ur5::HASH
+    );
+    let lines: Vec<&str> = log.lines().collect();
+    assert_eq!(
+        lines[0],
+        "info: boot: odrive-v3, clock Emulated at 168000000 Hz, started by Unknown, left before by None at 0x0"
+    );
+    assert!(lines[1].starts_with("info: store: "), "{log}");
+    assert!(lines[2].starts_with(&hello), "{log}");
+    assert!(
+        lines[2].ends_with(" counts (0 us) from clock to hello"),
+        "{log}"
+    );
+    assert!(lines[3].starts_with("info: tick 1"), "{log}");
+    assert!(
+        lines[3].ends_with(" 0 lost, 0 overruns, 0 ticks missed"),
+        "{log}"
+    );
+    assert_eq!(lines.len(), 4);
+    let mut made = files(&room);
+    made.sort();
+    assert_eq!(made, ["logs", "out"]);
+    assert_eq!(files(&room.join("logs")), ["board.log"]);
+    let said = fails(
+        &room,
+        "run --robot ur5 --trajectory validation --out out --log board.log",
+    );
+    assert!(said.contains("--log: board native has none"), "{said}");
+}

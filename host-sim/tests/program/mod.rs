@@ -1,0 +1,66 @@
+//! The program in a room of its own, as its users call it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// An empty directory for one test.
+pub(crate) fn room(name: &str) -> PathBuf {
+    let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
+    let _ = fs::remove_dir_all(&room);
+    fs::create_dir_all(&room).expect("the directory of the tests can be written");
+    room
+}
+
+pub(crate) fn host_sim(room: &Path, arguments: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
+    command.current_dir(room).args(arguments.split_whitespace());
+    command.output().expect("the program starts")
+}
+
+pub(crate) fn succeeds(room: &Path, arguments: &str) -> String {
+    let output = host_sim(room, arguments);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "`{arguments}` said {said}");
+    String::from_utf8(output.stdout).expect("it speaks UTF-8")
+}
+
+/// The one line that the program fails with.
+pub(crate) fn fails(room: &Path, arguments: &str) -> String {
+    let output = host_sim(room, arguments);
+    let said = String::from_utf8(output.stderr).expect("it speaks UTF-8");
+    assert_eq!(output.status.code(), Some(1), "`{arguments}` said {said}");
+    assert!(said.starts_with("error: "), "{said}");
+    assert_eq!(said.lines().count(), 1, "one line: {said}");
+    said
+}
+
+/// What lies in a directory.
+pub(crate) fn files(room: &Path) -> Vec<String> {
+    let entries = fs::read_dir(room).expect("it is there");
+    let name = |entry: std::io::Result<fs::DirEntry>| entry.expect("it is there").file_name();
+    entries
+        .map(|entry| name(entry).to_string_lossy().into_owned())
+        .collect()
+}
+
+/// Two states of an arm of `joints` joints.
+pub(crate) fn states(joints: usize) -> String {
+    let columns = |name: &str, unit: &str| -> Vec<String> {
+        (1..=joints)
+            .map(|joint| format!("{name}{joint}_{unit}"))
+            .collect()
+    };
+    let header = [
+        columns("q", "rad"),
+        columns("qd", "rad_s"),
+        columns("qdd", "rad_s2"),
+    ];
+    let row = |value: f64| vec![value.to_string(); 3 * joints].join(",");
+    format!(
+        "{}\n{}\n{}\n",
+        header.concat().join(","),
+        row(0.25),
+        row(-0.5)
+    )
+}
