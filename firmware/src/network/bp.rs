@@ -1,5 +1,6 @@
 use super::activation::{Activation, Relu};
 use super::random::{RandomStart, square_root};
+use core::hint::black_box;
 use core::marker::PhantomData;
 use nalgebra::{ArrayStorage, SMatrix, SVector};
 
@@ -105,19 +106,22 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// Outputs of the hidden units for input `x`.
     #[inline(always)]
     pub fn hidden(&self, x: &SVector<f32, I>) -> SVector<f32, H> {
-        let mut a = self.hidden_bias;
-        sweep(&self.hidden_weights, x, &mut a);
-        for a in a.as_mut_slice() {
-            *a = A::value(*a);
-        }
+        let mut a = unset();
+        self.hidden_into(x, &mut a);
         a
+    }
+
+    /// [`hidden`](Self::hidden), written where it shall be.
+    #[inline(always)]
+    pub(super) fn hidden_into(&self, x: &SVector<f32, I>, a: &mut SVector<f32, H>) {
+        layer(&self.hidden_weights, &self.hidden_bias, x, A::value, a);
     }
 
     /// Output of the network for hidden outputs `a`.
     #[inline(always)]
     pub fn output(&self, a: &SVector<f32, H>) -> SVector<f32, O> {
-        let mut y = self.output_bias;
-        sweep(&self.output_weights, a, &mut y);
+        let mut y = unset();
+        layer(&self.output_weights, &self.output_bias, a, |y| y, &mut y);
         y
     }
 
@@ -132,35 +136,47 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     }
 }
 
-/// `y += W x`, in blocks of eight, four, two and one rows whose sums stay in registers while the columns go by.
+/// `y = activation(W x + b)`, in blocks of eight, six, four, two and one rows whose sums stay in registers while the columns go
+/// by.
 ///
 /// Every element adds its products in the order of the columns whatever its block, so the bits do not depend on it.
 #[inline(always)]
-fn sweep<const R: usize, const C: usize>(
+fn layer<const R: usize, const C: usize>(
     weights: &SMatrix<f32, R, C>,
+    bias: &SVector<f32, R>,
     x: &SVector<f32, C>,
+    activation: impl Fn(f32) -> f32 + Copy,
     y: &mut SVector<f32, R>,
 ) {
-    let columns = &weights.data.0;
-    let x = x.as_slice();
+    let columns = opaque(&weights.data.0, R * C);
+    let x: &[f32; C] = opaque(&x.data.0[0], R * C);
     let (eights, rest) = y.as_mut_slice().as_chunks_mut::<8>();
-    for (index, block) in eights.iter_mut().enumerate() {
-        accumulate(columns, x, block, |column| {
+    let (bias_eights, bias_rest) = bias.as_slice().as_chunks::<8>();
+    for (index, (y, bias)) in eights.iter_mut().zip(bias_eights).enumerate() {
+        let sums = block(columns, bias, x, |column| {
             column.as_chunks::<8>().0.get(index)
         });
+        *y = sums.map(activation);
     }
-    let (fours, rest) = rest.as_chunks_mut::<4>();
-    for block in fours {
-        accumulate(columns, x, block, |column| tail::<8>(column).first_chunk());
+    let (sixes, rest) = rest.as_chunks_mut::<6>();
+    let (bias_sixes, bias_rest) = bias_rest.as_chunks::<6>();
+    for (y, bias) in sixes.iter_mut().zip(bias_sixes) {
+        let sums = block(columns, bias, x, |column| tail::<8>(column).first_chunk());
+        *y = sums.map(activation);
     }
-    let (twos, rest) = rest.as_chunks_mut::<2>();
-    for block in twos {
-        accumulate(columns, x, block, |column| tail::<4>(column).first_chunk());
+    let from = R - rest.len();
+    for (row, (y, bias)) in rest.iter_mut().zip(bias_rest).enumerate() {
+        let [sum] = block(columns, &[*bias], x, |column| {
+            column.get(from + row..)?.first_chunk()
+        });
+        *y = activation(sum);
     }
-    let (ones, _) = rest.as_chunks_mut::<1>();
-    for block in ones {
-        accumulate(columns, x, block, |column| column.last_chunk());
-    }
+}
+
+/// Room for what will be written: −0, not 0, which would be a call of memset.
+#[inline(always)]
+pub(super) fn unset<const R: usize>() -> SVector<f32, R> {
+    SVector::from([-0.0; R])
 }
 
 /// What is left of `column` after whole blocks of `BLOCK` rows.
@@ -169,23 +185,63 @@ fn tail<const BLOCK: usize>(column: &[f32]) -> &[f32] {
     column.as_chunks::<BLOCK>().1
 }
 
-/// Adds the products of one block of rows, column by column.
+/// `b + W x` of one block of rows, two columns at a time.
 #[inline(always)]
-fn accumulate<const B: usize, const R: usize>(
-    columns: &[[f32; R]],
-    x: &[f32],
-    block: &mut [f32; B],
+fn block<const B: usize, const R: usize, const C: usize>(
+    columns: &[[f32; R]; C],
+    bias: &[f32; B],
+    x: &[f32; C],
     rows: impl Fn(&[f32; R]) -> Option<&[f32; B]>,
-) {
-    let mut sums = *block;
-    for (column, &x) in columns.iter().zip(x) {
+) -> [f32; B] {
+    let mut sums = *bias;
+    let (pairs, last) = columns.as_chunks::<2>();
+    let (x_pairs, x_last) = x.as_chunks::<2>();
+    for ([one, two], x) in pairs.iter().zip(x_pairs) {
+        if let (Some(&one), Some(&two)) = (rows(one), rows(two)) {
+            loaded(R * C);
+            let [x_one, x_two] = *x;
+            for (sum, weight) in sums.iter_mut().zip(one) {
+                *sum += weight * x_one;
+            }
+            for (sum, weight) in sums.iter_mut().zip(two) {
+                *sum += weight * x_two;
+            }
+        }
+    }
+    for (column, x) in last.iter().zip(x_last) {
         if let Some(rows) = rows(column) {
             for (sum, weight) in sums.iter_mut().zip(rows) {
                 *sum += weight * x;
             }
         }
     }
-    *block = sums;
+    sums
+}
+
+/// A matrix of `entries` is large enough for its loops to be arranged; a small one is best left to the compiler.
+const fn arranged(entries: usize) -> bool {
+    entries >= 64
+}
+
+/// The same reference; into a large matrix of `entries` it is one of which the compiler knows nothing any more, so that
+/// what is read through it stays on its side of [`loaded`].
+#[inline(always)]
+pub(super) fn opaque<T>(reference: T, entries: usize) -> T {
+    if arranged(entries) {
+        black_box(reference)
+    } else {
+        reference
+    }
+}
+
+/// In the loops over a large matrix of `entries`, what was read from memory before is read before: loads one after the
+/// other take a Cortex-M4 one cycle each, loads between multiplications two. It costs nothing, and the loop around it
+/// stays as it is written.
+#[inline(always)]
+pub(super) fn loaded(entries: usize) {
+    if arranged(entries) {
+        black_box(());
+    }
 }
 
 #[cfg(test)]

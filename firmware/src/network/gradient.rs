@@ -1,5 +1,6 @@
 use super::activation::Activation;
-use super::bp::BpNetwork;
+use super::bp::{BpNetwork, loaded, opaque, unset};
+use core::array;
 use nalgebra::{SMatrix, SVector};
 
 /// How an incremental step is taken.
@@ -12,17 +13,13 @@ pub struct StepParameters {
     pub error_clip: f32,
 }
 
-/// Errors carried back through the network: what every gradient is the outer product of.
-struct Deltas<const H: usize, const O: usize> {
-    /// `d` at the outputs.
-    output: SVector<f32, O>,
-    /// `d` at the inputs of the hidden units.
-    hidden: SVector<f32, H>,
+/// Errors carried back through the network, in sums.
+struct Deltas {
     /// `Σ_h slope(a_h)² |W2_h|²`: how far the outputs move with the inputs of the hidden units.
     sensitivity: f32,
     /// `|a|²`.
     power: f32,
-    /// Sum of `hidden`: finite only if each is.
+    /// Sum of the deltas at the inputs of the hidden units: finite only if each is.
     sum: f32,
 }
 
@@ -38,12 +35,14 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// gradients divided by the RMSE, so a descent on either (eq. 21) goes the same way with another rate.
     pub fn gradient(&self, x: &SVector<f32, I>, target: &SVector<f32, O>) -> Self {
         let a = self.hidden(x);
-        let deltas = self.propagate_back(&a, self.output(&a) - target);
+        let output = self.output(&a) - target;
+        let mut hidden = unset();
+        self.propagate_back(&a, &output, &mut hidden);
         Self {
-            hidden_weights: deltas.hidden * x.transpose(),
-            hidden_bias: deltas.hidden,
-            output_weights: deltas.output * a.transpose(),
-            output_bias: deltas.output,
+            hidden_weights: hidden * x.transpose(),
+            hidden_bias: hidden,
+            output_weights: output * a.transpose(),
+            output_bias: output,
             activation: core::marker::PhantomData,
         }
     }
@@ -74,7 +73,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
 
     /// [`update`](Self::update) with a rate of its own for the hidden layer: `hidden` times that of the output layer.
     /// With 0 the hidden layer stays as it is.
-    #[inline(always)]
+    #[inline]
     pub fn update_layers(
         &mut self,
         x: &SVector<f32, I>,
@@ -82,89 +81,165 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         step: &StepParameters,
         hidden: f32,
     ) -> SVector<f32, O> {
-        let a = self.hidden(x);
+        let mut a = unset();
+        self.hidden_into(x, &mut a);
         let error = self.output(&a) - target;
         let clipped = error.map(|e| clip(e, step.error_clip));
-        let deltas = self.propagate_back(&a, clipped);
+        let mut hidden_delta = unset();
+        let deltas = self.propagate_back(&a, &clipped, &mut hidden_delta);
         let sensitivity = 1.0 + deltas.power + (1.0 + squared(x)) * deltas.sensitivity;
         let rate = step.learning_rate / (1.0 + sensitivity);
         // A sum of the step's factors is finite only if each is; the weights are touched after that, never before.
         let hidden_rate = hidden * rate;
-        let probe = 0.0 * (rate + hidden_rate + deltas.sum + sum(&deltas.output) + squared(x));
+        let probe = 0.0 * (rate + hidden_rate + deltas.sum + sum(&clipped) + squared(x));
         if probe == 0.0 {
-            descend(&mut self.output_weights, &a, &deltas.output, rate);
-            descend_bias(&mut self.output_bias, &deltas.output, rate);
-            descend(&mut self.hidden_weights, x, &deltas.hidden, hidden_rate);
-            descend_bias(&mut self.hidden_bias, &deltas.hidden, hidden_rate);
+            let (weights, bias) = (&mut self.output_weights, &mut self.output_bias);
+            descend(weights, bias, &a, &clipped, rate);
+            let (weights, bias) = (&mut self.hidden_weights, &mut self.hidden_bias);
+            descend(weights, bias, x, &hidden_delta, hidden_rate);
         }
         error
     }
 
-    /// The deltas of output errors `output`, where the hidden outputs are `a`.
-    #[inline(always)]
-    fn propagate_back(&self, a: &SVector<f32, H>, output: SVector<f32, O>) -> Deltas<H, O> {
-        let mut sensitivity = 0.0;
-        let mut power = 0.0;
-        let mut sum = 0.0;
-        let columns = &self.output_weights.data.0;
-        let a: &[f32; H] = &a.data.0[0];
-        let hidden = core::array::from_fn(|unit| {
-            let mut back = 0.0;
-            let mut reach = 0.0;
-            for (weight, output) in columns[unit].iter().zip(output.as_slice()) {
-                back += weight * output;
-                reach += weight * weight;
-            }
-            let slope = A::slope(a[unit]);
-            let delta = slope * back;
-            sensitivity += slope * slope * reach;
-            power += a[unit] * a[unit];
-            sum += delta;
-            delta
-        });
-        Deltas {
-            output,
-            hidden: SVector::from(hidden),
-            sensitivity,
-            power,
-            sum,
+    /// Carries output errors `output` back to `hidden`, the deltas at the inputs of the hidden units, where the hidden
+    /// outputs are `a`.
+    #[inline]
+    fn propagate_back(
+        &self,
+        a: &SVector<f32, H>,
+        output: &SVector<f32, O>,
+        hidden: &mut SVector<f32, H>,
+    ) -> Deltas {
+        let errors: &[f32; O] = &output.data.0[0];
+        let mut deltas = Deltas {
+            sensitivity: 0.0,
+            power: 0.0,
+            sum: 0.0,
+        };
+        let (pairs, last) = self.output_weights.data.0.as_chunks::<2>();
+        let (a_pairs, a_last) = a.as_slice().as_chunks::<2>();
+        let (hidden_pairs, hidden_last) = hidden.as_mut_slice().as_chunks_mut::<2>();
+        for ((&[one, two], &[a_one, a_two]), hidden) in pairs.iter().zip(a_pairs).zip(hidden_pairs)
+        {
+            loaded(O * H);
+            *hidden = [
+                deltas.of_unit::<A, O>(&one, errors, a_one),
+                deltas.of_unit::<A, O>(&two, errors, a_two),
+            ];
         }
+        for ((weights, &a), hidden) in last.iter().zip(a_last).zip(hidden_last) {
+            *hidden = deltas.of_unit::<A, O>(weights, errors, a);
+        }
+        deltas
     }
 }
 
-/// `W ← W − rate · delta sourceᵀ`, column by column.
+impl Deltas {
+    /// The delta of the hidden unit whose output is `a`, from the `errors` of the outputs it leads to.
+    #[inline(always)]
+    fn of_unit<A: Activation, const O: usize>(
+        &mut self,
+        weights: &[f32; O],
+        errors: &[f32; O],
+        a: f32,
+    ) -> f32 {
+        let slope = A::slope(a);
+        let delta = slope * dot(weights, errors);
+        self.sensitivity += slope * slope * dot(weights, weights);
+        self.power += a * a;
+        self.sum += delta;
+        delta
+    }
+}
+
+/// `Σ a b`, from the first product on.
 #[inline(always)]
+fn dot<const L: usize>(a: &[f32; L], b: &[f32; L]) -> f32 {
+    let mut products = a.iter().zip(b).map(|(a, b)| a * b);
+    let first = products.next().unwrap_or(0.0);
+    products.fold(first, |sum, product| sum + product)
+}
+
+/// `W ← W − rate · delta sourceᵀ` and `b ← b − rate · delta`, in blocks of eight and six rows whose deltas stay in registers
+/// while the columns go by.
+#[inline]
 fn descend<const R: usize, const C: usize>(
     weights: &mut SMatrix<f32, R, C>,
+    bias: &mut SVector<f32, R>,
     source: &SVector<f32, C>,
     delta: &SVector<f32, R>,
     rate: f32,
 ) {
-    let columns = &mut weights.data.0;
+    let columns = opaque(&mut weights.data.0, R * C);
+    let source: &[f32; C] = opaque(&source.data.0[0], R * C);
     let (eights, rest) = delta.as_slice().as_chunks::<8>();
-    // Eight deltas stay in registers while the columns go by.
-    for (index, delta) in eights.iter().enumerate() {
-        for (column, source) in columns.iter_mut().zip(source.as_slice()) {
-            let scale = rate * source;
-            if let Some(weights) = column.as_chunks_mut::<8>().0.get_mut(index) {
-                *weights = core::array::from_fn(|k| weights[k] - scale * delta[k]);
-            }
+    let (bias_eights, bias_rest) = bias.as_mut_slice().as_chunks_mut::<8>();
+    for (index, (delta, bias)) in eights.iter().zip(bias_eights).enumerate() {
+        descend_block(columns, bias, source, delta, rate, |column| {
+            column.as_chunks_mut::<8>().0.get_mut(index)
+        });
+    }
+    let (sixes, rest) = rest.as_chunks::<6>();
+    let (bias_sixes, bias_rest) = bias_rest.as_chunks_mut::<6>();
+    for (delta, bias) in sixes.iter().zip(bias_sixes) {
+        descend_block(columns, bias, source, delta, rate, |column| {
+            column.as_chunks_mut::<8>().1.first_chunk_mut()
+        });
+    }
+    let from = R - rest.len();
+    for (row, (delta, bias)) in rest.iter().zip(bias_rest).enumerate() {
+        descend_block(
+            columns,
+            array::from_mut(bias),
+            source,
+            &[*delta],
+            rate,
+            |column| column.get_mut(from + row..)?.first_chunk_mut(),
+        );
+    }
+}
+
+/// One block of rows, two columns at a time.
+#[inline(always)]
+fn descend_block<const B: usize, const R: usize, const C: usize>(
+    columns: &mut [[f32; R]; C],
+    bias: &mut [f32; B],
+    source: &[f32; C],
+    delta: &[f32; B],
+    rate: f32,
+    rows: impl Fn(&mut [f32; R]) -> Option<&mut [f32; B]>,
+) {
+    let delta = *delta;
+    *bias = array::from_fn(|k| bias[k] - rate * delta[k]);
+    let (pairs, last) = columns.as_chunks_mut::<2>();
+    let (source_pairs, source_last) = source.as_chunks::<2>();
+    for ([one, two], [source_one, source_two]) in pairs.iter_mut().zip(source_pairs) {
+        if let (Some(one), Some(two)) = (rows(one), rows(two)) {
+            descend_column(one, &delta, rate, source_one, R * C);
+            descend_column(two, &delta, rate, source_two, R * C);
         }
     }
-    for (column, source) in columns.iter_mut().zip(source.as_slice()) {
-        let scale = rate * source;
-        for (weight, delta) in column.as_chunks_mut::<8>().1.iter_mut().zip(rest) {
-            *weight -= scale * delta;
+    for (column, source) in last.iter_mut().zip(source_last) {
+        if let Some(weights) = rows(column) {
+            descend_column(weights, &delta, rate, source, R * C);
         }
     }
 }
 
-/// `b ← b − rate · delta`.
+/// What one column has of a block of rows, in a matrix of `entries`.
 #[inline(always)]
-fn descend_bias<const R: usize>(bias: &mut SVector<f32, R>, delta: &SVector<f32, R>, rate: f32) {
-    for (bias, delta) in bias.as_mut_slice().iter_mut().zip(delta.as_slice()) {
-        *bias -= rate * delta;
-    }
+fn descend_column<const B: usize>(
+    weights: &mut [f32; B],
+    delta: &[f32; B],
+    rate: f32,
+    source: &f32,
+    entries: usize,
+) {
+    let from = *weights;
+    loaded(entries);
+    let scale = rate * source;
+    *weights = array::from_fn(|k| from[k] - scale * delta[k]);
+    loaded(entries);
 }
 
 /// `value` cut to ±`bound`. Not `f32::clamp`, which panics when the bound is not a number.
