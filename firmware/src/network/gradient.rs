@@ -210,7 +210,9 @@ fn descend_block<const B: usize, const R: usize, const C: usize>(
     rows: impl Fn(&mut [f32; R]) -> Option<&mut [f32; B]>,
 ) {
     let delta = *delta;
-    *bias = array::from_fn(|k| bias[k] - rate * delta[k]);
+    for (bias, delta) in bias.iter_mut().zip(&delta) {
+        *bias -= rate * delta;
+    }
     let (pairs, last) = columns.as_chunks_mut::<2>();
     let (source_pairs, source_last) = source.as_chunks::<2>();
     for ([one, two], [source_one, source_two]) in pairs.iter_mut().zip(source_pairs) {
@@ -235,10 +237,13 @@ fn descend_column<const B: usize>(
     source: &f32,
     entries: usize,
 ) {
-    let from = *weights;
+    let mut moved = *weights;
     loaded(entries);
     let scale = rate * source;
-    *weights = array::from_fn(|k| from[k] - scale * delta[k]);
+    for (weight, delta) in moved.iter_mut().zip(delta) {
+        *weight -= scale * delta;
+    }
+    *weights = moved;
     loaded(entries);
 }
 
