@@ -30,7 +30,7 @@ const TORQUES: usize = DELAY + 1 + AVERAGED / 2;
 pub struct Conditioned<const N: usize> {
     /// Smoothed position, and velocity and acceleration of the same quadratic.
     pub motion: JointMotion<N>,
-    /// Mean of the [`AVERAGED`] torques around that instant: the noise of means that have no sample in common is white.
+    /// Mean of five torques around that instant: the noise of means that have no sample in common is white.
     pub tau: JointVector<N>,
 }
 

@@ -26,7 +26,7 @@ pub enum EncoderError {
     Overflow,
     /// The reading moved farther than the joint can: it is not believed, and the count of turns is lost.
     Jump,
-    /// The turn is not known: [`reference`](AbsoluteEncoder::reference) first.
+    /// The turn is not known: [`reference`](super::AbsoluteEncoder::reference) first.
     NoReference,
 }
 
