@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 const JOINTS: usize = 6;
 
 /// Paths and the logs that show them: No6 and No7 are one path and are held out together.
-const PATHS: [(&str, &[&str]); 6] = [
+pub(super) const PATHS: [(&str, &[&str]); 6] = [
     ("No1", &["Movement_No1.csv.gz"]),
     ("No2", &["Movement_No2.csv.gz"]),
     ("No3", &["Movement_No3_Acc.csv.gz"]),

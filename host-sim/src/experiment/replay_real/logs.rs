@@ -2,6 +2,7 @@
 
 use super::{GATE_RAD_S, N};
 use crate::dynamics::State;
+use crate::experiment::real_ur5::PATHS;
 use crate::identification::{
     ColumnSet, IdentifyConfig, Layout, LogReader, MethodName, Preparation, PrepareConfig, Prepared,
     for_each_prepared, identify,
@@ -10,22 +11,6 @@ use crate::robot::Robot;
 use foretorque::joint::JointMeasurement;
 use std::error::Error;
 use std::path::{Path, PathBuf};
-
-/// Paths and the logs that show them: No6 and No7 are one path and are held out together.
-pub(super) const PATHS: [(&str, &[&str]); 6] = [
-    ("No1", &["Movement_No1.csv.gz"]),
-    ("No2", &["Movement_No2.csv.gz"]),
-    ("No3", &["Movement_No3_Acc.csv.gz"]),
-    ("No5", &["Movement_No5_Acc_slow_no_disturbance.csv.gz"]),
-    (
-        "No6 and No7",
-        &[
-            "Movement_No6_Acc_slow_Verify_Model.csv.gz",
-            "Movement_No7_Acc_slow_Verify_Model_short.csv.gz",
-        ],
-    ),
-    ("TEST", &["TEST.csv.gz"]),
-];
 
 /// The friction columns of the reference.
 pub(super) const RICH: &str = "coulomb-viscous+offset+stribeck+sqrt+load";

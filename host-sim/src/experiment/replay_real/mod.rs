@@ -4,6 +4,7 @@ mod logs;
 mod page;
 mod scores;
 
+use super::real_ur5::PATHS;
 use crate::experiment::closed_loop::motion_f32;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
@@ -12,7 +13,7 @@ use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet, eval
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Exchange, Learner, LearnerConfig};
 use foretorque::limits::Flags;
-use logs::{PATHS, Stretch};
+use logs::Stretch;
 use scores::{Scores, geometric_mean};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
