@@ -18,7 +18,7 @@ use host_sim::board::{BoardError, Client, Native, TickReply};
 use patched::patched;
 use std::fs;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Of `firmware/src/bin/joint_drive/board.rs`: the joint, and the torque of a full duty, N·m.
@@ -383,17 +383,18 @@ fn silence_ends_the_pulses() {
     for _ in 0..5 {
         trial.sample(&still());
     }
-    trial.client.arm(&still()).expect("it can be armed");
+    let armed = (0..100).any(|_| trial.client.arm(&still()).is_ok());
+    assert!(armed, "it can be armed");
     trial.sample(&still());
     let trace = fs::read_to_string(&trial.trace).expect("the emulator writes a trace");
     let on = |line| matches!(written(line), Some(("GPIOB", 0x18, bits)) if bits == 1 << 8);
     assert!(trace.lines().any(on), "it was armed");
     // The time of the emulator moves on when somebody talks to it, in leaps; what is said here is no sample.
-    let deadline = Instant::now() + PATIENCE;
-    while trial.stage().enabled {
-        assert!(Instant::now() < deadline, "the torque ends");
+    let silence = (0..10_000).find(|_| {
         trial.client.statistics().expect("counters");
-    }
+        !trial.stage().enabled
+    });
+    assert!(silence.is_some(), "the torque ends");
     trial.is_off();
     let after = trial.sample(&still());
     assert_eq!(after.safety.reason, SafetyReason::CommandTimeout);
@@ -437,6 +438,8 @@ fn a_fault_of_the_drive_ends_the_pulses_in_the_tick_in_which_it_is_seen() {
 #[test]
 fn driving_a_joint_costs_what_the_page_of_the_board_says() {
     let cost = |client: &mut Client<JOINTS>| {
+        // The time to an answer that waits for its lesson is not counted.
+        client.wait_for_lessons(false);
         for k in 0..200 {
             client.sample(&moving(k)).expect("a torque");
         }

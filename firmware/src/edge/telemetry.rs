@@ -33,7 +33,7 @@ pub struct Statistics {
     /// Samples that a newer one overtook before the timer ran a tick.
     #[serde(with = "postcard::fixint::le")]
     pub overtaken: u32,
-    /// Timer ticks without a fresh sample.
+    /// Ticks without a sample: of the timer, and those made up for when samples were lost.
     #[serde(with = "postcard::fixint::le")]
     pub stale_ticks: u32,
     /// Ticks that missed their deadline, and receive overruns of the line.
@@ -42,7 +42,7 @@ pub struct Statistics {
     /// Replies that found no room.
     #[serde(with = "postcard::fixint::le")]
     pub replies_lost: u32,
-    /// Ticks run.
+    /// Ticks run, with a sample or without.
     #[serde(with = "postcard::fixint::le")]
     pub ticks: u32,
     /// Learnt sets that came late.
