@@ -1,11 +1,12 @@
 //! Logs as a stream: one thread reads, all cores prepare, sums and a bounded sample of rows stay.
 
 use super::columns::Layout;
-use super::log::{LogReader, LogRow};
+use super::log::LogRow;
 use super::normal::NormalEquations;
 use super::prepare::{MotionSource, Preparation, PrepareConfig, Prepared, Stretch};
 use super::ripple::RippleSums;
 use super::speed::SpeedSums;
+use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::dynamics::State;
 use crate::robot::Robot;
 use crate::table::TableError;
@@ -16,10 +17,6 @@ use std::sync::mpsc::sync_channel;
 
 /// Rows of one stretch, margins apart. Large against the margins, small enough for a few of them in memory.
 const STRETCH: usize = 16_384;
-/// Rows from which the period and the trust in logged velocities are found.
-const PREVIEW: usize = 4096;
-/// A step in time of more than this many periods cuts the log.
-const GAP_PERIODS: f64 = 5.0;
 /// Rows in a period of the motion's cut-off from which derivatives of the positions are believed before logged ones.
 const MOTION_ROWS: f64 = 8.0;
 /// Logged velocities farther than this share of their RMS from the derivative of the positions are set-points.
@@ -41,20 +38,8 @@ pub fn for_each_prepared<const N: usize>(
     notes: &mut Vec<String>,
     take: &mut dyn FnMut(&Preparation, Prepared<N>),
 ) -> Result<Preparation, TableError> {
-    let mut reader = LogReader::<N>::open(path, robot)?;
-    let mut preview = Vec::with_capacity(PREVIEW);
-    while preview.len() < PREVIEW {
-        match reader.next_row()? {
-            Some(row) => preview.push(row),
-            None => break,
-        }
-    }
-    if preview.len() < 3 {
-        return Err(TableError::Empty {
-            path: path.to_owned(),
-        });
-    }
-    let preparation = choose(&preview, &reader, config, path, notes);
+    let mut log = WholeLog::<N>::open(path, robot)?;
+    let preparation = choose(&log, config, path, notes);
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
     let (to_workers, stretches) = sync_channel::<Stretch<N>>(workers);
     let stretches = Mutex::new(stretches);
@@ -79,8 +64,7 @@ pub fn for_each_prepared<const N: usize>(
         }
         drop(finished);
         let cut = &preparation;
-        let reading =
-            scope.spawn(move || cut_into_stretches(&mut reader, preview, cut, path, &to_workers));
+        let reading = scope.spawn(move || cut_into_stretches(&mut log, cut, path, &to_workers));
         let mut waiting = BTreeMap::new();
         let mut next = 0;
         for prepared in results {
@@ -101,17 +85,12 @@ pub fn for_each_prepared<const N: usize>(
 
 /// Period and sources of motion of a log, from its first rows.
 fn choose<const N: usize>(
-    preview: &[LogRow<N>],
-    reader: &LogReader<N>,
+    log: &WholeLog<N>,
     config: &PrepareConfig,
     path: &Path,
     notes: &mut Vec<String>,
 ) -> Preparation {
-    let mut steps: Vec<f64> = preview
-        .windows(2)
-        .map(|pair| pair[1].t_s - pair[0].t_s)
-        .collect();
-    let period_s = super::filter::median(&mut steps);
+    let (preview, reader, period_s) = (log.preview(), log.reader(), log.period_s());
     let name = path.display();
     if reader.from_current() {
         notes.push(format!("{name}: torque is drive gain × motor current"));
@@ -192,15 +171,13 @@ fn choose<const N: usize>(
 
 /// Reads the log to its end and sends it on in stretches with margins; returns what is to be said about gaps.
 fn cut_into_stretches<const N: usize>(
-    reader: &mut LogReader<N>,
-    preview: Vec<LogRow<N>>,
+    log: &mut WholeLog<N>,
     preparation: &Preparation,
     path: &Path,
     to_workers: &std::sync::mpsc::SyncSender<Stretch<N>>,
 ) -> Result<Vec<String>, TableError> {
     let mut notes = Vec::new();
     let (margin, edge) = (preparation.margin(), preparation.edge());
-    let mut preview = preview.into_iter();
     // Rows not yet sent with the margin before them; `begin` is where the unsent core starts.
     let mut rows: Vec<LogRow<N>> = Vec::new();
     let mut begin = edge;
@@ -212,10 +189,7 @@ fn cut_into_stretches<const N: usize>(
         let _ = to_workers.send(stretch);
     };
     loop {
-        let row = match preview.next() {
-            Some(row) => Some(row),
-            None => reader.next_row()?,
-        };
+        let row = log.next_row()?;
         let gap = match (&row, rows.last()) {
             (Some(row), Some(last)) => {
                 let step = row.t_s - last.t_s;
@@ -247,7 +221,16 @@ fn cut_into_stretches<const N: usize>(
         }
         match row {
             Some(row) => rows.push(row),
-            None => return Ok(notes),
+            None => {
+                if log.lost() > 0 {
+                    notes.push(format!(
+                        "{}: {} rows were lost on the way to the log, as its clock says: put in between their neighbours",
+                        path.display(),
+                        log.lost()
+                    ));
+                }
+                return Ok(notes);
+            }
         }
     }
 }
