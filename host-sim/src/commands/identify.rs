@@ -1,7 +1,7 @@
 use super::terminal::say;
 use super::{Failure, unusable};
 use crate::excitation::Excitation;
-use crate::files::write_whole;
+use crate::files::{WholeFile, write_whole};
 use crate::identification::{
     ColumnSet, IdentifyConfig, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit, identify,
     page,
@@ -12,11 +12,13 @@ use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{self, Ur5};
 use foretorque::edge::bank::ParameterBank;
 use indicatif::{ProgressBar, ProgressStyle};
+use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// Identify an arm's parameters from logs, by all methods side by side, and validate them on unseen logs
 #[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// Robot: a built-in name or a description file; its log_columns map foreign logs
     #[arg(long)]
@@ -97,7 +99,10 @@ fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
         (None, period_s) => period_s,
     };
     match (arguments.filter, period_s) {
-        (Filter::Butterworth, _) => Ok(None),
+        (Filter::Butterworth, None) => Ok(None),
+        (Filter::Butterworth, Some(_)) => Err(unusable(
+            "--period-s and --excitation belong to --filter fourier",
+        )),
         (Filter::Fourier, Some(period_s)) if period_s.is_finite() && period_s > 0.0 => {
             Ok(Some(period_s))
         }
@@ -200,6 +205,8 @@ fn identify_arm<const N: usize>(
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(100));
+    // A directory that cannot be written is said now, not after the work.
+    let mut json = WholeFile::create(&arguments.out.join("report.json"))?;
     let outcome = identify::<N>(
         robot,
         &arguments.logs,
@@ -212,10 +219,11 @@ fn identify_arm<const N: usize>(
     bar.finish_and_clear();
     let outcome = outcome?;
     let report = &outcome.report;
-    let json = serde_json::to_string_pretty(report)? + "\n";
     let html = page::<N>(report, &outcome.trace)?;
     write_whole(&arguments.out.join("report.html"), html.as_bytes())?;
-    write_whole(&arguments.out.join("report.json"), json.as_bytes())?;
+    serde_json::to_writer_pretty(&mut json, report)?;
+    json.write_all(b"\n")?;
+    json.finish()?;
     for note in &report.notes {
         say(format_args!("note  {note}"))?;
     }

@@ -2,7 +2,6 @@
 
 mod bank;
 mod boards;
-mod campaign;
 mod disturbances;
 mod excite;
 mod experiment;
@@ -24,6 +23,7 @@ pub use terminal::complain;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use std::error::Error;
+use std::path::Path;
 
 /// Whatever stopped a command, as one line.
 pub type Failure = Box<dyn Error>;
@@ -42,6 +42,16 @@ impl Error for Unusable {}
 
 fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Unusable(reason.into()))
+}
+
+/// Refuses to write over what is read.
+fn not_over(input: &Path, out: &Path) -> Result<(), Failure> {
+    let one = |path: &Path| std::fs::canonicalize(path).ok();
+    if one(input).is_some_and(|input| one(out) == Some(input)) {
+        let name = out.display();
+        return Err(unusable(format!("--out {name} is the file that is read")));
+    }
+    Ok(())
 }
 
 /// Simulator and workbench of foretorque: torque feed-forward that learns on the microcontroller.
