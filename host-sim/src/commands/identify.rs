@@ -1,7 +1,8 @@
+use super::report_files::ReportFiles;
 use super::terminal::say;
 use super::{Failure, unusable};
 use crate::excitation::Excitation;
-use crate::files::{WholeFile, write_whole};
+use crate::files::write_whole;
 use crate::identification::{
     ColumnSet, IdentifyConfig, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit, identify,
     page,
@@ -12,7 +13,6 @@ use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{self, Ur5};
 use foretorque::edge::bank::ParameterBank;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -205,8 +205,7 @@ fn identify_arm<const N: usize>(
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(100));
-    // A directory that cannot be written is said now, not after the work.
-    let mut json = WholeFile::create(&arguments.out.join("report.json"))?;
+    let files = ReportFiles::create(&arguments.out)?;
     let outcome = identify::<N>(
         robot,
         &arguments.logs,
@@ -220,10 +219,7 @@ fn identify_arm<const N: usize>(
     let outcome = outcome?;
     let report = &outcome.report;
     let html = page::<N>(report, &outcome.trace)?;
-    write_whole(&arguments.out.join("report.html"), html.as_bytes())?;
-    serde_json::to_writer_pretty(&mut json, report)?;
-    json.write_all(b"\n")?;
-    json.finish()?;
+    let shown = files.finish(report, &html)?;
     for note in &report.notes {
         say(format_args!("note  {note}"))?;
     }
@@ -274,9 +270,6 @@ fn identify_arm<const N: usize>(
             robot.name
         ))?,
     }
-    say(format_args!(
-        "report  {}",
-        arguments.out.join("report.html").display()
-    ))?;
+    say(format_args!("report  {}", shown.display()))?;
     Ok(())
 }

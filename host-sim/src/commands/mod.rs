@@ -3,6 +3,8 @@
 mod bank;
 mod boards;
 mod disturbances;
+#[cfg(test)]
+mod documented;
 mod excite;
 mod experiment;
 mod faults;
@@ -13,6 +15,7 @@ mod merge;
 mod motion_log;
 mod on_board;
 mod progress;
+mod report_files;
 mod run;
 mod simulate;
 mod terminal;

@@ -1,15 +1,14 @@
 use super::super::boards::BoardChoice;
 use super::super::progress::Bar;
+use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
 use super::super::{Failure, unusable};
 use super::Out;
 use crate::experiment::demo::{self, DemoConfig, DemoReport};
-use crate::files::{WholeFile, write_whole};
 use crate::robot::Robot;
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use std::io::Write;
 
 /// From a wrong prior, learn on the board in closed loop, freeze, play an unseen path
 #[derive(Debug, Args)]
@@ -45,9 +44,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         usart_learning_s: arguments.usart_learning_s,
         ..DemoConfig::default()
     };
-    let out = &arguments.out.out;
-    // A directory that cannot be written is said now, not after the work.
-    let mut json = WholeFile::create(&out.join("report.json"))?;
+    let files = ReportFiles::create(&arguments.out.out)?;
     let robot = Robot::load(Ur5::NAME)?;
     let mut bulk = arguments.board.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
     let mut usart = match arguments.board {
@@ -65,15 +62,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         &|stage, done, all| bar.show(stage, done, all),
     )?;
     drop(bar);
-    serde_json::to_writer_pretty(&mut json, &outcome.report)?;
-    json.write_all(b"\n")?;
-    write_whole(&out.join("report.html"), outcome.html.as_bytes())?;
-    json.finish()?;
+    let page = files.finish(&outcome.report, &outcome.html)?;
     summarise(&outcome.report)?;
-    say(format_args!(
-        "report           {}",
-        out.join("report.html").display()
-    ))?;
+    say(format_args!("report           {}", page.display()))?;
     Ok(())
 }
 

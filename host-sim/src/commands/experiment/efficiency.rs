@@ -1,11 +1,10 @@
 use super::super::Failure;
 use super::super::progress::Bar;
+use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
 use super::Out;
 use crate::experiment::efficiency;
-use crate::files::{WholeFile, write_whole};
 use clap::Args;
-use std::io::Write;
 
 /// Error of the robust fit over the Cramér-Rao bound, without and with outliers
 #[derive(Debug, Args)]
@@ -23,27 +22,20 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let out = &arguments.out.out;
-    // A directory that cannot be written is said now, not after the work.
-    let mut json = WholeFile::create(&out.join("report.json"))?;
+    let files = ReportFiles::create(out)?;
     let bar = Bar::new();
     let draws = arguments.draws as usize;
     let (report, page) = efficiency::run(out, arguments.seed, draws, &|stage, done, all| {
         bar.show(stage, done, all);
     })?;
     drop(bar);
-    serde_json::to_writer_pretty(&mut json, &report)?;
-    json.write_all(b"\n")?;
-    write_whole(&out.join("report.html"), page.as_bytes())?;
-    json.finish()?;
+    let page = files.finish(&report, &page)?;
     for case in &report.cases {
         say(format_args!(
             "{:<36} irls {:.3} x Cramér–Rao, wls {:.3} x",
             case.noise, case.irls_over_cramer_rao_ratio, case.wls_over_cramer_rao_ratio
         ))?;
     }
-    say(format_args!(
-        "report       {}",
-        out.join("report.html").display()
-    ))?;
+    say(format_args!("report       {}", page.display()))?;
     Ok(())
 }

@@ -1,11 +1,11 @@
 use super::super::progress::Bar;
+use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
 use super::super::{Failure, unusable};
 use super::Beside;
 use crate::experiment::learning::{self, LearningConfig, LearningReport, table};
-use crate::files::{WholeFile, write_whole};
+use crate::files::write_whole;
 use clap::Args;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Learned against frozen, in closed loop, over everything that may go wrong
@@ -55,17 +55,14 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         only: arguments.only.clone(),
         quick: arguments.quick,
     };
-    let mut json = WholeFile::create(&out.join("report.json"))?;
+    let files = ReportFiles::create(out)?;
     let mut board = arguments.beside.connect()?;
     let bar = Bar::new();
     let (report, page) = learning::run(&config, board.as_mut(), &|stage, done, all| {
         bar.show(stage, done, all);
     })?;
     drop(bar);
-    serde_json::to_writer_pretty(&mut json, &report)?;
-    json.write_all(b"\n")?;
-    write_whole(&out.join("report.html"), page.as_bytes())?;
-    json.finish()?;
+    files.finish(&report, &page)?;
     for outcome in &report.outcomes {
         say(format_args!(
             "{:<26} {:<44} {:>10.4}  {} {:<6} {}",

@@ -36,8 +36,10 @@ enum Study {
     Excitation(campaign::ExcitationArguments),
     Learning(learning::Arguments),
     Paper(campaign::PaperArguments),
-    RealUr5(real_ur5::Arguments),
-    ReplayReal(replay_real::Arguments),
+    /// Identify a real UR5 on some paths, validate on the others, every path held out in turn
+    RealUr5(OfLogs),
+    /// The board learns a real UR5 from its logs, row by row, against batch least squares
+    ReplayReal(OfLogs),
     Soak(soak::Arguments),
 }
 
@@ -57,12 +59,18 @@ struct Beside {
     board: BoardChoice,
 }
 
-/// The logs of the real UR5.
+/// What the studies of the real UR5 take.
 #[derive(Debug, Args)]
-struct Logs {
+#[command(allow_negative_numbers = true)]
+struct OfLogs {
+    #[command(flatten)]
+    out: Out,
     /// Directory of the logs
     #[arg(long, value_name = "DIR", default_value = "tests/data/ur5-real")]
     logs: PathBuf,
+    /// Seed of random starts
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
