@@ -39,6 +39,9 @@ const WEIGHT_STEP: f64 = 0.1;
 /// Newton steps at one weight at most, and the decrement (nats) at which it is settled.
 const STEPS: usize = 60;
 const SETTLED: f64 = 1e-8;
+/// Distance of the description from the data, nats, beyond which data are not believed: torques without noise would bury
+/// the barriers below the rounding of their own costs, and the path would end on the way.
+const SHARPEST: f64 = 1e10;
 /// Least second moment of a link of the description, as a share of their sum: figures of thin bodies lie on the edge of
 /// the cone, and the path must start inside.
 const THINNEST: f64 = 1e-3;
@@ -55,8 +58,13 @@ pub(super) fn consistent<const N: usize>(
     let (_, information) = solve_damped(&free.covariance, &DVector::zeros(free.theta.len()))?;
     let map = parameter_map(&robot.base_map(), layout);
     let cone = Cone::around::<N>(robot, layout);
-    let hessian = map.tr_mul(&(&information * &map));
-    let moment = map.tr_mul(&(&information * &free.theta));
+    let distance = |theta: &DVector<f64>| {
+        let apart = theta - &free.theta;
+        0.5 * apart.dot(&(&information * &apart))
+    };
+    let believed = (SHARPEST / distance(&(&map * &cone.centre))).min(1.0);
+    let hessian = map.tr_mul(&(&information * &map)) * believed;
+    let moment = map.tr_mul(&(&information * &free.theta)) * believed;
     let cost = |z: &DVector<f64>| 0.5 * z.dot(&(&hessian * z)) - moment.dot(z);
     let mut z = cone.centre.clone();
     let (mut weight, mut steps) = (WEIGHTS.0, 0);
@@ -93,12 +101,11 @@ pub(super) fn consistent<const N: usize>(
         weight *= WEIGHT_STEP;
     }
     let theta = &map * &z;
-    let apart = &theta - &free.theta;
     Some(ConsistentFit {
-        distance_nats: 0.5 * apart.dot(&(&information * &apart)),
+        distance_nats: distance(&theta),
         robot: described(robot, layout, &z),
         fit: Fit {
-            covariance: &map * doubt * map.transpose(),
+            covariance: &map * doubt * map.transpose() * believed,
             theta,
             sigma: free.sigma,
             iterations: free.iterations + steps,

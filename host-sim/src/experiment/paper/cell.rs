@@ -304,3 +304,28 @@ fn score(
     }
     error.nrmse_moving()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exact_torques_give_an_exact_model_of_possible_bodies() {
+        let robot = Robot::load("ur5").expect("built in");
+        let excitation = serde_json::from_str(super::super::PRECOMPUTED).expect("precomputed");
+        let mut bench = Bench::new(robot, &excitation, 2500).expect("six joints");
+        bench.models[0].methods = &[MethodName::Consistent];
+        bench.models[1].methods = &[];
+        // Of the first ten arms the one that the arithmetic loses first.
+        let cell = Cell {
+            noise_percent: 0.0,
+            friction: FrictionKind::CoulombViscous,
+            outlier_percent: 0.0,
+            rows: 2000,
+            seed: 7,
+        };
+        let record = bench.draw(&cell).expect("six joints");
+        let error = record.methods["consistent"].path_nrmse_ratio;
+        assert!(error < 1e-5, "{error:e}");
+    }
+}
