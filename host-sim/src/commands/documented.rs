@@ -56,7 +56,8 @@ fn wrong(words: &[&str], program: &Command) -> Option<String> {
         } else if asked.is_empty() && command.has_subcommands() {
             match command.find_subcommand(word) {
                 Some(below) => command = below,
-                None if word.chars().all(|c| c.is_ascii_uppercase()) => {}
+                // `experiment NAME`: any of them.
+                None if word.chars().all(|c| c.is_ascii_uppercase()) => return None,
                 None => return Some(format!("{} has no command {word}", command.get_name())),
             }
         }

@@ -35,7 +35,7 @@ pub(super) struct Arguments {
     /// Most iterations of a round for the best quarter of the starts
     #[arg(long, default_value_t = 240)]
     iterations: usize,
-    /// Period of the fundamental, s
+    /// Period of the fundamental, s; at most 1000
     #[arg(long, default_value_t = 10.0)]
     period_s: f64,
     /// Range of every joint around zero, rad, on top of the description's

@@ -41,7 +41,7 @@ pub(super) struct MotionArguments {
     /// Play this long, s; an excitation repeats, everything else ends by itself
     #[arg(long)]
     duration_s: Option<f64>,
-    /// Bandwidth of the PD controller, Hz
+    /// Bandwidth of the PD controller, Hz; at most 100
     #[arg(long, default_value_t = 6.0)]
     pd_bandwidth_hz: f64,
     /// Standard deviation of the torque noise, share of the torque limit
