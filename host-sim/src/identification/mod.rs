@@ -30,6 +30,7 @@ mod study;
 mod trial;
 mod truth;
 mod validation;
+mod whole_log;
 
 pub use bank::bank_of_fit;
 pub use columns::{ColumnSet, FrictionColumn, Layout, Parameter};
@@ -48,3 +49,4 @@ pub use stream::for_each_prepared;
 pub use study::{IdentifyConfig, Outcome, Progress, identify};
 pub use trial::{Trial, fit_rows};
 pub use validation::{Candidate, FileScores};
+pub use whole_log::WholeLog;

@@ -1,13 +1,10 @@
 //! Which columns of a log its motion is taken from.
 
-use super::filter::median;
-use super::log::{LogReader, LogRow};
 use super::prepare::{MotionSource, Preparation, PrepareConfig};
+use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::dynamics::State;
 use std::path::Path;
 
-/// A step in time of more than this many periods cuts the log.
-pub(super) const GAP_PERIODS: f64 = 5.0;
 /// Rows in a period of the motion's cut-off from which derivatives of the positions are believed before logged ones.
 const MOTION_ROWS: f64 = 8.0;
 /// Logged velocities farther than this share of their RMS from the derivative of the positions are set-points.
@@ -17,17 +14,12 @@ const ACCELERATION_TRUST: f64 = 0.03;
 
 /// Period and sources of motion of a log, from its first rows.
 pub(super) fn choose<const N: usize>(
-    preview: &[LogRow<N>],
-    reader: &LogReader<N>,
+    log: &WholeLog<N>,
     config: &PrepareConfig,
     path: &Path,
     notes: &mut Vec<String>,
 ) -> Preparation {
-    let mut steps: Vec<f64> = preview
-        .windows(2)
-        .map(|pair| pair[1].t_s - pair[0].t_s)
-        .collect();
-    let period_s = median(&mut steps);
+    let (preview, reader, period_s) = (log.preview(), log.reader(), log.period_s());
     let name = path.display();
     if reader.from_current() {
         notes.push(format!("{name}: torque is drive gain × motor current"));

@@ -1,9 +1,10 @@
 //! Logs as a stream: one thread reads, all cores prepare, and stretches come out in the order of the log.
 
 use super::columns::Layout;
-use super::log::{LogReader, LogRow};
+use super::log::LogRow;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch};
-use super::sources::{GAP_PERIODS, choose};
+use super::sources::choose;
+use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::robot::Robot;
 use crate::table::TableError;
 use std::collections::BTreeMap;
@@ -13,8 +14,7 @@ use std::sync::mpsc::sync_channel;
 
 /// Rows of one stretch, margins apart. Large against the margins, small enough for a few of them in memory.
 const STRETCH: usize = 16_384;
-/// Rows from which the period and the trust in logged velocities are found.
-const PREVIEW: usize = 4096;
+
 /// Prepares a log stretch by stretch on all cores and hands every stretch over in the order of the log, so that sums come
 /// out the same in every run. Memory does not grow with the log.
 ///
@@ -29,20 +29,8 @@ pub fn for_each_prepared<const N: usize>(
     notes: &mut Vec<String>,
     take: &mut dyn FnMut(&Preparation, Prepared<N>),
 ) -> Result<Preparation, TableError> {
-    let mut reader = LogReader::<N>::open(path, robot)?;
-    let mut preview = Vec::with_capacity(PREVIEW);
-    while preview.len() < PREVIEW {
-        match reader.next_row()? {
-            Some(row) => preview.push(row),
-            None => break,
-        }
-    }
-    if preview.len() < 3 {
-        return Err(TableError::Empty {
-            path: path.to_owned(),
-        });
-    }
-    let preparation = choose(&preview, &reader, config, path, notes);
+    let mut log = WholeLog::<N>::open(path, robot)?;
+    let preparation = choose(&log, config, path, notes);
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
     let (to_workers, stretches) = sync_channel::<Stretch<N>>(workers);
     let stretches = Mutex::new(stretches);
@@ -67,8 +55,7 @@ pub fn for_each_prepared<const N: usize>(
         }
         drop(finished);
         let cut = &preparation;
-        let reading =
-            scope.spawn(move || cut_into_stretches(&mut reader, preview, cut, path, &to_workers));
+        let reading = scope.spawn(move || cut_into_stretches(&mut log, cut, path, &to_workers));
         let mut waiting = BTreeMap::new();
         let mut next = 0;
         for prepared in results {
@@ -89,15 +76,13 @@ pub fn for_each_prepared<const N: usize>(
 
 /// Reads the log to its end and sends it on in stretches with margins; returns what is to be said about gaps.
 fn cut_into_stretches<const N: usize>(
-    reader: &mut LogReader<N>,
-    preview: Vec<LogRow<N>>,
+    log: &mut WholeLog<N>,
     preparation: &Preparation,
     path: &Path,
     to_workers: &std::sync::mpsc::SyncSender<Stretch<N>>,
 ) -> Result<Vec<String>, TableError> {
     let mut notes = Vec::new();
     let (margin, edge) = (preparation.margin(), preparation.edge());
-    let mut preview = preview.into_iter();
     // Rows not yet sent with the margin before them; `begin` is where the unsent core starts.
     let mut rows: Vec<LogRow<N>> = Vec::new();
     let mut begin = edge;
@@ -109,10 +94,7 @@ fn cut_into_stretches<const N: usize>(
         let _ = to_workers.send(stretch);
     };
     loop {
-        let row = match preview.next() {
-            Some(row) => Some(row),
-            None => reader.next_row()?,
-        };
+        let row = log.next_row()?;
         let gap = match (&row, rows.last()) {
             (Some(row), Some(last)) => {
                 let step = row.t_s - last.t_s;
@@ -144,7 +126,16 @@ fn cut_into_stretches<const N: usize>(
         }
         match row {
             Some(row) => rows.push(row),
-            None => return Ok(notes),
+            None => {
+                if log.lost() > 0 {
+                    notes.push(format!(
+                        "{}: {} rows were lost on the way to the log, as its clock says: put in between their neighbours",
+                        path.display(),
+                        log.lost()
+                    ));
+                }
+                return Ok(notes);
+            }
         }
     }
 }
