@@ -99,7 +99,10 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
             Long("check") => check = true,
             Long("accept") => accept = true,
-            Long("runs") => runs = Some(args.value()?.parse::<NonZeroU64>()?.get()),
+            Long("runs") => {
+                let number = args.value()?.parse::<NonZeroU64>();
+                runs = Some(number.map_err(|error| format!("--runs: {error}"))?.get());
+            }
             Long("image") => image = true,
             Long("board") => board = Some(args.value()?.parse::<Board>()?),
             Value(name) if command.is_none() => command = Some(name.string()?),
