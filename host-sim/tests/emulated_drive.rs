@@ -222,8 +222,6 @@ fn a_fault_of_the_drive_ends_the_pulses_in_the_tick_in_which_it_is_seen() {
 #[test]
 fn driving_a_joint_costs_what_the_page_of_the_board_says() {
     let cost = |client: &mut Client<JOINTS>| {
-        // The time to an answer that waits for its lesson is not counted.
-        client.wait_for_lessons(false);
         for k in 0..200 {
             client.sample(&moving(k)).expect("a torque");
         }

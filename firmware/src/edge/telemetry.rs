@@ -59,7 +59,7 @@ pub struct Statistics {
     pub receive_cost: Cost,
     /// Hottest motor reported in the last round of samples, °C; -128 where not known.
     pub hottest_c: i8,
-    /// Time from the end of a frame to its answer being queued, in counts of the board's counter.
+    /// Time from the end of a frame to its answer being queued, or kept until its lesson is learnt, in counts of the board's counter.
     pub reply_latency: Cost,
     /// Samples of which a part was not plausible.
     #[serde(with = "postcard::fixint::le")]

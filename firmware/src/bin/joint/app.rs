@@ -262,14 +262,15 @@ mod app {
                     fault::leave(Reason::Asked, 0);
                 }
                 // An answer that waits for the learner is sent when that has woken this task again.
-                if !desk.holds_answer() {
-                    if !out.is_empty() {
-                        if !link::send(waiting, out.as_bytes()) {
-                            session.note_reply_lost();
-                        } else if count > 0 {
-                            latency.note(link::since_frame());
-                        }
+                let waits = desk.holds_answer();
+                if !out.is_empty() {
+                    if !waits && !link::send(waiting, out.as_bytes()) {
+                        session.note_reply_lost();
+                    } else if count > 0 {
+                        latency.note(link::since_frame());
                     }
+                }
+                if !waits {
                     out.clear();
                 }
                 if count == 0 {
