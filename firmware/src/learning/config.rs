@@ -57,8 +57,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
     /// numbers of its own: an inertial parameter of link `j` is uncertain by 20 % of its nominal value plus what 2 %
     /// of the joint's torque limit would hold up against gravity (first moments) or accelerate at 10 rad/s²
-    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 6 % of the
-    /// limit, its bend by 2 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
+    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 3 % of the
+    /// limit, its bend by 0.8 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -172,9 +172,9 @@ const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [Fric
     while joint < N {
         let limits = A::LIMITS[joint];
         sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
-        sigma[joint].coulomb = 0.06 * limits.torque;
+        sigma[joint].coulomb = 0.03 * limits.torque;
         sigma[joint].stribeck = 0.01 * limits.torque;
-        sigma[joint].bend = 0.02 * limits.torque;
+        sigma[joint].bend = 0.008 * limits.torque;
         sigma[joint].offset = 0.005 * limits.torque;
         if A::COGGING_CYCLES[joint] > 0.0 {
             sigma[joint].cogging_sin = 0.005 * limits.torque;
