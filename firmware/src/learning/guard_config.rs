@@ -30,7 +30,7 @@ pub struct GuardConfig {
     pub time_out_slices: u32,
     /// Slices for which a payload is weighed on after it was believed.
     pub weighing_slices: u32,
-    /// Rows after which an estimate may be followed, if it has proved itself on them.
+    /// Rows after which an estimate may be followed, if it has proved itself on them: a fifth of a second.
     pub proof_rows: u32,
     /// Significance of a proof, in standard deviations.
     pub proof_sigmas: f32,
