@@ -11,6 +11,7 @@ mod shell;
 mod test;
 mod toolchain;
 
+use std::num::NonZeroU64;
 use std::process::ExitCode;
 
 use anyhow::Result;
@@ -98,7 +99,10 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
             Long("check") => check = true,
             Long("accept") => accept = true,
-            Long("runs") => runs = Some(args.value()?.parse::<u64>()?),
+            Long("runs") => {
+                let number = args.value()?.parse::<NonZeroU64>();
+                runs = Some(number.map_err(|error| format!("--runs: {error}"))?.get());
+            }
             Long("image") => image = true,
             Long("board") => board = Some(args.value()?.parse::<Board>()?),
             Value(name) if command.is_none() => command = Some(name.string()?),
@@ -143,7 +147,7 @@ fn main() -> ExitCode {
     let request = match parse(lexopt::Parser::from_env()) {
         Ok(request) => request,
         Err(error) => {
-            eprintln!("error: {error}\n\n{HELP}");
+            eprintln!("error: {error} (see cargo xtask --help)");
             return ExitCode::from(2);
         }
     };
@@ -184,6 +188,8 @@ fn main() -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
+    use std::path::Path;
 
     fn request(line: &str) -> Result<Request, String> {
         parse(lexopt::Parser::from_args(line.split_whitespace())).map_err(|error| error.to_string())
@@ -241,11 +247,35 @@ mod tests {
             ("test --accept", "--accept"),
             ("test --runs 3", "--runs"),
             ("fuzz --runs some", "some"),
+            ("fuzz --runs 0", "zero"),
             ("flash --board nucleo", "odrive, pyboard or drive"),
             ("test --image", "--image"),
         ] {
             let error = request(line).unwrap_err();
             assert!(error.contains(named), "`{line}` gave `{error}`");
         }
+    }
+
+    #[test]
+    fn every_command_of_the_pages_is_understood() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let docs = fs::read_dir(root.join("docs")).unwrap();
+        let pages = docs.map(|entry| entry.unwrap().path());
+        let mut seen = 0;
+        for path in pages.chain([root.join("README.md")]) {
+            let Ok(page) = fs::read_to_string(&path) else {
+                continue; // A picture.
+            };
+            for line in page.lines() {
+                for command in line.split("cargo xtask ").skip(1) {
+                    let command = command.split(['`', '#']).next().unwrap_or_default();
+                    if let Err(error) = request(command) {
+                        panic!("{}: `cargo xtask {command}`: {error}", path.display());
+                    }
+                    seen += 1;
+                }
+            }
+        }
+        assert!(seen > 20, "only {seen} commands were found");
     }
 }
