@@ -55,10 +55,10 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
-    /// numbers of its own: an inertial parameter of link `j` is uncertain by 30 % of its nominal value plus what 2 %
+    /// numbers of its own: an inertial parameter of link `j` is uncertain by 20 % of its nominal value plus what 2 %
     /// of the joint's torque limit would hold up against gravity (first moments) or accelerate at 10 rad/s²
     /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 3 % of the
-    /// limit, each Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
+    /// limit, its bend by 0.8 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -126,7 +126,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
 /// Share of the torque limit that an unknown inertial parameter may account for.
 const INERTIAL_DOUBT: f32 = 0.01;
 /// Doubt in proportion to the nominal value.
-const RELATIVE_DOUBT: f32 = 0.3;
+const RELATIVE_DOUBT: f32 = 0.2;
 /// Acceleration at which an unknown inertia shows, rad/s².
 const DOUBT_ACCELERATION: f32 = 10.0;
 /// Gravity for the scale of first moments, m/s². Only a scale: it does not follow the arm's mounting.
@@ -173,8 +173,8 @@ const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [Fric
         let limits = A::LIMITS[joint];
         sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
         sigma[joint].coulomb = 0.03 * limits.torque;
-        sigma[joint].stribeck_narrow = 0.01 * limits.torque;
-        sigma[joint].stribeck_wide = 0.01 * limits.torque;
+        sigma[joint].stribeck = 0.01 * limits.torque;
+        sigma[joint].bend = 0.008 * limits.torque;
         sigma[joint].offset = 0.005 * limits.torque;
         if A::COGGING_CYCLES[joint] > 0.0 {
             sigma[joint].cogging_sin = 0.005 * limits.torque;
