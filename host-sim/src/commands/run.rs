@@ -63,11 +63,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             arguments.board
         )));
     }
-    if let Some(log) = &arguments.log {
-        // Asked before the emulator starts, which would have complaints of its own about the file.
-        drop(WholeFile::create(log)?);
-    }
+    // Asked before the emulator starts, which would have complaints of its own about the file; and the directory is there
+    // for what the emulator writes.
+    let log = arguments.log.as_deref().map(WholeFile::create);
+    let place = log.transpose()?;
     let outcome = on_arm(&arguments.robot, arguments);
+    drop(place);
     if let (Some(stream), Some(log)) = (arguments.stream(), &arguments.log) {
         // Of a run that failed the log is of the more interest, but its own failure of less.
         let written = arguments.board.write_log(&stream, log);
