@@ -1,5 +1,6 @@
 //! Hundredths of a second: the detector, and the trial after an alarm.
 
+use super::row::ripple_of;
 use super::{Learner, count};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, FrictionParameters, friction, regressor_row, rnea};
@@ -58,7 +59,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             (state.candidate.rigid, state.candidate.friction)
         } else {
             let estimate = state.estimate.parameters();
-            let drives = estimate.friction.map(FrictionParameters::from_columns);
+            let mut drives = estimate.friction.map(FrictionParameters::from_columns);
+            // What the filter swallows of the cogging is in the torque as far as the active set asks for it.
+            let active = drives.iter_mut().zip(&state.candidate.friction);
+            for (joint, ((drive, active), &qd)) in active.zip(seen.motion.qd.iter()).enumerate() {
+                let share = ripple_of::<A, N, P>(joint, qd, self.config.inv_period);
+                drive.cogging_sin =
+                    active.cogging_sin + share * (drive.cogging_sin - active.cogging_sin);
+                drive.cogging_cos =
+                    active.cogging_cos + share * (drive.cogging_cos - active.cogging_cos);
+            }
             (BaseParameters::<P>::from(estimate.rigid), drives)
         };
         seen.tau

@@ -1,5 +1,6 @@
 //! The parameters that a careful engineer would load: least squares over the board's own rows.
 
+use super::comparison::heard_row;
 use super::controller::Controller;
 use super::scenario::Start;
 use super::world::{N, P, PERIOD_S, Set, World};
@@ -8,7 +9,7 @@ use crate::plant::PlantConfig;
 use crate::trajectory::Trajectory;
 use foretorque::arm::ur5::{JOINTS, Ur5};
 use foretorque::feedforward::evaluate;
-use foretorque::learning::{Conditioned, LearnerConfig, MeasurementWindow, Stacked, torque_row};
+use foretorque::learning::{Conditioned, LearnerConfig, MeasurementWindow, Stacked};
 use nalgebra::{DMatrix, DVector};
 use std::convert::Infallible;
 use std::error::Error;
@@ -106,7 +107,7 @@ fn least_squares(rows: &[Conditioned<N>], prior: &Set, config: &LearnerConfig<N,
             if seen.motion.qd[joint].abs() < config.velocity_gate {
                 continue;
             }
-            let row = torque_row::<Ur5, N, P>(joint, seen);
+            let row = heard_row(joint, seen);
             let limit = <Ur5 as foretorque::arm::Arm<N, P>>::LIMITS[joint].torque;
             let inv_noise = f64::from(1.0 / (config.noise * limit));
             let phi = DVector::from_iterator(
