@@ -56,8 +56,8 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
-    /// numbers of its own: every link's mass, centre of mass, inertia and rotor by 30 % of what the description says, the
-    /// centre of mass by 1 cm besides; viscous friction by 10 % of the limit at full speed, Coulomb friction by 3 % of the
+    /// numbers of its own: every link's mass, inertia and rotor are uncertain by 20 % of what the description says, its centre of
+    /// mass by 5 % of its distance and 3 mm along each axis; viscous friction by 10 % of the limit at full speed, Coulomb friction by 3 % of the
     /// limit, each Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
     ///
     /// * `period_s` period of the tick, s

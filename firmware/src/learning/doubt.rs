@@ -15,12 +15,12 @@ use crate::arm::{Arm, LINK_PARAMETERS};
 /// products of inertia, its rotor.
 const WAYS: usize = 11;
 
-/// Doubt in proportion to what the description says.
-const RELATIVE_DOUBT: f32 = 0.3;
-/// Doubt about a centre of mass, whatever the description says, m.
-const PLACE_DOUBT: f32 = 0.01;
+/// Doubt about mass, moments of inertia and rotor inertia, in proportion to what the description says.
+const RELATIVE_DOUBT: f32 = 0.2;
+/// Doubt about a centre of mass along each axis: in proportion to its distance from the joint, and besides, m.
+const PLACE_DOUBT: (f32, f32) = (0.05, 0.003);
 /// Share of the torque limit that a base parameter may account for besides, for reasons that are no link's.
-const FLOOR: f32 = 5e-4;
+const FLOOR: f32 = 1.5e-3;
 /// Acceleration at which an unknown inertia shows, rad/s².
 const DOUBT_ACCELERATION: f32 = 10.0;
 /// Gravity for the scale of first moments, m/s². Only a scale: it does not follow the arm's mounting.
@@ -156,8 +156,7 @@ const fn link_change(link: &[f32; LINK_PARAMETERS], rotor: f32, way: usize) -> [
             }
         }
         1..=3 => {
-            // A part of its distance, in any direction.
-            let shift = RELATIVE_DOUBT * root(square * inverse / 3.0) + PLACE_DOUBT;
+            let shift = PLACE_DOUBT.0 * root(square * inverse) + PLACE_DOUBT.1;
             let h = [x, y, z];
             let axis = way - 1;
             let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);

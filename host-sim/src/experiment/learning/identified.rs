@@ -1,5 +1,6 @@
 //! The parameters that a careful engineer would load: least squares over the board's own rows.
 
+use super::baselines::prior_covariance;
 use super::comparison::heard_row;
 use super::controller::Controller;
 use super::scenario::Start;
@@ -100,7 +101,8 @@ fn least_squares(rows: &[Conditioned<N>], prior: &Set, config: &LearnerConfig<N,
     let start = Stacked::of(prior);
     let sigma = Stacked::sigma(config);
     let n = start.iter().count();
-    let mut normal = DMatrix::<f64>::identity(n, n);
+    let prior_information = prior_covariance().try_inverse();
+    let mut normal = prior_information.unwrap_or_else(|| DMatrix::identity(n, n));
     let mut right = DVector::<f64>::zeros(n);
     for seen in rows {
         for joint in 0..JOINTS {

@@ -10,8 +10,6 @@ mod drive;
 mod emulated;
 mod figures;
 mod identified;
-#[cfg(test)]
-mod lab;
 mod page;
 mod scenario;
 pub mod soak;

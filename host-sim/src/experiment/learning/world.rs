@@ -88,11 +88,6 @@ impl World {
         ViaPath::random(&self.described, seed, seconds, VALIDATION_PEAK_RAD_S)
     }
 
-    #[cfg(test)]
-    pub(super) fn unseen_path(&self) -> &[(State<N>, JointMotion<N>)] {
-        &self.unseen
-    }
-
     /// The torques that `plant` needs along the unseen path.
     pub(super) fn needed(&self, plant: &Plant<N>) -> Vec<Joints<N>> {
         let motions = self.unseen.iter();
