@@ -10,6 +10,8 @@ pub struct WholeFile {
     writer: Option<BufWriter<File>>,
     part: PathBuf,
     target: PathBuf,
+    /// Directories that were made for it, the innermost first.
+    made: Vec<PathBuf>,
 }
 
 impl WholeFile {
@@ -17,6 +19,9 @@ impl WholeFile {
     ///
     /// Errors: whatever the file system says, with the path in the message.
     pub fn create(target: &Path) -> io::Result<Self> {
+        let above = target.ancestors().skip(1);
+        let missing = above.take_while(|path| !path.as_os_str().is_empty() && !path.exists());
+        let made: Vec<PathBuf> = missing.map(Path::to_owned).collect();
         if let Some(parent) = target.parent().filter(|p| !p.as_os_str().is_empty()) {
             fs::create_dir_all(parent).map_err(|error| at(parent, error))?;
         }
@@ -29,6 +34,7 @@ impl WholeFile {
             writer: Some(BufWriter::new(file)),
             part,
             target: target.to_owned(),
+            made,
         })
     }
 
@@ -63,8 +69,12 @@ impl Write for WholeFile {
 
 impl Drop for WholeFile {
     fn drop(&mut self) {
-        // After a rename there is no unfinished version any more, and failing to remove one has no better remedy.
+        // After a rename there is no unfinished version any more, and failing to remove one has no better remedy. A
+        // directory that holds something, this file or another, stays.
         let _ = fs::remove_file(&self.part);
+        for directory in &self.made {
+            let _ = fs::remove_dir(directory);
+        }
     }
 }
 
@@ -103,8 +113,10 @@ mod tests {
         let mut file = WholeFile::create(&target).expect("creates");
         file.write_all(b"half").expect("writes");
         drop(file);
-        assert_eq!(fs::read_dir(&directory).expect("lists").count(), 0);
+        assert!(!directory.exists(), "it was made for the file");
         write_whole(&target, b"whole").expect("writes");
+        assert_eq!(fs::read(&target).expect("reads"), b"whole");
+        drop(WholeFile::create(&target).expect("creates"));
         assert_eq!(fs::read(&target).expect("reads"), b"whole");
         fs::remove_dir_all(&directory).expect("cleans up");
     }

@@ -21,8 +21,8 @@ use nalgebra::{Matrix3, Vector3};
 /// Number of standard inertial parameters of a link, in the order of eq. 14.
 pub const LINK_PARAMETERS: usize = 10;
 
-/// Most joints an arm may have: the board unrolls its recursions up to here.
-pub const MAX_JOINTS: usize = 8;
+/// Most joints an arm may have: as many as a bank of the board holds.
+pub const MAX_JOINTS: usize = foretorque::edge::bank::MAX_JOINTS;
 
 /// Why a robot description was refused.
 #[derive(Clone, Debug, PartialEq)]

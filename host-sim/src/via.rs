@@ -71,18 +71,6 @@ impl<const N: usize> ViaPath<N> {
         path
     }
 
-    /// The same path of `joint` alone; the others stay where they begin.
-    pub fn of_joint(mut self, joint: usize) -> Self {
-        let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);
-        for (q, slope) in &mut self.via {
-            for other in (0..N).filter(|&other| other != joint) {
-                q[other] = start[other];
-                slope[other] = 0.0;
-            }
-        }
-        self
-    }
-
     /// The same path, of `joint` alone until about `alone_s`; the others wait where they begin.
     pub fn of_joint_until(mut self, joint: usize, alone_s: f64) -> Self {
         let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);

@@ -84,6 +84,7 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ("word.csv", table(set(3, 19 - 1, "fast"))),
         ("time.csv", table(set(3, 0, "0.001"))),
         ("empty.csv", table(|rows| rows.truncate(1))),
+        ("seven.csv", table(|rows| rows[0].push("q7_rad".to_owned()))),
         ("far.csv", table(set(2, 2, "-6.4"))),
         ("fast.csv", table(set(2, 9, "3.3"))),
         ("hard.csv", table(set(3, 18, "10.5"))),
@@ -104,7 +105,7 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ),
         (
             "experiment dmeo --out out".to_owned(),
-            &["'dmeo'", "--list"],
+            &["'dmeo'", "'demo'"],
         ),
         ("experiment demo".to_owned(), &["--out <DIR>"]),
         (
@@ -150,6 +151,18 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ),
         (format!("{torque} time.csv"), &["time.csv:4", "t_s"]),
         (format!("{torque} empty.csv"), &["empty.csv", "no rows"]),
+        (
+            format!("{torque} seven.csv"),
+            &["seven.csv:1", "q7_rad", "6 joints"],
+        ),
+        (
+            "torque --robot ur5 --in good.csv --out good.csv".to_owned(),
+            &["--out good.csv", "read"],
+        ),
+        (
+            format!("{torque} good.csv --key-file none"),
+            &["--bank <FILE>"],
+        ),
         (format!("{torque} good.csv --bank bank.bin"), &["bank.bin"]),
         (format!("{torque} good.csv --bank none.bin"), &["none.bin"]),
         (
@@ -196,6 +209,34 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
             &["file"],
         ),
         (
+            "simulate --robot ur5 --out good.csv --trajectory good.csv".to_owned(),
+            &["--out good.csv", "read"],
+        ),
+        (
+            "simulate --robot ur5 --out log.csv --trajectory good.csv --pd-bandwidth-hz 1e6".to_owned(),
+            &["--pd-bandwidth-hz", "100"],
+        ),
+        (
+            "simulate --robot ur5 --out log.csv --trajectory good.csv --seed -1".to_owned(),
+            &["'-1'", "--seed"],
+        ),
+        (
+            "excite --robot ur5 --out file".to_owned(),
+            &["file"],
+        ),
+        (
+            "excite --robot ur5 --out out --period-s 1e9".to_owned(),
+            &["--period-s", "1000"],
+        ),
+        (
+            "identify --robot ur5 --log good.csv --period-s 3 --out out".to_owned(),
+            &["--period-s", "--filter fourier"],
+        ),
+        (
+            "identify --robot ur5 --log missing.csv --out file".to_owned(),
+            &["file"],
+        ),
+        (
             format!("{run} validation --payload 3@2..1"),
             &["--payload", "end after that"],
         ),
@@ -212,9 +253,27 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
             &["'frobnicate'", "--list"],
         ),
         (
+            "experiment learning --board native --table file --out out".to_owned(),
+            &["file", "marks"],
+        ),
+        (
             "experiment replay-real --logs nowhere --out out".to_owned(),
             &["nowhere"],
         ),
+        (
+            "experiment real-ur5 --out file".to_owned(),
+            &["file"],
+        ),
+        (
+            "experiment efficiency --out file".to_owned(),
+            &["file"],
+        ),
+        (
+            "experiment soak --ticks 0 --out out".to_owned(),
+            &["'0'", "--ticks"],
+        ),
+        ("experiment demo --quick --out out".to_owned(), &["'--quick'"]),
+        ("experiment".to_owned(), &["--list"]),
         ("bank file".to_owned(), &["file"]),
         (
             "run --robot ur5 --board qemu-usart --trajectory validation --out out --log file/board.log"
@@ -229,6 +288,7 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
             assert!(said.contains(word), "`{arguments}` said {said}");
         }
         assert!(files(&room) == before, "`{arguments}` left something");
+        assert!(!room.join("out").exists(), "`{arguments}` left a directory");
     }
 }
 

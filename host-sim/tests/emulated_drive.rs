@@ -5,240 +5,25 @@
 //! replaced, the one that moves a byte over the bus and the one that reads the level of the fault line; all the rest is what
 //! is flashed.
 
+mod driven;
 mod patched;
 
+use driven::parts::{NEVER, drive};
+use driven::{PATIENCE, Trial, still, written};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::edge::safety::{SafetyReason, SafetyState};
-use foretorque::edge::wire::{Configuration, Field, NackReason, Pacing};
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::edge::wire::{Configuration, Field, Pacing};
+use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::Flags;
-use host_sim::board::log::Messages;
 use host_sim::board::qemu::{Emulator, Image, QemuOptions};
-use host_sim::board::{BoardError, Client, Native, TickReply};
-use patched::patched;
+use host_sim::board::{Client, Native};
 use std::fs;
-use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-const PATIENCE: Duration = Duration::from_secs(5);
 /// Of `firmware/src/bin/joint_drive/board.rs`: the joint, and the torque of a full duty, N·m.
 const JOINT: usize = 1;
 const FULL_SCALE_NM: f32 = 12.5 * 16.0;
 const TOP: f32 = 8400.0;
-/// What never comes to pass.
-const NEVER: u16 = u16::MAX;
-/// Bytes that a reading of the encoder moves.
-const READING: u16 = 4;
-
-/// What the trace says of the drive.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Stage {
-    enabled: bool,
-    /// Gate of the timer: main output enable.
-    gate: bool,
-    /// Counts of the pulse width.
-    width: u16,
-    positive: bool,
-}
-
-struct Trial {
-    client: Client<JOINTS>,
-    elf: PathBuf,
-    trace: PathBuf,
-    log: PathBuf,
-}
-
-impl Trial {
-    /// The firmware as it is flashed, or a patched copy of it.
-    fn start(name: &str, patches: &[(&str, Vec<u16>)]) -> Self {
-        let mut options = QemuOptions::new(Image::Joint);
-        options.elf.set_file_name("joint-drive");
-        if !patches.is_empty() {
-            options.elf = patched(&options.elf, &format!("joint-drive-{name}"), patches);
-        }
-        let tmp = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
-        let trace = tmp.join(format!("drive-{name}.trace"));
-        let log = tmp.join(format!("drive-{name}.log"));
-        options.trace = Some(trace.clone());
-        options.log = Some(log.clone());
-        let emulator = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
-        let mut client = Client::connect::<Ur5, PARAMETERS>(Box::new(emulator), PATIENCE)
-            .unwrap_or_else(|error| panic!("{error}"));
-        client.set_timeout(PATIENCE);
-        Self {
-            client,
-            elf: options.elf,
-            trace,
-            log,
-        }
-    }
-
-    /// With drive and encoder, which stands at `angle` counts; they end after so many readings of the encoder.
-    fn equipped(name: &str, angle: u16, encoder_ends: u16, drive_ends: u16) -> Self {
-        let patches = [
-            ("3spi8exchange", encoder(angle, encoder_ends)),
-            ("4pins8pin_high", drive(drive_ends)),
-        ];
-        Self::start(name, &patches)
-    }
-
-    fn armed(name: &str, encoder_ends: u16, drive_ends: u16) -> Self {
-        let mut trial = Self::equipped(name, 0, encoder_ends, drive_ends);
-        for _ in 0..5 {
-            trial.sample(&still());
-        }
-        trial.client.arm(&still()).expect("it can be armed");
-        for _ in 0..30 {
-            trial.sample(&still());
-        }
-        let stage = trial.stage();
-        assert!(
-            stage.enabled && stage.gate && stage.width > 100,
-            "{stage:?}"
-        );
-        trial
-    }
-
-    fn sample(&mut self, sample: &JointSample<JOINTS>) -> TickReply<JOINTS> {
-        self.client.sample(sample).expect("a torque")
-    }
-
-    fn refusal(&mut self) -> SafetyReason {
-        match self.client.arm(&still()) {
-            Err(BoardError::Refused(NackReason::Unsafe(reason))) => reason,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    /// Everything the firmware wrote to timer and pins so far, in order: the last state of it.
-    fn stage(&self) -> Stage {
-        let trace = fs::read_to_string(&self.trace).expect("the emulator writes a trace");
-        let mut stage = Stage {
-            enabled: false,
-            gate: false,
-            width: 0,
-            positive: false,
-        };
-        for (device, offset, value) in trace.lines().filter_map(written) {
-            match (device, offset) {
-                ("GPIOB", 0x18) => {
-                    for (pin, state) in [(8, &mut stage.enabled), (9, &mut stage.positive)] {
-                        if value & 1 << pin != 0 {
-                            *state = true;
-                        } else if value & 1 << (pin + 16) != 0 {
-                            *state = false;
-                        }
-                    }
-                }
-                ("timer[1]", 0x34) => stage.width = value as u16,
-                ("timer[1]", 0x44) => stage.gate = value & 1 << 15 != 0,
-                _ => {}
-            }
-        }
-        stage
-    }
-
-    fn is_off(&self) {
-        let Stage {
-            enabled,
-            gate,
-            width,
-            ..
-        } = self.stage();
-        assert_eq!((enabled, gate, width), (false, false, 0));
-    }
-
-    fn log(&self) -> String {
-        let elf = fs::read(&self.elf).expect("readable");
-        let messages = Messages::of(&elf).expect("it has messages");
-        let stream = fs::read(&self.log).expect("the emulator writes a log");
-        messages
-            .lines(&stream)
-            .expect("no frame is lost")
-            .join("\n")
-    }
-}
-
-/// Device, offset and value of a write in the trace.
-fn written(line: &str) -> Option<(&str, u32, u32)> {
-    let (device, rest) = line.split_once(": unimplemented device write")?;
-    let hex = |key: &str| {
-        let (_, rest) = rest.split_once(key)?;
-        let digits = rest.split([',', ')']).next()?;
-        u32::from_str_radix(digits, 16).ok()
-    };
-    Some((device, hex("offset 0x")?, hex("value 0x")?))
-}
-
-/// `movw r, value` (ARM DDI 0403, A7.7.76, encoding T3), or with `top` `movt` (A7.7.79).
-fn mov16(register: u16, value: u16, top: bool) -> [u16; 2] {
-    let (i, imm4) = ((value >> 11) & 1, value >> 12);
-    let first = if top { 0xF2C0 } else { 0xF240 } | i << 10 | imm4;
-    let second = ((value >> 8) & 7) << 12 | register << 8 | (value & 0xFF);
-    [first, second]
-}
-
-/// RAM that the chip has not, and the emulator has: zero at start. The bytes are counted there.
-const COUNTER: [[u16; 2]; 2] = [[0xF248, 0x0100], [0xF2C2, 0x0102]];
-
-/// An encoder at `angle` counts in the place of the bus: of four bytes two are the angle and two the diagnostics, as they
-/// are asked for in turn. After `readings` the line is low.
-fn encoder(angle: u16, readings: u16) -> Vec<u16> {
-    let even = |value: u16| value | ((value.count_ones() as u16 & 1) << 15);
-    // In the order in which they are sent: an angle that nobody has asked for, then diagnostics (ready), angle, …
-    let [angle, diagnostics] = [even(angle), even(1 << 8)].map(u16::swap_bytes);
-    let mut code = COUNTER.concat();
-    code.extend([
-        0x680A, // ldr r2, [r1]
-        0x1C53, // adds r3, r2, #1
-        0x600B, // str r3, [r1]
-    ]);
-    code.extend(mov16(0, angle, false));
-    code.extend(mov16(0, diagnostics, true));
-    code.extend([
-        0x00D3, // lsls r3, r2, #3
-        0x41D8, // rors r0, r3
-        0xB2C0, // uxtb r0, r0
-    ]);
-    if readings != NEVER {
-        code.extend(mov16(1, readings * READING, false));
-        code.extend([
-            0x428A, // cmp r2, r1
-            0xBF28, // it hs
-            0x2000, // movhs r0, #0
-        ]);
-    }
-    code.push(0x4770); // bx lr
-    code
-}
-
-/// A fault line that is high until the encoder has been read `readings` times.
-fn drive(readings: u16) -> Vec<u16> {
-    if readings == NEVER {
-        return vec![0x2001, 0x4770]; // movs r0, #1; bx lr
-    }
-    let mut code = COUNTER.concat();
-    code.push(0x680A); // ldr r2, [r1]
-    code.extend(mov16(3, readings * READING, false));
-    code.extend([
-        0x1AD0, // subs r0, r2, r3
-        0x0FC0, // lsrs r0, r0, #31
-        0x4770, // bx lr
-    ]);
-    code
-}
-
-/// The arm stretched out, at rest.
-fn still() -> JointSample<JOINTS> {
-    JointSample {
-        desired: JointMotion::zero(),
-        measured: Some(JointMeasurement {
-            q: JointVector::zeros(),
-            tau: JointVector::zeros(),
-        }),
-    }
-}
-
 /// A motion of all joints near the stretched arm, in which the shoulder's torque changes its sign.
 fn moving(k: u32) -> JointSample<JOINTS> {
     let t = k as f32 * 0.02;

@@ -1,95 +1,12 @@
 //! The command `identify` as a user sees it: parameters back from a log, one line for what is wrong with one.
 
-use host_sim::dynamics::{Joints, ReferenceModel, State};
+mod logged;
+
 use host_sim::robot::Robot;
-use host_sim::table::{TableWriter, joint_columns, state_columns};
+use logged::{Directory, identified, identify, log, report, succeeded, text};
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-const N: usize = 6;
-const PERIOD_S: f64 = 0.005;
-
-struct Directory(PathBuf);
-
-impl Directory {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
-        fs::create_dir_all(&path).expect("creates");
-        Self(path)
-    }
-
-    fn file(&self, name: &str) -> PathBuf {
-        self.0.join(name)
-    }
-}
-
-impl Drop for Directory {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
-
-/// A motion of all joints but `still`, with three tones each.
-fn motion(t_s: f64, phase: f64, still: Option<usize>) -> State<N> {
-    let zero = Joints::zeros();
-    let mut state = State {
-        q: zero,
-        qd: zero,
-        qdd: zero,
-    };
-    for joint in (0..N).filter(|joint| Some(*joint) != still) {
-        for tone in 1..=3 {
-            let w = 0.9 * f64::from(tone) + 0.13 * joint as f64;
-            let a = w * t_s + phase + joint as f64 * f64::from(tone);
-            state.q[joint] += 0.5 / f64::from(tone) * a.sin();
-            state.qd[joint] += 0.5 / f64::from(tone) * w * a.cos();
-            state.qdd[joint] -= 0.5 / f64::from(tone) * w * w * a.sin();
-        }
-    }
-    state
-}
-
-/// A log of `rows` rows of the robot of the description with viscous and Coulomb friction.
-fn log(path: &Path, rows: usize, phase: f64, still: Option<usize>, noise: f64) {
-    let robot = Robot::load("ur5").expect("built in");
-    let model = ReferenceModel::<N>::new(&robot).expect("six joints");
-    let mut header = vec!["t_s".to_owned()];
-    header.extend(state_columns(N));
-    header.extend(joint_columns("tau", "nm", N));
-    let mut table = TableWriter::create(path, &header).expect("creates");
-    for row in 0..rows {
-        let t_s = row as f64 * PERIOD_S;
-        let state = motion(t_s, phase, still);
-        let mut tau = model.inverse_dynamics(&state);
-        for (joint, tau) in tau.iter_mut().enumerate() {
-            let friction = &robot.joints[joint].friction;
-            let qd = state.qd[joint];
-            *tau += friction.viscous * qd
-                + friction.coulomb * (qd / f64::from(foretorque::dynamics::SIGN_WIDTH)).tanh();
-            // Deterministic, far above the bandwidth of the motion.
-            *tau += noise * ((row * (7 + joint)) as f64 * 1.7).sin();
-        }
-        let parts = [&state.q, &state.qd, &state.qdd, &tau];
-        let values = parts.iter().flat_map(|part| part.iter().copied());
-        table
-            .row(std::iter::once(t_s).chain(values))
-            .expect("writes");
-    }
-    table.finish().expect("finishes");
-}
-
-fn identify(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_host-sim"))
-        .args(["identify", "--robot", "ur5"])
-        .args(arguments)
-        .output()
-        .expect("runs")
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("a plain path")
-}
+use std::path::Path;
+use std::process::Command;
 
 #[test]
 fn parameters_come_back_from_a_log_and_the_bank_loads() {
@@ -101,7 +18,7 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
     );
     log(&train, 6000, 0.0, None, 0.3);
     log(&unseen, 2000, 1.1, None, 0.0);
-    let done = identify(&[
+    identified(&[
         "--log",
         text(&train),
         "--validate",
@@ -111,13 +28,7 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
         "--truth",
         "ur5",
     ]);
-    assert!(
-        done.status.success(),
-        "{}",
-        String::from_utf8_lossy(&done.stderr)
-    );
-    let report = fs::read_to_string(out.join("report.json")).expect("written");
-    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let report = report(&out);
     assert_eq!(report["rank"], 52);
     for method in [
         "ols",
@@ -154,11 +65,7 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
         .args(["--bank", text(&out.join("parameters.bank"))])
         .output()
         .expect("runs");
-    assert!(
-        played.status.success(),
-        "{}",
-        String::from_utf8_lossy(&played.stderr)
-    );
+    succeeded(&played);
     // The board's own torque of the bank, first joint, against the log.
     let column = |path: &Path, index: usize| -> Vec<f64> {
         let text = fs::read_to_string(path).expect("reads");
@@ -188,7 +95,7 @@ fn the_consistent_parameters_are_a_description_that_can_be_used() {
     let (train, out) = (here.file("train.csv"), here.file("out"));
     // Noise enough to drive least squares out of what bodies can have.
     log(&train, 2000, 0.0, None, 3.0);
-    let done = identify(&[
+    identified(&[
         "--log",
         text(&train),
         "--out",
@@ -196,13 +103,7 @@ fn the_consistent_parameters_are_a_description_that_can_be_used() {
         "--methods",
         "irls,consistent",
     ]);
-    assert!(
-        done.status.success(),
-        "{}",
-        String::from_utf8_lossy(&done.stderr)
-    );
-    let report = fs::read_to_string(out.join("report.json")).expect("written");
-    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let report = report(&out);
     let identified = Robot::load(text(&out.join("robot.toml"))).expect("a description");
     let parameters = report["methods"]["consistent"]["parameters"]
         .as_array()
@@ -224,11 +125,7 @@ fn the_consistent_parameters_are_a_description_that_can_be_used() {
         .args(["--out", text(&here.file("ur5.rs"))])
         .output()
         .expect("runs");
-    assert!(
-        generated.status.success(),
-        "{}",
-        String::from_utf8_lossy(&generated.stderr)
-    );
+    succeeded(&generated);
 }
 
 #[test]
@@ -359,8 +256,7 @@ fn columns_without_a_place_on_the_board_are_named_and_the_others_reach_the_bank(
             "{line:?}"
         );
     }
-    let report = fs::read_to_string(out.join("report.json")).expect("written");
-    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let report = report(&out);
     let interval = &report["methods"]["wls"]["parameters"][0]["ci95"];
     assert!(interval[0].as_f64() < interval[1].as_f64(), "{interval}");
 }
@@ -381,7 +277,7 @@ fn a_gap_splits_the_log_and_the_reader_is_told() {
         .filter(|(row, _)| !(1500..1600).contains(row));
     let kept: Vec<&str> = kept.map(|(_, line)| line).collect();
     fs::write(&cut, kept.join("\n")).expect("writes");
-    let done = identify(&[
+    let said = identified(&[
         "--log",
         text(&cut),
         "--validate",
@@ -392,13 +288,10 @@ fn a_gap_splits_the_log_and_the_reader_is_told() {
         "wls",
     ]);
     assert!(
-        done.status.success(),
-        "{}",
-        String::from_utf8_lossy(&done.stderr)
+        said.contains("cut.csv:1501: column t_s: gap of 0.5"),
+        "{said}"
     );
-    assert!(String::from_utf8_lossy(&done.stdout).contains("cut.csv:1501: column t_s: gap of 0.5"));
-    let report = fs::read_to_string(out.join("report.json")).expect("written");
-    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let report = report(&out);
     let error = &report["methods"]["wls"]["validation"]["whole.csv"]["joints_nrmse_moving_ratio"];
     // The noise of the whole log itself is 1 % of the wrists' torque; a derivative across the gap would be far worse.
     assert!(error.as_f64().expect("a number") < 0.02, "{error}");

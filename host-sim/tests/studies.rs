@@ -125,11 +125,11 @@ fn the_excitation_campaign_is_whole_in_one_run_and_in_shards() {
         ),
         (
             "experiment demo --shard 1/2 --out x",
-            "only excitation and paper can be sharded",
+            "unexpected argument '--shard'",
         ),
         (
             "experiment paper --seeds 0 --out x",
-            "--seeds must be at least 1",
+            "invalid value '0' for '--seeds <N>'",
         ),
         (
             "experiment excitation --robot nobody --out x",

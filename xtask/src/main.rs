@@ -143,7 +143,7 @@ fn main() -> ExitCode {
     let request = match parse(lexopt::Parser::from_env()) {
         Ok(request) => request,
         Err(error) => {
-            eprintln!("error: {error}\n\n{HELP}");
+            eprintln!("error: {error} (see cargo xtask --help)");
             return ExitCode::from(2);
         }
     };
@@ -184,6 +184,8 @@ fn main() -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
+    use std::path::Path;
 
     fn request(line: &str) -> Result<Request, String> {
         parse(lexopt::Parser::from_args(line.split_whitespace())).map_err(|error| error.to_string())
@@ -247,5 +249,28 @@ mod tests {
             let error = request(line).unwrap_err();
             assert!(error.contains(named), "`{line}` gave `{error}`");
         }
+    }
+
+    #[test]
+    fn every_command_of_the_pages_is_understood() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let docs = fs::read_dir(root.join("docs")).unwrap();
+        let pages = docs.map(|entry| entry.unwrap().path());
+        let mut seen = 0;
+        for path in pages.chain([root.join("README.md")]) {
+            let Ok(page) = fs::read_to_string(&path) else {
+                continue; // A picture.
+            };
+            for line in page.lines() {
+                for command in line.split("cargo xtask ").skip(1) {
+                    let command = command.split(['`', '#']).next().unwrap_or_default();
+                    if let Err(error) = request(command) {
+                        panic!("{}: `cargo xtask {command}`: {error}", path.display());
+                    }
+                    seen += 1;
+                }
+            }
+        }
+        assert!(seen > 20, "only {seen} commands were found");
     }
 }

@@ -17,10 +17,15 @@
 //! A host plays the very same code through a board in its own process, so both give the same bits.
 
 mod check;
+mod path;
+mod path_speed;
 mod player;
 mod program;
 mod series;
+mod stage;
+mod watch;
 
-pub use player::{Cue, Player, Stage};
+pub use player::Player;
 pub use program::{AbortReason, ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
 pub use series::{HARMONICS, JointSeries, PreparedSeries};
+pub use stage::{Cue, Stage};

@@ -2,6 +2,7 @@
 
 mod activation;
 mod bp;
+mod descent;
 mod gradient;
 mod random;
 

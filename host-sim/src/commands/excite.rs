@@ -2,15 +2,17 @@ use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unusable};
 use crate::excitation::{self, Criterion, Excitation, SearchConfig};
-use crate::files::{at, write_whole};
+use crate::files::{WholeFile, at, write_whole};
 use crate::robot::Robot;
 use crate::table::{TableWriter, state_columns};
 use clap::{Args, ValueEnum};
+use std::io::Write;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 /// Optimised excitation trajectory inside the robot's limits, with a certificate of each
 #[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
@@ -33,14 +35,14 @@ pub(super) struct Arguments {
     /// Most iterations of a round for the best quarter of the starts
     #[arg(long, default_value_t = 240)]
     iterations: usize,
-    /// Period of the fundamental, s
+    /// Period of the fundamental, s; at most 1000
     #[arg(long, default_value_t = 10.0)]
     period_s: f64,
     /// Range of every joint around zero, rad, on top of the description's
     #[arg(long, default_value_t = std::f64::consts::PI)]
     range_rad: f64,
     /// Height of the table under the arm, m, in place of the description's
-    #[arg(long, allow_negative_numbers = true, conflicts_with = "no_table")]
+    #[arg(long, conflicts_with = "no_table")]
     table_m: Option<f64>,
     /// There is no table
     #[arg(long)]
@@ -65,6 +67,9 @@ enum CriterionName {
     Constrained,
 }
 
+/// Longest period, s: every millisecond of it is checked and written.
+const MOST_PERIOD_S: f64 = 1000.0;
+
 impl From<CriterionName> for Criterion {
     fn from(name: CriterionName) -> Self {
         match name {
@@ -86,6 +91,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     };
     positive("period-s", arguments.period_s)?;
+    if arguments.period_s > MOST_PERIOD_S {
+        return Err(unusable(format!(
+            "--period-s is {}, must be at most {MOST_PERIOD_S}",
+            arguments.period_s
+        )));
+    }
     positive("range-rad", arguments.range_rad)?;
     positive("condition-limit", arguments.condition_limit)?;
     positive("starts", arguments.starts as f64)?;
@@ -124,12 +135,17 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
         range_rad: arguments.range_rad,
         threads: arguments.threads,
     };
+    // A directory that cannot be written is said now, not after the work.
+    let mut json = WholeFile::create(&arguments.out.join("excitation.json"))?;
     let bar = Bar::new();
     let excitation = excitation::optimise::<N>(robot, &config, given.as_ref(), |done, all| {
         bar.show("excitation", done, all);
     })?;
     drop(bar);
     write::<N>(&excitation, &arguments.out)?;
+    serde_json::to_writer_pretty(&mut json, &excitation)?;
+    json.write_all(b"\n")?;
+    json.finish()?;
     if let Some(certificate) = &excitation.certificate {
         say(format_args!(
             "predicted torque error {:.3} % (10 s, 1 % noise), condition number {:.1} (links' base regressor, {} columns, \
@@ -157,6 +173,7 @@ pub(super) fn read(path: &Path, robot: &Robot) -> Result<Excitation, Failure> {
     Ok(excitation)
 }
 
+/// Everything but the coefficients.
 fn write<const N: usize>(excitation: &Excitation, out: &Path) -> Result<(), Failure> {
     let mut header = vec!["t_s".to_owned()];
     header.extend(state_columns(N));
@@ -172,7 +189,5 @@ fn write<const N: usize>(excitation: &Excitation, out: &Path) -> Result<(), Fail
     write_whole(&out.join("excitation.html"), page.as_bytes())?;
     let picture = excitation::page::picture::<N>(excitation)?;
     write_whole(&out.join("excitation.svg"), picture.as_bytes())?;
-    let json = serde_json::to_string_pretty(excitation)? + "\n";
-    write_whole(&out.join("excitation.json"), json.as_bytes())?;
     Ok(())
 }

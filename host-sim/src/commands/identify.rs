@@ -1,3 +1,4 @@
+use super::report_files::ReportFiles;
 use super::terminal::say;
 use super::{Failure, unusable};
 use crate::excitation::Excitation;
@@ -17,6 +18,7 @@ use std::time::Duration;
 
 /// Identify an arm's parameters from logs, by all methods side by side, and validate them on unseen logs
 #[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// Robot: a built-in name or a description file; its log_columns map foreign logs
     #[arg(long)]
@@ -97,7 +99,10 @@ fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
         (None, period_s) => period_s,
     };
     match (arguments.filter, period_s) {
-        (Filter::Butterworth, _) => Ok(None),
+        (Filter::Butterworth, None) => Ok(None),
+        (Filter::Butterworth, Some(_)) => Err(unusable(
+            "--period-s and --excitation belong to --filter fourier",
+        )),
         (Filter::Fourier, Some(period_s)) if period_s.is_finite() && period_s > 0.0 => {
             Ok(Some(period_s))
         }
@@ -200,6 +205,7 @@ fn identify_arm<const N: usize>(
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(100));
+    let files = ReportFiles::create(&arguments.out)?;
     let outcome = identify::<N>(
         robot,
         &arguments.logs,
@@ -212,10 +218,8 @@ fn identify_arm<const N: usize>(
     bar.finish_and_clear();
     let outcome = outcome?;
     let report = &outcome.report;
-    let json = serde_json::to_string_pretty(report)? + "\n";
     let html = page::<N>(report, &outcome.trace)?;
-    write_whole(&arguments.out.join("report.html"), html.as_bytes())?;
-    write_whole(&arguments.out.join("report.json"), json.as_bytes())?;
+    let shown = files.finish(report, &html)?;
     for note in &report.notes {
         say(format_args!("note  {note}"))?;
     }
@@ -266,9 +270,6 @@ fn identify_arm<const N: usize>(
             robot.name
         ))?,
     }
-    say(format_args!(
-        "report  {}",
-        arguments.out.join("report.html").display()
-    ))?;
+    say(format_args!("report  {}", shown.display()))?;
     Ok(())
 }

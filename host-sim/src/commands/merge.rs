@@ -1,4 +1,4 @@
-use super::campaign::tell;
+use super::terminal::tell;
 use super::{Failure, unusable};
 use crate::experiment::campaign::{Campaign, ShardFile, merge};
 use crate::experiment::excitation::ExcitationCampaign;
@@ -28,5 +28,5 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         PaperCampaign::NAME => merge(&files, PaperCampaign::new, &arguments.out)?,
         other => return Err(unusable(format!("unknown study '{other}'"))),
     };
-    tell(&lines)
+    Ok(tell(&lines)?)
 }

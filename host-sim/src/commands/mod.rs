@@ -2,8 +2,9 @@
 
 mod bank;
 mod boards;
-mod campaign;
 mod disturbances;
+#[cfg(test)]
+mod documented;
 mod excite;
 mod experiment;
 mod faults;
@@ -14,6 +15,7 @@ mod merge;
 mod motion_log;
 mod on_board;
 mod progress;
+mod report_files;
 mod run;
 mod simulate;
 mod terminal;
@@ -24,6 +26,7 @@ pub use terminal::complain;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use std::error::Error;
+use std::path::Path;
 
 /// Whatever stopped a command, as one line.
 pub type Failure = Box<dyn Error>;
@@ -42,6 +45,16 @@ impl Error for Unusable {}
 
 fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Unusable(reason.into()))
+}
+
+/// Refuses to write over what is read.
+fn not_over(input: &Path, out: &Path) -> Result<(), Failure> {
+    let one = |path: &Path| std::fs::canonicalize(path).ok();
+    if one(input).is_some_and(|input| one(out) == Some(input)) {
+        let name = out.display();
+        return Err(unusable(format!("--out {name} is the file that is read")));
+    }
+    Ok(())
 }
 
 /// Simulator and workbench of foretorque: torque feed-forward that learns on the microcontroller.

@@ -19,6 +19,7 @@ use std::path::PathBuf;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
 #[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]

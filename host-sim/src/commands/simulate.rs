@@ -1,7 +1,7 @@
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
-use super::{Failure, unusable};
+use super::{Failure, not_over, unusable};
 use crate::control::PdConfig;
 use crate::dynamics::{Joints, ReferenceModel};
 use crate::experiment::closed_loop::ClosedLoop;
@@ -9,10 +9,11 @@ use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
 use crate::trajectory::Trajectory;
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Let the simulated arm play a trajectory under PD control, and log what its sensors say
 #[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
@@ -40,7 +41,7 @@ pub(super) struct MotionArguments {
     /// Play this long, s; an excitation repeats, everything else ends by itself
     #[arg(long)]
     duration_s: Option<f64>,
-    /// Bandwidth of the PD controller, Hz
+    /// Bandwidth of the PD controller, Hz; at most 100
     #[arg(long, default_value_t = 6.0)]
     pd_bandwidth_hz: f64,
     /// Standard deviation of the torque noise, share of the torque limit
@@ -55,6 +56,9 @@ pub(super) struct MotionArguments {
 
 /// Period of the tick, s.
 pub(super) const PERIOD_S: f64 = 1e-3;
+
+/// Largest bandwidth of the PD controller, Hz: a tenth of the ticks in a second. A faster loop shakes the arm.
+const MOST_BANDWIDTH_HZ: f64 = 100.0;
 
 /// Everything a closed loop needs besides a board.
 pub(super) struct Scene<const N: usize> {
@@ -73,8 +77,10 @@ impl MotionArguments {
         if !self.duration_s.is_none_or(positive) {
             return Err(unusable("--duration-s must be positive"));
         }
-        if !positive(self.pd_bandwidth_hz) {
-            return Err(unusable("--pd-bandwidth-hz must be positive"));
+        if !(positive(self.pd_bandwidth_hz) && self.pd_bandwidth_hz <= MOST_BANDWIDTH_HZ) {
+            return Err(unusable(format!(
+                "--pd-bandwidth-hz must be positive and at most {MOST_BANDWIDTH_HZ}"
+            )));
         }
         if !(self.torque_noise.is_finite() && self.torque_noise >= 0.0) {
             return Err(unusable("--torque-noise must not be negative"));
@@ -128,6 +134,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
+    not_over(Path::new(&arguments.motion.trajectory), &arguments.out)?;
     let mut scene = arguments.motion.scene::<N>(robot)?;
     let gains = arguments
         .current

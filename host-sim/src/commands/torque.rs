@@ -1,17 +1,18 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::simulate::PERIOD_S;
-use super::{Failure, bank, key};
+use super::{Failure, bank, key, not_over};
 use crate::experiment::closed_loop::motion_f32;
 use crate::robot::Robot;
 use crate::table::{StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns};
 use crate::trajectory::Trajectory;
 use clap::Args;
 use foretorque::arm::Arm;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Feed-forward torque of every row of a table of states, computed by the firmware
 #[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
@@ -30,8 +31,8 @@ pub(super) struct Arguments {
     /// millisecond
     #[arg(long, value_name = "FILE|validation", conflicts_with = "input")]
     trajectory: Option<String>,
-    /// Write key of the board, 32 hexadecimal digits
-    #[arg(long, value_name = "FILE")]
+    /// Write key of the board, 32 hexadecimal digits, where it takes signed banks only
+    #[arg(long, value_name = "FILE", requires = "bank")]
     key_file: Option<PathBuf>,
     /// Seed of the validation path
     #[arg(long, default_value_t = 1)]
@@ -86,6 +87,14 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     arguments: &Arguments,
     robot: &Robot,
 ) -> Result<(), Failure> {
+    let trajectory = arguments.trajectory.as_deref().map(Path::new);
+    for read in [
+        arguments.input.as_deref(),
+        trajectory,
+        arguments.bank.as_deref(),
+    ] {
+        read.map_or(Ok(()), |read| not_over(read, &arguments.out))?;
+    }
     let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
     let (timed, states) = arguments.states::<N>(robot)?;
     let mut board = arguments.board.connect::<A, N, P>(None)?;

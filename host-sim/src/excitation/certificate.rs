@@ -1,12 +1,13 @@
 //! The certificate: every limit checked again on a fine grid, with bounds for what lies between its points.
 
-use super::information::{Criterion, MOVING_RAD_S, NOISE, SAMPLES, condition_number};
+use super::information::{Criterion, NOISE, SAMPLES, condition_number};
 use super::objective::Objective;
 use super::rates::{MotionBounds, TorqueRates};
 use super::rows::{Frames, Rows};
 use super::series::Extremes;
 use super::{Excitation, ExcitationError};
 use crate::dynamics::{Joints, ReferenceModel, State};
+use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
 use serde::Serialize;
 use std::f64::consts::TAU;

@@ -2,6 +2,7 @@
 
 use super::rows::Rows;
 use crate::dynamics::{ReferenceModel, State};
+use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
 use crate::via::ViaPath;
 use nalgebra::{Cholesky, DMatrix};
@@ -24,8 +25,6 @@ pub enum Criterion {
 pub(super) const NOISE: f64 = 0.01;
 /// Data assumed: 10 s at 1 kHz.
 pub(super) const SAMPLES: f64 = 10_000.0;
-/// Below this speed a joint counts as standing still and its row as unusable, rad/s: stiction is no function of speed.
-pub(super) const MOVING_RAD_S: f64 = 0.05;
 /// Width of the Coulomb columns' sign, rad/s, as in the firmware.
 pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
 /// Exponent of the smooth stand-in for the largest and smallest eigenvalue: an upper bound of κ, 36^(1/32) = 1.12 at worst

@@ -7,6 +7,7 @@ use crate::report::page::{Section, Tile, html, table};
 use crate::robot::{Perturbation, Robot};
 use crate::table::{TableWriter, joint_columns, state_columns};
 use crate::trajectory::Trajectory;
+use foretorque::arm::ur5::JOINTS;
 use foretorque::dynamics::SIGN_WIDTH;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -15,7 +16,6 @@ use serde::Serialize;
 use std::error::Error;
 use std::path::Path;
 
-const JOINTS: usize = 6;
 /// Period of the rows, s.
 const PERIOD_S: f64 = 1e-3;
 /// White noise, share of the torque limit.

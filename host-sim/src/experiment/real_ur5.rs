@@ -25,8 +25,9 @@ pub(super) const PATHS: [(&str, &[&str]); 6] = [
     ("TEST", &["TEST.csv.gz"]),
 ];
 
-/// The columns of the recommended method beside Coulomb and viscous friction: the currents of this arm have offsets.
-const RECOMMENDED: &str = "coulomb-viscous+offset";
+/// The columns of the recommended method beside Coulomb and viscous friction: the currents of this arm have offsets, and the
+/// friction of harmonic drives grows with the torque they pass on.
+const RECOMMENDED: &str = "coulomb-viscous+offset+load";
 
 /// Filters: 0.16 of Nyquist on torque and regressor, as published for these logs; a joint moves above 0.02 rad/s.
 const PREPARE: PrepareConfig = PrepareConfig {

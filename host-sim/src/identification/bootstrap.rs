@@ -1,10 +1,10 @@
 //! Confidence intervals by resampling blocks of rows [Künsch 1989]: neighbouring errors belong together, blocks hardly.
 
 use super::columns::Layout;
+use super::gathered::SampleRow;
 use super::methods::MethodName;
 use super::normal::solve;
 use super::solve::{Material, Solved};
-use super::stream::SampleRow;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

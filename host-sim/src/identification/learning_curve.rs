@@ -1,10 +1,10 @@
 //! How many rows, and how much time, each method needs.
 
+use super::gathered::{Gathered, SampleRow};
 use super::methods::MethodName;
 use super::record::LearningPoint;
 use super::solve::{Material, Problem, solve_all};
 use super::split::errors;
-use super::stream::{Gathered, SampleRow};
 
 /// Rows of the whole log that are shared out.
 const ROWS: usize = 4000;

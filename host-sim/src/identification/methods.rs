@@ -2,8 +2,8 @@
 
 use super::columns::Layout;
 use super::filter::median;
+use super::gathered::SampleRow;
 use super::normal::{JointSums, NormalEquations, solve};
-use super::stream::SampleRow;
 use nalgebra::{DMatrix, DVector};
 use std::fmt;
 use std::str::FromStr;

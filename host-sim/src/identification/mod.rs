@@ -11,6 +11,7 @@ mod evidence;
 mod filter;
 mod fourier;
 mod gains;
+mod gathered;
 mod learning_curve;
 mod log;
 mod methods;
@@ -21,6 +22,7 @@ mod record;
 mod residual;
 mod ripple;
 mod solve;
+mod sources;
 mod speed;
 mod split;
 mod stream;
@@ -28,10 +30,12 @@ mod study;
 mod trial;
 mod truth;
 mod validation;
+mod whole_log;
 
 pub use bank::bank_of_fit;
 pub use columns::{ColumnSet, FrictionColumn, Layout, Parameter};
 pub use filter::{Butterworth, despiked};
+pub use gathered::{Gathered, SampleRow};
 pub use log::{LogReader, LogRow};
 pub use methods::{Fit, METHODS, MethodName};
 pub use normal::{IdentificationError, NormalEquations};
@@ -41,7 +45,8 @@ pub use record::{
     GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,
 };
 pub use ripple::Ripple;
-pub use stream::{Gathered, SampleRow, for_each_prepared};
+pub use stream::for_each_prepared;
 pub use study::{IdentifyConfig, Outcome, Progress, identify};
 pub use trial::{Trial, fit_rows};
 pub use validation::{Candidate, FileScores};
+pub use whole_log::WholeLog;

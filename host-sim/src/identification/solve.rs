@@ -3,13 +3,13 @@
 use super::columns::Layout;
 use super::consistent::consistent;
 use super::evidence::evidence;
+use super::gathered::{Gathered, SampleRow};
 use super::methods::{Fit, MethodName, huber, irls, ols, wls};
 use super::normal::NormalEquations;
 use super::record::{MethodRecord, ParameterRecord, SplitRecord};
 use super::residual::residual;
 use super::ripple::RippleSums;
 use super::speed::SpeedSums;
-use super::stream::{Gathered, SampleRow};
 use super::study::Progress;
 use super::truth::base_error;
 use super::validation::Candidate;

@@ -1,9 +1,9 @@
 //! The paper's split: 80 % of the rows to train on, 20 % to judge by. It flatters.
 
 use super::columns::Layout;
+use super::gathered::{Gathered, SampleRow};
 use super::record::SplitRecord;
 use super::solve::{Material, Problem, solve_all};
-use super::stream::{Gathered, SampleRow};
 use super::validation::Candidate;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

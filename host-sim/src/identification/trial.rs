@@ -1,9 +1,9 @@
 //! Methods on rows that are there already: no log, no filter. What studies over many small sets of rows need.
 
 use super::columns::Layout;
+use super::gathered::SampleRow;
 use super::methods::MethodName;
 use super::solve::{Material, Problem, solve_all};
-use super::stream::SampleRow;
 use super::validation::Candidate;
 use crate::dynamics::Joints;
 use crate::robot::Robot;

@@ -2,11 +2,11 @@
 
 use super::bootstrap::{middle, resample};
 use super::columns::Layout;
+use super::gathered::SampleRow;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
 use super::record::ValidationRecord;
 use super::ripple::Ripple;
-use super::stream::SampleRow;
 use crate::dynamics::State;
 use crate::training::BlackBox;
 use foretorque::feedforward::{JointNetwork, NETWORK_BOUND};

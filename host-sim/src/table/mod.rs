@@ -90,6 +90,17 @@ impl<const N: usize> StateReader<N> {
             .into_iter()
             .map(require)
             .collect::<Result<Vec<_>, _>>()?;
+        // A table of a larger arm would be read as one of this: its first joints are there.
+        for (name, unit) in STATE {
+            let column = format!("{name}{}_{unit}", N + 1);
+            if find(&column)?.is_some() {
+                return Err(TableError::ExtraColumn {
+                    path: path.to_owned(),
+                    column,
+                    joints: N,
+                });
+            }
+        }
         let time = match time {
             TimeColumn::Required => Some(require("t_s".to_owned())?.0),
             TimeColumn::Optional => find("t_s")?,
@@ -185,9 +196,12 @@ impl<const N: usize> Iterator for StateReader<N> {
     }
 }
 
+/// Names and units of a state's columns.
+const STATE: [(&str, &str); 3] = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2")];
+
 /// `q1_rad…, qd1_rad_s…, qdd1_rad_s2…`
 pub fn state_columns(joints: usize) -> Vec<String> {
-    [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2")]
+    STATE
         .iter()
         .flat_map(|(name, unit)| joint_columns(name, unit, joints))
         .collect()
@@ -249,6 +263,10 @@ mod tests {
             (
                 "t_s,q1_rad,q1_rad,qd1_rad_s,qdd1_rad_s2\n",
                 "states.csv:1: column q1_rad appears twice",
+            ),
+            (
+                "t_s,q1_rad,q2_rad,qd1_rad_s,qd2_rad_s,qdd1_rad_s2,qdd2_rad_s2\n",
+                "states.csv:1: column q2_rad is one too many: the robot has 1 joints",
             ),
             (
                 "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,0\n1,2,3\n",

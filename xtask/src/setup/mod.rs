@@ -1,6 +1,7 @@
 //! Brings what building and running need: look, plan, do one step, look again.
 
 mod debian;
+mod facts;
 mod plan;
 mod probe;
 
@@ -11,8 +12,9 @@ use std::{env, io};
 
 use anyhow::{Context as _, Result, bail};
 
+use facts::{Facts, Means};
 pub(crate) use plan::Way;
-use plan::{Facts, Means, Need, Plan, Step, missing, plan};
+use plan::{Need, Plan, Step, missing, plan};
 
 use crate::shell::{capture, command, run_bounded, timed};
 use crate::toolchain::{TARGET, Toolchain, Tools, linked_name};

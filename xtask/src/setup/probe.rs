@@ -8,7 +8,7 @@ use std::{env, fs, process};
 use anyhow::{Context as _, Result, bail};
 
 use super::debian;
-use super::plan::{Facts, Kit, Means};
+use super::facts::{Facts, Kit, Means};
 use crate::shell::{capture, command, line};
 use crate::toolchain::{TARGET, Toolchain, linked_name};
 

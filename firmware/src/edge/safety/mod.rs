@@ -12,12 +12,14 @@
 //! what every reason means and what to do about it.
 
 mod heat;
+mod input;
 mod limits;
 mod plausibility;
 mod reason;
 mod roll_call;
 
 pub use heat::{HOT_C, HYSTERESIS_C, WARM_C};
+pub use input::{ARM_DISTANCE, ARM_SAMPLES};
 pub use limits::{COMMAND_TIMEOUT_S, SafetyLimits};
 pub use reason::{SafetyReason, SafetyState, SafetyStatus};
 pub use roll_call::{RollCall, Task};
@@ -25,14 +27,7 @@ pub use roll_call::{RollCall, Task};
 use crate::joint::{JointSample, JointVector};
 use crate::limits::{cut, limit};
 use heat::MotorHeat;
-use plausibility::PlausibilityState;
-
-/// Fresh, plausible samples in a row without which a board cannot be armed.
-pub const ARM_SAMPLES: u32 = 3;
-/// Largest distance between desired and measured position with which a board can be armed, rad.
-pub const ARM_DISTANCE: f32 = 0.2;
-/// An implausible sample counts as many doubts as this many plausible ones take back: one in five is too many.
-const DOUBT: u32 = 4;
+use input::InputState;
 
 /// The safety of one board: state machine, hard limits, plausibility of the input.
 ///
@@ -63,21 +58,8 @@ pub struct Safety<const N: usize> {
     latched: SafetyReason,
     /// What ended the torque last.
     ended: SafetyReason,
-    /// What is wrong with the input of this tick.
-    input: SafetyReason,
-    plausibility: PlausibilityState<N>,
+    input: InputState<N>,
     heat: MotorHeat<N>,
-    /// Plausible samples in a row, without a time-out between them.
-    good_samples: u32,
-    /// Ticks in a row without a usable sample.
-    silent_ticks: u32,
-    /// Ticks since the last sample, usable or not.
-    unheard_ticks: u32,
-    doubt: u32,
-    /// Samples of which a part was not plausible.
-    implausible: u32,
-    /// Desired and measured position of the last sample are near each other.
-    near: bool,
     /// The torque of the last tick, as it left, N × N·m.
     output: JointVector<N>,
 }
@@ -93,15 +75,8 @@ impl<const N: usize> Safety<N> {
             },
             latched: kept,
             ended: SafetyReason::None,
-            input: SafetyReason::None,
-            plausibility: PlausibilityState::new(),
+            input: InputState::new(),
             heat: MotorHeat::new(),
-            good_samples: 0,
-            silent_ticks: 0,
-            unheard_ticks: 0,
-            doubt: 0,
-            implausible: 0,
-            near: false,
             output: JointVector::zeros(),
         }
     }
@@ -113,7 +88,7 @@ impl<const N: usize> Safety<N> {
         } else {
             SafetyReason::None
         };
-        let reasons = [self.latched, self.input, warm, self.ended];
+        let reasons = [self.latched, self.input.wrong(), warm, self.ended];
         let told = reasons
             .into_iter()
             .find(|&reason| reason != SafetyReason::None);
@@ -145,12 +120,12 @@ impl<const N: usize> Safety<N> {
 
     /// No torque flows, or its samples come in time, or it is on its way to zero because they do not: the time-out works.
     pub fn heard_in_time(&self) -> bool {
-        self.state != SafetyState::Armed || self.silent_ticks < self.limits.timeout_ticks
+        self.state != SafetyState::Armed || !self.input.timed_out(&self.limits)
     }
 
     /// Samples of which a part was not plausible, since the start or [`restart`](Self::restart).
     pub fn implausible(&self) -> u32 {
-        self.implausible
+        self.input.implausible()
     }
 
     /// Takes the temperature of one motor, °C; one that cannot be true changes nothing.
@@ -175,72 +150,17 @@ impl<const N: usize> Safety<N> {
     /// The same on a board with a sensor of its own.
     ///
     /// * `sensor` what is wrong with its measurement of this tick
+    // Has several callers, which share one copy: another costs 100 B of flash.
+    #[inline(never)]
     pub fn admit_from(
         &mut self,
         sample: Option<JointSample<N>>,
         periods: u32,
         sensor: SafetyReason,
     ) -> Option<JointSample<N>> {
-        let unheard = self.unheard_ticks.saturating_add(1);
-        let (usable, admitted) = match sample {
-            None => {
-                self.input = SafetyReason::None;
-                self.unheard_ticks = unheard;
-                (false, None)
-            }
-            Some(sample) => {
-                self.unheard_ticks = 0;
-                self.hear(sample, periods.max(unheard), sensor)
-            }
-        };
-        self.silent_ticks = if usable {
-            0
-        } else {
-            self.silent_ticks.saturating_add(1)
-        };
-        if self.silent_ticks >= self.limits.timeout_ticks {
-            self.good_samples = 0;
-        }
-        if self.input == SafetyReason::None {
-            self.doubt = self.doubt.saturating_sub(1);
-        } else {
-            self.doubt = self.doubt.saturating_add(DOUBT);
-            self.implausible = self.implausible.saturating_add(1);
-        }
+        let admitted = self.input.take(&self.limits, sample, periods, sensor);
         self.watch();
         admitted
-    }
-
-    /// Judges a sample; whether its desired motion can be used, and what is left of it.
-    fn hear(
-        &mut self,
-        mut sample: JointSample<N>,
-        periods: u32,
-        sensor: SafetyReason,
-    ) -> (bool, Option<JointSample<N>>) {
-        let mut verdict = self.plausibility.judge(&self.limits, &sample, periods);
-        if sensor != SafetyReason::None {
-            verdict.measured = sensor;
-        }
-        let usable = verdict.desired == SafetyReason::None;
-        self.input = if usable {
-            verdict.measured
-        } else {
-            verdict.desired
-        };
-        if verdict.measured != SafetyReason::None {
-            sample.measured = None;
-        }
-        match &sample.measured {
-            Some(measured) if usable => {
-                let distance = (sample.desired.q - measured.q).abs();
-                self.near = distance.iter().all(|&distance| distance <= ARM_DISTANCE);
-                self.good_samples = self.good_samples.saturating_add(1);
-            }
-            _ => self.good_samples = 0,
-        }
-        let admitted = verdict.desired != SafetyReason::DesiredJump;
-        (usable, admitted.then_some(sample))
     }
 
     /// Ends the torque when the input gives reason to.
@@ -250,9 +170,9 @@ impl<const N: usize> Safety<N> {
         }
         if self.heat.hot() {
             self.trip(SafetyReason::MotorHot);
-        } else if self.doubt >= DOUBT * self.limits.timeout_ticks {
-            self.trip(self.input);
-        } else if self.silent_ticks >= self.limits.timeout_ticks {
+        } else if self.input.doubtful(&self.limits) {
+            self.trip(self.input.wrong());
+        } else if self.input.timed_out(&self.limits) {
             self.end(SafetyReason::CommandTimeout);
         }
     }
@@ -304,21 +224,14 @@ impl<const N: usize> Safety<N> {
             SafetyState::Fault => return Err(self.latched),
             SafetyState::Disarmed => {}
         }
-        let refused = if self.heat.hot() {
-            SafetyReason::MotorHot
-        } else if self.input != SafetyReason::None {
-            self.input
-        } else if self.good_samples < ARM_SAMPLES {
-            SafetyReason::NoSample
-        } else if !self.near {
-            SafetyReason::TooFar
-        } else {
-            self.state = SafetyState::Armed;
-            self.ended = SafetyReason::None;
-            self.doubt = 0;
-            return Ok(());
-        };
-        Err(refused)
+        if self.heat.hot() {
+            return Err(SafetyReason::MotorHot);
+        }
+        self.input.allows_arming()?;
+        self.input.trust();
+        self.state = SafetyState::Armed;
+        self.ended = SafetyReason::None;
+        Ok(())
     }
 
     /// The torque goes to zero, then the board is disarmed. Cannot fail.

@@ -7,10 +7,21 @@ use super::page::number;
 const BEGIN: &str = "<!-- learning table begins -->\n";
 const END: &str = "<!-- learning table ends -->";
 
-/// `text` with the table of `report` between the marks; `None` if it has not both of them.
-pub fn renewed(text: &str, report: &LearningReport) -> Option<String> {
+/// `text` has both marks.
+pub fn has_marks(text: &str) -> bool {
+    around(text).is_some()
+}
+
+/// What stands before and after the marks.
+fn around(text: &str) -> Option<(&str, &str)> {
     let (before, rest) = text.split_once(BEGIN)?;
     let (_, after) = rest.split_once(END)?;
+    Some((before, after))
+}
+
+/// `text` with the table of `report` between the marks; `None` if it has not both of them.
+pub fn renewed(text: &str, report: &LearningReport) -> Option<String> {
+    let (before, after) = around(text)?;
     Some(format!("{before}{BEGIN}{}{END}{after}", table(report)))
 }
 

@@ -23,12 +23,10 @@ use crate::files::write_whole;
 use crate::parallel::cores;
 use crate::robot::Robot;
 use cell::Bench;
+use foretorque::arm::ur5::JOINTS;
 use serde::{Deserialize, Serialize};
 use std::error::Error;
 use std::path::Path;
-
-/// Joints of the UR5.
-const JOINTS: usize = 6;
 
 /// The excitation that `host-sim excite --robot ur5` finds.
 const PRECOMPUTED: &str = include_str!("../../../paths/ur5-excitation.json");

@@ -4,7 +4,7 @@ use super::{GATE_RAD_S, N};
 use crate::dynamics::State;
 use crate::experiment::real_ur5::PATHS;
 use crate::identification::{
-    ColumnSet, IdentifyConfig, Layout, LogReader, MethodName, Preparation, PrepareConfig, Prepared,
+    ColumnSet, IdentifyConfig, Layout, MethodName, Preparation, PrepareConfig, Prepared, WholeLog,
     for_each_prepared, identify,
 };
 use crate::robot::Robot;
@@ -144,9 +144,9 @@ fn predictions(layout: &Layout<N>, theta: &[f64], stretch: &Prepared<N>) -> Vec<
 
 /// Time and measurement of every row.
 fn raw_rows(file: &Path, robot: &Robot) -> Result<Vec<(f64, JointMeasurement<N>)>, Box<dyn Error>> {
-    let mut reader = LogReader::<N>::open(file, robot)?;
+    let mut log = WholeLog::<N>::open(file, robot)?;
     let mut rows = Vec::new();
-    while let Some(row) = reader.next_row()? {
+    while let Some(row) = log.next_row()? {
         let measured = JointMeasurement {
             q: row.q.map(|q| q as f32).into(),
             tau: row.tau.map(|tau| tau as f32).into(),

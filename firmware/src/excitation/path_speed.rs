@@ -1,0 +1,93 @@
+use super::path::seconds_to_ticks;
+use super::program::MotionBounds;
+
+/// Part of the certified acceleration that stopping adds.
+pub(super) const STOP_SHARE: f32 = 0.5;
+/// Shortest and longest time in which the path speed goes to zero, s.
+const STOP_S: (f32, f32) = (0.25, 5.0);
+
+/// The path speed σ: 1, on its way to 0 as a smooth step, or 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PathSpeed {
+    /// Ticks from full speed to rest.
+    ticks: u32,
+    /// Those that are left of them.
+    left: u32,
+    falling: bool,
+}
+
+impl PathSpeed {
+    /// At rest, with nothing to play.
+    pub(super) const NONE: Self = Self {
+        ticks: 1,
+        left: 0,
+        falling: false,
+    };
+
+    /// At rest; a stop from full speed adds half of the certified acceleration.
+    ///
+    /// * `tick_us` period of the tick, µs
+    pub(super) fn at_rest<const N: usize>(certificate: &[MotionBounds; N], tick_us: u32) -> Self {
+        Self {
+            ticks: seconds_to_ticks(stop_s(certificate), tick_us),
+            left: 0,
+            falling: false,
+        }
+    }
+
+    /// Not at rest.
+    pub(super) fn moving(&self) -> bool {
+        self.left > 0
+    }
+
+    /// At rest from now on.
+    pub(super) fn rest(&mut self) {
+        self.left = 0;
+    }
+
+    /// Full speed from now on.
+    pub(super) fn start(&mut self) {
+        (self.left, self.falling) = (self.ticks, false);
+    }
+
+    /// On the way to rest from now on.
+    pub(super) fn stop(&mut self) {
+        self.falling = true;
+    }
+
+    /// One tick.
+    pub(super) fn advance(&mut self) {
+        if self.falling {
+            self.left = self.left.saturating_sub(1);
+        }
+    }
+
+    /// σ, and its derivative, 1/s.
+    // Asked twice in a tick, by nobody in a hurry: a second copy costs 100 B of flash.
+    #[inline(never)]
+    pub(super) fn now(&self, tick_us: u32) -> (f32, f32) {
+        let part = self.left as f32 / self.ticks as f32;
+        let speed = part * part * (3.0 - 2.0 * part);
+        if !self.falling {
+            return (speed, 0.0);
+        }
+        let ramp_s = self.ticks as f32 * (tick_us as f32 * 1e-6);
+        (speed, -6.0 * part * (1.0 - part) / ramp_s)
+    }
+}
+
+/// Time in which the path speed goes to zero, s: a smooth step of T has a slope of 1.5 / T at most.
+fn stop_s<const N: usize>(certificate: &[MotionBounds; N]) -> f32 {
+    let mut longest = STOP_S.0;
+    for bounds in certificate {
+        let time = 1.5 * bounds.velocity_rad_s / (STOP_SHARE * bounds.acceleration_rad_s2);
+        if time > longest {
+            longest = time;
+        }
+    }
+    if longest > STOP_S.1 {
+        STOP_S.1
+    } else {
+        longest
+    }
+}

@@ -1,0 +1,89 @@
+//! The sum of the shares, and what stands in for one that is broken.
+
+use super::*;
+
+#[test]
+fn the_settled_torque_is_the_sum_of_the_evaluated_shares() {
+    let motion = motion(0.3);
+    let torque = settled(&mut tick(set()), &motion);
+    let evaluated = evaluate::<Ur5, N, P>(&set(), &motion);
+    assert_eq!(torque.shares, evaluated.shares);
+    assert_eq!(torque.total, evaluated.total);
+    assert_eq!(torque.flags, Flags::NO_MEASUREMENT);
+    assert!(torque.shares.rigid.amax() > 10.0 && torque.shares.friction.amax() > 1.0);
+}
+
+#[test]
+fn cogging_follows_the_measured_place_and_nothing_else_does() {
+    let mut cogging = set();
+    cogging.friction[1].cogging_sin = 0.5;
+    let desired = motion(0.3);
+    let mut tick = tick(cogging);
+    let mut share_at = |q: f32| {
+        let mut measured = JointMeasurement {
+            q: desired.q,
+            tau: JointVector::zeros(),
+        };
+        measured.q[1] = q;
+        let measured = Some(measured);
+        tick.step(&JointSample { desired, measured }).shares
+    };
+    let lead = 1.5e-3 * desired.qd[1];
+    let plain = evaluate::<Ur5, N, P>(&set(), &desired).shares;
+    for k in 0..100 {
+        let place = 0.01 * k as f32;
+        let mut wanted = plain;
+        wanted.friction[1] += 0.5 * (202.0 * place).sin();
+        let share = share_at(place - lead);
+        assert!((share.friction - wanted.friction).amax() < 1e-4, "{place}");
+        assert_eq!((share.rigid, share.network), (plain.rigid, plain.network));
+    }
+    // A wild encoder leaves the cogging of the desired place.
+    let unmeasured = evaluate::<Ur5, N, P>(&cogging, &desired).shares;
+    for wild in [f32::NAN, f32::INFINITY, -1e30] {
+        assert_eq!(share_at(wild), unmeasured);
+    }
+}
+
+#[test]
+fn a_broken_share_is_replaced_by_the_committed_one_and_the_others_go_on() {
+    let motion = motion(1.1);
+    let whole = evaluate::<Ur5, N, P>(&set(), &motion).shares;
+    let spoil: [fn(&mut Set); 3] = [
+        |s| s.rigid.fill(f32::NAN),
+        |s| s.friction[2].viscous = f32::INFINITY,
+        |s| s.network[4].output_bias[0] = f32::NAN,
+    ];
+    for spoil in spoil {
+        let mut tick = tick(set());
+        let mut broken = set();
+        spoil(&mut broken);
+        tick.state.set_active(&broken);
+        let torque = settled(&mut tick, &motion);
+        assert_eq!(torque.shares, whole);
+        assert!(
+            torque
+                .flags
+                .contains(Flags::SHARE_FALLBACK | Flags::NOT_FINITE)
+        );
+        assert!(!torque.flags.contains(Flags::WITHDRAWN));
+    }
+}
+
+#[test]
+fn a_share_broken_in_both_sets_is_withdrawn_alone_at_the_slew_limit() {
+    let motion = motion(1.1);
+    let mut tick = tick(set());
+    let before = settled(&mut tick, &motion);
+    let mut broken = set();
+    broken.rigid.fill(f32::NAN);
+    tick.state.set_active(&broken);
+    tick.state.set_committed(&broken);
+    let next = tick.step(&sample(motion));
+    assert!(next.flags.contains(Flags::WITHDRAWN | Flags::SLEWED));
+    for j in 0..N {
+        let slew = tick.config().slew_per_tick[j] * 1.001;
+        assert!((next.total[j] - before.total[j]).abs() <= slew, "joint {j}");
+    }
+    assert_eq!(settled(&mut tick, &motion).total, before.shares.friction);
+}

@@ -1,0 +1,88 @@
+//! What README.md and the pages of docs/ point to is there: files, headings, tests.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Every page with its text, the licences of others apart.
+fn pages() -> Vec<(PathBuf, String)> {
+    let docs = fs::read_dir(root().join("docs")).expect("it is there");
+    let docs = docs.map(|entry| entry.expect("it is there").path());
+    let read = |path: PathBuf| {
+        let text = fs::read_to_string(&path).expect("it is text");
+        (path, text)
+    };
+    docs.filter(|path| path.extension().is_some_and(|end| end == "md"))
+        .chain(["README.md", "CHANGELOG.md"].map(|name| root().join(name)))
+        .map(read)
+        .collect()
+}
+
+/// What a heading is called in a link.
+fn anchor(heading: &str) -> String {
+    let kept = heading
+        .trim_start_matches('#')
+        .trim()
+        .chars()
+        .filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+    let name: String = kept.flat_map(char::to_lowercase).collect();
+    name.replace(' ', "-")
+}
+
+#[test]
+fn every_link_leads_to_a_file_and_its_heading() {
+    let mut seen = 0;
+    for (path, text) in pages() {
+        for part in text.split("](").skip(1) {
+            let target = part.split(')').next().unwrap_or_default();
+            if target.starts_with("http") {
+                continue;
+            }
+            let (file, heading) = target.split_once('#').unwrap_or((target, ""));
+            let page = match file {
+                "" => path.clone(),
+                file => path.with_file_name(file),
+            };
+            assert!(page.exists(), "{}: {target}", path.display());
+            if !heading.is_empty() {
+                let text = fs::read_to_string(&page).expect("a page");
+                let mut headings = text.lines().filter(|line| line.starts_with('#'));
+                let found = headings.any(|line| anchor(line) == heading);
+                assert!(found, "{}: {target}", path.display());
+            }
+            seen += 1;
+        }
+    }
+    assert!(seen > 20, "only {seen} links were found");
+}
+
+#[test]
+fn every_test_that_a_page_names_is_there() {
+    let mut seen = 0;
+    for (path, text) in pages() {
+        let words: Vec<&str> = text.split_whitespace().collect();
+        for (index, _) in words
+            .iter()
+            .enumerate()
+            .filter(|(_, word)| **word == "--test")
+        {
+            // `cargo test -p PACKAGE --test NAME`, or `--test NAME` of the workbench.
+            let package = index.checked_sub(1).map_or("", |before| words[before]);
+            let directory = match package {
+                "foretorque" => "firmware/tests",
+                "foretorque-capi" => "firmware/capi/tests",
+                "acceptance" => "tests/tests",
+                _ => "host-sim/tests",
+            };
+            let name = words[index + 1].trim_matches(|c: char| !c.is_alphanumeric() && c != '_');
+            let test = root().join(directory).join(name);
+            let there = test.with_extension("rs").exists() || test.join("main.rs").exists();
+            assert!(there, "{}: {directory}/{name}", path.display());
+            seen += 1;
+        }
+    }
+    assert!(seen > 5, "only {seen} tests were found");
+}
