@@ -95,7 +95,10 @@ pub fn arm_module(robot: &Robot) -> String {
     for joint in &robot.joints {
         let link = joint.link.standard_parameters();
         // As of the placements: −0 is 0.
-        line(&format!("        {:?},", link.map(|value| value as f32 + 0.0)));
+        line(&format!(
+            "        {:?},",
+            link.map(|value| value as f32 + 0.0)
+        ));
     }
     line("    ];");
     let rotors = robot.joints.iter().map(|joint| joint.drive.rotor_inertia);

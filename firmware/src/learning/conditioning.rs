@@ -299,7 +299,10 @@ mod tests {
             let share = -seen.motion.qdd[0] / (angle * angle);
             let said = ripple_share(angle);
             assert!((share - said).abs() < 0.05, "{angle}: {share} {said}");
-            assert!(angle > 0.3 || (share - said).abs() < 0.01, "{angle}: {share} {said}");
+            assert!(
+                angle > 0.3 || (share - said).abs() < 0.01,
+                "{angle}: {share} {said}"
+            );
         }
     }
 

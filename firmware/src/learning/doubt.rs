@@ -94,9 +94,17 @@ const fn floor_squared<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; 
             (place / LINK_PARAMETERS, place % LINK_PARAMETERS)
         };
         let columns = A::COLUMNS[joint];
-        let independent = if rotor { columns.rotor } else { columns.inertial[k] };
+        let independent = if rotor {
+            columns.rotor
+        } else {
+            columns.inertial[k]
+        };
         if independent && column < P {
-            let scale = if k < 4 { DOUBT_GRAVITY } else { DOUBT_ACCELERATION };
+            let scale = if k < 4 {
+                DOUBT_GRAVITY
+            } else {
+                DOUBT_ACCELERATION
+            };
             let floor = FLOOR * A::LIMITS[joint].torque / scale;
             squares[column] = floor * floor;
             column += 1;
@@ -108,13 +116,16 @@ const fn floor_squared<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; 
 
 /// Way number `place`: change of the base parameters, in their units.
 const fn base_change<A: Arm<N, P>, const N: usize, const P: usize>(place: usize) -> [f32; P] {
+    let mut beta = [0.0; P];
     let (link, way) = (place / WAYS, place % WAYS);
+    if link >= N {
+        return beta;
+    }
     let change = link_change(&A::LINKS[link], A::ROTORS[link], way);
     let first = LINK_PARAMETERS * link;
-    let mut beta = [0.0; P];
-    let mut k = 0;
-    while k < A::BASE_MAP.len() {
-        let term = A::BASE_MAP[k];
+    let mut terms = A::BASE_MAP;
+    while let [term, rest @ ..] = terms {
+        terms = rest;
         let own = if term.standard == LINK_PARAMETERS * N + link {
             LINK_PARAMETERS
         } else if term.standard >= first && term.standard < first + LINK_PARAMETERS {
@@ -125,7 +136,6 @@ const fn base_change<A: Arm<N, P>, const N: usize, const P: usize>(place: usize)
         if own < WAYS && term.base < P {
             beta[term.base] += term.weight * change[own];
         }
-        k += 1;
     }
     beta
 }
