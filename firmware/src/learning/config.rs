@@ -75,8 +75,9 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             outlier_sigmas: 3.0,
             process_noise: 1e-7,
             torque_step: 0.005,
-            rigid_sigma: rigid_sigma::<A, N, P>(),
-            friction_sigma: friction_sigma::<A, N, P>(),
+            // Tables: a board need not work them out.
+            rigid_sigma: const { rigid_sigma::<A, N, P>() },
+            friction_sigma: const { friction_sigma::<A, N, P>() },
             box_sigmas: 4.0,
             velocity_gate: 0.05,
             acceleration_limit: 100.0,

@@ -121,7 +121,7 @@ const fn base_change<A: Arm<N, P>, const N: usize, const P: usize>(place: usize)
     if link >= N {
         return beta;
     }
-    let change = link_change(&A::LINKS[link], A::ROTORS[link], way);
+    let change = const { doubtful::<A, N, P>() }[link].change(way);
     let first = LINK_PARAMETERS * link;
     let mut terms = A::BASE_MAP;
     while let [term, rest @ ..] = terms {
@@ -140,48 +140,78 @@ const fn base_change<A: Arm<N, P>, const N: usize, const P: usize>(place: usize)
     beta
 }
 
-/// One way in which a link of standard parameters `link` and its rotor may differ: change of these parameters, the
-/// rotor's last.
-///
-/// ```text
-/// mass:     all of m, h = m c, I by the same part
-/// centre:   δh = m δ e,   δI = δ (2 h·e 1 − h eᵀ − e hᵀ), the body shifted as it is, δ along the axis e
-/// inertia:  one entry of I, by a part of the mean moment about the centre of mass, products by half of it
-/// ```
-const fn link_change(link: &[f32; LINK_PARAMETERS], rotor: f32, way: usize) -> [f32; WAYS] {
-    let [mass, x, y, z, xx, yy, zz, ..] = *link;
-    let mut change = [0.0; WAYS];
-    if way == LINK_PARAMETERS {
-        change[way] = RELATIVE_DOUBT * rotor;
-        return change;
+/// What is doubted about a link.
+#[derive(Clone, Copy)]
+struct Doubtful {
+    /// Its standard parameters.
+    link: [f32; LINK_PARAMETERS],
+    /// Its rotor inertia, kg·m².
+    rotor: f32,
+    /// How far its centre of mass may lie off along an axis, m.
+    shift: f32,
+    /// By how much a moment of inertia may be off, kg·m².
+    moment: f32,
+}
+
+const fn doubtful<A: Arm<N, P>, const N: usize, const P: usize>() -> [Doubtful; N] {
+    let mut links = [Doubtful {
+        link: [0.0; LINK_PARAMETERS],
+        rotor: 0.0,
+        shift: 0.0,
+        moment: 0.0,
+    }; N];
+    let mut joint = 0;
+    while joint < N {
+        let [mass, x, y, z, xx, yy, zz, ..] = A::LINKS[joint];
+        let inverse = if mass > 0.0 { 1.0 / mass } else { 0.0 };
+        let square = (x * x + y * y + z * z) * inverse;
+        links[joint] = Doubtful {
+            link: A::LINKS[joint],
+            rotor: A::ROTORS[joint],
+            shift: PLACE_DOUBT.0 * root(square * inverse) + PLACE_DOUBT.1,
+            // Of the mean moment about the centre of mass.
+            moment: RELATIVE_DOUBT * (xx + yy + zz - 2.0 * square) / 3.0,
+        };
+        joint += 1;
     }
-    let inverse = if mass > 0.0 { 1.0 / mass } else { 0.0 };
-    let square = (x * x + y * y + z * z) * inverse;
-    match way {
-        0 => {
-            let mut k = 0;
-            while k < LINK_PARAMETERS {
-                change[k] = RELATIVE_DOUBT * link[k];
-                k += 1;
+    links
+}
+
+impl Doubtful {
+    /// One way in which the link and its rotor may differ: change of the standard parameters, the rotor's last.
+    ///
+    /// ```text
+    /// mass:     all of m, h = m c, I by the same part
+    /// centre:   δh = m δ e,   δI = δ (2 h·e 1 − h eᵀ − e hᵀ), the body shifted as it is, δ along the axis e
+    /// inertia:  one entry of I, by a part of the mean moment about the centre of mass, products by half of it
+    /// ```
+    const fn change(&self, way: usize) -> [f32; WAYS] {
+        let mut change = [0.0; WAYS];
+        match way {
+            0 => {
+                let mut k = 0;
+                while k < LINK_PARAMETERS {
+                    change[k] = RELATIVE_DOUBT * self.link[k];
+                    k += 1;
+                }
             }
+            1..=3 => {
+                let [mass, x, y, z, ..] = self.link;
+                let h = [x, y, z];
+                let axis = way - 1;
+                let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+                change[way] = mass * self.shift;
+                change[4 + next] = 2.0 * self.shift * h[axis];
+                change[4 + last] = 2.0 * self.shift * h[axis];
+                // Products are in the order xy, xz, yz: that of axes a and b is a + b − 1 after the moments.
+                change[6 + axis + next] = -self.shift * h[next];
+                change[6 + axis + last] = -self.shift * h[last];
+            }
+            4..=6 => change[way] = self.moment,
+            7..=9 => change[way] = 0.5 * self.moment,
+            LINK_PARAMETERS => change[way] = RELATIVE_DOUBT * self.rotor,
+            _ => {}
         }
-        1..=3 => {
-            let shift = PLACE_DOUBT.0 * root(square * inverse) + PLACE_DOUBT.1;
-            let h = [x, y, z];
-            let axis = way - 1;
-            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
-            change[way] = mass * shift;
-            change[4 + next] = 2.0 * shift * h[axis];
-            change[4 + last] = 2.0 * shift * h[axis];
-            // Products are in the order xy, xz, yz: that of axes a and b is a + b − 1 after the moments.
-            change[6 + axis + next] = -shift * h[next];
-            change[6 + axis + last] = -shift * h[last];
-        }
-        _ => {
-            let mean = (xx + yy + zz - 2.0 * square) / 3.0;
-            let part = if way < 7 { 1.0 } else { 0.5 };
-            change[way] = part * RELATIVE_DOUBT * mean;
-        }
+        change
     }
-    change
 }
