@@ -11,6 +11,7 @@ mod shell;
 mod test;
 mod toolchain;
 
+use std::num::NonZeroU64;
 use std::process::ExitCode;
 
 use anyhow::Result;
@@ -98,7 +99,10 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
             Long("check") => check = true,
             Long("accept") => accept = true,
-            Long("runs") => runs = Some(args.value()?.parse::<u64>()?),
+            Long("runs") => {
+                let number = args.value()?.parse::<NonZeroU64>();
+                runs = Some(number.map_err(|error| format!("--runs: {error}"))?.get());
+            }
             Long("image") => image = true,
             Long("board") => board = Some(args.value()?.parse::<Board>()?),
             Value(name) if command.is_none() => command = Some(name.string()?),
@@ -243,6 +247,7 @@ mod tests {
             ("test --accept", "--accept"),
             ("test --runs 3", "--runs"),
             ("fuzz --runs some", "some"),
+            ("fuzz --runs 0", "zero"),
             ("flash --board nucleo", "odrive, pyboard or drive"),
             ("test --image", "--image"),
         ] {

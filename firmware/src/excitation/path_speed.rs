@@ -24,15 +24,15 @@ impl PathSpeed {
         falling: false,
     };
 
-    /// At rest; a stop from full speed adds half of the certified acceleration.
+    /// From here on a stop from full speed adds half of the certified acceleration. Only at rest.
     ///
     /// * `tick_us` period of the tick, µs
-    pub(super) fn at_rest<const N: usize>(certificate: &[MotionBounds; N], tick_us: u32) -> Self {
-        Self {
-            ticks: seconds_to_ticks(stop_s(certificate), tick_us),
-            left: 0,
-            falling: false,
-        }
+    pub(super) fn prepare<const N: usize>(
+        &mut self,
+        certificate: &[MotionBounds; N],
+        tick_us: u32,
+    ) {
+        self.ticks = seconds_to_ticks(stop_s(certificate), tick_us);
     }
 
     /// Not at rest.

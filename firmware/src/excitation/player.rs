@@ -90,7 +90,7 @@ impl<const N: usize> Player<N> {
         check::begins_at_rest(program, &series)?;
         self.program = *program;
         self.series = series;
-        self.state.speed = PathSpeed::at_rest(&program.certificate, self.tick_us);
+        self.state.speed.prepare(&program.certificate, self.tick_us);
         self.state.stage = Stage::Checking;
         self.state.checked = 0;
         self.state.wanted = false;
