@@ -18,7 +18,6 @@ use foretorque::limits::Flags;
 use host_sim::board::qemu::{Emulator, Image, QemuOptions};
 use host_sim::board::{Client, Native};
 use std::fs;
-use std::time::Instant;
 
 /// Of `firmware/src/bin/joint_drive/board.rs`: the joint, and the torque of a full duty, N·m.
 const JOINT: usize = 1;
@@ -168,17 +167,18 @@ fn silence_ends_the_pulses() {
     for _ in 0..5 {
         trial.sample(&still());
     }
-    trial.client.arm(&still()).expect("it can be armed");
+    let armed = (0..100).any(|_| trial.client.arm(&still()).is_ok());
+    assert!(armed, "it can be armed");
     trial.sample(&still());
     let trace = fs::read_to_string(&trial.trace).expect("the emulator writes a trace");
     let on = |line| matches!(written(line), Some(("GPIOB", 0x18, bits)) if bits == 1 << 8);
     assert!(trace.lines().any(on), "it was armed");
     // The time of the emulator moves on when somebody talks to it, in leaps; what is said here is no sample.
-    let deadline = Instant::now() + PATIENCE;
-    while trial.stage().enabled {
-        assert!(Instant::now() < deadline, "the torque ends");
+    let silence = (0..10_000).find(|_| {
         trial.client.statistics().expect("counters");
-    }
+        !trial.stage().enabled
+    });
+    assert!(silence.is_some(), "the torque ends");
     trial.is_off();
     let after = trial.sample(&still());
     assert_eq!(after.safety.reason, SafetyReason::CommandTimeout);

@@ -12,7 +12,7 @@ use host_sim::board::{BoardError, Client};
 use patched::patched;
 use std::fs;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 const BOOT: Duration = Duration::from_secs(5);
 /// What goes to the set/reset register of GPIOB to switch the torque enable, PB12, on and off (RM0090 8.4.7).
@@ -111,7 +111,9 @@ fn the_enable_pin_follows_arming_disarming_and_stopping() {
 fn a_board_paced_by_its_timer_ends_the_torque_when_samples_stay_away() {
     let mut trial = Trial::start("timeout");
     let configuration = Configuration {
-        period_us: 2000,
+        // The time-out is some two hundred ticks then. Whenever the board is idle the emulator leaps to its next tick: a
+        // host that gets its turn late has been silent for a while.
+        period_us: 250,
         pacing: Pacing::SysTick,
         ..Configuration::default()
     };
@@ -119,16 +121,17 @@ fn a_board_paced_by_its_timer_ends_the_torque_when_samples_stay_away() {
         .client
         .configure(configuration)
         .expect("it has a timer");
-    trial.client.arm(&sample()).expect("it can be armed");
+    let armed = (0..100).any(|_| trial.client.arm(&sample()).is_ok());
+    assert!(armed, "it can be armed");
     trial.client.sample(&sample()).expect("a torque");
     let pins = trial.lines("GPIOB");
     assert!(pins.iter().any(|line| line.contains(ON)), "it was armed");
-    // The time of the emulator moves on when somebody talks to it, in leaps; what is said here is no sample.
-    let deadline = Instant::now() + BOOT;
-    while trial.enabled() {
-        assert!(Instant::now() < deadline, "the torque ends");
+    // The time of the emulator moves on when somebody talks to it; what is said here is no sample.
+    let silence = (0..10_000).find(|_| {
         trial.client.statistics().expect("counters");
-    }
+        !trial.enabled()
+    });
+    assert!(silence.is_some(), "the torque ends");
     let after = trial.client.sample(&sample()).expect("an answer");
     assert_eq!(after.total, JointVector::<JOINTS>::zeros());
     assert_eq!(after.safety.state, SafetyState::Disarmed);
@@ -206,6 +209,7 @@ fn the_watchdog_goes_hungry_when_the_learner_hangs_although_the_tick_goes_on() {
     let mut options = QemuOptions::new(Image::Joint);
     options.elf = hung("EXTI2");
     let mut trial = Trial::of("hungry", options);
+    trial.client.wait_for_lessons(false);
     let start = feeds(&trial);
     for _ in 0..100 {
         trial.client.sample(&sample()).expect("the tick goes on");

@@ -246,7 +246,7 @@ fn columns_without_a_place_on_the_board_are_named_and_the_others_reach_the_bank(
         .expect("runs");
     let bank = String::from_utf8_lossy(&bank.stdout).into_owned();
     // An identified column has a value of its own and a deviation smaller than that of a bank nobody identified.
-    for name in ["Fv1", "Fc1", "Fsn1", "Fsw1", "Fo1", "Gs1", "Gc1"] {
+    for name in ["Fv1", "Fc1", "Fs1", "Fb1", "Fo1", "Gs1", "Gc1"] {
         let line = bank
             .lines()
             .find(|line| line.starts_with(&format!("{name} ")));

@@ -33,7 +33,7 @@ pub struct Statistics {
     /// Samples that a newer one overtook before the timer ran a tick.
     #[serde(with = "postcard::fixint::le")]
     pub overtaken: u32,
-    /// Timer ticks without a fresh sample.
+    /// Ticks without a sample: of the timer, and those made up for when samples were lost.
     #[serde(with = "postcard::fixint::le")]
     pub stale_ticks: u32,
     /// Ticks that missed their deadline, and receive overruns of the line.
@@ -42,7 +42,7 @@ pub struct Statistics {
     /// Replies that found no room.
     #[serde(with = "postcard::fixint::le")]
     pub replies_lost: u32,
-    /// Ticks run.
+    /// Ticks run, with a sample or without.
     #[serde(with = "postcard::fixint::le")]
     pub ticks: u32,
     /// Learnt sets that came late.
@@ -59,7 +59,7 @@ pub struct Statistics {
     pub receive_cost: Cost,
     /// Hottest motor reported in the last round of samples, °C; -128 where not known.
     pub hottest_c: i8,
-    /// Time from the end of a frame to its answer being queued, in counts of the board's counter.
+    /// Time from the end of a frame to its answer being queued, or kept until its lesson is learnt, in counts of the board's counter.
     pub reply_latency: Cost,
     /// Samples of which a part was not plausible.
     #[serde(with = "postcard::fixint::le")]

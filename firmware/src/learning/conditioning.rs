@@ -18,7 +18,7 @@ const RIPPLE_END: f32 = 33.2;
 
 /// Longest gap that is bridged, ticks. A straight line misses a quadratic by `qdd ((BRIDGED + 1) T)² / 8` at most: 30 µrad at
 /// 10 rad/s² and 1 kHz, less than the steps of most encoders.
-const BRIDGED: usize = 4;
+pub const BRIDGED: usize = 4;
 
 /// Torque samples that are averaged around the middle of the window. One joint's row is learnt in a tick, so its next row is
 /// six ticks away in an arm of six joints: a mean of five samples has news of five ticks for the price of one row. Over

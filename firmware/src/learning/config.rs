@@ -56,9 +56,10 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
-    /// numbers of its own: every link's mass, inertia and rotor are uncertain by 20 % of what the description says, its centre of
-    /// mass by 5 % of its distance and 3 mm along each axis; viscous friction by 10 % of the limit at full speed, Coulomb friction by 3 % of the
-    /// limit, each Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
+    /// numbers of its own: every link's mass, inertia and rotor are uncertain by 20 % of what the description says, its
+    /// centre of mass by 5 % of its distance and 3 mm along each axis; viscous friction by 10 % of the limit at full speed,
+    /// Coulomb friction by 3 % of the limit, its bend by 0.8 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each;
+    /// cogging of a joint that has none stays 0.
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -131,8 +132,8 @@ const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [Fric
         let limits = A::LIMITS[joint];
         sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
         sigma[joint].coulomb = 0.03 * limits.torque;
-        sigma[joint].stribeck_narrow = 0.01 * limits.torque;
-        sigma[joint].stribeck_wide = 0.01 * limits.torque;
+        sigma[joint].stribeck = 0.01 * limits.torque;
+        sigma[joint].bend = 0.008 * limits.torque;
         sigma[joint].offset = 0.005 * limits.torque;
         if A::COGGING_CYCLES[joint] > 0.0 {
             sigma[joint].cogging_sin = 0.005 * limits.torque;

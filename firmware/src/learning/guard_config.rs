@@ -30,7 +30,7 @@ pub struct GuardConfig {
     pub time_out_slices: u32,
     /// Slices for which a payload is weighed on after it was believed.
     pub weighing_slices: u32,
-    /// Rows after which an estimate may be followed, if it has proved itself on them.
+    /// Rows after which an estimate may be followed, if it has proved itself on them: a fifth of a second.
     pub proof_rows: u32,
     /// Significance of a proof, in standard deviations.
     pub proof_sigmas: f32,
@@ -47,6 +47,11 @@ const GRAVITY: f32 = 9.81;
 /// Share of the torque limit that the weight of the rated payload takes at full stretch. Descriptions do not know the
 /// rated payload; a third gives 5.0 kg for the UR5 (data sheet: 5 kg) and 3.3 kg for the Panda (3 kg).
 const RATED_SHARE: f32 = 1.0 / 3.0;
+/// Time on which an estimate has to prove itself at least, s: what is left of a real torque stays for tenths of a second, so
+/// that it is time that proves, not rows.
+const PROOF_S: f32 = 0.2;
+/// Rows on which it has to do so at least, on a slow board.
+const LEAST_PROOF: u32 = 100;
 /// Distance from the origin of the last link within which a payload's centre of mass lies, m.
 const PAYLOAD_REACH: f32 = 0.25;
 
@@ -113,6 +118,7 @@ impl GuardConfig {
         let slice_ticks = (0.01 * inv_period + 0.5) as u32;
         // Each joint of a slice is worked on in a tick of its own.
         let shortest = N as u32 + 1;
+        let proof = (PROOF_S * inv_period + 0.5) as u32;
         Self {
             slice_ticks: if slice_ticks > shortest {
                 slice_ticks
@@ -134,7 +140,11 @@ impl GuardConfig {
             evidence_slices: 5,
             time_out_slices: 300,
             weighing_slices: 1000,
-            proof_rows: 300,
+            proof_rows: if proof > LEAST_PROOF {
+                proof
+            } else {
+                LEAST_PROOF
+            },
             proof_sigmas: 3.0,
             commit_rows: 8000,
             gain_error: 0.08,

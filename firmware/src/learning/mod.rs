@@ -27,7 +27,7 @@ mod trainer;
 mod trial;
 mod ud;
 
-pub use conditioning::{Conditioned, DELAY, MeasurementWindow, TAPS, ripple_share};
+pub use conditioning::{BRIDGED, Conditioned, DELAY, MeasurementWindow, TAPS, ripple_share};
 pub use config::{ConfigError, LearnerConfig};
 pub use decision::{DECISIONS, Decision, DecisionLog, Reason};
 pub use detector::DetectorConfig;

@@ -30,6 +30,12 @@ pub trait Transport {
     /// Errors: the link is gone; a board that died says so in the error's text.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
 
+    /// The host keeps the board's time at the other end: a sample a period, whatever the board is doing. Elsewhere the next
+    /// sample comes when the one before is answered, and the answer waits until its lesson is learnt.
+    fn keeps_time(&self) -> bool {
+        false
+    }
+
     /// Waits at most `timeout` for bytes and puts what there is into `room`. 0 = nothing came.
     ///
     /// Errors: the link is gone; a board that died says so in the error's text.

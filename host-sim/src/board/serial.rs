@@ -78,6 +78,10 @@ impl Transport for Serial {
         format!("serial:{}", self.path)
     }
 
+    fn keeps_time(&self) -> bool {
+        true
+    }
+
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         if self.port.timeout() != PATIENCE {
             self.port.set_timeout(PATIENCE)?;

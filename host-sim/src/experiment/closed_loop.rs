@@ -110,7 +110,11 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
     ) -> Result<TickRecord<N>, BoardError> {
         let mut excited = None;
         let mut record = self.tick_with(plant, |sample| {
-            let (Some(board), Some(sample)) = (board, sample) else {
+            let Some(board) = board else {
+                return Ok(None);
+            };
+            let Some(sample) = sample else {
+                board.skip_period();
                 return Ok(None);
             };
             let reply = board.sample(sample)?;

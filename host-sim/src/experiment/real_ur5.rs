@@ -158,7 +158,8 @@ pub fn run(
     Ok((report, page))
 }
 
-fn geometric_mean<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
+/// Geometric mean; 1 of nothing, as of ratios that all say "the same".
+pub(super) fn geometric_mean<'a>(values: impl IntoIterator<Item = &'a f64>) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for value in values {
         sum += value.ln();

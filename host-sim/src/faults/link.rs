@@ -51,7 +51,7 @@ impl Host {
 
     /// What there is to say in the next tick.
     fn frames(&mut self) -> Vec<Frame> {
-        let mut messages = vec![HostMessage::Sample(SampleFrame::new(&self.sample()))];
+        let mut messages = vec![self.message(&self.sample())];
         if self.tick.is_multiple_of(ARM_EVERY) {
             match self.rig.state {
                 SafetyState::Fault => messages.push(HostMessage::ClearFault),
@@ -64,6 +64,12 @@ impl Host {
             .iter()
             .map(|message| self.rig.frame(message))
             .collect()
+    }
+
+    /// A sample of this tick. Its answer waits for the lesson, which the reference has learnt before its next frame.
+    fn message(&self, sample: &JointSample<JOINTS>) -> HostMessage<JOINTS> {
+        let frame = SampleFrame::new(sample).in_period(self.tick as u8);
+        HostMessage::Sample(frame.answered_after_lesson())
     }
 
     pub(super) fn sample(&self) -> JointSample<JOINTS> {
@@ -105,7 +111,7 @@ impl Host {
     pub(super) fn rest(&mut self) -> Result<(), BoardError> {
         self.rig.ask(&HostMessage::Disarm)?;
         while matches!(self.rig.state, SafetyState::Armed | SafetyState::RampDown) {
-            let sample = HostMessage::Sample(SampleFrame::new(&self.sample()));
+            let sample = self.message(&self.sample());
             self.rig.ask(&sample)?;
         }
         Ok(())
@@ -163,7 +169,7 @@ pub fn strange_numbers(
             let message = if random.random() {
                 let mut sample = host.sample();
                 spoil(&mut sample, &mut random);
-                HostMessage::Sample(SampleFrame::new(&sample))
+                host.message(&sample)
             } else {
                 let mut motion = MotionFrame::from(&host.sample().desired);
                 let rows = [&mut motion.q, &mut motion.qd, &mut motion.qdd];
@@ -278,7 +284,7 @@ mod tests {
         // A sample of which the reference never hears moves the slew of the board alone.
         let mut sample = host.sample();
         sample.desired.qdd = JointVector::repeat(5.0);
-        let message = HostMessage::Sample(SampleFrame::new(&sample));
+        let message = host.message(&sample);
         let frame = host.rig.vain_frame(&message);
         host.rig.send(&frame.bytes).unwrap();
         host.work().unwrap();

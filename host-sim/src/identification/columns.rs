@@ -9,8 +9,10 @@ use std::str::FromStr;
 /// Speed at which the smoothed sign of the Coulomb column has reached 76 %, rad/s: the same as on the board, so that a
 /// parameter means the same here and there.
 pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
-/// Widths of the Stribeck pair, rad/s. Two fixed bells span the narrow range of widths drives have, and stay linear.
-const STRIBECK_WIDTHS_RAD_S: [f64; 2] = [0.07, 0.14];
+/// Width of the Stribeck peak, rad/s, as on the board.
+const STRIBECK_RAD_S: f64 = 0.09;
+/// Speed at which the bend of friction has gone to a half, rad/s, as on the board.
+const BEND_RAD_S: f64 = 0.6;
 
 /// One friction term of a joint, linear in its parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,10 +23,10 @@ pub enum FrictionColumn {
     Coulomb,
     /// `1`
     Offset,
-    /// `tanh(qd / SIGN_WIDTH) exp(−(qd / w)²)` with w = 0.07 rad/s
-    StribeckNarrow,
-    /// The same with w = 0.14 rad/s
-    StribeckWide,
+    /// `tanh(qd / SIGN_WIDTH) exp(−(qd / w)²)` with w = 0.09 rad/s
+    Stribeck,
+    /// `tanh(qd / SIGN_WIDTH) / (1 + (qd / w)²)` with w = 0.6 rad/s: friction of lubricated drives bends
+    Bend,
     /// `tanh(qd / SIGN_WIDTH) sqrt|qd|`
     Root,
     /// `qd³`
@@ -43,7 +45,7 @@ impl FrictionColumn {
     /// The board has this column.
     pub(super) fn on_board(self) -> bool {
         match self {
-            Self::Viscous | Self::Coulomb | Self::StribeckNarrow | Self::StribeckWide => true,
+            Self::Viscous | Self::Coulomb | Self::Stribeck | Self::Bend => true,
             Self::Offset | Self::CoggingSine | Self::CoggingCosine => true,
             Self::Root | Self::Cubic | Self::Load | Self::WarmUp => false,
         }
@@ -55,8 +57,8 @@ impl FrictionColumn {
             Self::Viscous => ("Fv", "N·m·s/rad"),
             Self::Coulomb => ("Fc", "N·m"),
             Self::Offset => ("Fo", "N·m"),
-            Self::StribeckNarrow => ("Fsn", "N·m"),
-            Self::StribeckWide => ("Fsw", "N·m"),
+            Self::Stribeck => ("Fs", "N·m"),
+            Self::Bend => ("Fb", "N·m"),
             Self::Root => ("Fr", "N·m·(s/rad)^0.5"),
             Self::Cubic => ("F3", "N·m·(s/rad)^3"),
             Self::Load => ("Fl", "1"),
@@ -80,7 +82,7 @@ const WORDS: [(&str, &[FrictionColumn]); 8] = [
     ("offset", &[FrictionColumn::Offset]),
     (
         "stribeck",
-        &[FrictionColumn::StribeckNarrow, FrictionColumn::StribeckWide],
+        &[FrictionColumn::Stribeck, FrictionColumn::Bend],
     ),
     ("sqrt", &[FrictionColumn::Root]),
     ("cubic", &[FrictionColumn::Cubic]),
@@ -268,9 +270,9 @@ impl<const N: usize> Layout<N> {
             .collect()
     }
 
-    /// Widths of the two Stribeck bells, rad/s.
-    pub(super) fn stribeck_widths(&self) -> [f64; 2] {
-        STRIBECK_WIDTHS_RAD_S
+    /// Widths of the bells `exp(−(qd / w)²)` that have height and area of the Stribeck peak and of the bend, rad/s.
+    pub(super) fn bell_widths(&self) -> [f64; 2] {
+        [STRIBECK_RAD_S, BEND_RAD_S * std::f64::consts::PI.sqrt()]
     }
 
     /// `[sin(z q), cos(z q)]` of every joint, z its cogging cycles a turn; zero where the description gives none.
@@ -313,13 +315,12 @@ impl<const N: usize> Layout<N> {
                     .map(|&place| scratch[(joint, self.standard[place])]),
             );
             let sign = (qd / SIGN_WIDTH_RAD_S).tanh();
-            let bell = |width: f64| (-(qd / width).powi(2)).exp();
             table.extend(self.set.columns().iter().map(|column| match column {
                 FrictionColumn::Viscous => qd,
                 FrictionColumn::Coulomb => sign,
                 FrictionColumn::Offset => 1.0,
-                FrictionColumn::StribeckNarrow => sign * bell(STRIBECK_WIDTHS_RAD_S[0]),
-                FrictionColumn::StribeckWide => sign * bell(STRIBECK_WIDTHS_RAD_S[1]),
+                FrictionColumn::Stribeck => sign * (-(qd / STRIBECK_RAD_S).powi(2)).exp(),
+                FrictionColumn::Bend => sign / (1.0 + (qd / BEND_RAD_S).powi(2)),
                 FrictionColumn::Root => sign * qd.abs().sqrt(),
                 FrictionColumn::Cubic => qd.powi(3),
                 FrictionColumn::Load => sign * rigid.as_ref().map_or(0.0, |tau| tau[joint].abs()),

@@ -309,11 +309,8 @@ fn described<const N: usize>(robot: &Robot, layout: &Layout<N>, z: &DVector<f64>
         friction.viscous = of(FrictionColumn::Viscous);
         friction.coulomb = of(FrictionColumn::Coulomb);
         friction.stribeck_ratio = 0.0;
-        let [narrow, wide] = layout.stribeck_widths();
-        let peaks = (
-            of(FrictionColumn::StribeckNarrow),
-            of(FrictionColumn::StribeckWide),
-        );
+        let [narrow, wide] = layout.bell_widths();
+        let peaks = (of(FrictionColumn::Stribeck), of(FrictionColumn::Bend));
         let (height, area) = (peaks.0 + peaks.1, narrow * peaks.0 + wide * peaks.1);
         // One bell of the same height and area; a description cannot hold two, nor a dip.
         if height > 0.0 && area > 0.0 && friction.coulomb > 0.0 {

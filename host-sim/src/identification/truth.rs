@@ -21,7 +21,7 @@ pub(super) fn truths<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<O
                 FrictionColumn::Coulomb if simple => Some(friction.coulomb),
                 FrictionColumn::CoggingSine => Some(friction.cogging),
                 FrictionColumn::Viscous | FrictionColumn::Coulomb => None,
-                FrictionColumn::StribeckNarrow | FrictionColumn::StribeckWide if !simple => None,
+                FrictionColumn::Stribeck | FrictionColumn::Bend if !simple => None,
                 _ => Some(0.0),
             }
         }));

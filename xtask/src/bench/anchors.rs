@@ -47,6 +47,7 @@ const ANCHORS: &[Anchor] = &[
     // A tenth of 1 ms at 168 MHz.
     alone("feedforward_step, est. cycles", 16_800),
     alone("flash, bytes", 128 << 10),
+    alone("flash of joint-drive, bytes", 128 << 10),
     alone("static RAM, bytes", 64 << 10),
     alone("stack of the tick, bytes", 8 << 10),
 ];

@@ -38,6 +38,11 @@ use crate::toolchain::{PROFILE, TARGET, Toolchain};
 const COUNTED: u32 = 96;
 const TRACED: u32 = 13;
 
+/// The firmware that drives its joint: a motor stage and an encoder more than `joint`.
+const DRIVE: &str = "joint-drive";
+/// Flash that no firmware may exceed: what was wanted of `joint`, an eighth of the chip's.
+const FLASH_BYTES: u64 = 128 * 1024;
+
 /// Where the figures go, from the workspace's root.
 const OUT: &str = "target/foretorque/bench.json";
 
@@ -77,15 +82,16 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
         tools
             .board
             .board_cargo("build")
-            .args(["--bin", "bench", "--bin", "joint"]),
+            .args(["--bin", "bench", "--bin", "joint", "--bin", DRIVE]),
     )?;
     let toolchain = version(tools.board)?;
     let (rows, spread) = measure()?;
     let joint = Image::read(&elf("joint"))?;
     let seen = gates::check(&joint)?;
     let memory = Memory::of(&joint)?;
+    let drive = firmware(DRIVE)?;
 
-    let measured = quantities(&rows, &spread, &memory);
+    let measured = quantities(&rows, &spread, &memory, &drive);
     let committed = Budget::read();
     let budget = if accept {
         let before = committed.unwrap_or_default();
@@ -96,6 +102,10 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
         committed?
     };
     println!("\n{}", report::table(&rows, &memory, &budget));
+    println!(
+        "{DRIVE}: {} B flash, {} B static RAM; worst stack of the tick {} B\n",
+        drive.flash_bytes, drive.ram_bytes, drive.stack_bytes
+    );
     println!("{}", rooms::table(&joint));
     println!("{}\n", report::spread(&spread));
     println!("executed instructions by kind");
@@ -134,10 +144,13 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
 /// The gates on the linked firmware, which must have been built: what its handlers reach, and that its RAM suffices. On the
 /// board that drives its joint, too, whose tick does more.
 pub(crate) fn check_firmware() -> Result<()> {
-    ["joint", "joint-drive"].into_iter().try_for_each(check)
+    ["joint", DRIVE]
+        .into_iter()
+        .try_for_each(|name| firmware(name).map(|_| ()))
 }
 
-fn check(name: &str) -> Result<()> {
+/// What one firmware takes, after its gates.
+fn firmware(name: &str) -> Result<Memory> {
     let image = Image::read(&elf(name)).with_context(|| format!("cannot read `{name}`"))?;
     let seen = gates::check(&image).with_context(|| format!("in `{name}`"))?;
     let memory = Memory::of(&image).with_context(|| format!("in `{name}`"))?;
@@ -146,7 +159,7 @@ fn check(name: &str) -> Result<()> {
          the tick's by {} B",
         memory.nested_bytes, memory.stack_bytes
     );
-    Ok(())
+    Ok(memory)
 }
 
 fn elf(name: &str) -> PathBuf {
@@ -231,7 +244,7 @@ fn row(image: &Image, counts: &Counts, calls: &[Call], bracket: u32) -> Result<R
 }
 
 /// Everything that has a budget.
-fn quantities(rows: &[Row], spread: &Spread, memory: &Memory) -> Vec<Measured> {
+fn quantities(rows: &[Row], spread: &Spread, memory: &Memory, drive: &Memory) -> Vec<Measured> {
     let mut measured = Vec::new();
     let mut add = |quantity: String, value: u64, how| {
         measured.push(Measured {
@@ -269,6 +282,22 @@ fn quantities(rows: &[Row], spread: &Spread, memory: &Memory) -> Vec<Measured> {
     ] {
         add(format!("{name}, bytes"), u64::from(bytes), how);
     }
+    add(
+        format!("static RAM of {DRIVE}, bytes"),
+        u64::from(drive.ram_bytes),
+        "sections of `joint-drive`",
+    );
+    add(
+        format!("stack of the tick of {DRIVE}, bytes"),
+        u64::from(drive.stack_bytes),
+        "bound from the code of `joint-drive`, exception frame included",
+    );
+    measured.push(Measured {
+        quantity: format!("flash of {DRIVE}, bytes"),
+        value: u64::from(drive.flash_bytes),
+        how: "sections of `joint-drive`",
+        allowed: Some(FLASH_BYTES),
+    });
     measured.push(Measured {
         quantity: spread.quantity(),
         value: spread.permille(),

@@ -65,8 +65,8 @@ impl Stage {
             *friction = FrictionParameters {
                 viscous: 0.05 * limits.torque,
                 coulomb: 0.05 * limits.torque,
-                stribeck_narrow: 0.01 * limits.torque,
-                stribeck_wide: 0.01 * limits.torque,
+                stribeck: 0.01 * limits.torque,
+                bend: 0.01 * limits.torque,
                 offset: 0.001 * limits.torque,
                 cogging_sin: 0.003 * limits.torque,
                 cogging_cos: 0.001 * limits.torque,

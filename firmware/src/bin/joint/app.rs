@@ -8,6 +8,9 @@
 //! | 2 | `learn`: one lesson a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
 //! | 0 | `idle`: log, store, watchdog | every interrupt | the watchdog's time |
 //!
+//! The answer of a tick whose sample asks for it is kept until `learn` is done with its lesson and wakes `tick` once more: a
+//! host that keeps no time cannot be too fast for the learner then.
+//!
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
@@ -258,14 +261,18 @@ mod app {
                 if session.reboot_wanted() {
                     fault::leave(Reason::Asked, 0);
                 }
+                // An answer that waits for the learner is sent when that has woken this task again.
+                let waits = desk.holds_answer();
                 if !out.is_empty() {
-                    if !link::send(waiting, out.as_bytes()) {
+                    if !waits && !link::send(waiting, out.as_bytes()) {
                         session.note_reply_lost();
                     } else if count > 0 {
                         latency.note(link::since_frame());
                     }
                 }
-                out.clear();
+                if !waits {
+                    out.clear();
+                }
                 if count == 0 {
                     break;
                 }
@@ -298,6 +305,9 @@ mod app {
             learner.study(&lesson);
             let cost = counter::now().wrapping_sub(start);
             cx.shared.desk.lock(|desk| desk.finish(learner, cost));
+        }
+        if cx.shared.desk.lock(|desk| desk.release_answer()) {
+            rtic::pend(Interrupt::EXTI1);
         }
         ROLL.present(Task::Learner);
     }

@@ -32,9 +32,9 @@ pub enum ColumnKind {
     Fv,
     /// Coulomb friction, N·m.
     Fc,
-    /// Narrow Stribeck peak, N·m.
+    /// Stribeck peak of 0.07 rad/s, N·m; no board has it any more.
     Fsn,
-    /// Wide Stribeck peak, N·m.
+    /// Stribeck peak of 0.14 rad/s, N·m; no board has it any more.
     Fsw,
     /// Constant torque of the drive, N·m.
     Fo,
@@ -42,6 +42,10 @@ pub enum ColumnKind {
     Gs,
     /// Cogging in phase with the cosine, N·m.
     Gc,
+    /// Stribeck peak, N·m.
+    Fs,
+    /// Bend of friction at low speed, N·m.
+    Fb,
 }
 
 impl ColumnKind {
@@ -63,8 +67,8 @@ impl ColumnKind {
     pub(super) const FRICTION: [Self; FRICTION_COLUMNS] = [
         Self::Fv,
         Self::Fc,
-        Self::Fsn,
-        Self::Fsw,
+        Self::Fs,
+        Self::Fb,
         Self::Fo,
         Self::Gs,
         Self::Gc,
@@ -90,6 +94,8 @@ impl ColumnKind {
             Self::Fo => "Fo",
             Self::Gs => "Gs",
             Self::Gc => "Gc",
+            Self::Fs => "Fs",
+            Self::Fb => "Fb",
         }
     }
 }

@@ -40,7 +40,7 @@ fn columns_are_named_link_by_link_then_rotors_then_friction() {
     assert_eq!(
         names[36..48],
         [
-            "Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fsn1", "Fsw1", "Fo1", "Gs1", "Gc1", "Fv2"
+            "Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fs1", "Fb1", "Fo1", "Gs1", "Gc1", "Fv2"
         ]
     );
 }
@@ -70,8 +70,8 @@ fn every_set_survives_the_bank_in_any_order_of_columns() {
     for (j, friction) in set.friction.iter_mut().enumerate() {
         friction.viscous = 1.0 + j as f32;
         friction.coulomb = 10.0 + j as f32;
-        friction.stribeck_narrow = 20.0 + j as f32;
-        friction.stribeck_wide = -30.0 - j as f32;
+        friction.stribeck = 20.0 + j as f32;
+        friction.bend = -30.0 - j as f32;
         friction.offset = 0.25 * j as f32;
         friction.cogging_sin = 0.5 + j as f32;
         friction.cogging_cos = -0.5 * j as f32;

@@ -1,6 +1,7 @@
 //! What a host can ask of a board besides torque. A command that fails has changed nothing.
 
 use super::link::LinkState;
+use super::periods::Periods;
 use super::{Clock, Session, seconds};
 use crate::arm::Arm;
 use crate::edge::bank::{BankError, NETWORK_SEED};
@@ -79,6 +80,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
         self.stream.end();
         self.newest = None;
+        self.periods = Periods::new();
         desk.restart(period_s, set);
         Ok(())
     }

@@ -22,11 +22,14 @@ struct Restart<const N: usize, const P: usize> {
 ///     learner.study(&lesson);                               // the tick may run in the middle of it
 ///     lock(|desk| desk.finish(&mut learner, cost));
 /// }
+/// if lock(|desk| desk.release_answer()) { … }               // wake who sends
 /// ```
 pub struct Desk<const N: usize, const P: usize> {
     lessons: Queue<Lesson<N>, 16>,
     pub(super) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
+    /// The answer of a tick waits for its lesson.
+    held: bool,
     /// Orders for the store, which the housekeeping carries out.
     pub store: StoreDesk,
     pub(super) lessons_lost: u32,
@@ -40,6 +43,7 @@ impl<const N: usize, const P: usize> Desk<N, P> {
             lessons: Queue::new(),
             exchange: Exchange::new(),
             restart: None,
+            held: false,
             store: StoreDesk::new(),
             lessons_lost: 0,
             learn_cost: CostMeter::new(),
@@ -49,6 +53,21 @@ impl<const N: usize, const P: usize> Desk<N, P> {
     /// Lessons waiting.
     pub fn waiting(&self) -> usize {
         self.lessons.len()
+    }
+
+    /// The host wants its answer when everything is learnt: what lies in the reply buffer is to be sent once the learner has
+    /// called [`release_answer`](Self::release_answer), and not before.
+    pub fn holds_answer(&self) -> bool {
+        self.held
+    }
+
+    /// Called by the learner after every lesson it found. True when everything is learnt and an answer has waited for it.
+    pub fn release_answer(&mut self) -> bool {
+        self.lessons.is_empty() && core::mem::take(&mut self.held)
+    }
+
+    pub(super) fn hold_answer(&mut self) {
+        self.held = true;
     }
 
     /// The next lesson, and whatever the learner has to take over before it. Touches `learner` for one copy at most.
@@ -79,6 +98,7 @@ impl<const N: usize, const P: usize> Desk<N, P> {
             learner.study(&lesson);
             self.finish(learner, clock.now().wrapping_sub(start));
         }
+        self.release_answer();
     }
 
     pub(super) fn post(&mut self, lesson: Lesson<N>) {

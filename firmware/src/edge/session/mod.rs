@@ -6,6 +6,7 @@ mod counters;
 mod desk;
 mod link;
 mod own_joint;
+mod periods;
 mod receive;
 mod stored;
 mod stream;
@@ -32,6 +33,7 @@ use crate::joint::JointVector;
 use crate::learning::{ConfigError, ParameterSet};
 use core::mem::MaybeUninit;
 use link::LinkState;
+use periods::Periods;
 use stream::Stream;
 use transfer::Transfer;
 
@@ -121,6 +123,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     transfer: Transfer,
     /// The newest sample that no timer tick has used yet, with its sequence number.
     newest: Option<(u16, SampleFrame<N>)>,
+    periods: Periods,
     last_sequence: u16,
     temperatures_c: [i8; N],
     ticks: u32,
@@ -181,6 +184,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             incoming: ParameterBank::empty(),
             transfer: Transfer::new(),
             newest: None,
+            periods: Periods::new(),
             last_sequence: 0,
             temperatures_c: [SampleFrame::<N>::NO_TEMPERATURE; N],
             ticks: 0,

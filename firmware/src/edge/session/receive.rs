@@ -65,6 +65,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         let done = match message {
             HostMessage::Sample(sample) => return self.sample(sequence, sample, desk, out, own),
             HostMessage::Hello => {
+                self.periods.interrupt();
                 return self.answer(sequence, &BoardMessage::Hello(self.hello()), out);
             }
             HostMessage::Evaluate(motion) => {

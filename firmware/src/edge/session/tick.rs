@@ -5,8 +5,8 @@ use super::{Clock, Desk, HostMeasures, OwnJoint, Session};
 use crate::arm::Arm;
 use crate::edge::safety::SafetyReason;
 use crate::edge::wire::{
-    BoardMessage, ExcitedFrame, FrameBuffer, FullTorqueFrame, Pacing, ReplyMode, SampleFrame,
-    TorqueFrame,
+    BoardMessage, ExcitedFrame, FrameBuffer, FullTorqueFrame, Pacing, ReplyMode, SampleFlags,
+    SampleFrame, TorqueFrame,
 };
 use crate::joint::JointSample;
 
@@ -53,13 +53,33 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         }
         self.safety.note_temperature(joint, sample.temperature_c);
         match self.configuration.pacing {
-            Pacing::Link => self.tick(Some((sequence, sample)), desk, out, own),
+            Pacing::Link => {
+                let lost = self.periods.lost(sample.flags, self.link.missed);
+                self.make_up(lost, desk);
+                self.tick(Some((sequence, sample)), desk, out, own);
+            }
             Pacing::SysTick => {
                 if self.newest.replace((sequence, sample)).is_some() {
                     self.link.overtaken = self.link.overtaken.saturating_add(1);
                 }
             }
         }
+    }
+
+    /// Runs the ticks whose samples were lost, as a timer would have: for the learner they are ticks without a measurement.
+    /// The torque goes on from where it is; what silence does to it was the timer's business.
+    ///
+    /// Cost: one tick without a sample for each of the lost ones, [`MADE_UP`](super::MADE_UP) at most.
+    #[inline(never)]
+    fn make_up(&mut self, lost: u32, desk: &mut Desk<N, P>) {
+        for _ in 0..lost {
+            self.feed_forward.adopt(&mut desk.exchange);
+            self.feed_forward.step_stale();
+            desk.post(self.feed_forward.lesson(None));
+            self.ticks = self.ticks.wrapping_add(1);
+            self.link.stale_ticks = self.link.stale_ticks.saturating_add(1);
+        }
+        self.feed_forward.applied(self.safety.output());
     }
 
     /// One tick. Its deadline is the period.
@@ -77,6 +97,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         if let Some((sequence, _)) = sample {
             self.last_sequence = sequence;
         }
+        let patient =
+            sample.is_some_and(|(_, frame)| frame.flags.contains(SampleFlags::AFTER_LESSON));
         let mut heard: Option<JointSample<N>> = sample.map(|(_, frame)| frame.sample(&self.gains));
         let sensor = own.measure(heard.as_mut(), self.safety.at_rest());
         if sensor != SafetyReason::None
@@ -103,6 +125,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             self.feed_forward
                 .lesson(sample.and_then(|sample| sample.measured)),
         );
+        if patient {
+            desk.hold_answer();
+        }
         let status = self.safety.status();
         let reply = match (excited, self.configuration.reply) {
             (Some(desired), _) => {

@@ -17,10 +17,28 @@ impl SampleFlags {
     pub const MEASURED: Self = Self(1 << 0);
     /// The effort is motor current in A; the board multiplies by the drive gain of its bank.
     pub const CURRENT: Self = Self(1 << 1);
+    /// The answer shall wait until the lesson of this tick is learnt: for a host that keeps no time, whose next sample
+    /// would else come as soon as this one is answered, and before the learner is done.
+    pub const AFTER_LESSON: Self = Self(1 << 2);
+    /// The highest bits are the [`period`](Self::period).
+    const PERIOD_SHIFT: u32 = 3;
+    /// Periods are numbered modulo this.
+    pub const PERIODS: u8 = 1 << (u8::BITS - Self::PERIOD_SHIFT);
 
     /// Every flag of `other` is set.
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
+    }
+
+    /// Number of the host's period, modulo [`PERIODS`](Self::PERIODS); the same in every sample of a host that does not
+    /// count.
+    pub const fn period(self) -> u8 {
+        self.0 >> Self::PERIOD_SHIFT
+    }
+
+    /// These and the ones of `other`.
+    const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
     }
 }
 
@@ -76,8 +94,22 @@ impl<const N: usize> SampleFrame<N> {
 
     /// The same with motor currents, A, in the place of the measured torques.
     pub fn with_current(mut self, current: &JointVector<N>) -> Self {
-        self.flags = SampleFlags(self.flags.0 | SampleFlags::CURRENT.0);
+        self.flags = self.flags.with(SampleFlags::CURRENT);
         self.effort = encoded(current.as_slice(), Effort::encode);
+        self
+    }
+
+    /// The same as the sample of the host's period `number`, or of any that differs by a multiple of
+    /// [`SampleFlags::PERIODS`].
+    pub fn in_period(mut self, number: u8) -> Self {
+        let others = self.flags.0 & ((1 << SampleFlags::PERIOD_SHIFT) - 1);
+        self.flags = SampleFlags(others | number << SampleFlags::PERIOD_SHIFT);
+        self
+    }
+
+    /// The same for a host that wants the answer [after the lesson](SampleFlags::AFTER_LESSON).
+    pub fn answered_after_lesson(mut self) -> Self {
+        self.flags = self.flags.with(SampleFlags::AFTER_LESSON);
         self
     }
 

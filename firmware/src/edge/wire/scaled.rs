@@ -51,6 +51,8 @@ impl<const BITS: u32> I24<BITS> {
     pub const MAX: f32 = Self::MAX_CODE as f32 / Self::UNITS;
 
     /// The nearest value that can be sent. Saturates at ±[`MAX`](Self::MAX); NaN stays NaN.
+    // A board encodes while it plays an excitation and at no other time: once for each joint would be 1 kB of flash.
+    #[inline(never)]
     pub fn encode(x: f32) -> Self {
         let code = if x.is_nan() {
             Self::NAN_CODE
@@ -84,6 +86,7 @@ impl<const BITS: u32> I16<BITS> {
     pub const MAX: f32 = Self::MAX_CODE as f32 / Self::UNITS;
 
     /// The nearest value that can be sent. Saturates at ±[`MAX`](Self::MAX); NaN stays NaN.
+    #[inline(never)]
     pub fn encode(x: f32) -> Self {
         let code = if x.is_nan() {
             i16::MIN

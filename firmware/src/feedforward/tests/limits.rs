@@ -80,8 +80,8 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
         for friction in &mut start.friction {
             wild(&mut friction.viscous, &mut bits);
             wild(&mut friction.coulomb, &mut bits);
-            wild(&mut friction.stribeck_narrow, &mut bits);
-            wild(&mut friction.stribeck_wide, &mut bits);
+            wild(&mut friction.stribeck, &mut bits);
+            wild(&mut friction.bend, &mut bits);
             wild(&mut friction.offset, &mut bits);
             wild(&mut friction.cogging_sin, &mut bits);
             wild(&mut friction.cogging_cos, &mut bits);

@@ -178,7 +178,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             state.reopen_friction();
             let evidence = state.guard.evidence;
             let patience = match state.phase() {
-                Phase::Relearning => 10 * config.proof_rows,
+                Phase::Relearning => 15 * config.proof_rows,
                 _ => config.proof_rows,
             };
             let settled = evidence.rows() >= patience;

@@ -70,6 +70,10 @@ pub struct Client<const N: usize> {
     bytes: Vec<u8>,
     next: usize,
     timeout: Duration,
+    /// Number of the period of the next sample.
+    period: u8,
+    /// Answers come after the lesson.
+    patient: bool,
     count: LinkCount,
     hello: BoardHello,
     /// The board as its last reply told it.
@@ -103,6 +107,8 @@ impl<const N: usize> Client<N> {
         boot: Duration,
     ) -> Result<Self, BoardError> {
         let mut client = Self {
+            period: 0,
+            patient: !transport.keeps_time(),
             transport,
             decoder: Decoder::new(),
             request: FrameBuffer::new(),
@@ -140,6 +146,17 @@ impl<const N: usize> Client<N> {
     /// How long an answer is waited for.
     pub fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;
+    }
+
+    /// Whether the torque of a sample is answered only when its lesson is learnt, so that what the board learns does not depend
+    /// on when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
+    pub fn wait_for_lessons(&mut self, patient: bool) {
+        self.patient = patient;
+    }
+
+    /// Lets a period go by without a sample: the board hears of it with the next one.
+    pub fn skip_period(&mut self) {
+        self.period = self.period.wrapping_add(1);
     }
 
     /// Who the board said it is.

@@ -22,9 +22,14 @@ impl<const N: usize> Client<N> {
         self.sample_frame(&SampleFrame::new(sample))
     }
 
-    /// [`sample`](Self::sample) for a frame made elsewhere: with currents, or temperatures.
+    /// [`sample`](Self::sample) for a frame made elsewhere: with currents, or temperatures. Its period is numbered here.
     pub fn sample_frame(&mut self, frame: &SampleFrame<N>) -> Result<TickReply<N>, BoardError> {
-        let sequence = self.post(&HostMessage::Sample(*frame))?;
+        let mut frame = frame.in_period(self.period);
+        if self.patient {
+            frame = frame.answered_after_lesson();
+        }
+        self.skip_period();
+        let sequence = self.post(&HostMessage::Sample(frame))?;
         let reply = self.wait_for(sequence, self.timeout)?;
         let reply = match reply {
             BoardMessage::Torque(reply) => Ok(TickReply {
@@ -59,7 +64,7 @@ impl<const N: usize> Client<N> {
         self.safety = reply.safety;
         self.presented = Some(SampleFrame {
             flags: SampleFlags::default(),
-            ..*frame
+            ..frame
         });
         Ok(reply)
     }

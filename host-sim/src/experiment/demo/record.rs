@@ -162,9 +162,10 @@ pub struct UsartFigures {
     pub grid_points: usize,
     /// Ticks whose reply has the very bits of the long run's.
     pub ticks_with_equal_bits: usize,
-    /// Instructions of a tick. Those of learning are left out: its task is interrupted by bytes that arrive when the
-    /// host gets round to it, so their count is not the same in every run.
+    /// Instructions of a tick.
     pub tick_instructions: TickInstructions,
+    /// Instructions of learning from one tick.
+    pub learning_instructions: TickInstructions,
     /// Frames of its link.
     pub link: LinkFigures,
 }

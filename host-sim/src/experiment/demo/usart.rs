@@ -47,6 +47,7 @@ pub(super) fn run<const N: usize>(
         grid_points: grid.len(),
         ticks_with_equal_bits: equal.count(),
         tick_instructions: statistics.tick_cost.into(),
+        learning_instructions: statistics.learn_cost.into(),
         link: LinkFigures::of(&[earlier, statistics]),
     })
 }

@@ -7,19 +7,20 @@ use foretorque::arm::ur5::Ur5;
 use foretorque::edge::bank::ParameterBank;
 use serde::Serialize;
 
-/// The scenarios that are replayed. None of them loses a sample: a board that the link paces has no tick without one.
-pub(super) const REPLAYED: [&str; 5] = [
+/// The scenarios that are replayed.
+pub(super) const REPLAYED: [&str; 6] = [
     "convergence-pd6",
     "payload-1kg-pd6",
     "outliers-pd6",
     "glitches-pd6",
+    "lost-and-late-pd6",
     "not-a-number-pd6",
 ];
 
 /// How far native run and board agree.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EmulatedReport {
-    /// Ticks replayed.
+    /// Ticks replayed, those not counted in which no sample arrived: a board that the link paces answers none.
     pub ticks_count: usize,
     /// Ticks in which a torque had other bits.
     pub ticks_with_other_bits_count: usize,
@@ -42,7 +43,10 @@ pub(super) fn replay(
     }
     let (mut ticks, mut other) = (0, 0);
     for (sample, torque) in &native.tape {
-        let Some(sample) = sample else { break };
+        let Some(sample) = sample else {
+            board.skip_period();
+            continue;
+        };
         let reply = board.sample(sample)?;
         let bits = <[f32; N]>::from(reply.total).map(f32::to_bits);
         ticks += 1;

@@ -57,8 +57,8 @@ impl Start {
         let mut config = Controller::config();
         if self == Self::PlainFriction {
             for sigma in &mut config.friction_sigma {
-                sigma.stribeck_narrow *= UNUSED;
-                sigma.stribeck_wide *= UNUSED;
+                sigma.stribeck *= UNUSED;
+                sigma.bend *= UNUSED;
             }
         }
         config

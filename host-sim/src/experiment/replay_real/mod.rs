@@ -4,7 +4,7 @@ mod logs;
 mod page;
 mod scores;
 
-use super::real_ur5::PATHS;
+use super::real_ur5::{PATHS, geometric_mean};
 use crate::experiment::closed_loop::motion_f32;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
@@ -14,7 +14,7 @@ use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector}
 use foretorque::learning::{Exchange, Learner, LearnerConfig};
 use foretorque::limits::Flags;
 use logs::Stretch;
-use scores::{Scores, geometric_mean};
+use scores::Scores;
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::error::Error;

@@ -2,6 +2,7 @@
 
 use super::logs::{Row, Stretch};
 use super::{GATE_RAD_S, N, PathScores, Said};
+use crate::experiment::real_ur5::geometric_mean;
 
 /// Squared errors of one kind of prediction.
 #[derive(Clone, Copy, Debug, Default)]
@@ -103,11 +104,6 @@ pub(super) fn motion_until_close(
             }
         }
         let ratios: Vec<f64> = own.over(&rich).into_iter().flatten().collect();
-        geometric_mean(&ratios) <= close
+        !ratios.is_empty() && geometric_mean(&ratios) <= close
     })
-}
-
-pub(super) fn geometric_mean(ratios: &[f64]) -> f64 {
-    let logarithms: f64 = ratios.iter().map(|ratio| ratio.ln()).sum();
-    (logarithms / ratios.len() as f64).exp()
 }

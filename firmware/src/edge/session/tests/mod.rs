@@ -2,6 +2,7 @@
 
 mod arming;
 mod banks;
+mod gaps;
 mod keys;
 mod line;
 mod stored;

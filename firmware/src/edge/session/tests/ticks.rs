@@ -116,3 +116,36 @@ fn a_sample_that_is_not_a_number_gives_a_finite_torque() {
     assert!(torque.total.iter().all(|tau| tau.is_finite()));
     assert!(Flags(torque.flags).contains(Flags::NOT_FINITE));
 }
+
+#[test]
+fn an_answer_that_is_to_wait_is_held_until_everything_is_learnt() {
+    let mut board = Board::new();
+    board.ask(HostMessage::Learning { on: true });
+    board.ask(sample_message(0));
+    assert!(!board.desk.holds_answer(), "nobody asked for it");
+    let patient = SampleFrame::new(&sample(1)).answered_after_lesson();
+    board.ask(HostMessage::Sample(patient));
+    assert!(board.desk.holds_answer());
+    // Two lessons wait. The learner is interrupted in the first one.
+    let first = board.desk.begin(&mut board.learner).unwrap();
+    board.ask(HostMessage::Statistics);
+    board.learner.study(&first);
+    board.desk.finish(&mut board.learner, 0);
+    assert!(!board.desk.release_answer() && board.desk.holds_answer());
+    let second = board.desk.begin(&mut board.learner).unwrap();
+    board.learner.study(&second);
+    board.desk.finish(&mut board.learner, 0);
+    assert!(board.desk.begin(&mut board.learner).is_none());
+    assert!(board.desk.release_answer() && !board.desk.holds_answer());
+    assert!(!board.desk.release_answer(), "it is sent once");
+}
+
+#[test]
+fn an_answer_that_waits_when_the_tick_starts_over_is_let_go() {
+    let mut board = Board::new();
+    let patient = SampleFrame::new(&sample(1)).answered_after_lesson();
+    board.ask(HostMessage::Sample(patient));
+    assert_eq!(board.ask(HostMessage::Reset), BoardMessage::Ack);
+    assert!(board.desk.begin(&mut board.learner).is_none());
+    assert!(board.desk.release_answer());
+}

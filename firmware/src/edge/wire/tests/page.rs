@@ -1,0 +1,92 @@
+//! The protocol page against the types.
+
+use super::sizes::sizes;
+use super::*;
+
+/// The line of the protocol page that begins with these cells.
+fn row<'a>(page: &'a str, cells: &str) -> &'a str {
+    let row = page.lines().find(|line| line.starts_with(cells));
+    row.unwrap_or_else(|| panic!("docs/protocol.md has no row `{cells}`"))
+}
+
+#[test]
+fn the_protocol_page_states_the_sizes_of_the_types() {
+    let page = include_str!("../../../../../docs/protocol.md");
+    let directions = ["→", "←"].into_iter().zip(sizes::<6>()).zip(sizes::<7>());
+    for ((direction, six), seven) in directions {
+        for (tag, ((name, six), (_, seven))) in six.iter().zip(&seven).enumerate() {
+            let line = row(page, &std::format!("| {direction} | {tag} | `{name}` |"));
+            let ends = std::format!("| {six} | {seven} |");
+            assert!(
+                line.ends_with(&ends),
+                "{line}\nends with {ends} in the types"
+            );
+        }
+    }
+    let permille = |bytes| size::headroom_permille(bytes, 1000, 2_000_000);
+    for (name, bytes) in [
+        ("request, 6 joints", size::sample(6)),
+        ("request, 7 joints", size::sample(7)),
+        ("reply, 6 joints", size::torque(6)),
+        ("reply, 7 joints", size::torque(7)),
+        ("full reply, 6 joints", size::full_torque(6)),
+        ("full reply, 7 joints", size::full_torque(7)),
+        ("reply with motion, 6 joints", size::excited(6)),
+        ("reply with motion, 7 joints", size::excited(7)),
+    ] {
+        let headroom = permille(bytes);
+        let wanted = std::format!(
+            "| {name} | {bytes} | {}.{} % |",
+            headroom / 10,
+            headroom % 10
+        );
+        assert_eq!(row(page, &std::format!("| {name} |")), wanted);
+    }
+    let heading = page.find("| receive interrupt |").unwrap();
+    for (name, joints) in [("request, 6 joints", 6), ("request, 7 joints", 7)] {
+        let share = size::receive_permille(size::sample(joints), 1000);
+        let wanted = std::format!(
+            "| {name} | ≤ {} | {} | {}.{} % |",
+            size::RECEIVE_INSTRUCTIONS,
+            size::RECEIVE_INSTRUCTIONS + size::RECEIVE_OVERHEAD,
+            share / 10,
+            share % 10
+        );
+        assert_eq!(row(&page[heading..], &std::format!("| {name} |")), wanted);
+    }
+    for (name, joints) in [("six", 6), ("seven", 7)] {
+        let bytes = size::sample(joints) + size::full_torque(joints);
+        let share = size::receive_permille(bytes, 1000);
+        let sums = std::format!(
+            "({} + {}) × {}",
+            size::sample(joints),
+            size::full_torque(joints),
+            size::RECEIVE_INSTRUCTIONS + size::RECEIVE_OVERHEAD
+        );
+        let told = std::format!("{}.{} %", share / 10, share % 10);
+        assert!(
+            page.contains(&sums) && page.contains(&told),
+            "{name}: {sums}, {told}"
+        );
+    }
+    let heading = page.find("| bit | field |").unwrap();
+    for field in Field::ALL {
+        let line = row(&page[heading..], &std::format!("| {} | ", field as u8));
+        let ends = std::format!("| {} |", field.bytes(6));
+        assert!(line.ends_with(&ends), "{line}: {ends}");
+    }
+    for (name, resolution, range) in [
+        ("position", Position::RESOLUTION, Position::MAX),
+        ("velocity", Velocity::RESOLUTION, Velocity::MAX),
+        ("acceleration", Acceleration::RESOLUTION, Acceleration::MAX),
+        ("effort", Effort::RESOLUTION, Effort::MAX),
+    ] {
+        let exponent = (1.0 / resolution).log2() as u32;
+        let wanted = std::format!("| {name} | 2^-{exponent} | ±{} |", range.round());
+        assert!(
+            row(page, &std::format!("| {name} |")).starts_with(&wanted),
+            "{wanted}"
+        );
+    }
+    assert!(page.contains(&std::format!("protocol version {PROTOCOL_VERSION}")));
+}
