@@ -89,6 +89,21 @@ pub fn arm_module(robot: &Robot) -> String {
         line(&format!("        {:?},", value as f32));
     }
     line("    ];");
+    line(&format!(
+        "    const LINKS: [[f32; {LINK_PARAMETERS}]; JOINTS] = ["
+    ));
+    for joint in &robot.joints {
+        let link = joint.link.standard_parameters();
+        // As of the placements: −0 is 0.
+        line(&format!(
+            "        {:?},",
+            link.map(|value| value as f32 + 0.0)
+        ));
+    }
+    line("    ];");
+    let rotors = robot.joints.iter().map(|joint| joint.drive.rotor_inertia);
+    let rotors: Vec<f32> = rotors.map(|inertia| inertia as f32).collect();
+    line(&format!("    const ROTORS: [f32; JOINTS] = {rotors:?};"));
     line("}");
     out
 }

@@ -85,4 +85,8 @@ pub trait Arm<const N: usize, const P: usize>: 'static {
     const COGGING_CYCLES: [f32; N] = [0.0; N];
     /// Base parameters of the description.
     const NOMINAL: [f32; P];
+    /// Standard parameters of each link of the description, in its own frame (eq. 14).
+    const LINKS: [[f32; LINK_PARAMETERS]; N];
+    /// Rotor inertias of the description, reflected to the link side, kg·m².
+    const ROTORS: [f32; N];
 }

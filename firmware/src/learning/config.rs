@@ -1,3 +1,4 @@
+use super::doubt::rigid_sigma;
 use super::guard_config::GuardConfig;
 use super::trainer::TrainerConfig;
 use crate::arm::Arm;
@@ -55,10 +56,10 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
-    /// numbers of its own: an inertial parameter of link `j` is uncertain by 20 % of its nominal value plus what 2 %
-    /// of the joint's torque limit would hold up against gravity (first moments) or accelerate at 10 rad/s²
-    /// (inertias); viscous friction by 10 % of the limit at full speed, Coulomb friction by 3 % of the
-    /// limit, its bend by 0.8 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each; cogging of a joint that has none stays 0.
+    /// numbers of its own: every link's mass, inertia and rotor are uncertain by 20 % of what the description says, its
+    /// centre of mass by 5 % of its distance and 3 mm along each axis; viscous friction by 10 % of the limit at full speed,
+    /// Coulomb friction by 3 % of the limit, its bend by 0.8 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each;
+    /// cogging of a joint that has none stays 0.
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -75,8 +76,9 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             outlier_sigmas: 3.0,
             process_noise: 1e-7,
             torque_step: 0.005,
-            rigid_sigma: rigid_sigma::<A, N, P>(),
-            friction_sigma: friction_sigma::<A, N, P>(),
+            // Tables: a board need not work them out.
+            rigid_sigma: const { rigid_sigma::<A, N, P>() },
+            friction_sigma: const { friction_sigma::<A, N, P>() },
             box_sigmas: 4.0,
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
@@ -121,49 +123,6 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         }
         self.guard.validate()
     }
-}
-
-/// Share of the torque limit that an unknown inertial parameter may account for.
-const INERTIAL_DOUBT: f32 = 0.01;
-/// Doubt in proportion to the nominal value.
-const RELATIVE_DOUBT: f32 = 0.2;
-/// Acceleration at which an unknown inertia shows, rad/s².
-const DOUBT_ACCELERATION: f32 = 10.0;
-/// Gravity for the scale of first moments, m/s². Only a scale: it does not follow the arm's mounting.
-const DOUBT_GRAVITY: f32 = 9.81;
-
-const fn rigid_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
-    let mut sigma = [0.0; P];
-    let mut column = 0;
-    // Columns of the links first, rotor inertias after them: the order of the base set.
-    let mut joint = 0;
-    while joint < N {
-        let doubt = INERTIAL_DOUBT * A::LIMITS[joint].torque;
-        let mut k = 0;
-        while k < A::COLUMNS[joint].inertial.len() {
-            if A::COLUMNS[joint].inertial[k] && column < P {
-                let scale = if k < 4 {
-                    DOUBT_GRAVITY
-                } else {
-                    DOUBT_ACCELERATION
-                };
-                sigma[column] = RELATIVE_DOUBT * A::NOMINAL[column].abs() + doubt / scale;
-                column += 1;
-            }
-            k += 1;
-        }
-        joint += 1;
-    }
-    let mut joint = 0;
-    while joint < N {
-        if A::COLUMNS[joint].rotor && column < P {
-            let doubt = INERTIAL_DOUBT * A::LIMITS[joint].torque;
-            sigma[column] = RELATIVE_DOUBT * A::NOMINAL[column].abs() + doubt / DOUBT_ACCELERATION;
-            column += 1;
-        }
-        joint += 1;
-    }
-    sigma
 }
 
 const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [FrictionParameters; N] {

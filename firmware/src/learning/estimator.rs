@@ -1,10 +1,11 @@
 use super::conditioning::{AVERAGED, Conditioned};
 use super::config::LearnerConfig;
+use super::doubt::{rigid_doubt, rigid_doubts, rigid_floor};
 use super::parameters::ParameterSet;
 use super::stacked::Stacked;
 use super::ud::{UdFilter, dot};
 use crate::arm::Arm;
-use crate::dynamics::{FrictionParameters, friction_row, regressor_row};
+use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters, friction_row, regressor_row};
 use crate::limits::cut;
 use crate::math::sqrt;
 
@@ -26,8 +27,13 @@ const NOTICED_ROWS: f32 = VARIANCE_GAIN / (VARIANCE_STEP - 1.0);
 /// Rows for which the first variance counts.
 const FIRST_ROWS: f32 = 4.0;
 
+/// Doubts about links that a tick takes into the covariance after a reset: all of them before the window is full.
+const DOUBTS_A_TICK: usize = 3;
+
 /// The first friction columns of a joint, those that change with temperature and wear, wander; offset and cogging do not.
 const WANDERING: usize = 4;
+/// The cogging columns come last.
+const COGGING: usize = FRICTION_COLUMNS - 2;
 
 /// The torque row of one joint: N·m for each unit of each linear parameter.
 #[inline(never)]
@@ -53,7 +59,8 @@ pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ_i ← θ_i + σ_i (Pφ)_i clip(z, ±k) / √S
 /// ```
 /// with σ the configured noise of the joint's torque and σ_i the prior standard deviation of a parameter, so that the
-/// filter starts from P = I. Nothing is forgotten; friction alone wanders (a random walk, up to the prior's doubt; one
+/// filter starts from the prior's correlations: friction from P = I, base parameters from what the doubts about single
+/// links make of them. Nothing is forgotten; friction alone wanders (a random walk, up to the prior's doubt; one
 /// column a row, in turn, with the noise of all). R is
 /// the variance the joint is found to have: half of the |z| lie beyond 0.6745 when it is right. Innovations beyond k
 /// standard deviations act as if they had k [Huber 1964].
@@ -66,6 +73,8 @@ pub struct Estimator<const N: usize, const P: usize> {
     noticed: [f32; N],
     /// The friction column of each joint that wanders with its next row.
     wandering: [usize; N],
+    /// Doubts about links that are in the covariance already.
+    doubted: usize,
 }
 
 /// What the estimate made of a row.
@@ -78,11 +87,30 @@ pub struct Correction {
 }
 
 impl<const N: usize, const P: usize> Estimator<N, P> {
-    /// Starts from `prior`, as uncertain as the configuration says.
-    pub fn new(prior: &ParameterSet<N, P>) -> Self {
+    /// Starts from `prior`, as uncertain as the description of the arm.
+    pub fn new<A: Arm<N, P>>(prior: &ParameterSet<N, P>) -> Self {
         let mut estimator = Self::idle();
         estimator.parameters = Stacked::of(prior);
+        while !estimator.prepare::<A>() {}
         estimator
+    }
+
+    /// Takes some of the doubts about links into the covariance; returns whether all are in it. Before that a row must not
+    /// be taken. It is soon done: the window of measurements takes longer to fill.
+    ///
+    /// Cost: a row's, and nothing when all is done.
+    pub(super) fn prepare<A: Arm<N, P>>(&mut self) -> bool {
+        if self.doubted == 0 {
+            self.filter.set_rigid(&rigid_floor::<A, N, P>());
+        }
+        for _ in 0..DOUBTS_A_TICK {
+            let Some(mut doubt) = rigid_doubt::<A, N, P>(self.doubted) else {
+                break;
+            };
+            self.filter.add_rigid(&mut doubt);
+            self.doubted += 1;
+        }
+        self.doubted == rigid_doubts(N)
     }
 
     /// All parameters zero and as uncertain as a prior.
@@ -93,6 +121,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             variance: [FIRST_VARIANCE; N],
             noticed: [FIRST_ROWS; N],
             wandering: [0; N],
+            doubted: 0,
         }
     }
 
@@ -103,6 +132,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.variance = [FIRST_VARIANCE; N];
         self.noticed = [FIRST_ROWS; N];
         self.wandering = [0; N];
+        self.doubted = 0;
     }
 
     /// Takes `parameters` for the estimate; what is known of their covariance stays.
@@ -171,6 +201,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         if !(variance > 0.0 && variance.is_finite()) {
             // Nothing sound is left in the factors: as uncertain as at first, but nothing wrong either.
             self.filter.reset();
+            self.doubted = 0;
             return None;
         }
 
@@ -228,6 +259,21 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 }
 
 impl<const N: usize, const P: usize> Stacked<N, P> {
+    /// Takes out of a torque row what the filter of the motion swallows of the cogging of `joint`, all but `share` of it.
+    /// What `active` asks of the drive against that part is not in the motion, but in the torque: returned, N·m.
+    pub fn swallow(&mut self, joint: usize, share: f32, active: &Self) -> f32 {
+        let mut asked = 0.0;
+        if let (Some(row), Some(active)) =
+            (self.friction.get_mut(joint), active.friction.get(joint))
+        {
+            for (row, active) in row.iter_mut().zip(active).skip(COGGING) {
+                asked += (1.0 - share) * *row * active;
+                *row *= share;
+            }
+        }
+        asked
+    }
+
     /// Σ a b.
     pub fn dot(&self, other: &Self) -> f32 {
         self.friction_dot(other) + self.rigid_dot(other)
@@ -248,7 +294,6 @@ impl<const N: usize, const P: usize> Stacked<N, P> {
 mod tests {
     use super::*;
     use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
-    use crate::dynamics::FRICTION_COLUMNS;
     use crate::joint::{JointMotion, JointVector};
     use std::vec::Vec;
 
@@ -307,6 +352,39 @@ mod tests {
         }
     }
 
+    /// In units of the prior standard deviations: friction first, uncorrelated, then the doubts about links.
+    fn prior_covariance(n: usize) -> Vec<Vec<f64>> {
+        let floor = rigid_floor::<Ur5, N, P>();
+        let mut p: Vec<Vec<f64>> = (0..n).map(|_| std::vec![0.0; n]).collect();
+        for (k, row) in p.iter_mut().enumerate() {
+            row[k] = k.checked_sub(n - P).map_or(1.0, |k| f64::from(floor[k]));
+        }
+        for doubt in (0..).map_while(rigid_doubt::<Ur5, N, P>) {
+            for (row, a) in p[n - P..].iter_mut().zip(doubt) {
+                for (p, b) in row[n - P..].iter_mut().zip(doubt) {
+                    *p += f64::from(a) * f64::from(b);
+                }
+            }
+        }
+        p
+    }
+
+    #[test]
+    fn it_starts_from_the_doubts_about_links_each_parameter_as_uncertain_as_its_deviation_says() {
+        let prior = ParameterSet::nominal::<Ur5>(1);
+        let estimator = Estimator::<N, P>::new::<Ur5>(&prior);
+        let n = WIDTH * N + P;
+        let twin = prior_covariance(n);
+        for k in 0..P {
+            let variance = f64::from(estimator.filter().rigid_variance(k).unwrap());
+            assert!((variance - 1.0).abs() < 1e-4, "{k}: {variance}");
+            assert!((variance - twin[n - P + k][n - P + k]).abs() < 1e-4, "{k}");
+        }
+        // The first moments of upper arm and forearm share the masses beyond the elbow.
+        let (upper, forearm) = (n - P + 1, n - P + 8);
+        assert!(twin[upper][forearm] > 0.5, "{}", twin[upper][forearm]);
+    }
+
     /// Sines that never repeat, at most 2 rad/s, and the torque of an arm 10 % heavier than its description, with noise.
     fn seen(tick: u32, joint: usize, random: &mut u64) -> (Stacked<N, P>, f32) {
         let t = f64::from(tick) * 1e-3;
@@ -343,16 +421,14 @@ mod tests {
         let config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
         let prior = ParameterSet::nominal::<Ur5>(1);
         let (start, sigma) = (Stacked::of(&prior), Stacked::sigma(&config));
-        let mut estimator = Estimator::<N, P>::new(&prior);
+        let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
         let n = start.iter().count();
         let wide = |numbers: &Stacked<N, P>| numbers.iter().copied().map(f64::from).collect();
         let mut twin = Twin {
             start: wide(&start),
             sigma: wide(&sigma),
             theta: std::vec![0.0; n],
-            p: (0..n)
-                .map(|i| (0..n).map(|k| f64::from(u8::from(i == k))).collect())
-                .collect(),
+            p: prior_covariance(n),
             variance: [f64::from(FIRST_VARIANCE); N],
             noticed: [f64::from(FIRST_ROWS); N],
             visits: [0; N],

@@ -48,6 +48,9 @@ const CLIP: f32 = 6.0;
 const GAIN_RATIO: f32 = 0.2;
 /// Change of the torque of a joint that has not told, in units of the torque limit, that is no matter.
 const UNTOLD_CHANGE: f32 = 0.01;
+/// The same of a joint that has still not told after [`PATIENT`] times the rows it should have: others know it by hearsay.
+const HEARSAY_CHANGE: f32 = 0.001;
+const PATIENT: f32 = 12.0;
 
 /// t > s without a root: squares with their signs are compared.
 fn exceeds(advantage: f32, scatter: f32, sigmas: f32) -> bool {
@@ -131,11 +134,16 @@ impl<const N: usize> Evidence<N> {
     /// No joint speaks against the challenger: each has told it on `rows` rows and does not find it worse by more than
     /// `sigmas` standard deviations, or its torque is left as it is.
     pub(super) fn no_joint_objects(&self, rows: f32, sigmas: f32) -> bool {
+        let most = if self.rows as f32 > PATIENT * rows {
+            HEARSAY_CHANGE
+        } else {
+            UNTOLD_CHANGE
+        };
         self.joints.iter().all(|told| {
             if told.weight >= rows {
                 !exceeds(-told.advantage, told.scatter, sigmas)
             } else {
-                told.untold <= UNTOLD_CHANGE
+                told.untold <= most
             }
         })
     }

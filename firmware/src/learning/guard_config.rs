@@ -68,7 +68,7 @@ const fn stretch<A: Arm<N, P>, const N: usize, const P: usize>(joint: usize) -> 
 }
 
 /// Square root by Newton's method, where constants are made; from 0 to a few m².
-const fn root(square: f32) -> f32 {
+pub(super) const fn root(square: f32) -> f32 {
     let mut guess = 1.0;
     let mut step = 0;
     while step < 30 {

@@ -43,7 +43,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         }
     }
 
-    /// Back to `P = I`, in place.
+    /// Back to `P = I`, in place; base parameters whose doubts are correlated are set after it.
     pub fn reset(&mut self) {
         for row in self.friction.as_flattened_mut() {
             row.iter_mut().for_each(|u| *u = 0.0);
@@ -216,6 +216,40 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             let step = c * a_j * inverse;
             for (row, a) in rows.iter_mut().zip(direction.iter_mut()).take(j) {
                 if let Some(u) = row.friction.as_flattened_mut().get_mut(j) {
+                    *a -= a_j * *u;
+                    *u += step * *a;
+                }
+            }
+            c *= before * inverse;
+        }
+    }
+
+    /// Sets the variances of the base parameters, in units of the prior's. Assumes: as after a reset, no correlations.
+    pub(super) fn set_rigid(&mut self, variances: &[f32; P]) {
+        self.diagonal.rigid = *variances;
+    }
+
+    /// Adds a doubt about the base parameters that is one number times `direction`, in units of the prior's standard
+    /// deviations; leaves nothing of use in `direction`. As [`add_noise`](Self::add_noise), with `c = 1` and in any
+    /// direction.
+    ///
+    /// Cost: `2 j` multiply-adds for each column j that the direction reaches, `P²` at most.
+    pub(super) fn add_rigid(&mut self, direction: &mut [f32; P]) {
+        let mut c = 1.0;
+        for j in (0..P).rev() {
+            let (Some(&a_j), Some(d)) = (direction.get(j), self.diagonal.rigid.get_mut(j)) else {
+                continue;
+            };
+            if a_j == 0.0 {
+                continue;
+            }
+            let before = *d;
+            let after = before + c * a_j * a_j;
+            let inverse = 1.0 / after;
+            *d = after;
+            let step = c * a_j * inverse;
+            for (row, a) in self.rigid.iter_mut().zip(direction.iter_mut()).take(j) {
+                if let Some(u) = row.get_mut(j) {
                     *a -= a_j * *u;
                     *u += step * *a;
                 }

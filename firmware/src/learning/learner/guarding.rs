@@ -184,9 +184,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             let settled = evidence.rows() >= patience;
             let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
             // A little better on some joints may be worse on others; much better is worth it.
-            let much = evidence.ratio() < config.residual_ratio;
             let told = config.proof_rows as f32;
-            let agreed = |sigmas: f32| much || evidence.no_joint_objects(told, sigmas);
+            let agreed = |sigmas: f32| early || evidence.no_joint_objects(told, sigmas);
             let fault = evidence.common_gain(config.gain_error).filter(|_| settled);
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
                 state.note(tick, Reason::DriveGain, None, gain);

@@ -206,13 +206,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.window.push(lesson.measured.as_ref());
         let joint = lesson.tick as usize % N;
         let mut step = None;
+        let prepared = self.state.estimate.prepare::<A>();
         let learns = self.may_learn(lesson);
         if learns && self.own.is_some_and(|own| own != joint) {
             // Who learns for one joint drives that one: how the torques of the others step binds nobody.
             step = Some(0.0);
         } else if learns {
             match self.state.window.conditioned(self.config.inv_period) {
-                Some(seen) => step = self.work_through(lesson.tick, joint, &seen),
+                Some(seen) if prepared => step = self.work_through(lesson.tick, joint, &seen),
+                Some(_) => count(&mut self.state.statistics.incomplete),
                 None => {
                     if !self.state.window.is_whole() {
                         self.state.guard.forget_slices();

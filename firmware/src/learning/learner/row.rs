@@ -4,7 +4,7 @@ use super::{Learner, count};
 use crate::arm::Arm;
 use crate::joint::JointVector;
 use crate::learning::NETWORK_BOUND;
-use crate::learning::conditioning::Conditioned;
+use crate::learning::conditioning::{Conditioned, ripple_share};
 use crate::learning::decision::Reason;
 use crate::learning::estimator::torque_row;
 use crate::learning::exchange::MotionRange;
@@ -89,10 +89,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             );
             verdict = Verdict::Frozen;
             if state.phase().learns() && !state.guard.resting() {
+                let mut heard = row;
+                let share = ripple_of::<A, N, P>(joint, speed, self.config.inv_period);
+                let own = own - heard.swallow(joint, share, &active);
                 let correction =
                     state
                         .estimate
-                        .correct(&self.config, &state.prior, joint, limit, &row, own);
+                        .correct(&self.config, &state.prior, joint, limit, &heard, own);
                 let Some(correction) = correction else {
                     return (Verdict::Rejected, None);
                 };
@@ -100,7 +103,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                     *slot = correction.variance;
                 }
                 let inverse = inv_limit / sigma;
-                let champion = row.dot(&state.guard.committed);
+                let champion = heard.dot(&state.guard.committed);
                 state.guard.evidence.note(
                     joint,
                     own * inverse,
@@ -142,6 +145,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let step = estimated - row.dot(&Stacked::of(&state.candidate));
         (verdict, Some(step * inv_limit))
     }
+}
+
+/// Share of the cogging of `joint` at `speed`, rad/s, that reaches the learner's motion.
+pub(super) fn ripple_of<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
+    speed: f32,
+    inv_period: f32,
+) -> f32 {
+    let cycles = A::COGGING_CYCLES.get(joint).copied().unwrap_or(0.0);
+    ripple_share(cycles * speed / inv_period)
 }
 
 /// Widens `range` towards the motion of a row that was learnt from.

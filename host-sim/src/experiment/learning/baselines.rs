@@ -3,8 +3,9 @@
 use super::world::{N, P, Set};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
-use foretorque::learning::{Estimator, LearnerConfig, Stacked};
-use nalgebra::{DMatrix, DVector, RealField};
+use foretorque::dynamics::FRICTION_COLUMNS;
+use foretorque::learning::{Estimator, LearnerConfig, Stacked, rigid_doubt, rigid_floor};
+use nalgebra::{DMatrix, DVector, RealField, SVector};
 
 /// Something that learns linear parameters row by row.
 pub(super) trait RowEstimator {
@@ -14,6 +15,21 @@ pub(super) trait RowEstimator {
     fn parameters(&self) -> Stacked<N, P>;
     /// Multiply-adds of one row, n parameters, to leading order.
     fn multiply_adds(&self, n: usize) -> usize;
+}
+
+/// Covariance of the parameters at first, in units of the prior standard deviations: friction uncorrelated, base parameters
+/// as doubts about links make them.
+pub(super) fn prior_covariance() -> DMatrix<f64> {
+    let friction = N * FRICTION_COLUMNS;
+    let mut covariance = DMatrix::<f64>::identity(friction + P, friction + P);
+    let mut rigid = covariance.view_mut((friction, friction), (P, P));
+    let floor = SVector::<f64, P>::from(rigid_floor::<Ur5, N, P>().map(f64::from));
+    rigid.set_diagonal(&floor);
+    for doubt in (0..).map_while(rigid_doubt::<Ur5, N, P>) {
+        let doubt = SVector::<f64, P>::from(doubt.map(f64::from));
+        rigid += doubt * doubt.transpose();
+    }
+    covariance
 }
 
 /// Torque limit of a joint, N·m.
@@ -33,7 +49,7 @@ impl Firmware {
         Self {
             config,
             prior: *prior,
-            estimator: Box::new(Estimator::new(prior)),
+            estimator: Box::new(Estimator::new::<Ur5>(prior)),
         }
     }
 }
@@ -151,7 +167,7 @@ impl<T: RealField + Copy> Rls<T> {
             scale,
             forgetting: nalgebra::convert(forgetting),
             theta: DVector::zeros(n),
-            covariance: DMatrix::identity(n, n),
+            covariance: nalgebra::convert(prior_covariance()),
         }
     }
 }

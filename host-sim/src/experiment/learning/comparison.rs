@@ -9,10 +9,13 @@ use crate::experiment::closed_loop::{Answer, ClosedLoop};
 use crate::parallel::{cores, in_parallel};
 use crate::plant::{Events, Payload, PlantConfig};
 use crate::trajectory::Trajectory;
+use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
 use foretorque::joint::JointVector;
-use foretorque::learning::{Conditioned, DELAY, MeasurementWindow, Stacked, torque_row};
+use foretorque::learning::{
+    Conditioned, DELAY, MeasurementWindow, Stacked, ripple_share, torque_row,
+};
 use serde::Serialize;
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -183,6 +186,15 @@ fn part(
     Ok(Part { rows, needed })
 }
 
+/// The torque row of `joint` as the filter of the motion leaves it, for torques that ask nothing against cogging.
+pub(super) fn heard_row(joint: usize, seen: &Conditioned<N>) -> Stacked<N, P> {
+    let mut row = torque_row::<Ur5, N, P>(joint, seen);
+    let cycles = <Ur5 as Arm<N, P>>::COGGING_CYCLES[joint];
+    let share = ripple_share(cycles * seen.motion.qd[joint] * PERIOD_S as f32);
+    row.swallow(joint, share, &Stacked::filled(0.0));
+    row
+}
+
 fn learn(world: &World, parts: &[Part; 2], feed: &Method) -> MethodReport {
     let mut method = feed.kind.started(world);
     let gate = Controller::config().velocity_gate;
@@ -206,7 +218,7 @@ fn learn(world: &World, parts: &[Part; 2], feed: &Method) -> MethodReport {
             for k in 0..feed.rows_a_tick {
                 let joint = (tick * feed.rows_a_tick + k) % N;
                 if !feed.gated || seen.motion.qd[joint].abs() >= gate {
-                    let row = torque_row::<Ur5, N, P>(joint, seen);
+                    let row = heard_row(joint, seen);
                     method.correct(joint, &row, tau[joint]);
                 }
             }

@@ -1,5 +1,7 @@
 //! The parameters that a careful engineer would load: least squares over the board's own rows.
 
+use super::baselines::prior_covariance;
+use super::comparison::heard_row;
 use super::controller::Controller;
 use super::scenario::Start;
 use super::world::{N, P, PERIOD_S, Set, World};
@@ -8,7 +10,7 @@ use crate::plant::PlantConfig;
 use crate::trajectory::Trajectory;
 use foretorque::arm::ur5::{JOINTS, Ur5};
 use foretorque::feedforward::evaluate;
-use foretorque::learning::{Conditioned, LearnerConfig, MeasurementWindow, Stacked, torque_row};
+use foretorque::learning::{Conditioned, LearnerConfig, MeasurementWindow, Stacked};
 use nalgebra::{DMatrix, DVector};
 use std::convert::Infallible;
 use std::error::Error;
@@ -99,14 +101,15 @@ fn least_squares(rows: &[Conditioned<N>], prior: &Set, config: &LearnerConfig<N,
     let start = Stacked::of(prior);
     let sigma = Stacked::sigma(config);
     let n = start.iter().count();
-    let mut normal = DMatrix::<f64>::identity(n, n);
+    let prior_information = prior_covariance().try_inverse();
+    let mut normal = prior_information.unwrap_or_else(|| DMatrix::identity(n, n));
     let mut right = DVector::<f64>::zeros(n);
     for seen in rows {
         for joint in 0..JOINTS {
             if seen.motion.qd[joint].abs() < config.velocity_gate {
                 continue;
             }
-            let row = torque_row::<Ur5, N, P>(joint, seen);
+            let row = heard_row(joint, seen);
             let limit = <Ur5 as foretorque::arm::Arm<N, P>>::LIMITS[joint].torque;
             let inv_noise = f64::from(1.0 / (config.noise * limit));
             let phi = DVector::from_iterator(

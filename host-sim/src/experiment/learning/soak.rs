@@ -219,7 +219,7 @@ fn twin(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize),
     let mut source = Source::new(world)?;
     let config = Controller::config();
     let prior = &world.wrong;
-    let mut estimator = Box::new(Estimator::<N, P>::new(prior));
+    let mut estimator = Box::new(Estimator::<N, P>::new::<Ur5>(prior));
     let mut twin = Twin::new(config, prior);
     let mut window = MeasurementWindow::<N>::new();
     let (mut worst, mut rows) = (0.0_f64, 0);

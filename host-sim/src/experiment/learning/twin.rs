@@ -1,5 +1,6 @@
 //! The firmware's estimator once more, on the plain covariance and in f64: where exact arithmetic would be.
 
+use super::baselines::prior_covariance;
 use super::world::{N, P, Set};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
@@ -43,8 +44,8 @@ impl Twin {
             config,
             start,
             theta: DVector::zeros(n),
-            covariance: DMatrix::identity(n, n),
-            variance: Estimator::new(prior).variance().map(f64::from),
+            covariance: prior_covariance(),
+            variance: Estimator::new::<Ur5>(prior).variance().map(f64::from),
             noticed: [FIRST_ROWS; N],
         }
     }
