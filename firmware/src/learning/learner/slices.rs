@@ -52,21 +52,27 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// What the model leaves of the torques, the payload not counted, N × N·m.
     #[inline(never)]
     fn unexplained(&self, seen: &Conditioned<N>) -> JointVector<N> {
-        // A payload comes on top of what is known of the arm, not of what of it has proved itself so far: else it is
-        // weighed together with the friction that the drives have lost since.
         let state = &self.state;
-        let estimate = state.estimate.parameters();
-        let rigid = BaseParameters::<P>::from(estimate.rigid);
-        let mut drives = estimate.friction.map(FrictionParameters::from_columns);
-        // What the filter swallows of the cogging is in the torque as far as the active set asks for it.
-        let active = drives.iter_mut().zip(&state.candidate.friction);
-        for (joint, ((drive, active), &qd)) in active.zip(seen.motion.qd.iter()).enumerate() {
-            let share = ripple_of::<A, N, P>(joint, qd, self.config.inv_period);
-            drive.cogging_sin =
-                active.cogging_sin + share * (drive.cogging_sin - active.cogging_sin);
-            drive.cogging_cos =
-                active.cogging_cos + share * (drive.cogging_cos - active.cogging_cos);
-        }
+        let weighing = state.phase() == Phase::Trial || state.guard.loaded();
+        // The detector asks what is new to the estimate. A payload comes on top of what has proved itself: of the estimate
+        // if that has, and not of the set in force, which lags behind it; else it is weighed together with the friction that
+        // the drives have lost since.
+        let (rigid, drives) = if weighing && !state.guard.following {
+            (state.candidate.rigid, state.candidate.friction)
+        } else {
+            let estimate = state.estimate.parameters();
+            let mut drives = estimate.friction.map(FrictionParameters::from_columns);
+            // What the filter swallows of the cogging is in the torque as far as the active set asks for it.
+            let active = drives.iter_mut().zip(&state.candidate.friction);
+            for (joint, ((drive, active), &qd)) in active.zip(seen.motion.qd.iter()).enumerate() {
+                let share = ripple_of::<A, N, P>(joint, qd, self.config.inv_period);
+                drive.cogging_sin =
+                    active.cogging_sin + share * (drive.cogging_sin - active.cogging_sin);
+                drive.cogging_cos =
+                    active.cogging_cos + share * (drive.cogging_cos - active.cogging_cos);
+            }
+            (BaseParameters::<P>::from(estimate.rigid), drives)
+        };
         seen.tau
             - rnea::<A, N, P>(&rigid, &seen.motion)
             - friction::<A, N, P>(&drives, &seen.motion.q, &seen.motion.qd)
