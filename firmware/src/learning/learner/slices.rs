@@ -54,10 +54,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     fn unexplained(&self, seen: &Conditioned<N>) -> JointVector<N> {
         let state = &self.state;
         let weighing = state.phase() == Phase::Trial || state.guard.loaded();
-        // The detector asks what is new to the estimate. A payload comes on top of what has proved itself: of the estimate
-        // if that has, and not of the set in force, which lags behind it; else it is weighed together with the friction that
-        // the drives have lost since.
-        let (rigid, drives) = if weighing && !state.guard.following {
+        // The detector asks what is new to the estimate. A payload comes on top of the estimate too if that has ever proved
+        // itself: the set in force lags behind it, and a payload would be weighed together with the friction that the drives
+        // have lost since. An estimate that has not is worse than what the arm came with.
+        let unproven = state.candidate.rigid == state.prior.rigid;
+        let (rigid, drives) = if weighing && unproven {
             (state.candidate.rigid, state.candidate.friction)
         } else {
             let estimate = state.estimate.parameters();
