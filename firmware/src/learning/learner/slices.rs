@@ -57,8 +57,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         // The detector asks what is new to the estimate. A payload comes on top of the estimate too if that has ever proved
         // itself: the set in force lags behind it, and a payload would be weighed together with the friction that the drives
         // have lost since. An estimate that has not is worse than what the arm came with.
-        let unproven = state.candidate.rigid == state.prior.rigid;
-        let (rigid, drives) = if weighing && unproven {
+        let unproven = || state.candidate.rigid.as_slice() == state.prior.rigid.as_slice();
+        let (rigid, drives) = if weighing && unproven() {
             (state.candidate.rigid, state.candidate.friction)
         } else {
             let estimate = state.estimate.parameters();
