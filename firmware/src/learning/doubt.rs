@@ -8,7 +8,7 @@
 //! ```
 //! is far from diagonal: a forearm that turns out too heavy for the shoulder says how heavy it is for the elbow.
 
-use super::guard_config::root;
+use super::guard_config::{GRAVITY, root};
 use crate::arm::{Arm, LINK_PARAMETERS};
 
 /// Ways in which one link may differ from its description: its mass, three coordinates of its centre, six moments and
@@ -23,8 +23,6 @@ const PLACE_DOUBT: (f32, f32) = (0.05, 0.003);
 const FLOOR: f32 = 1.5e-3;
 /// Acceleration at which an unknown inertia shows, rad/s².
 const DOUBT_ACCELERATION: f32 = 10.0;
-/// Gravity for the scale of first moments, m/s². Only a scale: it does not follow the arm's mounting.
-const DOUBT_GRAVITY: f32 = 9.81;
 
 /// Number of ways in which the links of an arm of `joints` joints may differ from their descriptions.
 pub const fn rigid_doubts(joints: usize) -> usize {
@@ -100,11 +98,7 @@ const fn floor_squared<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; 
             columns.inertial[k]
         };
         if independent && column < P {
-            let scale = if k < 4 {
-                DOUBT_GRAVITY
-            } else {
-                DOUBT_ACCELERATION
-            };
+            let scale = if k < 4 { GRAVITY } else { DOUBT_ACCELERATION };
             let floor = FLOOR * A::LIMITS[joint].torque / scale;
             squares[column] = floor * floor;
             column += 1;

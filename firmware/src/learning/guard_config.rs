@@ -43,7 +43,7 @@ pub struct GuardConfig {
 }
 
 /// Acceleration of gravity that payloads are scaled by, m/s².
-const GRAVITY: f32 = 9.81;
+pub(super) const GRAVITY: f32 = 9.81;
 /// Share of the torque limit that the weight of the rated payload takes at full stretch. Descriptions do not know the
 /// rated payload; a third gives 5.0 kg for the UR5 (data sheet: 5 kg) and 3.3 kg for the Panda (3 kg).
 const RATED_SHARE: f32 = 1.0 / 3.0;

@@ -1,0 +1,165 @@
+use super::*;
+
+fn at(q: f32, tau: f32) -> JointMeasurement<2> {
+    JointMeasurement {
+        q: [q, -q].into(),
+        tau: [tau, -tau].into(),
+    }
+}
+
+#[test]
+fn the_sums_are_those_of_the_window() {
+    let sum = |power: i32| {
+        (-15..=15)
+            .map(|k: i32| k.pow(power as u32) as f32)
+            .sum::<f32>()
+    };
+    assert_eq!((SUM_0, SUM_2, SUM_4), (sum(0), sum(2), sum(4)));
+}
+
+#[test]
+fn a_quadratic_is_read_exactly_with_its_torque() {
+    let period = 1e-3f64;
+    let (q0, qd0, qdd0) = (5.5, -1.7, 9.0);
+    let mut window = MeasurementWindow::<2>::new();
+    for tick in 0..200 {
+        let t = f64::from(tick) * period;
+        let q = q0 + qd0 * t + 0.5 * qdd0 * t * t;
+        window.push(Some(&at(q as f32, tick as f32)));
+        let Some(seen) = window.conditioned(1e3) else {
+            assert!(tick < 30);
+            continue;
+        };
+        let then = t - 0.015;
+        assert!(
+            (f64::from(seen.motion.q[0]) - (q0 + qd0 * then + 0.5 * qdd0 * then * then)).abs()
+                < 1e-6
+        );
+        assert!((f64::from(seen.motion.qd[1]) + (qd0 + qdd0 * then)).abs() < 1e-4);
+        // An f32 near 5.5 rad is rounded to 2.4e-7 rad; the second difference amplifies it 5000-fold a sample.
+        assert!(
+            (f64::from(seen.motion.qdd[0]) - qdd0).abs() < 5e-3,
+            "{}",
+            seen.motion.qdd[0]
+        );
+        assert_eq!(seen.tau[0], (tick - 15) as f32);
+    }
+}
+
+#[test]
+fn of_a_ripple_the_filter_lets_through_the_share_that_it_says() {
+    for angle in [0.01f32, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.6] {
+        let mut window = MeasurementWindow::<2>::new();
+        for tick in 0..TAPS {
+            let phase = angle * (tick as f32 - DELAY as f32);
+            window.push(Some(&at(phase.cos(), tick as f32)));
+        }
+        let seen = window.conditioned(1.0).expect("the window is full");
+        let share = -seen.motion.qdd[0] / (angle * angle);
+        let said = ripple_share(angle);
+        assert!((share - said).abs() < 0.05, "{angle}: {share} {said}");
+        assert!(
+            angle > 0.3 || (share - said).abs() < 0.01,
+            "{angle}: {share} {said}"
+        );
+    }
+}
+
+#[test]
+fn another_period_scales_the_derivatives() {
+    let mut window = MeasurementWindow::<2>::new();
+    for tick in 0..40 {
+        window.push(Some(&at(0.001 * tick as f32, 0.0)));
+    }
+    let slow = window.conditioned(500.0).unwrap().motion.qd[0];
+    assert!((slow - 0.5).abs() < 1e-5, "{slow}");
+}
+
+/// A joint that swings, with a torque that tells the ticks apart.
+fn swinging(tick: usize) -> JointMeasurement<2> {
+    at((0.003 * tick as f32).sin(), tick as f32)
+}
+
+/// What a window says after each of 200 ticks of which `arrives` makes what arrives.
+fn said(
+    arrives: impl Fn(usize) -> Option<JointMeasurement<2>>,
+) -> std::vec::Vec<Option<Conditioned<2>>> {
+    let mut window = MeasurementWindow::<2>::new();
+    let ticks = 0..200;
+    ticks
+        .map(|tick| {
+            window.push(arrives(tick).as_ref());
+            window.conditioned(1e3)
+        })
+        .collect()
+}
+
+#[test]
+fn behind_a_short_gap_the_rows_are_those_of_a_whole_window_but_for_the_missing_torques() {
+    let whole = said(|tick| Some(swinging(tick)));
+    let not_a_number = JointMeasurement {
+        tau: JointVector::<2>::new(f32::NAN, 0.0),
+        ..swinging(0)
+    };
+    for (missing, length) in [(None, 1), (None, 3), (Some(not_a_number), 2)] {
+        let gap = 100..100 + length;
+        let seen = said(|tick| match gap.contains(&tick) {
+            true => missing,
+            false => Some(swinging(tick)),
+        });
+        // The first measurement behind the gap may have been due in it.
+        let unknown = 100..=100 + length;
+        for (tick, (seen, whole)) in seen.iter().zip(&whole).enumerate().skip(30) {
+            if unknown.contains(&tick) || unknown.contains(&(tick - DELAY)) {
+                assert_eq!(*seen, None, "{tick}");
+                continue;
+            }
+            let (seen, whole) = (seen.unwrap(), whole.unwrap());
+            assert!((seen.tau - whole.tau).amax() < 1e-4);
+            assert!((seen.motion.q - whole.motion.q).amax() < 2e-5);
+            assert!((seen.motion.qdd - whole.motion.qdd).amax() < 0.2, "{tick}");
+        }
+    }
+}
+
+#[test]
+fn measurements_that_come_late_bend_no_row() {
+    let whole = said(|tick| Some(swinging(tick)));
+    let lost = |tick: usize| tick % 23 == 5;
+    // In place of a late measurement comes the one before, lost or not.
+    let late = |tick: usize| matches!(tick % 23, 6 | 12);
+    let seen = said(|tick| match (lost(tick), late(tick)) {
+        (true, _) => None,
+        (_, true) => Some(swinging(tick - 1)),
+        _ => Some(swinging(tick)),
+    });
+    let mut rows = 0;
+    for (seen, whole) in seen.iter().zip(&whole) {
+        let (Some(seen), Some(whole)) = (seen, whole) else {
+            continue;
+        };
+        rows += 1;
+        assert!((seen.tau - whole.tau).amax() < 1e-4);
+        assert!((seen.motion.qdd - whole.motion.qdd).amax() < 0.2);
+    }
+    assert!(rows > 100, "{rows}");
+}
+
+#[test]
+fn a_long_gap_empties_the_window() {
+    let mut window = MeasurementWindow::<2>::new();
+    for tick in 0..50 {
+        window.push(Some(&swinging(tick)));
+    }
+    for _ in 0..BRIDGED {
+        window.push(None);
+        assert!(window.is_whole() && window.conditioned(1e3).is_none());
+    }
+    window.push(None);
+    for tick in 60..90 {
+        assert!(!window.is_whole() && window.conditioned(1e3).is_none());
+        window.push(Some(&swinging(tick)));
+    }
+    window.push(Some(&swinging(90)));
+    assert_eq!(window.conditioned(1e3).unwrap().tau[0], 75.0);
+}
