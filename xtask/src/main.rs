@@ -47,9 +47,10 @@ Options:
       --runs <N>         fuzz only: executions in all (100000000)
   -h, --help             Print this help
 
-The debian way leaves one directory, $XDG_DATA_HOME/foretorque (~/.local/share/foretorque), and a rustup toolchain
-named foretorque-arm that points into it. To remove both: `rustup toolchain uninstall foretorque-arm`, then delete
-the directory.
+The debian way leaves a rustup toolchain named foretorque-arm that points into one directory,
+$XDG_DATA_HOME/foretorque (~/.local/share/foretorque). Where the emulator cannot be installed as a package, it is unpacked
+into that directory, and a script qemu-system-arm beside cargo starts it. To remove all of it: `rustup toolchain uninstall
+foretorque-arm`, then delete the directory and the script.
 ";
 
 /// What the command line asks for.

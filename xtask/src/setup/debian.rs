@@ -9,6 +9,7 @@ use std::process::{self, Command};
 use anyhow::{Context as _, Result, bail, ensure};
 
 use super::probe::{builds_for_board, oldest_rust, version};
+use super::unpacked;
 use crate::shell::{capture, command, run};
 use crate::toolchain::{TARGET, linked_name};
 
@@ -68,7 +69,7 @@ fn as_root(args: &[&str]) -> Result<Command> {
 }
 
 /// Waits for other installers and slow archives, but not for ever.
-const PATIENCE: [&str; 7] = [
+pub(crate) const PATIENCE: [&str; 7] = [
     "-qq",
     "-o",
     "DPkg::Lock::Timeout=120",
@@ -82,13 +83,21 @@ const PATIENCE: [&str; 7] = [
 pub(crate) fn install(emulator: bool, rust: bool) -> Result<()> {
     refresh()?;
     let mut packages = Vec::new();
-    if emulator {
-        packages.push("qemu-system-arm");
-    }
     if rust {
         packages.extend(rust_packages()?);
     }
-    install_packages(&packages)
+    let compilers = packages.clone();
+    if emulator {
+        packages.push(unpacked::PACKAGE);
+    }
+    match install_packages(&packages) {
+        // The emulator may be what cannot be installed, and it has another way.
+        Err(error) if emulator && rust => {
+            println!("set-up: {error:#}; going on with the compiler alone");
+            install_packages(&compilers)
+        }
+        outcome => outcome,
+    }
 }
 
 /// Makes the installer's state sound and its lists new.
@@ -297,7 +306,7 @@ fn copy_rlib(from: &Path, to: &Path, name: &str) -> Result<()> {
 }
 
 /// A path as one word of a shell script.
-fn quoted(path: &Path) -> Result<String> {
+pub(crate) fn quoted(path: &Path) -> Result<String> {
     match path.to_str() {
         Some(text) if !text.contains(['\'', '\n']) => Ok(format!("'{text}'")),
         _ => bail!("{} cannot be written into a shell script", path.display()),

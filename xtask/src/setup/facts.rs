@@ -33,6 +33,8 @@ pub(crate) struct Facts {
     pub(crate) debian_rust: bool,
     pub(crate) rustup: Means,
     pub(crate) apt: Means,
+    /// Unpacking the emulator beside what is installed.
+    pub(crate) unpack: Means,
     /// Building and linking a toolchain from Debian's packages; needs rustup to link it.
     pub(crate) build: Means,
 }

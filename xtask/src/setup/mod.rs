@@ -4,6 +4,7 @@ mod debian;
 mod facts;
 mod plan;
 mod probe;
+mod unpacked;
 
 use std::fs::{self, File, TryLockError};
 use std::path::PathBuf;
@@ -111,12 +112,14 @@ fn after(step: &Step, before: &Facts) -> Facts {
     let mut facts = Facts {
         rustup: before.rustup,
         apt: before.apt,
+        unpack: before.unpack,
         build: before.build,
         ..probe::facts()
     };
     match step {
         Step::Rustup(_) => facts.rustup = Means::Tried,
         Step::Apt { .. } => facts.apt = Means::Tried,
+        Step::Unpack => facts.unpack = Means::Tried,
         Step::Build => facts.build = Means::Tried,
     }
     facts
@@ -157,6 +160,10 @@ fn perform(step: &Step, forced: Option<Way>) -> Result<()> {
             };
             timed(what, || debian::install(*emulator, *rust))
         }
+        Step::Unpack => timed(
+            "unpacking the emulator beside what is installed (about 80 MB)",
+            || unpacked::emulator(&home()?),
+        ),
         Step::Build => timed(
             "building core for the board from Debian's sources (about half a minute)",
             || debian::build_toolchain(&home()?),

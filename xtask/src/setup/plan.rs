@@ -66,6 +66,8 @@ pub(crate) enum Step {
     Rustup(Vec<Need>),
     /// Install packages.
     Apt { emulator: bool, rust: bool },
+    /// Unpack the emulator's packages where they cannot be installed.
+    Unpack,
     /// Build the board's core from Debian's sources and link the result as a toolchain.
     Build,
 }
@@ -83,7 +85,7 @@ pub(crate) enum Plan {
 
 /// The next thing to do on a machine with these facts, by the forced way or by the first that works.
 ///
-/// The caller marks the means of a step as tried, so that planning and doing in turn ends after three steps at most.
+/// The caller marks the means of a step as tried, so that planning and doing in turn ends after four steps at most.
 pub(crate) fn plan(facts: &Facts, forced: Option<Way>) -> Plan {
     let roles = roles(facts, forced);
     let needs = roles.needs();
@@ -101,6 +103,9 @@ pub(crate) fn plan(facts: &Facts, forced: Option<Way>) -> Plan {
             emulator: !facts.emulator,
             rust: lacks_packages,
         });
+    }
+    if !facts.emulator && facts.unpack == Means::Ready {
+        return Plan::Do(Step::Unpack);
     }
     if wants_debian && facts.debian_rust {
         return Plan::Do(Step::Build);

@@ -7,8 +7,8 @@ use std::{env, fs, process};
 
 use anyhow::{Context as _, Result, bail};
 
-use super::debian;
 use super::facts::{Facts, Kit, Means};
+use super::{debian, unpacked};
 use crate::shell::{capture, command, line};
 use crate::toolchain::{TARGET, Toolchain, linked_name};
 
@@ -42,6 +42,7 @@ pub(crate) fn facts() -> Facts {
         debian_rust,
         rustup: present(rustup),
         apt: present(apt),
+        unpack: present(unpacked::possible()),
         build: present(rustup && (apt || debian_rust)),
     }
 }

@@ -24,6 +24,7 @@ const FRESH: Facts = Facts {
     debian_rust: false,
     rustup: Means::Ready,
     apt: Means::Ready,
+    unpack: Means::Ready,
     build: Means::Ready,
 };
 
@@ -39,7 +40,7 @@ fn ready(board: Toolchain, clippy: Toolchain) -> Plan {
 #[test]
 fn the_next_step_follows_from_the_facts() {
     use Means::{Absent, Tried};
-    use Step::{Apt, Build, Rustup};
+    use Step::{Apt, Build, Rustup, Unpack};
     use Toolchain::{Host, Linked};
     let target = || Plan::Do(Rustup(vec![Need::Target]));
     let cases: &[(&str, Facts, Option<Way>, Plan)] = &[
@@ -167,6 +168,7 @@ fn the_next_step_follows_from_the_facts() {
             Facts {
                 rustup: Absent,
                 apt: Absent,
+                unpack: Absent,
                 build: Absent,
                 host: NONE,
                 ..FRESH
@@ -180,10 +182,31 @@ fn the_next_step_follows_from_the_facts() {
             ]),
         ),
         (
-            "packages came but not the emulator",
+            "packages came but not the emulator: unpack it",
             Facts {
                 host: ALL,
                 apt: Tried,
+                ..FRESH
+            },
+            None,
+            Plan::Do(Unpack),
+        ),
+        (
+            "no root: unpack the emulator",
+            Facts {
+                host: ALL,
+                apt: Absent,
+                ..FRESH
+            },
+            None,
+            Plan::Do(Unpack),
+        ),
+        (
+            "no emulator in any way",
+            Facts {
+                host: ALL,
+                apt: Tried,
+                unpack: Tried,
                 ..FRESH
             },
             None,
@@ -259,10 +282,11 @@ fn planning_ends_on_a_machine_where_nothing_works() {
             debian_rust: true,
             ..FRESH
         };
-        for _ in 0..4 {
+        for _ in 0..5 {
             match plan(&facts, forced) {
                 Plan::Do(Step::Rustup(_)) => facts.rustup = Means::Tried,
                 Plan::Do(Step::Apt { .. }) => facts.apt = Means::Tried,
+                Plan::Do(Step::Unpack) => facts.unpack = Means::Tried,
                 Plan::Do(Step::Build) => facts.build = Means::Tried,
                 Plan::Stuck(needs) => {
                     assert_eq!(needs, [Need::Target, Need::Emulator]);
