@@ -10,6 +10,7 @@ mod experiment;
 mod faults;
 mod generate;
 mod identify;
+mod kept_table;
 mod key;
 mod merge;
 mod motion_log;
