@@ -48,6 +48,11 @@ fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Unusable(reason.into()))
 }
 
+/// Refuses a robot of so many joints.
+fn unsupported(joints: usize) -> Failure {
+    unusable(format!("robots of {joints} joints are not supported"))
+}
+
 /// Refuses to write over what is read.
 fn not_over(input: &Path, out: &Path) -> Result<(), Failure> {
     let one = |path: &Path| std::fs::canonicalize(path).ok();
