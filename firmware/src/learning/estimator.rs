@@ -258,8 +258,13 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
                 let step = sigma * gain * step + *owed;
                 let moved = *theta + step;
                 *owed = step - (moved - *theta);
-                let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
-                *theta = if outside { prior + bounded } else { moved };
+                let (offset, bound) = (moved - prior, config.box_sigmas * sigma);
+                // One comparison for nearly all of them.
+                *theta = if offset.abs() > bound {
+                    prior + cut(offset, bound).0
+                } else {
+                    moved
+                };
             }
         }
         for friction in &mut self.parameters.friction {
