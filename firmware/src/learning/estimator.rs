@@ -248,8 +248,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let parts = sigma.parts().into_iter().zip(gain.parts());
         let parts = parts.zip(prior.parts());
         let moving = self.parameters.parts_mut().into_iter();
-        for ((theta, owed), ((sigma, gain), prior)) in
-            moving.zip(self.owed.parts_mut()).zip(parts)
+        for ((theta, owed), ((sigma, gain), prior)) in moving.zip(self.owed.parts_mut()).zip(parts)
         {
             let columns = sigma.iter().zip(gain).zip(prior);
             for ((theta, owed), ((&sigma, &gain), &prior)) in
