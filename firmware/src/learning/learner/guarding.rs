@@ -183,10 +183,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             };
             let settled = evidence.rows() >= patience;
             let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
-            // A little better on some joints may be worse on others; much better is worth it. What a joint objects has to be
-            // proved like what the others want: one that stood still since would object by its noise for good.
+            // A little better on some joints may be worse on others; much better is worth it.
             let told = config.proof_rows as f32;
-            let agreed = early || evidence.no_joint_objects(told, config.proof_sigmas);
+            let agreed = |sigmas: f32| early || evidence.no_joint_objects(told, sigmas);
             let fault = evidence.common_gain(config.gain_error).filter(|_| settled);
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
                 state.note(tick, Reason::DriveGain, None, gain);
@@ -199,7 +198,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 if evidence.favours(-config.proof_sigmas) {
                     state.roll_back();
                     state.note(tick, Reason::RolledBack, None, evidence.ratio());
-                } else if agreed {
+                } else if agreed(config.proof_sigmas) {
                     state.follow(&pending, self.config.torque_step);
                     let followed = state.guard.followed;
                     let due = followed >= config.commit_rows
@@ -212,7 +211,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                         state.note(tick, Reason::Committed, None, evidence.ratio());
                     }
                 }
-            } else if settled && agreed && fault.is_none() && evidence.favours(config.proof_sigmas)
+            } else if settled
+                && agreed(0.0)
+                && fault.is_none()
+                && evidence.favours(config.proof_sigmas)
             {
                 state.guard.following = true;
                 state.guard.followed = 0;
