@@ -1,6 +1,7 @@
 use super::stacked::Stacked;
 use crate::dynamics::FRICTION_COLUMNS;
 use core::array::{from_mut, from_ref};
+use core::mem::take;
 
 /// `each_row!(K < W { body })` runs the body for row K = 0 to W − 1, each time with `K` a constant: written out, the rows'
 /// running sums stay in registers whether the compiler unrolls loops or not.
@@ -16,6 +17,28 @@ macro_rules! each_row {
     };
 }
 
+/// `each_column!(j in start, end { body })` runs the body for each column, written out by fours: counting costs as much as a
+/// column's multiply-adds.
+macro_rules! each_column {
+    ($j:ident in $start:ident, $end:ident $body:block) => {
+        let mut next = $start;
+        while next + 4 <= $end {
+            each_column!(@ $j, next, $body, 0 1 2 3);
+            next += 4;
+        }
+        while next < $end {
+            each_column!(@ $j, next, $body, 0);
+            next += 1;
+        }
+    };
+    (@ $j:ident, $next:ident, $body:block, $($place:literal)*) => {
+        $({
+            let $j = $next + $place;
+            $body
+        })*
+    };
+}
+
 /// Friction entries of all joints.
 type Friction<const N: usize> = [[f32; FRICTION_COLUMNS]; N];
 
@@ -25,7 +48,8 @@ type Friction<const N: usize> = [[f32; FRICTION_COLUMNS]; N];
 /// Factored it cannot become indefinite by rounding: D stays positive, whatever the rows are. The plain update of P
 /// does not survive f32 [Bierman 1977, ch. V]. Friction comes first, so that noise on it touches only the first columns.
 ///
-/// U is kept row by row in square room; the diagonal and what lies left of it are kept as zeros.
+/// U is kept row by row in square room; the diagonal and what lies left of it are kept as zeros. So is a rigid row's, but for
+/// what rounding takes off U_ij on its way through millions of rows: that lies at U_ji, and goes in with the next row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UdFilter<const N: usize, const P: usize> {
     friction: [[Stacked<N, P>; FRICTION_COLUMNS]; N],
@@ -157,12 +181,16 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             turns.sweep(row, friction, start + place + 1, gain);
             beyond.sweep(row, |row| &mut row.rigid, 0, gain);
         }
-        let (rows, rest) = self.rigid.as_chunks_mut::<ROWS>();
         let (gains, rest_gains) = gain.rigid.as_chunks_mut::<ROWS>();
-        let start = rows.len() * ROWS;
-        for (block, (rows, gain)) in rows.iter_mut().zip(gains).enumerate() {
+        let start = gains.len() * ROWS;
+        let mut rest = self.rigid.as_mut_slice();
+        for (block, gain) in gains.iter_mut().enumerate() {
+            let Some((rows, below)) = take(&mut rest).split_first_chunk_mut::<ROWS>() else {
+                break;
+            };
             *gain = beyond.corner(rows, |row| row, block * ROWS);
-            beyond.sweep(rows, |row| row, block * ROWS + ROWS, gain);
+            beyond.sweep_compensated(rows, below, block, gain);
+            rest = below;
         }
         for (place, (row, gain)) in rest.iter_mut().zip(rest_gains).enumerate() {
             let (row, gain) = (from_mut(row), from_mut(gain));
@@ -188,7 +216,8 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// [`friction_variance`](Self::friction_variance).
     pub fn rigid_variance(&self, column: usize) -> Option<f32> {
         let own = *self.diagonal.rigid.get(column)?;
-        Some(own + spread(self.rigid.get(column)?, &self.diagonal.rigid))
+        let (row, diagonal) = (self.rigid.get(column)?, &self.diagonal.rigid);
+        Some(own + spread(row.get(column..)?, diagonal.get(column..)?))
     }
 
     /// Adds `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
@@ -324,19 +353,51 @@ impl Turns<'_> {
         start: usize,
         b: &mut [f32; W],
     ) {
+        let (mut sums, end) = (*b, self.v.len());
+        each_column!(j in start, end {
+            if let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) {
+                each_row!(K < W {
+                    let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
+                    if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
+                        turn_one(u, b, *lambda, *v);
+                    }
+                });
+            }
+        });
+        *b = sums;
+    }
+
+    /// As [`sweep`](Self::sweep) with rigid rows, number `block` of their kind, in compensated sums [Kahan 1965].
+    ///
+    /// * `below` the rows behind them, left of whose diagonals lies what rounding has taken off. Columns that do not make
+    ///   another block at the end go without
+    #[inline(always)]
+    fn sweep_compensated<const P: usize>(
+        &self,
+        rows: &mut [[f32; P]; ROWS],
+        below: &mut [[f32; P]],
+        block: usize,
+        b: &mut [f32; ROWS],
+    ) {
         let mut sums = *b;
-        for j in start..self.v.len() {
-            let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) else {
-                break;
-            };
-            each_row!(K < W {
-                let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
-                if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
-                    turn_one(u, b, *lambda, *v);
+        let [(lambda, _), (v, _)] = [self.lambda, self.v].map(<[f32]>::as_chunks::<ROWS>);
+        let turns = lambda.iter().zip(v).enumerate().skip(block + 1);
+        let (below, _) = below.as_chunks_mut::<ROWS>();
+        for ((place, (lambda, v)), below) in turns.zip(below) {
+            each_row!(C < ROWS {
+                if let (Some(lambda), Some(v)) = (lambda.get(C), v.get(C)) {
+                    each_row!(K < ROWS {
+                        let u = rows.get_mut(K).and_then(|row| entry(row, place, C));
+                        let lost = below.get_mut(C).and_then(|row| entry(row, block, K));
+                        if let (Some(u), Some(lost), Some(b)) = (u, lost, sums.get_mut(K)) {
+                            turn_one_compensated(u, lost, b, *lambda, *v);
+                        }
+                    });
                 }
             });
         }
         *b = sums;
+        self.sweep(rows, |row| row, P / ROWS * ROWS, b);
     }
 
     /// The columns of the rows' own diagonals, the first of them at `start`; returns b behind them.
@@ -381,6 +442,23 @@ fn turn_one(u: &mut f32, b: &mut f32, lambda: f32, v: f32) {
     *b += v * before;
 }
 
+/// The same, with what rounding takes off the entry kept in `lost` for the next time.
+#[inline(always)]
+fn turn_one_compensated(u: &mut f32, lost: &mut f32, b: &mut f32, lambda: f32, v: f32) {
+    let before = *u;
+    let step = *lost + lambda * *b;
+    let after = before + step;
+    *lost = step - (after - before);
+    *u = after;
+    *b += v * before;
+}
+
+/// Entry `place` of block `block` of a row.
+#[inline(always)]
+fn entry(row: &mut [f32], block: usize, place: usize) -> Option<&mut f32> {
+    row.as_chunks_mut::<ROWS>().0.get_mut(block)?.get_mut(place)
+}
+
 /// The friction entries of a row.
 #[inline(always)]
 fn friction<const N: usize, const P: usize>(row: &mut Stacked<N, P>) -> &mut [f32] {
@@ -403,17 +481,17 @@ fn add_rows<R, const W: usize>(
     weights: &[f32; W],
     start: usize,
 ) {
-    for j in start..sum.len() {
-        let Some(sum) = sum.get_mut(j) else {
-            break;
-        };
-        each_row!(K < W {
-            let u = rows.get(K).and_then(|row| part(row).get(j));
-            if let (Some(u), Some(weight)) = (u, weights.get(K)) {
-                *sum += weight * u;
-            }
-        });
-    }
+    let end = sum.len();
+    each_column!(j in start, end {
+        if let Some(sum) = sum.get_mut(j) {
+            each_row!(K < W {
+                let u = rows.get(K).and_then(|row| part(row).get(j));
+                if let (Some(u), Some(weight)) = (u, weights.get(K)) {
+                    *sum += weight * u;
+                }
+            });
+        }
+    });
 }
 
 /// Entries of a sum worked on at once: their loads and sums do not wait for each other.
