@@ -48,6 +48,7 @@ pub mod learning;
 pub mod limits;
 pub mod math;
 pub mod network;
+mod quotient;
 
 /// The README's code compiles and runs.
 #[cfg(doctest)]

@@ -39,6 +39,30 @@ impl Flags {
     /// The torque of the payload was cut to its bound, or was no number and left out.
     pub const PAYLOAD_CLIPPED: Self = Self(1 << 13);
 
+    /// Every flag with its name, from the lowest bit on.
+    pub const NAMED: [(Self, &'static str); 14] = [
+        (Self::SATURATED, "saturated"),
+        (Self::SLEWED, "slewed"),
+        (Self::NETWORK_CLIPPED, "network_clipped"),
+        (Self::LEARNED_CLIPPED, "learned_clipped"),
+        (Self::STALE_SAMPLE, "stale_sample"),
+        (Self::SHARE_FALLBACK, "share_fallback"),
+        (Self::NOT_FINITE, "not_finite"),
+        (Self::LEARNING_ON, "learning_on"),
+        (Self::SET_ADOPTED, "set_adopted"),
+        (Self::SET_LATE, "set_late"),
+        (Self::DESIRED_CLAMPED, "desired_clamped"),
+        (Self::NO_MEASUREMENT, "no_measurement"),
+        (Self::WITHDRAWN, "withdrawn"),
+        (Self::PAYLOAD_CLIPPED, "payload_clipped"),
+    ];
+
+    /// Its name in reports; empty for several flags, or none.
+    pub fn name(self) -> &'static str {
+        let named = Self::NAMED.iter().find(|(flag, _)| *flag == self);
+        named.map_or("", |(_, name)| name)
+    }
+
     /// Every bit of `other` is set.
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0

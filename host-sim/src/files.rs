@@ -4,6 +4,39 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+/// What follows the final name in that of an unfinished version, before the number of its process.
+const PART: &str = ".part";
+
+/// Removes unfinished versions of `target` that killed runs have left: those that no process has locked.
+fn sweep(target: &Path) {
+    let (Some(name), Some(parent)) = (target.file_name(), target.parent()) else {
+        return;
+    };
+    let parent = if parent.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        parent
+    };
+    let Ok(entries) = fs::read_dir(parent) else {
+        return;
+    };
+    for entry in entries.flatten() {
+        let number = entry.file_name();
+        let number = number.as_encoded_bytes();
+        let number = number.strip_prefix(name.as_encoded_bytes());
+        let number = number.and_then(|rest| rest.strip_prefix(PART.as_bytes()));
+        if !number.is_some_and(|digits| !digits.is_empty() && digits.iter().all(u8::is_ascii_digit))
+        {
+            continue;
+        }
+        let abandoned = File::open(entry.path()).is_ok_and(|part| part.try_lock().is_ok());
+        if abandoned {
+            // What cannot be removed is left, as it was before.
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
 /// A file under construction. Dropped before [`WholeFile::finish`] it leaves nothing behind.
 #[derive(Debug)]
 pub struct WholeFile {
@@ -25,11 +58,20 @@ impl WholeFile {
         if let Some(parent) = target.parent().filter(|p| !p.as_os_str().is_empty()) {
             fs::create_dir_all(parent).map_err(|error| at(parent, error))?;
         }
+        sweep(target);
         let mut part = target.as_os_str().to_owned();
         // The process id keeps two runs that write the same file from sharing one unfinished version.
-        part.push(format!(".part{}", std::process::id()));
+        part.push(format!("{PART}{}", std::process::id()));
         let part = PathBuf::from(part);
-        let file = File::create(&part).map_err(|error| at(target, error))?;
+        let file = loop {
+            let file = File::create(&part).map_err(|error| at(target, error))?;
+            // Where there are no locks, nothing is swept either.
+            let _ = file.try_lock();
+            // Another run may have swept it before it was locked.
+            if part.exists() {
+                break file;
+            }
+        };
         Ok(Self {
             writer: Some(BufWriter::new(file)),
             part,
@@ -104,6 +146,24 @@ pub fn toml_complaint(text: &str, error: &toml::de::Error) -> (usize, String) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_killed_run_left_is_swept_and_what_is_being_written_stays() {
+        let directory =
+            std::env::temp_dir().join(format!("foretorque-sweep-{}", std::process::id()));
+        fs::create_dir_all(&directory).expect("creates");
+        let target = directory.join("log.csv");
+        let [dead, alive, other] =
+            ["log.csv.part1", "log.csv.part2", "log.csv.partial"].map(|name| directory.join(name));
+        for file in [&dead, &other] {
+            fs::write(file, b"half").expect("writes");
+        }
+        let running = File::create(&alive).expect("creates");
+        running.lock().expect("locks");
+        write_whole(&target, b"whole").expect("writes");
+        assert!(!dead.exists() && alive.exists() && other.exists());
+        fs::remove_dir_all(&directory).expect("cleans up");
+    }
 
     #[test]
     fn an_unfinished_file_leaves_nothing_behind() {

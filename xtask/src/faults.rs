@@ -7,12 +7,16 @@ use crate::shell::{self, command};
 
 /// Where the counts go, from the workspace's root.
 const OUT: &str = "target/foretorque/faults.json";
+/// The page that keeps them.
+const PAGE: &str = "docs/reliability.md";
 
-/// Sets up, builds the board's ELF files, and breaks them.
-pub(crate) fn run(forced: Option<Way>) -> Result<()> {
+/// Sets up, builds the board's ELF files, breaks them, and compares the counts with those of the page; `accept` writes them
+/// there.
+pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
     let tools = setup::run(forced)?;
     shell::run(tools.board.board_cargo("build").arg("--bins"))?;
-    shell::run(command("cargo").args([
+    let mut campaign = command("cargo");
+    campaign.args([
         "run",
         "--quiet",
         "--release",
@@ -22,5 +26,11 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         "faults",
         "--out",
         OUT,
-    ]))
+        "--table",
+        PAGE,
+    ]);
+    if !accept {
+        campaign.arg("--check");
+    }
+    shell::run(&mut campaign)
 }

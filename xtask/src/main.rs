@@ -43,7 +43,8 @@ Options:
       --check            setup only: change nothing, list what is here and what is missing, fail if anything is
       --board <BOARD>    flash only: odrive (without it), pyboard or drive
       --image            flash only: write the images, flash nothing
-      --accept           bench only: write docs/budget.md anew; limits may go down, never up
+      --accept           bench: write docs/budget.md anew; limits may go down, never up
+                         faults: write the counts into docs/reliability.md instead of comparing them
       --runs <N>         fuzz only: executions in all (100000000)
   -h, --help             Print this help
 
@@ -81,6 +82,7 @@ enum Request {
     },
     Faults {
         forced: Option<Way>,
+        accept: bool,
     },
     Fuzz {
         forced: Option<Way>,
@@ -115,7 +117,7 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
         Some("setup") => Request::Setup { forced, check },
         Some("demo") => Request::Demo { forced },
         Some("bench") => Request::Bench { forced, accept },
-        Some("faults") => Request::Faults { forced },
+        Some("faults") => Request::Faults { forced, accept },
         Some("fuzz") => Request::Fuzz {
             forced,
             runs: runs.unwrap_or(fuzz::RUNS),
@@ -135,8 +137,8 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
     if (image || board.is_some()) && !matches!(request, Request::Flash { .. }) {
         return Err("--image and --board belong to `cargo xtask flash`".into());
     }
-    if accept && !matches!(request, Request::Bench { .. }) {
-        return Err("--accept belongs to `cargo xtask bench`".into());
+    if accept && !matches!(request, Request::Bench { .. } | Request::Faults { .. }) {
+        return Err("--accept belongs to `cargo xtask bench` and `cargo xtask faults`".into());
     }
     if runs.is_some() && !matches!(request, Request::Fuzz { .. }) {
         return Err("--runs belongs to `cargo xtask fuzz`".into());
@@ -167,7 +169,7 @@ fn main() -> ExitCode {
         } => setup::run(forced).and_then(|_| setup::bring_c_compiler()),
         Request::Demo { forced } => demo::run(forced),
         Request::Bench { forced, accept } => bench::run(forced, accept),
-        Request::Faults { forced } => faults::run(forced),
+        Request::Faults { forced, accept } => faults::run(forced, accept),
         Request::Fuzz { forced, runs } => fuzz::run(forced, runs),
         Request::Test { forced } => test::run(forced),
         Request::Capi { forced } => capi::run(forced),

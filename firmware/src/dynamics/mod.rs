@@ -18,6 +18,7 @@ pub use friction::{
 pub use link::is_angle;
 pub use regressor::{regressor, regressor_row};
 pub use rnea::rnea;
+pub use unroll::MAX_JOINTS;
 
 use nalgebra::SVector;
 

@@ -1,7 +1,7 @@
 //! Loops over the joints that the compiler sees joint by joint.
 
 /// Most joints of an arm: as often the bodies below are written out.
-pub(super) const MAX_JOINTS: usize = 8;
+pub const MAX_JOINTS: usize = 8;
 
 macro_rules! each {
     ($i:ident < $n:ident $body:block, $($joint:literal)*) => {

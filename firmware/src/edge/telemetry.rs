@@ -1,6 +1,7 @@
 //! Counters that say how the board is doing.
 
 use crate::edge::store::StoreHealth;
+use crate::quotient::quotient;
 use serde::{Deserialize, Serialize};
 
 /// Counters since boot or reset. All saturate or wrap; none stops the tick.
@@ -116,7 +117,7 @@ impl CostMeter {
     /// Mean and largest cost so far; zero before the first.
     pub fn cost(&self) -> Cost {
         Cost {
-            mean: (self.sum / u64::from(self.times.max(1))) as u32,
+            mean: quotient(self.sum, self.times.max(1)),
             max: self.max,
         }
     }

@@ -234,9 +234,9 @@ impl<const N: usize> Player<N> {
         self.state.speed.advance();
         let (next_speed, slowing) = self.state.speed.now(self.tick_us);
         // Trapezoid; at full speed 2¹⁶, so that the step is whole.
-        let mean = (0.5 * (speed + next_speed) * 65_536.0) as u64;
+        let mean = (0.5 * (speed + next_speed) * 65_536.0) as u32;
         let step = self.state.path.phase_step(&self.series);
-        let step = ((u64::from(step) * mean) >> 16) as u32;
+        let step = ((u64::from(step) * u64::from(mean)) >> 16) as u32;
         let (phase, arrived) = self.state.phase.overflowing_add(step);
         self.state.phase = phase;
         if arrived {

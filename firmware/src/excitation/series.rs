@@ -1,5 +1,6 @@
 use crate::joint::{JointMotion, JointVector};
 use crate::math::sin_cos;
+use crate::quotient::quotient;
 use serde::{Deserialize, Serialize};
 
 /// Harmonics of the series, N of eq. 17.
@@ -54,12 +55,12 @@ impl PreparedSeries {
             *rate = omega * harmonic;
             *inv_rate = 1.0 / *rate;
         }
-        let period = u64::from(period_us.max(1));
-        let step = ((u64::from(tick_us) << 32) + period / 2) / period;
+        let period = period_us.max(1);
+        let tick = (u64::from(tick_us) << 32) + u64::from(period / 2);
         Self {
             rate,
             inv_rate,
-            phase_step: u32::try_from(step).unwrap_or(u32::MAX),
+            phase_step: quotient(tick, period),
         }
     }
 

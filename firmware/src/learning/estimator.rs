@@ -67,6 +67,9 @@ pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimator<const N: usize, const P: usize> {
     parameters: Stacked<N, P>,
+    /// What rounding has kept from the parameters so far. After many rows a step is a few last bits of them, and no
+    /// later row takes back what was rounded off.
+    owed: Stacked<N, P>,
     filter: UdFilter<N, P>,
     variance: [f32; N],
     /// Rows that each is known from, as far as they were uncertain because of noise.
@@ -117,6 +120,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     pub(super) const fn idle() -> Self {
         Self {
             parameters: Stacked::filled(0.0),
+            owed: Stacked::filled(0.0),
             filter: UdFilter::new(),
             variance: [FIRST_VARIANCE; N],
             noticed: [FIRST_ROWS; N],
@@ -127,7 +131,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 
     /// Starts over from `prior`, in place.
     pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>) {
-        self.parameters = Stacked::of(prior);
+        self.move_to(&Stacked::of(prior));
         self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
         self.noticed = [FIRST_ROWS; N];
@@ -138,6 +142,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Takes `parameters` for the estimate; what is known of their covariance stays.
     pub(super) fn move_to(&mut self, parameters: &Stacked<N, P>) {
         self.parameters = *parameters;
+        self.owed = Stacked::filled(0.0);
     }
 
     /// Raises the doubt about one friction parameter by `variance`, in units of the prior's.
@@ -230,7 +235,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         })
     }
 
-    /// θ ← θ + σ gain step, each kept within ±box of the prior's, friction never pushing.
+    /// θ ← θ + σ gain step in compensated sums [Kahan 1965], each kept within ±box of the prior's, friction never pushing.
     fn move_by(
         &mut self,
         config: &LearnerConfig<N, P>,
@@ -242,12 +247,23 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let prior = Stacked::of(prior);
         let parts = sigma.parts().into_iter().zip(gain.parts());
         let parts = parts.zip(prior.parts());
-        for (theta, ((sigma, gain), prior)) in self.parameters.parts_mut().into_iter().zip(parts) {
+        let moving = self.parameters.parts_mut().into_iter();
+        for ((theta, owed), ((sigma, gain), prior)) in moving.zip(self.owed.parts_mut()).zip(parts)
+        {
             let columns = sigma.iter().zip(gain).zip(prior);
-            for (theta, ((&sigma, &gain), &prior)) in theta.iter_mut().zip(columns) {
-                let moved = *theta + sigma * gain * step;
-                let (bounded, outside) = cut(moved - prior, config.box_sigmas * sigma);
-                *theta = if outside { prior + bounded } else { moved };
+            for ((theta, owed), ((&sigma, &gain), &prior)) in
+                theta.iter_mut().zip(owed).zip(columns)
+            {
+                let step = sigma * gain * step + *owed;
+                let moved = *theta + step;
+                *owed = step - (moved - *theta);
+                let (offset, bound) = (moved - prior, config.box_sigmas * sigma);
+                // One comparison for nearly all of them.
+                *theta = if offset.abs() > bound {
+                    prior + cut(offset, bound).0
+                } else {
+                    moved
+                };
             }
         }
         for friction in &mut self.parameters.friction {

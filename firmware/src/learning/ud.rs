@@ -309,22 +309,28 @@ impl Alpha {
     fn new(variance: f32) -> Self {
         Self {
             value: variance,
-            inverse: 1.0 / variance,
+            inverse: ALMOST_ONE / variance,
         }
     }
 
     /// Takes `f` of one column in, shrinks its `d`; returns `v` and `λ = −f/α`.
+    ///
+    /// `D α/α' = D − v²/α'`. The product would leak: `α · 1/α` is often rounded to less than one and never to more, so that
+    /// every row takes 6e-9 off all of D, even off what it does not touch: 5 % in ten million rows.
     #[inline(always)]
     fn absorb(&mut self, f: f32, d: &mut f32) -> (f32, f32) {
         let v = *d * f;
         let lambda = -f * self.inverse;
-        let grown = self.value + v * f;
-        self.inverse = 1.0 / grown;
-        *d *= self.value * self.inverse;
-        self.value = grown;
+        self.value += v * f;
+        self.inverse = ALMOST_ONE / self.value;
+        *d -= v * (v * self.inverse);
         (v, lambda)
     }
 }
+
+/// Keeps D positive whatever the rows are: in the worst row, all but 2⁻²¹ of it is taken off, which is more than rounding
+/// can add.
+const ALMOST_ONE: f32 = 1.0 - 4.0 * f32::EPSILON;
 
 /// Rows of U worked on at once: their running sums fit the registers beside what they share.
 const ROWS: usize = 4;
@@ -459,3 +465,6 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     }
     (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
+
+#[cfg(test)]
+mod tests;

@@ -89,10 +89,30 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     fn silent_from(start: &mut RandomStart) -> Self {
         let mut network = Self::zeros();
         let reach = square_root(6.0 / I as f32);
-        for weight in network.hidden_weights.iter_mut() {
+        for weight in network.hidden_weights.as_mut_slice() {
             *weight = reach * start.symmetric();
         }
         network
+    }
+
+    /// Weights and thresholds layer by layer, in the order of a bank: hidden weights and thresholds, those of the output.
+    pub fn layers(&self) -> [&[f32]; 4] {
+        [
+            self.hidden_weights.as_slice(),
+            self.hidden_bias.as_slice(),
+            self.output_weights.as_slice(),
+            self.output_bias.as_slice(),
+        ]
+    }
+
+    /// [`layers`](Self::layers), to be written.
+    pub fn layers_mut(&mut self) -> [&mut [f32]; 4] {
+        [
+            self.hidden_weights.as_mut_slice(),
+            self.hidden_bias.as_mut_slice(),
+            self.output_weights.as_mut_slice(),
+            self.output_bias.as_mut_slice(),
+        ]
     }
 
     /// Output of the network for input `x`.

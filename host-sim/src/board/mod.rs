@@ -80,7 +80,10 @@ impl fmt::Display for BoardError {
                 "the board speaks protocol version {version}, this program version {PROTOCOL_VERSION}"
             ),
             Self::WrongRobot { wanted, found } => {
-                write!(f, "the board drives {found}, not {wanted}")
+                write!(
+                    f,
+                    "the board drives {found}, not {wanted}: is its firmware that of `cargo firmware`?"
+                )
             }
             Self::Restarted(reason) => write!(f, "the board has started over ({reason:?})"),
             Self::Refused(reason) => write!(f, "the board refused: {reason}"),

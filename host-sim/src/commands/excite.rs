@@ -1,6 +1,6 @@
 use super::progress::Bar;
 use super::terminal::say;
-use super::{Failure, unusable};
+use super::{Failure, unsupported, unusable};
 use crate::excitation::{self, Criterion, Excitation, SearchConfig};
 use crate::files::{WholeFile, at, write_whole};
 use crate::robot::Robot;
@@ -113,9 +113,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match robot.joint_count() {
         6 => search::<6>(arguments, &robot),
         7 => search::<7>(arguments, &robot),
-        joints => Err(unusable(format!(
-            "robots of {joints} joints are not supported"
-        ))),
+        joints => Err(unsupported(joints)),
     }
 }
 

@@ -1,7 +1,8 @@
+use super::kept_table::KeptTable;
 use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unusable};
-use crate::faults::{Campaign, Lengths, scenarios};
+use crate::faults::{Campaign, Lengths, scenarios, table};
 use crate::files::write_whole;
 use clap::Args;
 use serde::Serialize;
@@ -21,7 +22,12 @@ pub(super) struct Arguments {
     /// Seed of all damage
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    table: KeptTable,
 }
+
+/// Name of the table of all counts.
+const TABLE: &str = "faults";
 
 #[derive(Serialize)]
 struct Report {
@@ -40,6 +46,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     // A place that cannot be written is said now, not after the work.
     write(arguments, &report)?;
+    arguments.table.look(TABLE)?;
     let scratch = std::env::temp_dir().join(format!("foretorque-faults-{}", std::process::id()));
     std::fs::create_dir_all(&scratch)?;
     let all = scenarios(lengths, arguments.seed, &scratch);
@@ -88,10 +95,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         failed.len(),
         arguments.out.display()
     ))?;
-    match failed.is_empty() {
-        true => Ok(()),
-        false => Err(unusable(format!("not survived: {}", failed.join(", ")))),
+    if !failed.is_empty() {
+        return Err(unusable(format!("not survived: {}", failed.join(", "))));
     }
+    arguments.table.keep(TABLE, &table::text(&report.campaigns))
 }
 
 fn write(arguments: &Arguments, report: &Report) -> Result<(), Failure> {

@@ -1,6 +1,6 @@
 use super::report_files::ReportFiles;
 use super::terminal::say;
-use super::{Failure, unusable};
+use super::{Failure, unsupported, unusable};
 use crate::excitation::Excitation;
 use crate::files::write_whole;
 use crate::identification::{
@@ -123,9 +123,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         7 => identify_arm::<7>(arguments, &robot, &config, |outcome| {
             bank::<Panda, 7, { panda::PARAMETERS }>(&robot, outcome)
         }),
-        joints => Err(unusable(format!(
-            "robots of {joints} joints are not supported"
-        ))),
+        joints => Err(unsupported(joints)),
     }
 }
 

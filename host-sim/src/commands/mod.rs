@@ -10,6 +10,7 @@ mod experiment;
 mod faults;
 mod generate;
 mod identify;
+mod kept_table;
 mod key;
 mod merge;
 mod motion_log;
@@ -45,6 +46,11 @@ impl Error for Unusable {}
 
 fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Unusable(reason.into()))
+}
+
+/// Refuses a robot of so many joints.
+fn unsupported(joints: usize) -> Failure {
+    unusable(format!("robots of {joints} joints are not supported"))
 }
 
 /// Refuses to write over what is read.

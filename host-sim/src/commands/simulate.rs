@@ -1,7 +1,7 @@
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
-use super::{Failure, not_over, unusable};
+use super::{Failure, not_over, unsupported, unusable};
 use crate::control::PdConfig;
 use crate::dynamics::{Joints, ReferenceModel};
 use crate::experiment::closed_loop::ClosedLoop;
@@ -127,9 +127,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match robot.joint_count() {
         6 => simulate::<6>(arguments, &robot),
         7 => simulate::<7>(arguments, &robot),
-        joints => Err(unusable(format!(
-            "robots of {joints} joints are not supported"
-        ))),
+        joints => Err(unsupported(joints)),
     }
 }
 

@@ -88,6 +88,23 @@ impl<const N: usize> Clearances<N> {
         }
     }
 
+    /// More than the distance `index` can be in any pose, m; infinity where the poses must tell.
+    ///
+    /// What hangs on the second joint is no higher than the first plus the stretched chain.
+    pub(super) fn most(&self, index: usize) -> f64 {
+        let Pair::Table { link } = self.pairs[index] else {
+            return f64::INFINITY;
+        };
+        let chain = self.placements[1..=link].iter();
+        let chain: f64 = chain.map(|placement| placement.origin.norm()).sum();
+        let highest = |capsule: &Capsule| {
+            let lower_end = capsule.ends[0].norm().min(capsule.ends[1].norm());
+            self.placements[0].origin.z + chain + lower_end - capsule.radius - self.table_height
+        };
+        let heights = self.capsules[link].iter().map(highest);
+        heights.fold(f64::INFINITY, f64::min)
+    }
+
     /// Largest speed of the distance `index` at joint speeds bounded by `speeds`, m/s.
     ///
     /// A turn of joint i by dq moves what hangs on it by at most dq times its distance from the axis, which no pose makes
@@ -166,6 +183,24 @@ mod tests {
         );
         let worst = (0..distances.len()).min_by(|a, b| distances[*a].total_cmp(&distances[*b]));
         assert!(worst.is_some_and(|i| distances[i] < 0.0), "{distances:?}");
+    }
+
+    #[test]
+    fn no_pose_keeps_more_than_the_most() {
+        let clearances = ur5();
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+        let mut distances = vec![0.0; clearances.count()];
+        for _ in 0..2000 {
+            let q = Joints::<6>::from_fn(|_, _| random.random_range(-3.0..3.0));
+            clearances.write(&q, &mut distances);
+            for (i, distance) in distances.iter().enumerate() {
+                let name = clearances.name(i);
+                assert!(*distance <= clearances.most(i) + 1e-12, "{name}");
+            }
+        }
+        // The stretched arm stands nearly that high.
+        let table = clearances.most(1);
+        assert!(table.is_finite() && table < 1.0, "{table}");
     }
 
     #[test]

@@ -22,6 +22,15 @@ pub enum ExcitationError {
         /// The joint, from 1.
         joint: usize,
     },
+    /// No pose at all is that far away.
+    OutOfReach {
+        /// What is to be kept clear of what.
+        of: String,
+        /// More than can be had, m.
+        most_m: f64,
+        /// What is asked for, m.
+        asked_m: f64,
+    },
     /// No start of the search ended inside all limits.
     Unkept {
         /// The limit that was missed by the best start.
@@ -46,6 +55,16 @@ impl fmt::Display for ExcitationError {
                 write!(
                     f,
                     "excitation: limits of joint {joint} leave no room to move"
+                )
+            }
+            Self::OutOfReach {
+                of,
+                most_m,
+                asked_m,
+            } => {
+                write!(
+                    f,
+                    "excitation: no path keeps all limits; in no pose is {of} clear by more than {most_m:.3} m, asked for {asked_m} m"
                 )
             }
             Self::Unkept {

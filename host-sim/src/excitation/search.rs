@@ -134,6 +134,16 @@ impl<'a, const N: usize> Search<'a, N> {
         let rows = Rows::<N>::new(robot, Frames::Dh).ok_or_else(other_size)?;
         let rooms = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
         let clearances = Clearances::<N>::new(robot).ok_or_else(other_size)?;
+        for index in 0..clearances.count() {
+            let (most_m, asked_m) = (clearances.most(index), clearances.asked);
+            if most_m < asked_m {
+                return Err(ExcitationError::OutOfReach {
+                    of: clearances.name(index),
+                    most_m,
+                    asked_m,
+                });
+            }
+        }
         let fastest = Joints::<N>::from_fn(|j, _| rooms[j].qd);
         let clearance = (0..clearances.count())
             .map(|index| clearances.asked + 0.001 + clearances.rate(index, &fastest) * HALF_STEP_S)

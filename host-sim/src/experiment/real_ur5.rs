@@ -1,7 +1,7 @@
 //! A real UR5: every path held out in turn, the recommended method against plain weighted least squares.
 
 use crate::identification::{ColumnSet, IdentifyConfig, MethodName, PrepareConfig, identify};
-use crate::report::page::{Section, Tile, html, table};
+use crate::report::page::{Section, Tile, html, ratio};
 use crate::robot::Robot;
 use serde::Serialize;
 use std::error::Error;
@@ -169,23 +169,15 @@ pub(super) fn geometric_mean<'a>(values: impl IntoIterator<Item = &'a f64>) -> f
 }
 
 fn page(report: &RealReport) -> String {
-    let figure =
-        |value: &Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.3}"));
     let rows = |pick: &dyn Fn(&PathRecord) -> Vec<Option<f64>>| -> Vec<Vec<String>> {
         let paths = report.paths.iter();
         paths
             .map(|path| {
                 let mut row = vec![path.path.clone()];
-                row.extend(pick(path).iter().map(figure));
+                row.extend(pick(path).into_iter().map(ratio));
                 row
             })
             .collect()
-    };
-    let section = |heading: &str, caption: &str, header: &[&str], rows: &[Vec<String>]| Section {
-        heading: heading.to_owned(),
-        caption: caption.to_owned(),
-        legend: Vec::new(),
-        body: table(header, rows),
     };
     let joints = ["path held out", "J1", "J2", "J3", "J4", "J5", "J6"];
     let with_mean = [&joints[..], &["all"]].concat();
@@ -193,17 +185,14 @@ fn page(report: &RealReport) -> String {
         "A real UR5, every path held out in turn",
         "Torque is drive gain × motor current, filtered; rows in which the joint moves.",
         &[
-            Tile {
-                value: format!("{:.3}", report.geometric_mean_vs_wls),
-                label: "error over that of plain weighted least squares, geometric mean".to_owned(),
-            },
-            Tile {
-                value: format!("{:.3}", report.worst_path_vs_wls),
-                label: "worst path".to_owned(),
-            },
+            Tile::ratio(
+                report.geometric_mean_vs_wls,
+                "error over that of plain weighted least squares, geometric mean",
+            ),
+            Tile::ratio(report.worst_path_vs_wls, "worst path"),
         ],
         &[
-            section(
+            Section::of_table(
                 "Error over that of plain weighted least squares",
                 &format!("{} against {}.", report.recommended, report.reference),
                 &with_mean,
@@ -213,13 +202,13 @@ fn page(report: &RealReport) -> String {
                     row
                 }),
             ),
-            section(
+            Section::of_table(
                 &format!("RMS error of {} / N·m", report.recommended),
                 "On the path that was not trained on.",
                 &joints,
                 &rows(&|path| path.recommended_rmse_moving_nm.clone()),
             ),
-            section(
+            Section::of_table(
                 &format!("RMS error of {} / N·m", report.reference),
                 "On the path that was not trained on.",
                 &joints,

@@ -10,6 +10,7 @@ mod link;
 pub mod machine;
 mod rig;
 pub mod store;
+pub mod table;
 mod uploads;
 mod watchdog;
 

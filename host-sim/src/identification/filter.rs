@@ -16,9 +16,12 @@ pub struct Butterworth {
 }
 
 impl Butterworth {
+    /// Cut-offs are below this share of the rate of the rows.
+    pub const RATE_SHARE: f64 = 0.45;
+
     /// A low pass at `cutoff_hz` for rows `period_s` apart; `None` unless the cut-off is below 0.45 / period.
     pub fn new(cutoff_hz: f64, period_s: f64) -> Option<Self> {
-        if !(cutoff_hz > 0.0 && cutoff_hz * period_s < 0.45) {
+        if !(cutoff_hz > 0.0 && cutoff_hz * period_s < Self::RATE_SHARE) {
             return None;
         }
         let k = (PI * cutoff_hz * period_s).tan();

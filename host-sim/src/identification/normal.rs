@@ -5,16 +5,28 @@
 //! is the square of the condition number, which f64 affords up to about 1e7 (rank decisions are made at 1e4).
 
 use super::columns::Layout;
+use super::filter::Butterworth;
 use nalgebra::{DMatrix, DMatrixView, DVector};
 use std::fmt;
 
 /// Why parameters cannot be identified.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum IdentificationError {
     /// No joint moves.
     NoMotion {
         /// The logs.
         logs: String,
+    },
+    /// Rows this far apart do not show the cut-off of a filter.
+    CutOff {
+        /// The log.
+        log: String,
+        /// The option that asks for it.
+        option: &'static str,
+        /// What it asks for, Hz.
+        asked_hz: f64,
+        /// Rows of the log a second.
+        rate_hz: f64,
     },
     /// The motion does not show these parameters.
     RankDeficient {
@@ -31,6 +43,17 @@ impl fmt::Display for IdentificationError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoMotion { logs } => write!(f, "{logs}: no joint moves"),
+            Self::CutOff {
+                log,
+                option,
+                asked_hz,
+                rate_hz,
+            } => write!(
+                f,
+                "{log}: {option} is {asked_hz}, must be below {:.4}, {} of its {rate_hz:.4} rows a second",
+                Butterworth::RATE_SHARE * rate_hz,
+                Butterworth::RATE_SHARE
+            ),
             Self::RankDeficient {
                 rank,
                 wanted,

@@ -4,6 +4,7 @@ use super::bootstrap::parameter_intervals;
 use super::columns::{ColumnSet, Layout};
 use super::consistent::consistent;
 use super::evidence::evidence;
+use super::filter::Butterworth;
 use super::fourier::folded;
 use super::gains::standstill_gains;
 use super::gathered::Gathered;
@@ -18,6 +19,7 @@ use super::split::split;
 use super::stream::for_each_prepared;
 use super::truth::{error_curve, truths};
 use super::validation::{Candidate, FileScores};
+use super::whole_log::WholeLog;
 use crate::robot::Robot;
 use foretorque::feedforward::JointNetwork;
 use nalgebra::DVector;
@@ -76,6 +78,9 @@ pub fn identify<const N: usize>(
     config: &IdentifyConfig,
     progress: Progress<'_>,
 ) -> Result<Outcome<N>, Box<dyn Error>> {
+    for path in logs.iter().chain(validate) {
+        show_cut_offs::<N>(path, robot, &config.prepare)?;
+    }
     let mut robot = robot.clone();
     let mut drive_gains = Vec::new();
     if config.gains_from_standstill {
@@ -231,6 +236,30 @@ pub fn identify<const N: usize>(
             .map(|(t_s, tau, predicted)| (t_s, tau, predicted[recommended]))
             .collect(),
     })
+}
+
+/// Errors: the log's; its rows are too far apart for one of the filters.
+fn show_cut_offs<const N: usize>(
+    path: &Path,
+    robot: &Robot,
+    config: &PrepareConfig,
+) -> Result<(), Box<dyn Error>> {
+    let period_s = WholeLog::<N>::open(path, robot)?.period_s();
+    let asked = [
+        ("--motion-hz", Some(config.motion_hz)),
+        ("--torque-hz", config.torque_hz),
+    ];
+    for (option, hz) in asked {
+        if let Some(asked_hz) = hz.filter(|hz| Butterworth::new(*hz, period_s).is_none()) {
+            return Err(Box::new(IdentificationError::CutOff {
+                log: path.display().to_string(),
+                option,
+                asked_hz,
+                rate_hz: 1.0 / period_s,
+            }));
+        }
+    }
+    Ok(())
 }
 
 /// One pass over the training logs.

@@ -25,6 +25,33 @@ pub struct Section {
     pub body: String,
 }
 
+impl Section {
+    /// A part that is a table.
+    pub fn of_table(heading: &str, caption: &str, header: &[&str], rows: &[Vec<String>]) -> Self {
+        Self {
+            heading: heading.to_owned(),
+            caption: caption.to_owned(),
+            legend: Vec::new(),
+            body: table(header, rows),
+        }
+    }
+}
+
+impl Tile {
+    /// A ratio.
+    pub fn ratio(value: f64, label: &str) -> Self {
+        Self {
+            value: ratio(Some(value)),
+            label: label.to_owned(),
+        }
+    }
+}
+
+/// A ratio as tables show it; a dash where there is none.
+pub fn ratio(value: Option<f64>) -> String {
+    value.map_or("–".to_owned(), |value| format!("{value:.3}"))
+}
+
 /// A table with a header row; the first column is text, the others are numbers.
 pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
     let cells = |tag: &str, row: &mut dyn Iterator<Item = &str>| -> String {

@@ -136,6 +136,18 @@ pub(crate) fn mistyped() -> Vec<(String, &'static [&'static str])> {
             &["--period-s", "1000"],
         ),
         (
+            "excite --robot ur5 --out out --table-m 3".to_owned(),
+            &["to table", "asked for"],
+        ),
+        (
+            "identify --robot ur5 --log good.csv --motion-hz 460 --out out".to_owned(),
+            &["good.csv", "--motion-hz is 460", "450", "1000 rows"],
+        ),
+        (
+            "identify --robot ur5 --log good.csv --torque-hz 1e4 --out out".to_owned(),
+            &["good.csv", "--torque-hz is 10000"],
+        ),
+        (
             "identify --robot ur5 --log good.csv --period-s 3 --out out".to_owned(),
             &["--period-s", "--filter fourier"],
         ),

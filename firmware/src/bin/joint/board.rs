@@ -18,7 +18,7 @@ pub(crate) const HSE_HZ: u32 = 8_000_000;
 /// Internal oscillator, Hz, ± 1 % at room temperature (DS8626 table 41).
 pub(crate) const HSI_HZ: u32 = 16_000_000;
 /// Processor clock from the PLL, Hz: the most the chip allows at voltage scale 1, its reset state (DS8626 table 14).
-pub(crate) const PLL_HZ: u32 = 168_000_000;
+pub(crate) const PLL_HZ: u32 = foretorque::edge::wire::size::PROCESSOR_HZ as u32;
 /// Input of the PLL after division by M, Hz: RM0090 7.3.2 recommends 2 MHz against jitter.
 pub(crate) const PLL_INPUT_HZ: u32 = 2_000_000;
 /// Factor N: 2 MHz × 168 = 336 MHz, inside 100 to 432 MHz (RM0090 7.3.2).
@@ -42,7 +42,7 @@ pub(crate) const APB1_DIVIDER: u32 = 4;
 
 /// Bit rate of the link. USART2 sits on APB1; eight-fold oversampling reaches it from 42 MHz (divider 21/8, exact)
 /// and from the bare 16 MHz oscillator (divider 8/8, exact).
-pub(crate) const LINK_BAUD: u32 = 2_000_000;
+pub(crate) const LINK_BAUD: u32 = foretorque::edge::wire::size::BAUD;
 
 /// Torque enable of the motor stage: PB12, active high, pulled low on the board (EN_GATE of a DRV8301).
 pub(crate) const ENABLE_PIN: u8 = 12;

@@ -25,6 +25,9 @@ mod link;
 #[path = "../joint/log.rs"]
 mod log;
 #[cfg(target_os = "none")]
+#[path = "../joint/memory.rs"]
+mod memory;
+#[cfg(target_os = "none")]
 #[path = "../joint/pace.rs"]
 mod pace;
 #[cfg(target_os = "none")]

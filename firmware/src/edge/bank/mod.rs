@@ -17,8 +17,7 @@ use crate::edge::wire::Name;
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Most joints of an arm.
-pub const MAX_JOINTS: usize = 8;
+pub use crate::dynamics::MAX_JOINTS;
 /// Most linear columns. A larger room does not change the format.
 pub const MAX_COLUMNS: usize = 112;
 /// Most network weights.

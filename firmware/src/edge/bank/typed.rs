@@ -69,7 +69,7 @@ impl ParameterBank {
         set: &ParameterSet<N, P>,
     ) {
         let doubts = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
-        let rigid = rigid_columns::<A, N, P>().zip(set.rigid.iter().copied());
+        let rigid = rigid_columns::<A, N, P>().zip(set.rigid.as_slice().iter().copied());
         let friction = friction_columns(&set.friction);
         let deviations = doubts.rigid_sigma.into_iter();
         let deviations =
@@ -87,12 +87,11 @@ impl ParameterBank {
                 }
             }
         }
-        let weights = set.network.iter().flat_map(|network| {
-            let hidden = network.hidden_weights.iter().chain(&network.hidden_bias);
-            let output = network.output_weights.iter().chain(&network.output_bias);
-            hidden.chain(output).copied()
-        });
-        fill(&mut self.weights, weights);
+        self.weights.clear();
+        for layer in set.network.iter().flat_map(JointNetwork::layers) {
+            // There is room for every network of the arm.
+            let _ = self.weights.extend_from_slice(layer);
+        }
     }
 
     /// The typed set of the bank. Friction columns that are not there are zero.
@@ -109,7 +108,7 @@ impl ParameterBank {
         self.check_columns::<A, N, P>()?;
         let mut set = ParameterSet::nominal::<A>(NETWORK_SEED);
         for (place, (id, value)) in rigid_columns::<A, N, P>()
-            .zip(set.rigid.iter_mut())
+            .zip(set.rigid.as_mut_slice())
             .enumerate()
         {
             *value = self
@@ -129,16 +128,8 @@ impl ParameterBank {
         }
         let mut weights = self.weights.iter();
         for network in &mut set.network {
-            let hidden = network
-                .hidden_weights
-                .iter_mut()
-                .chain(&mut network.hidden_bias);
-            let output = network
-                .output_weights
-                .iter_mut()
-                .chain(&mut network.output_bias);
-            for (slot, weight) in hidden.chain(output).zip(weights.by_ref()) {
-                *slot = *weight;
+            for slot in network.layers_mut().into_iter().flatten() {
+                *slot = weights.next().copied().unwrap_or_default();
             }
         }
         Ok(set)

@@ -198,22 +198,9 @@ mod tests {
             let cells = std::format!("| {} | `{reason:?}` |", reason.code());
             assert!(row(page, &cells).is_some(), "{cells}");
         }
-        for (flag, name) in [
-            (Flags::SATURATED, "SATURATED"),
-            (Flags::SLEWED, "SLEWED"),
-            (Flags::NETWORK_CLIPPED, "NETWORK_CLIPPED"),
-            (Flags::LEARNED_CLIPPED, "LEARNED_CLIPPED"),
-            (Flags::STALE_SAMPLE, "STALE_SAMPLE"),
-            (Flags::SHARE_FALLBACK, "SHARE_FALLBACK"),
-            (Flags::NOT_FINITE, "NOT_FINITE"),
-            (Flags::LEARNING_ON, "LEARNING_ON"),
-            (Flags::SET_ADOPTED, "SET_ADOPTED"),
-            (Flags::SET_LATE, "SET_LATE"),
-            (Flags::DESIRED_CLAMPED, "DESIRED_CLAMPED"),
-            (Flags::NO_MEASUREMENT, "NO_MEASUREMENT"),
-            (Flags::WITHDRAWN, "WITHDRAWN"),
-        ] {
-            let cells = std::format!("| {} | `{name}` |", flag.0.trailing_zeros());
+        for (bit, (flag, name)) in Flags::NAMED.into_iter().enumerate() {
+            assert_eq!(flag.0, 1 << bit, "{name}");
+            let cells = std::format!("| {bit} | `{}` |", name.to_uppercase());
             assert!(row(page, &cells).is_some(), "{cells}");
         }
     }

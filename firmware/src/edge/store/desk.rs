@@ -155,11 +155,6 @@ impl StoreDesk {
         self.phase != Phase::Free
     }
 
-    /// An order waits for the housekeeping.
-    pub fn is_waiting(&self) -> bool {
-        self.phase == Phase::Waiting
-    }
-
     /// Orders `bank` to be kept. False, and nothing changes, while busy or when the bank has no bytes.
     pub fn save(&mut self, requester: u16, bank: &ParameterBank) -> bool {
         if self.is_busy() {

@@ -6,6 +6,7 @@ use crate::excitation::Stage;
 use crate::feedforward::{Shares, Torque};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::limits::Flags;
+use core::hint::black_box;
 use serde::{Deserialize, Serialize};
 
 /// What a sample carries besides the desired motion.
@@ -355,7 +356,12 @@ fn encoded<T: Copy + Default, const N: usize>(values: &[f32], encode: impl Fn(f3
 #[inline(never)]
 fn decoded<T: Copy, const N: usize>(codes: &[T; N], decode: impl Fn(T) -> f32) -> JointVector<N> {
     let mut values = JointVector::<N>::zeros();
-    for (value, &code) in values.iter_mut().zip(codes) {
+    // Of their number the compiler knows nothing: written out for every joint it would be 1 kB of flash.
+    for (value, &code) in values
+        .as_mut_slice()
+        .iter_mut()
+        .zip(black_box(codes.as_slice()))
+    {
         *value = decode(code);
     }
     values

@@ -1,11 +1,16 @@
 //! Sizes of the cyclic frames and the share of a link that they take.
 
+use crate::quotient::quotient;
+
 /// Version, sequence number and message tag.
 pub const HEADER: usize = 4;
 /// CRC-32, COBS byte and delimiter.
 pub const TRAILER: usize = 6;
 /// Bits on an asynchronous line for one byte: start, eight data, stop.
 pub const BITS_PER_BYTE: u64 = 10;
+
+/// Bits a second of the boards' serial link.
+pub const BAUD: u32 = 2_000_000;
 
 /// Wire size of a frame whose message has `content` bytes behind the tag.
 pub const fn frame(content: usize) -> usize {
@@ -52,9 +57,10 @@ pub const RESERVE_PERCENT: u64 = 30;
 
 /// Bytes that a direction of a line has left in one period besides a frame of `reply` bytes and the reserve.
 pub const fn left(baud: u32, period_us: u32, reply: usize) -> usize {
-    let bytes = baud as u64 * period_us as u64 / (BITS_PER_BYTE * 1_000_000);
-    let planned = bytes * (100 - RESERVE_PERCENT) / 100;
-    planned.saturating_sub(reply as u64) as usize
+    let bits_us = baud as u64 * period_us as u64;
+    let bytes = quotient(bits_us, (BITS_PER_BYTE * 1_000_000) as u32);
+    let planned = quotient(bytes as u64 * (100 - RESERVE_PERCENT), 100);
+    (planned as usize).saturating_sub(reply)
 }
 
 /// Instructions that the board counts for receiving a byte, at most. A test in the emulator holds them to it.
@@ -73,6 +79,6 @@ pub const fn receive_permille(bytes: usize, rate_hz: u64) -> u64 {
 }
 
 const _: () = assert!(SAMPLE_6 <= 96 && TORQUE_6 <= 64);
-const _: () = assert!(headroom_permille(sample(7), 1000, 2_000_000) >= 300);
-const _: () = assert!(headroom_permille(full_torque(7), 1000, 2_000_000) >= 300);
+const _: () = assert!(headroom_permille(sample(7), 1000, BAUD as u64) >= 300);
+const _: () = assert!(headroom_permille(full_torque(7), 1000, BAUD as u64) >= 300);
 const _: () = assert!(excited(7) <= full_torque(7));

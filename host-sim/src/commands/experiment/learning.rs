@@ -1,12 +1,15 @@
+use super::super::Failure;
+use super::super::kept_table::KeptTable;
 use super::super::progress::Bar;
 use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
-use super::super::{Failure, unusable};
 use super::Beside;
-use crate::experiment::learning::{self, LearningConfig, LearningReport, table};
-use crate::files::write_whole;
+use crate::experiment::learning::{self, LearningConfig, table};
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+
+/// Name of the table of measured against reach.
+const TABLE: &str = "learning";
 
 /// Learned against frozen, in closed loop, over everything that may go wrong
 #[derive(Debug, Args)]
@@ -21,12 +24,8 @@ pub(super) struct Arguments {
     /// The short form
     #[arg(long)]
     quick: bool,
-    /// Put the table of measured against reach between its marks in this file
-    #[arg(long, value_name = "FILE")]
-    table: Option<PathBuf>,
-    /// Compare with the table in that file instead, and fail where a figure differs
-    #[arg(long, requires = "table")]
-    check: bool,
+    #[command(flatten)]
+    table: KeptTable,
     /// Directory for report.json and report.html
     #[arg(
         long,
@@ -46,10 +45,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Some(out) = &arguments.out else {
         return list();
     };
-    if let Some(file) = &arguments.table {
-        // Said now, not after the work.
-        marked(file)?;
-    }
+    // Said now, not after the work.
+    arguments.table.look(TABLE)?;
     let config = LearningConfig {
         seed: arguments.seed,
         only: arguments.only.clone(),
@@ -74,9 +71,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             if outcome.met { "met" } else { "MISSED" }
         ))?;
     }
-    if let Some(file) = &arguments.table {
-        keep_table(&report, file, arguments.check)?;
-    }
+    arguments.table.keep(TABLE, &table::text(&report))?;
     for (name, replayed) in &report.emulated {
         say(format_args!(
             "{name:<26} {} ticks on board {}, {} with other bits",
@@ -91,35 +86,4 @@ fn list() -> Result<(), Failure> {
         say(format_args!("{name:<26} {shows}"))?;
     }
     Ok(())
-}
-
-/// The text of the file for the table.
-///
-/// Errors: the file's, or that it has not the marks of the table.
-fn marked(file: &Path) -> Result<String, Failure> {
-    let text = std::fs::read_to_string(file).map_err(|error| crate::files::at(file, error))?;
-    if table::has_marks(&text) {
-        Ok(text)
-    } else {
-        let name = file.display();
-        Err(unusable(format!(
-            "{name}: has not the two marks of the table"
-        )))
-    }
-}
-
-/// Writes the table of measured against reach into `file`, or compares it with the one there.
-fn keep_table(report: &LearningReport, file: &Path, check: bool) -> Result<(), Failure> {
-    let text = marked(file)?;
-    let renewed = table::renewed(&text, report).unwrap_or_default();
-    if !check {
-        return Ok(write_whole(file, renewed.as_bytes())?);
-    }
-    let complain = |what| unusable(format!("{}: {what}", file.display()));
-    let lines = text.lines().zip(renewed.lines());
-    match lines.into_iter().find(|(kept, new)| kept != new) {
-        Some((kept, new)) => Err(complain(format_args!("says {kept}, measured {new}"))),
-        None if text != renewed => Err(complain(format_args!("has a table of another length"))),
-        None => Ok(()),
-    }
 }

@@ -11,9 +11,11 @@ mod soak;
 use super::boards::BoardChoice;
 use super::terminal::say;
 use super::{Failure, unusable};
-use crate::board::Client;
+use crate::board::{BoardError, Client};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::edge::bank::ParameterBank;
+use foretorque::feedforward::ParameterSet;
 use std::path::PathBuf;
 
 /// Run one of the reproducible studies
@@ -101,10 +103,22 @@ fn list() -> Result<(), Failure> {
 
 impl Beside {
     /// Its client; none if it would be the native one.
+    ///
+    /// Errors: of the board, also that it does not take a bank of this program: said now, not after the native runs.
     fn connect(&self) -> Result<Option<Client<JOINTS>>, Failure> {
-        match &self.board {
-            BoardChoice::Native => Ok(None),
-            board => Ok(Some(board.connect::<Ur5, JOINTS, PARAMETERS>(None)?)),
+        if self.board == BoardChoice::Native {
+            return Ok(None);
+        }
+        let mut board = self.board.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
+        let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
+        let bank = ParameterBank::from_set::<Ur5, JOINTS, PARAMETERS>(&set);
+        match board.upload_bank(&bank) {
+            Err(BoardError::Refused(reason)) => Err(unusable(format!(
+                "board {} does not take this program's bank ({reason}): its firmware is of another source, build it \
+                 with `cargo firmware`",
+                self.board
+            ))),
+            taken => Ok(taken.map(|()| Some(board))?),
         }
     }
 }

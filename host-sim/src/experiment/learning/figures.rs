@@ -1,7 +1,8 @@
 //! From traces to figures, each with its unit in the key.
 
-use super::drive::{Look, PAYLOAD_GRACE_S, Second, Trace};
+use super::drive::{Look, Second, Trace};
 use super::scenario::Scenario;
+use super::watch::PAYLOAD_GRACE_S;
 use super::world::N;
 use crate::metrics::TrackingError;
 use crate::plant::Events;

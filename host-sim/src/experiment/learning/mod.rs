@@ -15,6 +15,7 @@ mod scenario;
 pub mod soak;
 pub mod table;
 mod twin;
+mod watch;
 mod world;
 
 pub use bars::Outcome;

@@ -291,14 +291,15 @@ mod tests {
                 .expect("hello");
         let config = SoakConfig {
             seed: 1,
-            ticks: 60_000,
+            ticks: 100_000,
             board_ticks: 5000,
         };
         let report = run(&config, Some(&mut board), &|_, _, _| {}).expect("runs");
         assert_eq!(report.not_finite_ticks_count, 0);
         assert!(report.least_diagonal_ratio > 0.0, "{report:?}");
-        assert!(report.twin_distance_worst_prior_sigmas < 1e-2, "{report:?}");
-        assert!(report.twin_rows_count > 40_000, "{report:?}");
+        // Rounding adds up: with a diagonal that leaks, 1.1e-3 by now and four times the bar in ten million ticks.
+        assert!(report.twin_distance_worst_prior_sigmas < 4e-4, "{report:?}");
+        assert!(report.twin_rows_count > 80_000, "{report:?}");
         assert_eq!(report.late_sets_count, 0);
         assert_eq!(report.board_ticks_with_other_bits_count, 0);
         assert!(report.last_nrmse_moving_percent < 10.0, "{report:?}");

@@ -8,7 +8,7 @@ use foretorque::dynamics::FRICTION_COLUMNS;
 use foretorque::learning::{Estimator, LearnerConfig, Stacked};
 use nalgebra::{DMatrix, DVector};
 
-/// Friction columns of a joint that wander: viscous, Coulomb and the Stribeck pair.
+/// Friction columns of a joint that wander, one a row in turn with the noise of all: viscous, Coulomb and the Stribeck pair.
 const WANDERING: usize = 4;
 /// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
 const MEDIAN: f64 = 0.6745;
@@ -28,6 +28,7 @@ pub(super) struct Twin {
     covariance: DMatrix<f64>,
     variance: [f64; N],
     noticed: [f64; N],
+    wandering: [usize; N],
 }
 
 fn wide(numbers: &Stacked<N, P>) -> DVector<f64> {
@@ -47,6 +48,7 @@ impl Twin {
             covariance: prior_covariance(),
             variance: Estimator::new::<Ur5>(prior).variance().map(f64::from),
             noticed: [FIRST_ROWS; N],
+            wandering: [0; N],
         }
     }
 
@@ -59,12 +61,12 @@ impl Twin {
         let value = &self.start + self.sigma.component_mul(&self.theta);
         let innovation = (f64::from(tau) - raw.dot(&value)) / unit;
         let phi = raw.component_mul(&self.sigma) / unit;
-        let first = joint * FRICTION_COLUMNS;
-        for k in first..first + WANDERING {
-            if self.covariance[(k, k)] < 1.0 {
-                self.covariance[(k, k)] += f64::from(self.config.process_noise);
-            }
+        let wandering = &mut self.wandering[joint];
+        let k = joint * FRICTION_COLUMNS + *wandering;
+        if self.covariance[(k, k)] < 1.0 {
+            self.covariance[(k, k)] += WANDERING as f64 * f64::from(self.config.process_noise);
         }
+        *wandering = (*wandering + 1) % WANDERING;
         let spread = &self.covariance * &phi;
         let s = phi.dot(&spread) + self.variance[joint];
         self.covariance.ger(-1.0 / s, &spread, &spread, 1.0);

@@ -17,47 +17,22 @@ use std::collections::BTreeMap;
 /// Points a curve keeps.
 const PAGE_POINTS: usize = 4000;
 
-/// Flags of the torque, with their keys in the report.
-const FLAGS: [(Flags, &str, &str); 11] = [
-    (Flags::SATURATED, "saturated", "torque cut to its limit"),
-    (
-        Flags::SLEWED,
-        "slewed",
-        "torque held back by its slew limit",
-    ),
-    (
-        Flags::NETWORK_CLIPPED,
-        "network_clipped",
-        "network share cut to its bound",
-    ),
-    (
-        Flags::LEARNED_CLIPPED,
-        "learned_clipped",
-        "learnt change cut to its bound",
-    ),
-    (
-        Flags::STALE_SAMPLE,
-        "stale_sample",
-        "no usable sample in time",
-    ),
+/// Flags of the torque that say that something was limited or went wrong, and what.
+const FLAGS: [(Flags, &str); 11] = [
+    (Flags::SATURATED, "torque cut to its limit"),
+    (Flags::SLEWED, "torque held back by its slew limit"),
+    (Flags::NETWORK_CLIPPED, "network share cut to its bound"),
+    (Flags::LEARNED_CLIPPED, "learnt change cut to its bound"),
+    (Flags::STALE_SAMPLE, "no usable sample in time"),
     (
         Flags::SHARE_FALLBACK,
-        "share_fallback",
         "committed share stood in for a bad one",
     ),
-    (Flags::NOT_FINITE, "not_finite", "a number was not finite"),
-    (Flags::SET_LATE, "set_late", "learnt set came late"),
-    (
-        Flags::DESIRED_CLAMPED,
-        "desired_clamped",
-        "desired motion cut to its limits",
-    ),
-    (
-        Flags::NO_MEASUREMENT,
-        "no_measurement",
-        "sample without measurement",
-    ),
-    (Flags::WITHDRAWN, "withdrawn", "torque on its way to zero"),
+    (Flags::NOT_FINITE, "a number was not finite"),
+    (Flags::SET_LATE, "learnt set came late"),
+    (Flags::DESIRED_CLAMPED, "desired motion cut to its limits"),
+    (Flags::NO_MEASUREMENT, "sample without measurement"),
+    (Flags::WITHDRAWN, "torque on its way to zero"),
 ];
 
 /// The figures of `report.json`. Nothing in it depends on the clock on the wall.
@@ -227,7 +202,7 @@ impl<const N: usize> ClosedLoopLog<N> {
         self.square_tau += record.tau.component_mul(&record.tau);
         self.peak_tau = self.peak_tau.sup(&record.tau.abs());
         self.square_feed += feed_forward.component_mul(&feed_forward);
-        for (count, (flag, ..)) in self.flags.iter_mut().zip(FLAGS) {
+        for (count, (flag, _)) in self.flags.iter_mut().zip(FLAGS) {
             *count += usize::from(Flags(record.flags).contains(flag));
         }
         if self.seen.is_multiple_of(self.every) {
@@ -294,7 +269,7 @@ impl<const N: usize> ClosedLoopLog<N> {
             .iter()
             .zip(self.flags)
             .filter(|(_, count)| *count > 0)
-            .map(|((_, key, _), count)| (*key, count))
+            .map(|((flag, _), count)| (flag.name(), count))
             .collect()
     }
 

@@ -143,8 +143,8 @@ fn shares<const N: usize>(log: &ClosedLoopLog<N>) -> Result<Section, Box<dyn Err
 fn flags(report: &ClosedLoopReport) -> Section {
     let rows: Vec<Vec<String>> = FLAGS
         .iter()
-        .map(|(_, key, meaning)| {
-            let ticks = report.flag_ticks.get(key).copied().unwrap_or(0);
+        .map(|(flag, meaning)| {
+            let ticks = report.flag_ticks.get(flag.name()).copied().unwrap_or(0);
             vec![
                 (*meaning).to_owned(),
                 ticks.to_string(),

@@ -42,7 +42,7 @@ fn refused(baud: u32, fields: u16, every: u16) -> u16 {
 
 #[test]
 fn every_field_of_every_record_arrives_whole_and_in_its_own_tick() {
-    let (frames, _) = streamed(2_000_000, ALL, 10, 200);
+    let (frames, _) = streamed(size::BAUD, ALL, 10, 200);
     for tick in (0..200).step_by(10) {
         let of_tick = frames.iter().filter(|frame| frame.tick == tick);
         let fields: Vec<Field> = of_tick
@@ -56,21 +56,21 @@ fn every_field_of_every_record_arrives_whole_and_in_its_own_tick() {
 #[test]
 fn telemetry_never_takes_more_than_the_line_has_left() {
     for every in [10, 50] {
-        let (frames, most) = streamed(2_000_000, ALL, every, 100);
+        let (frames, most) = streamed(size::BAUD, ALL, every, 100);
         assert!(!frames.is_empty());
         // 200 bytes a period, of which a reserve is never planned for.
         assert!(most <= 140, "{most}");
     }
-    let (_, most) = streamed(2_000_000, Field::Total.bit(), 1, 100);
+    let (_, most) = streamed(size::BAUD, Field::Total.bit(), 1, 100);
     assert_eq!(most, size::torque(N) + size::telemetry(4 * N));
 }
 
 #[test]
 fn what_the_line_has_no_room_for_is_refused_with_what_it_has_room_for() {
-    let every = refused(2_000_000, ALL, 1);
+    let every = refused(size::BAUD, ALL, 1);
     assert!((2..=10).contains(&every), "{every}");
-    streamed(2_000_000, ALL, every, 10);
-    assert_eq!(refused(2_000_000, ALL, every - 1), every);
+    streamed(size::BAUD, ALL, every, 10);
+    assert_eq!(refused(size::BAUD, ALL, every - 1), every);
     assert_eq!(
         refused(500_000, Field::Total.bit(), 1000),
         0,

@@ -23,7 +23,7 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
             );
         }
     }
-    let permille = |bytes| size::headroom_permille(bytes, 1000, 2_000_000);
+    let permille = |bytes| size::headroom_permille(bytes, 1000, size::BAUD.into());
     for (name, bytes) in [
         ("request, 6 joints", size::sample(6)),
         ("request, 7 joints", size::sample(7)),

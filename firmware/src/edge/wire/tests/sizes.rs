@@ -229,10 +229,10 @@ fn cyclic_frames_have_the_sizes_that_the_link_is_planned_for() {
             size::torque(joints),
             size::full_torque(joints),
         ] {
-            assert!(size::headroom_permille(bytes, 1000, 2_000_000) >= 300);
+            assert!(size::headroom_permille(bytes, 1000, size::BAUD.into()) >= 300);
         }
     }
-    assert_eq!(size::headroom_permille(96, 1000, 2_000_000), 520);
+    assert_eq!(size::headroom_permille(96, 1000, size::BAUD.into()), 520);
 }
 
 #[test]
