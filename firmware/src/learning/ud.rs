@@ -220,6 +220,35 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         Some(own + spread(row.get(column..)?, diagonal.get(column..)?))
     }
 
+    /// Variance of what the friction of `joint` contributes to a torque whose row has `phi` for it.
+    ///
+    /// ```text
+    /// φᵀPφ = Σ D_j f_j²,  f = Uᵀφ
+    /// ```
+    ///
+    /// Cost: `(FRICTION_COLUMNS + 2) n` multiply-adds.
+    #[inline(never)]
+    pub(super) fn friction_doubt(&self, joint: usize, phi: &[f32; FRICTION_COLUMNS]) -> f32 {
+        let mut f = Stacked::<N, P>::filled(0.0);
+        if let (Some(rows), Some(own)) = (self.friction.get(joint), f.friction.get_mut(joint)) {
+            *own = *phi;
+            for (row, weight) in rows.iter().zip(phi) {
+                for (f, u) in f.parts_mut().into_iter().zip(row.parts()) {
+                    for (f, u) in f.iter_mut().zip(u) {
+                        *f += weight * u;
+                    }
+                }
+            }
+        }
+        let mut variance = 0.0;
+        for (f, d) in f.parts().into_iter().zip(self.diagonal.parts()) {
+            for (f, d) in f.iter().zip(d) {
+                variance += d * f * f;
+            }
+        }
+        variance
+    }
+
     /// Adds `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
     ///
     /// ```text

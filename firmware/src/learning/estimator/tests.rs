@@ -173,3 +173,26 @@ fn after_a_million_rows_it_is_where_exact_arithmetic_is_and_its_factors_are_posi
     std::println!("f32 and f64 at most {worst:.1e} prior standard deviations apart");
     assert!(worst <= 1e-2, "{worst}");
 }
+
+#[test]
+fn doubt_about_friction_is_what_a_row_of_friction_alone_adds_to_the_innovation() {
+    let mut filter = UdFilter::<N, P>::new();
+    let mut gain = Stacked::filled(0.0);
+    let mut random = 3;
+    for tick in 0..600 {
+        let joint = tick as usize % N;
+        let (row, _) = seen(tick, joint, &mut random);
+        filter.update(joint, &row, 1.0, &mut gain);
+    }
+    for joint in 0..N {
+        let mut phi = Stacked::filled(0.0);
+        phi.friction[joint] = [0.7, 1.0, 0.1, 0.4, 1.0, 0.6, -0.8];
+        let doubt = filter.friction_doubt(joint, &phi.friction[joint]);
+        let variance = { filter }.update(joint, &phi, 1.0, &mut gain);
+        assert!(doubt > 1e-3, "{joint}: {doubt}");
+        assert!(
+            (variance - 1.0 - doubt).abs() < 1e-4 * variance,
+            "{joint}: {doubt} {variance}"
+        );
+    }
+}

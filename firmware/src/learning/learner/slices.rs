@@ -7,6 +7,7 @@ use crate::dynamics::{BaseParameters, FrictionParameters, friction, regressor_ro
 use crate::joint::JointVector;
 use crate::learning::conditioning::{AVERAGED, Conditioned};
 use crate::learning::detector::Slice;
+use crate::learning::estimator::torque_row;
 use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
 use crate::math::sqrt;
@@ -17,6 +18,9 @@ const SLICE_RANGE: (f32, f32) = (0.1, 400.0);
 const SLICE_CLIP: f32 = 4.0;
 /// Slices over which the usual mean square fades; the first ones are averaged.
 const SLICE_MEMORY: u32 = 256;
+/// Slices in which friction is off by the same while a payload is weighed: those of a second. A doubt about it weighs as
+/// much as noise of so many times its variance, because no mean over slices makes it smaller.
+const LASTING: f32 = 100.0;
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One tick of measurements: gathers the slice, works on one joint of the slice before, learns one row.
@@ -49,31 +53,22 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.learn_row(tick, joint, seen)
     }
 
-    /// What the model leaves of the torques, the payload not counted, N × N·m.
+    /// What the estimate leaves of the torques, the payload not counted, N × N·m.
     #[inline(never)]
     fn unexplained(&self, seen: &Conditioned<N>) -> JointVector<N> {
         let state = &self.state;
-        let weighing = state.phase() == Phase::Trial || state.guard.loaded();
-        // The detector asks what is new to the estimate. A payload comes on top of the estimate too if that has ever proved
-        // itself: the set in force lags behind it, and a payload would be weighed together with the friction that the drives
-        // have lost since. An estimate that has not is worse than what the arm came with.
-        let unproven = || state.candidate.rigid.as_slice() == state.prior.rigid.as_slice();
-        let (rigid, drives) = if weighing && unproven() {
-            (state.candidate.rigid, state.candidate.friction)
-        } else {
-            let estimate = state.estimate.parameters();
-            let mut drives = estimate.friction.map(FrictionParameters::from_columns);
-            // What the filter swallows of the cogging is in the torque as far as the active set asks for it.
-            let active = drives.iter_mut().zip(&state.candidate.friction);
-            for (joint, ((drive, active), &qd)) in active.zip(seen.motion.qd.iter()).enumerate() {
-                let share = ripple_of::<A, N, P>(joint, qd, self.config.inv_period);
-                drive.cogging_sin =
-                    active.cogging_sin + share * (drive.cogging_sin - active.cogging_sin);
-                drive.cogging_cos =
-                    active.cogging_cos + share * (drive.cogging_cos - active.cogging_cos);
-            }
-            (BaseParameters::<P>::from(estimate.rigid), drives)
-        };
+        let estimate = state.estimate.parameters();
+        let mut drives = estimate.friction.map(FrictionParameters::from_columns);
+        // What the filter swallows of the cogging is in the torque as far as the active set asks for it.
+        let active = drives.iter_mut().zip(&state.candidate.friction);
+        for (joint, ((drive, active), &qd)) in active.zip(seen.motion.qd.iter()).enumerate() {
+            let share = ripple_of::<A, N, P>(joint, qd, self.config.inv_period);
+            drive.cogging_sin =
+                active.cogging_sin + share * (drive.cogging_sin - active.cogging_sin);
+            drive.cogging_cos =
+                active.cogging_cos + share * (drive.cogging_cos - active.cogging_cos);
+        }
+        let rigid = BaseParameters::<P>::from(estimate.rigid);
         seen.tau
             - rnea::<A, N, P>(&rigid, &seen.motion)
             - friction::<A, N, P>(&drives, &seen.motion.q, &seen.motion.qd)
@@ -86,6 +81,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             // What is left of a joint whose friction is not learnt here is no news.
             return;
         }
+        let weighing =
+            self.state.phase() == Phase::Trial || self.state.guard.weighing(&self.config.guard);
+        // The estimator rests meanwhile: the tick has time for it.
+        let doubt = if weighing {
+            self.friction_doubt(joint, slice)
+        } else {
+            0.0
+        };
         let state = &mut self.state;
         let (Some(true), Some(&left), Some(limits), Some(&measured), Some(&innovation)) = (
             slice.moving.get(joint),
@@ -107,7 +110,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let Some((usual, seen)) = guard.slice_variance.get_mut(joint) else {
             return;
         };
-        let inflated = unit * sqrt(config.inflation * *usual);
+        let inflated = unit * sqrt(config.inflation * *usual + LASTING * doubt);
         match state.report.quality.phase {
             Phase::Trial => guard
                 .trial
@@ -139,6 +142,29 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
             Phase::Relearning | Phase::Stopped => {}
         }
+    }
+
+    /// Variance of what the friction of `joint` may be off by in the motion of `slice`, in units of the configured noise.
+    #[inline(never)]
+    fn friction_doubt(&self, joint: usize, slice: &Slice<N>) -> f32 {
+        let seen = Conditioned {
+            motion: slice.motion,
+            tau: slice.residual,
+        };
+        let row = torque_row::<A, N, P>(joint, &seen).friction;
+        let (Some(row), Some(sigma), Some(limits)) = (
+            row.get(joint),
+            self.config.friction_sigma.get(joint),
+            A::LIMITS.get(joint),
+        ) else {
+            return 0.0;
+        };
+        let inverse = 1.0 / (self.config.noise * limits.torque);
+        let mut phi = *row;
+        for (phi, sigma) in phi.iter_mut().zip(sigma.columns()) {
+            *phi *= sigma * inverse;
+        }
+        self.state.estimate.filter().friction_doubt(joint, &phi)
     }
 
     /// After the last joint of a slice.
