@@ -51,3 +51,64 @@ fn a_row_of_any_size_leaves_the_diagonal_positive() {
         }
     }
 }
+
+/// The factors in f64, by Bierman's columns: rows of U, and D.
+struct Wide<const P: usize> {
+    u: [[f64; P]; P],
+    d: [f64; P],
+}
+
+impl<const P: usize> Wide<P> {
+    fn new() -> Self {
+        let unit = |i| core::array::from_fn(|j| f64::from(u8::from(i == j)));
+        Self {
+            u: core::array::from_fn(unit),
+            d: [1.0; P],
+        }
+    }
+
+    fn update(&mut self, phi: &[f32; P], variance: f64) {
+        let f: [f64; P] =
+            core::array::from_fn(|j| (0..=j).map(|i| self.u[i][j] * f64::from(phi[i])).sum());
+        let mut b = [0.0; P];
+        let mut alpha = variance;
+        for j in 0..P {
+            let v = self.d[j] * f[j];
+            let lambda = -f[j] / alpha;
+            let before = alpha;
+            alpha += v * f[j];
+            self.d[j] *= before / alpha;
+            for i in 0..j {
+                let u = self.u[i][j];
+                self.u[i][j] += lambda * b[i];
+                b[i] += v * u;
+            }
+            b[j] = v;
+        }
+    }
+}
+
+#[test]
+fn a_million_rows_do_not_wear_the_correlations() {
+    const P: usize = 12;
+    let (mut filter, mut wide) = (UdFilter::<1, P>::new(), Wide::<P>::new());
+    let (mut gain, mut random) = (Stacked::filled(0.0), 1u32);
+    for _ in 0..1_000_000 {
+        let mut phi = Stacked::<1, P>::filled(0.0);
+        for phi in &mut phi.rigid {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            *phi = 0.5 + (random >> 8) as f32 / (1 << 24) as f32;
+        }
+        filter.update(0, &phi, 5.0, &mut gain);
+        wide.update(&phi.rigid, 5.0);
+    }
+    let mut worst = 0.0_f64;
+    for (block, (row, exact)) in filter.rigid.iter().zip(&wide.u).enumerate() {
+        // What lies in the rows' own corner goes without compensation.
+        for j in (block / ROWS + 1) * ROWS..P {
+            worst = worst.max((f64::from(row[j]) - exact[j]).abs());
+        }
+    }
+    std::println!("off by {worst:.1e}");
+    assert!(worst < 3e-6, "{worst}");
+}
