@@ -78,10 +78,10 @@ impl<const P: usize> Wide<P> {
             let before = alpha;
             alpha += v * f[j];
             self.d[j] *= before / alpha;
-            for i in 0..j {
-                let u = self.u[i][j];
-                self.u[i][j] += lambda * b[i];
-                b[i] += v * u;
+            for (row, b) in self.u.iter_mut().zip(&mut b).take(j) {
+                let u = row[j];
+                row[j] += lambda * *b;
+                *b += v * u;
             }
             b[j] = v;
         }
