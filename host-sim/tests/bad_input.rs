@@ -72,6 +72,16 @@ fn table(change: impl Fn(&mut Vec<Vec<String>>)) -> String {
     rows.iter().map(|row| row.join(",") + "\n").collect()
 }
 
+/// Gives the rows of a table a torque for each joint.
+fn with_torques(rows: &mut Vec<Vec<String>>) {
+    for (place, row) in rows.iter_mut().enumerate() {
+        row.extend((1..=6).map(|joint| match place {
+            0 => format!("tau{joint}_nm"),
+            _ => "0".to_owned(),
+        }));
+    }
+}
+
 #[test]
 fn bad_input_is_told_in_one_line_and_leaves_nothing() {
     let room = room("input");
@@ -80,6 +90,7 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
     };
     for (name, text) in [
         ("good.csv", table(|_| {})),
+        ("torques.csv", table(with_torques)),
         ("columns.csv", table(set(0, 3, "q_three"))),
         ("twice.csv", table(set(0, 3, "q2_rad"))),
         ("ragged.csv", table(|rows| drop(rows[2].pop()))),

@@ -140,12 +140,12 @@ pub(crate) fn mistyped() -> Vec<(String, &'static [&'static str])> {
             &["to table", "asked for"],
         ),
         (
-            "identify --robot ur5 --log good.csv --motion-hz 460 --out out".to_owned(),
-            &["good.csv", "--motion-hz is 460", "450", "1000 rows"],
+            "identify --robot ur5 --log torques.csv --motion-hz 460 --out out".to_owned(),
+            &["torques.csv", "--motion-hz is 460", "450", "rows a second"],
         ),
         (
-            "identify --robot ur5 --log good.csv --torque-hz 1e4 --out out".to_owned(),
-            &["good.csv", "--torque-hz is 10000"],
+            "identify --robot ur5 --log torques.csv --torque-hz 1e4 --out out".to_owned(),
+            &["torques.csv", "--torque-hz is 10000"],
         ),
         (
             "identify --robot ur5 --log good.csv --period-s 3 --out out".to_owned(),
