@@ -73,7 +73,7 @@ fn table(change: impl Fn(&mut Vec<Vec<String>>)) -> String {
 }
 
 /// Gives the rows of a table a torque for each joint.
-fn with_torques(rows: &mut Vec<Vec<String>>) {
+fn with_torques(rows: &mut [Vec<String>]) {
     for (place, row) in rows.iter_mut().enumerate() {
         row.extend((1..=6).map(|joint| match place {
             0 => format!("tau{joint}_nm"),
@@ -90,7 +90,7 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
     };
     for (name, text) in [
         ("good.csv", table(|_| {})),
-        ("torques.csv", table(with_torques)),
+        ("torques.csv", table(|rows| with_torques(rows))),
         ("columns.csv", table(set(0, 3, "q_three"))),
         ("twice.csv", table(set(0, 3, "q2_rad"))),
         ("ragged.csv", table(|rows| drop(rows[2].pop()))),
