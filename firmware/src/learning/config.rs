@@ -58,9 +58,9 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
     /// numbers of its own: every link's mass, inertia and rotor are uncertain by 20 % of what the description says, its
     /// centre of mass by 5 % of its distance and 3 mm along each axis; viscous friction by 10 % of the limit at full speed,
-    /// Coulomb friction by 3 % of the limit, its bend by 1.2 % (that of a real elbow is 5 %), the Stribeck peak by 1 %, offset
-    /// and cogging by 0.5 % each; cogging of a joint that has none stays 0. The box is wider than a guess is wrong: rotors of
-    /// real wrists lie five deviations off, and what a column may not take the others take wrongly.
+    /// Coulomb friction by 3 % of the limit, its bend by 1.2 %, the Stribeck peak by 1 %, offset
+    /// and cogging by 0.5 % each; cogging of a joint that has none stays 0. The box is wider than a guess is wrong: what a
+    /// column may not take the others take wrongly.
     ///
     /// * `period_s` period of the tick, s
     ///

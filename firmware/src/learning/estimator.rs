@@ -196,11 +196,14 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         }
         *column = (*column + 1) % WANDERING;
         let mut phi = *row;
-        for (phi, sigma) in phi.parts_mut().into_iter().zip(sigma.parts()) {
+        let scale = |phi: &mut [f32], sigma: &[f32]| {
             for (phi, sigma) in phi.iter_mut().zip(sigma) {
                 *phi *= sigma * inv_noise;
             }
-        }
+        };
+        // A row has no friction but its joint's.
+        scale(phi.friction.get_mut(joint)?, sigma.friction.get(joint)?);
+        scale(&mut phi.rigid, &sigma.rigid);
         let mut gain = Stacked::filled(0.0);
         let variance = self.filter.update(joint, &phi, *measured, &mut gain);
         if !(variance > 0.0 && variance.is_finite()) {

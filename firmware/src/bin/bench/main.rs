@@ -15,11 +15,6 @@ mod long_run;
 #[cfg(target_os = "none")]
 mod machine;
 #[cfg(target_os = "none")]
-#[path = "../joint/memory.rs"]
-mod memory;
-#[cfg(target_os = "none")]
-mod moves;
-#[cfg(target_os = "none")]
 mod rows;
 #[cfg(target_os = "none")]
 mod stage;
@@ -37,10 +32,6 @@ fn main() -> ! {
     use cortex_m_semihosting::{debug, hprintln};
 
     machine::start_counter();
-    if !moves::hold() {
-        hprintln!("copying or filling memory is wrong");
-        debug::exit(debug::EXIT_FAILURE);
-    }
     let (calls, ticks) = machine::numbers();
     if run(calls, ticks).is_none() {
         hprintln!("the configuration of the tick does not validate");

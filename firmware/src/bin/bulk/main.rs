@@ -13,9 +13,6 @@ mod board;
 #[expect(dead_code, reason = "the emulator has no cycle counter")]
 mod counter;
 #[cfg(target_os = "none")]
-#[path = "../joint/memory.rs"]
-mod memory;
-#[cfg(target_os = "none")]
 #[path = "../joint/rooms.rs"]
 mod rooms;
 #[cfg(target_os = "none")]

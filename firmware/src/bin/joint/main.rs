@@ -18,8 +18,6 @@ mod link;
 #[cfg(target_os = "none")]
 mod log;
 #[cfg(target_os = "none")]
-mod memory;
-#[cfg(target_os = "none")]
 mod pace;
 #[cfg(target_os = "none")]
 mod rooms;

@@ -25,9 +25,6 @@ mod link;
 #[path = "../joint/log.rs"]
 mod log;
 #[cfg(target_os = "none")]
-#[path = "../joint/memory.rs"]
-mod memory;
-#[cfg(target_os = "none")]
 #[path = "../joint/pace.rs"]
 mod pace;
 #[cfg(target_os = "none")]

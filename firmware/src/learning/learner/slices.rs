@@ -3,11 +3,12 @@
 use super::row::ripple_of;
 use super::{Learner, count};
 use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, FrictionParameters, friction, regressor_row, rnea};
+use crate::dynamics::{
+    BaseParameters, FrictionParameters, friction, friction_row, regressor_row, rnea,
+};
 use crate::joint::JointVector;
 use crate::learning::conditioning::{AVERAGED, Conditioned};
 use crate::learning::detector::Slice;
-use crate::learning::estimator::torque_row;
 use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
 use crate::math::sqrt;
@@ -147,20 +148,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Variance of what the friction of `joint` may be off by in the motion of `slice`, in units of the configured noise.
     #[inline(never)]
     fn friction_doubt(&self, joint: usize, slice: &Slice<N>) -> f32 {
-        let seen = Conditioned {
-            motion: slice.motion,
-            tau: slice.residual,
-        };
-        let row = torque_row::<A, N, P>(joint, &seen).friction;
-        let (Some(row), Some(sigma), Some(limits)) = (
-            row.get(joint),
+        let motion = &slice.motion;
+        let (Some(&cycles), Some(&q), Some(&qd), Some(sigma), Some(limits)) = (
+            A::COGGING_CYCLES.get(joint),
+            motion.q.get(joint),
+            motion.qd.get(joint),
             self.config.friction_sigma.get(joint),
             A::LIMITS.get(joint),
         ) else {
             return 0.0;
         };
         let inverse = 1.0 / (self.config.noise * limits.torque);
-        let mut phi = *row;
+        let mut phi = friction_row(cycles, q, qd);
         for (phi, sigma) in phi.iter_mut().zip(sigma.columns()) {
             *phi *= sigma * inverse;
         }
