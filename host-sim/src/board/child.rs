@@ -10,10 +10,12 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use nix::fcntl::{FcntlArg, FdFlag, fcntl};
-use nix::sched::{CpuSet, sched_getaffinity, sched_setaffinity};
+use nix::sched::{CpuSet, sched_setaffinity};
 use nix::sys::prctl;
 use nix::sys::signal::Signal;
 use nix::unistd::Pid;
+
+use crate::parallel::{only, stay_on};
 
 /// Lines of the emulator's stderr that are kept.
 const KEPT_LINES: usize = 60;
@@ -63,7 +65,7 @@ impl Guarded {
             .stderr
             .take()
             .map(|stderr| listen(stderr, Arc::clone(&said)));
-        let affinity = core.map(join_core).transpose()?;
+        let affinity = core.map(stay_on).transpose()?;
         Ok(Self {
             child,
             said,
@@ -118,20 +120,6 @@ impl Drop for Guarded {
             let _ = sched_setaffinity(Pid::from_raw(0), before);
         }
     }
-}
-
-/// The set of one core.
-fn only(core: usize) -> io::Result<CpuSet> {
-    let mut set = CpuSet::new();
-    set.set(core)?;
-    Ok(set)
-}
-
-/// Pins the calling thread; returns where it might run before.
-fn join_core(core: usize) -> io::Result<CpuSet> {
-    let before = sched_getaffinity(Pid::from_raw(0))?;
-    sched_setaffinity(Pid::from_raw(0), &only(core)?)?;
-    Ok(before)
 }
 
 /// Starts children from one thread that lives as long as the process: the kernel sends the death signal of a child

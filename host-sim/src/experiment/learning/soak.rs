@@ -6,6 +6,7 @@ use super::twin::Twin;
 use super::world::{N, P, PERIOD_S, World};
 use crate::board::Client;
 use crate::experiment::closed_loop::motion_f32;
+use crate::parallel::roam;
 use crate::plant::{Events, Payload, Plant, PlantConfig};
 use crate::trajectory::Trajectory;
 use foretorque::arm::ur5::{JOINTS, Ur5};
@@ -150,8 +151,14 @@ pub fn run(
     // Errors as text: they come from other threads.
     let text = |error: Box<dyn Error>| error.to_string();
     let (native, twin, other_bits) = std::thread::scope(|scope| {
-        let native = scope.spawn(|| native(&world, config.ticks, &advance).map_err(text));
-        let twin = scope.spawn(|| twin(&world, config.ticks, &advance).map_err(text));
+        let native = scope.spawn(|| {
+            roam();
+            native(&world, config.ticks, &advance).map_err(text)
+        });
+        let twin = scope.spawn(|| {
+            roam();
+            twin(&world, config.ticks, &advance).map_err(text)
+        });
         let other_bits = match board {
             Some(board) => on_board(&world, board, board_ticks, &advance).map_err(text),
             None => Ok(0),
