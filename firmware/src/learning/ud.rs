@@ -6,20 +6,35 @@ use core::array::{from_mut, from_ref};
 use core::mem::take;
 use rows::{ROWS, Turns, add_rows};
 
-/// Friction entries of all joints.
-type Friction<const N: usize> = [[f32; FRICTION_COLUMNS]; N];
+/// Entries for the friction of one joint and for the rigid body: all that a torque row of the joint has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct JointEntries<const P: usize> {
+    own: [f32; FRICTION_COLUMNS],
+    rigid: [f32; P],
+}
+
+impl<const P: usize> JointEntries<P> {
+    const ZERO: Self = Self {
+        own: [0.0; FRICTION_COLUMNS],
+        rigid: [0.0; P],
+    };
+}
 
 /// Covariance of the linear parameters in factors, `P = U D Uᵀ` with U unit upper triangular and D diagonal, in units
 /// of the prior's standard deviations.
 ///
 /// Factored it cannot become indefinite by rounding: D stays positive, whatever the rows are. The plain update of P
-/// does not survive f32 [Bierman 1977, ch. V]. Friction comes first, so that noise on it touches only the first columns.
+/// does not survive f32 [Bierman 1977, ch. V].
+///
+/// Joints know of each other's friction only through the rigid body they share: were that known, the friction of two
+/// joints would be independent, because no row holds both. Friction comes first, and so U says just this: its entries
+/// between the friction of two joints are zero after any number of rows, and are neither kept nor gone through.
 ///
 /// U is kept row by row in square room; the diagonal and what lies left of it are kept as zeros. So is a rigid row's, but for
 /// what rounding takes off U_ij on its way through millions of rows: that lies at U_ji, and goes in with the next row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UdFilter<const N: usize, const P: usize> {
-    friction: [[Stacked<N, P>; FRICTION_COLUMNS]; N],
+    friction: [[JointEntries<P>; FRICTION_COLUMNS]; N],
     rigid: [[f32; P]; P],
     diagonal: Stacked<N, P>,
 }
@@ -28,7 +43,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// As uncertain as the prior: `P = I`.
     pub const fn new() -> Self {
         Self {
-            friction: [[Stacked::filled(0.0); FRICTION_COLUMNS]; N],
+            friction: [[JointEntries::ZERO; FRICTION_COLUMNS]; N],
             rigid: [[0.0; P]; P],
             diagonal: Stacked::filled(1.0),
         }
@@ -36,9 +51,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
 
     /// Back to `P = I`, in place; base parameters whose doubts are correlated are set after it.
     pub fn reset(&mut self) {
-        for row in self.friction.as_flattened_mut() {
-            row.iter_mut().for_each(|u| *u = 0.0);
-        }
+        self.friction.as_flattened_mut().fill(JointEntries::ZERO);
         self.rigid.as_flattened_mut().fill(0.0);
         self.diagonal.iter_mut().for_each(|d| *d = 1.0);
     }
@@ -54,14 +67,14 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// Bierman goes column by column. But f needs only the old U, and with f all v and λ are known before the first
     /// entry of U is touched: then the rows of U do not know of each other any more, b_i becomes a running sum along row
     /// i, and a few rows at once share v_j and λ_j in registers. f is cheap, because φ is sparse: of all friction it has
-    /// that of its own joint alone, and no link before the joint.
+    /// that of its own joint alone, and no link before the joint. So has f, and a column where f is zero stays as it is.
     ///
     /// * `gain` becomes P φ of before; the gain of the filter is that over what is returned
-    /// * returns `S = φᵀ P φ + variance`, the variance of the innovation
+    /// * returns `S = φᵀ P φ + variance`, the variance of the innovation; not a number if there is no such joint
     ///
-    /// Assumes: `phi` finite and without friction of other joints, `variance` positive.
+    /// Assumes: `phi` finite, `variance` positive. What `phi` has for the friction of other joints does not count.
     ///
-    /// Cost: `n²` multiply-adds, `n = P + N · FRICTION_COLUMNS`; about a tenth of that for f; n divisions.
+    /// Cost: `(2 N FRICTION_COLUMNS + P) P` multiply-adds; about an eighth of that for f; `P + FRICTION_COLUMNS` divisions.
     pub fn update(
         &mut self,
         joint: usize,
@@ -69,37 +82,42 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         variance: f32,
         gain: &mut Stacked<N, P>,
     ) -> f32 {
+        let Some(friction) = phi.friction.get(joint) else {
+            return f32::NAN;
+        };
         // f, then λ in its place.
-        let mut lambda = self.transposed_times(joint, phi);
+        let mut lambda = self.transposed_times(joint, friction, &phi.rigid);
+        let mut v = JointEntries::ZERO;
+        let Some(d) = self.diagonal.friction.get_mut(joint) else {
+            return f32::NAN;
+        };
         let mut alpha = Alpha::new(variance);
-        let parts = lambda.parts_mut().into_iter().zip(gain.parts_mut());
-        for ((lambda, v), d) in parts.zip(self.diagonal.parts_mut()) {
-            for ((lambda, v), d) in lambda.iter_mut().zip(v).zip(d) {
-                (*v, *lambda) = alpha.absorb(*lambda, d);
-            }
-        }
-        self.turn(&lambda, gain);
+        alpha.absorb_all(&mut lambda.own, &mut v.own, d);
+        alpha.absorb_all(&mut lambda.rigid, &mut v.rigid, &mut self.diagonal.rigid);
+        self.turn(joint, &lambda, &v, gain);
         alpha.value
     }
 
     /// f = Uᵀ φ, row by row: `f ← f + φ_i U_i`.
+    ///
+    /// * `friction`, `rigid` what φ has for the friction of `joint` and for the rigid body
     #[inline(never)]
-    fn transposed_times(&self, joint: usize, phi: &Stacked<N, P>) -> Stacked<N, P> {
-        let mut f = *phi;
-        let start = joint * FRICTION_COLUMNS;
-        if let (Some(rows), Some(weights)) = (self.friction.get(joint), phi.friction.get(joint)) {
-            let friction = f.friction.as_flattened_mut();
-            add_rows(
-                friction,
-                rows,
-                |row| row.friction.as_flattened(),
-                weights,
-                start,
-            );
-            add_rows(&mut f.rigid, rows, |row| &row.rigid, weights, 0);
+    fn transposed_times(
+        &self,
+        joint: usize,
+        friction: &[f32; FRICTION_COLUMNS],
+        rigid: &[f32; P],
+    ) -> JointEntries<P> {
+        let mut f = JointEntries {
+            own: *friction,
+            rigid: *rigid,
+        };
+        if let Some(rows) = self.friction.get(joint) {
+            add_rows(&mut f.own, rows, |row| &row.own, friction, 0);
+            add_rows(&mut f.rigid, rows, |row| &row.rigid, friction, 0);
         }
         let (rows, rest) = self.rigid.as_chunks::<ROWS>();
-        let (weights, rest_weights) = phi.rigid.as_chunks::<ROWS>();
+        let (weights, rest_weights) = rigid.as_chunks::<ROWS>();
         for (block, (rows, weights)) in rows.iter().zip(weights).enumerate() {
             // Links before the joint do not move with it.
             if *weights != [0.0; ROWS] {
@@ -119,34 +137,38 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         f
     }
 
-    /// The new U, and b in place of v.
+    /// The new U, and b as the gain.
     ///
     /// A row's b begins with v at its diagonal. Before, it is zero, and so is U: what lies left of the diagonal stays
     /// zero by itself.
     #[inline(always)]
-    fn turn(&mut self, lambda: &Stacked<N, P>, gain: &mut Stacked<N, P>) {
-        let v = *gain;
-        let turns = Turns {
-            lambda: lambda.friction.as_flattened(),
-            v: v.friction.as_flattened(),
+    fn turn(
+        &mut self,
+        joint: usize,
+        lambda: &JointEntries<P>,
+        v: &JointEntries<P>,
+        gain: &mut Stacked<N, P>,
+    ) {
+        let own = Turns {
+            lambda: &lambda.own,
+            v: &v.own,
         };
         let beyond = Turns {
             lambda: &lambda.rigid,
             v: &v.rigid,
         };
+        gain.friction.as_flattened_mut().fill(0.0);
+        let rows = self.friction.get_mut(joint);
+        if let (Some(rows), Some(gain)) = (rows, gain.friction.get_mut(joint)) {
+            *gain = own.corner(rows, |row| &mut row.own, 0);
+        }
         let (rows, rest) = self.friction.as_flattened_mut().as_chunks_mut::<ROWS>();
         let (gains, rest_gains) = gain.friction.as_flattened_mut().as_chunks_mut::<ROWS>();
-        let start = rows.len() * ROWS;
-        for (block, (rows, gain)) in rows.iter_mut().zip(gains).enumerate() {
-            *gain = turns.corner(rows, friction, block * ROWS);
-            turns.sweep(rows, friction, block * ROWS + ROWS, gain);
+        for (rows, gain) in rows.iter_mut().zip(gains) {
             beyond.sweep(rows, |row| &mut row.rigid, 0, gain);
         }
-        for (place, (row, gain)) in rest.iter_mut().zip(rest_gains).enumerate() {
-            let (row, gain) = (from_mut(row), from_mut(gain));
-            *gain = turns.corner(row, friction, start + place);
-            turns.sweep(row, friction, start + place + 1, gain);
-            beyond.sweep(row, |row| &mut row.rigid, 0, gain);
+        for (row, gain) in rest.iter_mut().zip(rest_gains) {
+            beyond.sweep(from_mut(row), |row| &mut row.rigid, 0, from_mut(gain));
         }
         let (gains, rest_gains) = gain.rigid.as_chunks_mut::<ROWS>();
         let start = gains.len() * ROWS;
@@ -174,9 +196,8 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     pub fn friction_variance(&self, joint: usize, column: usize) -> Option<f32> {
         let row = self.friction.get(joint)?.get(column)?;
         let own = *self.diagonal.friction.get(joint)?.get(column)?;
-        let [friction, rigid] = self.diagonal.parts();
-        let [u_friction, u_rigid] = row.parts();
-        Some(own + spread(u_friction, friction) + spread(u_rigid, rigid))
+        let friction = self.diagonal.friction.get(joint)?;
+        Some(own + spread(&row.own, friction) + spread(&row.rigid, &self.diagonal.rigid))
     }
 
     /// Variance of base parameter `column`, in units of the prior's; `None` if there is no such. As
@@ -193,18 +214,17 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// φᵀPφ = Σ D_j f_j²,  f = Uᵀφ
     /// ```
     ///
-    /// Cost: `(FRICTION_COLUMNS + 2) n` multiply-adds.
+    /// Cost: `(FRICTION_COLUMNS + 2) (FRICTION_COLUMNS + P)` multiply-adds.
     pub(super) fn friction_doubt(&self, joint: usize, phi: &[f32; FRICTION_COLUMNS]) -> f32 {
-        let mut row = Stacked::filled(0.0);
-        if let Some(own) = row.friction.get_mut(joint) {
-            *own = *phi;
-        }
-        let f = self.transposed_times(joint, &row);
+        let f = self.transposed_times(joint, phi, &[0.0; P]);
+        let Some(diagonal) = self.diagonal.friction.get(joint) else {
+            return 0.0;
+        };
+        let own = f.own.iter().zip(diagonal);
+        let rigid = f.rigid.iter().zip(&self.diagonal.rigid);
         let mut variance = 0.0;
-        for (f, d) in f.parts().into_iter().zip(self.diagonal.parts()) {
-            for (f, d) in f.iter().zip(d) {
-                variance += d * f * f;
-            }
+        for (f, d) in own.chain(rigid) {
+            variance += d * f * f;
         }
         variance
     }
@@ -212,20 +232,22 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// Adds `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
     ///
     /// ```text
-    /// P + c e eᵀ, column by column from e's down to the first:
+    /// P + c e eᵀ, column by column from e's down to the first of its joint:
     ///   D_j' = D_j + c a_j²     a_i ← a_i − a_j U_ij     U_ij ← U_ij + (c a_j / D_j') a_i     c ← c D_j / D_j'
     /// ```
     ///
-    /// Cost: `k²` multiply-adds, `k = joint · FRICTION_COLUMNS + column`.
+    /// Cost: `column²` multiply-adds.
     pub fn add_noise(&mut self, joint: usize, column: usize, noise: f32) {
-        let mut direction: Friction<N> = [[0.0; FRICTION_COLUMNS]; N];
-        let direction = direction.as_flattened_mut();
-        let last = joint * FRICTION_COLUMNS + column;
-        set(direction, last, 1.0);
+        let (Some(rows), Some(diagonal)) = (
+            self.friction.get_mut(joint),
+            self.diagonal.friction.get_mut(joint),
+        ) else {
+            return;
+        };
+        let mut direction = [0.0; FRICTION_COLUMNS];
+        set(&mut direction, column, 1.0);
         let mut c = noise;
-        let diagonal = self.diagonal.friction.as_flattened_mut().iter_mut();
-        let rows = self.friction.as_flattened_mut();
-        for (j, d) in diagonal.enumerate().take(last + 1).rev() {
+        for (j, d) in diagonal.iter_mut().enumerate().take(column + 1).rev() {
             let a_j = direction.get(j).copied().unwrap_or(0.0);
             let before = *d;
             let after = before + c * a_j * a_j;
@@ -233,7 +255,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             *d = after;
             let step = c * a_j * inverse;
             for (row, a) in rows.iter_mut().zip(direction.iter_mut()).take(j) {
-                if let Some(u) = row.friction.as_flattened_mut().get_mut(j) {
+                if let Some(u) = row.own.get_mut(j) {
                     *a -= a_j * *u;
                     *u += step * *a;
                 }
@@ -302,6 +324,14 @@ impl Alpha {
         }
     }
 
+    /// Takes f of some columns in, `f` becomes λ.
+    #[inline(always)]
+    fn absorb_all(&mut self, f: &mut [f32], v: &mut [f32], d: &mut [f32]) {
+        for ((f, v), d) in f.iter_mut().zip(v).zip(d) {
+            (*v, *f) = self.absorb(*f, d);
+        }
+    }
+
     /// Takes `f` of one column in, shrinks its `d`; returns `v` and `λ = −f/α`.
     ///
     /// `D α/α' = D − v²/α'`. The product would leak: `α · 1/α` is often rounded to less than one and never to more, so that
@@ -328,12 +358,6 @@ fn spread(row: &[f32], diagonal: &[f32]) -> f32 {
         sum += u * u * d;
     }
     sum
-}
-
-/// The friction entries of a row.
-#[inline(always)]
-fn friction<const N: usize, const P: usize>(row: &mut Stacked<N, P>) -> &mut [f32] {
-    row.friction.as_flattened_mut()
 }
 
 #[inline(always)]
