@@ -55,7 +55,7 @@ impl<const N: usize> Monitor<N> {
 
     /// Asks `filter` for one parameter and brings the information of `quality` up to date after the last of them.
     ///
-    /// Cost: one row of U, `P + N · FRICTION_COLUMNS` multiply-adds at most.
+    /// Cost: one row of U, `P + FRICTION_COLUMNS` multiply-adds at most.
     pub(super) fn ask<const P: usize>(
         &mut self,
         filter: &UdFilter<N, P>,

@@ -195,9 +195,9 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// ```
     pub fn friction_variance(&self, joint: usize, column: usize) -> Option<f32> {
         let row = self.friction.get(joint)?.get(column)?;
-        let own = *self.diagonal.friction.get(joint)?.get(column)?;
-        let friction = self.diagonal.friction.get(joint)?;
-        Some(own + spread(&row.own, friction) + spread(&row.rigid, &self.diagonal.rigid))
+        let (friction, rigid) = (self.diagonal.friction.get(joint)?, &self.diagonal.rigid);
+        let own = *friction.get(column)?;
+        Some(own + spread(&row.own, friction) + spread(&row.rigid, rigid))
     }
 
     /// Variance of base parameter `column`, in units of the prior's; `None` if there is no such. As

@@ -5,6 +5,7 @@ use super::log::LogRow;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch};
 use super::sources::choose;
 use super::whole_log::{GAP_PERIODS, WholeLog};
+use crate::parallel::cores;
 use crate::robot::Robot;
 use crate::table::TableError;
 use std::collections::BTreeMap;
@@ -31,7 +32,7 @@ pub fn for_each_prepared<const N: usize>(
 ) -> Result<Preparation, TableError> {
     let mut log = WholeLog::<N>::open(path, robot)?;
     let preparation = choose(&log, config, path, notes);
-    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    let workers = cores();
     let (to_workers, stretches) = sync_channel::<Stretch<N>>(workers);
     let stretches = Mutex::new(stretches);
     let (finished, results) = sync_channel::<Prepared<N>>(workers);

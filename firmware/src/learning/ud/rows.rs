@@ -3,12 +3,13 @@
 use super::set;
 
 /// `each_row!(K < W { body })` runs the body for row K = 0 to W − 1, each time with `K` a constant: written out, the rows'
-/// running sums stay in registers whether the compiler unrolls loops or not.
+/// running sums stay in registers whether the compiler unrolls loops or not. More rows than are written out do not compile.
 macro_rules! each_row {
     ($k:ident < $w:ident $body:block) => {
         each_row!($k < $w $body, 0 1 2 3 4 5 6)
     };
     ($k:ident < $w:ident $body:block, $($row:literal)*) => {
+        const { assert!($w <= [$($row),*].len()) };
         $({
             const $k: usize = $row;
             if $k < $w $body

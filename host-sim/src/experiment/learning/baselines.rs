@@ -70,7 +70,8 @@ impl RowEstimator for Firmware {
     }
 
     fn multiply_adds(&self, n: usize) -> usize {
-        3 * n * n / 2
+        let friction = n - P;
+        (2 * friction + 3 * P / 2) * P
     }
 }
 
