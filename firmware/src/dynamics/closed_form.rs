@@ -3,7 +3,7 @@
 //! The paper prints θ̇ where M multiplies θ̈; Craig 2005, eq. 6.59, has it right. The tick does not need the parts: its
 //! torque comes from [`rnea`] in one go. They are for whoever designs or checks a controller.
 
-use super::{BaseParameters, rnea};
+use super::{BaseParameters, gravity_torque, rnea};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
 use nalgebra::SMatrix;
@@ -12,13 +12,13 @@ use nalgebra::SMatrix;
 /// (Walker and Orin 1982, method 1).
 ///
 /// Limits: an angle beyond ±1000 rad or NaN makes every entry NaN.
-/// Cost: N + 1 passes of [`rnea`].
+/// Cost: N passes of [`rnea`] and one of [`gravity_torque`].
 pub fn mass_matrix<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     q: &JointVector<N>,
 ) -> SMatrix<f32, N, N> {
     let mut motion = at_rest(q);
-    let gravity = rnea::<A, N, P>(beta, &motion);
+    let gravity = gravity_torque::<A, N, P>(beta, q);
     let mut mass = SMatrix::<f32, N, N>::zeros();
     for (joint, mut column) in mass.column_iter_mut().enumerate() {
         motion.qdd = JointVector::from_fn(|k, _| if k == joint { 1.0 } else { 0.0 });
@@ -29,7 +29,7 @@ pub fn mass_matrix<A: Arm<N, P>, const N: usize, const P: usize>(
 
 /// Centrifugal and Coriolis torques V(q, qd), N × N·m.
 ///
-/// Cost: two passes of [`rnea`].
+/// Cost: one pass of [`rnea`] and one of [`gravity_torque`].
 pub fn velocity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     q: &JointVector<N>,
@@ -40,16 +40,6 @@ pub fn velocity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
         ..at_rest(q)
     };
     rnea::<A, N, P>(beta, &moving) - gravity_torque::<A, N, P>(beta, q)
-}
-
-/// Gravity torques G(q), N × N·m.
-///
-/// Cost: one pass of [`rnea`].
-pub fn gravity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
-    beta: &BaseParameters<P>,
-    q: &JointVector<N>,
-) -> JointVector<N> {
-    rnea::<A, N, P>(beta, &at_rest(q))
 }
 
 fn at_rest<const N: usize>(q: &JointVector<N>) -> JointMotion<N> {

@@ -1,12 +1,14 @@
 //! What a joint's drive takes for itself: friction, offset and cogging, linear in their parameters. Their columns belong
 //! to the torque regressor of that joint alone.
 
+use super::{BaseParameters, gravity_torque};
 use crate::arm::Arm;
 use crate::joint::JointVector;
 use crate::math::{SinCos, bell, sin_cos_quarters, tanh_1_5_15};
+use nalgebra::ArrayStorage;
 
 /// Number of friction columns of one joint.
-pub const FRICTION_COLUMNS: usize = 7;
+pub const FRICTION_COLUMNS: usize = 8;
 
 /// Velocity over which Coulomb friction changes sign, rad/s: `sign(qd)` is smoothed to `tanh(qd / SIGN_WIDTH)`.
 ///
@@ -37,6 +39,9 @@ pub struct FrictionParameters {
     /// What slow motion has on top of Coulomb and viscous friction, gone to a half at 0.6 rad/s, N·m: negative where
     /// friction grows ever less with speed.
     pub bend: f32,
+    /// Friction for each unit of the torque that the gear carries ([`friction_load`]): teeth and bearings are pressed
+    /// together.
+    pub load: f32,
     /// Torque that is always there, N·m.
     pub offset: f32,
     /// Amplitude of the cogging torque in phase with the sine, N·m.
@@ -56,6 +61,7 @@ impl FrictionParameters {
             self.coulomb,
             self.stribeck,
             self.bend,
+            self.load,
             self.offset,
             self.cogging_sin,
             self.cogging_cos,
@@ -69,6 +75,7 @@ impl FrictionParameters {
             coulomb,
             stribeck,
             bend,
+            load,
             offset,
             cogging_sin,
             cogging_cos,
@@ -79,15 +86,16 @@ impl FrictionParameters {
             coulomb,
             stribeck,
             bend,
+            load,
             offset,
             cogging_sin,
             cogging_cos,
         }
     }
 
-    /// The nearest friction that resists at every velocity. Peak and bend may be negative; no more than half of the Coulomb
-    /// torque each, so that both together leave some. Offset and cogging do not resist, they are as
-    /// they are. What is no number becomes 0.
+    /// The nearest friction that resists at every velocity and load. Peak and bend may be negative; no more than half of the
+    /// Coulomb torque each, so that both together leave some. Offset and cogging do not resist, they are as they are. What
+    /// is no number becomes 0.
     pub fn resisting(self) -> Self {
         let above = |value: f32, floor: f32| if value > floor { value } else { floor };
         let number = |value: f32| if value.is_finite() { value } else { 0.0 };
@@ -97,6 +105,7 @@ impl FrictionParameters {
             coulomb,
             stribeck: above(self.stribeck, -0.5 * coulomb),
             bend: above(self.bend, -0.5 * coulomb),
+            load: above(self.load, 0.0),
             offset: number(self.offset),
             cogging_sin: number(self.cogging_sin),
             cogging_cos: number(self.cogging_cos),
@@ -152,56 +161,74 @@ pub fn cogging(cycles: f32, q: f32) -> SinCos {
     }
 }
 
-/// The friction columns of one joint at position `q`, rad, and velocity `qd`, rad/s.
+/// The friction columns of one joint at position `q`, rad, and velocity `qd`, rad/s, where its gear carries `load`, N·m.
 ///
 /// ```text
 /// viscous qd,   Coulomb s = tanh(qd / 0.01),   Stribeck s exp(−(qd / 0.09)²),   bend s / (1 + (qd / 0.6)²),
-/// offset 1,     cogging sin(z q) and cos(z q)
+/// load s |load|,   offset 1,     cogging sin(z q) and cos(z q)
 /// ```
 ///
 /// * `cycles` z, cogging periods in one turn of the joint; 0 makes both cogging columns 0
 ///
 /// Limits: those of [`cogging`].
-/// Cost: one [`SmoothedSign`], one [`bell`], one [`cogging`], 7 multiplications.
+/// Cost: one [`SmoothedSign`], one [`bell`], one [`cogging`], 8 multiplications.
 #[inline(always)]
-pub fn friction_row(cycles: f32, q: f32, qd: f32) -> [f32; FRICTION_COLUMNS] {
-    friction_columns(qd, SmoothedSign::of(qd).sharp, cogging(cycles, q))
+pub fn friction_row(cycles: f32, q: f32, qd: f32, load: f32) -> [f32; FRICTION_COLUMNS] {
+    friction_columns(qd, SmoothedSign::of(qd).sharp, cogging(cycles, q), load)
 }
 
 /// [`friction_row`] where the smoothed sign and the cogging are known.
 ///
-/// Cost: one [`bell`], one division, 5 multiplications.
+/// Cost: one [`bell`], one division, 6 multiplications.
 #[inline(always)]
-pub fn friction_columns(qd: f32, sign: f32, cogging: SinCos) -> [f32; FRICTION_COLUMNS] {
+pub fn friction_columns(qd: f32, sign: f32, cogging: SinCos, load: f32) -> [f32; FRICTION_COLUMNS] {
     let bent = qd * INV_BEND;
     [
         qd,
         sign,
         sign * bell(qd * INV_STRIBECK),
         sign / (1.0 + bent * bent),
+        sign * load.abs(),
         1.0,
         cogging.sin,
         cogging.cos,
     ]
 }
 
+/// What the gears carry at joint positions `q`, rad, as far as friction is reckoned with it: the gravity torques of the arm
+/// as described, N × N·m.
+///
+/// Not of the arm as it has been learnt: friction stays linear in all that is learnt, and the column means the same in
+/// every parameter set. Not of the arm in motion: accelerations beyond what was learnt do not reach what was learnt.
+///
+/// Cost: one [`gravity_torque`].
+#[inline]
+pub fn friction_load<A: Arm<N, P>, const N: usize, const P: usize>(
+    q: &JointVector<N>,
+) -> JointVector<N> {
+    let described = const { &BaseParameters::from_array_storage(ArrayStorage([A::NOMINAL])) };
+    gravity_torque::<A, N, P>(described, q)
+}
+
 /// Friction torques at joint positions `q` and velocities `qd`, N × N·m: what the drives must supply, so positive along
 /// +qd.
 ///
-/// Cost: one [`friction_row`], 6 multiply-adds a joint.
+/// Cost: one [`friction_load`]; one [`friction_row`], 7 multiply-adds a joint.
 pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
     parameters: &[FrictionParameters; N],
     q: &JointVector<N>,
     qd: &JointVector<N>,
 ) -> JointVector<N> {
+    let load = friction_load::<A, N, P>(q);
     JointVector::from_fn(|joint, _| {
-        let row = friction_row(A::COGGING_CYCLES[joint], q[joint], qd[joint]);
-        let [viscous, coulomb, stribeck, bend, _, sin, cos] = row;
+        let row = friction_row(A::COGGING_CYCLES[joint], q[joint], qd[joint], load[joint]);
+        let [viscous, coulomb, stribeck, bend, load, _, sin, cos] = row;
         let p = &parameters[joint];
         p.viscous * viscous
             + p.coulomb * coulomb
             + p.stribeck * stribeck
             + p.bend * bend
+            + p.load * load
             + p.offset
             + p.cogging_sin * sin
             + p.cogging_cos * cos
@@ -211,11 +238,11 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::arm::ur5::Ur5;
 
     /// Torque of one such joint; it has no cogging of its own.
-    fn torque(joint: FrictionParameters, qd: f32) -> f32 {
-        friction::<Ur5, 6, 40>(&[joint; 6], &JointVector::zeros(), &JointVector::repeat(qd))[0]
+    fn torque(joint: FrictionParameters, qd: f32, load: f32) -> f32 {
+        let row = friction_row(0.0, 0.0, qd, load);
+        row.iter().zip(joint.columns()).map(|(x, p)| x * p).sum()
     }
 
     #[test]
@@ -224,12 +251,17 @@ mod tests {
             viscous: 12.0,
             coulomb: 7.0,
             stribeck: 1.0,
-            bend: 0.0,
+            load: 0.1,
             ..FrictionParameters::NONE
         };
-        assert_eq!(torque(joint, 0.0), 0.0);
-        assert!((torque(joint, 1.5) - 25.0).abs() < 1e-5);
-        assert_eq!(torque(joint, -1.5), -torque(joint, 1.5));
+        assert_eq!(torque(joint, 0.0, 50.0), 0.0);
+        assert!((torque(joint, 1.5, 0.0) - 25.0).abs() < 1e-5);
+        assert_eq!(torque(joint, -1.5, 0.0), -torque(joint, 1.5, 0.0));
+        // The load presses the gear, whichever way it pulls.
+        for load in [-50.0, 50.0] {
+            assert!((torque(joint, 1.5, load) - 30.0).abs() < 1e-5);
+            assert!((torque(joint, -1.5, load) + 30.0).abs() < 1e-5);
+        }
     }
 
     #[test]
@@ -238,7 +270,7 @@ mod tests {
             let mut worst = 0.0f64;
             for bits in (1e-3f32.to_bits()..=1000.0f32.to_bits()).step_by(997) {
                 for q in [f32::from_bits(bits), -f32::from_bits(bits)] {
-                    let [.., sin, cos] = friction_row(cycles, q, 0.0);
+                    let [.., sin, cos] = friction_row(cycles, q, 0.0, 0.0);
                     let phase = f64::from(cycles) * f64::from(q);
                     let (true_sin, true_cos) = phase.sin_cos();
                     let error = (f64::from(sin) - true_sin).hypot(f64::from(cos) - true_cos);
@@ -252,9 +284,9 @@ mod tests {
     #[test]
     fn a_joint_without_cogging_has_none_wherever_it_stands() {
         for q in [0.0, 1.0, f32::NAN, f32::INFINITY] {
-            assert_eq!(friction_row(0.0, q, 0.0)[4..], [1.0, 0.0, 0.0]);
+            assert_eq!(friction_row(0.0, q, 0.0, 0.0)[5..], [1.0, 0.0, 0.0]);
         }
-        assert!(friction_row(202.0, f32::INFINITY, 0.0)[5].is_nan());
+        assert!(friction_row(202.0, f32::INFINITY, 0.0, 0.0)[6].is_nan());
     }
 
     #[test]
@@ -262,7 +294,7 @@ mod tests {
         let speeds = || (10..500).map(|step| step as f32 * 5e-3);
         let worst = |columns: [f32; 4], friction: &dyn Fn(f32) -> f32| {
             let errors = speeds().map(|qd| {
-                let row = friction_row(0.0, 0.0, qd);
+                let row = friction_row(0.0, 0.0, qd, 0.0);
                 let said: f32 = row.iter().zip(columns).map(|(x, p)| x * p).sum();
                 (said - friction(qd)).abs()
             });
@@ -286,13 +318,22 @@ mod tests {
     #[test]
     fn whatever_was_estimated_resists_at_every_velocity() {
         for wild in [
-            [-1.0, 3.0, -9.0, -9.0, 0.0, 0.0, 0.0],
-            [f32::NAN, -1.0, 2.0, f32::NAN, f32::NAN, f32::NAN, 0.0],
-            [0.5, 4.0, -9.0, 1.0, 0.0, f32::INFINITY, 0.0],
+            [-1.0, 3.0, -9.0, -9.0, -1.0, 0.0, 0.0, 0.0],
+            [
+                f32::NAN,
+                -1.0,
+                2.0,
+                f32::NAN,
+                f32::NAN,
+                f32::NAN,
+                f32::NAN,
+                0.0,
+            ],
+            [0.5, 4.0, -9.0, 1.0, 0.1, 0.0, f32::INFINITY, 0.0],
         ] {
             let friction_of = FrictionParameters::from_columns(wild).resisting();
             for step in 1..400 {
-                let tau = torque(friction_of, step as f32 * 5e-3);
+                let tau = torque(friction_of, step as f32 * 5e-3, 20.0);
                 assert!(tau >= 0.0, "{tau} of {friction_of:?}");
             }
         }

@@ -10,14 +10,14 @@ mod regressor;
 mod rnea;
 mod term;
 
-pub use closed_form::{gravity_torque, mass_matrix, velocity_torque};
+pub use closed_form::{mass_matrix, velocity_torque};
 pub use friction::{
     FRICTION_COLUMNS, FrictionParameters, SIGN_WIDTH, SmoothedSign, cogging, friction,
-    friction_columns, friction_row,
+    friction_columns, friction_load, friction_row,
 };
 pub use link::is_angle;
 pub use regressor::{regressor, regressor_row};
-pub use rnea::rnea;
+pub use rnea::{gravity_torque, rnea};
 pub use unroll::MAX_JOINTS;
 
 use nalgebra::SVector;

@@ -44,14 +44,46 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     inward!(I < N {
         if I + 1 < N {
             let outer = (I + 1) % N;
-            // eq. 9 and 10
-            let f = rot[outer].times(wrench[outer].f);
-            let n = rot[outer].times(wrench[outer].n) + origin::<A, N, P>(outer).cross(f);
-            wrench[I] = Wrench { f: wrench[I].f + f, n: wrench[I].n + n };
+            wrench[I] = wrench[I].and(wrench[outer], &rot[outer], origin::<A, N, P>(outer));
         }
         // eq. 11, and the rotor, which turns with the joint alone.
         let rotor = parameter(beta, BaseSet::<A, N, P>::ROTOR[I]);
         tau[I] = (wrench[I].n.dot(Vector::Z) + rotor * Term::variable(motion.qdd[I])).value();
+    });
+    tau
+}
+
+/// Gravity torques G(q), N × N·m: what [`rnea`] says of an arm at rest, without the terms of motion.
+///
+/// * `beta` base parameters, order of [`Arm::COLUMNS`]
+/// * `q` joint angles, rad
+///
+/// Limits: those of [`rnea`].
+/// Cost: about 20 multiply-adds a joint at right angles, and one `sin_cos` a joint.
+#[inline(never)]
+pub fn gravity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
+    beta: &BaseParameters<P>,
+    q: &JointVector<N>,
+) -> JointVector<N> {
+    let mut a = LinkMotion::base::<A, N, P>().a;
+    let mut rot = [Matrix::ZERO; N];
+    let mut wrench = [Wrench::ZERO; N];
+    outward!(I < N {
+        if !is_angle(q[I]) {
+            return JointVector::repeat(f32::NAN);
+        }
+        rot[I] = rotation::<A, N, P>(I, q[I]);
+        a = rot[I].transposed_times(a);
+        let LinkParameters { mass, first_moment, .. } = LinkParameters::of::<A, N, P>(beta, I);
+        wrench[I] = Wrench { f: a.scale(mass), n: first_moment.cross(a) };
+    });
+    let mut tau = JointVector::zeros();
+    inward!(I < N {
+        if I + 1 < N {
+            let outer = (I + 1) % N;
+            wrench[I] = wrench[I].and(wrench[outer], &rot[outer], origin::<A, N, P>(outer));
+        }
+        tau[I] = wrench[I].n.dot(Vector::Z).value();
     });
     tau
 }
@@ -77,6 +109,17 @@ impl Wrench {
         f: Vector::ZERO,
         n: Vector::ZERO,
     };
+
+    /// This and that of the next link, whose frame sits at p and is turned by `rot` (eq. 9 and 10).
+    #[inline(always)]
+    fn and(self, outer: Self, rot: &Matrix, p: Vector) -> Self {
+        let f = rot.times(outer.f);
+        let n = rot.times(outer.n) + p.cross(f);
+        Self {
+            f: self.f + f,
+            n: self.n + n,
+        }
+    }
 }
 
 /// Inertial parameters of one link about its origin.

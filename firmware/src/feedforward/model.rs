@@ -6,10 +6,10 @@ use crate::dynamics::{
     BaseParameters, FRICTION_COLUMNS, FrictionParameters, SmoothedSign, friction_columns,
 };
 use crate::joint::JointMotion;
-use crate::learning::{JointNetwork, MotionRange, ParameterSet, network_inputs_at};
+use crate::learning::{JointNetwork, MotionRange, NETWORK_INPUTS, ParameterSet, network_inputs_at};
 use crate::limits::{Flags, cut};
 use crate::math::SinCos;
-use nalgebra::SVector;
+use nalgebra::{ArrayStorage, SVector};
 
 /// The linear parameters of the set that was last loaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -126,18 +126,28 @@ impl<const N: usize> TickMotion<N> {
 }
 
 /// What friction and network of one joint make of one speed.
+#[derive(Clone, Copy)]
 pub(super) struct AtSpeed {
-    columns: [f32; FRICTION_COLUMNS],
-    inputs: SVector<f32, { crate::learning::NETWORK_INPUTS }>,
+    /// The friction columns but for the offset's, which is 1.
+    columns: [f32; FRICTION_COLUMNS - 1],
+    inputs: SVector<f32, NETWORK_INPUTS>,
 }
 
 impl AtSpeed {
-    /// At the speed `qd`, rad/s, where cogging is `cogging`.
+    /// Room for it.
+    pub(super) const NONE: Self = Self {
+        columns: [0.0; FRICTION_COLUMNS - 1],
+        inputs: SVector::from_array_storage(ArrayStorage([[0.0; NETWORK_INPUTS]])),
+    };
+
+    /// At the speed `qd`, rad/s, where cogging is `cogging` and the gear carries `load`, N·m.
     #[inline]
-    pub(super) fn new(qd: f32, cogging: SinCos) -> Self {
+    pub(super) fn new(qd: f32, cogging: SinCos, load: f32) -> Self {
         let sign = SmoothedSign::of(qd);
+        let [viscous, coulomb, stribeck, bend, load, _, sin, cos] =
+            friction_columns(qd, sign.sharp, cogging, load);
         Self {
-            columns: friction_columns(qd, sign.sharp, cogging),
+            columns: [viscous, coulomb, stribeck, bend, load, sin, cos],
             inputs: network_inputs_at(qd, &sign),
         }
     }
@@ -145,11 +155,16 @@ impl AtSpeed {
     /// Torque of `friction`, N·m.
     #[inline]
     pub(super) fn friction(&self, friction: &[f32; FRICTION_COLUMNS]) -> f32 {
-        let mut tau = 0.0;
-        for (parameter, column) in friction.iter().zip(&self.columns) {
-            tau += parameter * column;
-        }
-        tau
+        let [viscous, coulomb, stribeck, bend, load, sin, cos] = &self.columns;
+        let [fv, fc, fs, fb, fl, offset, gs, gc] = friction;
+        fv * viscous
+            + fc * coulomb
+            + fs * stribeck
+            + fb * bend
+            + fl * load
+            + offset
+            + gs * sin
+            + gc * cos
     }
 }
 

@@ -3,8 +3,8 @@ use super::config::FeedForwardConfig;
 use super::model::{AtSpeed, Difference, Loaded, TickMotion};
 use super::shares::{Shares, select};
 use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, cogging, is_angle, rnea};
-use crate::joint::{JointMotion, JointSample, JointVector};
+use crate::dynamics::{BaseParameters, cogging, friction_load, is_angle, rnea};
+use crate::joint::{JointSample, JointVector};
 use crate::learning::{Exchange, MotionRange, ParameterSet, Report};
 use crate::limits::{Flags, cut, limit};
 
@@ -116,6 +116,8 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardScratch<const N: usize> {
     motion: TickMotion<N>,
+    /// What the gears carry as far as friction is reckoned with it, N × N·m.
+    load: JointVector<N>,
     /// Torques of the loaded set and of the payload for the motion as it is wanted, and of what the active and the
     /// committed set have learnt, for the motion that was learnt; N × N·m each.
     loaded: JointVector<N>,
@@ -131,6 +133,7 @@ impl<const N: usize> FeedForwardScratch<N> {
     pub fn new() -> Self {
         Self {
             motion: TickMotion::zero(),
+            load: JointVector::zeros(),
             loaded: JointVector::zeros(),
             payload: JointVector::zeros(),
             active: JointVector::zeros(),
@@ -158,8 +161,8 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 ///
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///
-/// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: four times the RNEA,
-/// smoothed signs and Stribeck peaks at two speeds of each joint, all networks twice.
+/// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: four times the RNEA, the
+/// gravity torques, smoothed signs and Stribeck peaks at two speeds of each joint, all networks twice.
 #[inline(never)]
 pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
@@ -172,10 +175,11 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     if !motion.take(config, &state.range, &sample.desired, &mut flags) {
         return hold(config, state, flags | Flags::NOT_FINITE);
     }
-    scratch.loaded = rigid_torque::<A, N, P>(&state.loaded.rigid, &motion.desired);
-    scratch.payload = rigid_torque::<A, N, P>(&state.payload, &motion.desired);
-    scratch.active = rigid_torque::<A, N, P>(&state.active_difference.rigid, &motion.bounded);
-    scratch.committed = rigid_torque::<A, N, P>(&state.committed_difference.rigid, &motion.bounded);
+    scratch.load = friction_load::<A, N, P>(&motion.desired.q);
+    scratch.loaded = rnea::<A, N, P>(&state.loaded.rigid, &motion.desired);
+    scratch.payload = rnea::<A, N, P>(&state.payload, &motion.desired);
+    scratch.active = rnea::<A, N, P>(&state.active_difference.rigid, &motion.bounded);
+    scratch.committed = rnea::<A, N, P>(&state.committed_difference.rigid, &motion.bounded);
     // Where nothing was measured the joint is where it should be.
     let (place, lead) = match &sample.measured {
         Some(measured) => (&measured.q, config.lead),
@@ -183,6 +187,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     };
     let recommitted = core::mem::take(&mut state.recommitted);
     let mut ignored = Flags::NONE;
+    let mut speeds = [AtSpeed::NONE; 2];
     for joint in 0..N {
         let limits = &config.limits[joint];
         let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
@@ -190,7 +195,11 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
             A::COGGING_CYCLES[joint],
             cogging_place(place[joint] + qd * lead, q),
         );
-        let speeds = [qd, motion.bounded.qd[joint]].map(|qd| AtSpeed::new(qd, cogging));
+        let load = scratch.load[joint];
+        // In place: as a new array they would be copied.
+        for (speed, qd) in speeds.iter_mut().zip([qd, motion.bounded.qd[joint]]) {
+            *speed = AtSpeed::new(qd, cogging, load);
+        }
         let friction = speeds[0].friction(&state.loaded.friction[joint].columns());
         let active = state.active_difference.shares(
             joint,
@@ -238,15 +247,6 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     state.stale_ticks = 0;
     let target = state.sum;
     finish(config, state, &target, flags)
-}
-
-/// [`rnea`], once in the binary for the four rigid bodies of a tick.
-#[inline(never)]
-fn rigid_torque<A: Arm<N, P>, const N: usize, const P: usize>(
-    rigid: &BaseParameters<P>,
-    motion: &JointMotion<N>,
-) -> JointVector<N> {
-    rnea::<A, N, P>(rigid, motion)
 }
 
 /// A tick without a sample: the torque is held for `hold_ticks`, then goes to zero at the slew limit.

@@ -5,7 +5,9 @@ use super::parameters::ParameterSet;
 use super::stacked::Stacked;
 use super::ud::{UdFilter, dot};
 use crate::arm::Arm;
-use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters, friction_row, regressor_row};
+use crate::dynamics::{
+    FRICTION_COLUMNS, FrictionParameters, friction_load, friction_row, regressor_row,
+};
 use crate::limits::cut;
 use crate::math::sqrt;
 
@@ -30,7 +32,8 @@ const FIRST_ROWS: f32 = 4.0;
 /// Doubts about links that a tick takes into the covariance after a reset: all of them before the window is full.
 const DOUBTS_A_TICK: usize = 3;
 
-/// The first friction columns of a joint, those that change with temperature and wear, wander; offset and cogging do not.
+/// The first friction columns of a joint, those that change with temperature and wear, wander; load, offset and
+/// cogging do not.
 const WANDERING: usize = 4;
 /// The cogging columns come last.
 const COGGING: usize = FRICTION_COLUMNS - 2;
@@ -42,14 +45,15 @@ pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     seen: &Conditioned<N>,
 ) -> Stacked<N, P> {
     let mut row = Stacked::filled(0.0);
-    let (q, qd) = (seen.motion.q.get(joint), seen.motion.qd.get(joint));
-    let cycles = A::COGGING_CYCLES.get(joint);
-    if let (Some(slot), Some(&cycles), Some(&q), Some(&qd)) =
-        (row.friction.get_mut(joint), cycles, q, qd)
-    {
-        *slot = friction_row(cycles, q, qd);
-    }
     row.rigid = regressor_row::<A, N, P>(joint, &seen.motion).data.0[0];
+    let (q, qd) = (seen.motion.q.get(joint), seen.motion.qd.get(joint));
+    let loads = friction_load::<A, N, P>(&seen.motion.q);
+    let (cycles, load) = (A::COGGING_CYCLES.get(joint), loads.get(joint));
+    if let (Some(slot), Some(&cycles), Some(&q), Some(&qd), Some(&load)) =
+        (row.friction.get_mut(joint), cycles, q, qd, load)
+    {
+        *slot = friction_row(cycles, q, qd, load);
+    }
     row
 }
 

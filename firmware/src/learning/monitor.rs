@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn information_is_the_mean_part_of_the_doubt_that_rows_have_removed() {
-        const PARAMETERS: usize = 14 + 3;
+        const PARAMETERS: usize = 2 * FRICTION_COLUMNS + 3;
         let mut filter = UdFilter::<2, 3>::new();
         let mut gain = Stacked::filled(0.0);
         let mut phi = Stacked::filled(0.0);

@@ -31,7 +31,7 @@ pub enum FrictionColumn {
     Root,
     /// `qd³`
     Cubic,
-    /// `tanh(qd / SIGN_WIDTH) |tau_rigid|`, rigid-body torque of the description
+    /// `tanh(qd / SIGN_WIDTH) |G(q)|`, gravity torque of the description; a joint that gravity never moves has no such column
     Load,
     /// `sin(z q)`, z cycles a turn from the description
     CoggingSine,
@@ -46,8 +46,8 @@ impl FrictionColumn {
     pub(super) fn on_board(self) -> bool {
         match self {
             Self::Viscous | Self::Coulomb | Self::Stribeck | Self::Bend => true,
-            Self::Offset | Self::CoggingSine | Self::CoggingCosine => true,
-            Self::Root | Self::Cubic | Self::Load | Self::WarmUp => false,
+            Self::Load | Self::Offset | Self::CoggingSine | Self::CoggingCosine => true,
+            Self::Root | Self::Cubic | Self::WarmUp => false,
         }
     }
 
@@ -183,11 +183,27 @@ pub struct Layout<const N: usize> {
     pub offset: [usize; N],
     /// Length of that row.
     pub width: usize,
-    set: ColumnSet,
+    /// Friction columns of each joint.
+    friction: [Vec<FrictionColumn>; N],
     /// Standard parameter behind each base parameter.
     standard: Vec<usize>,
     model: ReferenceModel<N>,
     cogging: [f64; N],
+}
+
+/// Which joints feel gravity in some position: not one whose axis stands upright, nor one that turns a link about its
+/// centre of mass.
+fn feels_gravity<const N: usize>(model: &ReferenceModel<N>) -> [bool; N] {
+    const LEAST_NM: f64 = 1e-9;
+    let mut feels = [false; N];
+    for position in 0..4 * N {
+        let q = Joints::from_fn(|joint, _| 1.0 + (position * (joint + 2)) as f64);
+        let torques = model.gravity_torques(&q);
+        for (feels, torque) in feels.iter_mut().zip(torques.iter()) {
+            *feels |= torque.abs() > LEAST_NM;
+        }
+    }
+    feels
 }
 
 impl<const N: usize> Layout<N> {
@@ -228,8 +244,15 @@ impl<const N: usize> Layout<N> {
                 friction: None,
             });
         }
+        let feels_gravity = feels_gravity(&model);
+        let friction = feels_gravity.map(|feels| {
+            let columns = set.columns().iter().copied();
+            columns
+                .filter(|&column| feels || column != FrictionColumn::Load)
+                .collect::<Vec<_>>()
+        });
         for (joint, active) in active.iter_mut().enumerate() {
-            for &column in set.columns() {
+            for &column in &friction[joint] {
                 let (symbol, unit) = column.name();
                 active.push(parameters.len());
                 parameters.push(Parameter {
@@ -251,7 +274,7 @@ impl<const N: usize> Layout<N> {
             active,
             offset,
             width,
-            set: set.clone(),
+            friction,
             standard,
             model,
             cogging: std::array::from_fn(|joint| robot.joints[joint].friction.cogging_cycles_rev),
@@ -300,22 +323,23 @@ impl<const N: usize> Layout<N> {
         table: &mut Vec<f64>,
     ) {
         self.model.regressor_into(state, scratch, 0);
-        let rigid = if self.set.columns().contains(&FrictionColumn::Load) {
-            Some(self.model.inverse_dynamics(state))
+        let loaded = |columns: &Vec<FrictionColumn>| columns.contains(&FrictionColumn::Load);
+        let load = if self.friction.iter().any(loaded) {
+            self.model.gravity_torques(&state.q)
         } else {
-            None
+            Joints::zeros()
         };
         for joint in 0..N {
             let (q, qd) = (state.q[joint], state.qd[joint]);
-            let friction = self.set.columns().len();
-            let inertial = &self.active[joint][..self.active[joint].len() - friction];
+            let friction = &self.friction[joint];
+            let inertial = &self.active[joint][..self.active[joint].len() - friction.len()];
             table.extend(
                 inertial
                     .iter()
                     .map(|&place| scratch[(joint, self.standard[place])]),
             );
             let sign = (qd / SIGN_WIDTH_RAD_S).tanh();
-            table.extend(self.set.columns().iter().map(|column| match column {
+            table.extend(friction.iter().map(|column| match column {
                 FrictionColumn::Viscous => qd,
                 FrictionColumn::Coulomb => sign,
                 FrictionColumn::Offset => 1.0,
@@ -323,7 +347,7 @@ impl<const N: usize> Layout<N> {
                 FrictionColumn::Bend => sign / (1.0 + (qd / BEND_RAD_S).powi(2)),
                 FrictionColumn::Root => sign * qd.abs().sqrt(),
                 FrictionColumn::Cubic => qd.powi(3),
-                FrictionColumn::Load => sign * rigid.as_ref().map_or(0.0, |tau| tau[joint].abs()),
+                FrictionColumn::Load => sign * load[joint].abs(),
                 FrictionColumn::CoggingSine => (self.cogging[joint] * q).sin(),
                 FrictionColumn::CoggingCosine => (self.cogging[joint] * q).cos(),
                 FrictionColumn::WarmUp => qd * age_s,

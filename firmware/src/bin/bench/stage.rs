@@ -67,6 +67,7 @@ impl Stage {
                 coulomb: 0.05 * limits.torque,
                 stribeck: 0.01 * limits.torque,
                 bend: 0.01 * limits.torque,
+                load: 0.05,
                 offset: 0.001 * limits.torque,
                 cogging_sin: 0.003 * limits.torque,
                 cogging_cos: 0.001 * limits.torque,

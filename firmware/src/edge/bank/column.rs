@@ -46,6 +46,8 @@ pub enum ColumnKind {
     Fs,
     /// Bend of friction at low speed, N·m.
     Fb,
+    /// Friction for each unit of load.
+    Fl,
 }
 
 impl ColumnKind {
@@ -69,6 +71,7 @@ impl ColumnKind {
         Self::Fc,
         Self::Fs,
         Self::Fb,
+        Self::Fl,
         Self::Fo,
         Self::Gs,
         Self::Gc,
@@ -96,6 +99,7 @@ impl ColumnKind {
             Self::Gc => "Gc",
             Self::Fs => "Fs",
             Self::Fb => "Fb",
+            Self::Fl => "Fl",
         }
     }
 }

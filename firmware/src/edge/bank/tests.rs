@@ -32,15 +32,16 @@ fn verdict(change: impl FnOnce(&mut ParameterBank)) -> Option<BankError> {
 #[test]
 fn columns_are_named_link_by_link_then_rotors_then_friction() {
     let names: List<_> = nominal().columns.iter().map(|c| c.id.to_string()).collect();
-    assert_eq!(names.len(), P + 7 * N);
+    assert_eq!(names.len(), P + 8 * N);
     let front = [
         "Izz1", "mx2", "my2", "Ixx2", "Izz2", "Ixy2", "Ixz2", "Iyz2", "mx3",
     ];
     assert_eq!(names[..9], front);
     assert_eq!(
-        names[36..48],
+        names[36..49],
         [
-            "Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fs1", "Fb1", "Fo1", "Gs1", "Gc1", "Fv2"
+            "Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fs1", "Fb1", "Fl1", "Fo1", "Gs1", "Gc1",
+            "Fv2"
         ]
     );
 }
@@ -95,23 +96,28 @@ fn a_bank_without_friction_columns_has_no_friction() {
 }
 
 #[test]
-fn a_bank_from_before_offset_and_cogging_reads_them_as_zero() {
+fn a_bank_from_before_load_offset_and_cogging_reads_them_as_zero() {
     let mut set = ParameterSet::<N, P>::nominal::<Ur5>(3);
     for friction in &mut set.friction {
-        *friction = FrictionParameters::from_columns([1.0; 7]);
+        *friction = FrictionParameters::from_columns([1.0; 8]);
     }
     let mut bank = ParameterBank::from_set::<Ur5, N, P>(&set);
-    let new = [ColumnKind::Fo, ColumnKind::Gs, ColumnKind::Gc];
+    let new = [
+        ColumnKind::Fl,
+        ColumnKind::Fo,
+        ColumnKind::Gs,
+        ColumnKind::Gc,
+    ];
     bank.columns.retain(|column| !new.contains(&column.id.kind));
     let set = bank.set::<Ur5, N, P>().unwrap();
     for friction in set.friction {
-        assert_eq!(friction.columns(), [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(friction.columns(), [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
     }
     // What is learnt in them since does not get lost.
     let mut learnt = set;
     learnt.friction[2].cogging_sin = 0.4;
     bank.refresh::<Ur5, N, P>(&learnt);
-    assert_eq!(bank.columns.len(), P + 7 * N);
+    assert_eq!(bank.columns.len(), P + 8 * N);
     assert_eq!(bank.set::<Ur5, N, P>(), Ok(learnt));
 }
 

@@ -27,6 +27,7 @@ fn set() -> Set {
     for (joint, friction) in set.friction.iter_mut().enumerate() {
         friction.viscous = 1.0 + joint as f32;
         friction.coulomb = 0.5;
+        friction.load = 0.05;
     }
     set
 }

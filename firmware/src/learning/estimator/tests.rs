@@ -54,6 +54,7 @@ impl Twin {
             let half = -0.5 * value(coulomb, &self.theta);
             floor(viscous + 2, half, &mut self.theta);
             floor(viscous + 3, half, &mut self.theta);
+            floor(viscous + 4, 0.0, &mut self.theta);
         }
     }
 }
@@ -104,10 +105,10 @@ fn seen(tick: u32, joint: usize, random: &mut u64) -> (Stacked<N, P>, f32) {
         qdd: JointVector::from_fn(|j, _| (-wave(j).1.powi(2) * wave(j).0.sin()) as f32),
     };
     let mut tau = JointVector::<N>::zeros();
-    let row = torque_row::<Ur5, N, P>(joint, &Conditioned { motion, tau });
     let mut truth = Stacked::of(&ParameterSet::nominal::<Ur5>(1));
     truth.rigid = truth.rigid.map(|theta| 1.1 * theta);
-    truth.friction = [[2.0, 3.0, 0.5, 0.5, -0.3, 0.2, -0.1]; N];
+    let row = torque_row::<Ur5, N, P>(joint, &Conditioned { motion, tau });
+    truth.friction = [[2.0, 3.0, 0.5, 0.5, 0.05, -0.3, 0.2, -0.1]; N];
     let noise: f64 = (0..12)
         .map(|_| {
             *random = random
@@ -186,7 +187,7 @@ fn doubt_about_friction_is_what_a_row_of_friction_alone_adds_to_the_innovation()
     }
     for joint in 0..N {
         let mut phi = Stacked::filled(0.0);
-        phi.friction[joint] = [0.7, 1.0, 0.1, 0.4, 1.0, 0.6, -0.8];
+        phi.friction[joint] = [0.7, 1.0, 0.1, 0.4, 2.0, 1.0, 0.6, -0.8];
         let doubt = filter.friction_doubt(joint, &phi.friction[joint]);
         let variance = { filter }.update(joint, &phi, 1.0, &mut gain);
         assert!(doubt > 1e-3, "{joint}: {doubt}");

@@ -4,7 +4,7 @@ use super::row::ripple_of;
 use super::{Learner, count};
 use crate::arm::Arm;
 use crate::dynamics::{
-    BaseParameters, FrictionParameters, friction, friction_row, regressor_row, rnea,
+    BaseParameters, FrictionParameters, friction, friction_load, friction_row, regressor_row, rnea,
 };
 use crate::joint::JointVector;
 use crate::learning::conditioning::{AVERAGED, Conditioned};
@@ -149,17 +149,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     #[inline(never)]
     fn friction_doubt(&self, joint: usize, slice: &Slice<N>) -> f32 {
         let motion = &slice.motion;
-        let (Some(&cycles), Some(&q), Some(&qd), Some(sigma), Some(limits)) = (
+        let loads = friction_load::<A, N, P>(&motion.q);
+        let (Some(&cycles), Some(&q), Some(&qd), Some(&load), Some(sigma), Some(limits)) = (
             A::COGGING_CYCLES.get(joint),
             motion.q.get(joint),
             motion.qd.get(joint),
+            loads.get(joint),
             self.config.friction_sigma.get(joint),
             A::LIMITS.get(joint),
         ) else {
             return 0.0;
         };
         let inverse = 1.0 / (self.config.noise * limits.torque);
-        let mut phi = friction_row(cycles, q, qd);
+        let mut phi = friction_row(cycles, q, qd, load);
         for (phi, sigma) in phi.iter_mut().zip(sigma.columns()) {
             *phi *= sigma * inverse;
         }

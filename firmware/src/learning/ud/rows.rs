@@ -6,7 +6,7 @@ use super::set;
 /// running sums stay in registers whether the compiler unrolls loops or not. More rows than are written out do not compile.
 macro_rules! each_row {
     ($k:ident < $w:ident $body:block) => {
-        each_row!($k < $w $body, 0 1 2 3 4 5 6)
+        each_row!($k < $w $body, 0 1 2 3 4 5 6 7)
     };
     ($k:ident < $w:ident $body:block, $($row:literal)*) => {
         const { assert!($w <= [$($row),*].len()) };

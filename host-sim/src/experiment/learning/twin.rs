@@ -8,7 +8,7 @@ use foretorque::dynamics::FRICTION_COLUMNS;
 use foretorque::learning::{Estimator, LearnerConfig, Stacked};
 use nalgebra::{DMatrix, DVector};
 
-/// Friction columns of a joint that wander, one a row in turn with the noise of all: viscous, Coulomb and the Stribeck pair.
+/// Friction columns of a joint that wander, one a row in turn with the noise of all: viscous, Coulomb, Stribeck and bend.
 const WANDERING: usize = 4;
 /// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
 const MEDIAN: f64 = 0.6745;
@@ -106,6 +106,7 @@ impl Twin {
         let coulomb = floor(first + 1, 0.0);
         floor(first + 2, -0.5 * coulomb);
         floor(first + 3, -0.5 * coulomb);
+        floor(first + 4, 0.0);
     }
 
     /// Largest distance of any parameter of `estimate`, prior standard deviations.
