@@ -238,6 +238,9 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+    use crate::dynamics::rnea;
+    use crate::joint::JointMotion;
 
     /// Torque of one such joint; it has no cogging of its own.
     fn torque(joint: FrictionParameters, qd: f32, load: f32) -> f32 {
@@ -313,6 +316,30 @@ mod tests {
         // Grease that thins: 2 |qd|^0.7, which a line misses by 0.35.
         let error = worst([1.100, 1.104, -0.282, -0.736], &|qd| 2.0 * qd.powf(0.7));
         assert!(error < 0.05, "{error}");
+    }
+
+    #[test]
+    fn the_load_is_what_gravity_asks_of_the_arm_as_described() {
+        let described = BaseParameters::<PARAMETERS>::from(Ur5::NOMINAL);
+        for step in 0..50 {
+            let q = JointVector::from_fn(|joint, _| 3.0 * (step as f32 + 1.7 * joint as f32).sin());
+            let still = JointMotion {
+                q,
+                ..JointMotion::zero()
+            };
+            let load = friction_load::<Ur5, JOINTS, PARAMETERS>(&q);
+            let rigid = rnea::<Ur5, JOINTS, PARAMETERS>(&described, &still);
+            assert!((load - rigid).amax() < 1e-4, "{load} {rigid}");
+            // The first axis stands upright, the last one carries its link in the middle.
+            assert!(load[0].abs() < 1e-4 && load[5].abs() < 1e-4, "{load}");
+            let mut drives = [FrictionParameters::NONE; JOINTS];
+            drives[1].load = 0.1;
+            let qd = JointVector::repeat(-1.0);
+            let friction = friction::<Ur5, JOINTS, PARAMETERS>(&drives, &q, &qd);
+            assert!((friction[1] + 0.1 * rigid[1].abs()).abs() < 1e-5);
+        }
+        let nowhere = JointVector::repeat(f32::NAN);
+        assert!(friction_load::<Ur5, JOINTS, PARAMETERS>(&nowhere)[1].is_nan());
     }
 
     #[test]

@@ -355,3 +355,40 @@ impl<const N: usize> Layout<N> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn friction_grows_with_the_load_where_gravity_makes_one() {
+        let robot = Robot::load("ur5").expect("built in");
+        let set = ColumnSet::from_str("coulomb-viscous+load").expect("known words");
+        let layout = Layout::<6>::new(&robot, &set).expect("six joints");
+        let loads = layout.parameters.iter().filter_map(|p| p.friction);
+        let loaded: Vec<usize> = loads
+            .filter(|(column, _)| *column == FrictionColumn::Load)
+            .map(|(_, joint)| joint)
+            .collect();
+        // The first axis stands upright, the last one carries its link in the middle.
+        assert_eq!(loaded, [1, 2, 3, 4]);
+
+        let q = Joints::from_fn(|joint, _| 0.3 + joint as f64);
+        let state = State {
+            q,
+            qd: Joints::repeat(-1.0),
+            qdd: Joints::repeat(2.0),
+        };
+        let (mut row, mut scratch) = (Vec::new(), DMatrix::zeros(6, 66));
+        layout.append_row(&state, 0.0, &mut scratch, &mut row);
+        assert_eq!(row.len(), layout.width);
+        let gravity = layout.model.gravity_torques(&q);
+        for joint in loaded {
+            let last = layout.offset[joint] + layout.active[joint].len() - 1;
+            assert!(
+                (row[last] + gravity[joint].abs()).abs() < 1e-12,
+                "joint {joint}"
+            );
+        }
+    }
+}

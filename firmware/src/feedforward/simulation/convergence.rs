@@ -87,6 +87,13 @@ fn the_error_on_an_unseen_path_falls_below_two_and_one_percent() {
 }
 
 #[test]
+fn friction_that_grows_with_the_load_is_learnt() {
+    let curve = curve(wrong_prior(1), UNDER_LOAD, 30);
+    // 1.9 % without a column for it. The gears also feel what the motion adds to gravity.
+    assert!(curve[30] < 0.015, "{}", curve[30]);
+}
+
+#[test]
 fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
     let mut board = Board::new(wrong_prior(1), 0);
     let mut plant = Plant::new(AS_IT_IS);

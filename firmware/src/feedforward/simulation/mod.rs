@@ -29,15 +29,24 @@ struct Drive {
     stribeck: f64,
     /// Part of the cogging torque of the arm as it is.
     cogging: f64,
+    /// Friction for each unit of the rigid body's torque.
+    load: f64,
 }
 
 const AS_IT_IS: Drive = Drive {
     stribeck: 0.25,
     cogging: 1.0,
+    load: 0.0,
 };
 const PLAIN: Drive = Drive {
     stribeck: 0.0,
     cogging: 0.0,
+    load: 0.0,
+};
+/// Gears that rub more under load, as those of a real arm do.
+const UNDER_LOAD: Drive = Drive {
+    load: 0.07,
+    ..AS_IT_IS
 };
 
 type Set = ParameterSet<N, P>;
@@ -130,7 +139,9 @@ fn loaded_torque(beta: &BaseParameters<P>, motion: &JointMotion<N>, drive: Drive
         let v = f64::from(motion.qd[j]);
         let peak = 1.0 + drive.stribeck * (-(v / 0.1).powi(2)).exp();
         let cogging = drive.cogging * COGGING[j] * (202.0 * f64::from(motion.q[j])).sin();
-        f64::from(rigid[j]) + VISCOUS[j] * v + COULOMB[j] * peak * (v / 0.005).tanh() + cogging
+        let rigid = f64::from(rigid[j]);
+        let dry = COULOMB[j] * peak + drive.load * rigid.abs();
+        rigid + VISCOUS[j] * v + dry * (v / 0.005).tanh() + cogging
     })
 }
 
