@@ -226,7 +226,7 @@ fn columns_without_a_place_on_the_board_are_named_and_the_others_reach_the_bank(
     let here = Directory::new("identify-columns");
     let (path, out) = (here.file("log.csv"), here.file("out"));
     log(&path, 4000, 0.0, None, 0.1);
-    let columns = "coulomb-viscous+offset+stribeck+cogging+cubic";
+    let columns = "coulomb-viscous+offset+stribeck+load+cogging+cubic";
     let methods = "wls,irls";
     let done = identify(&[
         "--log",
@@ -246,7 +246,7 @@ fn columns_without_a_place_on_the_board_are_named_and_the_others_reach_the_bank(
         .expect("runs");
     let bank = String::from_utf8_lossy(&bank.stdout).into_owned();
     // An identified column has a value of its own and a deviation smaller than that of a bank nobody identified.
-    for name in ["Fv1", "Fc1", "Fs1", "Fb1", "Fo1", "Gs1", "Gc1"] {
+    for name in ["Fv1", "Fc1", "Fs1", "Fb1", "Fl2", "Fo1", "Gs1", "Gc1"] {
         let line = bank
             .lines()
             .find(|line| line.starts_with(&format!("{name} ")));

@@ -3,7 +3,7 @@
 use acceptance::arms::description;
 use acceptance::each_arm;
 use foretorque::arm::Arm;
-use foretorque::dynamics::{BaseParameters, rnea};
+use foretorque::dynamics::{BaseParameters, gravity_torque, rnea};
 use foretorque::joint::{JointMotion, JointVector};
 use host_sim::dynamics::{Joints, ReferenceModel};
 use nalgebra::SMatrix;
@@ -114,12 +114,14 @@ fn gravity_is_a_gradient<A: Arm<N, P>, const N: usize, const P: usize>() {
             (model.energy(&(wide + step), &rest) - model.energy(&(wide - step), &rest))
                 / (2.0 * STEP)
         });
-        let tau = torque::<A, N, P>(&q, &zero, &zero);
-        assert!(
-            close(&tau, &gradient, &tolerance::<A, N, P>(1.0)),
-            "{} {q}",
-            A::NAME
-        );
+        let of_gravity = gravity_torque::<A, N, P>(&A::NOMINAL.into(), &q).map(f64::from);
+        for tau in [torque::<A, N, P>(&q, &zero, &zero), of_gravity] {
+            assert!(
+                close(&tau, &gradient, &tolerance::<A, N, P>(1.0)),
+                "{} {q}",
+                A::NAME
+            );
+        }
     }
 }
 

@@ -4,7 +4,9 @@ use super::{LinkColumns, Placement};
 
 /// FNV-1a (32 bit) over the number of joints, gravity, every placement and the base-parameter set.
 ///
-/// Parameters of one arm mean nothing on another; masses and limits may differ, so they are left out.
+/// Parameters of one arm mean nothing on another; masses and limits may differ, so they are left out. One column means
+/// something else with other masses: friction for each unit of load is for a load by the description
+/// ([`crate::dynamics::friction_load`]).
 pub const fn identity<const N: usize>(
     gravity: &[f32; 3],
     placements: &[Placement; N],

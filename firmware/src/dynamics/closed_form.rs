@@ -1,7 +1,8 @@
 //! The closed form of the dynamics, `tau = M(q) qdd + V(q, qd) + G(q)` (eq. 12).
 //!
-//! The paper prints θ̇ where M multiplies θ̈; Craig 2005, eq. 6.59, has it right. The tick does not need the parts: its
-//! torque comes from [`rnea`] in one go. They are for whoever designs or checks a controller.
+//! The paper prints θ̇ where M multiplies θ̈; Craig 2005, eq. 6.59, has it right. The tick does not need the sum:
+//! its torque comes from [`rnea`] in one go, and G alone is what friction is reckoned with. M and V are for whoever designs
+//! or checks a controller.
 
 use super::{BaseParameters, gravity_torque, rnea};
 use crate::arm::Arm;

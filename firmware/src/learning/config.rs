@@ -59,9 +59,9 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// numbers of its own: every link's mass, inertia and rotor are uncertain by 20 % of what the description says, its
     /// centre of mass by 5 % of its distance and 3 mm along each axis; viscous friction by 10 % of the limit at full speed,
     /// Coulomb friction by 3 % of the limit, its bend by 1.2 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each,
-    /// what grows with the load by 1.3 % of the load (a real UR5's shoulder lift has 8 %, docs/learning-scenarios.md: as far
-    /// as the box reaches; more doubt makes payloads harder to weigh); cogging of a joint that has none stays 0. The box is
-    /// wider than a guess is wrong: what a column may not take the others take wrongly.
+    /// what grows with the load by 1.3 % of the load (a real UR5's shoulder lift has 7.9 %, docs/learning-scenarios.md; more
+    /// doubt makes payloads harder to weigh); cogging of a joint that has none stays 0. The box is wider than a guess is
+    /// wrong: what a column may not take the others take wrongly.
     ///
     /// * `period_s` period of the tick, s
     ///

@@ -32,8 +32,8 @@ const FIRST_ROWS: f32 = 4.0;
 /// Doubts about links that a tick takes into the covariance after a reset: all of them before the window is full.
 const DOUBTS_A_TICK: usize = 3;
 
-/// The first friction columns of a joint, those that change with temperature and wear, wander; load, offset and
-/// cogging do not.
+/// The first friction columns of a joint, those that change with grease, temperature and wear, wander; load, offset and
+/// cogging, which are those of gears, sensors and magnets, do not.
 const WANDERING: usize = 4;
 /// The cogging columns come last.
 const COGGING: usize = FRICTION_COLUMNS - 2;

@@ -34,7 +34,8 @@ pub struct ModelQuality<const N: usize> {
     /// RMS of the rigid-body, friction and network share over the last seconds, root mean square over the joints, in
     /// units of the torque limit.
     pub share_rms: [f32; 3],
-    /// Mean over the linear parameters of `1 − P_ii`: the part of the prior's variance that measurements have removed.
+    /// Mean over the linear parameters of `1 − P_ii`: the part of the prior's variance that measurements have removed. It
+    /// stays below 1 where no motion shows a column: cogging of a drive that has none, the load of an upright axis.
     pub information: f32,
     /// 0 … 1: how far the residuals are those of measurement noise; 1 until the arm has moved.
     pub trust: f32,

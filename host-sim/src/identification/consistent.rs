@@ -178,7 +178,7 @@ impl Cone {
             let described = match column {
                 FrictionColumn::Viscous => friction.viscous,
                 FrictionColumn::Coulomb => friction.coulomb,
-                // Peaks, offsets and ripple have no sign.
+                // Peaks, offsets and ripple have no sign; what grows with the load has one, but no description to start from.
                 _ => continue,
             };
             scalars.push(full + k);

@@ -133,9 +133,14 @@ fn friction<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<Group> {
                 (of == kind).then_some((place, joint))
             })
             .collect();
-        let precision = own
-            .iter()
-            .map(|&(_, joint)| (FRICTION_DOUBT * robot.joints[joint].limits.torque).powi(-2));
+        let precision = own.iter().map(|&(_, joint)| {
+            let unit = match kind {
+                // A share of the load already.
+                FrictionColumn::Load => 1.0,
+                _ => robot.joints[joint].limits.torque,
+            };
+            (FRICTION_DOUBT * unit).powi(-2)
+        });
         Group {
             precision: DMatrix::from_diagonal(&DVector::from_iterator(own.len(), precision)),
             places: own.iter().map(|&(place, _)| place).collect(),

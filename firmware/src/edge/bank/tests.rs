@@ -73,6 +73,7 @@ fn every_set_survives_the_bank_in_any_order_of_columns() {
         friction.coulomb = 10.0 + j as f32;
         friction.stribeck = 20.0 + j as f32;
         friction.bend = -30.0 - j as f32;
+        friction.load = 0.01 + 0.01 * j as f32;
         friction.offset = 0.25 * j as f32;
         friction.cogging_sin = 0.5 + j as f32;
         friction.cogging_cos = -0.5 * j as f32;

@@ -82,6 +82,7 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
             wild(&mut friction.coulomb, &mut bits);
             wild(&mut friction.stribeck, &mut bits);
             wild(&mut friction.bend, &mut bits);
+            wild(&mut friction.load, &mut bits);
             wild(&mut friction.offset, &mut bits);
             wild(&mut friction.cogging_sin, &mut bits);
             wild(&mut friction.cogging_cos, &mut bits);

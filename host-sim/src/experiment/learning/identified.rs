@@ -51,14 +51,15 @@ impl Starts {
 }
 
 impl Start {
-    /// How the learner goes on from there: as the firmware has it; a plain friction model has no Stribeck
-    /// columns, and gets none.
+    /// How the learner goes on from there: as the firmware has it; a plain friction model has viscous and
+    /// Coulomb columns, offset and cogging, and gets no others.
     pub(super) fn config(self) -> LearnerConfig<N, P> {
         let mut config = Controller::config();
         if self == Self::PlainFriction {
             for sigma in &mut config.friction_sigma {
                 sigma.stribeck *= UNUSED;
                 sigma.bend *= UNUSED;
+                sigma.load *= UNUSED;
             }
         }
         config
