@@ -199,7 +199,8 @@ pub fn friction_columns(qd: f32, sign: f32, cogging: SinCos, load: f32) -> [f32;
 /// as described, N × N·m.
 ///
 /// Not of the arm as it has been learnt: friction stays linear in all that is learnt, and the column means the same in
-/// every parameter set of one description. Not of the arm in motion: accelerations beyond what was learnt do not reach what was learnt.
+/// every parameter set of one description. Not of the arm in motion: accelerations beyond what was learnt do not reach what
+/// was learnt.
 ///
 /// Cost: one [`gravity_torque`].
 #[inline]
