@@ -89,7 +89,7 @@ fn the_error_on_an_unseen_path_falls_below_two_and_one_percent() {
 #[test]
 fn friction_that_grows_with_the_load_is_learnt() {
     let curve = curve(wrong_prior(1), UNDER_LOAD, 30);
-    // 1.9 % without a column for it. The gears also feel what the motion adds to gravity.
+    // Not less: the gears also feel what the motion adds to gravity, and that has no column.
     assert!(curve[30] < 0.015, "{}", curve[30]);
 }
 
