@@ -49,7 +49,7 @@ impl LearnerStatistics {
 /// What the learner carries from lesson to lesson.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerState<const N: usize, const P: usize> {
-    /// The set that learning started from; the box lies around it.
+    /// The set that learning started from.
     pub prior: ParameterSet<N, P>,
     /// The estimate of the linear parameters.
     pub estimate: Estimator<N, P>,

@@ -48,7 +48,6 @@ impl Firmware {
     pub(super) fn new(config: LearnerConfig<N, P>, prior: &Set) -> Self {
         Self {
             config,
-            prior: *prior,
             estimator: Box::new(Estimator::new::<Ur5>(prior)),
         }
     }
@@ -56,13 +55,9 @@ impl Firmware {
 
 impl RowEstimator for Firmware {
     fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
-        let Self {
-            config,
-            prior,
-            estimator,
-        } = self;
+        let Self { config, estimator } = self;
         // A row with a number that is none changes nothing; there is none here.
-        let _ = estimator.correct(config, prior, joint, limit(joint), row, tau);
+        let _ = estimator.correct(config, joint, limit(joint), row, tau);
     }
 
     fn parameters(&self) -> Stacked<N, P> {

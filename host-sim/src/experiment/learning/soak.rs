@@ -239,7 +239,7 @@ fn twin(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize),
         {
             let row = torque_row::<Ur5, N, P>(joint, &seen);
             let limit = <Ur5 as foretorque::arm::Arm<N, P>>::LIMITS[joint].torque;
-            let taken = estimator.correct(&config, prior, joint, limit, &row, seen.tau[joint]);
+            let taken = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
             if taken.is_some() {
                 twin.correct(joint, &row, seen.tau[joint]);
                 rows += 1;
