@@ -108,6 +108,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                     own * inverse,
                     champion * inverse,
                     correction.residual / sigma,
+                    sigma,
                 );
                 let lesson = NetworkRow {
                     qd: speed,

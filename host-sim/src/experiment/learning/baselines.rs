@@ -40,7 +40,6 @@ fn limit(joint: usize) -> f32 {
 /// The firmware's filter.
 pub(super) struct Firmware {
     config: LearnerConfig<N, P>,
-    prior: Set,
     estimator: Box<Estimator<N, P>>,
 }
 
