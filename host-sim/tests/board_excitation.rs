@@ -2,9 +2,9 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
-use foretorque::edge::wire::NackReason;
-use foretorque::excitation::{AbortReason, Cue, ExcitationError, ExcitationProgram, Stage};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::excitation::{AbortReason, Cue, ExcitationError, ExcitationProgram, Stage};
+use foretorque_link::wire::NackReason;
 use host_sim::board::qemu::{Emulator, Image, QemuOptions};
 use host_sim::board::{BoardError, Client, Native, Transport};
 use host_sim::excitation::{Excitation, QuickConfig};

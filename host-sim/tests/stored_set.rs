@@ -3,8 +3,8 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{PARAMETERS, Ur5};
-use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::store::{SLOT_BYTES, Store};
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::store::{SLOT_BYTES, Store};
 use host_sim::board::Client;
 use host_sim::board::flash::SimulatedFlash;
 use host_sim::board::qemu::{Emulator, Image, QemuOptions};

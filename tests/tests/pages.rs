@@ -72,7 +72,7 @@ fn every_test_that_a_page_names_is_there() {
             // `cargo test -p PACKAGE --test NAME`, or `--test NAME` of the workbench.
             let package = index.checked_sub(1).map_or("", |before| words[before]);
             let directory = match package {
-                "foretorque" => "firmware/tests",
+                "foretorque" => "firmware/foretorque/tests",
                 "foretorque-capi" => "firmware/capi/tests",
                 "acceptance" => "tests/tests",
                 _ => "host-sim/tests",

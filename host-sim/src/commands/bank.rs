@@ -7,8 +7,8 @@ use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{self, Ur5};
-use foretorque::edge::bank::{BankError, ParameterBank};
-use foretorque::edge::wire::BankSource;
+use foretorque_link::bank::{BankError, ParameterBank};
+use foretorque_link::wire::BankSource;
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -11,7 +11,7 @@ use crate::robot::{Perturbation, Robot};
 use clap::Args;
 use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{self, Ur5};
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::Duration;

@@ -8,7 +8,7 @@ use crate::excitation::Excitation;
 use crate::robot::Robot;
 use crate::trajectory::Trajectory;
 use foretorque::arm::Arm;
-use foretorque::excitation::{Cue, Stage};
+use foretorque_link::excitation::{Cue, Stage};
 
 /// How far from the beginning of the series the arm waits, rad: so that the approach has something to do.
 const ASIDE_RAD: f64 = 0.1;

@@ -13,8 +13,8 @@ use crate::table::joint_columns;
 use crate::telemetry::{Recorder, Selection};
 use clap::Args;
 use foretorque::arm::Arm;
-use foretorque::edge::store::StoreHealth;
-use foretorque::excitation::Cue;
+use foretorque_link::excitation::Cue;
+use foretorque_link::store::StoreHealth;
 use std::path::PathBuf;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward

@@ -5,8 +5,8 @@ use crate::control::{self, PdConfig, PdState};
 use crate::dynamics::{Joints, State};
 use crate::plant::{Measurement, Plant};
 use crate::trajectory::Trajectory;
-use foretorque::excitation::Stage;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::excitation::Stage;
 
 /// What happened in one tick.
 #[derive(Clone, Copy, Debug)]

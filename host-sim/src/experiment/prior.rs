@@ -2,8 +2,8 @@
 
 use crate::robot::Robot;
 use foretorque::arm::Arm;
-use foretorque::edge::bank::{NETWORK_SEED, ParameterBank};
 use foretorque::learning::ParameterSet;
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 
 /// The parameter bank of a robot taken at its word: rigid body, viscous and Coulomb friction, networks that say nothing.
 ///

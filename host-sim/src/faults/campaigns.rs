@@ -7,7 +7,7 @@ use super::{bad_uploads, damaged_line, foreign_frames, strange_numbers, watchdog
 use crate::board::qemu::{Emulator, Image, QemuOptions};
 use crate::board::{Native, Transport};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::store::slots;
+use foretorque_link::store::slots;
 use std::error::Error;
 use std::path::Path;
 

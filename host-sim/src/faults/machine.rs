@@ -3,7 +3,7 @@
 use super::Campaign;
 use crate::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
 use foretorque::arm::ur5::JOINTS;
-use foretorque::edge::wire::{BoardHello, BoardMessage, Decoder, ResetReason};
+use foretorque_link::wire::{BoardHello, BoardMessage, Decoder, ResetReason};
 use std::fs;
 use std::path::PathBuf;
 use std::time::Duration;

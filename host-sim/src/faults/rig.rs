@@ -2,10 +2,10 @@
 
 use crate::board::{BoardError, Native, Transport};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::safety::SafetyState;
-use foretorque::edge::telemetry::Statistics;
-use foretorque::edge::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, encode};
 use foretorque::learning::ConfigError;
+use foretorque_link::safety::SafetyState;
+use foretorque_link::telemetry::Statistics;
+use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, encode};
 use std::time::{Duration, Instant};
 
 /// How long an answer is waited for.

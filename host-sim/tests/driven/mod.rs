@@ -4,9 +4,9 @@ pub(crate) mod parts;
 
 use crate::patched::patched;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::safety::SafetyReason;
-use foretorque::edge::wire::NackReason;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::safety::SafetyReason;
+use foretorque_link::wire::NackReason;
 use host_sim::board::log::Messages;
 use host_sim::board::qemu::{Emulator, Image, QemuOptions};
 use host_sim::board::{BoardError, Client, TickReply};

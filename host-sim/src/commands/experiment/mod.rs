@@ -14,8 +14,8 @@ use super::{Failure, unusable};
 use crate::board::{BoardError, Client};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::bank::ParameterBank;
 use foretorque::feedforward::ParameterSet;
+use foretorque_link::bank::ParameterBank;
 use std::path::PathBuf;
 
 /// Run one of the reproducible studies

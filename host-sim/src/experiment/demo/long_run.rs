@@ -6,7 +6,7 @@ use super::world::World;
 use super::{DemoConfig, PAGE_POINTS, Progress};
 use crate::board::Client;
 use crate::metrics::{TorqueError, TrackingError};
-use foretorque::edge::telemetry::Statistics;
+use foretorque_link::telemetry::Statistics;
 use std::error::Error;
 
 /// Points of the unseen path on which the error is watched while learning goes on.

@@ -1,7 +1,7 @@
 //! What the main job finds out: the figures of `report.json`, and the curves of the page.
 
 use crate::dynamics::{Joints, State};
-use foretorque::edge::telemetry::{Cost, Statistics};
+use foretorque_link::telemetry::{Cost, Statistics};
 use serde::Serialize;
 
 /// The figures of `report.json`. Nothing in it depends on the clock on the wall: equal runs give equal files.

@@ -9,7 +9,7 @@ use crate::plant::{Plant, PlantConfig};
 use crate::robot::{Perturbation, Robot};
 use crate::trajectory::Trajectory;
 use foretorque::arm::Arm;
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
 use std::error::Error;
 
 /// The world of the job: the same for every board that is put into it.

@@ -9,9 +9,9 @@ use crate::dynamics::Joints;
 use crate::experiment::closed_loop::{Answer, ClosedLoop, motion_f32};
 use crate::metrics::TrackingError;
 use crate::plant::Payload;
-use foretorque::edge::safety::SafetyStatus;
 use foretorque::joint::JointSample;
 use foretorque::learning::{Decision, LearnerStatistics, PayloadEstimate};
+use foretorque_link::safety::SafetyStatus;
 use std::convert::Infallible;
 use std::error::Error;
 

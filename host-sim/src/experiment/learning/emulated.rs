@@ -4,7 +4,7 @@ use super::drive::Trace;
 use super::world::{N, P, Set};
 use crate::board::{BoardError, Client};
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
 use serde::Serialize;
 
 /// The scenarios that are replayed.

@@ -6,7 +6,7 @@ use super::watch::PAYLOAD_GRACE_S;
 use super::world::N;
 use crate::metrics::TrackingError;
 use crate::plant::Events;
-use foretorque::edge::safety::SafetyState;
+use foretorque_link::safety::SafetyState;
 use std::collections::BTreeMap;
 
 /// Figures by name; the unit is the end of the name.
