@@ -2,9 +2,9 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
-use foretorque::edge::wire::NackReason;
-use foretorque::excitation::{AbortReason, Cue, ExcitationError, ExcitationProgram, Stage};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::excitation::{AbortReason, Cue, ExcitationError, ExcitationProgram, Stage};
+use foretorque_link::wire::NackReason;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client, Native, Transport};
 use foretorque_workbench::excitation::{Excitation, QuickConfig};

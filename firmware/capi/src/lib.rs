@@ -11,10 +11,10 @@ use core::slice;
 
 use foretorque::arm::Arm as _;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
-use foretorque::edge::bank::{NETWORK_SEED, ParameterBank};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson};
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 #[cfg(target_os = "none")]
 use panic_never as _;
 

@@ -3,7 +3,7 @@
 use super::simulate::{PERIOD_S, Scene};
 use super::{Failure, unusable};
 use foretorque::arm::Arm;
-use foretorque::excitation::{Cue, Stage};
+use foretorque_link::excitation::{Cue, Stage};
 use foretorque_workbench::board::Client;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;

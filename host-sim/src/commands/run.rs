@@ -7,8 +7,8 @@ use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
-use foretorque::edge::store::StoreHealth;
-use foretorque::excitation::Cue;
+use foretorque_link::excitation::Cue;
+use foretorque_link::store::StoreHealth;
 use foretorque_workbench::closed_loop::ClosedLoop;
 use foretorque_workbench::files::{WholeFile, write_whole};
 use foretorque_workbench::report::closed_loop::{

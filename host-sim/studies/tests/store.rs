@@ -2,8 +2,8 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::store::{Store, StoreDesk, StoreError, StoreOrder, saves, slots};
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::store::{Store, StoreDesk, StoreError, StoreOrder, saves, slots};
 use foretorque_studies::faults::store::{self, SECTOR, SMALL_SECTOR, set};
 use foretorque_workbench::board::flash::SimulatedFlash;
 

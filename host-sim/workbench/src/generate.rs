@@ -110,7 +110,7 @@ pub fn arm_module(robot: &Robot) -> String {
 
 /// Writes the module of a robot to `file` and declares it in the `mod.rs` beside it, if there is one.
 ///
-/// After that the firmware has the arm: `firmware/src/arm/NAME.rs` needs no other edit. The module is called like the
+/// After that the firmware has the arm: `firmware/foretorque/src/arm/NAME.rs` needs no other edit. The module is called like the
 /// file.
 ///
 /// Errors: of the file system; a file name that no module can have is [`std::io::ErrorKind::InvalidInput`].

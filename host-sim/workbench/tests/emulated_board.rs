@@ -3,7 +3,7 @@
 mod talk;
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::wire::{
+use foretorque_link::wire::{
     BoardMessage, Configuration, CounterKind, Decoder, HostMessage, Pacing, SampleFrame, size,
 };
 use foretorque_workbench::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};

@@ -13,10 +13,10 @@ use flash::TinyFlash;
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::session::{BoardDescription, Desk, NoClock, Session};
-use foretorque::edge::store::{Store, StoreState};
-use foretorque::edge::wire::{
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
+use foretorque_link::store::{Store, StoreState};
+use foretorque_link::wire::{
     BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, PROTOCOL_VERSION, encode,
 };
 use serde::{Serialize, de::DeserializeOwned};
@@ -95,7 +95,7 @@ pub fn decoder(input: &[u8]) {
 
 /// A message that was read says the same when it is written and read again. NaN is compared by its bits.
 fn again<M: Serialize + DeserializeOwned + Debug>(
-    message: Result<M, foretorque::edge::wire::DecodeError>,
+    message: Result<M, foretorque_link::wire::DecodeError>,
 ) {
     let Ok(message) = message else { return };
     let (mut first, mut second) = ([0; MAX_FRAME], [0; MAX_FRAME]);

@@ -13,8 +13,8 @@ use super::terminal::say;
 use super::{Failure, unusable};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::bank::ParameterBank;
 use foretorque::feedforward::ParameterSet;
+use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::board::{BoardError, Client};
 use std::path::PathBuf;
 

@@ -4,7 +4,7 @@ use super::record::{LearningPoint, Tracking, ValidationPoint};
 use super::stages::{ErrorCurve, ReplyBits, error_of, learn, predictions, track};
 use super::world::World;
 use super::{DemoConfig, PAGE_POINTS, Progress};
-use foretorque::edge::telemetry::Statistics;
+use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::metrics::{TorqueError, TrackingError};
 use std::error::Error;

@@ -1,6 +1,6 @@
 //! What the main job finds out: the figures of `report.json`, and the curves of the page.
 
-use foretorque::edge::telemetry::{Cost, Statistics};
+use foretorque_link::telemetry::{Cost, Statistics};
 use foretorque_workbench::dynamics::{Joints, State};
 use serde::Serialize;
 

@@ -3,7 +3,7 @@
 use super::{DemoConfig, Progress};
 use crate::prior::bank_of;
 use foretorque::arm::Arm;
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::closed_loop::control::PdConfig;
 use foretorque_workbench::dynamics::{ReferenceModel, State};
 use foretorque_workbench::excitation::{Excitation, QuickConfig};

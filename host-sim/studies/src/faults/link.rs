@@ -5,11 +5,11 @@ use super::Campaign;
 use super::damage::{BadLine, Damage};
 use super::rig::{Frame, Rig, Round};
 use foretorque::arm::ur5::JOINTS;
-use foretorque::edge::safety::SafetyState;
-use foretorque::edge::wire::{
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::safety::SafetyState;
+use foretorque_link::wire::{
     HostMessage, MAX_FRAME, MotionFrame, PROTOCOL_VERSION, SampleFrame, encode,
 };
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_workbench::board::{BoardError, Transport};
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};

@@ -2,13 +2,13 @@
 
 use super::Campaign;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::safety::{RollCall, SafetyReason, SafetyState, Task};
-use foretorque::edge::session::{BoardDescription, Desk, NoClock, Session};
-use foretorque::edge::wire::{
-    BoardMessage, Decoder, FrameBuffer, HostMessage, ResetReason, SampleFrame,
-};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::ConfigError;
+use foretorque_link::safety::{RollCall, SafetyReason, SafetyState, Task};
+use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
+use foretorque_link::wire::{
+    BoardMessage, Decoder, FrameBuffer, HostMessage, ResetReason, SampleFrame,
+};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

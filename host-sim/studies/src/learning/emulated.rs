@@ -3,7 +3,7 @@
 use super::drive::Trace;
 use super::world::{N, P, Set};
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::board::{BoardError, Client};
 use serde::Serialize;
 

@@ -4,7 +4,7 @@ use super::drive::{Look, Second, Trace};
 use super::scenario::Scenario;
 use super::watch::PAYLOAD_GRACE_S;
 use super::world::N;
-use foretorque::edge::safety::SafetyState;
+use foretorque_link::safety::SafetyState;
 use foretorque_workbench::metrics::TrackingError;
 use foretorque_workbench::plant::Events;
 use std::collections::BTreeMap;

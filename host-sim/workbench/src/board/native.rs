@@ -1,8 +1,8 @@
 use super::Transport;
 use foretorque::arm::Arm;
-use foretorque::edge::session::{BoardDescription, Desk, NoClock, Session};
-use foretorque::edge::wire::FrameBuffer;
 use foretorque::learning::{ConfigError, Learner, LearnerConfig};
+use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
+use foretorque_link::wire::FrameBuffer;
 use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;

@@ -7,8 +7,8 @@ use crate::dynamics::{Joints, State};
 use crate::plant::{Measurement, Plant};
 use crate::trajectory::Trajectory;
 use control::{PdConfig, PdState};
-use foretorque::excitation::Stage;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::excitation::Stage;
 
 /// What happened in one tick.
 #[derive(Clone, Copy, Debug)]

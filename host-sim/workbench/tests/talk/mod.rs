@@ -1,13 +1,13 @@
 //! What is said to a board, as raw bytes: samples, and a conversation whose every answer is kept.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::bank::NETWORK_SEED;
-use foretorque::edge::safety::ARM_SAMPLES;
-use foretorque::edge::wire::{
-    BankSource, Configuration, Decoder, FrameBuffer, HostMessage, ReplyMode, SampleFrame,
-};
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::bank::NETWORK_SEED;
+use foretorque_link::safety::ARM_SAMPLES;
+use foretorque_link::wire::{
+    BankSource, Configuration, Decoder, FrameBuffer, HostMessage, ReplyMode, SampleFrame,
+};
 use foretorque_workbench::board::Transport;
 use std::time::Duration;
 

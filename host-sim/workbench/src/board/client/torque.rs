@@ -2,12 +2,12 @@
 
 use super::line::refused;
 use super::{BoardError, BoardShares, Client, TickReply};
-use foretorque::edge::safety::{ARM_SAMPLES, SafetyReason, SafetyState, SafetyStatus};
-use foretorque::edge::wire::{BoardMessage, HostMessage, NackReason, SampleFlags, SampleFrame};
-use foretorque::excitation::{Cue, Stage};
 use foretorque::feedforward::Torque;
 use foretorque::joint::JointSample;
 use foretorque::limits::Flags;
+use foretorque_link::excitation::{Cue, Stage};
+use foretorque_link::safety::{ARM_SAMPLES, SafetyReason, SafetyState, SafetyStatus};
+use foretorque_link::wire::{BoardMessage, HostMessage, NackReason, SampleFlags, SampleFrame};
 
 /// Samples that a board is given, at most, to become ready to be armed.
 const ARM_ATTEMPTS: u32 = 30;

@@ -8,9 +8,9 @@ use crate::board::BoardShares;
 use crate::closed_loop::TickRecord;
 use crate::dynamics::Joints;
 use crate::metrics::TrackingError;
-use foretorque::edge::store::StoreHealth;
-use foretorque::edge::telemetry::{Cost, Statistics};
 use foretorque::limits::Flags;
+use foretorque_link::store::StoreHealth;
+use foretorque_link::telemetry::{Cost, Statistics};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
