@@ -240,7 +240,7 @@ fn what_is_asked_of_the_learner_is_handed_on() {
     let busy = BoardMessage::Nack(NackReason::Busy);
     assert_eq!(board.ask(ask(3)), busy);
     let waits = board.desk.exchange.request;
-    assert_eq!(waits, Some((0, crate::learning::Request::Snapshot)));
+    assert_eq!(waits, Some((1, crate::learning::Request::Snapshot)));
     board.sample(0);
     board.learn();
     assert_eq!(board.ask(ask(3)), BoardMessage::Ack);
