@@ -26,6 +26,8 @@ fn measured(tick: u32, speed: f32, tau: f32) -> JointMeasurement<N> {
 fn lesson(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> Lesson<N> {
     Lesson {
         tick,
+        generation: 0,
+        requests: 0,
         measured,
         enabled,
         flags: Flags::NONE,
@@ -212,9 +214,11 @@ fn a_reloaded_set_is_taken_with_the_first_lesson_it_holds_for() {
     let mut loaded = ParameterSet::nominal::<Ur5>(9);
     loaded.friction[0].coulomb = 3.0;
     let mut exchange = Exchange::new();
-    exchange.reload = Some((42, loaded));
+    exchange.reload = Some((1, loaded));
     for tick in 40..44 {
-        learner.learn(&lesson(tick, None, true), &mut exchange);
+        let mut lesson = lesson(tick, None, true);
+        lesson.generation = u32::from(tick >= 42);
+        learner.learn(&lesson, &mut exchange);
         assert_eq!(learner.state.prior == loaded, tick >= 42, "tick {tick}");
         assert_eq!(learner.state.candidate == loaded, tick >= 42, "tick {tick}");
         assert_eq!(exchange.reload.is_none(), tick >= 42, "tick {tick}");
@@ -246,11 +250,13 @@ fn a_configuration_that_cannot_work_is_refused() {
 
 fn ask(learner: &mut Learner<Ur5, N, P>, tick: u32, request: Request) -> Option<Reason> {
     let mut exchange = Exchange::new();
-    exchange.ask(tick, request).unwrap();
-    assert!(exchange.ask(tick, request).is_err());
-    learner.collect(tick.wrapping_sub(1), &mut exchange);
+    exchange.ask(1, request).unwrap();
+    assert!(exchange.ask(1, request).is_err());
+    let mut lesson = lesson(tick, None, true);
+    learner.collect(&lesson, &mut exchange);
     assert!(exchange.request.is_some(), "taken before its lesson");
-    learner.collect(tick, &mut exchange);
+    lesson.requests = 1;
+    learner.collect(&lesson, &mut exchange);
     assert_eq!(exchange.request, None);
     let newest = learner.state.report.decisions.newest()?;
     assert_eq!(newest.tick, tick);
@@ -293,4 +299,44 @@ fn after_an_emergency_stop_nothing_is_learnt_until_learning_is_switched_on_again
     teach(&mut learner, 120..121, false);
     teach(&mut learner, 121..130, true);
     assert!(learner.state.estimate != before.0);
+}
+
+#[test]
+fn what_ran_on_another_set_is_not_learnt_from_and_not_published() {
+    let mut learner = learner();
+    teach(&mut learner, 0..60, true);
+    let mut exchange = Exchange::new();
+    learner.publish(&mut exchange);
+    exchange.published = None;
+    let before = (learner.state.estimate, learner.state.statistics);
+    for tick in 60..120 {
+        let mut foreign = lesson(tick, Some(measured(tick, 2.0, 20.0)), true);
+        foreign.generation = 1;
+        learner.learn(&foreign, &mut exchange);
+        assert_eq!(exchange.published, None, "tick {tick}");
+    }
+    assert!((learner.state.estimate, learner.state.statistics) == before);
+    // The window of measurements has gone on meanwhile.
+    teach(&mut learner, 120..121, true);
+    assert!(learner.state.statistics.accepted > before.1.accepted);
+}
+
+#[test]
+fn a_commit_that_belongs_to_a_set_of_before_does_not_commit_the_next() {
+    let mut learner = learner();
+    let mut exchange = Exchange::new();
+    learner.answer(0, Request::Commit);
+    for tick in 0..6 {
+        learner.learn(&lesson(tick, None, true), &mut exchange);
+    }
+    assert!(exchange.published.is_some_and(|set| set.commit));
+    // A load that met the learner in the middle of a lesson; the tick has not looked since.
+    exchange.reload = Some((1, ParameterSet::nominal::<Ur5>(9)));
+    for tick in 6..12 {
+        let mut lesson = lesson(tick, None, true);
+        lesson.generation = 1;
+        learner.learn(&lesson, &mut exchange);
+    }
+    let published = exchange.published.unwrap();
+    assert_eq!((published.generation, published.commit), (1, false));
 }
