@@ -68,13 +68,15 @@ pub struct Statics {
 
 impl Statics {
     /// Nothing in it.
-    pub const EMPTY: Self = Self {
-        desk: MaybeUninit::uninit(),
-        session: MaybeUninit::uninit(),
-        learner: MaybeUninit::uninit(),
-        receive_ring: Queue::new(),
-        transmit_ring: Queue::new(),
-    };
+    pub const fn empty() -> Self {
+        Self {
+            desk: MaybeUninit::uninit(),
+            session: MaybeUninit::uninit(),
+            learner: MaybeUninit::uninit(),
+            receive_ring: Queue::new(),
+            transmit_ring: Queue::new(),
+        }
+    }
 }
 
 /// The parts of a started board, one for each task.
@@ -418,7 +420,7 @@ macro_rules! image {
                 idle: Idle,
             }
 
-            #[init(local = [statics: Statics = Statics::EMPTY])]
+            #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let Started {
                     desk,

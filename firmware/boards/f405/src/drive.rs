@@ -20,7 +20,7 @@ impl<B: Board> Drive for EnableOnly<B> {
     #[inline(always)]
     fn start() -> Option<Self> {
         // Switched off by its constructor; only a session that a host has armed switches it on.
-        let Ok(enable) = TorqueEnable::new(EnablePin::new());
+        let Ok(enable) = TorqueEnable::new(EnablePin::default());
         Some(Self {
             enable,
             measures: HostMeasures,

@@ -48,9 +48,8 @@ const MARK: u32 = 0x7041_5553;
 /// Torque enable: a pin without state, because a fault handler must be able to make one out of nothing.
 pub struct EnablePin<B>(PhantomData<B>);
 
-impl<B> EnablePin<B> {
-    /// The pin as it is.
-    pub const fn new() -> Self {
+impl<B> Default for EnablePin<B> {
+    fn default() -> Self {
         Self(PhantomData)
     }
 }
@@ -140,7 +139,7 @@ pub fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
 pub fn leave<B: Board>(reason: Reason, place: u32) -> ! {
     cortex_m::interrupt::disable();
     // The constructor is what switches off; an infallible pin cannot refuse.
-    let _ = TorqueEnable::new(EnablePin::<B>::new());
+    let _ = TorqueEnable::new(EnablePin::<B>::default());
     let kept = &raw mut KEPT;
     // SAFETY: interrupts are off and this does not return: nobody else looks at the words again before the reset.
     unsafe {

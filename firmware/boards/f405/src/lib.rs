@@ -2,12 +2,12 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`app`] | the schedule: [`image!`] makes the firmware of a board |
-//! | [`board`] | what a board has of its own |
-//! | [`odrive_v3`], [`pyboard`], [`pyboard_drive`] | the boards |
-//! | [`chip`], [`clock`], [`counter`], [`pin`] | constants, clocks, cost counter and pins of the chip |
-//! | [`fault`] | fault handlers, and what is kept over a reset |
-//! | [`rooms`] | session and learner in static memory |
+//! | `app` | the schedule: `image!` makes the firmware of a board |
+//! | `board` | what a board has of its own |
+//! | `odrive_v3`, `pyboard`, `pyboard_drive` | the boards |
+//! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
+//! | `fault` | fault handlers, and what is kept over a reset |
+//! | `rooms` | session and learner in static memory |
 //!
 //! Another board is a file beside these and a binary that names it.
 #![no_std]

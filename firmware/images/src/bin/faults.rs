@@ -47,7 +47,7 @@ mod trial {
         let link = chip.USART2;
         link.cr1()
             .write(|w| w.ue().enabled().te().enabled().re().enabled());
-        let Ok(mut enable) = TorqueEnable::new(EnablePin::<OdriveV3>::new());
+        let Ok(mut enable) = TorqueEnable::new(EnablePin::<OdriveV3>::default());
         let Ok(()) = enable.on();
         let mut out = FrameBuffer::new();
         if out.push(0, &BoardMessage::<JOINTS>::Hello(hello)).is_err() {

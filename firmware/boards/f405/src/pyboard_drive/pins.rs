@@ -40,14 +40,14 @@ impl ErrorType for StageEnable {
 
 impl OutputPin for StageEnable {
     fn set_low(&mut self) -> Result<(), Infallible> {
-        EnablePin::<PyboardDrive>::new().set_low()?;
+        EnablePin::<PyboardDrive>::default().set_low()?;
         pulse::gate(false);
         Ok(())
     }
 
     fn set_high(&mut self) -> Result<(), Infallible> {
         pulse::gate(true);
-        EnablePin::<PyboardDrive>::new().set_high()
+        EnablePin::<PyboardDrive>::default().set_high()
     }
 }
 
