@@ -121,7 +121,7 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
         .args(["clippy", "--workspace", "--all-targets"])
         .args(STRICT);
     let mut board_clippy = tools.board_clippy.board_cargo("clippy");
-    board_clippy.arg("--bins").args(STRICT);
+    board_clippy.args(["--lib", "--bins"]).args(STRICT);
     let mut plain_clippy = tools.board_clippy.board_library_cargo("clippy");
     plain_clippy.args(STRICT);
     let mut log_clippy = tools.board_clippy.board_library_cargo("clippy");

@@ -42,7 +42,7 @@ fn fail(name: &str, crash: Crash) -> (ResetReason, u32) {
 fn a_panic_switches_the_torque_off_and_is_reported() {
     let (reason, line) = fail("panic", Crash::Panic);
     assert_eq!(reason, ResetReason::Panic);
-    let source = include_str!("../../../firmware/images/src/bin/faults/main.rs");
+    let source = include_str!("../../../firmware/images/src/bin/faults.rs");
     let panics = source
         .lines()
         .nth(line as usize - 1)

@@ -19,7 +19,7 @@ use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Client, Native};
 use std::fs;
 
-/// Of `firmware/boards/f405/src/bin/joint_drive/board.rs`: the joint, and the torque of a full duty, N·m.
+/// Of `firmware/boards/f405/src/pyboard_drive/mod.rs`: the joint, and the torque of a full duty, N·m.
 const JOINT: usize = 1;
 const FULL_SCALE_NM: f32 = 12.5 * 16.0;
 const TOP: f32 = 8400.0;

@@ -9,19 +9,16 @@
 #[cfg(target_os = "none")]
 #[expect(unreachable_pub, reason = "written by the generator for a library")]
 mod arms;
-#[cfg(target_os = "none")]
-#[path = "../bulk/semihost.rs"]
-mod semihost;
 
 #[cfg(target_os = "none")]
 mod run {
     use foretorque::arm::{Arm, panda::Panda, ur5::Ur5};
     use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
     use foretorque::joint::{JointMotion, JointVector};
+    use foretorque_images::semihost::{Streams, exit};
     use stm32f4xx_hal as _;
 
     use crate::arms::*;
-    use crate::semihost::{Streams, exit};
 
     #[cortex_m_rt::entry]
     fn main() -> ! {

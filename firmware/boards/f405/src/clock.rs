@@ -2,11 +2,11 @@
 
 use stm32f4xx_hal::pac::{FLASH, RCC};
 
-use crate::board;
+use crate::chip;
 
 /// Where the processor clock comes from, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
-pub(crate) enum ClockSource {
+pub enum ClockSource {
     /// Crystal and PLL.
     Crystal,
     /// Internal oscillator and PLL: the crystal did not start. Tick and baud rate are good to 1 % only.
@@ -19,25 +19,28 @@ pub(crate) enum ClockSource {
 
 /// Result of the bring-up.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Clocks {
-    pub(crate) source: ClockSource,
+pub struct Clocks {
+    /// What it comes from.
+    pub source: ClockSource,
     /// Processor and SysTick clock, Hz.
-    pub(crate) cpu_hz: u32,
+    pub cpu_hz: u32,
     /// Clock of the slow peripheral bus, Hz.
-    pub(crate) apb1_hz: u32,
+    pub apb1_hz: u32,
 }
 
 /// Starts the best clock: crystal and PLL, else internal oscillator and PLL, else the internal oscillator.
 ///
-/// Cannot fail. Cost: at most two bounded waits of [`board::CLOCK_POLLS`] reads each.
-pub(crate) fn start(rcc: &RCC, flash: &FLASH) -> Clocks {
+/// * `crystal_hz` crystal of the board
+///
+/// Cannot fail. Cost: at most two bounded waits of [`chip::CLOCK_POLLS`] reads each.
+pub fn start(rcc: &RCC, flash: &FLASH, crystal_hz: u32) -> Clocks {
     // On silicon HSION and HSIRDY are 1 after reset (RM0090 7.3.1): all zeros can only be the emulator, whose clock
     // block is not modelled.
     if rcc.cr().read().bits() == 0 {
         return Clocks {
             source: ClockSource::Emulated,
-            cpu_hz: board::PLL_HZ,
-            apb1_hz: board::PLL_HZ / 4,
+            cpu_hz: chip::PLL_HZ,
+            apb1_hz: chip::PLL_HZ / 4,
         };
     }
     rcc.cr().modify(|_, w| w.hseon().on());
@@ -45,11 +48,7 @@ pub(crate) fn start(rcc: &RCC, flash: &FLASH) -> Clocks {
     if !crystal {
         rcc.cr().modify(|_, w| w.hseon().off());
     }
-    let input_hz = if crystal {
-        board::HSE_HZ
-    } else {
-        board::HSI_HZ
-    };
+    let input_hz = if crystal { crystal_hz } else { chip::HSI_HZ };
     rcc.pllcfgr().modify(|_, w| {
         let w = if crystal {
             w.pllsrc().hse()
@@ -59,11 +58,11 @@ pub(crate) fn start(rcc: &RCC, flash: &FLASH) -> Clocks {
         // SAFETY: M = 4 or 8, N = 168 and Q = 7 lie in the ranges of RM0090 7.3.2.
         unsafe {
             w.pllm()
-                .bits((input_hz / board::PLL_INPUT_HZ) as u8)
+                .bits((input_hz / chip::PLL_INPUT_HZ) as u8)
                 .plln()
-                .bits(board::PLL_N)
+                .bits(chip::PLL_N)
                 .pllq()
-                .bits(board::PLL_Q)
+                .bits(chip::PLL_Q)
         }
         .pllp()
         .div2()
@@ -73,13 +72,13 @@ pub(crate) fn start(rcc: &RCC, flash: &FLASH) -> Clocks {
         rcc.cr().modify(|_, w| w.pllon().off());
         return Clocks {
             source: ClockSource::Bare,
-            cpu_hz: board::HSI_HZ,
-            apb1_hz: board::HSI_HZ,
+            cpu_hz: chip::HSI_HZ,
+            apb1_hz: chip::HSI_HZ,
         };
     }
     // Wait states before speed, or the next fetch fails (RM0090 3.5.1); prefetch and both caches hide most of them.
     flash.acr().modify(|_, w| {
-        w.latency().set(board::FLASH_WAIT_STATES);
+        w.latency().set(chip::FLASH_WAIT_STATES);
         w.prften().set_bit().icen().set_bit().dcen().set_bit()
     });
     rcc.cfgr().modify(|_, w| w.ppre1().div4().ppre2().div2());
@@ -93,12 +92,12 @@ pub(crate) fn start(rcc: &RCC, flash: &FLASH) -> Clocks {
     };
     Clocks {
         source,
-        cpu_hz: board::PLL_HZ,
-        apb1_hz: board::PLL_HZ / board::APB1_DIVIDER,
+        cpu_hz: chip::PLL_HZ,
+        apb1_hz: chip::PLL_HZ / chip::APB1_DIVIDER,
     }
 }
 
-/// Reads `ready` until it is true, at most [`board::CLOCK_POLLS`] times.
+/// Reads `ready` until it is true, at most [`chip::CLOCK_POLLS`] times.
 fn soon(mut ready: impl FnMut() -> bool) -> bool {
-    (0..board::CLOCK_POLLS).any(|_| ready())
+    (0..chip::CLOCK_POLLS).any(|_| ready())
 }

@@ -9,12 +9,12 @@ use foretorque_link::hal::{
 };
 use foretorque_link::session::OwnJoint as _;
 
-use crate::board::{self, ENCODER, JOINTS, SCALE, TURN};
-use crate::fault::EnablePin;
-use crate::pins::{DirectionPin, FaultInput, StageEnable};
-use crate::pulse::Pulse;
+use super::pins::{DirectionPin, FaultInput, StageEnable};
+use super::pulse::Pulse;
+use super::spi::EncoderDevice;
+use super::{ENCODER, JOINT, SCALE, TURN};
+use crate::board::{Drive, JOINTS};
 use crate::rooms::BoardSession;
-use crate::spi::EncoderDevice;
 
 /// What is wrong with stage and encoder, for the log, which nobody writes in the tick.
 #[derive(Clone, Copy, PartialEq)]
@@ -34,40 +34,37 @@ static SEEN: Mutex<Cell<Troubles>> = Mutex::new(Cell::new(Troubles::NONE));
 static LOGGED: Mutex<Cell<Troubles>> = Mutex::new(Cell::new(Troubles::NONE));
 
 /// Motor stage and encoder of the own joint.
-pub(crate) struct Drive {
+pub struct StageAndEncoder {
     stage: JointStage<PwmWithDirection<Pulse, DirectionPin>, StageEnable, FaultInput>,
     encoder: JointEncoder<EncoderDevice>,
 }
 
-impl Drive {
-    /// Everything off, no torque commanded. `None` if scale or encoder of the board's file cannot work.
+impl Drive for StageAndEncoder {
+    type Own = JointEncoder<EncoderDevice>;
+
     #[inline(never)]
-    pub(crate) fn start() -> Option<Self> {
-        let joint = board::OWN_JOINT?;
+    fn start() -> Option<Self> {
         let output = PwmWithDirection::new(Pulse::start(), DirectionPin);
-        let stage = MotorStage::new(output, StageEnable(EnablePin), FaultInput, SCALE);
+        let stage = MotorStage::new(output, StageEnable, FaultInput, SCALE);
         let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
-        let mut encoder = JointEncoder::new(encoder.ok()?, joint, TURN);
+        let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
         // The first reading brings nothing, it only asks: so the first tick has a position.
         let _ = encoder.measure::<JOINTS>(None, true);
         Some(Self {
-            stage: JointStage::new(stage.ok()?, joint),
+            stage: JointStage::new(stage.ok()?, JOINT),
             encoder,
         })
     }
 
-    /// Before the ticks of this round: a stage with a fault is off, and the session knows.
-    pub(crate) fn watch(&mut self, session: &mut BoardSession) {
+    fn watch(&mut self, session: &mut BoardSession) {
         self.stage.watch(session);
     }
 
-    /// What measures the own joint.
-    pub(crate) fn own(&mut self) -> &mut JointEncoder<EncoderDevice> {
+    fn own(&mut self) -> &mut Self::Own {
         &mut self.encoder
     }
 
-    /// After a tick: enable and torque command are what the session says.
-    pub(crate) fn follow(&mut self, session: &mut BoardSession) {
+    fn follow(&mut self, session: &mut BoardSession) {
         self.stage.follow(session);
         let seen = Troubles {
             stage: self.stage.trouble(),
@@ -76,8 +73,7 @@ impl Drive {
         interrupt::free(|token| SEEN.borrow(token).set(seen));
     }
 
-    /// Writes to the log what has changed; from the idle loop.
-    pub(crate) fn report() {
+    fn report() {
         let (seen, logged) = interrupt::free(|token| {
             let seen = SEEN.borrow(token).get();
             (seen, LOGGED.borrow(token).replace(seen))

@@ -7,7 +7,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use foretorque_link::safety::RollCall;
 use stm32f4xx_hal::pac::IWDG;
 
-use crate::board;
+use crate::chip;
 
 /// Who has answered since the watchdog was fed last.
 pub(crate) static ROLL: RollCall = RollCall::new();
@@ -28,11 +28,11 @@ const CHANGE_POLLS: u32 = 20_000;
 pub(crate) struct Watchdog(IWDG);
 
 impl Watchdog {
-    /// Starts it with [`board::WATCHDOG_RELOAD`].
+    /// Starts it with [`chip::WATCHDOG_RELOAD`].
     pub(crate) fn start(iwdg: IWDG) -> Self {
         let watchdog = Self(iwdg);
         watchdog.key(START);
-        watchdog.set(board::WATCHDOG_PRESCALER, board::WATCHDOG_RELOAD);
+        watchdog.set(chip::WATCHDOG_PRESCALER, chip::WATCHDOG_RELOAD);
         watchdog
     }
 
@@ -41,7 +41,7 @@ impl Watchdog {
     pub(crate) fn patient<T>(&self, work: impl FnOnce() -> T) -> T {
         self.set(LONGEST_PRESCALER, LONGEST_RELOAD);
         let done = work();
-        self.set(board::WATCHDOG_PRESCALER, board::WATCHDOG_RELOAD);
+        self.set(chip::WATCHDOG_PRESCALER, chip::WATCHDOG_RELOAD);
         done
     }
 

@@ -5,19 +5,16 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-#[path = "../../../../boards/f405/src/bin/joint/board.rs"]
-#[expect(dead_code, reason = "clocks are not needed here")]
-mod board;
-#[cfg(target_os = "none")]
-#[path = "../../../../boards/f405/src/bin/joint/fault.rs"]
-#[expect(dead_code, reason = "there is no safety to latch a fault here")]
-mod fault;
+foretorque_f405::fault_handlers!(foretorque_f405::odrive_v3::OdriveV3);
 
 #[cfg(target_os = "none")]
 mod trial {
     use core::hint::black_box;
 
     use foretorque::arm::Arm as _;
+    use foretorque_f405::board::{Arm, JOINTS, PARAMETERS};
+    use foretorque_f405::fault::{self, EnablePin, Reason};
+    use foretorque_f405::odrive_v3::OdriveV3;
     use foretorque_link::hal::TorqueEnable;
     use foretorque_link::safety::SafetyStatus;
     use foretorque_link::wire::{
@@ -25,13 +22,10 @@ mod trial {
     };
     use stm32f4xx_hal::pac::{self, Interrupt, NVIC, USART2};
 
-    use crate::board::{Arm, JOINTS, PARAMETERS};
-    use crate::fault::{self, EnablePin, Reason};
-
     #[cortex_m_rt::entry]
     fn main() -> ! {
         let Some(chip) = pac::Peripherals::take() else {
-            fault::leave(Reason::Setup, line!());
+            fault::leave::<OdriveV3>(Reason::Setup, line!());
         };
         let (kept, place) = fault::take();
         let hello = BoardHello {
@@ -53,11 +47,11 @@ mod trial {
         let link = chip.USART2;
         link.cr1()
             .write(|w| w.ue().enabled().te().enabled().re().enabled());
-        let Ok(mut enable) = TorqueEnable::new(EnablePin);
+        let Ok(mut enable) = TorqueEnable::new(EnablePin::<OdriveV3>::default());
         let Ok(()) = enable.on();
         let mut out = FrameBuffer::new();
         if out.push(0, &BoardMessage::<JOINTS>::Hello(hello)).is_err() {
-            fault::leave(Reason::Setup, line!());
+            fault::leave::<OdriveV3>(Reason::Setup, line!());
         }
         for &byte in out.as_bytes() {
             while link.sr().read().txe().bit_is_clear() {}

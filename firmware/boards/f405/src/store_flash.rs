@@ -10,7 +10,7 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac::FLASH;
 
-use crate::board::{FLASH_POLLS, STORE_SECTOR, STORE_SECTOR_BYTES};
+use crate::chip::{FLASH_POLLS, STORE_SECTOR, STORE_SECTOR_BYTES};
 
 /// What opens the control register (RM0090 3.6.1).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];

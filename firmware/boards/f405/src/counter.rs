@@ -18,7 +18,7 @@ static KIND: AtomicU8 = AtomicU8::new(NONE);
 const KNOWN: u32 = 256;
 
 /// Starts the cycle counter of the core.
-pub(crate) fn start_cycles(core: &mut cortex_m::Peripherals) -> CounterKind {
+pub fn start_cycles(core: &mut cortex_m::Peripherals) -> CounterKind {
     core.DCB.enable_trace();
     core.DWT.enable_cycle_counter();
     KIND.store(CYCLES, Ordering::Relaxed);
@@ -29,7 +29,7 @@ pub(crate) fn start_cycles(core: &mut cortex_m::Peripherals) -> CounterKind {
 /// `-icount shift=S` are executed instructions × 2^S; the prescaler takes the 2^S out.
 ///
 /// Without `-icount` virtual time says nothing about instructions, and costs are not counted.
-pub(crate) fn start_instructions(timer: &TIM2) -> CounterKind {
+pub fn start_instructions(timer: &TIM2) -> CounterKind {
     timer.psc().reset();
     timer.cr1().write(|w| w.cen().enabled());
     let (first, second) = (elapsed(timer), elapsed(timer));
@@ -44,7 +44,7 @@ pub(crate) fn start_instructions(timer: &TIM2) -> CounterKind {
 
 /// The counter as the session reads it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Counter;
+pub struct Counter;
 
 impl Clock for Counter {
     #[inline(always)]
@@ -55,7 +55,7 @@ impl Clock for Counter {
 
 /// The free-running count; only wrapping differences mean something.
 #[inline(always)]
-pub(crate) fn now() -> u32 {
+pub fn now() -> u32 {
     match KIND.load(Ordering::Relaxed) {
         CYCLES => cortex_m::peripheral::DWT::cycle_count(),
         // SAFETY: a read of a counter nobody writes after the start; it has no side effect.

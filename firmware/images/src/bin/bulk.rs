@@ -2,33 +2,15 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-#[path = "../../../../boards/f405/src/bin/joint/board.rs"]
-#[expect(
-    dead_code,
-    reason = "the arm is the board's; pins and clocks are not needed without silicon"
-)]
-mod board;
-#[cfg(target_os = "none")]
-#[path = "../../../../boards/f405/src/bin/joint/counter.rs"]
-#[expect(dead_code, reason = "the emulator has no cycle counter")]
-mod counter;
-#[cfg(target_os = "none")]
-#[path = "../../../../boards/f405/src/bin/joint/rooms.rs"]
-mod rooms;
-#[cfg(target_os = "none")]
-mod semihost;
-
-#[cfg(target_os = "none")]
 mod run {
     use core::mem::MaybeUninit;
 
+    use foretorque_f405::counter::{self, Counter};
+    use foretorque_f405::rooms::{BoardLearner, BoardSession, furnish, open};
+    use foretorque_images::semihost::{Streams, exit};
     use foretorque_link::session::{BoardDescription, Desk};
     use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};
     use stm32f4xx_hal::pac;
-
-    use crate::counter::{self, Counter};
-    use crate::rooms::{BoardLearner, BoardSession, furnish, open};
-    use crate::semihost::{Streams, exit};
 
     /// Bytes handed to the session at once.
     const CHUNK: usize = 64;

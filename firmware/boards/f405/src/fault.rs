@@ -1,24 +1,22 @@
 //! The way out: outputs safe, reason kept over the reset, restart. Nothing here waits.
 
-use core::arch::naked_asm;
+use core::marker::PhantomData;
 use core::mem::MaybeUninit;
-use core::panic::PanicInfo;
 use core::sync::atomic::{Ordering, compiler_fence};
 
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::exception;
 use embedded_hal::digital::{ErrorType, OutputPin};
 use foretorque_link::hal::TorqueEnable;
 use foretorque_link::safety::SafetyReason;
 use foretorque_link::wire::ResetReason;
 use stm32f4xx_hal::pac::RCC;
 
-use crate::board;
+use crate::board::Board;
 
 /// Why the board restarted itself. The number is what is kept over the reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 #[repr(u8)]
-pub(crate) enum Reason {
+pub enum Reason {
     /// It did not: power on, the reset pin, a debugger.
     None = 0,
     /// A panic; the place is the line of the source.
@@ -48,31 +46,32 @@ static mut LATCHED: MaybeUninit<[u32; 3]> = MaybeUninit::uninit();
 const MARK: u32 = 0x7041_5553;
 
 /// Torque enable: a pin without state, because a fault handler must be able to make one out of nothing.
-pub(crate) struct EnablePin;
+pub struct EnablePin<B>(PhantomData<B>);
 
-impl ErrorType for EnablePin {
+impl<B> Default for EnablePin<B> {
+    fn default() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<B> ErrorType for EnablePin<B> {
     type Error = core::convert::Infallible;
 }
 
-impl OutputPin for EnablePin {
+impl<B: Board> OutputPin for EnablePin<B> {
     fn set_low(&mut self) -> Result<(), Self::Error> {
-        write_set_reset(1 << (board::ENABLE_PIN + 16));
+        B::ENABLE.write(false);
         Ok(())
     }
 
     fn set_high(&mut self) -> Result<(), Self::Error> {
-        write_set_reset(1 << board::ENABLE_PIN);
+        B::ENABLE.write(true);
         Ok(())
     }
 }
 
-fn write_set_reset(bits: u32) {
-    // SAFETY: BSRR is write-only and changes the named bits in one access (RM0090 8.4.7); no other code drives them.
-    unsafe { (*board::EnablePort::ptr()).bsrr().write(|w| w.bits(bits)) };
-}
-
 /// Why the board restarted last time, and where; forgets it.
-pub(crate) fn take() -> (Reason, u32) {
+pub fn take() -> (Reason, u32) {
     let kept = &raw mut KEPT;
     // SAFETY: called once, from `init`, with interrupts off; any bit pattern is a valid [u32; 4].
     let [mark, reason, place, check] = unsafe { kept.cast::<[u32; 4]>().read_volatile() };
@@ -94,7 +93,7 @@ pub(crate) fn take() -> (Reason, u32) {
 }
 
 /// The fault that was latched when the board restarted. After power-on there is none.
-pub(crate) fn latched() -> SafetyReason {
+pub fn latched() -> SafetyReason {
     let kept = &raw const LATCHED;
     // SAFETY: any bit pattern is a valid [u32; 3]; the words are written in the tick's task alone, and read before it runs.
     let [mark, code, check] = unsafe { kept.cast::<[u32; 3]>().read_volatile() };
@@ -105,7 +104,7 @@ pub(crate) fn latched() -> SafetyReason {
 }
 
 /// Keeps the fault that is latched over a reset.
-pub(crate) fn keep_latched(fault: SafetyReason) {
+pub fn keep_latched(fault: SafetyReason) {
     let kept = &raw mut LATCHED;
     let code = u32::from(fault.code());
     // SAFETY: called from the tick's task alone.
@@ -118,7 +117,7 @@ pub(crate) fn keep_latched(fault: SafetyReason) {
 /// Why the board started, for the link: what was kept, else what the chip remembers (RM0090 7.3.21), and forgets.
 ///
 /// The emulator's chip remembers nothing.
-pub(crate) fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
+pub fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
     let chip = rcc.csr().read();
     rcc.csr().modify(|_, w| w.rmvf().set_bit());
     match kept {
@@ -137,10 +136,10 @@ pub(crate) fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
 }
 
 /// Makes the outputs safe, keeps the reason and restarts. The torque stays off until somebody arms the board anew.
-pub(crate) fn leave(reason: Reason, place: u32) -> ! {
+pub fn leave<B: Board>(reason: Reason, place: u32) -> ! {
     cortex_m::interrupt::disable();
     // The constructor is what switches off; an infallible pin cannot refuse.
-    let _ = TorqueEnable::new(EnablePin);
+    let _ = TorqueEnable::new(EnablePin::<B>::default());
     let kept = &raw mut KEPT;
     // SAFETY: interrupts are off and this does not return: nobody else looks at the words again before the reset.
     unsafe {
@@ -155,53 +154,62 @@ pub(crate) fn leave(reason: Reason, place: u32) -> ! {
     SCB::sys_reset()
 }
 
-#[panic_handler]
-fn panic(info: &PanicInfo<'_>) -> ! {
-    leave(
-        Reason::Panic,
-        info.location().map_or(0, |place| place.line()),
-    )
-}
-
 /// Bytes that the core pushes at most when an exception comes: eight registers and the state of the FPU.
 const FRAME_BYTES: u32 = 104;
 
-/// The entry of the hard fault. It pushes nothing before it has a stack again, because the stack may be what failed:
-/// passes the stack pointer on, and starts the stack over, for nothing returns from here.
-// SAFETY: the name is that of the vector, and no other handler has it.
-#[unsafe(naked)]
-#[unsafe(export_name = "HardFault")]
-extern "C" fn hard_fault_entry() -> ! {
-    naked_asm!(
-        "mov r0, sp",
-        // The interrupted instruction: word 6 of what the core pushed, if that is inside the region of the stack.
-        "ldr r2, =_stack_end",
-        "movs r1, #0",
-        "cmp r0, r2",
-        "blo 1f",
-        "ldr r1, [r0, #24]",
-        "1:",
-        "ldr r3, =_stack_start",
-        "mov sp, r3",
-        "b {handler}",
-        handler = sym hard_fault,
-    )
-}
-
-/// * `pointer` stack pointer after the exception came      * `place` address of the interrupted instruction
-extern "C" fn hard_fault(pointer: u32, place: u32) -> ! {
+/// The end of [`fault_handlers!`]'s entry of the hard fault.
+///
+/// * `pointer` stack pointer after the exception came
+/// * `place` address of the interrupted instruction
+pub extern "C" fn hard_fault<B: Board>(pointer: u32, place: u32) -> ! {
     unsafe extern "C" {
         static _stack_end: u8;
     }
     // An overflowing stack faults where it leaves the region, and the core cannot push below that either.
     let end = (&raw const _stack_end) as u32;
     if pointer < end + FRAME_BYTES {
-        leave(Reason::Stack, 0);
+        leave::<B>(Reason::Stack, 0);
     }
-    leave(Reason::HardFault, place)
+    leave::<B>(Reason::HardFault, place)
 }
 
-#[exception]
-unsafe fn DefaultHandler(number: i16) {
-    leave(Reason::Unexpected, number as u32)
+/// The handlers of panic, hard fault and unexpected exception in the firmware of a board: they all [`leave`].
+#[macro_export]
+macro_rules! fault_handlers {
+    ($board:ty) => {
+        #[panic_handler]
+        fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+            $crate::fault::leave::<$board>(
+                $crate::fault::Reason::Panic,
+                info.location().map_or(0, |place| place.line()),
+            )
+        }
+
+        /// The entry of the hard fault. It pushes nothing before it has a stack again, because the stack may be what
+        /// failed: passes the stack pointer on, and starts the stack over, for nothing returns from here.
+        // SAFETY: the name is that of the vector, and no other handler has it.
+        #[unsafe(naked)]
+        #[unsafe(export_name = "HardFault")]
+        extern "C" fn hard_fault_entry() -> ! {
+            core::arch::naked_asm!(
+                "mov r0, sp",
+                // The interrupted instruction: word 6 of what the core pushed, if that is inside the region of the stack.
+                "ldr r2, =_stack_end",
+                "movs r1, #0",
+                "cmp r0, r2",
+                "blo 1f",
+                "ldr r1, [r0, #24]",
+                "1:",
+                "ldr r3, =_stack_start",
+                "mov sp, r3",
+                "b {handler}",
+                handler = sym $crate::fault::hard_fault::<$board>,
+            )
+        }
+
+        #[cortex_m_rt::exception]
+        unsafe fn DefaultHandler(number: i16) {
+            $crate::fault::leave::<$board>($crate::fault::Reason::Unexpected, number as u32)
+        }
+    };
 }

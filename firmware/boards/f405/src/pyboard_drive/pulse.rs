@@ -5,7 +5,7 @@ use core::convert::Infallible;
 use embedded_hal::pwm::{ErrorType, SetDutyCycle};
 use stm32f4xx_hal::pac::tim1::RegisterBlock;
 
-use crate::board::{PULSE_TOP, PulseTimer};
+use super::{PULSE_TOP, PulseTimer};
 
 /// The channel.
 pub(crate) struct Pulse;

@@ -5,24 +5,15 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-#[path = "../../../../boards/f405/src/bin/joint/board.rs"]
-#[expect(
-    dead_code,
-    reason = "the arm is the board's; pins and clocks are not needed here"
-)]
-mod board;
-
-#[cfg(target_os = "none")]
 mod proof {
     use core::hint::black_box;
 
     use foretorque::learning::{Learner, LearnerConfig};
+    use foretorque_f405::board::{Arm, JOINTS, PARAMETERS};
     use foretorque_link::session::{BoardDescription, Clock, Desk, Session};
     use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage};
     use foretorque_link::write_key::{KEY_BYTES, WriteKey};
     use {panic_never as _, stm32f4xx_hal as _};
-
-    use crate::board::{Arm, JOINTS, PARAMETERS};
 
     #[cortex_m_rt::entry]
     fn main() -> ! {

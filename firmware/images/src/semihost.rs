@@ -11,14 +11,14 @@ const NO_HANDLE: usize = usize::MAX;
 const COMMAND_LINE: usize = 256;
 
 /// The two open streams.
-pub(crate) struct Streams {
+pub struct Streams {
     input: usize,
     output: usize,
 }
 
 impl Streams {
     /// Opens the two files named on the command line: the one to read first, the one to write second.
-    pub(crate) fn open() -> Option<Self> {
+    pub fn open() -> Option<Self> {
         let mut line = [0u8; COMMAND_LINE];
         let mut block = [line.as_mut_ptr() as usize, line.len()];
         // SAFETY: the block names a buffer and its length; the host stays inside and writes the length back.
@@ -35,7 +35,7 @@ impl Streams {
     }
 
     /// Waits for bytes. `None` when the host has closed its end.
-    pub(crate) fn read<'a>(&self, buffer: &'a mut [u8]) -> Option<&'a [u8]> {
+    pub fn read<'a>(&self, buffer: &'a mut [u8]) -> Option<&'a [u8]> {
         let block = [self.input, buffer.as_mut_ptr() as usize, buffer.len()];
         // SAFETY: the block names a handle, a buffer and its length; the host writes inside the buffer only.
         let missing = unsafe { syscall1(nr::READ, block.as_ptr() as usize) };
@@ -48,7 +48,7 @@ impl Streams {
     }
 
     /// Sends all bytes. False when the host has closed its end.
-    pub(crate) fn write(&self, bytes: &[u8]) -> bool {
+    pub fn write(&self, bytes: &[u8]) -> bool {
         let block = [self.output, bytes.as_ptr() as usize, bytes.len()];
         // SAFETY: the block names a handle, a buffer and its length; the host only reads the buffer.
         unsafe { syscall1(nr::WRITE, block.as_ptr() as usize) == 0 }
@@ -67,7 +67,7 @@ fn open(name: &[u8], mode: usize) -> Option<usize> {
 }
 
 /// Ends the emulator.
-pub(crate) fn exit(well: bool) -> ! {
+pub fn exit(well: bool) -> ! {
     debug::exit(if well {
         debug::EXIT_SUCCESS
     } else {

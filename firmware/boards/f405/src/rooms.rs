@@ -9,12 +9,14 @@ use foretorque_link::session::{BoardDescription, Session};
 use crate::board::{Arm, JOINTS, PARAMETERS};
 use crate::counter::Counter;
 
-pub(crate) type BoardSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
-pub(crate) type BoardLearner = Learner<Arm, JOINTS, PARAMETERS>;
+/// A session of a board with the arm of the images.
+pub type BoardSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
+/// Its learner.
+pub type BoardLearner = Learner<Arm, JOINTS, PARAMETERS>;
 
 /// Puts a session at tick 0 into `room`; `None` if a limit of the arm cannot work.
 #[inline(never)]
-pub(crate) fn open(
+pub fn open(
     room: &'static mut MaybeUninit<BoardSession>,
     board: BoardDescription<Counter>,
 ) -> Option<&'static mut BoardSession> {
@@ -23,7 +25,7 @@ pub(crate) fn open(
 
 /// Puts a learner that starts from `prior` into `room`; `None` if its configuration does not validate.
 #[inline(never)]
-pub(crate) fn furnish(
+pub fn furnish(
     room: &'static mut MaybeUninit<BoardLearner>,
     period_s: f32,
     prior: &ParameterSet<JOINTS, PARAMETERS>,

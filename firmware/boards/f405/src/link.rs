@@ -6,32 +6,32 @@ use foretorque_link::telemetry::Cost;
 use heapless::spsc::{Consumer, Producer};
 use stm32f4xx_hal::pac::{Interrupt, USART2};
 
-use crate::{board, counter};
+use crate::{chip, counter};
 
 /// Bytes received and not yet read: more than the longest frame, so that an upload survives a busy tick.
-pub(crate) const RECEIVE_RING: usize = 1024;
+pub const RECEIVE_RING: usize = 1024;
 /// Bytes waiting to be sent.
-pub(crate) const TRANSMIT_RING: usize = 1024;
+pub const TRANSMIT_RING: usize = 1024;
 
 /// What the receive interrupt saw. Written there only; everybody may read.
 #[derive(Debug)]
-pub(crate) struct ReceiveCounters {
+pub struct ReceiveCounters {
     /// Bytes moved into the ring.
-    pub(crate) bytes: AtomicU32,
+    pub bytes: AtomicU32,
     /// Bytes lost because the ring was full.
-    pub(crate) lost: AtomicU32,
+    pub lost: AtomicU32,
     /// Overruns of the receive register: the interrupt came too late.
-    pub(crate) overruns: AtomicU32,
+    pub overruns: AtomicU32,
     /// Counts spent on the last `counted` bytes or so: both are halved before they would wrap.
-    pub(crate) counts: AtomicU32,
+    pub counts: AtomicU32,
     /// Bytes that `counts` is about.
-    pub(crate) counted: AtomicU32,
+    pub counted: AtomicU32,
     /// Most counts spent on one byte.
-    pub(crate) counts_max: AtomicU32,
+    pub counts_max: AtomicU32,
 }
 
 /// Counters of the link.
-pub(crate) static RECEIVED: ReceiveCounters = ReceiveCounters {
+pub static RECEIVED: ReceiveCounters = ReceiveCounters {
     bytes: AtomicU32::new(0),
     lost: AtomicU32::new(0),
     overruns: AtomicU32::new(0),
@@ -41,7 +41,7 @@ pub(crate) static RECEIVED: ReceiveCounters = ReceiveCounters {
 };
 
 /// The interrupt's end of the link.
-pub(crate) struct Wire {
+pub struct Wire {
     usart: USART2,
     received: Producer<'static, u8>,
     waiting: Consumer<'static, u8>,
@@ -49,7 +49,7 @@ pub(crate) struct Wire {
 
 impl Wire {
     /// Sets the port up for 8 data bits, no parity, one stop bit. Receiving starts at once.
-    pub(crate) fn start(
+    pub fn start(
         usart: USART2,
         apb1_hz: u32,
         received: Producer<'static, u8>,
@@ -57,7 +57,7 @@ impl Wire {
     ) -> Self {
         // Eight-fold oversampling: USARTDIV = f / (8 · baud), mantissa in bits 4.., three bits of fraction
         // (RM0090 30.3.4).
-        let eighths = (apb1_hz + board::LINK_BAUD / 2) / board::LINK_BAUD;
+        let eighths = (apb1_hz + chip::LINK_BAUD / 2) / chip::LINK_BAUD;
         // SAFETY: bit 3 must stay clear with eight-fold oversampling, and does.
         usart
             .brr()
@@ -85,7 +85,7 @@ impl Wire {
     ///
     /// Cost: at 2 Mbaud it may come every 5 µs, 840 cycles; its counts are in [`RECEIVED`].
     #[inline(always)]
-    pub(crate) fn interrupt(&mut self) -> bool {
+    pub fn interrupt(&mut self) -> bool {
         let start = counter::now();
         let status = self.usart.sr().read();
         let mut delimiter = false;
@@ -142,7 +142,7 @@ impl Wire {
 /// because half a frame is worth nothing to the other side.
 // Where it is called the length of the ring is known, and with it that nothing is divided by zero.
 #[inline(always)]
-pub(crate) fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
+pub fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
     if bytes.len() > waiting.capacity() - waiting.len() {
         return false;
     }
@@ -153,7 +153,7 @@ pub(crate) fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
 }
 
 /// Cost of receiving one byte, in counts, without what `size::RECEIVE_OVERHEAD` of the protocol adds.
-pub(crate) fn receive_cost() -> Cost {
+pub fn receive_cost() -> Cost {
     let counted = RECEIVED.counted.load(Ordering::Relaxed).max(1);
     Cost {
         mean: RECEIVED.counts.load(Ordering::Relaxed) / counted,
@@ -165,12 +165,12 @@ pub(crate) fn receive_cost() -> Cost {
 static ENDED_AT: AtomicU32 = AtomicU32::new(0);
 
 /// Counts since the last frame ended.
-pub(crate) fn since_frame() -> u32 {
+pub fn since_frame() -> u32 {
     counter::now().wrapping_sub(ENDED_AT.load(Ordering::Relaxed))
 }
 
 /// Bytes lost by the ring and overruns of the register, together. Wraps.
-pub(crate) fn troubles() -> u32 {
+pub fn troubles() -> u32 {
     let lost = RECEIVED.lost.load(Ordering::Relaxed);
     lost.wrapping_add(RECEIVED.overruns.load(Ordering::Relaxed))
 }

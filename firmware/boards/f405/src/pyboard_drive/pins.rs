@@ -4,9 +4,8 @@ use core::convert::Infallible;
 
 use embedded_hal::digital::{ErrorType, InputPin, OutputPin};
 
-use crate::board::{self, DIRECTION_PIN, FAULT_PIN, SELECT_PIN};
+use super::{DIRECTION, FAULT, PyboardDrive, SELECT, pulse};
 use crate::fault::EnablePin;
-use crate::pulse;
 
 /// Direction of the torque.
 pub(crate) struct DirectionPin;
@@ -17,34 +16,23 @@ impl ErrorType for DirectionPin {
 
 impl OutputPin for DirectionPin {
     fn set_low(&mut self) -> Result<(), Infallible> {
-        direct(1 << (DIRECTION_PIN + 16));
+        DIRECTION.write(false);
         Ok(())
     }
 
     fn set_high(&mut self) -> Result<(), Infallible> {
-        direct(1 << DIRECTION_PIN);
+        DIRECTION.write(true);
         Ok(())
     }
 }
 
-fn direct(bits: u32) {
-    // SAFETY: BSRR is write-only and changes the named bits in one access (RM0090 8.4.7); no other code drives them.
-    unsafe {
-        (*board::DirectionPort::ptr())
-            .bsrr()
-            .write(|w| w.bits(bits))
-    };
-}
-
 /// Selects the encoder or lets go of it.
 pub(crate) fn select(on: bool) {
-    let bits = 1 << if on { SELECT_PIN + 16 } else { SELECT_PIN };
-    // SAFETY: as above.
-    unsafe { (*board::SelectPort::ptr()).bsrr().write(|w| w.bits(bits)) };
+    SELECT.write(!on);
 }
 
 /// Enable of the stage: the enable pin, and the gate in front of the pulses.
-pub(crate) struct StageEnable(pub(crate) EnablePin);
+pub(crate) struct StageEnable;
 
 impl ErrorType for StageEnable {
     type Error = Infallible;
@@ -52,14 +40,14 @@ impl ErrorType for StageEnable {
 
 impl OutputPin for StageEnable {
     fn set_low(&mut self) -> Result<(), Infallible> {
-        self.0.set_low()?;
+        EnablePin::<PyboardDrive>::default().set_low()?;
         pulse::gate(false);
         Ok(())
     }
 
     fn set_high(&mut self) -> Result<(), Infallible> {
         pulse::gate(true);
-        self.0.set_high()
+        EnablePin::<PyboardDrive>::default().set_high()
     }
 }
 
@@ -85,7 +73,5 @@ impl InputPin for FaultInput {
 /// Level of the fault pin. Not inlined: the tests stand in for the pin here, because the emulator has none.
 #[inline(never)]
 fn pin_high() -> bool {
-    // SAFETY: a read of the input register, which has no side effect.
-    let levels = unsafe { (*board::FaultPort::ptr()).idr().read().bits() };
-    levels & 1 << FAULT_PIN != 0
+    FAULT.is_high()
 }

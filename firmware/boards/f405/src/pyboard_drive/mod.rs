@@ -1,31 +1,27 @@
 //! The third board: a pyboard v1.1 that drives its own joint, with a servo drive or inverter that takes its torque command
 //! as pulse width and direction, and an AS5047 class encoder.
 //!
-//! Card and chip are those of `joint-pyboard` and `joint`; here is what this board has besides. **Scale, signs and zero are
+//! Card and chip are those of [`Pyboard`]; here is what this board has besides. **Scale, signs and zero are
 //! an example: they belong to one joint and its drive, and docs/board.md says how to find them.** Sources: as there, and the
 //! data sheets AS5047P v1-06 and DS8626, table 9 (alternate functions).
+
+mod drive;
+mod pins;
+mod pulse;
+mod spi;
 
 use foretorque_link::drive::Turn;
 use foretorque_link::hal::{Direction, EncoderConfig, TorqueScale};
 use stm32f4xx_hal::gpio::PinState;
-use stm32f4xx_hal::pac::{GPIOA, GPIOB, SPI1, TIM1};
+use stm32f4xx_hal::pac::{SPI1, TIM1};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
-#[path = "../joint_pyboard/board.rs"]
-#[expect(
-    dead_code,
-    reason = "what this board puts something else in the place of"
-)]
-mod card;
+use crate::board::{Board, Ports};
+use crate::pin::{Pin, Port};
+use crate::pyboard::Pyboard;
 
-pub(crate) use card::*;
-
-/// What the log calls it.
-pub(crate) const NAME: &str = "pyboard-v1.1 with drive";
-
-/// The joint that this board drives, from 0, and whose rows alone it learns from: the shoulder lift.
-pub(crate) const OWN_JOINT: Option<usize> = Some(JOINT);
+/// The joint that this board drives, from 0: the shoulder lift.
 const JOINT: usize = 1;
 
 /// From torque to pulse width. The gain is also that of the bank if currents are measured.
@@ -43,20 +39,23 @@ pub(crate) type PulseTimer = TIM1;
 /// From the bare oscillator of 16 MHz it is 1.9 kHz.
 pub(crate) const PULSE_TOP: u16 = 8400;
 /// Direction of the torque: PB9 (Y4), high for +.
-pub(crate) const DIRECTION_PIN: u8 = 9;
-/// Port of the direction.
-pub(crate) type DirectionPort = GPIOB;
+pub(crate) const DIRECTION: Pin = Pin {
+    port: Port::B,
+    number: 9,
+};
 /// Fault of the stage, active low: PB12 (Y5), which is also the break input of the timer, alternate function 1.
-pub(crate) const FAULT_PIN: u8 = 12;
-/// Port of the fault.
-pub(crate) type FaultPort = GPIOB;
+pub(crate) const FAULT: Pin = Pin {
+    port: Port::B,
+    number: 12,
+};
 
 /// Bus of the encoder: clock PA5 (X6), from the chip PA6 (X7), to the chip PA7 (X8), alternate function 5.
 pub(crate) type EncoderBus = SPI1;
 /// Chip select of the encoder: PA4 (X5), active low.
-pub(crate) const SELECT_PIN: u8 = 4;
-/// Port of the chip select.
-pub(crate) type SelectPort = GPIOA;
+pub(crate) const SELECT: Pin = Pin {
+    port: Port::A,
+    number: 4,
+};
 /// Division of APB2 for the clock of the bus, 2^(n + 1): 84 MHz / 16 = 5.25 MHz; 10 MHz are allowed.
 pub(crate) const ENCODER_DIVIDER: u8 = 3;
 /// Cycles from select to clock, clock to select, and between frames: at least 350 ns (AS5047P, SPI timing), 59 at 168 MHz.
@@ -75,23 +74,35 @@ pub(crate) const ENCODER: EncoderConfig = EncoderConfig {
 /// One turn of the encoder is one of the joint: at start it is believed to be within ± π.
 pub(crate) const TURN: Turn = Turn::Near(0.0);
 
-/// Gives every pin its job: enable and direction low, no pulses, encoder not selected, link as on the card.
-pub(crate) fn start_pins(ports: Ports, rcc: &mut Rcc) {
-    rcc.apb2enr()
-        .modify(|_, w| w.tim1en().enabled().spi1en().enabled());
-    let a = ports.a.split(rcc);
-    let b = ports.b.split(rcc);
-    b.pb8.into_push_pull_output_in_state(PinState::Low);
-    b.pb9.into_push_pull_output_in_state(PinState::Low);
-    b.pb13.into_alternate::<1>();
-    // A line that is not plugged in is a fault. The open drain of the drive has its pull-up, 4.7 kΩ, on the drive's side.
-    b.pb12.into_alternate::<1>().internal_pull_down(true);
-    a.pa4.into_push_pull_output_in_state(PinState::High);
-    a.pa5.into_alternate::<5>();
-    a.pa6.into_alternate::<5>().internal_pull_up(true);
-    a.pa7.into_alternate::<5>();
-    // Alternate function 7 is USART2 (DS8626 table 9).
-    a.pa2.into_alternate::<7>();
-    // Held high while nobody is plugged in: an open line is full of start bits.
-    a.pa3.into_alternate::<7>().internal_pull_up(true);
+/// The board.
+pub struct PyboardDrive;
+
+impl Board for PyboardDrive {
+    const NAME: &'static str = "pyboard-v1.1 with drive";
+    const CRYSTAL_HZ: u32 = Pyboard::CRYSTAL_HZ;
+    const ENABLE: Pin = Pyboard::ENABLE;
+    const OWN_JOINT: Option<usize> = Some(JOINT);
+
+    type Drive = drive::StageAndEncoder;
+
+    /// Direction low, no pulses, encoder not selected, link as on the card.
+    fn start_pins(ports: Ports, rcc: &mut Rcc) {
+        rcc.apb2enr()
+            .modify(|_, w| w.tim1en().enabled().spi1en().enabled());
+        let a = ports.a.split(rcc);
+        let b = ports.b.split(rcc);
+        b.pb8.into_push_pull_output_in_state(PinState::Low);
+        b.pb9.into_push_pull_output_in_state(PinState::Low);
+        b.pb13.into_alternate::<1>();
+        // A line that is not plugged in is a fault. The open drain of the drive has its pull-up, 4.7 kΩ, on the drive's side.
+        b.pb12.into_alternate::<1>().internal_pull_down(true);
+        a.pa4.into_push_pull_output_in_state(PinState::High);
+        a.pa5.into_alternate::<5>();
+        a.pa6.into_alternate::<5>().internal_pull_up(true);
+        a.pa7.into_alternate::<5>();
+        // Alternate function 7 is USART2 (DS8626 table 9).
+        a.pa2.into_alternate::<7>();
+        // Held high while nobody is plugged in: an open line is full of start bits.
+        a.pa3.into_alternate::<7>().internal_pull_up(true);
+    }
 }

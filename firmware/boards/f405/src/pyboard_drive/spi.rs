@@ -4,14 +4,13 @@ use cortex_m::asm;
 use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
 use stm32f4xx_hal::pac::spi1::RegisterBlock;
 
-use crate::board::{ENCODER_DIVIDER, ENCODER_POLLS, EncoderBus, SELECT_CYCLES};
-use crate::pins;
+use super::{ENCODER_DIVIDER, ENCODER_POLLS, EncoderBus, SELECT_CYCLES, pins};
 
 /// What [`exchange`] returns when no byte came: beyond every byte.
 const NONE: u32 = 1 << 8;
 
 /// The encoder on its bus.
-pub(crate) struct EncoderDevice;
+pub struct EncoderDevice;
 
 impl EncoderDevice {
     /// Sets the bus up. Its clock must run.
