@@ -5,10 +5,10 @@ use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_link::excitation::{AbortReason, Cue, ExcitationError, ExcitationProgram, Stage};
 use foretorque_link::wire::NackReason;
-use host_sim::board::qemu::{Emulator, Image, QemuOptions};
-use host_sim::board::{BoardError, Client, Native, Transport};
-use host_sim::excitation::{Excitation, QuickConfig};
-use host_sim::robot::Robot;
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::board::{BoardError, Client, Native, Transport};
+use foretorque_workbench::excitation::{Excitation, QuickConfig};
+use foretorque_workbench::robot::Robot;
 use std::time::Duration;
 
 const BOOT: Duration = Duration::from_secs(5);

@@ -6,7 +6,7 @@ use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::wire::PROTOCOL_VERSION;
-use host_sim::board::{Native, Transport};
+use foretorque_workbench::board::{Native, Transport};
 use program::{fails, files, room, states, succeeds};
 use serialport::{SerialPort, TTYPort};
 use std::fs;

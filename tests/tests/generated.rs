@@ -3,7 +3,7 @@
 use acceptance::arms::{description, oblique::Oblique};
 use acceptance::each_arm;
 use foretorque::arm::{Arm, LinkInertia, base_parameters};
-use host_sim::generate::{arm_hash, arm_module};
+use foretorque_workbench::generate::{arm_hash, arm_module};
 use std::path::Path;
 
 /// f32 rounding of figures up to some kg·m²: a base parameter is a sum of up to 20 terms.

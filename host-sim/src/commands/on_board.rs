@@ -2,13 +2,13 @@
 
 use super::simulate::{PERIOD_S, Scene};
 use super::{Failure, unusable};
-use crate::board::Client;
-use crate::dynamics::{Joints, State};
-use crate::excitation::Excitation;
-use crate::robot::Robot;
-use crate::trajectory::Trajectory;
 use foretorque::arm::Arm;
 use foretorque_link::excitation::{Cue, Stage};
+use foretorque_workbench::board::Client;
+use foretorque_workbench::dynamics::{Joints, State};
+use foretorque_workbench::excitation::Excitation;
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::trajectory::Trajectory;
 
 /// How far from the beginning of the series the arm waits, rad: so that the approach has something to do.
 const ASIDE_RAD: f64 = 0.1;

@@ -5,16 +5,18 @@ use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S};
 use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
-use crate::experiment::closed_loop::ClosedLoop;
-use crate::files::{WholeFile, write_whole};
-use crate::report::closed_loop::{self, ClosedLoopLog, ClosedLoopReport, LinkReport};
-use crate::robot::Robot;
-use crate::table::joint_columns;
-use crate::telemetry::{Recorder, Selection};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque_link::excitation::Cue;
 use foretorque_link::store::StoreHealth;
+use foretorque_workbench::closed_loop::ClosedLoop;
+use foretorque_workbench::files::{WholeFile, write_whole};
+use foretorque_workbench::report::closed_loop::{
+    self, ClosedLoopLog, ClosedLoopReport, LinkReport,
+};
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::table::joint_columns;
+use foretorque_workbench::telemetry::{Recorder, Selection};
 use std::path::PathBuf;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward

@@ -4,7 +4,7 @@
 //! the constants of an arm from here as those use them from `foretorque::arm`.
 
 use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
-use host_sim::robot::Robot;
+use foretorque_workbench::robot::Robot;
 
 pub mod oblique;
 pub mod random_1_a;

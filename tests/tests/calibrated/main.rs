@@ -10,9 +10,9 @@ use arm::{JOINTS, PARAMETERS, Ur5Calibrated};
 use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 use foretorque::dynamics::{BaseParameters, regressor, rnea};
 use foretorque::joint::{JointMotion, JointVector};
-use host_sim::dynamics::{ReferenceModel, State};
-use host_sim::generate::arm_hash;
-use host_sim::robot::Robot;
+use foretorque_workbench::dynamics::{ReferenceModel, State};
+use foretorque_workbench::generate::arm_hash;
+use foretorque_workbench::robot::Robot;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -24,7 +24,7 @@ pub(super) struct InputState<const N: usize> {
     doubt: u32,
     /// Samples of which a part was not plausible.
     implausible: u32,
-    /// Desired and measured position of the last sample are near each other.
+    /// The desired position of the last usable sample is near the one measured last.
     near: bool,
 }
 
@@ -72,14 +72,39 @@ impl<const N: usize> InputState<N> {
     ///
     /// Errors: why not.
     pub(super) fn allows_arming(&self) -> Result<(), SafetyReason> {
+        if self.wrong == SafetyReason::None && self.good_samples < ARM_SAMPLES {
+            return Err(SafetyReason::NoSample);
+        }
+        self.allows_torque()
+    }
+
+    /// Torque may follow the last sample.
+    ///
+    /// Errors: why not.
+    pub(super) fn allows_torque(&self) -> Result<(), SafetyReason> {
         if self.wrong != SafetyReason::None {
             Err(self.wrong)
-        } else if self.good_samples < ARM_SAMPLES {
-            Err(SafetyReason::NoSample)
         } else if !self.near {
             Err(SafetyReason::TooFar)
         } else {
             Ok(())
+        }
+    }
+
+    /// A sample, usable or not, came in the last tick.
+    pub(super) fn fresh(&self) -> bool {
+        self.unheard_ticks == 0
+    }
+
+    /// A period without a tick while no torque flows: what was heard grows old.
+    pub(super) fn age(&mut self, limits: &SafetyLimits<N>) {
+        self.silent_ticks = self.silent_ticks.saturating_add(1);
+        self.forget_if_old(limits);
+    }
+
+    fn forget_if_old(&mut self, limits: &SafetyLimits<N>) {
+        if self.timed_out(limits) {
+            self.good_samples = 0;
         }
     }
 
@@ -111,9 +136,7 @@ impl<const N: usize> InputState<N> {
         } else {
             self.silent_ticks.saturating_add(1)
         };
-        if self.timed_out(limits) {
-            self.good_samples = 0;
-        }
+        self.forget_if_old(limits);
         if self.wrong == SafetyReason::None {
             self.doubt = self.doubt.saturating_sub(1);
         } else {
@@ -144,14 +167,13 @@ impl<const N: usize> InputState<N> {
         if verdict.measured != SafetyReason::None {
             sample.measured = None;
         }
-        match &sample.measured {
-            Some(measured) if usable => {
-                let distance = (sample.desired.q - measured.q).abs();
-                self.near = distance.iter().all(|&distance| distance <= ARM_DISTANCE);
-                self.good_samples = self.good_samples.saturating_add(1);
-            }
-            _ => self.good_samples = 0,
+        if usable {
+            self.near = self.plausibility.near(&sample.desired.q, ARM_DISTANCE);
         }
+        self.good_samples = match &sample.measured {
+            Some(_) if usable => self.good_samples.saturating_add(1),
+            _ => 0,
+        };
         let admitted = verdict.desired != SafetyReason::DesiredJump;
         (usable, admitted.then_some(sample))
     }

@@ -58,6 +58,8 @@ pub struct Safety<const N: usize> {
     latched: SafetyReason,
     /// What ended the torque last.
     ended: SafetyReason,
+    /// Armed, and no sample has come since.
+    unconfirmed: bool,
     input: InputState<N>,
     heat: MotorHeat<N>,
     /// The torque of the last tick, as it left, N × N·m.
@@ -75,6 +77,7 @@ impl<const N: usize> Safety<N> {
             },
             latched: kept,
             ended: SafetyReason::None,
+            unconfirmed: false,
             input: InputState::new(),
             heat: MotorHeat::new(),
             output: JointVector::zeros(),
@@ -174,6 +177,12 @@ impl<const N: usize> Safety<N> {
             self.trip(self.input.wrong());
         } else if self.input.timed_out(&self.limits) {
             self.end(SafetyReason::CommandTimeout);
+        } else if self.unconfirmed && self.input.fresh() {
+            // The arm may have moved, or the host have turned to another motion, since the samples that armed the board.
+            match self.input.allows_torque() {
+                Ok(()) => self.unconfirmed = false,
+                Err(reason) => self.end(reason),
+            }
         }
     }
 
@@ -184,7 +193,8 @@ impl<const N: usize> Safety<N> {
         if self.state == SafetyState::Armed && !wanted.iter().all(|torque| torque.is_finite()) {
             self.trip(SafetyReason::TorqueNotFinite);
         }
-        let (armed, enabled) = (self.state == SafetyState::Armed, self.enabled());
+        let armed = self.state == SafetyState::Armed && !self.unconfirmed;
+        let enabled = self.enabled();
         let bounds = self
             .limits
             .torque
@@ -204,17 +214,20 @@ impl<const N: usize> Safety<N> {
     }
 
     /// A period has gone by in which no tick ran, because the samples pace the board and none came. Ends the torque like
-    /// [`admit`](Self::admit) and [`release`](Self::release) would.
+    /// [`admit`](Self::admit) and [`release`](Self::release) would; where none flows, samples grow too old to arm on.
     pub fn silence(&mut self) {
         if self.enabled() {
             self.admit(None, 1);
             // The torque is held until the time-out, as the host was told.
             let held = self.output;
             self.release(&held);
+        } else {
+            self.input.age(&self.limits);
         }
     }
 
-    /// Lets torque through from the next tick on. Arming an armed board changes nothing.
+    /// Lets torque through from the next sample on, if that is plausible and near, too; else it disarms again. Arming an
+    /// armed board changes nothing.
     ///
     /// Errors: why not; then nothing has changed.
     pub fn arm(&mut self) -> Result<(), SafetyReason> {
@@ -230,6 +243,7 @@ impl<const N: usize> Safety<N> {
         self.input.allows_arming()?;
         self.input.trust();
         self.state = SafetyState::Armed;
+        self.unconfirmed = true;
         self.ended = SafetyReason::None;
         Ok(())
     }

@@ -53,6 +53,14 @@ impl<const N: usize> PlausibilityState<N> {
         }
     }
 
+    /// Each joint was measured within `distance`, rad, of `desired` when it was measured last.
+    pub(super) fn near(&self, desired: &JointVector<N>, distance: f32) -> bool {
+        self.measured.is_some_and(|measured| {
+            let mut joints = desired.iter().zip(measured.iter());
+            joints.all(|(desired, measured)| (desired - measured).abs() <= distance)
+        })
+    }
+
     fn judge_measured(
         &mut self,
         limits: &SafetyLimits<N>,

@@ -320,6 +320,43 @@ fn silence_between_samples_that_pace_ends_the_torque_too() {
     assert_eq!(safety.status().reason, SafetyReason::CommandTimeout);
 }
 
+#[test]
+fn silence_ages_a_disarmed_board_and_its_reasons_stay() {
+    let mut safety = ready();
+    for _ in 1..limits().timeout_ticks {
+        safety.silence();
+    }
+    let mut in_time = safety;
+    assert_eq!(in_time.arm(), Ok(()));
+    safety.silence();
+    assert_eq!(safety.arm(), Err(SafetyReason::NoSample));
+    let mut wrong = ready();
+    let mut bad = sample();
+    measured(&mut bad).q[1] = -6.5;
+    tick(&mut wrong, Some(bad));
+    wrong.silence();
+    assert_eq!(wrong.arm(), Err(SafetyReason::PositionRange));
+}
+
+#[test]
+fn a_board_just_armed_waits_for_a_sample_however_large_the_torque_it_is_given() {
+    let mut safety = ready();
+    assert_eq!(safety.arm(), Ok(()));
+    for _ in 0..10 {
+        assert_eq!(tick(&mut safety, None), JointVector::<N>::zeros());
+        safety.silence();
+        assert_eq!(*safety.output(), JointVector::<N>::zeros());
+        assert_eq!(safety.status().state, SafetyState::Armed);
+    }
+    let torque = tick(&mut safety, Some(sample()));
+    assert!(torque.iter().all(|&torque| torque > 1.0));
+    // A torque that flows stands what a board just armed does not.
+    let mut far = sample();
+    far.desired.q[0] += 0.3;
+    safety.admit(Some(far), 100);
+    assert_eq!(safety.status().state, SafetyState::Armed);
+}
+
 proptest! {
     /// Whatever happens, in whatever order.
     #[test]

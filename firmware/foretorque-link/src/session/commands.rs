@@ -202,7 +202,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.safety.stop();
         self.feed_forward.applied(self.safety.output());
         // It takes the place of a request that still waits.
-        desk.exchange.request = Some((self.feed_forward.state().tick, Request::Stop));
+        self.feed_forward
+            .request_over(Request::Stop, &mut desk.exchange);
     }
 
     pub(super) fn request(&mut self, code: u8, desk: &mut Desk<N, P>) -> Result<(), NackReason> {

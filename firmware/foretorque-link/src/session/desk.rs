@@ -74,11 +74,11 @@ impl<const N: usize, const P: usize> Desk<N, P> {
     pub fn begin<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) -> Option<Lesson<N>> {
         if let Some(Restart { period_s, set }) = self.restart.take() {
             // A period that the session has accepted makes a configuration that the learner accepts.
-            // Should it refuse, it goes on as it was.
+            // Should it refuse, it learns nothing: lessons from then on are not of its set.
             let _ = learner.restart(LearnerConfig::for_arm::<A>(period_s), &set);
         }
         let lesson = self.lessons.dequeue()?;
-        learner.collect(lesson.tick, &mut self.exchange);
+        learner.collect(&lesson, &mut self.exchange);
         Some(lesson)
     }
 

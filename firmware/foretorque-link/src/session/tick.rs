@@ -12,7 +12,7 @@ use foretorque::joint::JointSample;
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     /// The board's timer, once a period: runs the tick on the newest sample where the timer paces. Where the link paces it
-    /// only watches for silence, which ends a torque that flows.
+    /// only watches for silence, which ends a torque that flows and lets samples grow too old to arm on.
     pub fn timer_tick(&mut self, desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
         self.timer_tick_with(desk, out, &mut HostMeasures);
     }

@@ -92,26 +92,20 @@ impl FrictionParameters {
             cogging_cos,
         }
     }
-
-    /// The nearest friction that resists at every velocity and load. Peak and bend may be negative; no more than half of the
-    /// Coulomb torque each, so that both together leave some. Offset and cogging do not resist, they are as they are. What
-    /// is no number becomes 0.
-    pub fn resisting(self) -> Self {
-        let above = |value: f32, floor: f32| if value > floor { value } else { floor };
-        let number = |value: f32| if value.is_finite() { value } else { 0.0 };
-        let coulomb = above(self.coulomb, 0.0);
-        Self {
-            viscous: above(self.viscous, 0.0),
-            coulomb,
-            stribeck: above(self.stribeck, -0.5 * coulomb),
-            bend: above(self.bend, -0.5 * coulomb),
-            load: above(self.load, 0.0),
-            offset: number(self.offset),
-            cogging_sin: number(self.cogging_sin),
-            cogging_cos: number(self.cogging_cos),
-        }
-    }
 }
+
+/// Bounds of friction that resists at every velocity and load: `Σ a_k c_k >= 0` over the columns c for each row a.
+///
+/// Viscous, Coulomb and load friction are not negative. Peak and bend may be, by half of the Coulomb torque each, so that
+/// both together leave some. Offset and cogging do not resist and have no bound.
+#[rustfmt::skip]
+pub const RESISTING: [[f32; FRICTION_COLUMNS]; 5] = [
+    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+    [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+];
 
 /// The sign of a joint speed smoothed over three widths: `tanh(qd / width)`.
 ///
@@ -344,25 +338,20 @@ mod tests {
     }
 
     #[test]
-    fn whatever_was_estimated_resists_at_every_velocity() {
-        for wild in [
-            [-1.0, 3.0, -9.0, -9.0, -1.0, 0.0, 0.0, 0.0],
-            [
-                f32::NAN,
-                -1.0,
-                2.0,
-                f32::NAN,
-                f32::NAN,
-                f32::NAN,
-                f32::NAN,
-                0.0,
-            ],
-            [0.5, 4.0, -9.0, 1.0, 0.1, 0.0, f32::INFINITY, 0.0],
+    fn friction_within_its_bounds_resists_at_every_velocity_and_load() {
+        for columns in [
+            [0.0, 3.0, -1.5, -1.5, 0.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            [0.5, 4.0, -2.0, 1.0, 0.1, 0.0, 0.0, 0.0],
         ] {
-            let friction_of = FrictionParameters::from_columns(wild).resisting();
+            for bound in &RESISTING {
+                let value: f32 = bound.iter().zip(&columns).map(|(a, c)| a * c).sum();
+                assert!(value >= 0.0, "{columns:?} violates {bound:?}");
+            }
+            let friction = FrictionParameters::from_columns(columns);
             for step in 1..400 {
-                let tau = torque(friction_of, step as f32 * 5e-3, 20.0);
-                assert!(tau >= 0.0, "{tau} of {friction_of:?}");
+                let tau = torque(friction, step as f32 * 5e-3, 20.0);
+                assert!(tau >= 0.0, "{tau} of {columns:?}");
             }
         }
     }

@@ -12,7 +12,7 @@ mod term;
 
 pub use closed_form::{mass_matrix, velocity_torque};
 pub use friction::{
-    FRICTION_COLUMNS, FrictionParameters, SIGN_WIDTH, SmoothedSign, cogging, friction,
+    FRICTION_COLUMNS, FrictionParameters, RESISTING, SIGN_WIDTH, SmoothedSign, cogging, friction,
     friction_columns, friction_load, friction_row,
 };
 pub use link::is_angle;

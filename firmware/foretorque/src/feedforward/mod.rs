@@ -119,6 +119,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     pub fn lesson(&self, measured: Option<JointMeasurement<N>>) -> Lesson<N> {
         Lesson {
             tick: self.state.last.tick,
+            generation: self.state.generation,
+            requests: self.state.requests,
             measured,
             enabled: self.state.learning,
             flags: self.state.last.flags,
@@ -130,11 +132,20 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     ///
     /// Errors: the request before has not been taken yet; it stays.
     pub fn request(
-        &self,
+        &mut self,
         request: Request,
         exchange: &mut Exchange<N, P>,
     ) -> Result<(), RequestPending> {
-        exchange.ask(self.state.tick, request)
+        let number = self.state.requests.wrapping_add(1);
+        exchange.ask(number, request)?;
+        self.state.requests = number;
+        Ok(())
+    }
+
+    /// Asks the learner for `request` in place of one that still waits.
+    pub fn request_over(&mut self, request: Request, exchange: &mut Exchange<N, P>) {
+        self.state.requests = self.state.requests.wrapping_add(1);
+        exchange.request = Some((self.state.requests, request));
     }
 
     /// Takes a finished set from the desk; to be called before every step. See [`adopt`].
@@ -146,7 +157,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     pub fn load(&mut self, set: ParameterSet<N, P>, exchange: &mut Exchange<N, P>) {
         self.state.load(&set);
         exchange.published = None;
-        exchange.reload = Some((self.state.tick, set));
+        exchange.reload = Some((self.state.generation, set));
     }
 
     /// Replaces the configuration from the next tick on; the state stays.
@@ -158,7 +169,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         Ok(())
     }
 
-    /// Starts over at tick 0 with `set`, as [`new`](Self::new) does.
+    /// Starts over at tick 0 with `set`, as [`new`](Self::new) does. What the learner learnt before is dropped; it has to
+    /// be restarted too.
     ///
     /// Errors: the first field of `config` that cannot work; then nothing has changed.
     #[inline(never)]

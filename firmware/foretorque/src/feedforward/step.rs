@@ -40,9 +40,17 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     recommitted: bool,
     pub(super) last: Torque<N>,
     stale_ticks: u32,
-    pub(super) loaded_at: u32,
+    /// Number of the last load.
+    pub(super) generation: u32,
+    /// Requests made to the learner.
+    pub(super) requests: u32,
+    /// Rounds to come in which no set is due yet.
+    rounds_without_set: u32,
     adoption: Flags,
 }
+
+/// Rounds after a load in which no set is due: the first may be cut short, and the next then closes too late.
+const ROUNDS_WITHOUT_SET: u32 = 2;
 
 impl<const N: usize, const P: usize> FeedForwardState<N, P> {
     /// At tick 0, torque zero, learning frozen, with `set` both active and committed.
@@ -65,12 +73,15 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             recommitted: false,
             last: Torque::zero(),
             stale_ticks: 0,
-            loaded_at: 0,
+            generation: 0,
+            requests: 0,
+            rounds_without_set: ROUNDS_WITHOUT_SET,
             adoption: Flags::NONE,
         }
     }
 
-    /// Back to what [`new`](Self::new) makes of `set`, in place: a board does it in the tick, whose stack is small.
+    /// Back to what [`new`](Self::new) makes of `set`, in place: a board does it in the tick, whose stack is small. The
+    /// numbers of loads and requests go on.
     #[inline(never)]
     pub(super) fn restart(&mut self, set: &ParameterSet<N, P>) {
         self.tick = 0;
@@ -96,7 +107,8 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.committed = *set;
         self.active_difference = Difference::none();
         self.committed_difference = Difference::none();
-        self.loaded_at = self.tick;
+        self.generation = self.generation.wrapping_add(1);
+        self.rounds_without_set = ROUNDS_WITHOUT_SET;
     }
 
     pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>) {
@@ -318,7 +330,7 @@ fn finish<const N: usize, const P: usize>(
 /// Takes a finished set from the desk, if the tick to come is one at which sets are taken: `tick % N == N / 2`.
 ///
 /// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
-/// learning is on, counts as late; what was published before the last [`FeedForward::load`](super::FeedForward::load) is dropped.
+/// learning is on, counts as late; what was learnt from another set than the one loaded last is dropped.
 #[inline(never)]
 pub fn adopt<const N: usize, const P: usize>(
     state: &mut FeedForwardState<N, P>,
@@ -329,10 +341,13 @@ pub fn adopt<const N: usize, const P: usize>(
         return;
     }
     let due = state.tick.wrapping_sub(rounds / 2 + 1);
-    // The first round after a start or a load may be cut short, so nothing is due from it.
-    let expected = state.learning && state.tick.wrapping_sub(state.loaded_at) >= 2 * rounds;
+    // Nothing is due from a round that was cut short, by a start or a load or where the counter wraps.
+    let whole = state.rounds_without_set == 0 && due % rounds == rounds - 1;
+    state.rounds_without_set = state.rounds_without_set.saturating_sub(1);
+    let expected = state.learning && whole;
     match &exchange.published {
-        Some(finished) if finished.closed.wrapping_sub(state.loaded_at) < u32::MAX / 2 => {
+        // Equal, not later: ticks half the range of their counter apart have no order.
+        Some(finished) if finished.generation == state.generation => {
             state.set_active(&finished.set);
             if finished.commit {
                 state.set_committed(&finished.set);

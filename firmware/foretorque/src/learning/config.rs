@@ -42,8 +42,6 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub rigid_sigma: [f32; P],
     /// Prior standard deviations of the friction parameters; 0 where one is not to be learnt.
     pub friction_sigma: [FrictionParameters; N],
-    /// Half-width of the box around the prior, in standard deviations.
-    pub box_sigmas: f32,
     /// Rows of a joint slower than this are skipped (stiction is not a function of velocity), rad/s.
     pub velocity_gate: f32,
     /// Rows in which any joint seems to accelerate faster are refused, rad/s²: the encoder is at fault, not the model.
@@ -60,8 +58,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// centre of mass by 5 % of its distance and 3 mm along each axis; viscous friction by 10 % of the limit at full speed,
     /// Coulomb friction by 3 % of the limit, its bend by 1.2 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each,
     /// what grows with the load by 1.3 % of the load (a real UR5's shoulder lift has 7.9 %, docs/learning-scenarios.md; more
-    /// doubt makes payloads harder to weigh); cogging of a joint that has none stays 0. The box is wider than a guess is
-    /// wrong: what a column may not take the others take wrongly.
+    /// doubt makes payloads harder to weigh); cogging of a joint that has none stays 0.
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -81,7 +78,6 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             // Tables: a board need not work them out.
             rigid_sigma: const { rigid_sigma::<A, N, P>() },
             friction_sigma: const { friction_sigma::<A, N, P>() },
-            box_sigmas: 6.0,
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
             network: TrainerConfig {
@@ -98,7 +94,6 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         let positive = [
             ("inv_period", self.inv_period),
             ("noise", self.noise),
-            ("box_sigmas", self.box_sigmas),
             ("velocity_gate", self.velocity_gate),
             ("acceleration_limit", self.acceleration_limit),
             ("outlier_sigmas", self.outlier_sigmas),

@@ -5,9 +5,7 @@ use super::parameters::ParameterSet;
 use super::stacked::Stacked;
 use super::ud::{UdFilter, dot};
 use crate::arm::Arm;
-use crate::dynamics::{
-    FRICTION_COLUMNS, FrictionParameters, friction_load, friction_row, regressor_row,
-};
+use crate::dynamics::{FRICTION_COLUMNS, RESISTING, friction_load, friction_row, regressor_row};
 use crate::limits::cut;
 use crate::math::sqrt;
 
@@ -35,6 +33,10 @@ const DOUBTS_A_TICK: usize = 3;
 /// The first friction columns of a joint, those that change with grease, temperature and wear, wander; load, offset and
 /// cogging, which are those of gears, sensors and magnets, do not.
 const WANDERING: usize = 4;
+/// Violated bounds that one row mends: no joint has more that bind at once but in its first rows.
+const MAX_PROJECTIONS: usize = 3;
+/// Violation of a bound that is rounding, prior standard deviations: some last bits of a parameter.
+const TOLERANCE: f32 = 1e-4;
 /// The cogging columns come last.
 const COGGING: usize = FRICTION_COLUMNS - 2;
 
@@ -67,7 +69,8 @@ pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// links make of them. Nothing is forgotten; friction alone wanders (a random walk, up to the prior's doubt; one
 /// column a row, in turn, with the noise of all). R is
 /// the variance the joint is found to have: half of the |z| lie beyond 0.6745 when it is right. Innovations beyond k
-/// standard deviations act as if they had k [Huber 1964].
+/// standard deviations act as if they had k [Huber 1964]. Friction that would push instead of resist is moved onto its
+/// bound by way of P; nothing else bounds the estimate: what reaches the torque is bounded in the tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimator<const N: usize, const P: usize> {
     parameters: Stacked<N, P>,
@@ -179,7 +182,6 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     pub fn correct(
         &mut self,
         config: &LearnerConfig<N, P>,
-        prior: &ParameterSet<N, P>,
         joint: usize,
         limit: f32,
         row: &Stacked<N, P>,
@@ -235,48 +237,75 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         };
         *measured = grown.clamp(lower, upper);
         let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
-        self.move_by(config, prior, &sigma, &gain, clipped / variance);
+        self.move_by(&sigma, &gain, clipped / variance);
+        self.project(&sigma, joint, &mut gain);
         Some(Correction {
             residual: innovation * config.noise,
             variance,
         })
     }
 
-    /// θ ← θ + σ gain step in compensated sums [Kahan 1965], each kept within ±box of the prior's, friction never pushing.
-    fn move_by(
-        &mut self,
-        config: &LearnerConfig<N, P>,
-        prior: &ParameterSet<N, P>,
-        sigma: &Stacked<N, P>,
-        gain: &Stacked<N, P>,
-        step: f32,
-    ) {
-        let prior = Stacked::of(prior);
+    /// θ ← θ + σ gain step, in compensated sums [Kahan 1965].
+    fn move_by(&mut self, sigma: &Stacked<N, P>, gain: &Stacked<N, P>, step: f32) {
         let parts = sigma.parts().into_iter().zip(gain.parts());
-        let parts = parts.zip(prior.parts());
         let moving = self.parameters.parts_mut().into_iter();
-        for ((theta, owed), ((sigma, gain), prior)) in moving.zip(self.owed.parts_mut()).zip(parts)
-        {
-            let columns = sigma.iter().zip(gain).zip(prior);
-            for ((theta, owed), ((&sigma, &gain), &prior)) in
-                theta.iter_mut().zip(owed).zip(columns)
-            {
+        for ((theta, owed), (sigma, gain)) in moving.zip(self.owed.parts_mut()).zip(parts) {
+            let columns = sigma.iter().zip(gain);
+            for ((theta, owed), (&sigma, &gain)) in theta.iter_mut().zip(owed).zip(columns) {
                 let step = sigma * gain * step + *owed;
                 let moved = *theta + step;
                 *owed = step - (moved - *theta);
-                let (offset, bound) = (moved - prior, config.box_sigmas * sigma);
-                // One comparison for nearly all of them.
-                *theta = if offset.abs() > bound {
-                    prior + cut(offset, bound).0
-                } else {
-                    moved
-                };
+                *theta = moved;
             }
         }
-        for friction in &mut self.parameters.friction {
-            *friction = FrictionParameters::from_columns(*friction)
-                .resisting()
-                .columns();
+    }
+
+    /// Moves the estimate onto the bounds of [`RESISTING`] that the friction of `joint` violates, the worst first.
+    ///
+    /// ```text
+    /// θ ← θ − P a (aᵀθ) / (aᵀPa)     P stays
+    /// ```
+    /// This is the most likely estimate on the bound [Simon and Chia 2002, eq. 20, W = P⁻¹]: columns that are correlated
+    /// with the violated one move with it, so that rows which are explained stay explained. A column that is cut alone
+    /// leaves torque unexplained, the next row pushes it again, and its neighbours run away.
+    ///
+    /// Cost: [`RESISTING`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
+    fn project(&mut self, sigma: &Stacked<N, P>, joint: usize, gain: &mut Stacked<N, P>) {
+        let Some(sigma_own) = sigma.friction.get(joint) else {
+            return;
+        };
+        for _ in 0..MAX_PROJECTIONS {
+            let Some(own) = self.parameters.friction.get(joint) else {
+                return;
+            };
+            let mut direction = [0.0; FRICTION_COLUMNS];
+            let mut worst = TOLERANCE;
+            for bound in &RESISTING {
+                let value = dot(bound, own);
+                if value >= 0.0 {
+                    continue;
+                }
+                let mut scaled = *bound;
+                for (a, sigma) in scaled.iter_mut().zip(sigma_own) {
+                    *a *= sigma;
+                }
+                let inv_deviation = 1.0 / sqrt(dot(&scaled, &scaled));
+                let violation = -value * inv_deviation;
+                // Infinite where none of the bound's columns is learnt: those stay as they are.
+                if violation > worst && violation.is_finite() {
+                    worst = violation;
+                    direction = scaled.map(|a| a * inv_deviation);
+                }
+            }
+            if worst <= TOLERANCE {
+                return;
+            }
+            let variance = self.filter.friction_gain(joint, &direction, gain);
+            let step = worst / variance;
+            if !(variance > 0.0 && step.is_finite()) {
+                return;
+            }
+            self.move_by(sigma, gain, step);
         }
     }
 }

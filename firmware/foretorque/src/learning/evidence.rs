@@ -21,6 +21,8 @@ pub(super) struct Evidence<const N: usize> {
     measured: f32,
     cross: f32,
     modelled: f32,
+    /// Σ y m with both in units of the joint's torque limit: a joint that is known badly counts by its torque here.
+    agreement: f32,
     /// Rows, faded like the sums: what noise alone leaves of a torque in these units.
     weight: f32,
     rows: u32,
@@ -67,6 +69,7 @@ impl<const N: usize> Evidence<N> {
         measured: 0.0,
         cross: 0.0,
         modelled: 0.0,
+        agreement: 0.0,
         weight: 0.0,
         rows: 0,
         joints: [JointEvidence {
@@ -78,13 +81,14 @@ impl<const N: usize> Evidence<N> {
     };
 
     /// Takes one row of `joint`: measured torque, what the champion makes of it, what the challenger leaves; in standard
-    /// deviations.
+    /// deviations, `sigma` of them in units of the joint's torque limit.
     pub(super) fn note(
         &mut self,
         joint: usize,
         measured: f32,
         champion: f32,
         challenger_residual: f32,
+        sigma: f32,
     ) {
         let left = measured - champion;
         let sum = measured * measured + champion * champion + challenger_residual;
@@ -105,6 +109,7 @@ impl<const N: usize> Evidence<N> {
         fade(&mut self.measured, measured * measured);
         fade(&mut self.cross, measured * champion);
         fade(&mut self.modelled, champion * champion);
+        fade(&mut self.agreement, measured * champion * (sigma * sigma));
         fade(&mut self.weight, 1.0);
         for told in &mut self.joints {
             told.advantage *= FADE;
@@ -171,6 +176,11 @@ impl<const N: usize> Evidence<N> {
         }
     }
 
+    /// The measured torques oppose those of the champion: sensors or drives have the wrong sign.
+    pub(super) fn opposes(&self) -> bool {
+        self.agreement < 0.0
+    }
+
     /// The factor on all torques that explains what the champion leaves, if one does: sensors or drives are off, not the
     /// arm. `error` is how far from 1 it has to be.
     pub(super) fn common_gain(&self, error: f32) -> Option<f32> {
@@ -202,8 +212,8 @@ mod tests {
         let (mut better, mut equal) = (Evidence::<2>::NONE, Evidence::<2>::NONE);
         for (torque, noise) in rows(20_000) {
             let champion = torque + 0.2 * (torque * 0.7).sin();
-            better.note(0, torque + noise, champion, noise);
-            equal.note(0, torque + noise, torque, noise);
+            better.note(0, torque + noise, champion, noise, 0.01);
+            equal.note(0, torque + noise, torque, noise, 0.01);
         }
         assert!(better.favours(3.0) && !better.favours(-3.0));
         assert!(!equal.favours(3.0) && !equal.favours(-3.0));
@@ -215,8 +225,8 @@ mod tests {
         for gain in [-1.0, 0.8, 1.2] {
             let (mut scaled, mut offset) = (Evidence::<2>::NONE, Evidence::<2>::NONE);
             for (torque, noise) in rows(5000) {
-                scaled.note(0, gain * torque + noise, torque, noise);
-                offset.note(0, torque + 5.0 + noise, torque, noise);
+                scaled.note(0, gain * torque + noise, torque, noise, 0.01);
+                offset.note(0, torque + 5.0 + noise, torque, noise, 0.01);
             }
             let found = scaled.common_gain(0.08).unwrap_or(0.0);
             assert!((found - gain).abs() < 0.02, "{found} for {gain}");
@@ -228,9 +238,9 @@ mod tests {
     #[test]
     fn what_is_not_finite_is_no_evidence() {
         let mut evidence = Evidence::<1>::NONE;
-        evidence.note(0, f32::NAN, 1.0, 1.0);
-        evidence.note(0, 1.0, f32::INFINITY, 1.0);
-        evidence.note(0, 1.0, 1.0, f32::NAN);
+        evidence.note(0, f32::NAN, 1.0, 1.0, 0.01);
+        evidence.note(0, 1.0, f32::INFINITY, 1.0, 0.01);
+        evidence.note(0, 1.0, 1.0, f32::NAN, 0.01);
         assert_eq!(evidence, Evidence::NONE);
     }
 
@@ -238,7 +248,7 @@ mod tests {
     fn a_joint_that_stood_still_or_finds_it_worse_speaks_against_what_the_others_find_better() {
         let mut evidence = Evidence::<2>::NONE;
         for (torque, noise) in rows(2000) {
-            evidence.note(0, torque + noise, torque + 2.0, noise);
+            evidence.note(0, torque + noise, torque + 2.0, noise, 0.01);
             evidence.note_still(1, 0.05);
         }
         assert!(evidence.favours(3.0) && !evidence.no_joint_objects(100.0, 0.0));
@@ -246,18 +256,18 @@ mod tests {
         evidence.note_still(1, 0.001);
         assert!(!evidence.no_joint_objects(100.0, 0.0));
         for (torque, noise) in rows(8000) {
-            evidence.note(0, torque + noise, torque + 2.0, noise);
+            evidence.note(0, torque + noise, torque + 2.0, noise, 0.01);
         }
         assert!(evidence.no_joint_objects(1000.0, 0.0));
         // And not by hearsay for good: twelve times the rows that were wanted have gone by.
         assert!(!evidence.no_joint_objects(100.0, 0.0));
         for (torque, noise) in rows(400) {
-            evidence.note(1, torque + noise, torque, noise + 2.0);
+            evidence.note(1, torque + noise, torque, noise + 2.0, 0.01);
         }
         assert!(evidence.favours(3.0) && !evidence.no_joint_objects(100.0, 0.0));
         assert!(!evidence.no_joint_objects(100.0, 3.0));
         for (torque, noise) in rows(800) {
-            evidence.note(1, torque + noise, torque + 2.0, noise);
+            evidence.note(1, torque + noise, torque + 2.0, noise, 0.01);
         }
         assert!(evidence.no_joint_objects(100.0, 0.0));
     }

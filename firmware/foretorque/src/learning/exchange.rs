@@ -11,6 +11,10 @@ use crate::limits::Flags;
 pub struct Lesson<const N: usize> {
     /// Counter of the tick.
     pub tick: u32,
+    /// Number of the load before the tick: a lesson teaches only the learner of the set that was loaded then.
+    pub generation: u32,
+    /// Requests made before the tick.
+    pub requests: u32,
     /// What the arm did, `None` when nothing fresh was measured.
     pub measured: Option<JointMeasurement<N>>,
     /// Learning is switched on.
@@ -66,6 +70,8 @@ impl<const N: usize> Default for Report<N> {
 pub struct Publication<const N: usize, const P: usize> {
     /// The tick at whose end the round closed.
     pub closed: u32,
+    /// Number of the load that the set was learnt from; it is taken only while no other one has been loaded.
+    pub generation: u32,
     /// The set that shall be active.
     pub set: ParameterSet<N, P>,
     /// What the payload adds to the base parameters.
@@ -83,9 +89,9 @@ pub struct Publication<const N: usize, const P: usize> {
 pub struct Exchange<const N: usize, const P: usize> {
     /// What the learner has finished, on its way to the tick.
     pub published: Option<Publication<N, P>>,
-    /// A set that replaces the learner's own (a bank was loaded, the state was reset), with the first tick it holds for.
+    /// A set that replaces the learner's own, with the number of its load.
     pub reload: Option<(u32, ParameterSet<N, P>)>,
-    /// What the learner is asked to do, with the first tick it holds for.
+    /// What the learner is asked to do, with the number of the request.
     pub request: Option<(u32, Request)>,
 }
 
@@ -99,14 +105,14 @@ impl<const N: usize, const P: usize> Exchange<N, P> {
         }
     }
 
-    /// Asks the learner for `request`, from the lesson of `tick` on.
+    /// Asks the learner for `request`, from the first lesson on before which `number` requests were made.
     ///
     /// Errors: the request before has not been taken yet; it stays.
-    pub fn ask(&mut self, tick: u32, request: Request) -> Result<(), RequestPending> {
+    pub fn ask(&mut self, number: u32, request: Request) -> Result<(), RequestPending> {
         if self.request.is_some() {
             return Err(RequestPending);
         }
-        self.request = Some((tick, request));
+        self.request = Some((number, request));
         Ok(())
     }
 }

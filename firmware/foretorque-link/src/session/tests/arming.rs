@@ -240,8 +240,110 @@ fn what_is_asked_of_the_learner_is_handed_on() {
     let busy = BoardMessage::Nack(NackReason::Busy);
     assert_eq!(board.ask(ask(3)), busy);
     let waits = board.desk.exchange.request;
-    assert_eq!(waits, Some((0, foretorque::learning::Request::Snapshot)));
+    assert_eq!(waits, Some((1, foretorque::learning::Request::Snapshot)));
     board.sample(0);
     board.learn();
     assert_eq!(board.ask(ask(3)), BoardMessage::Ack);
+}
+
+/// A board with either pacing, as silicon has it: a timer runs beside the samples.
+fn timed(pacing: Pacing) -> Board {
+    let mut board = Board::new();
+    let configuration = Configuration {
+        pacing,
+        ..Configuration::default()
+    };
+    assert_eq!(
+        board.ask(HostMessage::Configure(configuration)),
+        BoardMessage::Ack
+    );
+    for _ in 0..ARM_SAMPLES {
+        assert_eq!(board.period(Some(sample(0))).unwrap().total, [0.0; N]);
+    }
+    board
+}
+
+#[test]
+fn samples_older_than_the_time_out_arm_no_board_whatever_paces_it() {
+    let refused = BoardMessage::Nack(NackReason::Unsafe(SafetyReason::NoSample));
+    for pacing in [Pacing::Link, Pacing::SysTick] {
+        for (silent, answer) in [
+            (49, &BoardMessage::Ack),
+            (51, &refused),
+            (1000, &refused),
+            (100_000, &refused),
+        ] {
+            let mut board = timed(pacing);
+            for _ in 0..silent {
+                board.period(None);
+            }
+            let told = board.ask(HostMessage::Arm);
+            assert_eq!(told, *answer, "{pacing:?}, {silent} periods");
+            let armed = *answer == BoardMessage::Ack;
+            assert_eq!(board.session.torque_enabled(), armed);
+            if !armed {
+                // One sample does not make the ones of before fresh.
+                board.period(Some(sample(0)));
+                assert_eq!(board.ask(HostMessage::Arm), refused, "{pacing:?}");
+                (0..2).for_each(|_| _ = board.period(Some(sample(0))));
+                assert_eq!(board.ask(HostMessage::Arm), BoardMessage::Ack);
+            }
+        }
+    }
+}
+
+#[test]
+fn an_arm_that_has_moved_since_it_was_armed_gets_no_torque() {
+    type Change = fn(&mut JointSample<N>);
+    let cases: [(Change, SafetyReason); 6] = [
+        (
+            |s| s.measured.as_mut().unwrap().q[1] += 0.8,
+            SafetyReason::PositionJump,
+        ),
+        (|s| s.desired.q[1] += 0.8, SafetyReason::DesiredJump),
+        (
+            |s| s.desired.qd[0] = f32::NAN,
+            SafetyReason::DesiredNotFinite,
+        ),
+        (
+            |s| s.measured.as_mut().unwrap().tau[5] = 90.0,
+            SafetyReason::EffortRange,
+        ),
+        // In 40 periods a joint can get so far.
+        (
+            |s| s.measured.as_mut().unwrap().q[5] += 0.21,
+            SafetyReason::TooFar,
+        ),
+        // Near enough to where the arm was measured last.
+        (|s| s.measured = None, SafetyReason::None),
+    ];
+    for pacing in [Pacing::Link, Pacing::SysTick] {
+        for (change, reason) in cases {
+            let mut board = timed(pacing);
+            assert_eq!(board.ask(HostMessage::Arm), BoardMessage::Ack);
+            if reason == SafetyReason::TooFar {
+                for _ in 0..40 {
+                    let torque = board.period(None);
+                    assert!(torque.is_none_or(|torque| torque.total == [0.0; N]));
+                }
+                assert!(board.session.torque_enabled());
+            }
+            let mut changed = sample(0);
+            change(&mut changed);
+            let first = board.period(Some(changed)).unwrap();
+            let flows = reason == SafetyReason::None;
+            assert_eq!(first.total != [0.0; N], flows, "{pacing:?}, {reason:?}");
+            let state = if flows {
+                SafetyState::Armed
+            } else {
+                SafetyState::Disarmed
+            };
+            assert_eq!(status(&first), (state, reason), "{pacing:?}");
+            assert_eq!(board.session.torque_enabled(), flows);
+            for _ in 0..20 {
+                let torque = board.period(Some(changed)).unwrap();
+                assert_eq!(torque.total != [0.0; N], flows, "{pacing:?}, {reason:?}");
+            }
+        }
+    }
 }

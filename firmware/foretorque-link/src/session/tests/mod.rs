@@ -87,6 +87,22 @@ impl Board {
         heard(out.as_bytes())
     }
 
+    /// One period of a board on its own clock: at most one sample, then the timer, whichever of the two paces the board.
+    fn period(&mut self, sample: Option<JointSample<N>>) -> Option<TorqueFrame<N>> {
+        let mut answers = Vec::new();
+        if let Some(sample) = sample {
+            self.sequence += 1;
+            let message = HostMessage::Sample(SampleFrame::new(&sample));
+            answers.extend(self.hear(&frame(self.sequence, &message)));
+        }
+        answers.extend(self.timer());
+        match answers.as_slice() {
+            [] => None,
+            [(_, BoardMessage::Torque(torque))] => Some(*torque),
+            other => panic!("{other:?}"),
+        }
+    }
+
     fn learn(&mut self) {
         self.desk.work(&mut self.learner, &NoClock);
     }

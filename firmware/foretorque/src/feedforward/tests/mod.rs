@@ -10,6 +10,7 @@ mod adoption;
 mod limits;
 mod shares;
 mod silence;
+mod wrap;
 
 const N: usize = 6;
 const P: usize = 40;
@@ -35,6 +36,7 @@ fn set() -> Set {
 fn finished(closed: u32, set: Set) -> Publication<N, P> {
     Publication {
         closed,
+        generation: 0,
         set,
         payload: BaseParameters::zeros(),
         range: MotionRange::NONE,

@@ -186,11 +186,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             // A little better on some joints may be worse on others; much better is worth it.
             let told = config.proof_rows as f32;
             let agreed = |sigmas: f32| early || evidence.no_joint_objects(told, sigmas);
-            let fault = evidence.common_gain(config.gain_error).filter(|_| settled);
+            let opposed = evidence.opposes();
+            let fault = match evidence.common_gain(config.gain_error) {
+                _ if opposed => Some(-1.0),
+                gain => gain.filter(|_| settled),
+            };
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
                 state.note(tick, Reason::DriveGain, None, gain);
             }
-            if settled {
+            if settled || opposed {
                 state.guard.gain_fault = fault.is_some();
             }
             if state.guard.following {
@@ -198,7 +202,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 if evidence.favours(-config.proof_sigmas) {
                     state.roll_back();
                     state.note(tick, Reason::RolledBack, None, evidence.ratio());
-                } else if agreed(config.proof_sigmas) {
+                } else if agreed(config.proof_sigmas) && !opposed {
                     state.follow(&pending, self.config.torque_step);
                     let followed = state.guard.followed;
                     let due = followed >= config.commit_rows

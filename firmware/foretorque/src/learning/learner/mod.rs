@@ -49,7 +49,7 @@ impl LearnerStatistics {
 /// What the learner carries from lesson to lesson.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerState<const N: usize, const P: usize> {
-    /// The set that learning started from; the box lies around it.
+    /// The set that learning started from.
     pub prior: ParameterSet<N, P>,
     /// The estimate of the linear parameters.
     pub estimate: Estimator<N, P>,
@@ -70,6 +70,8 @@ pub struct LearnerState<const N: usize, const P: usize> {
     window: MeasurementWindow<N>,
     next_tick: u32,
     closed_round: Option<u32>,
+    /// Number of the load that `prior` comes from; that of the first lesson after a restart.
+    generation: Option<u32>,
     /// Why lessons are not learnt from at present.
     frozen: Option<Reason>,
     /// Ticks for which a freeze lasts on: its measurements are still in the window.
@@ -131,6 +133,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 window: MeasurementWindow::new(),
                 next_tick: 0,
                 closed_round: None,
+                generation: None,
                 frozen: None,
                 thaw_in: 0,
                 pending: [None; N],
@@ -142,7 +145,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// Starts over from `prior`, as [`new`](Self::new) does, but in place: the learner is too large to be copied where a
-    /// tick waits for it.
+    /// tick waits for it. Lessons of ticks before the restart must not follow.
     ///
     /// Errors: the first field of `config` that cannot work; then nothing has changed.
     #[inline(never)]
@@ -157,6 +160,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.report = Report::new();
         self.state.window.reset();
         self.state.next_tick = 0;
+        self.state.generation = None;
         self.start_from(prior);
         Ok(())
     }
@@ -173,23 +177,33 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         &self.state
     }
 
+    /// The parameters on their way to the tick, for tests that put others in their place.
+    #[cfg(test)]
+    pub(crate) fn candidate_mut(&mut self) -> &mut ParameterSet<N, P> {
+        &mut self.state.candidate
+    }
+
     /// Works through one lesson: [`collect`](Self::collect), [`study`](Self::study), [`publish`](Self::publish).
     pub fn learn(&mut self, lesson: &Lesson<N>, exchange: &mut Exchange<N, P>) {
-        self.collect(lesson.tick, exchange);
+        self.collect(lesson, exchange);
         self.study(lesson);
         self.publish(exchange);
     }
 
-    /// Takes over a reloaded set or a request if it holds for the lesson of `tick`. Touches the desk for one copy at most.
+    /// Takes over a reloaded set or a request if it holds for `lesson`. Touches the desk for one copy at most.
     #[inline(never)]
-    pub fn collect(&mut self, tick: u32, exchange: &mut Exchange<N, P>) {
-        // Lessons older than the reload may still be in the queue; they must not learn on the new set.
-        let due = exchange.reload.take_if(|(from, _)| reached(tick, *from));
-        if let Some((_, set)) = due {
+    pub fn collect(&mut self, lesson: &Lesson<N>, exchange: &mut Exchange<N, P>) {
+        // Lessons older than either may still be in the queue. Ticks half the range of their counter apart have no order,
+        // so numbers are compared, and for equality alone.
+        let reload = &mut exchange.reload;
+        if let Some((generation, set)) = reload.take_if(|(number, _)| *number == lesson.generation)
+        {
             self.start_from(&set);
+            self.state.generation = Some(generation);
         }
-        if let Some((_, request)) = exchange.request.take_if(|(from, _)| reached(tick, *from)) {
-            self.answer(tick, request);
+        let request = &mut exchange.request;
+        if let Some((_, request)) = request.take_if(|(number, _)| *number == lesson.requests) {
+            self.answer(lesson.tick, request);
         }
     }
 
@@ -207,7 +221,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let joint = lesson.tick as usize % N;
         let mut step = None;
         let prepared = self.state.estimate.prepare::<A>();
-        let learns = self.may_learn(lesson);
+        let generation = lesson.generation;
+        let current = *self.state.generation.get_or_insert(generation) == generation;
+        let learns = current && self.may_learn(lesson);
         if learns && self.own.is_some_and(|own| own != joint) {
             // Who learns for one joint drives that one: how the torques of the others step binds nobody.
             step = Some(0.0);
@@ -226,7 +242,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if let Some(pending) = self.state.pending.get_mut(joint) {
             *pending = step;
         }
-        if joint == N - 1 {
+        if current && joint == N - 1 {
             self.close_round(lesson.tick);
         }
     }
@@ -234,11 +250,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Lays the set of a round that has just closed on the desk. Touches the desk for one copy at most.
     pub fn publish(&mut self, exchange: &mut Exchange<N, P>) {
         let state = &mut self.state;
-        if let Some(tick) = state.closed_round.take() {
+        if let (Some(tick), Some(generation)) = (state.closed_round.take(), state.generation) {
             // A commit that the tick has not taken yet must not get lost when a newer set takes its place.
-            let waiting = exchange.published.is_some_and(|before| before.commit);
+            let before = exchange.published.as_ref();
+            let waiting = before.is_some_and(|it| it.commit && it.generation == generation);
             exchange.published = Some(Publication {
                 closed: tick,
+                generation,
                 set: state.candidate,
                 payload: state.guard.payload_base,
                 range: state.range,
@@ -284,11 +302,6 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
             figure,
         });
     }
-}
-
-/// `tick` is `from` or later, on a counter that wraps.
-fn reached(tick: u32, from: u32) -> bool {
-    tick.wrapping_sub(from) < u32::MAX / 2
 }
 
 fn count(counter: &mut u32) {

@@ -92,10 +92,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 let mut heard = row;
                 let share = ripple_of::<A, N, P>(joint, speed, self.config.inv_period);
                 let own = own - heard.swallow(joint, share, &active);
-                let correction =
-                    state
-                        .estimate
-                        .correct(&self.config, &state.prior, joint, limit, &heard, own);
+                let correction = state
+                    .estimate
+                    .correct(&self.config, joint, limit, &heard, own);
                 let Some(correction) = correction else {
                     return (Verdict::Rejected, None);
                 };
@@ -109,6 +108,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                     own * inverse,
                     champion * inverse,
                     correction.residual / sigma,
+                    sigma,
                 );
                 let lesson = NetworkRow {
                     qd: speed,

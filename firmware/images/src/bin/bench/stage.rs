@@ -108,6 +108,8 @@ impl Stage {
             learner,
             lesson: Lesson {
                 tick: 0,
+                generation: 0,
+                requests: 0,
                 measured: None,
                 enabled: true,
                 flags: Flags::NONE,
@@ -154,6 +156,8 @@ impl Stage {
         };
         self.lesson = Lesson {
             tick,
+            generation: 0,
+            requests: 0,
             measured,
             enabled: true,
             flags: Flags::NONE,
