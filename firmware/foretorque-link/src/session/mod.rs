@@ -101,7 +101,7 @@ impl<C> BoardDescription<C> {
 /// use foretorque::arm::ur5::Ur5;
 /// use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
 /// use foretorque_link::wire::{FrameBuffer, HostMessage};
-/// let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))?;
+/// let mut session = Session::<Ur5, _, _>::new(BoardDescription::plain(NoClock))?;
 /// let (mut desk, mut request, mut reply) = (Desk::new(), FrameBuffer::new(), FrameBuffer::new());
 /// request.push(1, &HostMessage::<6>::Hello)?;
 /// session.receive(request.as_bytes(), &mut desk, &mut reply);
