@@ -28,7 +28,7 @@ use stm32f4xx_hal::pac::{self, Interrupt};
 use stm32f4xx_hal::prelude::*;
 
 use crate::board::{Arm, Board, Drive as _, JOINTS, PARAMETERS, Ports};
-use crate::chip::LINK_BAUD;
+use crate::chip::LINK_BYTES_S;
 use crate::clock::{self, ClockSource};
 use crate::counter::{self, Counter};
 use crate::fault::{self, Reason};
@@ -152,7 +152,7 @@ pub fn start<B: Board>(
         counter_hz,
         reset_reason,
         kept_fault: kept,
-        link_baud: LINK_BAUD,
+        link_bytes_s: LINK_BYTES_S,
         write_key: secret::write_key(),
         seed,
         ..BoardDescription::plain(Counter)

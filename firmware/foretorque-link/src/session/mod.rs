@@ -54,8 +54,8 @@ pub struct BoardDescription<C = NoClock> {
     pub reset_reason: ResetReason,
     /// The fault that was latched before it started, where the board keeps that.
     pub kept_fault: SafetyReason,
-    /// Bit rate of its line, 1/s; 0 where the link is none.
-    pub link_baud: u32,
+    /// Capacity of one direction of its link, bytes a second; 0 where there is no limit.
+    pub link_bytes_s: u32,
     /// The write key, where it has one.
     pub write_key: Option<WriteKey>,
     /// Differs from start to start, for the challenges that a board with a write key gives.
@@ -73,7 +73,7 @@ impl<C> BoardDescription<C> {
             clock,
             reset_reason: ResetReason::Unknown,
             kept_fault: SafetyReason::None,
-            link_baud: 0,
+            link_bytes_s: 0,
             write_key: None,
             seed: [0; MAC_BYTES],
         }
@@ -101,7 +101,7 @@ impl<C> BoardDescription<C> {
 /// use foretorque::arm::ur5::Ur5;
 /// use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
 /// use foretorque_link::wire::{FrameBuffer, HostMessage};
-/// let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))?;
+/// let mut session = Session::<Ur5, _, _>::new(BoardDescription::plain(NoClock))?;
 /// let (mut desk, mut request, mut reply) = (Desk::new(), FrameBuffer::new(), FrameBuffer::new());
 /// request.push(1, &HostMessage::<6>::Hello)?;
 /// session.receive(request.as_bytes(), &mut desk, &mut reply);
