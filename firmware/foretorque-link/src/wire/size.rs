@@ -1,6 +1,6 @@
 //! Sizes of the cyclic frames and the share of a link that they take.
 
-use crate::quotient::quotient;
+use crate::division::div_u64_by_u32;
 
 /// Version, sequence number and message tag.
 pub const HEADER: usize = 4;
@@ -58,8 +58,8 @@ pub const RESERVE_PERCENT: u64 = 30;
 /// Bytes that a direction of a line has left in one period besides a frame of `reply` bytes and the reserve.
 pub const fn left(baud: u32, period_us: u32, reply: usize) -> usize {
     let bits_us = baud as u64 * period_us as u64;
-    let bytes = quotient(bits_us, (BITS_PER_BYTE * 1_000_000) as u32);
-    let planned = quotient(bytes as u64 * (100 - RESERVE_PERCENT), 100);
+    let bytes = div_u64_by_u32(bits_us, (BITS_PER_BYTE * 1_000_000) as u32);
+    let planned = div_u64_by_u32(bytes as u64 * (100 - RESERVE_PERCENT), 100);
     (planned as usize).saturating_sub(reply)
 }
 
