@@ -103,7 +103,7 @@ impl Foretorque {
     ///
     /// # Safety
     /// `place` is aligned, may be written and is nobody else's.
-    unsafe fn furnish(place: *mut Self, period_s: f32) -> Option<()> {
+    unsafe fn init_in_place(place: *mut Self, period_s: f32) -> Option<()> {
         /// A learner of zeros, until it is restarted: the image of one with a single other number in it would take 33 kB.
         const BLANK: Learner = {
             // SAFETY: zeros are a value of every field. The compiler looks at the value of a constant, and takes none that
@@ -219,7 +219,7 @@ pub unsafe extern "C" fn foretorque_init(
     }
     // SAFETY: not null, aligned and large enough, as just checked, and the caller's to give; `out` may be written.
     unsafe {
-        if Foretorque::furnish(place, period_s).is_none() {
+        if Foretorque::init_in_place(place, period_s).is_none() {
             return ForetorqueStatus::Period;
         }
         out.write(place);
