@@ -124,9 +124,10 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
     let mut board_clippy = tools.board.board_cargo("clippy");
     board_clippy.args(["--lib", "--bins"]).args(STRICT);
     let mut plain_clippy = tools.board.board_library_cargo("clippy");
-    plain_clippy.arg("--lib").args(STRICT);
-    let mut no_std = tools.board.board_library_cargo("build");
-    no_std.arg("--lib");
+    plain_clippy.args(STRICT);
+    let mut log_clippy = tools.board.board_library_cargo("clippy");
+    log_clippy.args(["--features", "defmt"]).args(STRICT);
+    let no_std = tools.board.board_library_cargo("build");
     let mut firmware = tools.board.board_cargo("build");
     firmware.arg("--bins");
     vec![
@@ -134,6 +135,7 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
         ("clippy, host", clippy),
         ("clippy, board", board_clippy),
         ("clippy, no log", plain_clippy),
+        ("clippy, log", log_clippy),
         ("no_std library", no_std),
         ("firmware", firmware),
     ]

@@ -60,25 +60,23 @@ impl Toolchain {
         }
     }
 
-    /// `cargo SUBCOMMAND` for the board's library, as others may take it: without the log.
+    /// `cargo SUBCOMMAND` for the libraries, as others may take them, in target and profile of the board.
     pub(crate) fn board_library_cargo(self, subcommand: &str) -> Command {
-        let mut command = self.tool("cargo");
-        command.args([
-            subcommand,
-            "--profile",
-            PROFILE,
-            "--target",
-            TARGET,
-            "-p",
-            "foretorque",
-        ]);
+        let mut command = self.for_board(subcommand);
+        command.args(["-p", "foretorque", "-p", "foretorque-link", "--lib"]);
         command
     }
 
-    /// `cargo SUBCOMMAND` for the board's package, target and profile, with the log that its binaries write.
+    /// `cargo SUBCOMMAND` for the board and every image, in target and profile of the board.
     pub(crate) fn board_cargo(self, subcommand: &str) -> Command {
-        let mut command = self.board_library_cargo(subcommand);
-        command.args(["--features", "defmt"]);
+        let mut command = self.for_board(subcommand);
+        command.args(["-p", "foretorque-f405", "-p", "foretorque-images"]);
+        command
+    }
+
+    fn for_board(self, subcommand: &str) -> Command {
+        let mut command = self.tool("cargo");
+        command.args([subcommand, "--profile", PROFILE, "--target", TARGET]);
         command
     }
 }

@@ -31,17 +31,16 @@ fn by_module(image: &Image) -> Vec<(String, u32)> {
     modules
 }
 
-/// The module of a library's function, two levels of it in `edge`; the crate of any other function.
+/// The module of a library's function, the crate of any other function.
 fn module(name: &str) -> String {
-    for (library, shown) in [("foretorque_link::", "link::"), ("foretorque::", "")] {
-        if let Some((_, path)) = name.split_once(library) {
-            let mut parts = path.split("::");
-            let first = parts.next().unwrap_or_default();
-            return match (first, parts.next()) {
-                ("edge", Some(second)) => format!("edge::{second}"),
-                _ => format!("{shown}{first}"),
-            };
-        }
+    const LIBRARIES: [(&str, &str); 2] = [("foretorque::", ""), ("foretorque_link::", "link::")];
+    let found = LIBRARIES.iter().filter_map(|(library, shown)| {
+        let (before, path) = name.split_once(library)?;
+        Some((before.len(), shown, path))
+    });
+    // The first name is the function's own, others are types it is made for.
+    if let Some((_, shown, path)) = found.min() {
+        return format!("{shown}{}", path.split("::").next().unwrap_or_default());
     }
     let foreign = [
         ("serde", "serialisation"),
@@ -71,20 +70,18 @@ mod tests {
     fn functions_are_counted_in_their_modules_and_constants_are_the_rest() {
         let serializer = "<&mut postcard::ser::S as serde_core::ser::Serializer>::x";
         let mut image = Image::of_code(&[
-            ("foretorque::edge::wire::codec::push", 0x0800_1000, &[0; 8]),
             ("foretorque::dynamics::rnea::rnea", 0x0800_1100, &[0; 4]),
             ("EXTI1", 0x0800_1200, &[0; 2]),
             (serializer, 0x0800_1300, &[0; 1]),
             ("__aeabi_memcpy", 0x0800_1400, &[0; 1]),
             ("memcpy", 0x0800_1400, &[0; 1]),
-            ("foretorque_link::wire::push", 0x0800_1500, &[0; 3]),
+            ("foretorque_link::wire::push", 0x0800_1500, &[0; 8]),
         ]);
-        image.flash_bytes = 138;
+        image.flash_bytes = 132;
         let expected = [
             ("constants", 100),
-            ("edge::wire", 16),
+            ("link::wire", 16),
             ("dynamics", 8),
-            ("link::wire", 6),
             ("bin", 4),
             ("compiler", 2),
             ("serialisation", 2),
