@@ -24,9 +24,10 @@ const ERASED: u8 = 0xff;
 const HEX_LINE: usize = 16;
 
 /// A board that has a firmware here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Board {
     /// ODrive v3 class: `joint`.
+    #[default]
     Odrive,
     /// pyboard v1.1: `joint-pyboard`.
     Pyboard,

@@ -61,6 +61,7 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     if !compiler() {
         bail!("libFuzzer is C++ and there is no C++ compiler: install one (the package g++)");
     }
+    unpack()?;
     let outcomes = fuzz(runs)?;
     let mut json = String::from("{\"targets\": [");
     println!("{:<10} {:>12} {:>12}", "target", "executions", "a second");
@@ -89,6 +90,7 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
 
 /// A short run, the same every time. Without a C++ compiler the inputs are mutated without looking at coverage.
 pub(crate) fn gate() -> Result<()> {
+    unpack()?;
     if compiler() {
         return judge(&fuzz(SHORT)?);
     }
@@ -118,9 +120,23 @@ fn compiler() -> bool {
     setup::bring_program("c++", "g++").is_ok()
 }
 
-/// Where the committed inputs of a target lie.
+/// Committed inputs, one archive of the directory `corpus` with a directory for each target.
+///
+/// Packed by `tar --sort=name --mtime=@0 --owner=0 --group=0 --numeric-owner --format=ustar -c corpus | gzip -9n`, so that
+/// the same inputs are the same bytes.
+const CORPUS: &str = "tests/fuzz/corpus.tar.gz";
+
+/// Unpacks the committed inputs; the directory of a target is [`corpus`].
+fn unpack() -> Result<()> {
+    let home = root().join(HOME);
+    // Inputs of an older archive.
+    let _ = fs::remove_dir_all(home.join("corpus"));
+    fs::create_dir_all(&home)?;
+    shell::run(command("tar").args(["-xzf", CORPUS, "-C", HOME]))
+}
+
 fn corpus(name: &str) -> PathBuf {
-    root().join("tests/fuzz/corpus").join(name)
+    root().join(HOME).join("corpus").join(name)
 }
 
 fn cargo(verb: &str) -> Command {
