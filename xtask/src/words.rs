@@ -183,11 +183,11 @@ mod tests {
 
     #[test]
     fn the_first_line_of_a_doc_comment_names_a_quantity() {
-        let text = "//! What it is.\n\n/// Torque, N·m.\n/// What follows is no first line.\nfn a();\n    /// How far it is.\n\
-                    /// The same.\nfn b();\n/// Whatever.\nfn c();\n// What a plain comment says.\n/// The same of b.\n";
+        let text = "//! What it is.\n\n/// Torque, N·m.\n/// What follows is no first line.\nfn a();\n    /// How far it is.\nfn b();\n\
+                    // What a plain comment names.\nfn c();\n/// The same of b.\nfn d();\n/// Whatever.\n";
         assert_eq!(
             bad_first_lines(text),
-            [(1, "What"), (6, "How far"), (12, "The same")]
+            [(1, "What"), (6, "How far"), (10, "The same")]
         );
     }
 
