@@ -8,7 +8,7 @@ use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::dynamics::{BaseParameters, FrictionParameters};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
+use foretorque::learning::{Exchange, Learner, LearnerConfig, LearningSample, ParameterSet};
 use foretorque::limits::Flags;
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
@@ -46,7 +46,7 @@ pub(crate) struct Stage {
     pub(crate) sample: JointSample<JOINTS>,
     pub(crate) torque: Torque<JOINTS>,
     pub(crate) feedforward: FeedForward<Ur5, JOINTS, PARAMETERS>,
-    pub(crate) lesson: Lesson<JOINTS>,
+    pub(crate) lesson: LearningSample<JOINTS>,
     pub(crate) exchange: Exchange<JOINTS, PARAMETERS>,
     /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
     pub(crate) learner: &'static mut Learner<Ur5, JOINTS, PARAMETERS>,
@@ -56,7 +56,7 @@ pub(crate) struct Stage {
 impl Stage {
     /// A learner for the stages, one after the other.
     pub(crate) const LEARNER: Learner<Ur5, JOINTS, PARAMETERS> =
-        Learner::idle(LearnerConfig::for_arm::<Ur5>(PERIOD));
+        Learner::empty(LearnerConfig::for_arm::<Ur5>(PERIOD));
 
     /// The stage after the warm-up; `None` if a configuration does not validate.
     pub(crate) fn new(learner: &'static mut Learner<Ur5, JOINTS, PARAMETERS>) -> Option<Self> {
@@ -106,7 +106,7 @@ impl Stage {
                 measured: None,
             },
             learner,
-            lesson: Lesson {
+            lesson: LearningSample {
                 tick: 0,
                 generation: 0,
                 requests: 0,
@@ -154,7 +154,7 @@ impl Stage {
             desired: wave,
             measured,
         };
-        self.lesson = Lesson {
+        self.lesson = LearningSample {
             tick,
             generation: 0,
             requests: 0,
