@@ -136,7 +136,7 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
         bare.step(&heard);
         // A disarmed board holds the torque back.
         bare.applied(&JointVector::zeros());
-        learner.learn(&bare.lesson(heard.measured), &mut exchange);
+        learner.learn(&bare.learning_sample(heard.measured), &mut exchange);
     }
     bare.set_learning(true);
     for k in 0..4000 {
@@ -145,7 +145,7 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
         let heard = frame.sample(&[0.0; N]);
         bare.adopt(&mut exchange);
         let torque = bare.step(&heard);
-        learner.learn(&bare.lesson(heard.measured), &mut exchange);
+        learner.learn(&bare.learning_sample(heard.measured), &mut exchange);
         let reply = client.sample_frame(&frame).unwrap();
         assert_eq!(reply.tick, torque.tick);
         assert_eq!(reply.flags, torque.flags);

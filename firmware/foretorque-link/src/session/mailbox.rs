@@ -2,7 +2,7 @@ use super::Clock;
 use crate::store::StoreMailbox;
 use crate::telemetry::CostMeter;
 use foretorque::arm::Arm;
-use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
+use foretorque::learning::{Exchange, Learner, LearnerConfig, LearningSample, ParameterSet};
 use heapless::spsc::Queue;
 
 /// A new period for the learner, which then starts over from a set.
@@ -25,7 +25,7 @@ struct Restart<const N: usize, const P: usize> {
 /// if lock(|mailbox| mailbox.release_reply()) { … }               // wake who sends
 /// ```
 pub struct LearnerMailbox<const N: usize, const P: usize> {
-    lessons: Queue<Lesson<N>, 16>,
+    lessons: Queue<LearningSample<N>, 16>,
     pub(super) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
     /// The answer of a tick waits for its lesson.
@@ -71,7 +71,10 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
     }
 
     /// The next lesson, and whatever the learner has to take over before it. Touches `learner` for one copy at most.
-    pub fn begin<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) -> Option<Lesson<N>> {
+    pub fn begin<A: Arm<N, P>>(
+        &mut self,
+        learner: &mut Learner<A, N, P>,
+    ) -> Option<LearningSample<N>> {
         if let Some(Restart { period_s, set }) = self.restart.take() {
             // A period that the session has accepted makes a configuration that the learner accepts.
             // Should it refuse, it learns nothing: lessons from then on are not of its set.
@@ -101,7 +104,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         self.release_reply();
     }
 
-    pub(super) fn post(&mut self, lesson: Lesson<N>) {
+    pub(super) fn post(&mut self, lesson: LearningSample<N>) {
         if self.lessons.enqueue(lesson).is_err() {
             self.learning_samples_lost = self.learning_samples_lost.saturating_add(1);
         }

@@ -1,11 +1,11 @@
 //! Samples that never came, where samples pace the board and no tick runs without one.
 
 use crate::wire::SampleFlags;
-use foretorque::learning::BRIDGED;
+use foretorque::learning::MAX_BRIDGED;
 
 /// Most ticks that are made up for. After as many without a measurement nothing that the learner has seen counts any more,
 /// and it cannot tell a longer gap from this one; it is also what keeps the time of a tick bounded, whatever a host says.
-pub(super) const MAX_FILLED: u32 = BRIDGED as u32 + 1;
+pub(super) const MAX_FILLED: u32 = MAX_BRIDGED as u32 + 1;
 
 /// The host's count of its periods, as far as samples have told it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

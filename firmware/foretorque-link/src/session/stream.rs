@@ -8,7 +8,7 @@ use crate::wire::{
 use foretorque::arm::Arm;
 use foretorque::feedforward::Torque;
 use foretorque::joint::{JointSample, JointVector};
-use foretorque::learning::Report;
+use foretorque::learning::LearnerReport;
 use heapless::Vec;
 
 /// Room for all fields of eight joints.
@@ -21,7 +21,7 @@ pub(super) struct Instant<'t, const N: usize> {
     pub(super) torque: &'t Torque<N>,
     pub(super) status: SafetyStatus,
     pub(super) sample: &'t Option<JointSample<N>>,
-    pub(super) report: &'t Report<N>,
+    pub(super) report: &'t LearnerReport<N>,
     /// Of the tick and of a lesson.
     pub(super) costs: [u32; 2],
     pub(super) losses: [u16; 4],

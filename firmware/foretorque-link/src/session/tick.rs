@@ -75,7 +75,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         for _ in 0..lost {
             self.feed_forward.adopt(&mut mailbox.exchange);
             self.feed_forward.step_stale();
-            mailbox.post(self.feed_forward.lesson(None));
+            mailbox.post(self.feed_forward.learning_sample(None));
             self.ticks = self.ticks.wrapping_add(1);
             self.link.stale_ticks = self.link.stale_ticks.saturating_add(1);
         }
@@ -123,7 +123,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.ticks = self.ticks.wrapping_add(1);
         mailbox.post(
             self.feed_forward
-                .lesson(sample.and_then(|sample| sample.measured)),
+                .learning_sample(sample.and_then(|sample| sample.measured)),
         );
         if patient {
             mailbox.hold_answer();

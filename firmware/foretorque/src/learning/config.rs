@@ -1,5 +1,5 @@
 use super::doubt::rigid_sigma;
-use super::guard_config::GuardConfig;
+use super::guard_config::SupervisorConfig;
 use super::trainer::TrainerConfig;
 use crate::arm::Arm;
 use crate::dynamics::FrictionParameters;
@@ -49,7 +49,7 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     /// How the networks are trained.
     pub network: TrainerConfig,
     /// When the guard believes what.
-    pub guard: GuardConfig,
+    pub supervisor: SupervisorConfig,
 }
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
@@ -84,7 +84,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
                 hidden_rate: 1e-4,
                 clip_sigmas: 3.0,
             },
-            guard: GuardConfig::for_arm::<A, N, P>(1.0 / period_s),
+            supervisor: SupervisorConfig::for_arm::<A, N, P>(1.0 / period_s),
         }
     }
 
@@ -117,7 +117,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         if !(0.0..1.0).contains(&self.network.hidden_rate) {
             return Err(ConfigError::RateOutOfRange("network.hidden_rate"));
         }
-        self.guard.validate()
+        self.supervisor.validate()
     }
 }
 

@@ -6,14 +6,14 @@ use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters};
 ///
 /// Two fields and not one array, because `P + N · FRICTION_COLUMNS` is no length that stable Rust can write.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stacked<const N: usize, const P: usize> {
+pub struct LinearParameters<const N: usize, const P: usize> {
     /// Friction, joint by joint, in the order of [`crate::dynamics::friction_row`].
     pub friction: [[f32; FRICTION_COLUMNS]; N],
     /// Base parameters of the rigid body.
     pub rigid: [f32; P],
 }
 
-impl<const N: usize, const P: usize> Stacked<N, P> {
+impl<const N: usize, const P: usize> LinearParameters<N, P> {
     /// `value` everywhere.
     pub const fn filled(value: f32) -> Self {
         Self {

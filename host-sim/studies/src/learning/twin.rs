@@ -5,7 +5,7 @@ use super::world::{N, P, Set};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::{FRICTION_COLUMNS, RESISTING};
-use foretorque::learning::{Estimator, LearnerConfig, Stacked};
+use foretorque::learning::{Estimator, LearnerConfig, LinearParameters};
 use nalgebra::{DMatrix, DVector};
 
 /// Friction columns of a joint that wander, one a row in turn with the noise of all: viscous, Coulomb, Stribeck and bend.
@@ -31,17 +31,17 @@ pub(super) struct Twin {
     wandering: [usize; N],
 }
 
-fn wide(numbers: &Stacked<N, P>) -> DVector<f64> {
+fn wide(numbers: &LinearParameters<N, P>) -> DVector<f64> {
     let numbers: Vec<f64> = numbers.iter().map(|&x| f64::from(x)).collect();
     DVector::from_vec(numbers)
 }
 
 impl Twin {
     pub(super) fn new(config: LearnerConfig<N, P>, prior: &Set) -> Self {
-        let start = wide(&Stacked::of(prior));
+        let start = wide(&LinearParameters::of(prior));
         let n = start.len();
         Self {
-            sigma: wide(&Stacked::sigma(&config)),
+            sigma: wide(&LinearParameters::sigma(&config)),
             config,
             start,
             theta: DVector::zeros(n),
@@ -54,7 +54,7 @@ impl Twin {
 
     /// Takes in the torque `tau` of `joint` with its row, as the estimator does:
     /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(z, ±k) / √S`, then the bounds by way of P, three at most.
-    pub(super) fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
+    pub(super) fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32) {
         let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
         let unit = f64::from(self.config.noise * limit);
         let raw = wide(row);
@@ -111,7 +111,7 @@ impl Twin {
     }
 
     /// Largest distance of any parameter of `estimate`, prior standard deviations.
-    pub(super) fn distance(&self, estimate: &Stacked<N, P>) -> f64 {
+    pub(super) fn distance(&self, estimate: &LinearParameters<N, P>) -> f64 {
         let found = (wide(estimate) - &self.start).component_div(&self.sigma);
         (found - &self.theta).amax()
     }

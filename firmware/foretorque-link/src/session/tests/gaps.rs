@@ -3,7 +3,7 @@
 use super::*;
 use crate::wire::SampleFlags;
 use foretorque::feedforward::Torque;
-use foretorque::learning::{BRIDGED, Exchange, TAPS};
+use foretorque::learning::{Exchange, MAX_BRIDGED, TAPS};
 use proptest::prelude::*;
 
 /// The ticks of an armed board that keeps its own time, around nothing but the parts: no link, no session.
@@ -45,7 +45,7 @@ impl Timed {
         self.feed_forward.applied(&torque.total);
         let lesson = self
             .feed_forward
-            .lesson(sample.and_then(|sample| sample.measured));
+            .learning_sample(sample.and_then(|sample| sample.measured));
         self.learner.learn(&lesson, &mut self.exchange);
         torque
     }
@@ -153,7 +153,7 @@ fn a_lost_sample_leaves_the_learner_as_the_same_gap_does_where_the_tick_goes_on(
 fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
     // The set of a round that closes in so long a gap can be a round late, so the torques may differ; the learner not.
     for first in 200..206 {
-        let lost: Vec<u32> = (first..=first + BRIDGED as u32).collect();
+        let lost: Vec<u32> = (first..=first + MAX_BRIDGED as u32).collect();
         let (timed, linked, _) = together(&lost);
         assert!(timed.learner.state() == linked.board.learner.state());
     }
@@ -221,8 +221,8 @@ proptest! {
             let before = board.session.statistics(&board.mailbox).ticks;
             board.hear(&frame(sequence, &HostMessage::Sample(sample)));
             let ran = board.session.statistics(&board.mailbox).ticks - before;
-            prop_assert!(ran <= BRIDGED as u32 + 2, "{} ticks", ran);
-            prop_assert!(board.mailbox.waiting() <= BRIDGED + 2);
+            prop_assert!(ran <= MAX_BRIDGED as u32 + 2, "{} ticks", ran);
+            prop_assert!(board.mailbox.waiting() <= MAX_BRIDGED + 2);
             board.learn();
         }
     }

@@ -4,7 +4,7 @@ use super::*;
 use crate::arm::ur5::Ur5;
 use crate::dynamics::BaseParameters;
 use crate::joint::JointMotion;
-use crate::learning::{MotionRange, Publication, Report};
+use crate::learning::{LearnerReport, MotionRange, Publication};
 
 mod adoption;
 mod limits;
@@ -41,7 +41,7 @@ fn finished(closed: u32, set: Set) -> Publication<N, P> {
         payload: BaseParameters::zeros(),
         range: MotionRange::NONE,
         commit: false,
-        report: Report::new(),
+        report: LearnerReport::new(),
     }
 }
 

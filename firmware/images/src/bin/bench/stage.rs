@@ -10,7 +10,7 @@ use foretorque::arm::ur5::{
 use foretorque::dynamics::{BaseParameters, FrictionParameters};
 use foretorque::feedforward::{FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::Lesson;
+use foretorque::learning::LearningSample;
 use foretorque::limits::Flags;
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
@@ -48,7 +48,7 @@ pub(crate) struct Stage {
     pub(crate) sample: JointSample<JOINTS>,
     pub(crate) torque: Torque<JOINTS>,
     pub(crate) feedforward: FeedForward,
-    pub(crate) lesson: Lesson<JOINTS>,
+    pub(crate) lesson: LearningSample<JOINTS>,
     pub(crate) exchange: Exchange,
     /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
     pub(crate) learner: &'static mut Learner,
@@ -107,7 +107,7 @@ impl Stage {
                 measured: None,
             },
             learner,
-            lesson: Lesson {
+            lesson: LearningSample {
                 tick: 0,
                 generation: 0,
                 requests: 0,
@@ -155,7 +155,7 @@ impl Stage {
             desired: wave,
             measured,
         };
-        self.lesson = Lesson {
+        self.lesson = LearningSample {
             tick,
             generation: 0,
             requests: 0,
