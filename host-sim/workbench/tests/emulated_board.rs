@@ -3,8 +3,9 @@
 mod talk;
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque_f405::chip;
 use foretorque_link::wire::{
-    BoardMessage, Configuration, CounterKind, Decoder, HostMessage, Pacing, SampleFrame, size,
+    BoardMessage, Configuration, CounterKind, Decoder, HostMessage, Pacing, SampleFrame,
 };
 use foretorque_workbench::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client, Native, Transport};
@@ -112,7 +113,7 @@ fn costs_repeat_from_run_to_run() {
     assert_eq!(first.receive_cost, second.receive_cost);
     assert!(first.tick_cost.mean > 1000 && first.receive_cost.mean > 10);
     // What docs/protocol.md allots to the interrupt.
-    assert!(u64::from(first.receive_cost.max) <= size::RECEIVE_INSTRUCTIONS);
+    assert!(u64::from(first.receive_cost.max) <= chip::RECEIVE_INSTRUCTIONS);
     assert_eq!(
         (first.late_sets, first.learning_samples_lost, first.overruns),
         (0, 0, 0)

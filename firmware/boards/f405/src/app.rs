@@ -28,7 +28,7 @@ use stm32f4xx_hal::pac::{self, Interrupt};
 use stm32f4xx_hal::prelude::*;
 
 use crate::board::{Arm, Board, Drive as _, JOINTS, PARAMETERS, Ports};
-use crate::chip::LINK_BAUD;
+use crate::chip::LINK_BYTES_S;
 use crate::clock::{self, ClockSource};
 use crate::counter::{self, Counter};
 use crate::fault::{self, Reason};
@@ -87,6 +87,8 @@ pub struct Started<B: Board> {
     pub wire: Wire,
     /// Of the tick.
     pub tick: Tick<B>,
+    /// Of the tick: the bytes of the link.
+    pub bytes: Bytes,
     /// Of the learner.
     pub learner: &'static mut BoardLearner,
     /// Of the idle loop.
@@ -152,7 +154,7 @@ pub fn start<B: Board>(
         counter_hz,
         reset_reason,
         kept_fault: kept,
-        link_baud: LINK_BAUD,
+        link_bytes_s: LINK_BYTES_S,
         write_key: secret::write_key(),
         seed,
         ..BoardDescription::plain(Counter)
@@ -200,10 +202,9 @@ pub fn start<B: Board>(
     Started {
         mailboxes,
         wire,
+        bytes: Bytes { received, waiting },
         tick: Tick {
             session,
-            received,
-            waiting,
             out,
             pace,
             drive,
@@ -235,11 +236,16 @@ pub fn timer() {
     rtic::pend(TICK);
 }
 
-/// The tick's task: session, link and drive.
-pub struct Tick<B: Board> {
-    session: &'static mut BoardSession,
+/// Bytes received, and bytes to send. Apart from [`Tick`], so that the linker sees the lengths of the rings: a division
+/// by them cannot panic then.
+pub struct Bytes {
     received: Consumer<'static, u8>,
     waiting: Producer<'static, u8>,
+}
+
+/// The tick's task: session and drive.
+pub struct Tick<B: Board> {
+    session: &'static mut BoardSession,
     out: FrameBuffer,
     pace: Pace,
     drive: B::Drive,
@@ -251,11 +257,10 @@ pub struct Tick<B: Board> {
 impl<B: Board> Tick<B> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
+    pub fn run(&mut self, bytes: &mut Bytes, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
+        let Bytes { received, waiting } = bytes;
         let Self {
             session,
-            received,
-            waiting,
             out,
             pace,
             drive,
@@ -404,7 +409,7 @@ macro_rules! image {
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
             use $crate::app::{
-                BoardMailboxes, Idle, Started, Statics, Tick, byte, learn, start, timer,
+                BoardMailboxes, Bytes, Idle, Started, Statics, Tick, byte, learn, start, timer,
             };
             use $crate::link::Wire;
             use $crate::rooms::BoardLearner;
@@ -418,6 +423,7 @@ macro_rules! image {
             struct Local {
                 wire: Wire,
                 tick: Tick<$board>,
+                bytes: Bytes,
                 learner: &'static mut BoardLearner,
                 idle: Idle,
             }
@@ -428,12 +434,14 @@ macro_rules! image {
                     mailboxes,
                     wire,
                     tick,
+                    bytes,
                     learner,
                     idle,
                 } = start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
                     wire,
                     tick,
+                    bytes,
                     learner,
                     idle,
                 };
@@ -450,9 +458,9 @@ macro_rules! image {
                 timer();
             }
 
-            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [mailboxes])]
+            #[task(binds = EXTI1, priority = 3, local = [tick, bytes], shared = [mailboxes])]
             fn on_tick(mut cx: on_tick::Context) {
-                cx.local.tick.run(&mut cx.shared.mailboxes);
+                cx.local.tick.run(cx.local.bytes, &mut cx.shared.mailboxes);
             }
 
             #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailboxes])]

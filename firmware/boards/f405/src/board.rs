@@ -8,7 +8,9 @@ use crate::pin::Pin;
 use crate::rooms::BoardSession;
 
 /// The arm of the images, its joints and its base parameters.
-pub use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
+pub use foretorque::arm::ur5::{
+    JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5 as Arm,
+};
 
 /// A board: constants, pins, and the drive of its joint.
 pub trait Board: Send + 'static {

@@ -67,8 +67,8 @@ pub struct BoardDescription<C = NoClock> {
     pub reset_reason: ResetReason,
     /// The fault that was latched before the start, where the board keeps it.
     pub kept_fault: SafetyReason,
-    /// Bit rate of its line, 1/s; 0 where there is no limit.
-    pub link_baud: u32,
+    /// Capacity of one direction of its link, bytes a second; 0 where there is no limit.
+    pub link_bytes_s: u32,
     /// The write key, if there is one.
     pub write_key: Option<WriteKey>,
     /// Seed of the challenges; differs from start to start.
@@ -86,7 +86,7 @@ impl<C> BoardDescription<C> {
             clock,
             reset_reason: ResetReason::Unknown,
             kept_fault: SafetyReason::None,
-            link_baud: 0,
+            link_bytes_s: 0,
             write_key: None,
             seed: [0; MAC_BYTES],
         }

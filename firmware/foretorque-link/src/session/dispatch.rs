@@ -179,9 +179,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             ReplyMode::Decimated => size::torque(N),
             ReplyMode::Full => size::full_torque(N),
         };
-        match self.board.link_baud {
+        match self.board.link_bytes_s {
             0 => UNLIMITED,
-            baud => size::left(baud, configuration.period_us, reply),
+            bytes_s => size::left(bytes_s, configuration.period_us, reply),
         }
     }
 }
