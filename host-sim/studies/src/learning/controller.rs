@@ -76,7 +76,7 @@ impl Controller {
     pub(super) fn tick(&mut self, sample: Option<&JointSample<N>>) -> Torque<N> {
         self.feedforward.adopt(&mut self.exchange);
         let heard = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
-        let sample = self.safety.admit(heard, 1);
+        let sample = self.safety.admit(heard, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feedforward.step(sample),
             None => self.feedforward.step_stale(),
