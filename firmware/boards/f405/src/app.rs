@@ -18,7 +18,7 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use foretorque::arm::Arm as _;
 use foretorque_link::safety::{SafetyReason, Task};
-use foretorque_link::session::{BoardDescription, Desk};
+use foretorque_link::session::{BoardDescription, LearnerMailbox};
 use foretorque_link::store::Store;
 use foretorque_link::telemetry::CostMeter;
 use foretorque_link::wire::{Capabilities, FrameBuffer};
@@ -28,7 +28,7 @@ use stm32f4xx_hal::pac::{self, Interrupt};
 use stm32f4xx_hal::prelude::*;
 
 use crate::board::{Arm, Board, Drive as _, JOINTS, PARAMETERS, Ports};
-use crate::chip::LINK_BAUD;
+use crate::chip::LINK_BYTES_S;
 use crate::clock::{self, ClockSource};
 use crate::counter::{self, Counter};
 use crate::fault::{self, Reason};
@@ -38,7 +38,7 @@ use crate::pace::{self, Pace};
 use crate::rooms::{BoardLearner, BoardSession, furnish, open};
 use crate::secret;
 use crate::store_flash::StoreFlash;
-use crate::watchdog::{self, ROLL, Watchdog};
+use crate::watchdog::{self, TASKS, Watchdog};
 
 /// Interrupt of the tick's task.
 const TICK: Interrupt = Interrupt::EXTI1;
@@ -55,11 +55,11 @@ static TICKS: AtomicU32 = AtomicU32::new(0);
 static TICKED: AtomicBool = AtomicBool::new(false);
 
 /// Shared by the tick and the learner: requests, lessons and parameter sets on their way.
-pub type BoardDesk = &'static mut Desk<JOINTS, PARAMETERS>;
+pub type BoardMailbox = &'static mut LearnerMailbox<JOINTS, PARAMETERS>;
 
 /// Static memory of the large parts.
 pub struct Statics {
-    desk: MaybeUninit<Desk<JOINTS, PARAMETERS>>,
+    mailbox: MaybeUninit<LearnerMailbox<JOINTS, PARAMETERS>>,
     session: MaybeUninit<BoardSession>,
     learner: MaybeUninit<BoardLearner>,
     receive_ring: Queue<u8, RECEIVE_RING>,
@@ -70,7 +70,7 @@ impl Statics {
     /// Nothing in it.
     pub const fn empty() -> Self {
         Self {
-            desk: MaybeUninit::uninit(),
+            mailbox: MaybeUninit::uninit(),
             session: MaybeUninit::uninit(),
             learner: MaybeUninit::uninit(),
             receive_ring: Queue::new(),
@@ -82,11 +82,13 @@ impl Statics {
 /// The parts of a started board, one for each task.
 pub struct Started<B: Board> {
     /// Shared by tick, learner and idle loop.
-    pub desk: BoardDesk,
+    pub mailbox: BoardMailbox,
     /// Of the link's interrupt.
     pub wire: Wire,
     /// Of the tick.
     pub tick: Tick<B>,
+    /// Of the tick: the bytes of the link.
+    pub bytes: Bytes,
     /// Of the learner.
     pub learner: &'static mut BoardLearner,
     /// Of the idle loop.
@@ -152,7 +154,7 @@ pub fn start<B: Board>(
         counter_hz,
         reset_reason,
         kept_fault: kept,
-        link_baud: LINK_BAUD,
+        link_bytes_s: LINK_BYTES_S,
         write_key: secret::write_key(),
         seed,
         ..BoardDescription::plain(Counter)
@@ -160,9 +162,9 @@ pub fn start<B: Board>(
     let Some(session) = open(&mut statics.session, description) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
-    let desk = statics.desk.write(Desk::new());
+    let mailbox = statics.mailbox.write(LearnerMailbox::new());
     let mut store = Store::new(StoreFlash::new(chip.FLASH));
-    let stored = session.boot_from(&mut store, desk);
+    let stored = session.boot_from(&mut store, mailbox);
     defmt::info!("store: {}", stored);
     let period_s = session.configuration().period_us as f32 * 1e-6;
     let prior = &session.feed_forward().state().active;
@@ -182,7 +184,7 @@ pub fn start<B: Board>(
     let boot_counts = counter::now().wrapping_sub(booting);
     session.note_boot(boot_counts);
     drive.watch(session);
-    session.greet(&mut out);
+    session.send_hello(&mut out);
     link::send(&mut waiting, out.as_bytes());
     out.clear();
     defmt::info!(
@@ -198,12 +200,11 @@ pub fn start<B: Board>(
             .unwrap_or_default()
     );
     Started {
-        desk,
+        mailbox,
         wire,
+        bytes: Bytes { received, waiting },
         tick: Tick {
             session,
-            received,
-            waiting,
             out,
             pace,
             drive,
@@ -235,11 +236,16 @@ pub fn timer() {
     rtic::pend(TICK);
 }
 
-/// The tick's task: session, link and drive.
-pub struct Tick<B: Board> {
-    session: &'static mut BoardSession,
+/// Bytes received, and bytes to send. Apart from [`Tick`], so that the linker sees the lengths of the rings: a division
+/// by them cannot panic then.
+pub struct Bytes {
     received: Consumer<'static, u8>,
     waiting: Producer<'static, u8>,
+}
+
+/// The tick's task: session and drive.
+pub struct Tick<B: Board> {
+    session: &'static mut BoardSession,
     out: FrameBuffer,
     pace: Pace,
     drive: B::Drive,
@@ -251,11 +257,10 @@ pub struct Tick<B: Board> {
 impl<B: Board> Tick<B> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, desk: &mut impl Mutex<T = BoardDesk>) {
+    pub fn run(&mut self, bytes: &mut Bytes, mailbox: &mut impl Mutex<T = BoardMailbox>) {
+        let Bytes { received, waiting } = bytes;
         let Self {
             session,
-            received,
-            waiting,
             out,
             pace,
             drive,
@@ -263,12 +268,12 @@ impl<B: Board> Tick<B> {
             troubles,
             latency,
         } = self;
-        desk.lock(|desk| {
+        mailbox.lock(|mailbox| {
             drive.watch(session);
             if pace::take_due() {
-                session.timer_tick_with(desk, out, drive.own());
+                session.timer_tick_with(mailbox, out, drive.own());
             }
-            session.collect(desk, out);
+            session.poll_store(mailbox, out);
             loop {
                 let mut chunk = [0; CHUNK];
                 let mut count = 0;
@@ -280,7 +285,7 @@ impl<B: Board> Tick<B> {
                     count += 1;
                 }
                 let bytes = chunk.get(..count).unwrap_or_default();
-                session.receive_with(bytes, desk, out, drive.own());
+                session.receive_with(bytes, mailbox, out, drive.own());
                 // Before the host reads of it: what is told is done.
                 drive.follow(session);
                 let latched = session.latched_fault();
@@ -292,7 +297,7 @@ impl<B: Board> Tick<B> {
                     fault::leave::<B>(Reason::Asked, 0);
                 }
                 // An answer that waits for the learner is sent when that has woken this task again.
-                let waits = desk.holds_answer();
+                let waits = mailbox.holds_reply();
                 if !out.is_empty() {
                     if !waits && !link::send(waiting, out.as_bytes()) {
                         session.note_reply_lost();
@@ -321,26 +326,26 @@ impl<B: Board> Tick<B> {
         }
         TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
         TICKED.store(true, Ordering::Relaxed);
-        ROLL.present(Task::Tick);
+        TASKS.check_in(Task::Tick);
         if session.link_alive() {
-            ROLL.present(Task::Link);
+            TASKS.check_in(Task::Link);
         }
     }
 }
 
 /// The learner's task: works the lessons off.
 #[inline(always)]
-pub fn learn(learner: &mut BoardLearner, desk: &mut impl Mutex<T = BoardDesk>) {
-    while let Some(lesson) = desk.lock(|desk| desk.begin(learner)) {
+pub fn learn(learner: &mut BoardLearner, mailbox: &mut impl Mutex<T = BoardMailbox>) {
+    while let Some(lesson) = mailbox.lock(|mailbox| mailbox.begin(learner)) {
         let start = counter::now();
         learner.study(&lesson);
         let cost = counter::now().wrapping_sub(start);
-        desk.lock(|desk| desk.finish(learner, cost));
+        mailbox.lock(|mailbox| mailbox.finish(learner, cost));
     }
-    if desk.lock(|desk| desk.release_answer()) {
+    if mailbox.lock(|mailbox| mailbox.release_reply()) {
         rtic::pend(TICK);
     }
-    ROLL.present(Task::Learner);
+    TASKS.check_in(Task::Learner);
 }
 
 /// The idle loop: log, store, watchdog.
@@ -353,7 +358,7 @@ pub struct Idle {
 impl Idle {
     /// Never returns.
     #[inline(always)]
-    pub fn run<B: Board>(&mut self, desk: &mut impl Mutex<T = BoardDesk>) -> ! {
+    pub fn run<B: Board>(&mut self, mailbox: &mut impl Mutex<T = BoardMailbox>) -> ! {
         let mut logged = 0;
         loop {
             let ticks = TICKS.load(Ordering::Relaxed);
@@ -375,14 +380,14 @@ impl Idle {
             if let Some(drain) = &self.drain {
                 drain.empty();
             }
-            if let Some(mut job) = desk.lock(|desk| desk.store.begin()) {
+            if let Some(mut job) = mailbox.lock(|mailbox| mailbox.store.begin()) {
                 let store = &mut self.store;
-                let outcome = self.watchdog.patient(|| job.carry_out(store, Arm::HASH));
-                desk.lock(|desk| desk.store.finish(&job, outcome));
+                let outcome = self.watchdog.patient(|| job.execute(store, Arm::HASH));
+                mailbox.lock(|mailbox| mailbox.store.finish(&job, outcome));
                 // It answers the host.
                 rtic::pend(TICK);
             }
-            ROLL.present(Task::Housekeeping);
+            TASKS.check_in(Task::Housekeeping);
             self.watchdog.feed_if_all_present();
             // A tick that came since the beginning of this round may have left work: an interrupt that is only pending
             // ends the wait too, so none is slept through.
@@ -403,19 +408,22 @@ macro_rules! image {
 
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
-            use $crate::app::{BoardDesk, Idle, Started, Statics, Tick, byte, learn, start, timer};
+            use $crate::app::{
+                BoardMailbox, Bytes, Idle, Started, Statics, Tick, byte, learn, start, timer,
+            };
             use $crate::link::Wire;
             use $crate::rooms::BoardLearner;
 
             #[shared]
             struct Shared {
-                desk: BoardDesk,
+                mailbox: BoardMailbox,
             }
 
             #[local]
             struct Local {
                 wire: Wire,
                 tick: Tick<$board>,
+                bytes: Bytes,
                 learner: &'static mut BoardLearner,
                 idle: Idle,
             }
@@ -423,19 +431,21 @@ macro_rules! image {
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let Started {
-                    desk,
+                    mailbox,
                     wire,
                     tick,
+                    bytes,
                     learner,
                     idle,
                 } = start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
                     wire,
                     tick,
+                    bytes,
                     learner,
                     idle,
                 };
-                (Shared { desk }, local)
+                (Shared { mailbox }, local)
             }
 
             #[task(binds = USART2, priority = 4, local = [wire])]
@@ -448,19 +458,19 @@ macro_rules! image {
                 timer();
             }
 
-            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [desk])]
+            #[task(binds = EXTI1, priority = 3, local = [tick, bytes], shared = [mailbox])]
             fn on_tick(mut cx: on_tick::Context) {
-                cx.local.tick.run(&mut cx.shared.desk);
+                cx.local.tick.run(cx.local.bytes, &mut cx.shared.mailbox);
             }
 
-            #[task(binds = EXTI2, priority = 2, local = [learner], shared = [desk])]
+            #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailbox])]
             fn on_lesson(mut cx: on_lesson::Context) {
-                learn(cx.local.learner, &mut cx.shared.desk);
+                learn(cx.local.learner, &mut cx.shared.mailbox);
             }
 
-            #[idle(local = [idle], shared = [desk])]
+            #[idle(local = [idle], shared = [mailbox])]
             fn on_idle(mut cx: on_idle::Context) -> ! {
-                cx.local.idle.run::<$board>(&mut cx.shared.desk)
+                cx.local.idle.run::<$board>(&mut cx.shared.mailbox)
             }
         }
     };

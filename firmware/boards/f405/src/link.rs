@@ -152,7 +152,7 @@ pub fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
     queued
 }
 
-/// Cost of receiving one byte, in counts, without what `size::RECEIVE_OVERHEAD` of the protocol adds.
+/// Cost of receiving one byte, in counts, without [`chip::RECEIVE_OVERHEAD`].
 pub fn receive_cost() -> Cost {
     let counted = RECEIVED.counted.load(Ordering::Relaxed).max(1);
     Cost {

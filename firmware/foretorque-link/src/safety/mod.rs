@@ -11,23 +11,23 @@
 //! constants of arm and firmware; what a bank or a command says is inside them or has no effect. `docs/safety.md` says
 //! what every reason means and what to do about it.
 
-mod heat;
 mod input;
 mod limits;
 mod plausibility;
 mod reason;
-mod roll_call;
+mod task_check_in;
+mod thermal_derating;
 
-pub use heat::{HOT_C, HYSTERESIS_C, WARM_C};
 pub use input::{ARM_DISTANCE, ARM_SAMPLES};
 pub use limits::{COMMAND_TIMEOUT_S, SafetyLimits};
 pub use reason::{SafetyReason, SafetyState, SafetyStatus};
-pub use roll_call::{RollCall, Task};
+pub use task_check_in::{Task, TaskCheckIn};
+pub use thermal_derating::{HOT_C, HYSTERESIS_C, WARM_C};
 
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::{cut, limit};
-use heat::MotorHeat;
 use input::InputState;
+use thermal_derating::ThermalDerating;
 
 /// The safety of one board: state machine, hard limits, plausibility of the input.
 ///
@@ -61,7 +61,7 @@ pub struct Safety<const N: usize> {
     /// Armed, and no sample has come since.
     unconfirmed: bool,
     input: InputState<N>,
-    heat: MotorHeat<N>,
+    heat: ThermalDerating<N>,
     /// The torque of the last tick, as it left, N × N·m.
     output: JointVector<N>,
 }
@@ -79,7 +79,7 @@ impl<const N: usize> Safety<N> {
             ended: SafetyReason::None,
             unconfirmed: false,
             input: InputState::new(),
-            heat: MotorHeat::new(),
+            heat: ThermalDerating::new(),
             output: JointVector::zeros(),
         }
     }
@@ -122,7 +122,7 @@ impl<const N: usize> Safety<N> {
     }
 
     /// No torque flows, or its samples come in time, or it is on its way to zero because they do not: the time-out works.
-    pub fn heard_in_time(&self) -> bool {
+    pub fn input_in_time(&self) -> bool {
         self.state != SafetyState::Armed || !self.input.timed_out(&self.limits)
     }
 
@@ -257,11 +257,11 @@ impl<const N: usize> Safety<N> {
 
     /// Emergency stop: torque zero and enable pin off at once, in any state; latches. Cannot fail.
     pub fn stop(&mut self) {
-        self.cut(SafetyReason::Stopped);
+        self.torque_off(SafetyReason::Stopped);
     }
 
     /// Torque zero and enable pin off at once, in any state, for `fault`, which latches unless another has. Cannot fail.
-    pub fn cut(&mut self, fault: SafetyReason) {
+    pub fn torque_off(&mut self, fault: SafetyReason) {
         self.trip(fault);
         self.output = JointVector::zeros();
         self.rest();

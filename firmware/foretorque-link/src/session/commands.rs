@@ -1,12 +1,12 @@
 //! What a host can ask of a board besides torque. A command that fails has changed nothing.
 
 use super::link::LinkState;
-use super::periods::Periods;
+use super::sample_gaps::SampleGaps;
 use super::{Clock, Session, seconds};
 use crate::bank::{BankError, NETWORK_SEED};
-use crate::excitation::{Cue, ExcitationError, Player};
+use crate::excitation::{ExcitationCommand, ExcitationError, Player};
 use crate::safety::SafetyLimits;
-use crate::session::Desk;
+use crate::session::LearnerMailbox;
 use crate::telemetry::CostMeter;
 use crate::wire::{
     BankSource, BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, MAC_BYTES,
@@ -43,10 +43,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     pub(super) fn configure(
         &mut self,
         wanted: Configuration,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         self.writable()?;
-        if self.player.stage().in_charge() {
+        if self.player.state().is_active() {
             return Err(NackReason::Excitation(ExcitationError::Running));
         }
         if !Configuration::PERIODS_US.contains(&wanted.period_us) {
@@ -58,7 +58,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             return Err(NackReason::NotCapable);
         }
         let set = self.feed_forward.state().active;
-        self.restart(wanted, &set, desk)
+        self.restart(wanted, &set, mailbox)
     }
 
     /// The tick starts over at 0 with `set`, and so does the learner. Changes nothing when it fails.
@@ -67,7 +67,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         configuration: Configuration,
         set: &ParameterSet<N, P>,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         let period_s = seconds(&configuration);
         let config = self.bank.feed_forward_config::<A, N, P>(period_s);
@@ -80,8 +80,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
         self.stream.end();
         self.newest = None;
-        self.periods = Periods::new();
-        desk.restart(period_s, set);
+        self.periods = SampleGaps::new();
+        mailbox.restart(period_s, set);
         Ok(())
     }
 
@@ -92,27 +92,34 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         length: u16,
         crc: u32,
         mac: Option<[u8; MAC_BYTES]>,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         self.writable()?;
         self.signed(mac)?;
         self.transfer.commit(length, crc, &mut self.incoming)?;
-        self.take_over(desk)
+        self.take_over(mailbox)
     }
 
     /// Takes over a set that the store kept, all of it or nothing: at boot, or when the host asks for it.
     ///
     /// Errors: [`NackReason::Armed`], [`NackReason::LearningOn`], [`NackReason::Bank`].
     #[inline(never)]
-    pub fn restore(&mut self, bytes: &[u8], desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+    pub fn restore(
+        &mut self,
+        bytes: &[u8],
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
         self.writable()?;
         self.transfer.abort();
         self.incoming.decode_into(bytes).map_err(NackReason::Bank)?;
-        self.take_over(desk)
+        self.take_over(mailbox)
     }
 
     /// Makes the bank that came in the one in force, if it is one for this board.
-    pub(super) fn take_over(&mut self, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+    pub(super) fn take_over(
+        &mut self,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
         let gains = self.incoming.drive_gains().map_err(NackReason::Bank)?;
         let set = self.incoming.set::<A, N, P>().map_err(NackReason::Bank)?;
         let period_s = seconds(&self.configuration);
@@ -121,7 +128,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.feed_forward
             .configure(config)
             .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
-        self.feed_forward.load(set, &mut desk.exchange);
+        self.feed_forward.load(set, &mut mailbox.exchange);
         self.gains = gains;
         core::mem::swap(&mut self.bank, &mut self.incoming);
         Ok(())
@@ -141,9 +148,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.player.load(&program).map_err(NackReason::Excitation)
     }
 
-    pub(super) fn excitation(&mut self, cue: Cue) -> Result<BoardMessage<N>, NackReason> {
-        self.player.cue(cue).map_err(NackReason::Excitation)?;
-        Ok(BoardMessage::Excitation(self.player.stage()))
+    pub(super) fn excitation(
+        &mut self,
+        command: ExcitationCommand,
+    ) -> Result<BoardMessage<N>, NackReason> {
+        self.player
+            .command(command)
+            .map_err(NackReason::Excitation)?;
+        Ok(BoardMessage::Excitation(self.player.state()))
     }
 
     /// Answers with a piece of a bank; that of the stored one comes when the store has brought it.
@@ -153,12 +165,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         sequence: u16,
         source: BankSource,
         offset: u16,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
         out: &mut FrameBuffer,
     ) {
         let taken = match (source, offset) {
             (_, 1..) => Ok(()),
-            (BankSource::Stored, 0) => match self.fetch(sequence, true, desk) {
+            (BankSource::Stored, 0) => match self.fetch(sequence, true, mailbox) {
                 Ok(()) => return,
                 Err(reason) => Err(reason),
             },
@@ -198,20 +210,24 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     }
 
     /// Emergency stop, of the torque and of the learning: what led to it may not be fit to learn from.
-    pub(super) fn stop(&mut self, desk: &mut Desk<N, P>) {
+    pub(super) fn stop(&mut self, mailbox: &mut LearnerMailbox<N, P>) {
         self.safety.stop();
         self.feed_forward.applied(self.safety.output());
         // It takes the place of a request that still waits.
         self.feed_forward
-            .request_over(Request::Stop, &mut desk.exchange);
+            .request_over(Request::Stop, &mut mailbox.exchange);
     }
 
-    pub(super) fn request(&mut self, code: u8, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+    pub(super) fn request(
+        &mut self,
+        code: u8,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
         // The learner's own stop belongs to the emergency stop alone.
         let request = Request::from_code(code).filter(|&request| request != Request::Stop);
         let request = request.ok_or(NackReason::NotCapable)?;
         self.feed_forward
-            .request(request, &mut desk.exchange)
+            .request(request, &mut mailbox.exchange)
             .map_err(|_| NackReason::Busy)
     }
 
@@ -251,16 +267,20 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         Err(NackReason::Key)
     }
 
-    pub(super) fn arm(&mut self, desk: &Desk<N, P>) -> Result<(), NackReason> {
+    pub(super) fn arm(&mut self, mailbox: &LearnerMailbox<N, P>) -> Result<(), NackReason> {
         // While the flash is written the processor stands still.
-        if desk.store.is_busy() {
+        if mailbox.store.is_busy() {
             return Err(NackReason::Busy);
         }
         self.safety.arm().map_err(NackReason::Unsafe)
     }
 
     #[inline(never)]
-    pub(super) fn reset(&mut self, sequence: u16, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+    pub(super) fn reset(
+        &mut self,
+        sequence: u16,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
         if !self.safety.at_rest() {
             return Err(NackReason::Armed);
         }
@@ -269,14 +289,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.bank.refresh::<A, N, P>(&set);
         self.gains = [0.0; N];
         self.transfer.abort();
-        self.restart(Configuration::default(), &set, desk)?;
+        self.restart(Configuration::default(), &set, mailbox)?;
         self.decoder = Decoder::new();
         self.link = LinkState::after(sequence);
         self.temperatures_c = [SampleFrame::<N>::NO_TEMPERATURE; N];
         self.ticks = 0;
         self.tick_cost = CostMeter::new();
-        desk.lessons_lost = 0;
-        desk.learn_cost = CostMeter::new();
+        mailbox.learning_samples_lost = 0;
+        mailbox.learn_cost = CostMeter::new();
         Ok(())
     }
 }

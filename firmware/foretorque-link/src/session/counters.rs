@@ -1,6 +1,6 @@
 //! What the session counts, and what its owner measures for it.
 
-use super::{Clock, Desk, Session};
+use super::{Clock, LearnerMailbox, Session};
 use crate::telemetry::{Cost, Statistics};
 use crate::wire::SampleFrame;
 use foretorque::arm::Arm;
@@ -34,7 +34,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     }
 
     /// Counters since boot or reset.
-    pub fn statistics(&self, desk: &Desk<N, P>) -> Statistics {
+    pub fn statistics(&self, mailbox: &LearnerMailbox<N, P>) -> Statistics {
         Statistics {
             frames: self.link.frames,
             crc_errors: self.link.crc_errors,
@@ -50,9 +50,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             replies_lost: self.link.replies_lost,
             ticks: self.ticks,
             late_sets: self.feed_forward.state().late_sets,
-            lessons_lost: desk.lessons_lost,
+            learning_samples_lost: mailbox.learning_samples_lost,
             tick_cost: self.tick_cost.cost(),
-            learn_cost: desk.learn_cost.cost(),
+            learn_cost: mailbox.learn_cost.cost(),
             receive_cost: self.receive_cost,
             hottest_c: self
                 .temperatures_c

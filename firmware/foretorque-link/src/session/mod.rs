@@ -3,19 +3,19 @@
 mod clock;
 mod commands;
 mod counters;
-mod desk;
 mod link;
-mod own_joint;
-mod periods;
+mod local_sensor;
+mod mailbox;
 mod receive;
+mod sample_gaps;
 mod stored;
 mod stream;
 mod tick;
 mod transfer;
 
 pub use clock::{Clock, NoClock};
-pub use desk::Desk;
-pub use own_joint::{HostMeasures, OwnJoint};
+pub use local_sensor::{LocalSensor, NoLocalSensor};
+pub use mailbox::LearnerMailbox;
 
 use crate::bank::{NETWORK_SEED, ParameterBank, name};
 use crate::excitation::Player;
@@ -33,7 +33,7 @@ use foretorque::feedforward::{FeedForward, FeedForwardConfig};
 use foretorque::joint::JointVector;
 use foretorque::learning::{ConfigError, ParameterSet};
 use link::LinkState;
-use periods::Periods;
+use sample_gaps::SampleGaps;
 use stream::Stream;
 use transfer::Transfer;
 
@@ -54,8 +54,8 @@ pub struct BoardDescription<C = NoClock> {
     pub reset_reason: ResetReason,
     /// The fault that was latched before it started, where the board keeps that.
     pub kept_fault: SafetyReason,
-    /// Bit rate of its line, 1/s; 0 where the link is none.
-    pub link_baud: u32,
+    /// Capacity of one direction of its link, bytes a second; 0 where there is no limit.
+    pub link_bytes_s: u32,
     /// The write key, where it has one.
     pub write_key: Option<WriteKey>,
     /// Differs from start to start, for the challenges that a board with a write key gives.
@@ -73,7 +73,7 @@ impl<C> BoardDescription<C> {
             clock,
             reset_reason: ResetReason::Unknown,
             kept_fault: SafetyReason::None,
-            link_baud: 0,
+            link_bytes_s: 0,
             write_key: None,
             seed: [0; MAC_BYTES],
         }
@@ -99,12 +99,12 @@ impl<C> BoardDescription<C> {
 ///
 /// ```
 /// use foretorque::arm::ur5::Ur5;
-/// use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
+/// use foretorque_link::session::{BoardDescription, LearnerMailbox, NoClock, Session};
 /// use foretorque_link::wire::{FrameBuffer, HostMessage};
-/// let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))?;
-/// let (mut desk, mut request, mut reply) = (Desk::new(), FrameBuffer::new(), FrameBuffer::new());
+/// let mut session = Session::<Ur5, _, _>::new(BoardDescription::plain(NoClock))?;
+/// let (mut mailbox, mut request, mut reply) = (LearnerMailbox::new(), FrameBuffer::new(), FrameBuffer::new());
 /// request.push(1, &HostMessage::<6>::Hello)?;
-/// session.receive(request.as_bytes(), &mut desk, &mut reply);
+/// session.receive(request.as_bytes(), &mut mailbox, &mut reply);
 /// assert_eq!(reply.as_bytes().last(), Some(&0));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -123,7 +123,7 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     transfer: Transfer,
     /// The newest sample that no timer tick has used yet, with its sequence number.
     newest: Option<(u16, SampleFrame<N>)>,
-    periods: Periods,
+    periods: SampleGaps,
     last_sequence: u16,
     temperatures_c: [i8; N],
     ticks: u32,
@@ -154,7 +154,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     ///
     /// Errors: the first limit of the arm that cannot work.
     #[inline(never)]
-    pub fn furnish(
+    pub fn init_in_place(
         room: &mut MaybeUninit<Self>,
         board: BoardDescription<C>,
     ) -> Result<&mut Self, ConfigError> {
@@ -184,7 +184,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             incoming: ParameterBank::empty(),
             transfer: Transfer::new(),
             newest: None,
-            periods: Periods::new(),
+            periods: SampleGaps::new(),
             last_sequence: 0,
             temperatures_c: [SampleFrame::<N>::NO_TEMPERATURE; N],
             ticks: 0,
@@ -246,14 +246,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Latches a fault that the owner of the hardware has seen, and because of which no torque is put out any more: it is
     /// zero from now on.
-    pub fn cut(&mut self, fault: SafetyReason) {
-        self.safety.cut(fault);
+    pub fn torque_off(&mut self, fault: SafetyReason) {
+        self.safety.torque_off(fault);
         self.feed_forward.applied(self.safety.output());
     }
 
     /// Samples come, or none have to because no torque flows: what the link answers in the roll of a watchdog.
     pub fn link_alive(&self) -> bool {
-        self.safety.heard_in_time()
+        self.safety.input_in_time()
     }
 
     /// The host asked for the processor to start anew.
@@ -262,7 +262,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     }
 
     /// Says hello unasked, as a board does after boot.
-    pub fn greet(&mut self, out: &mut FrameBuffer) {
+    pub fn send_hello(&mut self, out: &mut FrameBuffer) {
         self.answer(0, &BoardMessage::Hello(self.hello()), out);
     }
 

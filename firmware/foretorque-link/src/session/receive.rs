@@ -1,7 +1,7 @@
 //! From the bytes of the link to what they ask for.
 
 use super::link::Order;
-use super::{Clock, Desk, HostMeasures, OwnJoint, Session};
+use super::{Clock, LearnerMailbox, LocalSensor, NoLocalSensor, Session};
 use crate::wire::{BoardMessage, DecodeError, FrameBuffer, HostMessage, NackReason};
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
@@ -11,17 +11,22 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     /// Takes bytes from the link, acts on every frame they complete and answers into `out`.
     ///
     /// Cost: a few instructions a byte; the byte that ends a sample also runs the tick where the link paces.
-    pub fn receive(&mut self, bytes: &[u8], desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
-        self.receive_with(bytes, desk, out, &mut HostMeasures);
+    pub fn receive(
+        &mut self,
+        bytes: &[u8],
+        mailbox: &mut LearnerMailbox<N, P>,
+        out: &mut FrameBuffer,
+    ) {
+        self.receive_with(bytes, mailbox, out, &mut NoLocalSensor);
     }
 
     /// The same on a board that measures a joint itself.
     pub fn receive_with(
         &mut self,
         bytes: &[u8],
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
         out: &mut FrameBuffer,
-        own: &mut impl OwnJoint,
+        own: &mut impl LocalSensor,
     ) {
         for &byte in bytes {
             if self.reboot {
@@ -40,14 +45,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                     // A stop that comes late or twice is still a stop.
                     let urgent = matches!(message, HostMessage::Stop);
                     if self.link.accept(sequence, restart) == Order::Forward || urgent {
-                        self.act(sequence, message, desk, out, own);
+                        self.act(sequence, message, mailbox, out, own);
                     }
                 }
                 Err(error) => {
                     self.link.refuse(error);
                     if let DecodeError::ForeignVersion(_) = error {
                         // So that a host of another generation can say what is wrong.
-                        self.greet(out);
+                        self.send_hello(out);
                     }
                 }
             }
@@ -58,12 +63,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         sequence: u16,
         message: HostMessage<N>,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
         out: &mut FrameBuffer,
-        own: &mut impl OwnJoint,
+        own: &mut impl LocalSensor,
     ) {
         let done = match message {
-            HostMessage::Sample(sample) => return self.sample(sequence, sample, desk, out, own),
+            HostMessage::Sample(sample) => return self.sample(sequence, sample, mailbox, out, own),
             HostMessage::Hello => {
                 self.periods.interrupt();
                 return self.answer(sequence, &BoardMessage::Hello(self.hello()), out);
@@ -74,21 +79,21 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 return self.answer(sequence, &BoardMessage::Evaluated((&torque).into()), out);
             }
             HostMessage::Statistics => {
-                let statistics = self.statistics(desk);
+                let statistics = self.statistics(mailbox);
                 return self.answer(sequence, &BoardMessage::Statistics(statistics), out);
             }
             HostMessage::BankRead { source, offset } => {
-                return self.read(sequence, source, offset, desk, out);
+                return self.read(sequence, source, offset, mailbox, out);
             }
-            HostMessage::Save => match self.save(sequence, desk) {
+            HostMessage::Save => match self.save(sequence, mailbox) {
                 Ok(()) => return,
                 Err(reason) => Err(reason),
             },
-            HostMessage::Restore => match self.fetch(sequence, false, desk) {
+            HostMessage::Restore => match self.fetch(sequence, false, mailbox) {
                 Ok(()) => return,
                 Err(reason) => Err(reason),
             },
-            HostMessage::Excitation(cue) => match self.excitation(cue) {
+            HostMessage::Excitation(command) => match self.excitation(command) {
                 Ok(stage) => return self.answer(sequence, &stage, out),
                 Err(reason) => Err(reason),
             },
@@ -98,7 +103,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 }
                 Err(reason) => Err(reason),
             },
-            message => self.command(sequence, message, desk),
+            message => self.command(sequence, message, mailbox),
         };
         let answer = match done {
             Ok(()) => BoardMessage::Ack,
@@ -112,28 +117,28 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         sequence: u16,
         message: HostMessage<N>,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         match message {
             HostMessage::BankWrite { offset, bytes } => self.write(offset, &bytes),
-            HostMessage::BankCommit { length, crc, mac } => self.commit(length, crc, mac, desk),
+            HostMessage::BankCommit { length, crc, mac } => self.commit(length, crc, mac, mailbox),
             HostMessage::ExcitationLoad { length, crc, mac } => {
                 self.load_excitation(length, crc, mac)
             }
-            HostMessage::Configure(configuration) => self.configure(configuration, desk),
+            HostMessage::Configure(configuration) => self.configure(configuration, mailbox),
             HostMessage::Learning { on } => self.set_learning(on),
-            HostMessage::Reset => self.reset(sequence, desk),
-            HostMessage::Arm => self.arm(desk),
+            HostMessage::Reset => self.reset(sequence, mailbox),
+            HostMessage::Arm => self.arm(mailbox),
             HostMessage::Disarm => {
                 self.safety.disarm();
                 Ok(())
             }
             HostMessage::Stop => {
-                self.stop(desk);
+                self.stop(mailbox);
                 Ok(())
             }
             HostMessage::ClearFault => self.safety.clear().map_err(NackReason::Unsafe),
-            HostMessage::Request { code } => self.request(code, desk),
+            HostMessage::Request { code } => self.request(code, mailbox),
             HostMessage::Telemetry { fields, every } => self.stream_telemetry(fields, every),
             HostMessage::Reboot => self.ask_for_reboot(),
             // Answered otherwise, above.

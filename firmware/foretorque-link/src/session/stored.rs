@@ -2,7 +2,7 @@
 
 use embedded_storage::nor_flash::NorFlash;
 
-use super::{Clock, Desk, Session};
+use super::{Clock, LearnerMailbox, Session};
 use crate::bank::ParameterBank;
 use crate::store::{Store, StoreError, StoreOrder, StoreState};
 use crate::wire::{BoardMessage, Capabilities, FrameBuffer, NackReason};
@@ -16,11 +16,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     pub fn boot_from<F: NorFlash>(
         &mut self,
         store: &mut Store<F>,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
     ) -> StoreState {
         let mut room = [0; ParameterBank::MAX_BYTES];
         let loaded = store.load(A::HASH, &mut room);
-        let state = match loaded.and_then(|bank| self.restore(bank, desk).map_err(refused)) {
+        let state = match loaded.and_then(|bank| self.restore(bank, mailbox).map_err(refused)) {
             Ok(()) => StoreState::Loaded,
             Err(error) => StoreState::Failed(error),
         };
@@ -28,26 +28,30 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         state
     }
 
-    /// Orders the set in force to be kept; [`collect`](Self::collect) answers.
+    /// Orders the set in force to be kept; [`poll_store`](Self::poll_store) answers.
     #[inline(never)]
-    pub(super) fn save(&mut self, sequence: u16, desk: &mut Desk<N, P>) -> Result<(), NackReason> {
+    pub(super) fn save(
+        &mut self,
+        sequence: u16,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
         self.writable()?;
         self.storing()?;
         self.bank
             .refresh::<A, N, P>(&self.feed_forward.state().active);
-        ordered(desk.store.save(sequence, &self.bank))
+        ordered(mailbox.store.save(sequence, &self.bank))
     }
 
-    /// Orders the stored set to be brought back, to be taken over or only to be read; [`collect`](Self::collect) answers.
+    /// Orders the stored set to be brought back, to be taken over or only to be read; [`poll_store`](Self::poll_store) answers.
     pub(super) fn fetch(
         &mut self,
         sequence: u16,
         to_be_read: bool,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         self.writable()?;
         self.storing()?;
-        ordered(desk.store.restore(sequence))?;
+        ordered(mailbox.store.restore(sequence))?;
         self.fetched_to_be_read = to_be_read;
         Ok(())
     }
@@ -62,8 +66,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Answers what the store was asked for, when it is done. To be called when the housekeeping has handed an order back.
     #[inline(never)]
-    pub fn collect(&mut self, desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
-        let Some(answer) = desk.store.collect() else {
+    pub fn poll_store(&mut self, mailbox: &mut LearnerMailbox<N, P>, out: &mut FrameBuffer) {
+        let Some(answer) = mailbox.store.collect() else {
             return;
         };
         let sequence = answer.requester;
@@ -85,7 +89,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 .map_err(NackReason::Bank)
                 // No torque can flow since the order was taken, but learning may have been switched on.
                 .and_then(|()| self.writable())
-                .and_then(|()| self.take_over(desk)),
+                .and_then(|()| self.take_over(mailbox)),
         };
         let answer = match done {
             Ok(()) => BoardMessage::Ack,

@@ -239,9 +239,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             ReplyMode::Decimated => size::torque(N),
             ReplyMode::Full => size::full_torque(N),
         };
-        let allowance = match self.board.link_baud {
+        let allowance = match self.board.link_bytes_s {
             0 => UNLIMITED,
-            baud => size::left(baud, self.configuration.period_us, reply),
+            bytes_s => size::left(bytes_s, self.configuration.period_us, reply),
         };
         self.stream.begin(fields, every, N, allowance)
     }

@@ -1,7 +1,7 @@
 //! The tick of a board: sample in, feed-forward, safety, torque out.
 
 use super::stream::Instant;
-use super::{Clock, Desk, HostMeasures, OwnJoint, Session};
+use super::{Clock, LearnerMailbox, LocalSensor, NoLocalSensor, Session};
 use crate::safety::SafetyReason;
 use crate::wire::{
     BoardMessage, ExcitedFrame, FrameBuffer, FullTorqueFrame, Pacing, ReplyMode, SampleFlags,
@@ -13,16 +13,16 @@ use foretorque::joint::JointSample;
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     /// The board's timer, once a period: runs the tick on the newest sample where the timer paces. Where the link paces it
     /// only watches for silence, which ends a torque that flows and lets samples grow too old to arm on.
-    pub fn timer_tick(&mut self, desk: &mut Desk<N, P>, out: &mut FrameBuffer) {
-        self.timer_tick_with(desk, out, &mut HostMeasures);
+    pub fn timer_tick(&mut self, mailbox: &mut LearnerMailbox<N, P>, out: &mut FrameBuffer) {
+        self.timer_tick_with(mailbox, out, &mut NoLocalSensor);
     }
 
     /// The same on a board that measures a joint itself.
     pub fn timer_tick_with(
         &mut self,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
         out: &mut FrameBuffer,
-        own: &mut impl OwnJoint,
+        own: &mut impl LocalSensor,
     ) {
         match self.configuration.pacing {
             Pacing::SysTick => {
@@ -30,7 +30,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 if sample.is_none() {
                     self.link.stale_ticks = self.link.stale_ticks.saturating_add(1);
                 }
-                self.tick(sample, desk, out, own);
+                self.tick(sample, mailbox, out, own);
             }
             Pacing::Link => {
                 self.safety.silence();
@@ -43,9 +43,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         sequence: u16,
         sample: SampleFrame<N>,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
         out: &mut FrameBuffer,
-        own: &mut impl OwnJoint,
+        own: &mut impl LocalSensor,
     ) {
         let joint = usize::from(sequence) % N;
         if let Some(slot) = self.temperatures_c.get_mut(joint) {
@@ -55,8 +55,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         match self.configuration.pacing {
             Pacing::Link => {
                 let lost = self.periods.lost(sample.flags, self.link.missed);
-                self.make_up(lost, desk);
-                self.tick(Some((sequence, sample)), desk, out, own);
+                self.fill_lost_ticks(lost, mailbox);
+                self.tick(Some((sequence, sample)), mailbox, out, own);
             }
             Pacing::SysTick => {
                 if self.newest.replace((sequence, sample)).is_some() {
@@ -69,13 +69,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     /// Runs the ticks whose samples were lost, as a timer would have: for the learner they are ticks without a measurement.
     /// The torque goes on from where it is; what silence does to it was the timer's business.
     ///
-    /// Cost: one tick without a sample for each of the lost ones, [`MADE_UP`](super::MADE_UP) at most.
+    /// Cost: one tick without a sample for each of the lost ones, [`MAX_FILLED`](super::MAX_FILLED) at most.
     #[inline(never)]
-    fn make_up(&mut self, lost: u32, desk: &mut Desk<N, P>) {
+    fn fill_lost_ticks(&mut self, lost: u32, mailbox: &mut LearnerMailbox<N, P>) {
         for _ in 0..lost {
-            self.feed_forward.adopt(&mut desk.exchange);
+            self.feed_forward.adopt(&mut mailbox.exchange);
             self.feed_forward.step_stale();
-            desk.post(self.feed_forward.lesson(None));
+            mailbox.post(self.feed_forward.lesson(None));
             self.ticks = self.ticks.wrapping_add(1);
             self.link.stale_ticks = self.link.stale_ticks.saturating_add(1);
         }
@@ -86,11 +86,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     fn tick(
         &mut self,
         sample: Option<(u16, SampleFrame<N>)>,
-        desk: &mut Desk<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
         out: &mut FrameBuffer,
-        own: &mut impl OwnJoint,
+        own: &mut impl LocalSensor,
     ) {
-        self.feed_forward.adopt(&mut desk.exchange);
+        self.feed_forward.adopt(&mut mailbox.exchange);
         // A host numbers its frames, one sample a period at most: the numbers bound how long ago the last one was.
         let before = self.last_sequence;
         let periods = sample.map_or(1, |(sequence, _)| sequence.wrapping_sub(before));
@@ -98,7 +98,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             self.last_sequence = sequence;
         }
         let patient =
-            sample.is_some_and(|(_, frame)| frame.flags.contains(SampleFlags::AFTER_LESSON));
+            sample.is_some_and(|(_, frame)| frame.flags.contains(SampleFlags::AFTER_LEARNING));
         let mut heard: Option<JointSample<N>> = sample.map(|(_, frame)| frame.sample(&self.gains));
         let sensor = own.measure(heard.as_mut(), self.safety.at_rest());
         if sensor != SafetyReason::None
@@ -121,18 +121,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.feed_forward.applied(&torque.total);
         self.tick_cost.note(cost);
         self.ticks = self.ticks.wrapping_add(1);
-        desk.post(
+        mailbox.post(
             self.feed_forward
                 .lesson(sample.and_then(|sample| sample.measured)),
         );
         if patient {
-            desk.hold_answer();
+            mailbox.hold_answer();
         }
         let status = self.safety.status();
         let reply = match (excited, self.configuration.reply) {
             (Some(desired), _) => {
                 let frame = TorqueFrame::new(&torque, status);
-                BoardMessage::Excited(ExcitedFrame::new(frame, self.player.stage(), &desired))
+                BoardMessage::Excited(ExcitedFrame::new(frame, self.player.state(), &desired))
             }
             (None, ReplyMode::Decimated) => BoardMessage::Torque(TorqueFrame::new(&torque, status)),
             (None, ReplyMode::Full) => {
@@ -146,7 +146,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 status,
                 sample: &sample,
                 report: &self.feed_forward.state().report,
-                costs: [cost, desk.learn_cost.cost().mean],
+                costs: [cost, mailbox.learn_cost.cost().mean],
                 losses: self.losses(),
                 temperatures_c: &self.temperatures_c,
             };

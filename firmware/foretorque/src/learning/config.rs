@@ -61,9 +61,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// * `period_s` period of the tick, s
     ///
     /// ```
-    /// use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-    /// use foretorque::learning::LearnerConfig;
-    /// const CONFIG: LearnerConfig<JOINTS, PARAMETERS> = LearnerConfig::for_arm::<Ur5>(1e-3);
+    /// use foretorque::arm::ur5::{LearnerConfig, Ur5};
+    /// const CONFIG: LearnerConfig = LearnerConfig::for_arm::<Ur5>(1e-3);
     /// assert!(CONFIG.validate().is_ok());
     /// ```
     pub const fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {

@@ -9,7 +9,7 @@ use foretorque_link::bank::NETWORK_SEED;
 use foretorque_link::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason, SafetyStatus};
 use foretorque_link::wire::SampleFrame;
 
-/// Safety, feed-forward, learner and the desk between them.
+/// Safety, feed-forward, learner and the mailbox between them.
 ///
 /// The session of the firmware calls these functions in this order too; that its answers are the same bits over its
 /// link, in the emulator, is what [`super::emulated`] shows.

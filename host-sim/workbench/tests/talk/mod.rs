@@ -116,7 +116,7 @@ impl<T: Transport> Talk<T> {
         };
         let mut said = self.ask(&HostMessage::Configure(configuration));
         // The learner is done before the next sample comes, however busy this machine is.
-        let patient = |k| SampleFrame::new(&sample(k)).answered_after_lesson();
+        let patient = |k| SampleFrame::new(&sample(k)).answered_after_learning();
         for _ in 0..ARM_SAMPLES {
             said.extend(self.ask(&HostMessage::Sample(patient(0))));
         }

@@ -239,7 +239,7 @@ fn what_is_asked_of_the_learner_is_handed_on() {
     assert_eq!(board.ask(ask(1)), BoardMessage::Ack);
     let busy = BoardMessage::Nack(NackReason::Busy);
     assert_eq!(board.ask(ask(3)), busy);
-    let waits = board.desk.exchange.request;
+    let waits = board.mailbox.exchange.request;
     assert_eq!(waits, Some((1, foretorque::learning::Request::Snapshot)));
     board.sample(0);
     board.learn();

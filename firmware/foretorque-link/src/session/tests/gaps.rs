@@ -145,7 +145,7 @@ fn a_lost_sample_leaves_the_learner_as_the_same_gap_does_where_the_tick_goes_on(
     assert!(timed.learner.state() == linked.board.learner.state());
     let seen = timed.learner.state().statistics;
     assert!(seen.accepted > 100 && seen.incomplete > 50, "{seen:?}");
-    let counted = linked.board.session.statistics(&linked.board.desk);
+    let counted = linked.board.session.statistics(&linked.board.mailbox);
     assert_eq!(counted.stale_ticks, lost.len() as u32);
 }
 
@@ -218,11 +218,11 @@ proptest! {
         for (sequence, flags) in frames {
             let mut sample = SampleFrame::new(&sample(0));
             sample.flags = SampleFlags(flags);
-            let before = board.session.statistics(&board.desk).ticks;
+            let before = board.session.statistics(&board.mailbox).ticks;
             board.hear(&frame(sequence, &HostMessage::Sample(sample)));
-            let ran = board.session.statistics(&board.desk).ticks - before;
+            let ran = board.session.statistics(&board.mailbox).ticks - before;
             prop_assert!(ran <= BRIDGED as u32 + 2, "{} ticks", ran);
-            prop_assert!(board.desk.waiting() <= BRIDGED + 2);
+            prop_assert!(board.mailbox.waiting() <= BRIDGED + 2);
             board.learn();
         }
     }

@@ -10,7 +10,7 @@ fn a_host_of_another_version_is_told_who_is_here() {
     let foreign = encode_as(9, 77, &HostMessage::<N>::Hello, &mut room).unwrap();
     let answers = board.hear(foreign);
     assert!(matches!(answers.as_slice(), [(0, BoardMessage::Hello(_))]));
-    assert_eq!(board.session.statistics(&board.desk).foreign_version, 1);
+    assert_eq!(board.session.statistics(&board.mailbox).foreign_version, 1);
 }
 
 #[test]
@@ -20,7 +20,7 @@ fn answers_that_find_no_room_are_counted_and_the_rest_is_whole() {
         .flat_map(|k| frame(k, &HostMessage::Statistics))
         .collect();
     let answers = board.hear(&flood);
-    let lost = board.session.statistics(&board.desk).replies_lost;
+    let lost = board.session.statistics(&board.mailbox).replies_lost;
     assert_eq!(answers.len() + lost as usize, 40);
     assert!(lost > 0);
 }

@@ -24,10 +24,10 @@ use std::vec::Vec;
 const N: usize = 6;
 const P: usize = 40;
 
-/// A session with its desk and learner, as one board has them.
+/// A session with its mailbox and learner, as one board has them.
 struct Board {
     session: Box<Session<Ur5, N, P>>,
-    desk: Box<Desk<N, P>>,
+    mailbox: Box<LearnerMailbox<N, P>>,
     learner: Box<Learner<Ur5, N, P>>,
     sequence: u16,
 }
@@ -44,7 +44,7 @@ impl Board {
         let set = session.feed_forward.state().active;
         Self {
             session: Box::new(session),
-            desk: Box::default(),
+            mailbox: Box::default(),
             learner: Box::new(Learner::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap()),
             sequence: 0,
         }
@@ -52,7 +52,7 @@ impl Board {
 
     fn hear(&mut self, bytes: &[u8]) -> Vec<(u16, BoardMessage<N>)> {
         let mut out = FrameBuffer::new();
-        self.session.receive(bytes, &mut self.desk, &mut out);
+        self.session.receive(bytes, &mut self.mailbox, &mut out);
         heard(out.as_bytes())
     }
 
@@ -83,7 +83,7 @@ impl Board {
 
     fn timer(&mut self) -> Vec<(u16, BoardMessage<N>)> {
         let mut out = FrameBuffer::new();
-        self.session.timer_tick(&mut self.desk, &mut out);
+        self.session.timer_tick(&mut self.mailbox, &mut out);
         heard(out.as_bytes())
     }
 
@@ -104,7 +104,7 @@ impl Board {
     }
 
     fn learn(&mut self) {
-        self.desk.work(&mut self.learner, &NoClock);
+        self.mailbox.work(&mut self.learner, &NoClock);
     }
 
     fn read(&mut self) -> Vec<u8> {

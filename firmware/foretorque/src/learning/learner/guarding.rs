@@ -186,15 +186,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             // A little better on some joints may be worse on others; much better is worth it.
             let told = config.proof_rows as f32;
             let agreed = |sigmas: f32| early || evidence.no_joint_objects(told, sigmas);
-            let opposed = evidence.opposes();
-            let fault = match evidence.common_gain(config.gain_error) {
-                _ if opposed => Some(-1.0),
-                gain => gain.filter(|_| settled),
+            let opposed = settled && evidence.opposes();
+            let fault = if opposed {
+                Some(-1.0)
+            } else {
+                evidence.common_gain(config.gain_error).filter(|_| settled)
             };
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
                 state.note(tick, Reason::DriveGain, None, gain);
             }
-            if settled || opposed {
+            if settled {
                 state.guard.gain_fault = fault.is_some();
             }
             if state.guard.following {

@@ -1,5 +1,5 @@
-// The smallest program that needs what the firmware needs of a toolchain: core, alloc, soft double arithmetic,
-// memory intrinsics, whole-program optimisation and a linker.
+// The smallest program that needs of a toolchain what the firmware needs: core, alloc, soft double arithmetic, memory
+// intrinsics, whole-program optimisation and a linker.
 #![no_std]
 #![no_main]
 

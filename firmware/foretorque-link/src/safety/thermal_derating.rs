@@ -10,12 +10,12 @@ const PLAUSIBLE_C: core::ops::RangeInclusive<i8> = -40..=125;
 
 /// Temperatures of the motors as the limits see them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct MotorHeat<const N: usize> {
+pub(super) struct ThermalDerating<const N: usize> {
     /// °C; `None` while nothing is known, which limits nothing.
     taken: [Option<i8>; N],
 }
 
-impl<const N: usize> MotorHeat<N> {
+impl<const N: usize> ThermalDerating<N> {
     /// Nothing is known.
     pub(super) const fn new() -> Self {
         Self { taken: [None; N] }
@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn the_limit_falls_with_heat_and_comes_back_later_than_it_went() {
-        let mut heat = MotorHeat::<2>::new();
+        let mut heat = ThermalDerating::<2>::new();
         let mut part = |celsius| {
             heat.note(1, celsius);
             heat.part(1)
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn a_reading_that_cannot_be_true_changes_nothing() {
-        let mut heat = MotorHeat::<1>::new();
+        let mut heat = ThermalDerating::<1>::new();
         heat.note(0, 95);
         for absurd in [i8::MIN, -100, 126, 127] {
             heat.note(0, absurd);

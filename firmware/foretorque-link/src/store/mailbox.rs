@@ -78,7 +78,7 @@ pub struct StoreJob {
 
 impl StoreJob {
     /// Does what was ordered. Blocking, and on one bank of flash stalling: for a disarmed board and its lowest priority.
-    pub fn carry_out<F: NorFlash>(
+    pub fn execute<F: NorFlash>(
         &mut self,
         store: &mut Store<F>,
         arm_hash: u32,
@@ -112,7 +112,7 @@ enum Phase {
 
 /// What came of an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StoreAnswer<'b> {
+pub struct StoreReply<'b> {
     /// Sequence number of the host's frame that asked.
     pub requester: u16,
     /// What it asked for.
@@ -124,13 +124,13 @@ pub struct StoreAnswer<'b> {
 /// The door between the session, which takes orders in the tick, and the housekeeping, which alone touches the flash.
 ///
 /// ```text
-/// tick:          desk.save(sequence, &bank)  …  if let Some(answer) = desk.collect() { … }
-/// housekeeping:  if let Some(mut job) = lock(|desk| desk.begin()) {
-///                    let outcome = job.carry_out(&mut store, arm_hash);      // the tick may run in the middle of it
-///                    lock(|desk| desk.finish(&job, outcome));
+/// tick:          mailbox.save(sequence, &bank)  …  if let Some(answer) = mailbox.collect() { … }
+/// housekeeping:  if let Some(mut job) = lock(|mailbox| mailbox.begin()) {
+///                    let outcome = job.execute(&mut store, arm_hash);      // the tick may run in the middle of it
+///                    lock(|mailbox| mailbox.finish(&job, outcome));
 ///                }
 /// ```
-pub struct StoreDesk {
+pub struct StoreMailbox {
     phase: Phase,
     order: StoreOrder,
     requester: u16,
@@ -138,7 +138,7 @@ pub struct StoreDesk {
     length: usize,
 }
 
-impl StoreDesk {
+impl StoreMailbox {
     /// Nothing ordered.
     pub const fn new() -> Self {
         Self {
@@ -199,12 +199,12 @@ impl StoreDesk {
     }
 
     /// What came of an order, once.
-    pub fn collect(&mut self) -> Option<StoreAnswer<'_>> {
+    pub fn collect(&mut self) -> Option<StoreReply<'_>> {
         let Phase::Done(outcome) = self.phase else {
             return None;
         };
         self.phase = Phase::Free;
-        Some(StoreAnswer {
+        Some(StoreReply {
             requester: self.requester,
             order: self.order,
             outcome: outcome.map(|()| self.bytes.get(..self.length).unwrap_or_default()),
@@ -212,7 +212,7 @@ impl StoreDesk {
     }
 }
 
-impl Default for StoreDesk {
+impl Default for StoreMailbox {
     fn default() -> Self {
         Self::new()
     }

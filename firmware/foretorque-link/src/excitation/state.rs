@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 /// Where an excitation stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Stage {
+pub enum ExcitationState {
     /// None is loaded.
     Empty,
     /// It is being checked, some points a tick.
@@ -25,9 +25,9 @@ pub enum Stage {
     Aborted(AbortReason),
 }
 
-impl Stage {
+impl ExcitationState {
     /// The player decides the desired motion.
-    pub const fn in_charge(self) -> bool {
+    pub const fn is_active(self) -> bool {
         matches!(
             self,
             Self::Approaching | Self::Playing | Self::Stopping | Self::Holding | Self::Aborted(_)
@@ -37,7 +37,7 @@ impl Stage {
 
 /// What a host can ask of the player.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Cue {
+pub enum ExcitationCommand {
     /// Where does it stand?
     Status,
     /// Begin: once the check has passed, from where the host holds the arm, in the next tick that has a measurement.

@@ -6,7 +6,7 @@ use core::hint::black_box;
 ///
 /// Cost: one division of the core below 2³², else 32 rounds of long division, one for each bit.
 #[inline(never)]
-pub(crate) const fn quotient(numerator: u64, divisor: u32) -> u32 {
+pub(crate) const fn div_u64_by_u32(numerator: u64, divisor: u32) -> u32 {
     let (mut rest, mut low) = ((numerator >> 32) as u32, numerator as u32);
     if rest >= divisor {
         return u32::MAX;
@@ -31,7 +31,7 @@ pub(crate) const fn quotient(numerator: u64, divisor: u32) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::quotient;
+    use super::div_u64_by_u32;
     use proptest::prelude::*;
 
     proptest! {
@@ -46,21 +46,21 @@ mod tests {
             let expected = numerator.checked_div(u64::from(divisor)).map_or(u32::MAX, |whole| {
                 u32::try_from(whole).unwrap_or(u32::MAX)
             });
-            prop_assert_eq!(quotient(numerator, divisor), expected);
+            prop_assert_eq!(div_u64_by_u32(numerator, divisor), expected);
         }
     }
 
     #[test]
     fn the_edges_hold() {
-        assert_eq!(quotient(0, 1), 0);
-        assert_eq!(quotient(0, 0), u32::MAX);
-        assert_eq!(quotient(u64::from(u32::MAX), 1), u32::MAX);
+        assert_eq!(div_u64_by_u32(0, 1), 0);
+        assert_eq!(div_u64_by_u32(0, 0), u32::MAX);
+        assert_eq!(div_u64_by_u32(u64::from(u32::MAX), 1), u32::MAX);
         assert_eq!(
-            quotient((u64::from(u32::MAX) << 32) - 1, u32::MAX),
+            div_u64_by_u32((u64::from(u32::MAX) << 32) - 1, u32::MAX),
             u32::MAX
         );
         assert_eq!(
-            quotient(u64::from(u32::MAX - 1) << 32, u32::MAX),
+            div_u64_by_u32(u64::from(u32::MAX - 1) << 32, u32::MAX),
             u32::MAX - 1
         );
     }

@@ -5,11 +5,11 @@ use foretorque::learning::BRIDGED;
 
 /// Most ticks that are made up for. After as many without a measurement nothing that the learner has seen counts any more,
 /// and it cannot tell a longer gap from this one; it is also what keeps the time of a tick bounded, whatever a host says.
-pub(super) const MADE_UP: u32 = BRIDGED as u32 + 1;
+pub(super) const MAX_FILLED: u32 = BRIDGED as u32 + 1;
 
 /// The host's count of its periods, as far as samples have told it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Periods {
+pub(super) struct SampleGaps {
     last: Option<u8>,
     /// The link's count of missed frames at that sample.
     missed: u32,
@@ -17,7 +17,7 @@ pub(super) struct Periods {
     interrupted: bool,
 }
 
-impl Periods {
+impl SampleGaps {
     /// Before the first sample, which nothing was lost before.
     pub(super) const fn new() -> Self {
         Self {
@@ -32,7 +32,7 @@ impl Periods {
         self.interrupted = true;
     }
 
-    /// Takes the number of a sample that has come; the periods that went by without theirs, [`MADE_UP`] for more.
+    /// Takes the number of a sample that has come; the periods that went by without theirs, [`MAX_FILLED`] for more.
     ///
     /// The link's own numbers would not do: a lost command is no lost sample, and a host that sends nothing in a period
     /// leaves out none of them.
@@ -53,9 +53,9 @@ impl Periods {
         // As many frames may hide a whole round of the numbers.
         let around = unheard >= u32::from(SampleFlags::PERIODS) - 1;
         if core::mem::take(&mut self.interrupted) || around {
-            return MADE_UP;
+            return MAX_FILLED;
         }
-        u32::from(ahead.saturating_sub(1)).min(MADE_UP)
+        u32::from(ahead.saturating_sub(1)).min(MAX_FILLED)
     }
 }
 
@@ -74,7 +74,7 @@ mod tests {
     }
 
     fn lost(samples: &[(u8, u32)]) -> std::vec::Vec<u32> {
-        let mut periods = Periods::new();
+        let mut periods = SampleGaps::new();
         samples
             .iter()
             .map(|&(period, missed)| periods.lost(flags(period), missed))
@@ -95,13 +95,13 @@ mod tests {
 
     #[test]
     fn more_than_can_be_bridged_is_all_the_same_and_so_is_what_nobody_knows() {
-        assert_eq!(lost(&[(1, 0), (8, 6), (7, 6)]), [0, MADE_UP, MADE_UP]);
-        assert_eq!(lost(&[(1, 0), (2, 32), (3, 32)]), [0, MADE_UP, 0]);
-        let mut periods = Periods::new();
+        assert_eq!(lost(&[(1, 0), (8, 6), (7, 6)]), [0, MAX_FILLED, MAX_FILLED]);
+        assert_eq!(lost(&[(1, 0), (2, 32), (3, 32)]), [0, MAX_FILLED, 0]);
+        let mut periods = SampleGaps::new();
         periods.interrupt();
         assert_eq!(periods.lost(flags(1), 0), 0, "there was nothing before");
         periods.interrupt();
-        assert_eq!(periods.lost(flags(2), 0), MADE_UP);
+        assert_eq!(periods.lost(flags(2), 0), MAX_FILLED);
         assert_eq!(periods.lost(flags(3), 0), 0);
     }
 
@@ -111,7 +111,7 @@ mod tests {
             for next in 0..=u8::MAX {
                 for missed in [0, 1, 31, u32::MAX] {
                     let said = lost(&[(last, 5), (next, missed)]);
-                    assert!(said.iter().all(|&lost| lost <= MADE_UP));
+                    assert!(said.iter().all(|&lost| lost <= MAX_FILLED));
                 }
             }
         }

@@ -2,7 +2,7 @@ use crate::safety::SafetyReason;
 use foretorque::joint::JointSample;
 
 /// What a board measures of its own joint, in the place of what the sample says.
-pub trait OwnJoint {
+pub trait LocalSensor {
     /// Puts the measurement into the sample. Called once in every tick, with the sample if one came.
     ///
     /// * `at_rest` no torque flows
@@ -18,9 +18,9 @@ pub trait OwnJoint {
 
 /// A board without a sensor of its own: the host measures every joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct HostMeasures;
+pub struct NoLocalSensor;
 
-impl OwnJoint for HostMeasures {
+impl LocalSensor for NoLocalSensor {
     #[inline(always)]
     fn measure<const N: usize>(&mut self, _: Option<&mut JointSample<N>>, _: bool) -> SafetyReason {
         SafetyReason::None

@@ -1,5 +1,5 @@
 use super::Clock;
-use crate::store::StoreDesk;
+use crate::store::StoreMailbox;
 use crate::telemetry::CostMeter;
 use foretorque::arm::Arm;
 use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
@@ -18,34 +18,34 @@ struct Restart<const N: usize, const P: usize> {
 /// task is
 ///
 /// ```text
-/// while let Some(lesson) = lock(|desk| desk.begin(&mut learner)) {
+/// while let Some(lesson) = lock(|mailbox| mailbox.begin(&mut learner)) {
 ///     learner.study(&lesson);                               // the tick may run in the middle of it
-///     lock(|desk| desk.finish(&mut learner, cost));
+///     lock(|mailbox| mailbox.finish(&mut learner, cost));
 /// }
-/// if lock(|desk| desk.release_answer()) { … }               // wake who sends
+/// if lock(|mailbox| mailbox.release_reply()) { … }               // wake who sends
 /// ```
-pub struct Desk<const N: usize, const P: usize> {
+pub struct LearnerMailbox<const N: usize, const P: usize> {
     lessons: Queue<Lesson<N>, 16>,
     pub(super) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
     /// The answer of a tick waits for its lesson.
     held: bool,
     /// Orders for the store, which the housekeeping carries out.
-    pub store: StoreDesk,
-    pub(super) lessons_lost: u32,
+    pub store: StoreMailbox,
+    pub(super) learning_samples_lost: u32,
     pub(super) learn_cost: CostMeter,
 }
 
-impl<const N: usize, const P: usize> Desk<N, P> {
-    /// An empty desk.
+impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
+    /// An empty mailbox.
     pub const fn new() -> Self {
         Self {
             lessons: Queue::new(),
             exchange: Exchange::new(),
             restart: None,
             held: false,
-            store: StoreDesk::new(),
-            lessons_lost: 0,
+            store: StoreMailbox::new(),
+            learning_samples_lost: 0,
             learn_cost: CostMeter::new(),
         }
     }
@@ -56,13 +56,13 @@ impl<const N: usize, const P: usize> Desk<N, P> {
     }
 
     /// The host wants its answer when everything is learnt: what lies in the reply buffer is to be sent once the learner has
-    /// called [`release_answer`](Self::release_answer), and not before.
-    pub fn holds_answer(&self) -> bool {
+    /// called [`release_reply`](Self::release_reply), and not before.
+    pub fn holds_reply(&self) -> bool {
         self.held
     }
 
     /// Called by the learner after every lesson it found. True when everything is learnt and an answer has waited for it.
-    pub fn release_answer(&mut self) -> bool {
+    pub fn release_reply(&mut self) -> bool {
         self.lessons.is_empty() && core::mem::take(&mut self.held)
     }
 
@@ -98,12 +98,12 @@ impl<const N: usize, const P: usize> Desk<N, P> {
             learner.study(&lesson);
             self.finish(learner, clock.now().wrapping_sub(start));
         }
-        self.release_answer();
+        self.release_reply();
     }
 
     pub(super) fn post(&mut self, lesson: Lesson<N>) {
         if self.lessons.enqueue(lesson).is_err() {
-            self.lessons_lost = self.lessons_lost.saturating_add(1);
+            self.learning_samples_lost = self.learning_samples_lost.saturating_add(1);
         }
     }
 
@@ -119,7 +119,7 @@ impl<const N: usize, const P: usize> Desk<N, P> {
     }
 }
 
-impl<const N: usize, const P: usize> Default for Desk<N, P> {
+impl<const N: usize, const P: usize> Default for LearnerMailbox<N, P> {
     fn default() -> Self {
         Self::new()
     }
