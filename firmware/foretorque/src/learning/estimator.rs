@@ -5,7 +5,10 @@ use super::parameters::ParameterSet;
 use super::stacked::LinearParameters;
 use super::ud::{UdFilter, dot};
 use crate::arm::Arm;
-use crate::dynamics::{FRICTION_COLUMNS, RESISTING, friction_load, friction_row, regressor_row};
+use crate::dynamics::{
+    COGGING_COLUMNS, DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS, friction_load,
+    friction_row, regressor_row,
+};
 use crate::limits::cut;
 use crate::math::sqrt;
 
@@ -30,15 +33,10 @@ const FIRST_ROWS: f32 = 4.0;
 /// Doubts about links that a tick takes into the covariance after a reset: all of them before the window is full.
 const DOUBTS_A_TICK: usize = 3;
 
-/// The first friction columns of a joint, those that change with grease, temperature and wear, wander; load, offset and
-/// cogging, which are those of gears, sensors and magnets, do not.
-const WANDERING: usize = 4;
 /// Violated bounds that one row mends: no joint has more that bind at once but in its first rows.
 const MAX_PROJECTIONS: usize = 3;
 /// Violation of a bound that is rounding, prior standard deviations: some last bits of a parameter.
 const TOLERANCE: f32 = 1e-4;
-/// The cogging columns come last.
-const COGGING: usize = FRICTION_COLUMNS - 2;
 
 /// The torque row of one joint: N·m for each unit of each linear parameter.
 #[inline(never)]
@@ -195,12 +193,13 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         if !innovation.is_finite() {
             return None;
         }
-        let column = self.wandering.get_mut(joint)?;
-        if self.filter.friction_variance(joint, *column)? < 1.0 {
-            let noise = WANDERING as f32 * config.process_noise;
-            self.filter.add_process_noise(joint, *column, noise);
+        let turn = self.wandering.get_mut(joint)?;
+        let column = *RANDOM_WALK_COLUMNS.get(*turn)? as usize;
+        if self.filter.friction_variance(joint, column)? < 1.0 {
+            let noise = RANDOM_WALK_COLUMNS.len() as f32 * config.process_noise;
+            self.filter.add_process_noise(joint, column, noise);
         }
-        *column = (*column + 1) % WANDERING;
+        *turn = (*turn + 1) % RANDOM_WALK_COLUMNS.len();
         let mut phi = *row;
         let scale = |phi: &mut [f32], sigma: &[f32]| {
             for (phi, sigma) in phi.iter_mut().zip(sigma) {
@@ -265,7 +264,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         }
     }
 
-    /// Moves the estimate onto the bounds of [`RESISTING`] that the friction of `joint` violates, the worst first.
+    /// Moves the estimate onto the bounds of [`DISSIPATION_BOUNDS`] that the friction of `joint` violates, the worst first.
     ///
     /// ```text
     /// θ ← θ − P a (aᵀθ) / (aᵀPa)     P stays
@@ -274,7 +273,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// with the violated one move with it, so that rows which are explained stay explained. A column that is cut alone
     /// leaves torque unexplained, the next row pushes it again, and its neighbours run away.
     ///
-    /// Cost: [`RESISTING`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
+    /// Cost: [`DISSIPATION_BOUNDS`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
     fn project(
         &mut self,
         sigma: &LinearParameters<N, P>,
@@ -290,7 +289,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             };
             let mut direction = [0.0; FRICTION_COLUMNS];
             let mut worst = TOLERANCE;
-            for bound in &RESISTING {
+            for bound in &DISSIPATION_BOUNDS {
                 let value = dot(bound, own);
                 if value >= 0.0 {
                     continue;
@@ -328,9 +327,9 @@ impl<const N: usize, const P: usize> LinearParameters<N, P> {
         if let (Some(row), Some(active)) =
             (self.friction.get_mut(joint), active.friction.get(joint))
         {
-            for (row, active) in row.iter_mut().zip(active).skip(COGGING) {
-                asked += (1.0 - share) * *row * active;
-                *row *= share;
+            for column in COGGING_COLUMNS.map(|column| column as usize) {
+                asked += (1.0 - share) * row[column] * active[column];
+                row[column] *= share;
             }
         }
         asked

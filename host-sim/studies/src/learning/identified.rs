@@ -6,6 +6,7 @@ use super::controller::Controller;
 use super::scenario::Start;
 use super::world::{N, P, PERIOD_S, Set, World};
 use foretorque::arm::ur5::{JOINTS, Ur5};
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::evaluate;
 use foretorque::learning::{ConditionedSample, LearnerConfig, LinearParameters, MeasurementWindow};
 use foretorque_workbench::closed_loop::{Answer, ClosedLoop};
@@ -57,9 +58,13 @@ impl Start {
         let mut config = Controller::config();
         if self == Self::PlainFriction {
             for sigma in &mut config.friction_sigma {
-                sigma.stribeck *= UNUSED;
-                sigma.bend *= UNUSED;
-                sigma.load *= UNUSED;
+                for column in [
+                    FrictionColumn::Stribeck,
+                    FrictionColumn::ShearThinning,
+                    FrictionColumn::Load,
+                ] {
+                    sigma[column] *= UNUSED;
+                }
             }
         }
         config

@@ -4,7 +4,8 @@ use super::row::cogging_attenuation_at;
 use super::{Learner, count};
 use crate::arm::Arm;
 use crate::dynamics::{
-    BaseParameters, FrictionParameters, friction, friction_load, friction_row, regressor_row, rnea,
+    BaseParameters, COGGING_COLUMNS, FrictionParameters, friction, friction_load, friction_row,
+    regressor_row, rnea,
 };
 use crate::joint::JointVector;
 use crate::learning::conditioning::{AVERAGED, ConditionedSample};
@@ -59,15 +60,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     fn unexplained(&self, seen: &ConditionedSample<N>) -> JointVector<N> {
         let state = &self.state;
         let estimate = state.estimate.parameters();
-        let mut drives = estimate.friction.map(FrictionParameters::from_columns);
+        let mut drives = estimate.friction.map(FrictionParameters);
         // What the filter swallows of the cogging is in the torque as far as the active set asks for it.
         let active = drives.iter_mut().zip(&state.active.friction);
         for (joint, ((drive, active), &qd)) in active.zip(seen.motion.qd.iter()).enumerate() {
             let share = cogging_attenuation_at::<A, N, P>(joint, qd, self.config.inv_period);
-            drive.cogging_sin =
-                active.cogging_sin + share * (drive.cogging_sin - active.cogging_sin);
-            drive.cogging_cos =
-                active.cogging_cos + share * (drive.cogging_cos - active.cogging_cos);
+            for column in COGGING_COLUMNS {
+                let active = active[column];
+                drive[column] = active + share * (drive[column] - active);
+            }
         }
         let rigid = BaseParameters::<P>::from(estimate.rigid);
         seen.tau
@@ -162,7 +163,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         };
         let inverse = 1.0 / (self.config.noise * limits.torque);
         let mut phi = friction_row(cycles, q, qd, load);
-        for (phi, sigma) in phi.iter_mut().zip(sigma.columns()) {
+        for (phi, sigma) in phi.iter_mut().zip(sigma.0) {
             *phi *= sigma * inverse;
         }
         self.state.estimate.filter().friction_doubt(joint, &phi)

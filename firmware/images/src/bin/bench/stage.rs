@@ -7,7 +7,7 @@ use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{
     Exchange, FeedForward, JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5,
 };
-use foretorque::dynamics::{BaseParameters, FrictionParameters};
+use foretorque::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
 use foretorque::feedforward::{FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::LearningSample;
@@ -63,16 +63,15 @@ impl Stage {
     pub(crate) fn new(learner: &'static mut Learner) -> Option<Self> {
         let mut set = ParameterSet::nominal::<Ur5>(1);
         for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
-            *friction = FrictionParameters {
-                viscous: 0.05 * limits.torque,
-                coulomb: 0.05 * limits.torque,
-                stribeck: 0.01 * limits.torque,
-                bend: 0.01 * limits.torque,
-                load: 0.05,
-                offset: 0.001 * limits.torque,
-                cogging_sin: 0.003 * limits.torque,
-                cogging_cos: 0.001 * limits.torque,
-            };
+            *friction = FrictionParameters::NONE
+                .with(FrictionColumn::Viscous, 0.05 * limits.torque)
+                .with(FrictionColumn::Coulomb, 0.05 * limits.torque)
+                .with(FrictionColumn::Stribeck, 0.01 * limits.torque)
+                .with(FrictionColumn::ShearThinning, 0.01 * limits.torque)
+                .with(FrictionColumn::Load, 0.05)
+                .with(FrictionColumn::Offset, 0.001 * limits.torque)
+                .with(FrictionColumn::CoggingSine, 0.003 * limits.torque)
+                .with(FrictionColumn::CoggingCosine, 0.001 * limits.torque);
         }
         learner
             .restart(LearnerConfig::for_arm::<Ur5>(PERIOD), &set)
