@@ -11,6 +11,7 @@ use anyhow::{Context as _, Result, bail};
 use crate::bench;
 use crate::capi;
 use crate::fuzz;
+use crate::outside;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
 use crate::toolchain::Tools;
@@ -60,6 +61,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         outcomes.push(pass(name, || shell::run(&mut gate)));
     }
     outcomes.push(pass("linked firmware", bench::check_firmware));
+    outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("library for C", || {
         capi::bring_compiler()?;
         capi::build(tools)

@@ -57,7 +57,7 @@ pub(crate) struct Stage {
 
 impl Stage {
     /// A learner for the stages, one after the other.
-    pub(crate) const LEARNER: Learner = Learner::idle(LearnerConfig::for_arm::<Ur5>(PERIOD));
+    pub(crate) const LEARNER: Learner = Learner::empty(LearnerConfig::for_arm::<Ur5>(PERIOD));
 
     /// The stage after the warm-up; `None` if a configuration does not validate.
     pub(crate) fn new(learner: &'static mut Learner) -> Option<Self> {
