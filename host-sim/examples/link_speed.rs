@@ -2,8 +2,8 @@
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use host_sim::board::qemu::{Emulator, Image, QemuOptions};
-use host_sim::board::{Client, Native, Transport};
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::board::{Client, Native, Transport};
 use std::time::{Duration, Instant};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -5,7 +5,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (Some(robot), Some(file)) = (arguments.next(), arguments.next()) else {
         return Err("usage: write_arm ROBOT FILE.rs".into());
     };
-    let robot = host_sim::robot::Robot::load(&robot)?;
-    host_sim::generate::write_arm_module(&robot, file.as_ref())?;
+    let robot = foretorque_workbench::robot::Robot::load(&robot)?;
+    foretorque_workbench::generate::write_arm_module(&robot, file.as_ref())?;
     Ok(())
 }

@@ -1,12 +1,14 @@
 //! Command line of foretorque.
 
+mod commands;
+
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match host_sim::commands::run() {
+    match commands::run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            host_sim::commands::complain(&failure);
+            commands::complain(&failure);
             ExitCode::FAILURE
         }
     }

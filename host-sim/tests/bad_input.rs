@@ -3,7 +3,7 @@
 
 mod mistyped;
 
-use host_sim::board::qemu::Image;
+use foretorque_workbench::board::qemu::Image;
 use mistyped::mistyped;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,10 @@
 //! The optimised excitation keeps its limits on a grid that the search never saw, and says so truthfully.
 
-use host_sim::excitation::{Certificate, Criterion, Excitation, SearchConfig, optimise};
-use host_sim::experiment::excitation::recount;
-use host_sim::robot::Robot;
+use foretorque_studies::excitation::recount;
+use foretorque_workbench::excitation::{
+    Certificate, Criterion, Excitation, SearchConfig, optimise,
+};
+use foretorque_workbench::robot::Robot;
 use std::f64::consts::PI;
 use std::process::Command;
 

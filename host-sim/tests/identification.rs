@@ -2,7 +2,7 @@
 
 mod logged;
 
-use host_sim::robot::Robot;
+use foretorque_workbench::robot::Robot;
 use logged::{Directory, identified, identify, log, report, succeeded, text};
 use std::fs;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! However the program ends, no emulator outlives it, and no report is left half written.
 
-use host_sim::excitation::{Excitation, QuickConfig};
-use host_sim::robot::Robot;
+use foretorque_workbench::excitation::{Excitation, QuickConfig};
+use foretorque_workbench::robot::Robot;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
 use nix::unistd::Pid;
 use std::fs;

@@ -3,8 +3,8 @@
 use foretorque::arm::{Arm, ur5::Ur5};
 use foretorque::dynamics::{BaseParameters, regressor, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
-use host_sim::dynamics::{Joints, ReferenceModel, State};
-use host_sim::robot::{Perturbation, Robot};
+use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
+use foretorque_workbench::robot::{Perturbation, Robot};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -3,7 +3,7 @@
 use acceptance::arms::{description, oblique::Oblique};
 use acceptance::each_arm;
 use foretorque::arm::{Arm, LinkInertia, base_parameters};
-use host_sim::generate::{arm_hash, arm_module};
+use foretorque_workbench::generate::{arm_hash, arm_module};
 use std::path::Path;
 
 /// f32 rounding of figures up to some kg·m²: a base parameter is a sum of up to 20 terms.
@@ -13,7 +13,7 @@ const BASE_TOLERANCE: f32 = 1e-5;
 fn committed_module(name: &str) -> String {
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
     let folder = match name {
-        "ur5" | "panda" => package.join("../firmware/src/arm"),
+        "ur5" | "panda" => package.join("../firmware/foretorque/src/arm"),
         _ => package.join("src/arms"),
     };
     let file = folder.join(format!("{name}.rs"));

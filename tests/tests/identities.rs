@@ -5,7 +5,7 @@ use acceptance::each_arm;
 use foretorque::arm::Arm;
 use foretorque::dynamics::{BaseParameters, gravity_torque, rnea};
 use foretorque::joint::{JointMotion, JointVector};
-use host_sim::dynamics::{Joints, ReferenceModel};
+use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use nalgebra::SMatrix;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

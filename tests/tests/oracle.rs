@@ -6,7 +6,7 @@ use acceptance::table::Table;
 use foretorque::arm::{Arm, LINK_PARAMETERS, ur5::Ur5};
 use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
-use host_sim::dynamics::{Joints, ReferenceModel, State};
+use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 
 /// f64 against f64 in another formulation: torques of a few hundred N·m carry some 1e-13 N·m of rounding.
 const REFERENCE_TOLERANCE: f64 = 1e-10;

@@ -71,16 +71,22 @@ fn every_test_that_a_page_names_is_there() {
         {
             // `cargo test -p PACKAGE --test NAME`, or `--test NAME` of the workbench.
             let package = index.checked_sub(1).map_or("", |before| words[before]);
-            let directory = match package {
-                "foretorque" => "firmware/tests",
-                "foretorque-capi" => "firmware/capi/tests",
-                "acceptance" => "tests/tests",
-                _ => "host-sim/tests",
+            let directories: &[&str] = match package {
+                "foretorque" => &["firmware/tests"],
+                "foretorque-capi" => &["firmware/capi/tests"],
+                "acceptance" => &["tests/tests"],
+                _ => &[
+                    "host-sim/tests",
+                    "host-sim/workbench/tests",
+                    "host-sim/studies/tests",
+                ],
             };
             let name = words[index + 1].trim_matches(|c: char| !c.is_alphanumeric() && c != '_');
-            let test = root().join(directory).join(name);
-            let there = test.with_extension("rs").exists() || test.join("main.rs").exists();
-            assert!(there, "{}: {directory}/{name}", path.display());
+            let there = directories.iter().any(|directory| {
+                let test = root().join(directory).join(name);
+                test.with_extension("rs").exists() || test.join("main.rs").exists()
+            });
+            assert!(there, "{}: {directories:?}/{name}", path.display());
             seen += 1;
         }
     }

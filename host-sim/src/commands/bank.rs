@@ -1,14 +1,14 @@
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::terminal::say;
 use super::{Failure, key, unusable};
-use crate::files::write_whole;
-use crate::robot::Robot;
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{self, Ur5};
-use foretorque::edge::bank::{BankError, ParameterBank};
-use foretorque::edge::wire::BankSource;
+use foretorque_link::bank::{BankError, ParameterBank};
+use foretorque_link::wire::BankSource;
+use foretorque_workbench::files::write_whole;
+use foretorque_workbench::robot::Robot;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -185,7 +185,7 @@ fn usable(bank: &ParameterBank) -> Result<(), BankError> {
 ///
 /// Errors: the file's, or that it is no bank, each with the path.
 pub(super) fn read(path: &Path) -> Result<ParameterBank, Failure> {
-    let bytes = fs::read(path).map_err(|error| crate::files::at(path, error))?;
+    let bytes = fs::read(path).map_err(|error| foretorque_workbench::files::at(path, error))?;
     ParameterBank::decode(&bytes).map_err(|error| unusable(format!("{}: {error}", path.display())))
 }
 

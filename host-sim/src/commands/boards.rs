@@ -1,16 +1,16 @@
 //! Which board, and how it is reached.
 
 use super::{Failure, unusable};
-use crate::board::log::Messages;
-use crate::board::qemu::{Emulator, Image, QemuOptions};
-use crate::board::serial::{self, Serial};
-use crate::board::{Client, Native, Transport};
-use crate::files::write_whole;
-use crate::generate::arm_hash;
-use crate::robot::Robot;
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
+use foretorque_workbench::board::log::Messages;
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::board::serial::{self, Serial};
+use foretorque_workbench::board::{Client, Native, Transport};
+use foretorque_workbench::files::write_whole;
+use foretorque_workbench::generate::arm_hash;
+use foretorque_workbench::robot::Robot;
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -98,7 +98,9 @@ impl BoardChoice {
     /// Errors: of the files; a stream that is no log of the board's firmware.
     pub(super) fn write_log(&self, stream: &Path, file: &Path) -> Result<(), Failure> {
         let elf = self.elf().unwrap_or_default();
-        let bytes = |path: &Path| fs::read(path).map_err(|error| crate::files::at(path, error));
+        let bytes = |path: &Path| {
+            fs::read(path).map_err(|error| foretorque_workbench::files::at(path, error))
+        };
         let lines = Messages::of(&bytes(&elf)?)?.lines(&bytes(stream)?)?;
         fs::remove_file(stream)?;
         write_whole(file, (lines.join("\n") + "\n").as_bytes())?;

@@ -1,9 +1,9 @@
 //! What may happen to the simulated arm, and what may be wrong with what it reports.
 
 use super::{Failure, unusable};
-use crate::dynamics::Joints;
-use crate::plant::{Events, Payload, PlantConfig, Push, ReportFaults};
 use clap::Args;
+use foretorque_workbench::dynamics::Joints;
+use foretorque_workbench::plant::{Events, Payload, PlantConfig, Push, ReportFaults};
 use std::ops::Range;
 use std::str::FromStr;
 

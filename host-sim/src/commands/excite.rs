@@ -1,11 +1,11 @@
 use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unsupported, unusable};
-use crate::excitation::{self, Criterion, Excitation, SearchConfig};
-use crate::files::{WholeFile, at, write_whole};
-use crate::robot::Robot;
-use crate::table::{TableWriter, state_columns};
 use clap::{Args, ValueEnum};
+use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
+use foretorque_workbench::files::{WholeFile, at, write_whole};
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::table::{TableWriter, state_columns};
 use std::io::Write;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};

@@ -1,9 +1,9 @@
 use super::Failure;
 use super::terminal::say;
-use crate::generate::write_arm_module;
-use crate::robot::Robot;
-use crate::urdf::{self, Selection};
 use clap::Args;
+use foretorque_workbench::generate::write_arm_module;
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::urdf::{self, Selection};
 use std::path::PathBuf;
 
 /// Write the constants of an arm as a module of the firmware

@@ -1,17 +1,17 @@
 use super::report_files::ReportFiles;
 use super::terminal::say;
 use super::{Failure, unsupported, unusable};
-use crate::excitation::Excitation;
-use crate::files::write_whole;
-use crate::identification::{
-    ColumnSet, IdentifyConfig, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit, identify,
-    page,
-};
-use crate::robot::{Perturbation, Robot};
 use clap::Args;
 use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{self, Ur5};
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
+use foretorque_workbench::excitation::Excitation;
+use foretorque_workbench::files::write_whole;
+use foretorque_workbench::identification::{
+    ColumnSet, IdentifyConfig, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit, identify,
+    page,
+};
+use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -90,8 +90,8 @@ enum Filter {
 fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
     let period_s = match (&arguments.excitation, arguments.period_s) {
         (Some(path), _) => {
-            let text =
-                std::fs::read_to_string(path).map_err(|error| crate::files::at(path, error))?;
+            let text = std::fs::read_to_string(path)
+                .map_err(|error| foretorque_workbench::files::at(path, error))?;
             let series: Excitation = serde_json::from_str(&text)
                 .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
             Some(series.period_s)
@@ -254,7 +254,7 @@ fn identify_arm<const N: usize>(
         write_whole(&path, robot.to_toml()?.as_bytes())?;
         say(format_args!("robot   {}", path.display()))?;
         let path = arguments.out.join("robot.urdf");
-        write_whole(&path, crate::urdf::write(robot).as_bytes())?;
+        write_whole(&path, foretorque_workbench::urdf::write(robot).as_bytes())?;
         say(format_args!("robot   {}", path.display()))?;
     }
     match bank(&outcome) {

@@ -1,8 +1,8 @@
 //! A table of measured figures that a page keeps between two marks.
 
 use super::{Failure, unusable};
-use crate::files::{at, write_whole};
 use clap::Args;
+use foretorque_workbench::files::{at, write_whole};
 use std::path::{Path, PathBuf};
 
 /// Where the table is kept, and whether it is renewed or compared.

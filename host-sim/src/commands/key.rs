@@ -1,7 +1,7 @@
 //! The write key of a board, from a file.
 
 use super::{Failure, unusable};
-use foretorque::edge::write_key::{KEY_BYTES, WriteKey};
+use foretorque_link::write_key::{KEY_BYTES, WriteKey};
 use std::fs;
 use std::path::Path;
 
@@ -9,7 +9,8 @@ use std::path::Path;
 ///
 /// Errors: the file's, or that it holds no key.
 pub(super) fn read(path: &Path) -> Result<WriteKey, Failure> {
-    let text = fs::read_to_string(path).map_err(|error| crate::files::at(path, error))?;
+    let text =
+        fs::read_to_string(path).map_err(|error| foretorque_workbench::files::at(path, error))?;
     let key = parsed(text.trim()).and_then(WriteKey::from_slot);
     key.ok_or_else(|| {
         unusable(format!(

@@ -1,9 +1,9 @@
 use super::terminal::tell;
 use super::{Failure, unusable};
-use crate::experiment::campaign::{Campaign, ShardFile, merge};
-use crate::experiment::excitation::ExcitationCampaign;
-use crate::experiment::paper::PaperCampaign;
 use clap::Args;
+use foretorque_studies::campaign::{Campaign, ShardFile, merge};
+use foretorque_studies::excitation::ExcitationCampaign;
+use foretorque_studies::paper::PaperCampaign;
 use std::path::PathBuf;
 
 /// Put the shards of a study together: the same report as if it had run at once

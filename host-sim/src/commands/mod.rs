@@ -22,7 +22,7 @@ mod simulate;
 mod terminal;
 mod torque;
 
-pub use terminal::complain;
+pub(crate) use terminal::complain;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
@@ -30,7 +30,7 @@ use std::error::Error;
 use std::path::Path;
 
 /// Whatever stopped a command, as one line.
-pub type Failure = Box<dyn Error>;
+pub(crate) type Failure = Box<dyn Error>;
 
 /// Why a command cannot do what its arguments ask.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -88,7 +88,7 @@ enum Command {
 /// Reads the command line and does what it says. Asking for help or the version ends the process.
 ///
 /// Errors: whatever stopped the command.
-pub fn run() -> Result<(), Failure> {
+pub(crate) fn run() -> Result<(), Failure> {
     match parsed(std::env::args_os())?.command {
         Command::Torque(arguments) => torque::run(&arguments),
         Command::Excite(arguments) => excite::run(&arguments),

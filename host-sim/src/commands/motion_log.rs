@@ -1,9 +1,9 @@
 //! The log of a simulated arm: what its sensors say, and what was asked of it.
 
-use crate::dynamics::Joints;
-use crate::experiment::closed_loop::TickRecord;
-use crate::plant::Measurement;
-use crate::table::{TableWriter, joint_columns, state_columns};
+use foretorque_workbench::closed_loop::TickRecord;
+use foretorque_workbench::dynamics::Joints;
+use foretorque_workbench::plant::Measurement;
+use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use std::collections::VecDeque;
 use std::io;
@@ -161,9 +161,9 @@ impl<const N: usize> Quadratic<N> {
 mod tests {
     use super::*;
     use crate::commands::simulate::PERIOD_S;
-    use crate::dynamics::State;
-    use crate::table::{StateReader, TimeColumn};
     use foretorque::joint::JointVector;
+    use foretorque_workbench::dynamics::State;
+    use foretorque_workbench::table::{StateReader, TimeColumn};
 
     fn record(tick: usize) -> TickRecord<1> {
         let t_s = tick as f64 * PERIOD_S;

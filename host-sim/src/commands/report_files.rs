@@ -1,7 +1,7 @@
 //! What a study leaves: `report.json`, and `report.html` beside it.
 
 use super::Failure;
-use crate::files::{WholeFile, write_whole};
+use foretorque_workbench::files::{WholeFile, write_whole};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

@@ -5,16 +5,18 @@ use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S};
 use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
-use crate::experiment::closed_loop::ClosedLoop;
-use crate::files::{WholeFile, write_whole};
-use crate::report::closed_loop::{self, ClosedLoopLog, ClosedLoopReport, LinkReport};
-use crate::robot::Robot;
-use crate::table::joint_columns;
-use crate::telemetry::{Recorder, Selection};
 use clap::Args;
 use foretorque::arm::Arm;
-use foretorque::edge::store::StoreHealth;
-use foretorque::excitation::Cue;
+use foretorque_link::excitation::ExcitationCommand;
+use foretorque_link::store::StoreHealth;
+use foretorque_workbench::closed_loop::ClosedLoop;
+use foretorque_workbench::files::{WholeFile, write_whole};
+use foretorque_workbench::report::closed_loop::{
+    self, ClosedLoopLog, ClosedLoopReport, LinkReport,
+};
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::table::joint_columns;
+use foretorque_workbench::telemetry::{Recorder, Selection};
 use std::path::PathBuf;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
@@ -137,7 +139,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         None => None,
     };
     if arguments.excite_on_board {
-        board.excitation(Cue::Start)?;
+        board.excitation(ExcitationCommand::Start)?;
     }
     let mut ticks = 0;
     for tick in 0..scene.ticks {
@@ -180,7 +182,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         flag_ticks: seen.flag_ticks(),
         link: LinkReport::from(&statistics),
         late_sets: statistics.late_sets,
-        lessons_lost: statistics.lessons_lost,
+        lessons_lost: statistics.learning_samples_lost,
         boot_us: board.hello().boot_us(),
         store: statistics.store,
         tick_cost: statistics.tick_cost.into(),

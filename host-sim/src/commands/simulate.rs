@@ -2,13 +2,13 @@ use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
 use super::{Failure, not_over, unsupported, unusable};
-use crate::control::PdConfig;
-use crate::dynamics::{Joints, ReferenceModel};
-use crate::experiment::closed_loop::ClosedLoop;
-use crate::plant::{Plant, PlantConfig};
-use crate::robot::{Perturbation, Robot};
-use crate::trajectory::Trajectory;
 use clap::Args;
+use foretorque_workbench::closed_loop::ClosedLoop;
+use foretorque_workbench::closed_loop::control::PdConfig;
+use foretorque_workbench::dynamics::{Joints, ReferenceModel};
+use foretorque_workbench::plant::{Plant, PlantConfig};
+use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};
 
 /// Let the simulated arm play a trajectory under PD control, and log what its sensors say

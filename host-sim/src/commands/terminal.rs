@@ -16,7 +16,7 @@ pub(super) fn tell(lines: &[String]) -> io::Result<()> {
 }
 
 /// Writes the line that a command failed with to stderr, as far as somebody listens.
-pub fn complain(failure: impl Display) {
+pub(crate) fn complain(failure: impl Display) {
     // There is no one left to tell that telling failed.
     let _ = writeln!(io::stderr(), "error: {failure}");
 }

@@ -2,12 +2,14 @@ use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::simulate::PERIOD_S;
 use super::{Failure, bank, key, not_over};
-use crate::experiment::closed_loop::motion_f32;
-use crate::robot::Robot;
-use crate::table::{StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns};
-use crate::trajectory::Trajectory;
 use clap::Args;
 use foretorque::arm::Arm;
+use foretorque_workbench::closed_loop::motion_f32;
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::table::{
+    StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns,
+};
+use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};
 
 /// Feed-forward torque of every row of a table of states, computed by the firmware

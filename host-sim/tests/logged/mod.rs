@@ -1,8 +1,8 @@
 //! Logs of a known arm, and the command `identify` on them.
 
-use host_sim::dynamics::{Joints, ReferenceModel, State};
-use host_sim::robot::Robot;
-use host_sim::table::{TableWriter, joint_columns, state_columns};
+use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -1,18 +1,19 @@
 //! An arm whose geometry has no round numbers left: the kernels must not live by the zeros of a data sheet.
 
 #[expect(
+    dead_code,
     unreachable_pub,
-    reason = "written by the generator for the firmware, where it is reachable"
+    reason = "written by the generator for a library"
 )]
 mod arm;
 
 use arm::{JOINTS, PARAMETERS, Ur5Calibrated};
-use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
+use foretorque::arm::Arm;
 use foretorque::dynamics::{BaseParameters, regressor, rnea};
 use foretorque::joint::{JointMotion, JointVector};
-use host_sim::dynamics::{ReferenceModel, State};
-use host_sim::generate::arm_hash;
-use host_sim::robot::Robot;
+use foretorque_workbench::dynamics::{ReferenceModel, State};
+use foretorque_workbench::generate::arm_hash;
+use foretorque_workbench::robot::Robot;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -4,11 +4,11 @@ use super::super::Failure;
 use super::super::excite;
 use super::super::progress::Bar;
 use super::super::terminal::tell;
-use crate::experiment::campaign::{self, Campaign, Shard};
-use crate::experiment::excitation::{ExcitationCampaign, ExcitationConfig};
-use crate::experiment::paper::{PaperCampaign, PaperConfig};
-use crate::robot::Robot;
 use clap::Args;
+use foretorque_studies::campaign::{self, Campaign, Shard};
+use foretorque_studies::excitation::{ExcitationCampaign, ExcitationConfig};
+use foretorque_studies::paper::{PaperCampaign, PaperConfig};
+use foretorque_workbench::robot::Robot;
 use std::path::PathBuf;
 
 /// What the studies have in common.

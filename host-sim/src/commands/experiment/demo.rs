@@ -4,11 +4,11 @@ use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
 use super::super::{Failure, unusable};
 use super::Out;
-use crate::experiment::demo::{self, DemoConfig, DemoReport};
-use crate::robot::Robot;
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque_studies::demo::{self, DemoConfig, DemoReport};
+use foretorque_workbench::robot::Robot;
 
 /// From a wrong prior, learn on the board in closed loop, freeze, play an unseen path
 #[derive(Debug, Args)]

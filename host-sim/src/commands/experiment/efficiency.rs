@@ -3,8 +3,8 @@ use super::super::progress::Bar;
 use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
 use super::Out;
-use crate::experiment::efficiency;
 use clap::Args;
+use foretorque_studies::efficiency;
 
 /// Error of the robust fit over the Cramér-Rao bound, without and with outliers
 #[derive(Debug, Args)]

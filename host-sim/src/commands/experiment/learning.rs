@@ -4,8 +4,8 @@ use super::super::progress::Bar;
 use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
 use super::Beside;
-use crate::experiment::learning::{self, LearningConfig, table};
 use clap::Args;
+use foretorque_studies::learning::{self, LearningConfig, table};
 use std::path::PathBuf;
 
 /// Name of the table of measured against reach.

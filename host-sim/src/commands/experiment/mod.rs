@@ -11,11 +11,11 @@ mod soak;
 use super::boards::BoardChoice;
 use super::terminal::say;
 use super::{Failure, unusable};
-use crate::board::{BoardError, Client};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::bank::ParameterBank;
 use foretorque::feedforward::ParameterSet;
+use foretorque_link::bank::ParameterBank;
+use foretorque_workbench::board::{BoardError, Client};
 use std::path::PathBuf;
 
 /// Run one of the reproducible studies

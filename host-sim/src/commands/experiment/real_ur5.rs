@@ -3,7 +3,7 @@ use super::super::progress::Bar;
 use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
 use super::OfLogs;
-use crate::experiment::real_ur5;
+use foretorque_studies::real_ur5;
 
 pub(super) fn run(arguments: &OfLogs) -> Result<(), Failure> {
     let files = ReportFiles::create(&arguments.out.out)?;

@@ -3,7 +3,7 @@ use super::super::progress::Bar;
 use super::super::report_files::ReportFiles;
 use super::super::terminal::say;
 use super::OfLogs;
-use crate::experiment::replay_real;
+use foretorque_studies::replay_real;
 
 pub(super) fn run(arguments: &OfLogs) -> Result<(), Failure> {
     let files = ReportFiles::create(&arguments.out.out)?;

@@ -1,0 +1,127 @@
+//! The long run: everything that is asked of one board, before, while and after it learns.
+
+use super::record::{LearningPoint, Tracking, ValidationPoint};
+use super::stages::{ErrorCurve, ReplyBits, error_of, learn, predictions, track};
+use super::world::World;
+use super::{DemoConfig, PAGE_POINTS, Progress};
+use foretorque_link::telemetry::Statistics;
+use foretorque_workbench::board::Client;
+use foretorque_workbench::metrics::{TorqueError, TrackingError};
+use std::error::Error;
+
+/// Points of the unseen path on which the error is watched while learning goes on.
+pub(super) const WATCH_POINTS: usize = 250;
+
+/// What the long run saw.
+pub(super) struct LongRun<const N: usize> {
+    /// Torque error on the unseen path with the wrong prior.
+    pub(super) before: TorqueError<N>,
+    /// The same with what was learnt.
+    pub(super) after: TorqueError<N>,
+    /// Position error on the unseen path.
+    pub(super) tracking: Tracking<TrackingError<N>>,
+    /// The same over time.
+    pub(super) tracking_curves: Tracking<ErrorCurve<N>>,
+    /// Torque error while learning goes on.
+    pub(super) learning_curve: Vec<LearningPoint>,
+    /// Torques along the unseen path.
+    pub(super) validation: Vec<ValidationPoint<N>>,
+    /// Bits of every reply while learning was on.
+    pub(super) replies: Vec<ReplyBits<N>>,
+    /// Counters before the reset with which learning begins, and at the end.
+    pub(super) statistics: [Statistics; 2],
+    /// Counters when learning ends, since that reset.
+    pub(super) learnt: Statistics,
+}
+
+/// Takes `bulk` through the whole job.
+///
+/// Errors: the board's.
+pub(super) fn long_run<const N: usize>(
+    bulk: &mut Client<N>,
+    world: &World<N>,
+    config: &DemoConfig,
+    progress: Progress<'_>,
+) -> Result<LongRun<N>, Box<dyn Error>> {
+    let path = world.grid(config.ticks(config.validation_s), config.validation_s);
+    bulk.reset()?;
+    bulk.upload_bank(&world.prior)?;
+    let before = predictions(bulk, &path, "torque before", progress)?;
+    // Both kinds of control meet the arm as it is when learning begins: same age, same noise.
+    let mut fresh = world.plant.clone();
+    let pd_only = track(&mut fresh, world, path.len(), None, "PD alone", progress)?;
+    let mut fresh = world.plant.clone();
+    let wrong = track(
+        &mut fresh,
+        world,
+        path.len(),
+        Some(bulk),
+        "wrong model",
+        progress,
+    )?;
+    let earlier = bulk.statistics()?;
+
+    let mut plant = world.plant.clone();
+    let watched = world.grid(WATCH_POINTS, config.validation_s);
+    let mut learning_curve = Vec::new();
+    let replies = learn(
+        bulk,
+        world,
+        &mut plant,
+        config.ticks(config.learning_s),
+        |board, plant, t_s| {
+            let seen = predictions(board, &watched, "learning", &|_, _, _| {})?;
+            learning_curve.push(LearningPoint {
+                t_s,
+                torque_nrmse: error_of(plant, &watched, &seen).nrmse(),
+            });
+            Ok(())
+        },
+        "learning",
+        progress,
+    )?;
+    let at_the_end_of_learning = bulk.statistics()?;
+    let after = predictions(bulk, &path, "torque after", progress)?;
+    let errors = [&before, &after].map(|torques| error_of(&plant, &path, torques));
+    let validation = (0..path.len())
+        .step_by((path.len() / PAGE_POINTS).max(1))
+        .map(|k| ValidationPoint {
+            t_s: path[k].0,
+            truth: plant.true_torque(&path[k].1),
+            before: before[k].total.cast(),
+            after: after[k].total.cast(),
+            rigid: after[k].shares.rigid.cast(),
+            friction: after[k].shares.friction.cast(),
+            network: after[k].shares.network.cast(),
+        })
+        .collect();
+    let learnt = track(
+        &mut plant,
+        world,
+        path.len(),
+        Some(bulk),
+        "learnt model",
+        progress,
+    )?;
+    let statistics = [earlier, bulk.statistics()?];
+    let [before, after] = errors;
+    Ok(LongRun {
+        before,
+        after,
+        tracking: Tracking {
+            pd_only: pd_only.0,
+            before: wrong.0,
+            after: learnt.0,
+        },
+        tracking_curves: Tracking {
+            pd_only: pd_only.1,
+            before: wrong.1,
+            after: learnt.1,
+        },
+        learning_curve,
+        validation,
+        replies,
+        statistics,
+        learnt: at_the_end_of_learning,
+    })
+}

@@ -1,0 +1,186 @@
+//! The main job: start from a wrong prior, learn on the board in closed loop, freeze, play a path nobody has seen.
+
+mod long_run;
+mod machine_page;
+mod page;
+mod record;
+mod stages;
+mod usart;
+mod world;
+
+pub use record::{
+    BeforeAfter, DemoReport, LearningPoint, LinkFigures, TickInstructions, TickPhases, Tracking,
+    UsartFigures,
+};
+
+use foretorque::arm::Arm;
+use foretorque_workbench::board::Client;
+use foretorque_workbench::robot::Robot;
+use record::DemoCurves;
+use std::error::Error;
+use world::World;
+
+/// How large the job is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DemoConfig {
+    /// Seed of plant, prior, paths and noise.
+    pub seed: u64,
+    /// Period of the tick, s.
+    pub period_s: f64,
+    /// Arm time with learning on, long run, s.
+    pub learning_s: f64,
+    /// Arm time with learning on, flashable firmware, s.
+    pub usart_learning_s: f64,
+    /// Length of the unseen path that is played, s.
+    pub validation_s: f64,
+    /// Bandwidth of the PD controller, Hz.
+    pub pd_bandwidth_hz: f64,
+    /// Random candidates of the excitation.
+    pub excitation_candidates: usize,
+}
+
+impl Default for DemoConfig {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            period_s: 1e-3,
+            learning_s: 80.0,
+            usart_learning_s: 5.0,
+            validation_s: 30.0,
+            pd_bandwidth_hz: 6.0,
+            excitation_candidates: 100,
+        }
+    }
+}
+
+impl DemoConfig {
+    /// Number of ticks in `duration_s`.
+    fn ticks(&self, duration_s: f64) -> usize {
+        (duration_s / self.period_s).round() as usize
+    }
+}
+
+/// A stage of the job, as the progress bar shows it: name, ticks done, ticks in all.
+pub type Progress<'p> = &'p dyn Fn(&'static str, usize, usize);
+
+/// What the job leaves: figures, and the page that shows them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DemoOutcome {
+    /// Figures.
+    pub report: DemoReport,
+    /// The page.
+    pub html: String,
+}
+
+/// Points of curves that the page shows.
+const PAGE_POINTS: usize = 3000;
+
+/// Runs the job on `bulk`, and its shorter part on the flashable firmware that `usart` connects to.
+///
+/// Errors: the boards', and those of an excitation that the limits do not allow.
+pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
+    robot: &Robot,
+    config: &DemoConfig,
+    board: &str,
+    toolchain: &str,
+    bulk: &mut Client<N>,
+    usart: Option<&mut Client<N>>,
+    progress: Progress<'_>,
+) -> Result<DemoOutcome, Box<dyn Error>> {
+    let world = World::<N>::new::<A, P>(robot, config, progress)?;
+    let long = long_run::long_run(bulk, &world, config, progress)?;
+    let usart = usart
+        .map(|board| usart::run(board, &world, config, &long.replies, progress))
+        .transpose()?;
+    let [frozen, statistics] = &long.statistics;
+    let report = DemoReport {
+        robot: robot.name.clone(),
+        board: board.to_owned(),
+        seed: config.seed,
+        ticks: config.ticks(config.learning_s),
+        period_s: config.period_s,
+        toolchain: toolchain.to_owned(),
+        torque_nrmse_before: long.before.nrmse(),
+        torque_nrmse_after: long.after.nrmse(),
+        torque_nrmse_moving_before: long.before.nrmse_moving(),
+        torque_nrmse_moving_after: long.after.nrmse_moving(),
+        torque_rmse_nm: BeforeAfter {
+            before: long.before.rmse_nm(),
+            after: long.after.rmse_nm(),
+        },
+        tracking_rms_mrad: long.tracking.map(|error| error.mean_rms_mrad()),
+        tracking_rms_joint_mrad: long.tracking.map(|error| error.rms_mrad()),
+        pd_bandwidth_hz: config.pd_bandwidth_hz,
+        learning_curve: long.learning_curve,
+        tick_instructions: statistics.tick_cost.into(),
+        tick_instructions_by_phase: TickPhases {
+            frozen: frozen.tick_cost.into(),
+            learning: long.learnt.tick_cost.into(),
+        },
+        learning_instructions: statistics.learn_cost.into(),
+        link: LinkFigures::of(&long.statistics),
+        usart,
+    };
+    let curves = DemoCurves {
+        excitation: world.one_period(),
+        validation_samples: config.ticks(config.validation_s),
+        validation: long.validation,
+        tracking: long.tracking_curves,
+    };
+    let html = page::html(&report, &curves)?;
+    Ok(DemoOutcome { report, html })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+    use foretorque_workbench::board::Native;
+    use std::time::Duration;
+
+    fn board() -> Client<JOINTS> {
+        let native = Native::<Ur5, JOINTS, PARAMETERS>::new().expect("boots");
+        Client::connect::<Ur5, PARAMETERS>(Box::new(native), Duration::from_secs(1)).expect("hello")
+    }
+
+    fn in_small() -> DemoOutcome {
+        let config = DemoConfig {
+            learning_s: 6.0,
+            usart_learning_s: 1.0,
+            validation_s: 10.0,
+            excitation_candidates: 5,
+            ..DemoConfig::default()
+        };
+        let robot = Robot::load("ur5").expect("built in");
+        run::<Ur5, JOINTS, PARAMETERS>(
+            &robot,
+            &config,
+            "native",
+            "test",
+            &mut board(),
+            Some(&mut board()),
+            &|_, _, _| {},
+        )
+        .expect("runs")
+    }
+
+    #[test]
+    fn six_seconds_of_learning_halve_the_torque_error_and_runs_repeat() {
+        let outcome = in_small();
+        let report = &outcome.report;
+        assert!(
+            report.torque_nrmse_before > 0.2,
+            "{}",
+            report.torque_nrmse_before
+        );
+        assert!(report.torque_nrmse_after < 0.5 * report.torque_nrmse_before);
+        let tracking = &report.tracking_rms_mrad;
+        assert!(tracking.after < tracking.before && tracking.before < tracking.pd_only);
+        assert_eq!(report.link.errors, 0);
+        let usart = report.usart.as_ref().expect("a second board was given");
+        assert_eq!(usart.ticks_with_equal_bits, usart.ticks);
+        assert!(usart.torque_nrmse_after < usart.torque_nrmse_before);
+        assert!(outcome.html.len() < 3_000_000);
+        assert_eq!(outcome, in_small());
+    }
+}

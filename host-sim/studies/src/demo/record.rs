@@ -1,0 +1,196 @@
+//! What the main job finds out: the figures of `report.json`, and the curves of the page.
+
+use foretorque_link::telemetry::{Cost, Statistics};
+use foretorque_workbench::dynamics::{Joints, State};
+use serde::Serialize;
+
+/// The figures of `report.json`. Nothing in it depends on the clock on the wall: equal runs give equal files.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DemoReport {
+    /// Name of the robot.
+    pub robot: String,
+    /// Board of the long run: `qemu` or `native`.
+    pub board: String,
+    /// Seed of plant, prior, paths and noise.
+    pub seed: u64,
+    /// Ticks with learning on, long run.
+    pub ticks: usize,
+    /// Period of the tick, s.
+    pub period_s: f64,
+    /// Compiler of the board's code.
+    pub toolchain: String,
+    /// NRMSE of the torque on the unseen path before learning, all samples, a ratio.
+    pub torque_nrmse_before: f64,
+    /// The same after learning.
+    pub torque_nrmse_after: f64,
+    /// The same, only samples in which the joint moves, before learning.
+    pub torque_nrmse_moving_before: f64,
+    /// The same after learning.
+    pub torque_nrmse_moving_after: f64,
+    /// RMS torque error of every joint on the unseen path, N·m.
+    pub torque_rmse_nm: BeforeAfter<Vec<f64>>,
+    /// RMS position error on the unseen path, mean of the joints, mrad.
+    pub tracking_rms_mrad: Tracking<f64>,
+    /// The same joint by joint.
+    pub tracking_rms_joint_mrad: Tracking<Vec<f64>>,
+    /// Bandwidth of the PD controller, Hz.
+    pub pd_bandwidth_hz: f64,
+    /// Torque error on the unseen path while learning goes on.
+    pub learning_curve: Vec<LearningPoint>,
+    /// Instructions of a tick, from the request's last byte to the reply.
+    pub tick_instructions: TickInstructions,
+    /// The same by what the board was doing.
+    pub tick_instructions_by_phase: TickPhases,
+    /// Instructions of learning from one tick.
+    pub learning_instructions: TickInstructions,
+    /// Frames of the long run's link.
+    pub link: LinkFigures,
+    /// The same job, shorter, on the flashable firmware over its USART.
+    pub usart: Option<UsartFigures>,
+}
+
+/// A figure before and after learning.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BeforeAfter<T> {
+    /// With the wrong prior.
+    pub before: T,
+    /// With what was learnt, frozen.
+    pub after: T,
+}
+
+/// A figure for the three kinds of control.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Tracking<T> {
+    /// PD alone.
+    pub pd_only: T,
+    /// With the feed-forward of the wrong prior.
+    pub before: T,
+    /// With the learnt feed-forward, frozen.
+    pub after: T,
+}
+
+impl<T> Tracking<T> {
+    /// The same figure of all three.
+    pub(super) fn map<U>(&self, figure: impl Fn(&T) -> U) -> Tracking<U> {
+        Tracking {
+            pd_only: figure(&self.pd_only),
+            before: figure(&self.before),
+            after: figure(&self.after),
+        }
+    }
+}
+
+/// One point of the learning curve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LearningPoint {
+    /// Time of learning, s of the arm's time.
+    pub t_s: f64,
+    /// NRMSE of the torque on a coarse grid of the unseen path, a ratio.
+    pub torque_nrmse: f64,
+}
+
+/// Instructions, counted on the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct TickInstructions {
+    /// Mean over all ticks.
+    pub mean: u32,
+    /// Largest.
+    pub max: u32,
+}
+
+/// Instructions of a tick by what the board was doing in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct TickPhases {
+    /// Learning off.
+    pub frozen: TickInstructions,
+    /// Learning on: the tick also hands its lesson over and adopts learnt sets.
+    pub learning: TickInstructions,
+}
+
+impl From<Cost> for TickInstructions {
+    fn from(cost: Cost) -> Self {
+        Self {
+            mean: cost.mean,
+            max: cost.max,
+        }
+    }
+}
+
+/// Frames of a link, counted on the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct LinkFigures {
+    /// Good frames received.
+    pub frames: u32,
+    /// Damaged, foreign, missed and lost ones.
+    pub errors: u32,
+}
+
+impl LinkFigures {
+    /// Sums the counters of several stretches between resets.
+    pub(super) fn of(stretches: &[Statistics]) -> Self {
+        let errors = |s: &Statistics| {
+            [
+                s.crc_errors,
+                s.framing_errors,
+                s.foreign_version,
+                s.unknown,
+                s.missed,
+                s.repeated,
+                s.overruns,
+                s.replies_lost,
+            ]
+            .into_iter()
+            .sum::<u32>()
+        };
+        Self {
+            frames: stretches.iter().map(|s| s.frames).sum(),
+            errors: stretches.iter().map(errors).sum(),
+        }
+    }
+}
+
+/// The part on the flashable firmware.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct UsartFigures {
+    /// Ticks with learning on.
+    pub ticks: usize,
+    /// NRMSE on a grid of the unseen path before learning, a ratio.
+    pub torque_nrmse_before: f64,
+    /// The same after these ticks.
+    pub torque_nrmse_after: f64,
+    /// Points of that grid.
+    pub grid_points: usize,
+    /// Ticks whose reply has the very bits of the long run's.
+    pub ticks_with_equal_bits: usize,
+    /// Instructions of a tick.
+    pub tick_instructions: TickInstructions,
+    /// Instructions of learning from one tick.
+    pub learning_instructions: TickInstructions,
+    /// Frames of its link.
+    pub link: LinkFigures,
+}
+
+/// Curves of the page.
+#[derive(Clone, Debug, Default)]
+pub(super) struct DemoCurves<const N: usize> {
+    /// One period of the excitation: time, s, and motion.
+    pub(super) excitation: Vec<(f64, State<N>)>,
+    /// Samples of the unseen path that the figures count; the curves show some of them.
+    pub(super) validation_samples: usize,
+    /// The unseen path.
+    pub(super) validation: Vec<ValidationPoint<N>>,
+    /// Position error on the unseen path for every kind of control: time, s, and error, mrad.
+    pub(super) tracking: Tracking<Vec<(f64, Joints<N>)>>,
+}
+
+/// One instant of the unseen path, torques in N·m.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ValidationPoint<const N: usize> {
+    pub(super) t_s: f64,
+    pub(super) truth: Joints<N>,
+    pub(super) before: Joints<N>,
+    pub(super) after: Joints<N>,
+    pub(super) rigid: Joints<N>,
+    pub(super) friction: Joints<N>,
+    pub(super) network: Joints<N>,
+}

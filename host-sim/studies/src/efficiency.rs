@@ -1,0 +1,249 @@
+//! How near the robust fit comes to what noise allows: its error over many draws against the Cramér–Rao bound.
+
+use foretorque::arm::ur5::JOINTS;
+use foretorque::dynamics::SIGN_WIDTH;
+use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
+use foretorque_workbench::excitation::{SearchConfig, optimise};
+use foretorque_workbench::identification::{
+    ColumnSet, IdentifyConfig, MethodName, PrepareConfig, identify,
+};
+use foretorque_workbench::report::page::{Section, Tile, html, table};
+use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
+use foretorque_workbench::trajectory::Trajectory;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde::Serialize;
+use std::error::Error;
+use std::path::Path;
+
+/// Period of the rows, s.
+const PERIOD_S: f64 = 1e-3;
+/// White noise, share of the torque limit.
+const NOISE: f64 = 0.01;
+/// Share of the rows that are outliers, and their size in deviations of the noise.
+const OUTLIERS: f64 = 0.05;
+const OUTLIER_SIZE: f64 = 20.0;
+
+/// One kind of noise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CaseRecord {
+    /// What it is.
+    pub noise: String,
+    /// RMS over the draws of the error against the true torque of the unseen path, moving rows, joints as in
+    /// `joints_nrmse_moving_ratio` of `identify`.
+    pub irls_nrmse_moving_ratio: f64,
+    /// The same of weighted least squares.
+    pub wls_nrmse_moving_ratio: f64,
+    /// RMS error of the robust fit over the bound.
+    pub irls_over_cramer_rao_ratio: f64,
+    /// RMS error of weighted least squares over the bound.
+    pub wls_over_cramer_rao_ratio: f64,
+    /// Robust fit, draw by draw.
+    pub draws_nrmse_moving_ratio: Vec<f64>,
+}
+
+/// The study's figures.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EfficiencyReport {
+    /// Version of this program.
+    pub version: String,
+    /// Seed of arm, excitation and noise.
+    pub seed: u64,
+    /// Noise draws of each case.
+    pub draws: usize,
+    /// Cramér–Rao bound of the torque error on the unseen path, moving rows: what the noise of the raw rows must cause.
+    pub cramer_rao_nrmse_moving_ratio: f64,
+    /// Without and with outliers.
+    pub cases: Vec<CaseRecord>,
+}
+
+/// Runs the study: the plant has exactly the model's columns, 10 s of the optimal excitation, 1 % noise. Logs are written
+/// into `directory` and taken away again.
+///
+/// Errors: of the search, the files, the identification.
+pub fn run(
+    directory: &Path,
+    seed: u64,
+    draws: usize,
+    progress: &dyn Fn(&'static str, usize, usize),
+) -> Result<(EfficiencyReport, String), Box<dyn Error>> {
+    let robot = Robot::load("ur5")?;
+    let mut truth = robot.perturbed(seed, &Perturbation::PLANT);
+    for joint in &mut truth.joints {
+        joint.friction.stribeck_ratio = 0.0;
+        joint.friction.cogging = 0.0;
+    }
+    let search = SearchConfig {
+        seed,
+        ..SearchConfig::default()
+    };
+    let series = optimise::<JOINTS>(&robot, &search, None, |done, all| {
+        progress("excitation", done, all);
+    })?;
+    let unseen = Trajectory::<JOINTS>::validation(&robot, seed);
+    let (log, validate) = (
+        directory.join("draw.csv.gz"),
+        directory.join("unseen.csv.gz"),
+    );
+    write(
+        &truth,
+        &validate,
+        unseen.duration_s(),
+        &|t_s| unseen.at(t_s),
+        None,
+    )?;
+    let excited = |t_s: f64| series.at::<JOINTS>(t_s);
+    let figures = |prepare: PrepareConfig, methods: &[MethodName]| {
+        let config = IdentifyConfig {
+            methods: methods.to_vec(),
+            columns: ColumnSet::plain(),
+            prepare,
+            gains_from_standstill: false,
+            fold_period_s: None,
+            seed,
+            truth: Some(truth.clone()),
+        };
+        let logs = (vec![log.clone()], vec![validate.clone()]);
+        let outcome = identify::<JOINTS>(&robot, &logs.0, &logs.1, &config, &|_| ())?;
+        let figures = methods.iter().map(|method| {
+            let record = &outcome.report.methods[&method.to_string()].validation["unseen.csv.gz"];
+            let error = record.truth_nrmse_moving_ratio.unwrap_or(f64::NAN);
+            (
+                error,
+                record.cramer_rao_nrmse_moving_ratio.unwrap_or(f64::NAN),
+            )
+        });
+        Ok::<Vec<(f64, f64)>, Box<dyn Error>>(figures.collect())
+    };
+    let filtered = PrepareConfig {
+        motion_hz: 40.0,
+        torque_hz: Some(20.0),
+        still_rad_s: 0.05,
+    };
+    let raw = PrepareConfig {
+        torque_hz: None,
+        ..filtered
+    };
+    let mut bound = 0.0;
+    let mut cases = Vec::new();
+    for (noise, outliers) in [
+        ("white, 1 %", 0.0),
+        ("and 5 % outliers of 20 deviations", OUTLIERS),
+    ] {
+        let (mut robust, mut plain) = (Vec::new(), Vec::new());
+        for draw in 0..draws {
+            progress(noise, draw, draws);
+            let random = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1000) + draw as u64);
+            write(
+                &truth,
+                &log,
+                series.period_s,
+                &excited,
+                Some((random, outliers)),
+            )?;
+            if bound == 0.0 {
+                bound = figures(raw, &[MethodName::Wls])?[0].1;
+            }
+            let found = figures(filtered, &[MethodName::Irls, MethodName::Wls])?;
+            robust.push(found[0].0);
+            plain.push(found[1].0);
+        }
+        let rms = |values: &[f64]| {
+            (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
+        };
+        cases.push(CaseRecord {
+            noise: noise.to_owned(),
+            irls_nrmse_moving_ratio: rms(&robust),
+            wls_nrmse_moving_ratio: rms(&plain),
+            irls_over_cramer_rao_ratio: rms(&robust) / bound,
+            wls_over_cramer_rao_ratio: rms(&plain) / bound,
+            draws_nrmse_moving_ratio: robust,
+        });
+    }
+    std::fs::remove_file(&log)?;
+    std::fs::remove_file(&validate)?;
+    let report = EfficiencyReport {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        seed,
+        draws,
+        cramer_rao_nrmse_moving_ratio: bound,
+        cases,
+    };
+    let page = page(&report);
+    Ok((report, page))
+}
+
+/// Writes a log of exact motion and true torque, with noise where a generator and a share of outliers are given.
+fn write(
+    truth: &Robot,
+    path: &Path,
+    duration_s: f64,
+    motion: &dyn Fn(f64) -> State<JOINTS>,
+    mut noise: Option<(ChaCha8Rng, f64)>,
+) -> Result<(), Box<dyn Error>> {
+    let model = ReferenceModel::<JOINTS>::new(truth).ok_or("six joints")?;
+    let mut header = vec!["t_s".to_owned()];
+    header.extend(state_columns(JOINTS));
+    header.extend(joint_columns("tau", "nm", JOINTS));
+    let mut table = TableWriter::create(path, &header)?;
+    for row in 0..(duration_s / PERIOD_S).round() as usize {
+        let t_s = row as f64 * PERIOD_S;
+        let state = motion(t_s);
+        let mut tau: Joints<JOINTS> = model.inverse_dynamics(&state);
+        for (joint, tau) in truth.joints.iter().zip(tau.iter_mut().enumerate()) {
+            let (index, tau) = tau;
+            let (qd, friction) = (state.qd[index], &joint.friction);
+            *tau += friction.viscous * qd + friction.coulomb * (qd / f64::from(SIGN_WIDTH)).tanh();
+            if let Some((random, outliers)) = &mut noise {
+                let sigma = NOISE * joint.limits.torque;
+                *tau += sigma * random.sample::<f64, _>(StandardNormal);
+                let strike: f64 = random.random_range(0.0..1.0);
+                if strike < *outliers {
+                    let way = if strike < 0.5 * *outliers { 1.0 } else { -1.0 };
+                    *tau += way * OUTLIER_SIZE * sigma;
+                }
+            }
+        }
+        let parts = [&state.q, &state.qd, &state.qdd, &tau];
+        let values = parts.iter().flat_map(|part| part.iter().copied());
+        table.row(std::iter::once(t_s).chain(values))?;
+    }
+    Ok(table.finish()?)
+}
+
+fn page(report: &EfficiencyReport) -> String {
+    let rows: Vec<Vec<String>> = report
+        .cases
+        .iter()
+        .map(|case| {
+            vec![
+                case.noise.clone(),
+                format!("{:.3} %", 100.0 * case.irls_nrmse_moving_ratio),
+                format!("{:.3}", case.irls_over_cramer_rao_ratio),
+                format!("{:.3} %", 100.0 * case.wls_nrmse_moving_ratio),
+                format!("{:.3}", case.wls_over_cramer_rao_ratio),
+            ]
+        })
+        .collect();
+    html(
+        "How near identification comes to its bound",
+        &format!(
+            "UR5, 10 s of optimal excitation, {} noise draws a case; torque error on an unseen path, moving rows.",
+            report.draws
+        ),
+        &[Tile {
+            value: format!("{:.3} %", 100.0 * report.cramer_rao_nrmse_moving_ratio),
+            label: "Cramér–Rao bound of the torque error".to_owned(),
+        }],
+        &[Section {
+            heading: "Error over the bound".to_owned(),
+            caption:
+                "RMS over the draws. A single draw may lie below the bound, their RMS does not."
+                    .to_owned(),
+            legend: Vec::new(),
+            body: table(&["noise", "irls", "over bound", "wls", "over bound"], &rows),
+        }],
+    )
+}

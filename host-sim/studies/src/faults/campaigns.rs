@@ -1,0 +1,188 @@
+//! Every kind of fault on every board that can have it.
+
+use super::machine::{Crash, crashes};
+use super::store::{self, SECTOR, SMALL_SECTOR};
+use super::{BadUpload, Campaign, Damage};
+use super::{bad_uploads, damaged_line, foreign_frames, strange_numbers, watchdog_bites};
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque_link::store::slots;
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::board::{Native, Transport};
+use std::error::Error;
+use std::path::Path;
+
+/// Ticks of a second of arm time.
+const TICKS_PER_S: u32 = 1000;
+
+/// How much of everything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lengths {
+    /// Arm time of each kind of damage on the board in this process, s.
+    pub native_s: u32,
+    /// Arm time of 0.01 % byte errors on the bulk firmware in the emulator, s; of every other kind a tenth.
+    pub bulk_s: u32,
+    /// Samples of each kind of damage on the flashable firmware over its USART.
+    pub usart_ticks: u32,
+    /// Uploads of each kind that fail; crashes of each kind are a twentieth.
+    pub times: u32,
+    /// Saves in a life of power cuts.
+    pub saves: u32,
+}
+
+impl Lengths {
+    /// The whole campaign: ten minutes of arm time with byte errors.
+    pub const FULL: Self = Self {
+        native_s: 60,
+        bulk_s: 600,
+        usart_ticks: 1000,
+        times: 200,
+        saves: 20_000,
+    };
+    /// Ten seconds of each kind.
+    pub const SHORT: Self = Self {
+        native_s: 10,
+        bulk_s: 10,
+        usart_ticks: 60,
+        times: 10,
+        saves: 1000,
+    };
+}
+
+/// Where a campaign takes its board from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Board {
+    Native,
+    Bulk,
+    Usart,
+}
+
+impl Board {
+    fn connect(self) -> Result<Box<dyn Transport>, Box<dyn Error>> {
+        Ok(match self {
+            Self::Native => Box::new(Native::<Ur5, JOINTS, PARAMETERS>::new()?),
+            Self::Bulk => Box::new(Emulator::start(&QemuOptions::new(Image::Bulk))?),
+            Self::Usart => Box::new(Emulator::start(&QemuOptions::new(Image::Joint))?),
+        })
+    }
+}
+
+type Work = Box<dyn FnOnce() -> Result<Campaign, Box<dyn Error>>>;
+
+/// One campaign to be run.
+pub struct Scenario {
+    /// What is broken, for a progress bar.
+    pub name: &'static str,
+    work: Work,
+}
+
+impl Scenario {
+    fn new(
+        name: &'static str,
+        work: impl FnOnce() -> Result<Campaign, Box<dyn Error>> + 'static,
+    ) -> Self {
+        Self {
+            name,
+            work: Box::new(work),
+        }
+    }
+
+    /// Breaks things.
+    ///
+    /// Errors: a board that cannot be started, or one that is gone for good: that one has not survived.
+    pub fn run(self) -> Result<Campaign, Box<dyn Error>> {
+        (self.work)()
+    }
+}
+
+/// All campaigns; `scratch` is a directory for traces of the emulator.
+pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
+    let mut all = Vec::new();
+    for board in [Board::Native, Board::Bulk, Board::Usart] {
+        line(&mut all, board, lengths, seed);
+    }
+    flash(&mut all, lengths, seed);
+    all.push(Scenario::new("watchdog", move || {
+        Ok(watchdog_bites(lengths.times, seed)?)
+    }));
+    for crash in Crash::ALL {
+        let trace = scratch.join(format!("{}.trace", crash.name().replace(' ', "-")));
+        let times = lengths.times.div_ceil(20);
+        all.push(Scenario::new(crash.name(), move || {
+            Ok(crashes(crash, times, trace)?)
+        }));
+    }
+    all
+}
+
+fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
+    let ticks = |damage| match (board, damage) {
+        (Board::Native, _) => lengths.native_s * TICKS_PER_S,
+        (Board::Bulk, Damage::Noise) => lengths.bulk_s * TICKS_PER_S,
+        (Board::Bulk, _) => lengths.bulk_s * TICKS_PER_S / 10,
+        (Board::Usart, _) => lengths.usart_ticks,
+    };
+    for damage in Damage::ALL {
+        let ticks = ticks(damage);
+        all.push(Scenario::new(damage.name(), move || {
+            Ok(damaged_line(board.connect()?, damage, ticks, seed)?)
+        }));
+    }
+    let few = ticks(Damage::Flips);
+    all.push(Scenario::new("strange numbers", move || {
+        Ok(strange_numbers(board.connect()?, few, seed)?)
+    }));
+    all.push(Scenario::new("foreign frames", move || {
+        Ok(foreign_frames(board.connect()?, few, seed)?)
+    }));
+    let times = match board {
+        Board::Usart => lengths.times.div_ceil(20),
+        _ => lengths.times,
+    };
+    for bad in BadUpload::ALL {
+        all.push(Scenario::new(bad.name(), move || {
+            Ok(bad_uploads(board.connect()?, bad, times, seed)?)
+        }));
+    }
+}
+
+fn flash(all: &mut Vec<Scenario>, lengths: Lengths, seed: u64) {
+    let full = slots(SECTOR as u32);
+    // New flash, and both sides of every change of sector.
+    let real = [
+        0,
+        1,
+        full - 1,
+        full,
+        full + 1,
+        2 * full - 1,
+        2 * full,
+        2 * full + 1,
+    ];
+    let real: Vec<u32> = match lengths == Lengths::FULL {
+        true => real.into(),
+        false => vec![full],
+    };
+    all.push(Scenario::new("power cuts", move || {
+        Ok(store::power_cuts::<SECTOR>(real, seed)?)
+    }));
+    all.push(Scenario::new("power cuts, small", move || {
+        let mut campaign = store::power_cuts::<SMALL_SECTOR>(0..=6, seed)?;
+        campaign.name += ", two slots a sector";
+        Ok(campaign)
+    }));
+    all.push(Scenario::new("life of power cuts", move || {
+        Ok(store::power_cut_life::<SMALL_SECTOR>(lengths.saves, seed))
+    }));
+    all.push(Scenario::new("worn flash", move || {
+        Ok(store::worn::<SMALL_SECTOR>(lengths.saves / 10, 4, seed))
+    }));
+    all.push(Scenario::new("protected flash", move || {
+        Ok(store::protected::<SMALL_SECTOR>(0..=6, seed)?)
+    }));
+    all.push(Scenario::new("bit rot", move || {
+        Ok(store::bit_rot::<SMALL_SECTOR>(2, seed)?)
+    }));
+    all.push(Scenario::new("foreign sets", move || {
+        Ok(store::foreign_sets::<SMALL_SECTOR>(seed)?)
+    }));
+}

@@ -1,0 +1,259 @@
+//! A board under test, a reference beside it, and the line between host and board.
+
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::learning::ConfigError;
+use foretorque_link::safety::SafetyState;
+use foretorque_link::telemetry::Statistics;
+use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, encode};
+use foretorque_workbench::board::{BoardError, Native, Transport};
+use std::time::{Duration, Instant};
+
+/// How long an answer is waited for.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// Most bytes that are read at once.
+const ROOM: usize = 4096;
+
+/// One frame on its way, and what the reference shall make of it.
+#[derive(Clone, Debug)]
+pub(super) struct Frame {
+    pub(super) sequence: u16,
+    pub(super) bytes: Vec<u8>,
+    /// The reference gets it once the board has answered it. Not so where it must have no effect.
+    referred: bool,
+}
+
+/// What came of one round.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Round {
+    /// What the board answered, without hellos and markers.
+    pub(super) answers: Vec<BoardMessage<JOINTS>>,
+    /// Intact frames after the damage until one was heard: 1 or 2.
+    pub(super) resynchronised: u32,
+    /// A counter of the board says that something was wrong.
+    pub(super) noticed: bool,
+}
+
+/// The board under test behind any link, and a board in this process that gets the accepted frames only.
+pub(super) struct Rig {
+    transport: Box<dyn Transport>,
+    reference: Native<Ur5, JOINTS, PARAMETERS>,
+    sequence: u16,
+    decoder: Decoder,
+    heard: Decoder,
+    /// What was sent last under each number.
+    sent: Vec<Option<Frame>>,
+    errors: u64,
+    pub(super) wrong_torques: u64,
+    pub(super) torques: u64,
+    pub(super) state: SafetyState,
+}
+
+impl Rig {
+    /// A board that has just booted behind `transport`.
+    pub(super) fn new(transport: Box<dyn Transport>) -> Result<Self, BoardError> {
+        let mut rig = Self {
+            transport,
+            reference: reference().map_err(|_| BoardError::UnexpectedAnswer)?,
+            sequence: 0,
+            decoder: Decoder::new(),
+            heard: Decoder::new(),
+            sent: vec![None; 1 << 16],
+            errors: 0,
+            wrong_torques: 0,
+            torques: 0,
+            state: SafetyState::default(),
+        };
+        rig.ask(&HostMessage::Hello)?;
+        Ok(rig)
+    }
+
+    /// The frame of a message under the next number.
+    pub(super) fn frame(&mut self, message: &HostMessage<JOINTS>) -> Frame {
+        self.sequence = self.sequence.checked_add(1).unwrap_or(1);
+        let mut room = [0; MAX_FRAME];
+        let bytes = encode(self.sequence, message, &mut room).unwrap_or_default();
+        let frame = Frame {
+            sequence: self.sequence,
+            bytes: bytes.to_vec(),
+            referred: true,
+        };
+        self.sent[usize::from(frame.sequence)] = Some(frame.clone());
+        frame
+    }
+
+    /// The frame of a message that the reference shall never get.
+    pub(super) fn vain_frame(&mut self, message: &HostMessage<JOINTS>) -> Frame {
+        let mut frame = self.frame(message);
+        frame.referred = false;
+        self.sent[usize::from(frame.sequence)] = Some(frame.clone());
+        frame
+    }
+
+    /// Sends `message` undamaged; its answer.
+    pub(super) fn ask(
+        &mut self,
+        message: &HostMessage<JOINTS>,
+    ) -> Result<BoardMessage<JOINTS>, BoardError> {
+        let frame = self.frame(message);
+        let mut round = self.send(&frame.bytes)?;
+        round.answers.pop().ok_or(BoardError::UnexpectedAnswer)
+    }
+
+    /// Sends `line`, and two questions for the counters behind it; judges all that the board answers meanwhile.
+    pub(super) fn send(&mut self, line: &[u8]) -> Result<Round, BoardError> {
+        let markers = [
+            self.frame(&HostMessage::Statistics),
+            self.frame(&HostMessage::Statistics),
+        ];
+        let [first, last] = &markers;
+        let bytes = [line, &first.bytes, &last.bytes].concat();
+        self.post(&bytes)?;
+        let mut round = Round {
+            resynchronised: 2,
+            ..Round::default()
+        };
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            for (sequence, message) in self.listen()? {
+                // What the board says unasked.
+                if sequence == 0 {
+                    continue;
+                }
+                self.judge(sequence, &message)?;
+                let BoardMessage::Statistics(statistics) = &message else {
+                    round.answers.push(message);
+                    continue;
+                };
+                if sequence == first.sequence {
+                    round.resynchronised = 1;
+                }
+                let errors = errors(statistics);
+                round.noticed |= errors != self.errors;
+                self.errors = errors;
+                if sequence == last.sequence {
+                    return Ok(round);
+                }
+            }
+            if Instant::now() > deadline {
+                return Err(BoardError::Timeout(self.transport.name()));
+            }
+        }
+    }
+
+    fn post(&mut self, bytes: &[u8]) -> Result<(), BoardError> {
+        let sent = self.transport.send(bytes);
+        sent.map_err(|error| BoardError::Closed(self.transport.name(), error))
+    }
+
+    /// The messages that have come.
+    fn listen(&mut self) -> Result<Vec<(u16, BoardMessage<JOINTS>)>, BoardError> {
+        let mut room = [0; ROOM];
+        let count = self.transport.receive(&mut room, PATIENCE);
+        let count = count.map_err(|error| BoardError::Closed(self.transport.name(), error))?;
+        let mut messages = Vec::new();
+        for &byte in room.get(..count).unwrap_or_default() {
+            if let Some(frame) = self.decoder.push(byte) {
+                let frame = frame.map_err(|_| BoardError::UnexpectedAnswer)?;
+                let message = frame.message().map_err(|_| BoardError::UnexpectedAnswer)?;
+                messages.push((frame.sequence, message));
+            }
+        }
+        Ok(messages)
+    }
+
+    /// Compares an answer with the reference's, which gets the frame now.
+    fn judge(&mut self, sequence: u16, answer: &BoardMessage<JOINTS>) -> Result<(), BoardError> {
+        let torque = match answer {
+            BoardMessage::Torque(torque) => Some(torque.safety),
+            BoardMessage::FullTorque(torque) => Some(torque.safety),
+            _ => None,
+        };
+        if let Some(safety) = torque {
+            (self.torques, self.state) = (self.torques + 1, safety.state);
+            self.wrong_torques += u64::from(!is_finite(answer));
+        }
+        let frame = self.sent[usize::from(sequence)].clone();
+        if frame.as_ref().is_some_and(|frame| !frame.referred) {
+            return Ok(());
+        }
+        // Nothing of that number was sent, or the reference has had it and does not act on it twice.
+        let expected = frame.and_then(|frame| self.refer(&frame).transpose());
+        let Some(expected) = expected.transpose()? else {
+            self.wrong_torques += 1;
+            return Ok(());
+        };
+        let counts = matches!(answer, BoardMessage::Statistics(_) | BoardMessage::Hello(_));
+        if !counts && bytes(sequence, &expected) != bytes(sequence, answer) {
+            self.wrong_torques += 1;
+        }
+        Ok(())
+    }
+
+    /// What the reference answers to `frame`; `None` when it does not act on it.
+    fn refer(&mut self, frame: &Frame) -> Result<Option<BoardMessage<JOINTS>>, BoardError> {
+        let gone = |error| BoardError::Closed("reference".into(), error);
+        self.reference.send(&frame.bytes).map_err(gone)?;
+        let mut room = [0; FrameBuffer::CAPACITY];
+        let count = self.reference.receive(&mut room, PATIENCE).map_err(gone)?;
+        let mut answer = None;
+        for &byte in room.get(..count).unwrap_or_default() {
+            if let Some(Ok(heard)) = self.heard.push(byte)
+                && heard.sequence == frame.sequence
+            {
+                answer = heard.message().ok();
+            }
+        }
+        Ok(answer)
+    }
+}
+
+fn reference() -> Result<Native<Ur5, JOINTS, PARAMETERS>, ConfigError> {
+    let mut reference = Native::new()?;
+    // Its hello is for nobody.
+    let _ = reference.receive(&mut [0; FrameBuffer::CAPACITY], Duration::ZERO);
+    Ok(reference)
+}
+
+/// Everything that counts damage.
+fn errors(statistics: &Statistics) -> u64 {
+    [
+        statistics.crc_errors,
+        statistics.framing_errors,
+        statistics.foreign_version,
+        statistics.unknown,
+        statistics.missed,
+        statistics.repeated,
+        statistics.implausible,
+    ]
+    .map(u64::from)
+    .iter()
+    .sum()
+}
+
+/// The bytes of a message, with every NaN the same: processors make different ones.
+fn bytes(sequence: u16, message: &BoardMessage<JOINTS>) -> Vec<u8> {
+    let mut message = message.clone();
+    if let BoardMessage::Evaluated(frame) = &mut message {
+        let shares = [
+            &mut frame.total,
+            &mut frame.rigid,
+            &mut frame.friction,
+            &mut frame.network,
+        ];
+        for value in shares.into_iter().flatten().filter(|value| value.is_nan()) {
+            *value = f32::NAN;
+        }
+    }
+    let mut room = [0; MAX_FRAME];
+    encode(sequence, &message, &mut room)
+        .unwrap_or_default()
+        .to_vec()
+}
+
+fn is_finite(message: &BoardMessage<JOINTS>) -> bool {
+    match message {
+        BoardMessage::Torque(torque) => torque.total.iter().all(|torque| torque.is_finite()),
+        BoardMessage::FullTorque(full) => full.torque.total.iter().all(|torque| torque.is_finite()),
+        _ => true,
+    }
+}

@@ -1,0 +1,214 @@
+//! Uploads that fail, between sound ones.
+
+use super::Campaign;
+use super::link::{ARM_EVERY, Host};
+use super::rig::Frame;
+use super::store::set;
+use foretorque::arm::ur5::JOINTS;
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::safety::SafetyState;
+use foretorque_link::wire::{BankSource, BoardMessage, CHUNK, HostMessage};
+use foretorque_workbench::board::{BoardError, Transport};
+use rand::seq::IndexedRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// How an upload fails.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BadUpload {
+    /// It stops before its end, with or without a commit.
+    Interrupted,
+    /// The board is reset in the middle of it.
+    Reset,
+    /// The bank is for another robot.
+    WrongRobot,
+    /// The bank is of another format version.
+    WrongVersion,
+    /// Bytes of the bank are damaged, the checksum of the upload is right.
+    Damaged,
+    /// A number of the bank is none, or infinite.
+    StrangeNumber,
+}
+
+impl BadUpload {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::Interrupted,
+        Self::Reset,
+        Self::WrongRobot,
+        Self::WrongVersion,
+        Self::Damaged,
+        Self::StrangeNumber,
+    ];
+
+    /// What it is called in a report.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Interrupted => "interrupted uploads",
+            Self::Reset => "reset in the middle of an upload",
+            Self::WrongRobot => "banks of another robot",
+            Self::WrongVersion => "banks of another version",
+            Self::Damaged => "damaged banks",
+            Self::StrangeNumber => "banks with NaN and infinite numbers",
+        }
+    }
+}
+
+/// `times` uploads that fail, between sound ones. The reference gets the sound ones only: a set is lost when the bank in
+/// force is another one afterwards.
+pub fn bad_uploads(
+    transport: Box<dyn Transport>,
+    bad: BadUpload,
+    times: u32,
+    seed: u64,
+) -> Result<Campaign, BoardError> {
+    let mut campaign = Campaign::new(bad.name(), &transport.name());
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut host = Host::new(transport, false)?;
+    for number in 1..=times {
+        let good = set(number);
+        let frames = upload(&mut host, &good, good.len(), true);
+        for frame in frames {
+            host.rig.send(&frame.bytes)?;
+        }
+        let accepted = spoilt_upload(&mut host, bad, number, &mut random)?;
+        // A bank that is read back is compared piece by piece with the reference's.
+        let wrong = host.rig.wrong_torques;
+        for offset in (0..good.len()).step_by(CHUNK) {
+            host.rig.ask(&HostMessage::BankRead {
+                source: BankSource::Live,
+                offset: offset as u16,
+            })?;
+        }
+        let lost = accepted || host.rig.wrong_torques > wrong;
+        campaign.lost_sets += u64::from(lost);
+        campaign.injected += 1;
+        let mut worked = false;
+        for _ in 0..4 * ARM_EVERY {
+            host.work()?;
+            worked |= host.rig.state == SafetyState::Armed;
+        }
+        campaign.recovered += u64::from(worked);
+        host.rest()?;
+    }
+    Ok(host.close(campaign, true))
+}
+
+/// The frames of an upload of the first `length` bytes of `bank`, with the commit of all of it.
+fn upload(host: &mut Host, bank: &[u8], length: usize, referred: bool) -> Vec<Frame> {
+    let mut frame = |message: HostMessage<JOINTS>| match referred {
+        true => host.rig.frame(&message),
+        false => host.rig.vain_frame(&message),
+    };
+    let pieces = bank.get(..length).unwrap_or(bank).chunks(CHUNK).enumerate();
+    let mut frames: Vec<Frame> = pieces
+        .map(|(place, piece)| {
+            frame(HostMessage::BankWrite {
+                offset: (place * CHUNK) as u16,
+                bytes: piece.iter().copied().collect(),
+            })
+        })
+        .collect();
+    frames.push(frame(HostMessage::BankCommit {
+        length: bank.len() as u16,
+        crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bank),
+        mac: None,
+    }));
+    frames
+}
+
+/// Uploads what must not be taken over. True when the board took it.
+fn spoilt_upload(
+    host: &mut Host,
+    bad: BadUpload,
+    number: u32,
+    random: &mut ChaCha8Rng,
+) -> Result<bool, BoardError> {
+    let bank = spoilt_bank(bad, number, random);
+    let cut = matches!(bad, BadUpload::Interrupted | BadUpload::Reset);
+    let length = if cut {
+        random.random_range(0..bank.len())
+    } else {
+        bank.len()
+    };
+    let mut frames = upload(host, &bank, length, false);
+    let committed = bad != BadUpload::Interrupted || random.random();
+    if !committed {
+        frames.pop();
+    }
+    if bad == BadUpload::Reset {
+        let reset = host.rig.frame(&HostMessage::Reset);
+        frames.insert(frames.len() - 1, reset);
+    }
+    let mut answer = None;
+    for frame in &frames {
+        answer = host.rig.send(&frame.bytes)?.answers.pop();
+    }
+    // The answer to the last frame: a commit must not be acknowledged, and without one nothing must be in force.
+    Ok(committed && answer == Some(BoardMessage::Ack))
+}
+
+/// A bank that no board for this robot may take over; or a good one, where the upload is what fails.
+fn spoilt_bank(bad: BadUpload, number: u32, random: &mut ChaCha8Rng) -> Vec<u8> {
+    let mut bytes = set(1000 + number);
+    let Ok(mut bank) = ParameterBank::decode(&bytes) else {
+        return bytes;
+    };
+    match bad {
+        BadUpload::WrongRobot => bank.arm_hash ^= 1 << random.random_range(0..32),
+        BadUpload::StrangeNumber => {
+            let value = *[f32::NAN, f32::INFINITY, f32::NEG_INFINITY]
+                .choose(random)
+                .unwrap_or(&f32::NAN);
+            let (column, weight) = (
+                random.random_range(0..bank.columns.len()),
+                random.random_range(0..bank.weights.len()),
+            );
+            match random.random_range(0..4) {
+                0 => bank.columns[column].value = value,
+                1 => bank.columns[column].deviation = value,
+                2 => bank.weights[weight] = value,
+                _ => bank.drive_gains_nm_a[random.random_range(0..JOINTS)] = value,
+            }
+        }
+        BadUpload::WrongVersion => {
+            bytes[4] = ParameterBank::FORMAT_VERSION.wrapping_add(random.random_range(1..=255));
+            return bytes;
+        }
+        BadUpload::Damaged => {
+            let place = random.random_range(0..bytes.len());
+            bytes[place] ^= random.random_range(1..=255u8);
+            return bytes;
+        }
+        BadUpload::Interrupted | BadUpload::Reset => return bytes,
+    }
+    let mut room = [0; ParameterBank::MAX_BYTES];
+    bank.encode(&mut room).map_or(bytes, <[u8]>::to_vec)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use foretorque::arm::ur5::{PARAMETERS, Ur5};
+    use foretorque_workbench::board::Native;
+
+    #[test]
+    fn a_bank_that_is_taken_although_it_must_not_be_is_a_lost_set() {
+        let native = Native::<Ur5, JOINTS, PARAMETERS>::new().unwrap();
+        let mut host = Host::new(Box::new(native), false).unwrap();
+        let bank = set(5);
+        let frames = upload(&mut host, &bank, bank.len(), false);
+        for frame in frames {
+            host.rig.send(&frame.bytes).unwrap();
+        }
+        let offset = HostMessage::BankRead {
+            source: BankSource::Live,
+            offset: 0,
+        };
+        host.rig.ask(&offset).unwrap();
+        assert!(
+            host.rig.wrong_torques > 0,
+            "the bank differs from the reference's"
+        );
+    }
+}

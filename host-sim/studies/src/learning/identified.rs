@@ -1,0 +1,138 @@
+//! The parameters that a careful engineer would load: least squares over the board's own rows.
+
+use super::baselines::prior_covariance;
+use super::comparison::heard_row;
+use super::controller::Controller;
+use super::scenario::Start;
+use super::world::{N, P, PERIOD_S, Set, World};
+use foretorque::arm::ur5::{JOINTS, Ur5};
+use foretorque::feedforward::evaluate;
+use foretorque::learning::{Conditioned, LearnerConfig, MeasurementWindow, Stacked};
+use foretorque_workbench::closed_loop::{Answer, ClosedLoop};
+use foretorque_workbench::plant::PlantConfig;
+use foretorque_workbench::trajectory::Trajectory;
+use nalgebra::{DMatrix, DVector};
+use std::convert::Infallible;
+use std::error::Error;
+
+/// Length of the path that is identified on, s.
+const IDENTIFICATION_S: f64 = 40.0;
+/// Every how many-th tick gives rows.
+const STRIDE: usize = 5;
+/// Prior standard deviation, in those of the learner, of friction columns that shall stay unused.
+const UNUSED: f32 = 1e-4;
+
+/// Sets to start from.
+pub(super) struct Starts {
+    wrong: Set,
+    identified: Set,
+    plain: Set,
+}
+
+impl Starts {
+    /// Identifies the arm of `world` at the age of zero, without drift.
+    pub(super) fn new(world: &World) -> Result<Self, Box<dyn Error>> {
+        let rows = conditioned_rows(world)?;
+        let full = Controller::config();
+        Ok(Self {
+            wrong: world.wrong,
+            identified: least_squares(&rows, &world.wrong, &full),
+            plain: least_squares(&rows, &world.wrong, &Start::PlainFriction.config()),
+        })
+    }
+
+    pub(super) fn set(&self, start: Start) -> &Set {
+        match start {
+            Start::Wrong => &self.wrong,
+            Start::Identified => &self.identified,
+            Start::PlainFriction => &self.plain,
+        }
+    }
+}
+
+impl Start {
+    /// How the learner goes on from there: as the firmware has it; a plain friction model has viscous and
+    /// Coulomb columns, offset and cogging, and gets no others.
+    pub(super) fn config(self) -> LearnerConfig<N, P> {
+        let mut config = Controller::config();
+        if self == Self::PlainFriction {
+            for sigma in &mut config.friction_sigma {
+                sigma.stribeck *= UNUSED;
+                sigma.bend *= UNUSED;
+                sigma.load *= UNUSED;
+            }
+        }
+        config
+    }
+}
+
+/// What the board would have learnt from: the filtered motion and the torque of the same instant.
+fn conditioned_rows(world: &World) -> Result<Vec<Conditioned<N>>, Box<dyn Error>> {
+    let quiet = PlantConfig {
+        viscous_drift: 0.0,
+        ..PlantConfig::default()
+    };
+    let mut plant = world.plant(quiet, 1.0, 999)?;
+    let pd = world.pd(6.0);
+    let path = Trajectory::Via(world.task(IDENTIFICATION_S, 0));
+    let mut run = ClosedLoop::new(&mut plant, &pd, &path, PERIOD_S, None)?;
+    let mut window = MeasurementWindow::<N>::new();
+    let mut rows = Vec::new();
+    for tick in 0..path.ticks(PERIOD_S) {
+        let Ok(_) = run.tick_with::<Infallible>(&mut plant, |sample| {
+            let Some(sample) = sample else {
+                return Ok(None);
+            };
+            window.push(sample.measured.as_ref());
+            Ok(Some(Answer {
+                total: evaluate::<Ur5, N, P>(&world.wrong, &sample.desired).total,
+                shares: None,
+                flags: 0,
+            }))
+        });
+        if tick % STRIDE == 0 {
+            rows.extend(window.conditioned(1.0 / PERIOD_S as f32));
+        }
+    }
+    Ok(rows)
+}
+
+/// Weighted least squares with the doubts of `config` around `prior`.
+fn least_squares(rows: &[Conditioned<N>], prior: &Set, config: &LearnerConfig<N, P>) -> Set {
+    let start = Stacked::of(prior);
+    let sigma = Stacked::sigma(config);
+    let n = start.iter().count();
+    let prior_information = prior_covariance().try_inverse();
+    let mut normal = prior_information.unwrap_or_else(|| DMatrix::identity(n, n));
+    let mut right = DVector::<f64>::zeros(n);
+    for seen in rows {
+        for joint in 0..JOINTS {
+            if seen.motion.qd[joint].abs() < config.velocity_gate {
+                continue;
+            }
+            let row = heard_row(joint, seen);
+            let limit = <Ur5 as foretorque::arm::Arm<N, P>>::LIMITS[joint].torque;
+            let inv_noise = f64::from(1.0 / (config.noise * limit));
+            let phi = DVector::from_iterator(
+                n,
+                row.iter()
+                    .zip(sigma.iter())
+                    .map(|(row, sigma)| f64::from(row * sigma) * inv_noise),
+            );
+            let left = f64::from(seen.tau[joint] - row.dot(&start)) * inv_noise;
+            right.axpy(left, &phi, 1.0);
+            normal.syger(1.0, &phi, &phi, 1.0);
+        }
+    }
+    let moved = normal.cholesky().map(|normal| normal.solve(&right));
+    let mut found = start;
+    if let Some(moved) = moved {
+        let columns = found.iter_mut().zip(sigma.iter());
+        for ((found, sigma), moved) in columns.zip(moved.iter()) {
+            *found += sigma * *moved as f32;
+        }
+    }
+    let mut set = *prior;
+    found.write(&mut set);
+    set
+}

@@ -1,0 +1,53 @@
+//! The flashable firmware begins with what its flash holds. The emulator has no flash interface, but it can be given flash
+//! that was written by the same store on the host.
+
+use foretorque::arm::Arm;
+use foretorque::arm::ur5::{PARAMETERS, Ur5};
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::store::{SLOT_BYTES, Store};
+use foretorque_studies::faults::store::{SECTOR, set};
+use foretorque_workbench::board::Client;
+use foretorque_workbench::board::flash::SimulatedFlash;
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use std::path::PathBuf;
+use std::time::Duration;
+
+type Flash = SimulatedFlash<SECTOR>;
+
+/// The bank in force on a board that boots with `flash`.
+fn booted(name: &str, flash: Option<&Flash>) -> ParameterBank {
+    let mut options = QemuOptions::new(Image::Joint);
+    options.store = flash.map(|flash| {
+        let file = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.flash"));
+        std::fs::write(&file, flash.bytes()).expect("the directory is there");
+        file
+    });
+    let board = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
+    let mut client =
+        Client::<6>::connect::<Ur5, PARAMETERS>(Box::new(board), Duration::from_secs(5))
+            .unwrap_or_else(|error| panic!("{error}"));
+    client.read_bank().unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn bank(number: u32) -> ParameterBank {
+    ParameterBank::decode(&set(number)).expect("it was just encoded")
+}
+
+#[test]
+fn the_board_boots_with_the_newest_whole_set_of_its_arm() {
+    let mut store = Store::new(Flash::new(1));
+    for number in 1..=3 {
+        store.save(Ur5::HASH, &set(number)).unwrap();
+    }
+    store.save(!Ur5::HASH, &set(4)).unwrap();
+    assert_eq!(booted("whole", Some(store.flash())), bank(3));
+    store.flash_mut().rot(2 * SLOT_BYTES as usize + 100, 5);
+    assert_eq!(booted("rotten", Some(store.flash())), bank(2));
+}
+
+#[test]
+fn without_a_set_the_board_boots_with_that_of_the_firmware() {
+    let nominal = ParameterBank::nominal::<Ur5, 6, PARAMETERS>();
+    assert_eq!(booted("none", None), nominal);
+    assert_eq!(booted("blank", Some(&Flash::new(1))), nominal);
+}

@@ -1,0 +1,129 @@
+//! Banks and excitations: up, down, and in the board's store.
+
+use super::line::{acknowledged, refused};
+use super::{BoardError, Client};
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::excitation::ExcitationProgram;
+use foretorque_link::wire::{
+    BankSource, BoardMessage, CHUNK, Capabilities, Chunk, HostMessage, MAC_BYTES,
+};
+use std::time::Duration;
+
+/// How long the store may take: erasing a sector of 128 KiB takes up to 2 s (DS8626 table 48), and it has two.
+const STORE_TIMEOUT: Duration = Duration::from_secs(10);
+
+impl<const N: usize> Client<N> {
+    /// Disarms the board, sends `bank` and has the board take it over, whole or not at all. Learning must be off.
+    pub fn upload_bank(&mut self, bank: &ParameterBank) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
+        let mut room = [0; ParameterBank::MAX_BYTES];
+        let bytes = bank.encode(&mut room).map_err(BoardError::Bank)?;
+        let mac = self.signature(bytes)?;
+        self.upload(bytes)?;
+        // Not asked twice: the first commit ends the upload, so a second would be refused although the first was good.
+        let sequence = self.post(&HostMessage::BankCommit {
+            length: bytes.len() as u16,
+            crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
+            mac,
+        })?;
+        acknowledged(self.wait_for(sequence, self.timeout)?)
+    }
+
+    /// The signature of an upload, where the board has a write key.
+    pub(super) fn signature(
+        &mut self,
+        upload: &[u8],
+    ) -> Result<Option<[u8; MAC_BYTES]>, BoardError> {
+        if !self.hello.capabilities.contains(Capabilities::WRITE_KEY) {
+            return Ok(None);
+        }
+        let key = self.key.ok_or(BoardError::NoKey)?;
+        match self.ask(&HostMessage::Challenge)? {
+            BoardMessage::Challenge { nonce } => {
+                Ok(Some(key.sign_upload(&nonce, self.hello.arm_hash, upload)))
+            }
+            other => Err(refused(other)),
+        }
+    }
+
+    /// Sends `program` and has the board take it over, whole or not at all. Learning must be off; the board's check runs
+    /// in the ticks that follow.
+    pub fn load_excitation(&mut self, program: &ExcitationProgram<N>) -> Result<(), BoardError> {
+        let mut room = [0; ParameterBank::MAX_BYTES];
+        let bytes = program
+            .encode(&mut room)
+            .expect("an excitation of few joints is shorter than a bank");
+        let mac = self.signature(bytes)?;
+        self.upload(bytes)?;
+        let sequence = self.post(&HostMessage::ExcitationLoad {
+            length: bytes.len() as u16,
+            crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
+            mac,
+        })?;
+        acknowledged(self.wait_for(sequence, self.timeout)?)
+    }
+
+    pub(super) fn upload(&mut self, bytes: &[u8]) -> Result<(), BoardError> {
+        for (place, chunk) in bytes.chunks(CHUNK).enumerate() {
+            self.command(&HostMessage::BankWrite {
+                offset: (place * CHUNK) as u16,
+                bytes: chunk.iter().copied().collect(),
+            })?;
+        }
+        Ok(())
+    }
+
+    /// The bank in force on the board, what it has learnt included.
+    pub fn read_bank(&mut self) -> Result<ParameterBank, BoardError> {
+        self.read_bank_of(BankSource::Live)
+    }
+
+    /// One of the banks on the board.
+    pub fn read_bank_of(&mut self, source: BankSource) -> Result<ParameterBank, BoardError> {
+        let mut bank = Vec::new();
+        loop {
+            let wanted = bank.len() as u16;
+            let (length, piece) = self.read_chunk(source, wanted)?;
+            bank.extend_from_slice(&piece);
+            if bank.len() >= usize::from(length) || piece.is_empty() {
+                return ParameterBank::decode(&bank).map_err(BoardError::Bank);
+            }
+        }
+    }
+
+    pub(super) fn read_chunk(
+        &mut self,
+        source: BankSource,
+        wanted: u16,
+    ) -> Result<(u16, Chunk), BoardError> {
+        let question = HostMessage::BankRead {
+            source,
+            offset: wanted,
+        };
+        match self.ask(&question)? {
+            BoardMessage::BankChunk {
+                offset,
+                length,
+                bytes,
+            } if offset == wanted => Ok((length, bytes)),
+            other => Err(refused(other)),
+        }
+    }
+
+    /// Has the board keep its parameters over power-off. The board is disarmed; learning must be off.
+    pub fn save(&mut self) -> Result<(), BoardError> {
+        self.at_the_store(&HostMessage::Save)
+    }
+
+    /// Has the board take over its stored parameters. The board is disarmed; learning must be off.
+    pub fn restore(&mut self) -> Result<(), BoardError> {
+        self.at_the_store(&HostMessage::Restore)
+    }
+
+    /// Not asked twice: what the store was asked for it does, however long it takes.
+    pub(super) fn at_the_store(&mut self, message: &HostMessage<N>) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
+        let sequence = self.post(message)?;
+        acknowledged(self.wait_for(sequence, STORE_TIMEOUT)?)
+    }
+}

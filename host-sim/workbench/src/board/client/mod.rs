@@ -1,0 +1,231 @@
+mod banks;
+mod line;
+mod torque;
+
+use super::{BoardError, Transport};
+use foretorque::arm::Arm;
+use foretorque::feedforward::{Shares, Torque};
+use foretorque::joint::{JointMotion, JointVector};
+use foretorque::learning::Request;
+use foretorque::limits::Flags;
+use foretorque_link::excitation::ExcitationState;
+use foretorque_link::safety::SafetyStatus;
+use foretorque_link::telemetry::Statistics;
+use foretorque_link::wire::{
+    BoardHello, BoardMessage, Configuration, Decoder, FrameBuffer, HostMessage, SampleFrame,
+    TelemetryFrame,
+};
+use foretorque_link::write_key::WriteKey;
+use line::{nobody, refused};
+use std::time::Duration;
+
+/// Shares of the torque of one tick, N·m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BoardShares<const N: usize> {
+    /// Those of one joint: rigid body, friction, network.
+    Joint(usize, [f32; 3]),
+    /// All of them.
+    All(Shares<N>),
+}
+
+/// Torque of one tick, as the board answered it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickReply<const N: usize> {
+    /// Counter of the tick.
+    pub tick: u32,
+    /// What happened.
+    pub flags: Flags,
+    /// Whether torque leaves the board, and why not.
+    pub safety: SafetyStatus,
+    /// The torque, N × N·m, bit for bit; zero unless the board is armed.
+    pub total: JointVector<N>,
+    /// What it is made of.
+    pub shares: BoardShares<N>,
+    /// Where the excitation stands and what it asks of the arm, if the board plays one.
+    pub excited: Option<(ExcitationState, JointMotion<N>)>,
+}
+
+/// What the host saw of the link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkCount {
+    /// Frames sent.
+    pub sent: u64,
+    /// Good frames received.
+    pub received: u64,
+    /// Damaged or foreign frames received.
+    pub errors: u64,
+    /// Good frames that answered no open question.
+    pub stray: u64,
+    /// Questions that found no answer in time.
+    pub timeouts: u64,
+}
+
+/// Speaks the protocol with a board of `N` joints over any [`Transport`].
+pub struct Client<const N: usize> {
+    transport: Box<dyn Transport>,
+    decoder: Decoder,
+    request: FrameBuffer,
+    sequence: u16,
+    /// Bytes received and not yet decoded.
+    bytes: Vec<u8>,
+    next: usize,
+    timeout: Duration,
+    /// Number of the period of the next sample.
+    period: u8,
+    /// Answers come after the lesson.
+    patient: bool,
+    count: LinkCount,
+    hello: BoardHello,
+    /// The board as its last reply told it.
+    safety: SafetyStatus,
+    /// The desired motion that the board knows, without a measurement.
+    presented: Option<SampleFrame<N>>,
+    /// What it told unasked.
+    telemetry: Vec<TelemetryFrame>,
+    key: Option<WriteKey>,
+}
+
+impl<const N: usize> Client<N> {
+    /// Greets the board and makes sure that it drives arm `A` and speaks this protocol.
+    ///
+    /// * `boot` how long the board may take to answer its first hello
+    ///
+    /// Errors: [`BoardError::Timeout`], [`BoardError::WrongProtocol`], [`BoardError::WrongRobot`],
+    /// [`BoardError::Closed`].
+    pub fn connect<A: Arm<N, P>, const P: usize>(
+        transport: Box<dyn Transport>,
+        boot: Duration,
+    ) -> Result<Self, BoardError> {
+        Self::connect_as(transport, A::NAME, A::HASH, boot)
+    }
+
+    /// [`connect`](Self::connect) with name and identity of the arm as values.
+    pub fn connect_as(
+        transport: Box<dyn Transport>,
+        arm: &str,
+        arm_hash: u32,
+        boot: Duration,
+    ) -> Result<Self, BoardError> {
+        let mut client = Self {
+            period: 0,
+            patient: !transport.keeps_time(),
+            transport,
+            decoder: Decoder::new(),
+            request: FrameBuffer::new(),
+            sequence: 0,
+            bytes: Vec::new(),
+            next: 0,
+            timeout: Duration::from_secs(2),
+            count: LinkCount::default(),
+            hello: nobody(),
+            safety: SafetyStatus::default(),
+            presented: None,
+            telemetry: Vec::new(),
+            key: None,
+        };
+        client.hello = client.greet(boot)?;
+        client.safety = client.hello.safety;
+        let found = &client.hello;
+        if found.arm_hash != arm_hash || usize::from(found.joints) != N {
+            return Err(BoardError::WrongRobot {
+                wanted: format!("{arm} ({arm_hash:08x})"),
+                found: format!(
+                    "{} ({:08x}, {} joints)",
+                    found.arm, found.arm_hash, found.joints
+                ),
+            });
+        }
+        Ok(client)
+    }
+
+    /// Signs uploads from now on, where the board asks for it.
+    pub fn set_write_key(&mut self, key: WriteKey) {
+        self.key = Some(key);
+    }
+
+    /// How long an answer is waited for.
+    pub fn set_timeout(&mut self, timeout: Duration) {
+        self.timeout = timeout;
+    }
+
+    /// Whether the torque of a sample is answered only when its lesson is learnt, so that what the board learns does not depend
+    /// on when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
+    pub fn wait_for_lessons(&mut self, patient: bool) {
+        self.patient = patient;
+    }
+
+    /// Lets a period go by without a sample: the board hears of it with the next one.
+    pub fn skip_period(&mut self) {
+        self.period = self.period.wrapping_add(1);
+    }
+
+    /// Who the board said it is.
+    pub fn hello(&self) -> &BoardHello {
+        &self.hello
+    }
+
+    /// What the host saw of the link so far.
+    pub fn link_count(&self) -> LinkCount {
+        self.count
+    }
+
+    /// Asks the board's learner; what comes of it is among its decisions.
+    pub fn request(&mut self, request: Request) -> Result<(), BoardError> {
+        self.command(&HostMessage::Request {
+            code: request as u8,
+        })
+    }
+
+    /// Has the board stream `fields`, a sum of [`Field`](foretorque_link::wire::Field) bits, of every `every`-th tick.
+    pub fn stream(&mut self, fields: u16, every: u16) -> Result<(), BoardError> {
+        self.command(&HostMessage::Telemetry { fields, every })
+    }
+
+    /// The telemetry that came since this was last asked, in the order it came.
+    pub fn take_telemetry(&mut self) -> Vec<TelemetryFrame> {
+        std::mem::take(&mut self.telemetry)
+    }
+
+    /// Starts the board's processor anew. Says nothing of whether it came back: greet it again.
+    pub fn reboot(&mut self) -> Result<(), BoardError> {
+        self.post(&HostMessage::Reboot)?;
+        Ok(())
+    }
+
+    /// Shares of the board's active set for `motion`; changes nothing on the board.
+    pub fn evaluate(&mut self, motion: &JointMotion<N>) -> Result<Torque<N>, BoardError> {
+        match self.ask(&HostMessage::Evaluate(motion.into()))? {
+            BoardMessage::Evaluated(frame) => Ok(Torque::from(&frame)),
+            other => Err(refused(other)),
+        }
+    }
+
+    /// Sets period, pacing and reply mode; the board is disarmed, and its tick starts over at 0.
+    pub fn configure(&mut self, configuration: Configuration) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
+        self.command(&HostMessage::Configure(configuration))?;
+        self.hello.configuration = configuration;
+        Ok(())
+    }
+
+    /// Switches learning on or off.
+    pub fn learning(&mut self, on: bool) -> Result<(), BoardError> {
+        self.command(&HostMessage::Learning { on })
+    }
+
+    /// The board's counters.
+    pub fn statistics(&mut self) -> Result<Statistics, BoardError> {
+        match self.ask(&HostMessage::Statistics)? {
+            BoardMessage::Statistics(statistics) => Ok(statistics),
+            other => Err(refused(other)),
+        }
+    }
+
+    /// Disarms the board and brings it back to the state after boot; a latched fault stays.
+    pub fn reset(&mut self) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
+        self.command(&HostMessage::Reset)?;
+        self.hello.configuration = Configuration::default();
+        Ok(())
+    }
+}

@@ -1,0 +1,80 @@
+use super::Transport;
+use foretorque::arm::Arm;
+use foretorque::learning::{ConfigError, Learner, LearnerConfig};
+use foretorque_link::session::{BoardDescription, LearnerMailbox, NoClock, Session};
+use foretorque_link::wire::FrameBuffer;
+use std::collections::VecDeque;
+use std::io;
+use std::time::Duration;
+
+/// The board in this process: the firmware's own session and learner behind the very same frames.
+///
+/// The learner works through its lesson right after each reply, as it does on the board that simulates in bulk.
+pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
+    session: Session<A, N, P>,
+    mailbox: LearnerMailbox<N, P>,
+    learner: Learner<A, N, P>,
+    out: FrameBuffer,
+    waiting: VecDeque<u8>,
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
+    /// A board that has just booted and said hello.
+    ///
+    /// Errors: the first limit of the arm that cannot work.
+    pub fn new() -> Result<Self, ConfigError> {
+        let board = BoardDescription::plain(NoClock);
+        let session = Session::new(board)?;
+        let period_s = session.configuration().period_us as f32 * 1e-6;
+        let set = session.feed_forward().state().active;
+        let mut native = Self {
+            session,
+            mailbox: LearnerMailbox::new(),
+            learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
+            out: FrameBuffer::new(),
+            waiting: VecDeque::new(),
+        };
+        native.session.send_hello(&mut native.out);
+        native.flush();
+        Ok(native)
+    }
+
+    /// The session inside.
+    pub fn session(&self) -> &Session<A, N, P> {
+        &self.session
+    }
+
+    /// The learner inside.
+    pub fn learner(&self) -> &Learner<A, N, P> {
+        &self.learner
+    }
+
+    fn flush(&mut self) {
+        self.waiting.extend(self.out.as_bytes());
+        self.out.clear();
+    }
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P> {
+    fn name(&self) -> String {
+        "native".into()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        for frame in bytes.split_inclusive(|&byte| byte == 0) {
+            self.session
+                .receive(frame, &mut self.mailbox, &mut self.out);
+            self.flush();
+            self.mailbox.work(&mut self.learner, &NoClock);
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, room: &mut [u8], _timeout: Duration) -> io::Result<usize> {
+        let count = room.len().min(self.waiting.len());
+        for (slot, byte) in room.iter_mut().zip(self.waiting.drain(..count)) {
+            *slot = byte;
+        }
+        Ok(count)
+    }
+}

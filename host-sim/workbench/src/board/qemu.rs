@@ -1,0 +1,385 @@
+//! The firmware in the emulator: the flashable ELF over its USART, or the bulk ELF over two pipes.
+
+use std::fmt;
+use std::io;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::socket::{AddressFamily, SockFlag, SockType, socketpair};
+use nix::unistd::pipe2;
+
+use super::Transport;
+use super::child::Guarded;
+
+/// The emulator's program.
+const EMULATOR: &str = "qemu-system-arm";
+/// Where the write key is (memory.x).
+const KEY_START: u32 = 0x080A_0000;
+/// Where the store begins (memory.x).
+const STORE_START: u32 = 0x080C_0000;
+/// How long the end of a dying emulator is waited for.
+const FUNERAL: Duration = Duration::from_secs(2);
+/// How long a board may take no bytes.
+pub const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Which firmware, and so which link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Image {
+    /// The flashable firmware, over USART2.
+    Joint,
+    /// The same tick around two pipes (semihosting), for long runs.
+    Bulk,
+}
+
+impl Image {
+    /// Name of the binary.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Joint => "joint",
+            Self::Bulk => "bulk",
+        }
+    }
+
+    /// Where the board build leaves the ELF: `target/thumbv7em-none-eabihf/firmware/` under the workspace root.
+    pub fn default_elf(self) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../target/thumbv7em-none-eabihf/firmware")
+            .join(self.name())
+    }
+}
+
+/// How the emulator is run.
+#[derive(Clone, Debug)]
+pub struct QemuOptions {
+    /// The program.
+    pub emulator: PathBuf,
+    /// The firmware.
+    pub image: Image,
+    /// Its ELF.
+    pub elf: PathBuf,
+    /// Virtual time per instruction, 2^shift ns, without which runs do not repeat. 3 is 125 million instructions a
+    /// second, about what 168 MHz give on silicon. `None` lets virtual time follow the clock on the wall.
+    pub icount_shift: Option<u8>,
+    /// Core shared by the emulator and the calling thread: they take turns, and waking a neighbour core costs more
+    /// than the turn itself. `None` leaves both where they are.
+    pub core: Option<usize>,
+    /// How long the board may take to say its first byte.
+    pub boot: Duration,
+    /// File for the raw defmt stream of the flashable firmware.
+    pub log: Option<PathBuf>,
+    /// File with the content of the store's sectors, which the emulated board can read and not change; `None` for zeros.
+    pub store: Option<PathBuf>,
+    /// File with the bytes of the board's write key; `None` for a board without one.
+    pub key: Option<PathBuf>,
+    /// File for the accesses to parts of the chip that the emulator does not model, pins among them.
+    pub trace: Option<PathBuf>,
+}
+
+impl QemuOptions {
+    /// Repeatable, on one core, without a log.
+    pub fn new(image: Image) -> Self {
+        Self {
+            emulator: EMULATOR.into(),
+            image,
+            elf: image.default_elf(),
+            icount_shift: Some(3),
+            core: nix::sched::sched_getcpu().ok(),
+            boot: Duration::from_secs(10),
+            log: None,
+            store: None,
+            key: None,
+            trace: None,
+        }
+    }
+}
+
+/// What can go wrong with an emulated board.
+#[derive(Debug)]
+pub enum EmulatorError {
+    /// There is no such program.
+    NotInstalled(PathBuf),
+    /// The firmware is not built.
+    NoFirmware(PathBuf),
+    /// It could not be started.
+    Start(io::Error),
+    /// It ended while it was needed: how, and its last words.
+    Died(String),
+    /// It said no hello after start-up.
+    NoHello(Duration),
+    /// It takes no bytes.
+    Silent(Duration),
+    /// The link to it broke.
+    Link(io::Error),
+}
+
+impl fmt::Display for EmulatorError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotInstalled(program) => {
+                write!(
+                    f,
+                    "{} is not installed: run `cargo xtask setup`",
+                    program.display()
+                )
+            }
+            Self::NoFirmware(elf) => write!(
+                f,
+                "no firmware at {}: build it with `cargo firmware`",
+                elf.display()
+            ),
+            Self::Start(error) => write!(f, "the emulator did not start: {error}"),
+            Self::Died(how) => write!(f, "the emulator died: {how}"),
+            Self::NoHello(waited) => write!(
+                f,
+                "the emulated board said no hello within {:.1} s: is the ELF a firmware of this project?",
+                waited.as_secs_f64()
+            ),
+            Self::Silent(waited) => {
+                write!(
+                    f,
+                    "the emulated board took no bytes for {:.1} s",
+                    waited.as_secs_f64()
+                )
+            }
+            Self::Link(error) => write!(f, "link to the emulator: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for EmulatorError {}
+
+/// A board in the emulator. Going out of scope ends the emulator.
+#[derive(Debug)]
+pub struct Emulator {
+    process: Guarded,
+    /// Bytes to the board.
+    to_board: OwnedFd,
+    /// Bytes from the board; `None` when the link is one socket for both directions.
+    from_board: Option<OwnedFd>,
+    image: Image,
+    /// What the board said while it was waited for, not yet read.
+    greeting: Vec<u8>,
+}
+
+impl Emulator {
+    /// Starts the emulator and waits for the first byte of the board's hello, before which the board hears nothing.
+    ///
+    /// Errors: every variant of [`EmulatorError`], and then no emulator is left.
+    pub fn start(options: &QemuOptions) -> Result<Self, EmulatorError> {
+        if !options.elf.is_file() {
+            return Err(EmulatorError::NoFirmware(options.elf.clone()));
+        }
+        let mut command = Command::new(&options.emulator);
+        command
+            .args([
+                "-machine",
+                "netduinoplus2",
+                "-display",
+                "none",
+                "-monitor",
+                "none",
+            ])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .arg("-kernel")
+            .arg(&options.elf);
+        let contents = [(&options.store, STORE_START), (&options.key, KEY_START)];
+        for (file, start) in contents {
+            if let Some(file) = file {
+                command.arg("-device").arg(format!(
+                    "loader,file={},addr={start:#x},force-raw=on",
+                    file.display()
+                ));
+            }
+        }
+        if let Some(trace) = &options.trace {
+            command.args(["-d", "unimp", "-D"]).arg(trace);
+        }
+        if let Some(shift) = options.icount_shift {
+            command
+                .arg("-icount")
+                .arg(format!("shift={shift},sleep=off"));
+        }
+        let (to_board, from_board, kept) = match options.image {
+            Image::Joint => usart_link(&mut command, options.log.as_deref())?,
+            Image::Bulk => pipe_link(&mut command)?,
+        };
+        let process =
+            Guarded::start(command, kept, options.core).map_err(|error| match error.kind() {
+                io::ErrorKind::NotFound => EmulatorError::NotInstalled(options.emulator.clone()),
+                _ => EmulatorError::Start(error),
+            })?;
+        let mut emulator = Self {
+            process,
+            to_board,
+            from_board,
+            image: options.image,
+            greeting: Vec::new(),
+        };
+        for end in std::iter::once(&emulator.to_board).chain(&emulator.from_board) {
+            fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
+        }
+        let mut room = [0; 256];
+        match emulator.read(&mut room, options.boot)? {
+            0 => Err(EmulatorError::NoHello(options.boot)),
+            count => {
+                emulator.greeting.extend_from_slice(&room[..count]);
+                Ok(emulator)
+            }
+        }
+    }
+
+    /// Process id of the emulator.
+    pub fn process_id(&self) -> u32 {
+        self.process.id()
+    }
+
+    /// Sends all bytes. Errors: [`EmulatorError::Silent`] when the board takes nothing for [`PATIENCE`].
+    pub fn write(&mut self, mut bytes: &[u8]) -> Result<(), EmulatorError> {
+        while !bytes.is_empty() {
+            match nix::unistd::write(&self.to_board, bytes) {
+                Ok(sent) => bytes = &bytes[sent..],
+                Err(nix::Error::EINTR) => {}
+                Err(nix::Error::EAGAIN) => {
+                    if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, PATIENCE)? {
+                        return Err(EmulatorError::Silent(PATIENCE));
+                    }
+                }
+                Err(error) => return Err(self.broken(error)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits at most `patience` for bytes and returns how many came; 0 when none did.
+    pub fn read(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, EmulatorError> {
+        if !self.greeting.is_empty() {
+            let count = buffer.len().min(self.greeting.len());
+            buffer[..count].copy_from_slice(&self.greeting[..count]);
+            self.greeting.drain(..count);
+            return Ok(count);
+        }
+        loop {
+            if !self.audible(patience)? {
+                return Ok(0);
+            }
+            match nix::unistd::read(self.ear(), buffer) {
+                Ok(0) => return Err(self.broken(nix::Error::EPIPE)),
+                Ok(count) => return Ok(count),
+                Err(nix::Error::EINTR | nix::Error::EAGAIN) => {}
+                Err(error) => return Err(self.broken(error)),
+            }
+        }
+    }
+
+    /// Hangs up and waits for the emulator to end by itself, as the bulk firmware does. True when it did so well.
+    pub fn hang_up(self, patience: Duration) -> Result<bool, EmulatorError> {
+        let Self {
+            mut process,
+            to_board,
+            from_board,
+            ..
+        } = self;
+        drop((to_board, from_board));
+        Ok(process
+            .ended(patience)
+            .map_err(EmulatorError::Link)?
+            .is_some_and(|status| status.success()))
+    }
+
+    /// Where the board's bytes come from.
+    fn ear(&self) -> &OwnedFd {
+        self.from_board.as_ref().unwrap_or(&self.to_board)
+    }
+
+    /// Bytes, or the end of them, come within `patience`.
+    fn audible(&self, patience: Duration) -> Result<bool, EmulatorError> {
+        ready(self.ear().as_fd(), PollFlags::POLLIN, patience)
+    }
+
+    /// Why the link is gone: nearly always because the emulator is.
+    fn broken(&mut self, error: nix::Error) -> EmulatorError {
+        match self.process.ended(FUNERAL) {
+            Ok(Some(status)) => {
+                let last = self
+                    .process
+                    .last_words()
+                    .unwrap_or_else(|| "it said nothing".into());
+                EmulatorError::Died(format!("{status}; {last}"))
+            }
+            _ => link(error),
+        }
+    }
+}
+
+impl Transport for Emulator {
+    fn name(&self) -> String {
+        format!("qemu ({})", self.image.name())
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.write(bytes).map_err(io::Error::other)
+    }
+
+    fn receive(&mut self, room: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.read(room, timeout).map_err(io::Error::other)
+    }
+}
+
+fn link(error: nix::Error) -> EmulatorError {
+    EmulatorError::Link(error.into())
+}
+
+/// Waits until `end` can be read or written. False after `patience`.
+fn ready(end: BorrowedFd<'_>, what: PollFlags, patience: Duration) -> Result<bool, EmulatorError> {
+    let deadline = Instant::now() + patience;
+    loop {
+        let left = deadline.saturating_duration_since(Instant::now());
+        // Rounded up, or the last millisecond would be spent spinning.
+        let milliseconds = i32::try_from(left.as_micros().div_ceil(1000)).unwrap_or(i32::MAX);
+        let timeout = PollTimeout::try_from(milliseconds).unwrap_or(PollTimeout::MAX);
+        match poll(&mut [PollFd::new(end, what)], timeout) {
+            Ok(0) if left.is_zero() => return Ok(false),
+            Ok(0) | Err(nix::Error::EINTR) => {}
+            Ok(_) => return Ok(true),
+            Err(error) => return Err(link(error)),
+        }
+    }
+}
+
+/// To the board, from the board, and what the emulator inherits.
+type Ends = (OwnedFd, Option<OwnedFd>, Vec<OwnedFd>);
+
+/// USART2 on a socket, the log on USART3. Nothing of it has a name in the file system, so nothing can be left there.
+fn usart_link(command: &mut Command, log: Option<&Path>) -> Result<Ends, EmulatorError> {
+    let (ours, theirs) = socketpair(
+        AddressFamily::Unix,
+        SockType::Stream,
+        None,
+        SockFlag::SOCK_CLOEXEC,
+    )
+    .map_err(link)?;
+    command
+        .arg("-chardev")
+        .arg(format!("socket,id=link,fd={}", theirs.as_raw_fd()))
+        .args(["-serial", "null", "-serial", "chardev:link", "-serial"])
+        .arg(log.map_or_else(|| "null".into(), |path| format!("file:{}", path.display())));
+    Ok((ours, None, vec![theirs]))
+}
+
+/// Two pipes, which the firmware opens through semihosting under the names their descriptors have.
+fn pipe_link(command: &mut Command) -> Result<Ends, EmulatorError> {
+    let (board_reads, we_write) = pipe2(OFlag::O_CLOEXEC).map_err(link)?;
+    let (we_read, board_writes) = pipe2(OFlag::O_CLOEXEC).map_err(link)?;
+    command.arg("-semihosting-config").arg(format!(
+        "enable=on,target=native,arg=bulk,arg=/dev/fd/{},arg=/dev/fd/{}",
+        board_reads.as_raw_fd(),
+        board_writes.as_raw_fd()
+    ));
+    Ok((we_write, Some(we_read), vec![board_reads, board_writes]))
+}

@@ -1,0 +1,231 @@
+//! What a path tells about the parameters, and how that changes with its regressor.
+
+use super::rows::Rows;
+use crate::dynamics::{ReferenceModel, State};
+use crate::metrics::MOVING_RAD_S;
+use crate::robot::Robot;
+use crate::trajectory::via::ViaPath;
+use nalgebra::{Cholesky, DMatrix};
+
+/// What a search makes small.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Criterion {
+    /// Condition number of the raw base regressor of the links in standard DH frames.
+    Condition,
+    /// Volume of the parameters' confidence ellipsoid.
+    DOptimal,
+    /// Predicted torque error on task motion.
+    VOptimal,
+    /// Predicted torque error, the condition number kept below a limit.
+    Constrained,
+}
+
+/// Torque noise assumed, standard deviation as a share of the torque limit.
+pub(super) const NOISE: f64 = 0.01;
+/// Data assumed: 10 s at 1 kHz.
+pub(super) const SAMPLES: f64 = 10_000.0;
+/// Width of the Coulomb columns' sign, rad/s, as in the firmware.
+pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
+/// Exponent of the smooth stand-in for the largest and smallest eigenvalue: an upper bound of κ, 36^(1/32) = 1.12 at worst
+/// in κ, and a per cent where eigenvalues are spread.
+const EXPONENT: f64 = 32.0;
+
+/// The motion whose torque is to be predicted: quintics through random via points.
+const TASK_PATHS: u64 = 4;
+const TASK_PATH_S: f64 = 30.0;
+const TASK_PEAK_RAD_S: f64 = 2.7;
+const TASK_PERIOD_S: f64 = 0.02;
+const TASK_SEED: u64 = 0x7461_736b;
+
+/// Everything that does not change with the path.
+#[derive(Clone, Debug)]
+pub(super) struct Experiment<const N: usize> {
+    /// 1 / σ² of each joint's torque, 1/(N·m)².
+    weight: [f64; N],
+    /// Mean over joints of the task's information, each divided by the joint's mean square torque.
+    task: DMatrix<f64>,
+    links: usize,
+}
+
+/// What a path is worth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Worth {
+    /// ln of the condition number (smooth upper bound of it).
+    pub(super) ln_condition: f64,
+    /// ln of the predicted torque error, as a share.
+    pub(super) ln_error: f64,
+    /// −ln det of the information, per parameter, halved.
+    pub(super) ln_spread: f64,
+}
+
+impl<const N: usize> Experiment<N> {
+    /// `None` when the robot has not `N` joints.
+    pub(super) fn new(robot: &Robot, rows: &Rows<N>) -> Option<Self> {
+        let model = ReferenceModel::<N>::new(robot)?;
+        let width = rows.count();
+        let mut moments = vec![DMatrix::<f64>::zeros(width, width); N];
+        let (mut power, mut count) = ([0.0; N], [0.0_f64; N]);
+        let mut block = DMatrix::zeros(width, N);
+        for path in 0..TASK_PATHS {
+            let path = ViaPath::<N>::random(robot, TASK_SEED + path, TASK_PATH_S, TASK_PEAK_RAD_S);
+            for k in 0..(TASK_PATH_S / TASK_PERIOD_S) as usize {
+                let state = path.at(k as f64 * TASK_PERIOD_S);
+                rows.write(&state, SIGN_WIDTH_RAD_S, block.as_mut_slice());
+                let rigid = model.inverse_dynamics(&state);
+                for (j, joint) in robot.joints.iter().enumerate() {
+                    if state.qd[j].abs() < MOVING_RAD_S {
+                        continue;
+                    }
+                    let row = block.column(j);
+                    moments[j].syger(1.0, &row, &row, 1.0);
+                    let friction = joint.friction.viscous * state.qd[j]
+                        + joint.friction.coulomb * (state.qd[j] / SIGN_WIDTH_RAD_S).tanh();
+                    power[j] += (rigid[j] + friction).powi(2);
+                    count[j] += 1.0;
+                }
+            }
+        }
+        let mut task = DMatrix::zeros(width, width);
+        for j in 0..N {
+            moments[j].fill_upper_triangle_with_lower_triangle();
+            // Sums over the same rows on both sides of the fraction: their number cancels.
+            if count[j] > 0.0 {
+                task += &moments[j] / (power[j] * N as f64);
+            }
+        }
+        Some(Self {
+            weight: std::array::from_fn(|j| (NOISE * robot.joints[j].limits.torque).powi(-2)),
+            task,
+            links: rows.link_count(),
+        })
+    }
+
+    /// What the path with the regressor rows `transposed` (one row a column, joints fastest) is worth; with `adjoint`,
+    /// also d(shares · worth) / d(rows), added to it. `None` where parameters cannot be told apart.
+    ///
+    /// With C the covariance, T the task and M = n/K Σ w wᵀ/σ²: error² = tr(C T), so
+    /// `d ln error = −(C T C w / error²)·dw n/(K σ²)`; `d ln det M = 2 C w·dw …`;
+    /// for the eigenvalues λ of the raw information, `dλ = 2 (v·w)(v·dw)/K`.
+    pub(super) fn worth(
+        &self,
+        transposed: &DMatrix<f64>,
+        shares: impl Fn(&Worth) -> Worth,
+        adjoint: Option<&mut DMatrix<f64>>,
+    ) -> Option<Worth> {
+        let points = (transposed.ncols() / N) as f64;
+        let scale = SAMPLES / points;
+        let mut weighted = transposed.clone();
+        for (column, mut row) in weighted.column_iter_mut().enumerate() {
+            row *= self.weight[column % N] * scale;
+        }
+        let information = &weighted * transposed.transpose();
+        let links = transposed.rows(0, self.links);
+        let raw = links * links.transpose() / points;
+
+        // The rows' units differ by orders of magnitude: factorise with a diagonal of ones.
+        let size = information
+            .diagonal()
+            .map(|d| d.max(f64::MIN_POSITIVE).sqrt().recip());
+        let scaled = DMatrix::from_fn(size.len(), size.len(), |i, j| {
+            information[(i, j)] * size[i] * size[j]
+        });
+        let factor = Cholesky::new(scaled)?;
+        let mut covariance = factor.inverse();
+        let log_det: f64 = factor
+            .l_dirty()
+            .diagonal()
+            .iter()
+            .map(|d| 2.0 * d.ln())
+            .sum::<f64>()
+            - 2.0 * size.iter().map(|s| s.ln()).sum::<f64>();
+        for i in 0..size.len() {
+            for j in 0..size.len() {
+                covariance[(i, j)] *= size[i] * size[j];
+            }
+        }
+        let error_squared = covariance.dot(&self.task);
+        let eigen = raw.symmetric_eigen();
+        let lambda = &eigen.eigenvalues;
+        let (top, bottom) = (lambda.max(), lambda.min());
+        if !(bottom > 0.0 && error_squared > 0.0) {
+            return None;
+        }
+        let high = lambda.map(|l| (l / top).powf(EXPONENT));
+        let low = lambda.map(|l| (bottom / l).powf(EXPONENT));
+        let ln_condition =
+            0.5 * (top.ln() - bottom.ln() + (high.sum().ln() + low.sum().ln()) / EXPONENT);
+        let worth = Worth {
+            ln_condition,
+            ln_error: 0.5 * error_squared.ln(),
+            ln_spread: -0.5 * log_det / size.len() as f64,
+        };
+        if let Some(adjoint) = adjoint {
+            let share = shares(&worth);
+            if share.ln_error != 0.0 {
+                let steep = &covariance * &self.task * &covariance;
+                *adjoint -= (steep * &weighted) * (share.ln_error / error_squared);
+            }
+            if share.ln_spread != 0.0 {
+                *adjoint -= (&covariance * &weighted) * (share.ln_spread / size.len() as f64);
+            }
+            if share.ln_condition != 0.0 {
+                let mut vectors = eigen.eigenvectors.clone();
+                for (i, mut vector) in vectors.column_iter_mut().enumerate() {
+                    let slope = (high[i] / high.sum() - low[i] / low.sum()) / lambda[i];
+                    vector *= slope * share.ln_condition / points;
+                }
+                let steep = vectors * eigen.eigenvectors.transpose();
+                let mut target = adjoint.rows_mut(0, self.links);
+                target += steep * links;
+            }
+        }
+        Some(worth)
+    }
+
+    /// Condition number of the raw base regressor of the links, and what a path, given by its states, is worth; rows of joints that stand still count as unusable.
+    pub(super) fn figures(&self, rows: &Rows<N>, states: &[State<N>]) -> Option<(f64, Worth)> {
+        let mut transposed = transposed(rows, states);
+        let condition = condition(&transposed, rows.link_count());
+        for (k, state) in states.iter().enumerate() {
+            for j in 0..N {
+                if state.qd[j].abs() < MOVING_RAD_S {
+                    // A row of zeros keeps its place in the number of samples: it was spent.
+                    transposed.column_mut(k * N + j).fill(0.0);
+                }
+            }
+        }
+        let worth = self.worth(&transposed, |_| Worth::NONE, None)?;
+        Some((condition, worth))
+    }
+}
+
+/// Condition number of the raw base regressor of the links, in the frames of `rows`.
+pub(super) fn condition_number<const N: usize>(rows: &Rows<N>, states: &[State<N>]) -> f64 {
+    condition(&transposed(rows, states), rows.link_count())
+}
+
+/// Regressor rows of all states, one a column, joints fastest.
+fn transposed<const N: usize>(rows: &Rows<N>, states: &[State<N>]) -> DMatrix<f64> {
+    let width = rows.count();
+    let mut transposed = DMatrix::zeros(width, states.len() * N);
+    let blocks = transposed.as_mut_slice().chunks_exact_mut(N * width);
+    for (state, block) in states.iter().zip(blocks) {
+        rows.write(state, SIGN_WIDTH_RAD_S, block);
+    }
+    transposed
+}
+
+fn condition(transposed: &DMatrix<f64>, columns: usize) -> f64 {
+    let links = transposed.rows(0, columns);
+    let lambda = (links * links.transpose()).symmetric_eigenvalues();
+    (lambda.max() / lambda.min().max(f64::MIN_POSITIVE)).sqrt()
+}
+
+impl Worth {
+    pub(super) const NONE: Self = Self {
+        ln_condition: 0.0,
+        ln_error: 0.0,
+        ln_spread: 0.0,
+    };
+}

@@ -1,0 +1,183 @@
+//! Files that are whole or absent: written beside their final name, renamed when complete.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// What follows the final name in that of an unfinished version, before the number of its process.
+const PART: &str = ".part";
+
+/// Removes unfinished versions of `target` that killed runs have left: those that no process has locked.
+fn sweep(target: &Path) {
+    let (Some(name), Some(parent)) = (target.file_name(), target.parent()) else {
+        return;
+    };
+    let parent = if parent.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        parent
+    };
+    let Ok(entries) = fs::read_dir(parent) else {
+        return;
+    };
+    for entry in entries.flatten() {
+        let number = entry.file_name();
+        let number = number.as_encoded_bytes();
+        let number = number.strip_prefix(name.as_encoded_bytes());
+        let number = number.and_then(|rest| rest.strip_prefix(PART.as_bytes()));
+        if !number.is_some_and(|digits| !digits.is_empty() && digits.iter().all(u8::is_ascii_digit))
+        {
+            continue;
+        }
+        let abandoned = File::open(entry.path()).is_ok_and(|part| part.try_lock().is_ok());
+        if abandoned {
+            // What cannot be removed is left, as it was before.
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// A file under construction. Dropped before [`WholeFile::finish`] it leaves nothing behind.
+#[derive(Debug)]
+pub struct WholeFile {
+    writer: Option<BufWriter<File>>,
+    part: PathBuf,
+    target: PathBuf,
+    /// Directories that were made for it, the innermost first.
+    made: Vec<PathBuf>,
+}
+
+impl WholeFile {
+    /// Opens the file's unfinished version, creating the directories above it.
+    ///
+    /// Errors: whatever the file system says, with the path in the message.
+    pub fn create(target: &Path) -> io::Result<Self> {
+        let above = target.ancestors().skip(1);
+        let missing = above.take_while(|path| !path.as_os_str().is_empty() && !path.exists());
+        let made: Vec<PathBuf> = missing.map(Path::to_owned).collect();
+        if let Some(parent) = target.parent().filter(|p| !p.as_os_str().is_empty()) {
+            fs::create_dir_all(parent).map_err(|error| at(parent, error))?;
+        }
+        sweep(target);
+        let mut part = target.as_os_str().to_owned();
+        // The process id keeps two runs that write the same file from sharing one unfinished version.
+        part.push(format!("{PART}{}", std::process::id()));
+        let part = PathBuf::from(part);
+        let file = loop {
+            let file = File::create(&part).map_err(|error| at(target, error))?;
+            // Where there are no locks, nothing is swept either.
+            let _ = file.try_lock();
+            // Another run may have swept it before it was locked.
+            if part.exists() {
+                break file;
+            }
+        };
+        Ok(Self {
+            writer: Some(BufWriter::new(file)),
+            part,
+            target: target.to_owned(),
+            made,
+        })
+    }
+
+    /// Gives the complete file its name.
+    ///
+    /// Errors: whatever the file system says; the file's earlier version is then untouched.
+    pub fn finish(mut self) -> io::Result<()> {
+        if let Some(writer) = self.writer.take() {
+            writer
+                .into_inner()
+                .map_err(|error| at(&self.target, error.into_error()))?;
+        }
+        fs::rename(&self.part, &self.target).map_err(|error| at(&self.target, error))
+    }
+}
+
+impl Write for WholeFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.writer {
+            Some(writer) => writer.write(bytes),
+            None => Err(io::ErrorKind::BrokenPipe.into()),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match &mut self.writer {
+            Some(writer) => writer.flush(),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Drop for WholeFile {
+    fn drop(&mut self) {
+        // After a rename there is no unfinished version any more, and failing to remove one has no better remedy. A
+        // directory that holds something, this file or another, stays.
+        let _ = fs::remove_file(&self.part);
+        for directory in &self.made {
+            let _ = fs::remove_dir(directory);
+        }
+    }
+}
+
+/// Writes `contents` to `target` as a whole.
+///
+/// Errors: whatever the file system says, with the path in the message.
+pub fn write_whole(target: &Path, contents: &[u8]) -> io::Result<()> {
+    let mut file = WholeFile::create(target)?;
+    file.write_all(contents)?;
+    file.finish()
+}
+
+/// Adds the path to a file-system error.
+pub fn at(path: &Path, error: io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{}: {error}", path.display()))
+}
+
+/// Line, from 1, and first complaint of the TOML parser.
+pub fn toml_complaint(text: &str, error: &toml::de::Error) -> (usize, String) {
+    let line = error
+        .span()
+        .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+    let first = error.message().lines().next().unwrap_or("not TOML");
+    (line, first.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_run_left_is_swept_and_what_is_being_written_stays() {
+        let directory =
+            std::env::temp_dir().join(format!("foretorque-sweep-{}", std::process::id()));
+        fs::create_dir_all(&directory).expect("creates");
+        let target = directory.join("log.csv");
+        let [dead, alive, other] =
+            ["log.csv.part1", "log.csv.part2", "log.csv.partial"].map(|name| directory.join(name));
+        for file in [&dead, &other] {
+            fs::write(file, b"half").expect("writes");
+        }
+        let running = File::create(&alive).expect("creates");
+        running.lock().expect("locks");
+        write_whole(&target, b"whole").expect("writes");
+        assert!(!dead.exists() && alive.exists() && other.exists());
+        fs::remove_dir_all(&directory).expect("cleans up");
+    }
+
+    #[test]
+    fn an_unfinished_file_leaves_nothing_behind() {
+        let directory =
+            std::env::temp_dir().join(format!("foretorque-files-{}", std::process::id()));
+        let target = directory.join("half.csv");
+        let mut file = WholeFile::create(&target).expect("creates");
+        file.write_all(b"half").expect("writes");
+        drop(file);
+        assert!(!directory.exists(), "it was made for the file");
+        write_whole(&target, b"whole").expect("writes");
+        assert_eq!(fs::read(&target).expect("reads"), b"whole");
+        drop(WholeFile::create(&target).expect("creates"));
+        assert_eq!(fs::read(&target).expect("reads"), b"whole");
+        fs::remove_dir_all(&directory).expect("cleans up");
+    }
+}

@@ -1,0 +1,20 @@
+//! Workbench of foretorque: robots, plant, excitation, boards, identification and reports. It knows no study.
+
+pub mod board;
+pub mod closed_loop;
+pub mod dynamics;
+pub mod excitation;
+pub mod files;
+pub mod generate;
+pub mod identification;
+pub mod kinematics;
+pub mod metrics;
+pub mod parallel;
+pub mod plant;
+pub mod report;
+pub mod robot;
+pub mod table;
+pub mod telemetry;
+pub mod training;
+pub mod trajectory;
+pub mod urdf;

@@ -1,0 +1,280 @@
+//! What a closed-loop run found out: figures, curves, and the page that shows them.
+
+mod page;
+
+pub use page::html;
+
+use crate::board::BoardShares;
+use crate::closed_loop::TickRecord;
+use crate::dynamics::Joints;
+use crate::metrics::TrackingError;
+use foretorque::limits::Flags;
+use foretorque_link::store::StoreHealth;
+use foretorque_link::telemetry::{Cost, Statistics};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Points a curve keeps.
+const PAGE_POINTS: usize = 4000;
+
+/// Flags of the torque that say that something was limited or went wrong, and what.
+const FLAGS: [(Flags, &str); 11] = [
+    (Flags::SATURATED, "torque cut to its limit"),
+    (Flags::SLEWED, "torque held back by its slew limit"),
+    (Flags::NETWORK_CLIPPED, "network share cut to its bound"),
+    (Flags::LEARNED_CLIPPED, "learnt change cut to its bound"),
+    (Flags::STALE_SAMPLE, "no usable sample in time"),
+    (
+        Flags::SHARE_FALLBACK,
+        "committed share stood in for a bad one",
+    ),
+    (Flags::NOT_FINITE, "a number was not finite"),
+    (Flags::SET_LATE, "learnt set came late"),
+    (Flags::DESIRED_CLAMPED, "desired motion cut to its limits"),
+    (Flags::NO_MEASUREMENT, "sample without measurement"),
+    (Flags::WITHDRAWN, "torque on its way to zero"),
+];
+
+/// The figures of `report.json`. Nothing in it depends on the clock on the wall.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClosedLoopReport {
+    /// Name of the robot.
+    pub robot: String,
+    /// The board.
+    pub board: String,
+    /// Seed of plant, noise and validation path.
+    pub seed: u64,
+    /// Ticks played.
+    pub ticks: usize,
+    /// Period of the tick, s.
+    pub period_s: f64,
+    /// Compiler of the board's code.
+    pub toolchain: String,
+    /// The board learnt while it ran.
+    pub learning: bool,
+    /// RMS position error, mean of the joints, mrad.
+    pub tracking_rms_mrad: f64,
+    /// The same joint by joint.
+    pub tracking_rms_joint_mrad: Vec<f64>,
+    /// Largest position error of every joint, mrad.
+    pub tracking_peak_joint_mrad: Vec<f64>,
+    /// RMS torque asked of every drive, N·m.
+    pub torque_rms_nm: Vec<f64>,
+    /// Largest torque asked of every drive, N·m.
+    pub torque_peak_nm: Vec<f64>,
+    /// RMS feed-forward torque of every joint, N·m.
+    pub feed_forward_rms_nm: Vec<f64>,
+    /// Ticks that carried each flag; flags that never rose are left out.
+    pub flag_ticks: BTreeMap<&'static str, usize>,
+    /// Counters of the link, kept by the board.
+    pub link: LinkReport,
+    /// Learnt sets that came late.
+    pub late_sets: u32,
+    /// Lessons that found no room.
+    pub lessons_lost: u32,
+    /// From the board's first instructions to its hello, µs; nothing where its counter tells no time.
+    pub boot_us: Option<u32>,
+    /// How the board's store stands.
+    pub store: StoreHealth,
+    /// Cost of a tick, counts of the board's counter; 0 where it has none.
+    pub tick_cost: BoardCost,
+    /// Cost of learning from one tick, likewise.
+    pub learning_cost: BoardCost,
+}
+
+/// Mean and largest cost, counts of the board's counter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct BoardCost {
+    /// Mean.
+    pub mean: u32,
+    /// Largest.
+    pub max: u32,
+}
+
+impl From<Cost> for BoardCost {
+    fn from(cost: Cost) -> Self {
+        Self {
+            mean: cost.mean,
+            max: cost.max,
+        }
+    }
+}
+
+/// Counters of the link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct LinkReport {
+    /// Good frames received.
+    pub frames: u32,
+    /// Frames with a wrong checksum.
+    pub crc_errors: u32,
+    /// Frames cut short or too long.
+    pub framing_errors: u32,
+    /// Frames of another protocol version.
+    pub foreign_version: u32,
+    /// Frames with no known message.
+    pub unknown: u32,
+    /// Sequence numbers that never came.
+    pub missed: u32,
+    /// Frames that came twice or late.
+    pub repeated: u32,
+    /// Missed deadlines and receive overruns.
+    pub overruns: u32,
+}
+
+impl From<&Statistics> for LinkReport {
+    fn from(counted: &Statistics) -> Self {
+        Self {
+            frames: counted.frames,
+            crc_errors: counted.crc_errors,
+            framing_errors: counted.framing_errors,
+            foreign_version: counted.foreign_version,
+            unknown: counted.unknown,
+            missed: counted.missed,
+            repeated: counted.repeated,
+            overruns: counted.overruns,
+        }
+    }
+}
+
+impl LinkReport {
+    /// Everything that is not a good frame.
+    pub fn errors(&self) -> u32 {
+        self.crc_errors
+            + self.framing_errors
+            + self.foreign_version
+            + self.unknown
+            + self.missed
+            + self.repeated
+            + self.overruns
+    }
+}
+
+/// Gathers a closed-loop run tick by tick.
+#[derive(Clone, Debug)]
+pub struct ClosedLoopLog<const N: usize> {
+    every: usize,
+    rounds: usize,
+    seen: usize,
+    points: Vec<Point<N>>,
+    /// Shares of one joint: time, s, and rigid body, friction, network, N·m.
+    shares: [Vec<(f64, [f64; 3])>; N],
+    flags: [usize; FLAGS.len()],
+    tracking: TrackingError<N>,
+    peak_mrad: Joints<N>,
+    square_tau: Joints<N>,
+    peak_tau: Joints<N>,
+    square_feed: Joints<N>,
+}
+
+/// One instant of the run.
+#[derive(Clone, Copy, Debug)]
+struct Point<const N: usize> {
+    t_s: f64,
+    error_mrad: Joints<N>,
+    tau: Joints<N>,
+    feed_forward: Joints<N>,
+}
+
+impl<const N: usize> ClosedLoopLog<N> {
+    /// For a run of `ticks`.
+    pub fn new(ticks: usize) -> Self {
+        Self {
+            every: (ticks / PAGE_POINTS).max(1),
+            rounds: (ticks / N / PAGE_POINTS).max(1),
+            seen: 0,
+            points: Vec::new(),
+            shares: std::array::from_fn(|_| Vec::new()),
+            flags: [0; FLAGS.len()],
+            tracking: TrackingError::default(),
+            peak_mrad: Joints::zeros(),
+            square_tau: Joints::zeros(),
+            peak_tau: Joints::zeros(),
+            square_feed: Joints::zeros(),
+        }
+    }
+
+    /// Takes one tick.
+    pub fn add(&mut self, record: &TickRecord<N>) {
+        let error = record.desired.q - record.q;
+        let feed_forward: Joints<N> = record.feed_forward.cast();
+        self.tracking.add(&error);
+        self.peak_mrad = self.peak_mrad.sup(&(error.abs() * 1e3));
+        self.square_tau += record.tau.component_mul(&record.tau);
+        self.peak_tau = self.peak_tau.sup(&record.tau.abs());
+        self.square_feed += feed_forward.component_mul(&feed_forward);
+        for (count, (flag, _)) in self.flags.iter_mut().zip(FLAGS) {
+            *count += usize::from(Flags(record.flags).contains(flag));
+        }
+        if self.seen.is_multiple_of(self.every) {
+            self.points.push(Point {
+                t_s: record.t_s,
+                error_mrad: error * 1e3,
+                tau: record.tau,
+                feed_forward,
+            });
+        }
+        // A reply tells the shares of one joint, the next one's in the next tick: whole rounds are kept, or dropped.
+        if (self.seen / N).is_multiple_of(self.rounds) {
+            match &record.shares {
+                Some(BoardShares::Joint(joint, shares)) => {
+                    if let Some(curve) = self.shares.get_mut(*joint) {
+                        curve.push((record.t_s, shares.map(f64::from)));
+                    }
+                }
+                Some(BoardShares::All(all)) => {
+                    for (j, curve) in self.shares.iter_mut().enumerate() {
+                        let shares = [all.rigid[j], all.friction[j], all.network[j]];
+                        curve.push((record.t_s, shares.map(f64::from)));
+                    }
+                }
+                None => {}
+            }
+        }
+        self.seen += 1;
+    }
+
+    /// Position error, mean of the joints' RMS, mrad.
+    pub fn tracking_rms_mrad(&self) -> f64 {
+        self.tracking.mean_rms_mrad()
+    }
+
+    /// Position error, RMS of every joint, mrad.
+    pub fn tracking_rms_joint_mrad(&self) -> Vec<f64> {
+        self.tracking.rms_mrad()
+    }
+
+    /// Position error, peak of every joint, mrad.
+    pub fn tracking_peak_joint_mrad(&self) -> Vec<f64> {
+        self.peak_mrad.iter().copied().collect()
+    }
+
+    /// Torque asked of the drives, RMS of every joint, N·m.
+    pub fn torque_rms_nm(&self) -> Vec<f64> {
+        self.root_mean(&self.square_tau)
+    }
+
+    /// Torque asked of the drives, peak of every joint, N·m.
+    pub fn torque_peak_nm(&self) -> Vec<f64> {
+        self.peak_tau.iter().copied().collect()
+    }
+
+    /// Feed-forward torque, RMS of every joint, N·m.
+    pub fn feed_forward_rms_nm(&self) -> Vec<f64> {
+        self.root_mean(&self.square_feed)
+    }
+
+    /// Ticks that carried each flag, of those that rose.
+    pub fn flag_ticks(&self) -> BTreeMap<&'static str, usize> {
+        FLAGS
+            .iter()
+            .zip(self.flags)
+            .filter(|(_, count)| *count > 0)
+            .map(|((flag, _), count)| (flag.name(), count))
+            .collect()
+    }
+
+    fn root_mean(&self, squares: &Joints<N>) -> Vec<f64> {
+        let count = self.seen.max(1) as f64;
+        squares.iter().map(|sum| (sum / count).sqrt()).collect()
+    }
+}

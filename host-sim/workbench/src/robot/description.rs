@@ -1,0 +1,52 @@
+//! From a name or a file to a robot: the project's own description or a URDF. The one place that knows both formats, so
+//! that neither of their rooms needs to know the other's file.
+
+use super::{Robot, RobotError, file};
+use crate::urdf::{self, Selection};
+use std::path::Path;
+
+/// Descriptions that need no file, by name.
+const BUILT_IN: [(&str, &str); 2] = [
+    ("ur5", include_str!("../../../robots/ur5.toml")),
+    ("panda", include_str!("../../../robots/panda.urdf")),
+];
+
+impl Robot {
+    /// A built-in robot by name, or a description or URDF file by path.
+    ///
+    /// Errors: [`RobotError`], naming the file and the field.
+    ///
+    /// ```
+    /// let ur5 = foretorque_workbench::robot::Robot::load("ur5").unwrap();
+    /// assert_eq!(ur5.joints.len(), 6);
+    /// ```
+    pub fn load(name_or_path: &str) -> Result<Self, RobotError> {
+        if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
+            return Self::parse(name, text);
+        }
+        let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
+            RobotError::NotFound {
+                name: name_or_path.to_owned(),
+                known: BUILT_IN.map(|(name, _)| name).join(", "),
+                reason: error.to_string(),
+            }
+        })?;
+        Self::parse(name_or_path, &text)
+    }
+
+    /// A robot from the text of a description or of a URDF with a single arm; `file` is only used in messages.
+    ///
+    /// Errors: [`RobotError::Syntax`], [`RobotError::Field`], [`RobotError::Urdf`].
+    pub fn parse(file: &str, text: &str) -> Result<Self, RobotError> {
+        // TOML never begins with '<', XML always does.
+        if text.trim_start().starts_with('<') {
+            let import = urdf::parse(file, text, &Selection::default());
+            return import
+                .map(|arm| arm.robot)
+                .map_err(|error| RobotError::Urdf {
+                    problem: error.to_string(),
+                });
+        }
+        file::parse(file, text)
+    }
+}

@@ -1,0 +1,251 @@
+//! A robot as its description file tells it, brought into the frames of the firmware.
+//!
+//! Everything here is in Craig's link frames (Craig 2005, section 3.4): z of frame i runs along joint axis i, and frame i
+//! is a constant [`Placement`] in frame i−1 followed by `Rz(q_i)`. Standard Denavit–Hartenberg rows are converted once,
+//! when the file is read.
+
+mod body;
+mod description;
+mod file;
+mod perturbation;
+mod placement;
+mod schema;
+mod shape;
+mod write;
+
+pub use perturbation::Perturbation;
+pub use shape::{Capsule, Workspace, segment_distance};
+
+use nalgebra::{Matrix3, Vector3};
+
+/// Number of standard inertial parameters of a link, in the order of eq. 14.
+pub const LINK_PARAMETERS: usize = 10;
+
+/// Most joints an arm may have: as many as a bank of the board holds.
+pub const MAX_JOINTS: usize = foretorque_link::bank::MAX_JOINTS;
+
+/// Why a robot description was refused.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RobotError {
+    /// Neither a built-in name nor a readable file.
+    NotFound {
+        /// What was asked for.
+        name: String,
+        /// The built-in names, joined by commas.
+        known: String,
+        /// Why it could not be read as a file.
+        reason: String,
+    },
+    /// The file is not a robot description at all.
+    Syntax {
+        /// File or built-in name.
+        file: String,
+        /// First complaint of the parser, with its line.
+        reason: String,
+    },
+    /// A value is missing or makes no sense.
+    Field {
+        /// File or built-in name.
+        file: String,
+        /// Path of the field, for example `joints[2].link.mass_kg`.
+        field: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The file is a URDF that does not describe one arm.
+    Urdf {
+        /// What is wrong, with the file and the element.
+        problem: String,
+    },
+}
+
+impl std::fmt::Display for RobotError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::NotFound {
+                name,
+                known,
+                reason,
+            } => write!(
+                f,
+                "unknown robot '{name}': not one of [{known}], and as a file: {reason}"
+            ),
+            Self::Syntax { file, reason } => write!(f, "{file}: {reason}"),
+            Self::Field {
+                file,
+                field,
+                problem,
+            } => write!(f, "{file}: {field}: {problem}"),
+            Self::Urdf { problem } => f.write_str(problem),
+        }
+    }
+}
+
+impl std::error::Error for RobotError {}
+
+/// Constant placement of a frame in the frame before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// Rotation that maps child coordinates (at q = 0) into the parent frame.
+    pub rot_parent_child: Matrix3<f64>,
+    /// Origin of the child frame, expressed in the parent frame, m.
+    pub origin: Vector3<f64>,
+}
+
+/// Mass distribution of one link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Link {
+    /// Mass, kg.
+    pub mass: f64,
+    /// Centre of mass, expressed in and measured from the link frame, m.
+    pub com: Vector3<f64>,
+    /// Inertia tensor about the centre of mass, expressed in the link frame, kg·m².
+    pub inertia_com: Matrix3<f64>,
+}
+
+/// The drive of one joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drive {
+    /// Rotor inertia reflected to the link side, kg·m².
+    pub rotor_inertia: f64,
+    /// Joint torque a motor current makes, N·m/A.
+    pub gain: f64,
+    /// Resolution of the joint encoder, bits a revolution.
+    pub encoder_bits: u32,
+}
+
+/// True friction of one joint, as the simulated plant has it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Friction {
+    /// Viscous coefficient, N·m·s/rad.
+    pub viscous: f64,
+    /// Coulomb torque, N·m.
+    pub coulomb: f64,
+    /// Stribeck peak above Coulomb, as a share of it.
+    pub stribeck_ratio: f64,
+    /// Velocity at which the Stribeck peak has decayed to 1/e, rad/s.
+    pub stribeck_velocity: f64,
+    /// Amplitude of the cogging torque, N·m.
+    pub cogging: f64,
+    /// Cogging periods in one turn of the joint.
+    pub cogging_cycles_rev: f64,
+}
+
+/// Limits of one joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Lower and upper end of the range, rad.
+    pub position: (f64, f64),
+    /// Largest speed, rad/s.
+    pub velocity: f64,
+    /// Largest acceleration asked for by trajectories, rad/s².
+    pub acceleration: f64,
+    /// Largest torque, N·m.
+    pub torque: f64,
+}
+
+/// One revolute joint and the link it carries.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// Name from the description.
+    pub name: String,
+    /// Placement of the joint frame in the frame of the joint before (base frame for the first).
+    pub placement: Placement,
+    /// The moved link.
+    pub link: Link,
+    /// The drive.
+    pub drive: Drive,
+    /// True friction.
+    pub friction: Friction,
+    /// Limits.
+    pub limits: Limits,
+    /// What the link takes up in space, in the joint frame.
+    pub capsules: Vec<Capsule>,
+    /// The standard DH frame of the link, at its far end, in the joint frame; `None` where the description gives no DH row.
+    pub dh_frame: Option<Placement>,
+}
+
+/// How columns of a foreign log are called; `{}` stands for the joint number, counted from 1.
+#[derive(Clone, Debug, Default, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LogColumns {
+    /// Time, s.
+    pub t_s: Option<String>,
+    /// Positions, rad.
+    pub q_rad: Option<String>,
+    /// Velocities, rad/s.
+    pub qd_rad_s: Option<String>,
+    /// Accelerations, rad/s².
+    pub qdd_rad_s2: Option<String>,
+    /// Torques, N·m.
+    pub tau_nm: Option<String>,
+    /// Motor currents, A.
+    pub i_a: Option<String>,
+}
+
+/// A serial arm of revolute joints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Robot {
+    /// Name, as the firmware's arm carries it.
+    pub name: String,
+    /// Acceleration of gravity, expressed in the base frame, m/s².
+    pub gravity: Vector3<f64>,
+    /// Joints, base to tool.
+    pub joints: Vec<Joint>,
+    /// Placement of the flange in the last link frame.
+    pub flange: Placement,
+    /// Column names of foreign logs, if the description gives any.
+    pub log_columns: Option<LogColumns>,
+    /// What the arm must keep clear of.
+    pub workspace: Workspace,
+}
+
+impl Robot {
+    /// Number of joints.
+    pub fn joint_count(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// Standard parameters of every link, then the rotor inertia of every joint: 10 N + N values, SI.
+    pub fn standard_parameters(&self) -> Vec<f64> {
+        let links = self
+            .joints
+            .iter()
+            .flat_map(|joint| joint.link.standard_parameters());
+        let rotors = self.joints.iter().map(|joint| joint.drive.rotor_inertia);
+        links.chain(rotors).collect()
+    }
+}
+
+impl Link {
+    /// Standard parameters: m, m·x, m·y, m·z, Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the origin of the link frame (eq. 14).
+    ///
+    /// Parallel axes: `I_o = I_c + m (c·c 1 − c cᵀ)`.
+    pub fn standard_parameters(&self) -> [f64; LINK_PARAMETERS] {
+        let (m, c) = (self.mass, self.com);
+        let i = self.inertia_com + m * (c.dot(&c) * Matrix3::identity() - c * c.transpose());
+        [
+            m,
+            m * c.x,
+            m * c.y,
+            m * c.z,
+            i.m11,
+            i.m22,
+            i.m33,
+            i.m12,
+            i.m13,
+            i.m23,
+        ]
+    }
+
+    /// Second moments of mass about the centre of mass, `½ tr(I) 1 − I`, kg·m².
+    ///
+    /// A mass distribution exists exactly when this matrix has no negative eigenvalue, which is the triangle inequality
+    /// of the principal moments of inertia.
+    pub fn second_moments(&self) -> Matrix3<f64> {
+        0.5 * self.inertia_com.trace() * Matrix3::identity() - self.inertia_com
+    }
+}
+
+#[cfg(test)]
+mod tests;

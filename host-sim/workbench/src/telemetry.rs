@@ -1,0 +1,220 @@
+//! Telemetry of a board as a table: one row a record, one column a number, with `t_s` in front.
+
+use crate::table::{TableWriter, joint_columns};
+use foretorque_link::wire::{Field, TelemetryFrame};
+use std::fmt;
+use std::io;
+use std::path::Path;
+use std::str::FromStr;
+
+/// Which fields a board shall tell, and how often.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Selection {
+    /// Sum of the fields' bits.
+    pub fields: u16,
+    /// Ticks from record to record.
+    pub every: u16,
+}
+
+/// The names of the fields on the command line.
+const NAMES: [(&str, Field); Field::ALL.len()] = [
+    ("state", Field::State),
+    ("total", Field::Total),
+    ("rigid", Field::Rigid),
+    ("friction", Field::Friction),
+    ("network", Field::Network),
+    ("desired-q", Field::DesiredPosition),
+    ("desired-qd", Field::DesiredVelocity),
+    ("q", Field::MeasuredPosition),
+    ("tau", Field::MeasuredTorque),
+    ("residual", Field::Residual),
+    ("quality", Field::Quality),
+    ("decision", Field::Decision),
+    ("cost", Field::Cost),
+    ("loss", Field::Loss),
+    ("temperature", Field::Temperature),
+];
+
+impl FromStr for Selection {
+    type Err = String;
+
+    /// `state,total/10`: fields, and every how many ticks; `all/20`: all fields.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (list, every) = text.split_once('/').unwrap_or((text, "1"));
+        let every = every
+            .parse()
+            .ok()
+            .filter(|every| *every > 0)
+            .ok_or_else(|| format!("'{every}' is no number of ticks from 1 to 65535"))?;
+        let mut fields = 0;
+        for name in list.split(',') {
+            fields |= match NAMES.iter().find(|(known, _)| *known == name) {
+                Some((_, field)) => field.bit(),
+                None if name == "all" => NAMES.iter().fold(0, |all, (_, field)| all | field.bit()),
+                None => {
+                    let known: Vec<_> = NAMES.iter().map(|(known, _)| *known).collect();
+                    return Err(format!("no field '{name}', only {}, all", known.join(", ")));
+                }
+            };
+        }
+        Ok(Self { fields, every })
+    }
+}
+
+impl fmt::Display for Selection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let chosen = NAMES
+            .iter()
+            .filter(|(_, field)| self.fields & field.bit() != 0);
+        let names: Vec<_> = chosen.map(|(name, _)| *name).collect();
+        write!(f, "{}/{}", names.join(","), self.every)
+    }
+}
+
+/// Header of one field.
+fn columns(field: Field, joints: usize) -> Vec<String> {
+    let named = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+    match field {
+        Field::State => named(&["flags", "safety_state", "safety_reason"]),
+        Field::Total => joint_columns("total", "nm", joints),
+        Field::Rigid => joint_columns("rigid", "nm", joints),
+        Field::Friction => joint_columns("friction", "nm", joints),
+        Field::Network => joint_columns("network", "nm", joints),
+        Field::DesiredPosition => joint_columns("desired_q", "rad", joints),
+        Field::DesiredVelocity => joint_columns("desired_qd", "rad_s", joints),
+        Field::MeasuredPosition => joint_columns("q", "rad", joints),
+        Field::MeasuredTorque => joint_columns("tau", "nm", joints),
+        Field::Residual => joint_columns("residual", "of_limit", joints),
+        Field::Quality => named(&["trust", "information", "payload_kg", "guard_phase"]),
+        Field::Decision => named(&[
+            "decisions",
+            "decision_reason",
+            "decision_joint",
+            "decision_figure",
+        ]),
+        Field::Cost => named(&["tick_counts", "learn_counts"]),
+        Field::Loss => named(&[
+            "frames_missed",
+            "frames_refused",
+            "replies_lost",
+            "overruns",
+        ]),
+        Field::Temperature => joint_columns("temperature", "c", joints),
+    }
+}
+
+/// Numbers of one field; its bytes have the length the field says.
+fn numbers(field: Field, bytes: &[u8]) -> Vec<f64> {
+    let word = |place: usize| -> [u8; 4] { std::array::from_fn(|k| bytes[place + k]) };
+    let float = |place| f64::from(f32::from_le_bytes(word(place)));
+    let int = |place| f64::from(u32::from_le_bytes(word(place)));
+    let half = |place: usize| f64::from(u16::from_le_bytes([bytes[place], bytes[place + 1]]));
+    let byte = |place: usize| f64::from(bytes[place]);
+    match field {
+        Field::State => vec![half(0), byte(2), byte(3)],
+        Field::Quality => vec![float(0), float(4), float(8), byte(12)],
+        Field::Decision => vec![int(0), byte(4), byte(5), float(6)],
+        Field::Cost => vec![int(0), int(4)],
+        Field::Loss => (0..4).map(|k| half(2 * k)).collect(),
+        Field::Temperature => bytes.iter().map(|b| f64::from(*b as i8)).collect(),
+        _ => (0..bytes.len() / 4).map(|k| float(4 * k)).collect(),
+    }
+}
+
+/// Writes records into a table as their frames come.
+pub struct Recorder {
+    selection: Selection,
+    joints: usize,
+    period_s: f64,
+    table: TableWriter,
+    /// The record whose frames are still coming: tick, fields, numbers.
+    open: Option<(u32, u16, Vec<f64>)>,
+    /// Records that came with a part missing, and were left out.
+    torn: u64,
+}
+
+impl Recorder {
+    /// Starts the table.
+    ///
+    /// Errors: the file system's.
+    pub fn create(
+        path: &Path,
+        selection: Selection,
+        joints: usize,
+        period_s: f64,
+    ) -> io::Result<Self> {
+        let mut header = vec!["t_s".to_owned()];
+        for field in Field::ALL {
+            if selection.fields & field.bit() != 0 {
+                header.extend(columns(field, joints));
+            }
+        }
+        Ok(Self {
+            selection,
+            joints,
+            period_s,
+            table: TableWriter::create(path, &header)?,
+            open: None,
+            torn: 0,
+        })
+    }
+
+    /// Takes frames in the order they came.
+    ///
+    /// Errors: the file system's.
+    pub fn take(&mut self, frames: &[TelemetryFrame]) -> io::Result<()> {
+        for frame in frames {
+            let of_open = matches!(&self.open, Some((tick, ..)) if *tick == frame.tick);
+            if !of_open && self.open.replace((frame.tick, 0, Vec::new())).is_some() {
+                self.torn += 1;
+            }
+            let Some((tick, fields, row)) = &mut self.open else {
+                continue;
+            };
+            for (field, bytes) in frame.fields(self.joints) {
+                *fields |= field.bit();
+                row.extend(numbers(field, bytes));
+            }
+            if *fields == self.selection.fields {
+                let t_s = f64::from(*tick) * self.period_s;
+                self.table
+                    .row(std::iter::once(t_s).chain(row.iter().copied()))?;
+                self.open = None;
+            }
+        }
+        Ok(())
+    }
+
+    /// Completes the table; how many records came with a part missing.
+    ///
+    /// Errors: the file system's.
+    pub fn finish(self) -> io::Result<u64> {
+        self.table.finish()?;
+        Ok(self.torn)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_selection_is_read_as_it_is_written() {
+        for text in ["state,total/10", "q,tau/1", "temperature/65535"] {
+            assert_eq!(text.parse::<Selection>().expect(text).to_string(), text);
+        }
+        let all: Selection = "all/20".parse().expect("all of them");
+        assert_eq!(all.fields.count_ones() as usize, Field::ALL.len());
+        for wrong in ["", "speed", "state/0", "state/x", "state,/3"] {
+            assert!(wrong.parse::<Selection>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn every_field_has_as_many_columns_as_numbers() {
+        for field in Field::ALL {
+            let bytes = vec![0; field.bytes(6)];
+            assert_eq!(columns(field, 6).len(), numbers(field, &bytes).len());
+        }
+    }
+}

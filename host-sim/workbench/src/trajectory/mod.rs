@@ -1,0 +1,234 @@
+//! Motions to play: the excitation, a via-point validation path, a path of the tool, or samples from a table.
+//!
+//! [`Trajectory`] is what is played; `source` reads it from a file; `limits` judges it.
+
+pub mod cartesian;
+mod limits;
+mod source;
+pub mod via;
+
+pub use limits::BeyondLimits;
+pub use source::TrajectoryError;
+
+use crate::dynamics::{Joints, State};
+use crate::excitation::Excitation;
+use crate::robot::Robot;
+use crate::table::StateRow;
+use limits::within;
+use via::ViaPath;
+
+/// Length of the validation path, s.
+pub const VALIDATION_S: f64 = 30.0;
+/// Fastest joint of the validation path, rad/s.
+pub const VALIDATION_PEAK_RAD_S: f64 = 2.7;
+/// Something to play, with its own clock.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Trajectory<const N: usize> {
+    /// Fourier series, repeated for as long as asked.
+    Excitation {
+        /// The series.
+        series: Excitation,
+        /// How long it is played, s.
+        duration_s: f64,
+    },
+    /// Quintics through via points.
+    Via(ViaPath<N>),
+    /// Samples of a table, held until the next one is due.
+    Sampled(Vec<(f64, State<N>)>),
+}
+
+impl<const N: usize> Trajectory<N> {
+    /// The unseen path on which torques are judged: 30 s, peak 2.7 rad/s, seeded.
+    pub fn validation(robot: &Robot, seed: u64) -> Self {
+        Self::Via(ViaPath::random(
+            robot,
+            seed,
+            VALIDATION_S,
+            VALIDATION_PEAK_RAD_S,
+        ))
+    }
+
+    /// The rows of a table; its clock starts at the first row. Rows without time are `period_s` apart.
+    pub fn sampled(rows: &[StateRow<N>], period_s: f64) -> Self {
+        let start_s = rows.first().and_then(|row| row.t_s).unwrap_or(0.0);
+        Self::Sampled(
+            rows.iter()
+                .enumerate()
+                .map(|(k, row)| {
+                    let t_s = row.t_s.map_or(k as f64 * period_s, |t_s| t_s - start_s);
+                    (t_s, row.motion)
+                })
+                .collect(),
+        )
+    }
+
+    /// How long it lasts, s.
+    pub fn duration_s(&self) -> f64 {
+        match self {
+            Self::Excitation { duration_s, .. } => *duration_s,
+            Self::Via(path) => path.duration_s(),
+            Self::Sampled(samples) => samples.last().map_or(0.0, |(t_s, _)| *t_s),
+        }
+    }
+
+    /// The motion at `t_s`; at rest in the last position afterwards.
+    pub fn at(&self, t_s: f64) -> State<N> {
+        let end_s = self.duration_s();
+        let mut state = match self {
+            Self::Excitation { series, .. } => series.at(t_s.min(end_s)),
+            Self::Via(path) => path.at(t_s.min(end_s)),
+            Self::Sampled(samples) => {
+                // Half a microsecond of slack: a sample due now must not be missed by rounding.
+                let next = samples.partition_point(|(due_s, _)| *due_s <= t_s + 5e-7);
+                let zero = State {
+                    q: Joints::zeros(),
+                    qd: Joints::zeros(),
+                    qdd: Joints::zeros(),
+                };
+                samples
+                    .get(next.saturating_sub(1))
+                    .map_or(zero, |(_, state)| *state)
+            }
+        };
+        if t_s > end_s + 5e-7 {
+            state.qd = Joints::zeros();
+            state.qdd = Joints::zeros();
+        }
+        state
+    }
+
+    /// Every motion keeps the joints' limits of position, speed and acceleration.
+    ///
+    /// * `period_s` step in which a series or a path is looked at; of a table every row is
+    ///
+    /// Errors: the first motion that does not.
+    pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), BeyondLimits> {
+        let every = |length_s: f64| {
+            (0..=(length_s / period_s).round() as usize).map(move |k| k as f64 * period_s)
+        };
+        match self {
+            Self::Excitation { series, duration_s } => every(series.period_s.min(*duration_s))
+                .try_for_each(|t_s| within::<N>(robot, t_s, &series.at(t_s))),
+            Self::Via(path) => {
+                every(path.duration_s()).try_for_each(|t_s| within(robot, t_s, &path.at(t_s)))
+            }
+            Self::Sampled(samples) => samples
+                .iter()
+                .try_for_each(|(t_s, state)| within(robot, *t_s, state)),
+        }
+    }
+
+    /// Number of ticks of `period_s` it lasts.
+    pub fn ticks(&self, period_s: f64) -> usize {
+        (self.duration_s() / period_s).round() as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trajectory::via::{SEGMENT_S, VIA_RANGE_RAD};
+
+    #[test]
+    fn validation_path_keeps_its_limits_and_reaches_its_peak() {
+        let robot = Robot::load("ur5").expect("built in");
+        for seed in 0..10 {
+            let path = Trajectory::<6>::validation(&robot, seed);
+            assert_eq!(path.ticks(1e-3), 30_000);
+            let mut peak = 0.0_f64;
+            for k in 0..=30_000 {
+                let state = path.at(f64::from(k) * 1e-3);
+                assert!(state.q.amax() < 1.25 * VIA_RANGE_RAD, "seed {seed}");
+                assert!(state.qdd.amax() <= 10.0, "seed {seed}");
+                peak = peak.max(state.qd.amax());
+            }
+            assert!((2.4..=2.7 + 1e-4).contains(&peak), "seed {seed}: {peak}");
+            let (start, end) = (path.at(0.0), path.at(30.0));
+            assert!(start.qd.amax() < 1e-9 && end.qd.amax() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_motion_beyond_a_limit_is_named_with_joint_and_time() {
+        let robot = Robot::load("ur5").expect("built in");
+        let still = State {
+            q: Joints::<6>::zeros(),
+            qd: Joints::zeros(),
+            qdd: Joints::zeros(),
+        };
+        let (mut far, mut fast, mut hard) = (still, still, still);
+        far.q[1] = -6.4;
+        fast.qd[2] = -3.2;
+        hard.qdd[5] = 10.5;
+        for (motion, joint, unit) in [(far, 2, "rad"), (fast, 3, "rad/s"), (hard, 6, "rad/s²")] {
+            let path = Trajectory::Sampled(vec![(0.0, still), (0.1, motion)]);
+            let broken = path.check(&robot, 1e-3).expect_err(unit);
+            assert_eq!((broken.joint, broken.t_s, broken.unit), (joint, 0.1, unit));
+        }
+        assert!(
+            Trajectory::Sampled(vec![(0.0, still)])
+                .check(&robot, 1e-3)
+                .is_ok()
+        );
+        assert!(
+            Trajectory::<6>::validation(&robot, 1)
+                .check(&robot, 1e-3)
+                .is_ok()
+        );
+    }
+
+    #[test]
+    fn quintics_join_without_a_step_up_to_the_acceleration() {
+        let robot = Robot::load("ur5").expect("built in");
+        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        for k in 1..20 {
+            let t_s = f64::from(k) * SEGMENT_S;
+            let (before, after) = (path.at(t_s - 1e-9), path.at(t_s + 1e-9));
+            assert!((before.q - after.q).amax() < 1e-7);
+            assert!((before.qd - after.qd).amax() < 1e-6);
+            assert!((before.qdd - after.qdd).amax() < 1e-5);
+        }
+        let h = 1e-5;
+        for k in 0..100 {
+            let t_s = 0.17 + 0.29 * f64::from(k);
+            let slope = (path.at(t_s + h).q - path.at(t_s - h).q) / (2.0 * h);
+            assert!((slope - path.at(t_s).qd).amax() < 1e-5);
+            let bend = (path.at(t_s + h).qd - path.at(t_s - h).qd) / (2.0 * h);
+            assert!((bend - path.at(t_s).qdd).amax() < 1e-3, "{t_s}");
+        }
+    }
+
+    #[test]
+    fn a_path_of_one_joint_moves_the_others_only_afterwards() {
+        let robot = Robot::load("ur5").expect("built in");
+        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        let alone = path.clone().of_joint_until(1, 15.0);
+        for k in 0..=300 {
+            let t_s = 0.1 * f64::from(k);
+            let (all, one) = (path.at(t_s), alone.at(t_s));
+            assert_eq!(all.qd[1], one.qd[1], "{t_s}");
+            if t_s <= 15.0 {
+                assert_eq!(one.q[0], path.at(0.0).q[0], "{t_s}");
+            }
+        }
+        assert_eq!(alone.at(20.0), path.at(20.0));
+    }
+
+    #[test]
+    fn samples_are_held_until_the_next_is_due_and_rest_afterwards() {
+        let state = |v: f64| State {
+            q: Joints::<1>::repeat(v),
+            qd: Joints::repeat(v),
+            qdd: Joints::zeros(),
+        };
+        let path = Trajectory::Sampled(vec![(0.0, state(1.0)), (0.1, state(2.0))]);
+        for (t_s, q, qd) in [
+            (0.0, 1.0, 1.0),
+            (0.05, 1.0, 1.0),
+            (0.1, 2.0, 2.0),
+            (0.3, 2.0, 0.0),
+        ] {
+            assert_eq!((path.at(t_s).q[0], path.at(t_s).qd[0]), (q, qd), "{t_s}");
+        }
+    }
+}

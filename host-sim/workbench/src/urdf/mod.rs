@@ -1,0 +1,85 @@
+//! Reads an arm from a URDF file.
+//!
+//! A URDF is a tree of links; the arm is one path in it, from a base link to a tip link. Joint frames of a URDF are
+//! Craig link frames when the joint axis is z; other axes are turned onto z here, without moving the joint's zero.
+//! Everything bolted to a moving link by fixed joints becomes part of that link. What hangs on the tip link, and what
+//! moves beside the path, is left out and listed in [`Import::notes`].
+//!
+//! A URDF says nothing about drives, and its friction model is viscous plus Coulomb: rotor inertia is 0, the gain is
+//! 1 N·m/A. The base frame is that of the base link, gravity along its −z.
+
+mod chain;
+mod document;
+mod error;
+mod tree;
+mod write;
+
+pub use error::{JointProblem, UrdfError, UrdfProblem};
+pub use write::write;
+
+use crate::robot::Robot;
+use std::path::Path;
+
+/// Which path of the tree is the arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Selection<'a> {
+    /// Link the arm stands on; the root of the tree when not given.
+    pub base: Option<&'a str>,
+    /// Link the arm ends at; needed where more than one moving joint leaves a link.
+    pub tip: Option<&'a str>,
+}
+
+/// An arm, and what the file did not say about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Import {
+    /// The arm.
+    pub robot: Robot,
+    /// One sentence for each assumption made and each part left out.
+    pub notes: Vec<String>,
+}
+
+/// Reads an arm from a URDF file.
+///
+/// Errors: [`UrdfError`], one line that names the file and the element.
+pub fn load(file: &Path, selection: &Selection<'_>) -> Result<Import, UrdfError> {
+    let name = file.display().to_string();
+    match std::fs::read_to_string(file) {
+        Ok(text) => parse(&name, &text, selection),
+        Err(error) => Err(UrdfError {
+            file: name,
+            problem: UrdfProblem::Unreadable(error.to_string()),
+        }),
+    }
+}
+
+/// Reads an arm from the text of a URDF; `file` is only used in messages.
+///
+/// Errors: [`UrdfError`], one line that names the file and the element.
+///
+/// ```
+/// use foretorque_workbench::urdf::{Selection, parse};
+/// let pendulum = r#"<robot name="pendulum">
+///   <link name="wall"/>
+///   <joint name="hinge" type="revolute">
+///     <parent link="wall"/> <child link="rod"/> <axis xyz="0 1 0"/>
+///     <limit lower="-3" upper="3" velocity="5" effort="10"/>
+///   </joint>
+///   <link name="rod"><inertial>
+///     <origin xyz="0 0 -0.5"/> <mass value="2"/>
+///     <inertia ixx="0.1" iyy="0.1" izz="0.001" ixy="0" ixz="0" iyz="0"/>
+///   </inertial></link>
+/// </robot>"#;
+/// let import = parse("pendulum.urdf", pendulum, &Selection::default()).unwrap();
+/// assert_eq!(import.robot.joints[0].link.mass, 2.0);
+/// ```
+pub fn parse(file: &str, text: &str, selection: &Selection<'_>) -> Result<Import, UrdfError> {
+    document::read(text)
+        .and_then(|document| chain::arm(&document, selection))
+        .map_err(|problem| UrdfError {
+            file: file.to_owned(),
+            problem,
+        })
+}
+
+#[cfg(test)]
+mod tests;

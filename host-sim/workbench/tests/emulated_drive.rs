@@ -1,0 +1,251 @@
+//! The firmware that drives its own joint, in the emulator: what it does to timer and pins, against what it answers.
+//!
+//! The emulator has neither encoder nor pins. What it has is what a board sees whose encoder and drive are not plugged in:
+//! the fault line is low, the bus reads zeros. Where a drive and an encoder are needed two functions of the firmware are
+//! replaced, the one that moves a byte over the bus and the one that reads the level of the fault line; all the rest is what
+//! is flashed.
+
+mod driven;
+mod patched;
+
+use driven::parts::{NEVER, drive};
+use driven::{PATIENCE, Trial, still, written};
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::joint::{JointSample, JointVector};
+use foretorque::limits::Flags;
+use foretorque_link::safety::{SafetyReason, SafetyState};
+use foretorque_link::wire::{Configuration, Field, Pacing};
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::board::{Client, Native};
+use std::fs;
+
+/// Of `firmware/boards/f405/src/pyboard_drive/mod.rs`: the joint, and the torque of a full duty, N·m.
+const JOINT: usize = 1;
+const FULL_SCALE_NM: f32 = 12.5 * 16.0;
+const TOP: f32 = 8400.0;
+/// A motion of all joints near the stretched arm, in which the shoulder's torque changes its sign.
+fn moving(k: u32) -> JointSample<JOINTS> {
+    let t = k as f32 * 0.02;
+    let mut sample = still();
+    for joint in 0..JOINTS {
+        let phase = t * (1.0 + 0.2 * joint as f32);
+        sample.desired.q[joint] = 0.05 * phase.sin();
+        sample.desired.qd[joint] = phase.cos();
+        sample.desired.qdd[joint] = -30.0 * phase.sin();
+    }
+    sample
+}
+
+#[test]
+fn a_board_with_nothing_plugged_in_refuses_to_arm_and_says_why() {
+    let mut trial = Trial::start("bare", &[]);
+    assert_eq!(trial.client.safety().state, SafetyState::Fault);
+    assert_eq!(trial.client.safety().reason, SafetyReason::Drive);
+    assert_eq!(trial.refusal(), SafetyReason::Drive);
+    trial.client.clear_fault().expect("it is heard");
+    assert_eq!(trial.refusal(), SafetyReason::Drive, "it is still there");
+    trial.is_off();
+    let log = trial.log();
+    assert!(
+        log.contains("stage: the motor stage reports a fault"),
+        "{log}"
+    );
+    assert!(log.contains("encoder: encoder is not ready"), "{log}");
+}
+
+#[test]
+fn a_board_without_its_encoder_refuses_to_arm_and_says_why() {
+    let mut trial = Trial::start("blind", &[("4pins8pin_high", drive(NEVER))]);
+    assert_eq!(trial.client.safety().state, SafetyState::Disarmed);
+    for _ in 0..10 {
+        let reply = trial.sample(&still());
+        assert!(reply.flags.contains(Flags::NO_MEASUREMENT));
+        assert_eq!(reply.safety.reason, SafetyReason::Encoder);
+    }
+    assert_eq!(trial.refusal(), SafetyReason::Encoder);
+    trial.is_off();
+}
+
+#[test]
+fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
+    // `mov.w r0, #256; bx lr`: no byte came in time.
+    let silent = vec![0xF44F, 0x7080, 0x4770];
+    let patches = [("3spi8exchange", silent), ("4pins8pin_high", drive(NEVER))];
+    let mut trial = Trial::start("bus", &patches);
+    for tick in 0..10 {
+        let reply = trial.sample(&still());
+        assert_eq!(reply.tick, tick);
+        assert_eq!(reply.safety.reason, SafetyReason::Encoder);
+    }
+    assert_eq!(trial.refusal(), SafetyReason::Encoder);
+    let log = trial.log();
+    assert!(log.contains("encoder: encoder bus"), "{log}");
+}
+
+#[test]
+fn the_pulse_width_is_the_torque_of_the_joint_that_is_answered() {
+    let mut trial = Trial::armed("width", NEVER, NEVER);
+    let mut native = Client::connect::<Ur5, PARAMETERS>(
+        Box::new(Native::<Ur5, JOINTS, PARAMETERS>::new().expect("usable limits")),
+        PATIENCE,
+    )
+    .expect("it is there");
+    for _ in 0..5 {
+        native.sample(&still()).expect("a torque");
+    }
+    native.arm(&still()).expect("it can be armed");
+    for _ in 0..30 {
+        native.sample(&still()).expect("a torque");
+    }
+    let (mut positive, mut negative) = (0, 0);
+    for k in 0..200 {
+        let reply = trial.sample(&moving(k));
+        assert_eq!(reply.safety.state, SafetyState::Armed, "{k}");
+        let torque = reply.total[JOINT];
+        let stage = trial.stage();
+        let wanted = torque.abs() / FULL_SCALE_NM * TOP;
+        assert!(
+            (f32::from(stage.width) - wanted).abs() <= 1.0,
+            "{k}: {torque} N·m, {stage:?}"
+        );
+        assert!(stage.enabled && stage.gate, "{k}");
+        if stage.width > 0 {
+            assert_eq!(stage.positive, torque > 0.0, "{k}: {torque} N·m");
+        }
+        positive += u32::from(torque > 0.0);
+        negative += u32::from(torque < 0.0);
+        // Driving a joint changes no bit of what is computed.
+        assert_eq!(
+            reply.total,
+            native.sample(&moving(k)).expect("a torque").total,
+            "{k}"
+        );
+    }
+    assert!(positive > 20 && negative > 20, "{positive} and {negative}");
+    trial.client.disarm().expect("it obeys");
+    trial.is_off();
+}
+
+#[test]
+fn the_position_is_the_encoders() {
+    let mut trial = Trial::equipped("angle", 300, NEVER, NEVER);
+    let fields = Field::MeasuredPosition.bit();
+    trial.client.stream(fields, 1).expect("it fits");
+    for _ in 0..10 {
+        let mut sample = still();
+        sample.measured.as_mut().expect("it is measured").q[JOINT] = -0.7;
+        trial.sample(&sample);
+    }
+    let frames = trial.client.take_telemetry();
+    let last = frames.last().expect("telemetry");
+    let seen = last.bytes[4 * JOINT..].first_chunk().copied();
+    let seen = f32::from_le_bytes(seen.expect("a position of every joint"));
+    assert_eq!(seen, 300.0 * (core::f32::consts::TAU / 16_384.0));
+}
+
+#[test]
+fn a_stop_ends_the_pulses_at_once() {
+    let mut trial = Trial::armed("stop", NEVER, NEVER);
+    trial.client.stop().expect("it obeys");
+    trial.is_off();
+    assert_eq!(trial.refusal(), SafetyReason::Stopped);
+}
+
+#[test]
+fn silence_ends_the_pulses() {
+    let mut trial = Trial::equipped("silence", 0, NEVER, NEVER);
+    let configuration = Configuration {
+        // The time-out is some two hundred ticks then, which a busy host does not miss between two samples.
+        period_us: 250,
+        pacing: Pacing::SysTick,
+        ..Configuration::default()
+    };
+    trial
+        .client
+        .configure(configuration)
+        .expect("it has a timer");
+    for _ in 0..5 {
+        trial.sample(&still());
+    }
+    let armed = (0..100).any(|_| trial.client.arm(&still()).is_ok());
+    assert!(armed, "it can be armed");
+    trial.sample(&still());
+    let trace = fs::read_to_string(&trial.trace).expect("the emulator writes a trace");
+    let on = |line| matches!(written(line), Some(("GPIOB", 0x18, bits)) if bits == 1 << 8);
+    assert!(trace.lines().any(on), "it was armed");
+    // The time of the emulator moves on when somebody talks to it, in leaps; what is said here is no sample.
+    let silence = (0..10_000).find(|_| {
+        trial.client.statistics().expect("counters");
+        !trial.stage().enabled
+    });
+    assert!(silence.is_some(), "the torque ends");
+    trial.is_off();
+    let after = trial.sample(&still());
+    assert_eq!(after.safety.reason, SafetyReason::CommandTimeout);
+}
+
+#[test]
+fn an_encoder_that_goes_silent_ends_the_torque_and_latches() {
+    let mut trial = Trial::armed("unplugged", 60, NEVER);
+    let mut ticks = 0;
+    let mut reply = trial.sample(&still());
+    while reply.safety.state != SafetyState::Fault {
+        assert!(ticks < 200, "the torque ends");
+        ticks += 1;
+        reply = trial.sample(&still());
+    }
+    assert_eq!(reply.safety.reason, SafetyReason::Encoder);
+    assert_eq!(reply.total, JointVector::<JOINTS>::zeros());
+    trial.is_off();
+    assert_eq!(trial.refusal(), SafetyReason::Encoder);
+    assert!(trial.log().contains("encoder: encoder is not ready"));
+}
+
+#[test]
+fn a_fault_of_the_drive_ends_the_pulses_in_the_tick_in_which_it_is_seen() {
+    let mut trial = Trial::armed("fault", NEVER, 60);
+    let mut reply = trial.sample(&still());
+    for _ in 0..60 {
+        if reply.safety.state == SafetyState::Fault {
+            break;
+        }
+        assert!(reply.total[JOINT] != 0.0);
+        reply = trial.sample(&still());
+    }
+    assert_eq!(reply.safety.state, SafetyState::Fault);
+    assert_eq!(reply.safety.reason, SafetyReason::Drive);
+    assert_eq!(reply.total, JointVector::<JOINTS>::zeros());
+    trial.is_off();
+    assert_eq!(trial.refusal(), SafetyReason::Drive);
+}
+
+#[test]
+fn driving_a_joint_costs_what_the_page_of_the_board_says() {
+    let cost = |client: &mut Client<JOINTS>| {
+        for k in 0..200 {
+            client.sample(&moving(k)).expect("a torque");
+        }
+        client.statistics().expect("counters")
+    };
+    let mut options = QemuOptions::new(Image::Joint);
+    options.elf = Image::Joint.default_elf();
+    let emulator = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
+    let mut plain = Client::connect::<Ur5, PARAMETERS>(Box::new(emulator), PATIENCE)
+        .unwrap_or_else(|error| panic!("{error}"));
+    plain.arm(&still()).expect("it can be armed");
+    let plain = cost(&mut plain);
+    let driving = cost(&mut Trial::armed("cost", NEVER, NEVER).client);
+    println!(
+        "joint {:?} joint-drive {:?}",
+        plain.reply_latency, driving.reply_latency
+    );
+    println!(
+        "joint {:?} joint-drive {:?}",
+        plain.tick_cost, driving.tick_cost
+    );
+    let more = driving
+        .reply_latency
+        .mean
+        .saturating_sub(plain.reply_latency.mean);
+    assert!(more < 2000, "{more} instructions from sample to answer");
+}

@@ -1,0 +1,307 @@
+//! The client and the board in this process, through real frames.
+
+use foretorque::arm::Arm;
+use foretorque::arm::ur5::Ur5;
+use foretorque::feedforward::{FeedForward, FeedForwardConfig, evaluate};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
+use foretorque_link::bank::{BankError, ColumnId, ColumnKind, NETWORK_SEED, ParameterBank};
+use foretorque_link::safety::{ARM_SAMPLES, SafetyReason, SafetyState};
+use foretorque_link::wire::{Configuration, NackReason, Pacing, ReplyMode};
+use foretorque_workbench::board::{BoardError, BoardShares, Client, Native, TickReply, Transport};
+use std::collections::VecDeque;
+use std::io;
+use std::time::Duration;
+
+const N: usize = 6;
+const P: usize = 40;
+const BOOT: Duration = Duration::from_millis(10);
+
+fn native() -> Box<Native<Ur5, N, P>> {
+    Box::new(Native::new().expect("the UR5's limits are usable"))
+}
+
+fn client() -> Client<N> {
+    Client::connect::<Ur5, P>(native(), BOOT).expect("the native board answers")
+}
+
+/// A smooth motion of all joints of an arm a tenth heavier than its description and with friction, measured exactly.
+fn sample(k: u32) -> JointSample<N> {
+    let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
+    truth.rigid *= 1.1;
+    for friction in &mut truth.friction {
+        (friction.viscous, friction.coulomb) = (2.0, 1.0);
+    }
+    let t = k as f32 * 1e-3;
+    let desired = JointMotion {
+        q: JointVector::from_fn(|j, _| (t + j as f32).sin()),
+        qd: JointVector::from_fn(|j, _| (t + j as f32).cos()),
+        qdd: JointVector::from_fn(|j, _| -(t + j as f32).sin()),
+    };
+    JointSample {
+        desired,
+        measured: Some(JointMeasurement {
+            q: desired.q,
+            tau: evaluate::<Ur5, N, P>(&truth, &desired).total,
+        }),
+    }
+}
+
+fn bits(reply: &TickReply<N>) -> (u32, u16, Vec<u32>) {
+    let total = reply.total.iter().map(|tau| tau.to_bits()).collect();
+    (reply.tick, reply.flags.0, total)
+}
+
+#[test]
+fn the_board_says_who_it_is() {
+    let client = client();
+    let hello = client.hello();
+    assert_eq!(hello.arm.as_str(), Ur5::NAME);
+    assert_eq!(hello.arm_hash, Ur5::HASH);
+    assert_eq!((hello.joints, hello.base_columns), (6, 40));
+    assert_eq!(hello.firmware.as_str(), env!("CARGO_PKG_VERSION"));
+}
+
+#[test]
+fn a_board_for_another_robot_is_turned_away() {
+    let error = Client::<N>::connect_as(native(), "ur10e", 7, BOOT).err();
+    assert!(matches!(error, Some(BoardError::WrongRobot { .. })));
+    let error = Client::<7>::connect_as(native(), "ur5", Ur5::HASH, BOOT).err();
+    assert!(matches!(error, Some(BoardError::WrongRobot { .. })));
+}
+
+/// A board that answers everything with the same bytes, or is dead.
+struct Parrot(Option<Vec<u8>>, VecDeque<u8>);
+
+impl Transport for Parrot {
+    fn name(&self) -> String {
+        "parrot".into()
+    }
+
+    fn send(&mut self, _: &[u8]) -> io::Result<()> {
+        match &self.0 {
+            Some(bytes) => {
+                self.1.extend(bytes);
+                Ok(())
+            }
+            None => Err(io::Error::other("it is dead")),
+        }
+    }
+
+    fn receive(&mut self, room: &mut [u8], _: Duration) -> io::Result<usize> {
+        let count = room.len().min(self.1.len());
+        self.1
+            .drain(..count)
+            .zip(room)
+            .for_each(|(b, slot)| *slot = b);
+        Ok(count)
+    }
+}
+
+#[test]
+fn foreign_silent_and_dead_boards_are_told_apart() {
+    // Version 9, sequence 0, tag 0, CRC-32 of these four bytes, in COBS by hand.
+    let content = [9, 1, 1, 1];
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&content);
+    let mut frame = vec![9];
+    frame.extend(content);
+    frame.extend(crc.to_le_bytes());
+    frame.push(0);
+    assert!(
+        !crc.to_le_bytes().contains(&0),
+        "the frame was made by hand"
+    );
+    let connect = |bytes| {
+        let parrot = Box::new(Parrot(bytes, VecDeque::new()));
+        Client::<N>::connect::<Ur5, P>(parrot, BOOT).err().unwrap()
+    };
+    assert!(matches!(connect(Some(frame)), BoardError::WrongProtocol(9)));
+    assert!(matches!(connect(Some(vec![])), BoardError::Timeout(_)));
+    assert!(matches!(connect(None), BoardError::Closed(..)));
+}
+
+#[test]
+fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
+    let mut client = client();
+    client.arm(&sample(0)).unwrap();
+    client.learning(true).unwrap();
+    let set = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
+    let config = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
+    let mut bare = FeedForward::<Ur5, N, P>::new(config, set).unwrap();
+    let mut learner = Learner::<Ur5, N, P>::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap();
+    let mut exchange = foretorque::learning::Exchange::new();
+    for _ in 0..ARM_SAMPLES {
+        let heard = foretorque_link::wire::SampleFrame::new(&sample(0)).sample(&[0.0; N]);
+        bare.adopt(&mut exchange);
+        bare.step(&heard);
+        // A disarmed board holds the torque back.
+        bare.applied(&JointVector::zeros());
+        learner.learn(&bare.lesson(heard.measured), &mut exchange);
+    }
+    bare.set_learning(true);
+    for k in 0..4000 {
+        // What the scaled integers make of the sample is what both see.
+        let frame = foretorque_link::wire::SampleFrame::new(&sample(k));
+        let heard = frame.sample(&[0.0; N]);
+        bare.adopt(&mut exchange);
+        let torque = bare.step(&heard);
+        learner.learn(&bare.lesson(heard.measured), &mut exchange);
+        let reply = client.sample_frame(&frame).unwrap();
+        assert_eq!(reply.tick, torque.tick);
+        assert_eq!(reply.flags, torque.flags);
+        assert_eq!(
+            reply.total.map(f32::to_bits),
+            torque.total.map(f32::to_bits)
+        );
+    }
+    let learnt = client.read_bank().unwrap().set::<Ur5, N, P>().unwrap();
+    assert_eq!(learnt, bare.state().active);
+    assert_ne!(learnt, set, "nothing was learnt");
+}
+
+#[test]
+fn decimated_shares_are_those_of_joint_tick_modulo_n() {
+    let (mut one, mut all) = (client(), client());
+    let full = Configuration {
+        reply: ReplyMode::Full,
+        ..Configuration::default()
+    };
+    all.configure(full).unwrap();
+    for k in 0..20 {
+        let (one, all) = (
+            one.sample(&sample(k)).unwrap(),
+            all.sample(&sample(k)).unwrap(),
+        );
+        assert_eq!(bits(&one), bits(&all));
+        let (BoardShares::Joint(joint, shares), BoardShares::All(whole)) = (one.shares, all.shares)
+        else {
+            panic!("reply modes mixed up");
+        };
+        assert_eq!(joint, k as usize % N);
+        assert_eq!(
+            shares,
+            [
+                whole.rigid[joint],
+                whole.friction[joint],
+                whole.network[joint]
+            ]
+        );
+    }
+}
+
+#[test]
+fn a_bank_goes_up_is_in_force_and_comes_back() {
+    let mut client = client();
+    let mut bank = ParameterBank::nominal::<Ur5, N, P>();
+    bank.columns[0].value += 0.5;
+    bank.columns[0].deviation = 0.25;
+    bank.drive_gains_nm_a.fill(12.5);
+    let id = ColumnId {
+        kind: ColumnKind::Fc,
+        joint: 2,
+    };
+    bank.columns.iter_mut().find(|c| c.id == id).unwrap().value = 5.5;
+    client.upload_bank(&bank).unwrap();
+    assert_eq!(client.read_bank().unwrap(), bank);
+    let motion = sample(100).desired;
+    let expected = evaluate::<Ur5, N, P>(&bank.set::<Ur5, N, P>().unwrap(), &motion);
+    assert_eq!(client.evaluate(&motion).unwrap(), expected);
+}
+
+#[test]
+fn a_bank_for_another_arm_or_while_learning_changes_nothing() {
+    let mut client = client();
+    let before = client.read_bank().unwrap();
+    let mut foreign = before.clone();
+    foreign.arm_hash ^= 1;
+    let error = client.upload_bank(&foreign).unwrap_err();
+    let found = foreign.arm_hash;
+    assert!(matches!(
+        error,
+        BoardError::Refused(NackReason::Bank(BankError::WrongArm { found: f })) if f == found
+    ));
+    client.learning(true).unwrap();
+    let error = client.upload_bank(&before).unwrap_err();
+    assert!(matches!(error, BoardError::Refused(NackReason::LearningOn)));
+    assert_eq!(client.read_bank().unwrap(), before);
+}
+
+#[test]
+fn configuration_is_judged_and_restarts_the_tick() {
+    let mut client = client();
+    client.sample(&sample(0)).unwrap();
+    assert_eq!(client.sample(&sample(1)).unwrap().tick, 1);
+    let mut wanted = Configuration {
+        period_us: 2000,
+        ..Configuration::default()
+    };
+    client.configure(wanted).unwrap();
+    assert_eq!(client.sample(&sample(2)).unwrap().tick, 0);
+    wanted.period_us = 99;
+    assert!(matches!(
+        client.configure(wanted).unwrap_err(),
+        BoardError::Refused(NackReason::Period)
+    ));
+    wanted.period_us = 1000;
+    wanted.pacing = Pacing::SysTick;
+    assert!(matches!(
+        client.configure(wanted).unwrap_err(),
+        BoardError::Refused(NackReason::NotCapable)
+    ));
+    client.learning(true).unwrap();
+    assert!(matches!(
+        client.configure(Configuration::default()).unwrap_err(),
+        BoardError::Refused(NackReason::LearningOn)
+    ));
+}
+
+#[test]
+fn reset_makes_a_used_board_answer_like_a_new_one() {
+    let (mut used, mut fresh) = (client(), client());
+    used.learning(true).unwrap();
+    for k in 0..200 {
+        used.sample(&sample(k)).unwrap();
+    }
+    used.reset().unwrap();
+    for client in [&mut used, &mut fresh] {
+        client.learning(true).unwrap();
+    }
+    for k in 0..100 {
+        let (a, b) = (
+            used.sample(&sample(k)).unwrap(),
+            fresh.sample(&sample(k)).unwrap(),
+        );
+        assert_eq!(bits(&a), bits(&b));
+    }
+    assert_eq!(used.statistics().unwrap().ticks, 100);
+}
+
+#[test]
+fn a_board_gives_torque_from_arming_to_disarming_and_none_after_a_stop() {
+    let mut client = client();
+    assert_eq!(
+        client.sample(&sample(0)).unwrap().total,
+        JointVector::<N>::zeros()
+    );
+    client.arm(&sample(0)).unwrap();
+    for _ in 0..40 {
+        client.sample(&sample(0)).unwrap();
+    }
+    assert!(client.sample(&sample(0)).unwrap().total.norm() > 10.0);
+    client.disarm().unwrap();
+    assert_eq!(client.safety().state, SafetyState::Disarmed);
+    client.arm(&sample(0)).unwrap();
+    for _ in 0..40 {
+        client.sample(&sample(0)).unwrap();
+    }
+    client.stop().unwrap();
+    let stopped = client.sample(&sample(0)).unwrap();
+    assert_eq!(stopped.total, JointVector::<N>::zeros());
+    assert_eq!(stopped.safety.reason, SafetyReason::Stopped);
+    assert!(matches!(
+        client.arm(&sample(0)).unwrap_err(),
+        BoardError::Refused(NackReason::Unsafe(SafetyReason::Stopped))
+    ));
+    client.clear_fault().unwrap();
+    client.arm(&sample(0)).unwrap();
+}
