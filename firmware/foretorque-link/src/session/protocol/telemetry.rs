@@ -1,35 +1,28 @@
-//! Telemetry: records of chosen fields, sent piece by piece into what the line has left.
+//! Telemetry: records of selected fields, sent in the bytes that each tick leaves on the link.
 
-use super::{Clock, Session};
-use crate::safety::SafetyStatus;
+use crate::session::controller::TickResult;
 use crate::wire::{
-    BoardMessage, Field, FrameBuffer, NackReason, ReplyMode, TELEMETRY_BYTES, TelemetryFrame, size,
+    BoardMessage, Field, FrameBuffer, NackReason, TELEMETRY_BYTES, TelemetryFrame, size,
 };
-use foretorque::arm::Arm;
-use foretorque::feedforward::Torque;
-use foretorque::joint::{JointSample, JointVector};
-use foretorque::learning::Report;
+use foretorque::joint::JointVector;
+use foretorque::learning::LearnerReport;
 use heapless::Vec;
 
-/// Room for all fields of eight joints.
+/// Bytes of all fields of eight joints, rounded up.
 const RECORD_BYTES: usize = 352;
-/// Bytes of telemetry a tick where there is no line to fill, such as between two processes.
-const UNLIMITED: usize = 400;
 
-/// What a record is made from.
-pub(super) struct Instant<'t, const N: usize> {
-    pub(super) torque: &'t Torque<N>,
-    pub(super) status: SafetyStatus,
-    pub(super) sample: &'t Option<JointSample<N>>,
-    pub(super) report: &'t Report<N>,
-    /// Of the tick and of a lesson.
-    pub(super) costs: [u32; 2],
-    pub(super) losses: [u16; 4],
-    pub(super) temperatures_c: &'t [i8; N],
+/// Sources of one record.
+pub(in crate::session) struct Instant<'t, const N: usize> {
+    pub(in crate::session) tick: &'t TickResult<N>,
+    pub(in crate::session) report: &'t LearnerReport<N>,
+    /// Mean cost of a learning step, counts of the board's counter.
+    pub(in crate::session) learn_cost: u32,
+    pub(in crate::session) losses: [u16; 4],
+    pub(in crate::session) temperatures_c: &'t [i8; N],
 }
 
-/// One stream, and the record that is on its way.
-pub(super) struct Stream {
+/// One stream, and the record that is being sent.
+pub(in crate::session) struct Stream {
     fields: u16,
     every: u16,
     /// Bytes that may be sent in one tick.
@@ -57,38 +50,38 @@ impl Stream {
         }
     }
 
-    /// Records whose end found no room in the reply buffer, or that the next one overtook.
-    pub(super) fn lost(&self) -> u32 {
+    /// Records that were not sent whole: the reply buffer was full, or the next record came first.
+    pub(in crate::session) fn lost(&self) -> u32 {
         self.lost
     }
 
     /// Ends the stream.
-    pub(super) fn end(&mut self) {
+    pub(in crate::session) fn end(&mut self) {
         *self = Self {
             lost: self.lost,
             ..Self::new()
         };
     }
 
-    /// This tick is one that is recorded.
-    pub(super) fn due(&self, tick: u32) -> bool {
+    /// `tick` is one that is recorded.
+    pub(in crate::session) fn due(&self, tick: u32) -> bool {
         self.fields != 0 && tick.is_multiple_of(u32::from(self.every.max(1)))
     }
 
-    /// Begins the stream of `fields`, if a record is sent before the next one is due.
-    fn begin(
+    /// Starts the stream of `fields`; no fields end it.
+    ///
+    /// * `allowance` bytes of telemetry that the link carries in one tick
+    ///
+    /// Errors: [`NackReason::Bandwidth`] where a record is not sent before the next one is due.
+    pub(in crate::session) fn begin<const N: usize>(
         &mut self,
         fields: u16,
         every: u16,
-        joints: usize,
         allowance: usize,
     ) -> Result<(), NackReason> {
-        let known = Field::ALL
-            .iter()
-            .fold(0, |known, field| known | field.bit());
-        let fields = fields & known;
+        let fields = fields & ((1 << Field::ALL.len()) - 1);
         if fields != 0 {
-            let needed = ticks_needed(fields, joints, allowance);
+            let needed = ticks_needed(fields, N, allowance);
             if needed == 0 || needed > every {
                 return Err(NackReason::Bandwidth { every: needed });
             }
@@ -98,16 +91,28 @@ impl Stream {
         Ok(())
     }
 
-    /// Takes down the fields of one tick.
-    pub(super) fn record<const N: usize>(&mut self, instant: &Instant<'_, N>) {
+    /// Records the fields of one tick.
+    pub(in crate::session) fn record<const N: usize>(&mut self, instant: &Instant<'_, N>) {
         if self.unsent != 0 {
             self.lost = self.lost.saturating_add(1);
         }
-        (self.tick, self.unsent, self.sent) = (instant.torque.tick, self.fields, 0);
+        (self.tick, self.unsent, self.sent) = (instant.tick.torque.tick, self.fields, 0);
         self.record.clear();
         for field in Field::ALL {
             if self.fields & field.bit() != 0 {
                 write(&mut self.record, field, instant);
+            }
+        }
+    }
+
+    /// Sends the rest of the record, within the allowance of one tick.
+    pub(in crate::session) fn send<const N: usize>(&mut self, out: &mut FrameBuffer) {
+        let mut left = self.allowance;
+        while let Some(frame) = self.next(N, left) {
+            left = left.saturating_sub(size::telemetry(frame.bytes.len()));
+            if out.push(0, &BoardMessage::<N>::Telemetry(frame)).is_err() {
+                self.lost = self.lost.saturating_add(1);
+                self.unsent = 0;
             }
         }
     }
@@ -148,7 +153,7 @@ fn fitting(wanted: u16, joints: usize, left: usize) -> (u16, usize) {
     (fields, content)
 }
 
-/// Ticks that sending a record of `fields` takes; 0 when it never ends.
+/// Ticks that a record of `fields` takes to send; 0 when it never ends.
 fn ticks_needed(mut fields: u16, joints: usize, allowance: usize) -> u16 {
     for ticks in 1..=Field::ALL.len() as u16 {
         let mut left = allowance;
@@ -167,16 +172,22 @@ fn ticks_needed(mut fields: u16, joints: usize, allowance: usize) -> u16 {
     0
 }
 
-/// Appends one field. The room holds all of them, so nothing is cut.
+/// Appends one field. The record holds all fields, so nothing is cut off.
 fn write<const N: usize>(
     record: &mut Vec<u8, RECORD_BYTES>,
     field: Field,
     instant: &Instant<'_, N>,
 ) {
-    let torque = instant.torque;
+    let TickResult {
+        torque,
+        status,
+        sample,
+        cost,
+        ..
+    } = instant.tick;
     let quality = &instant.report.quality;
-    let measured = instant.sample.as_ref().and_then(|sample| sample.measured);
-    let desired = instant.sample.as_ref().map(|sample| &sample.desired);
+    let measured = sample.as_ref().and_then(|sample| sample.measured);
+    let desired = sample.as_ref().map(|sample| &sample.desired);
     let unknown = JointVector::<N>::repeat(f32::NAN);
     let mut put = |bytes: &[u8]| {
         let _ = record.extend_from_slice(bytes);
@@ -189,7 +200,7 @@ fn write<const N: usize>(
     match field {
         Field::State => {
             put(&torque.flags.0.to_le_bytes());
-            put(&[instant.status.state as u8, instant.status.reason.code()]);
+            put(&[status.state as u8, status.reason.code()]);
         }
         Field::Total => put_vector(&torque.total),
         Field::Rigid => put_vector(&torque.shares.rigid),
@@ -216,44 +227,19 @@ fn write<const N: usize>(
             let figure = newest.map_or(0.0, |newest| newest.figure);
             put(&figure.to_le_bytes());
         }
-        Field::Cost => instant
-            .costs
-            .iter()
-            .for_each(|cost| put(&cost.to_le_bytes())),
-        Field::Loss => instant
-            .losses
-            .iter()
-            .for_each(|loss| put(&loss.to_le_bytes())),
+        Field::Cost => {
+            for cost in [*cost, instant.learn_cost] {
+                put(&cost.to_le_bytes());
+            }
+        }
+        Field::Loss => {
+            for loss in instant.losses {
+                put(&loss.to_le_bytes());
+            }
+        }
         Field::Temperature => {
             for &celsius in instant.temperatures_c {
                 put(&celsius.to_le_bytes());
-            }
-        }
-    }
-}
-
-impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
-    /// Begins, changes or ends the stream.
-    pub(super) fn stream_telemetry(&mut self, fields: u16, every: u16) -> Result<(), NackReason> {
-        let reply = match self.configuration.reply {
-            ReplyMode::Decimated => size::torque(N),
-            ReplyMode::Full => size::full_torque(N),
-        };
-        let allowance = match self.board.link_bytes_s {
-            0 => UNLIMITED,
-            bytes_s => size::left(bytes_s, self.configuration.period_us, reply),
-        };
-        self.stream.begin(fields, every, N, allowance)
-    }
-
-    /// Sends what is left of the record, within what the line has left in this tick.
-    pub(super) fn send_telemetry(&mut self, out: &mut FrameBuffer) {
-        let mut left = self.stream.allowance;
-        while let Some(frame) = self.stream.next(N, left) {
-            left = left.saturating_sub(size::telemetry(frame.bytes.len()));
-            if out.push(0, &BoardMessage::<N>::Telemetry(frame)).is_err() {
-                self.stream.lost = self.stream.lost.saturating_add(1);
-                self.stream.unsent = 0;
             }
         }
     }

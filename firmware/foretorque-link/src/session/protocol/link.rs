@@ -1,44 +1,50 @@
 use crate::wire::DecodeError;
 
-/// Frames whose number lies at most this far back are repeats or latecomers; farther back, a host has started over.
+/// Frames whose number lies at most this far back are repeats; a number farther back means that the host restarted.
 const REPEAT_WINDOW: u16 = 16;
 
-/// Where a frame stands in the host's count.
+/// Order of a frame in the host's sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Order {
     /// It is new.
     Forward,
-    /// It was seen, or a later one was.
+    /// It, or a later one, was received before.
     Repeated,
 }
 
-/// Counters and sequence of the link.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct LinkState {
-    pub(super) frames: u32,
-    pub(super) crc_errors: u32,
-    pub(super) framing_errors: u32,
-    pub(super) foreign_version: u32,
-    pub(super) unknown: u32,
-    pub(super) missed: u32,
-    pub(super) repeated: u32,
-    pub(super) overtaken: u32,
-    pub(super) stale_ticks: u32,
-    pub(super) overruns: u32,
-    pub(super) replies_lost: u32,
+/// Counters and last sequence number of the link.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::session) struct LinkState {
+    pub(in crate::session) frames: u32,
+    pub(in crate::session) crc_errors: u32,
+    pub(in crate::session) framing_errors: u32,
+    pub(in crate::session) foreign_version: u32,
+    pub(in crate::session) unknown: u32,
+    pub(in crate::session) missed: u32,
+    pub(in crate::session) repeated: u32,
+    pub(in crate::session) overruns: u32,
+    pub(in crate::session) replies_lost: u32,
     last: Option<u16>,
 }
 
 impl LinkState {
-    /// Counters at zero, the count going on after `sequence`.
-    pub(super) fn after(sequence: u16) -> Self {
+    /// Counters at zero; the sequence goes on after `last`.
+    pub(super) const fn new(last: Option<u16>) -> Self {
         Self {
-            last: Some(sequence),
-            ..Self::default()
+            frames: 0,
+            crc_errors: 0,
+            framing_errors: 0,
+            foreign_version: 0,
+            unknown: 0,
+            missed: 0,
+            repeated: 0,
+            overruns: 0,
+            replies_lost: 0,
+            last,
         }
     }
 
-    /// Counts a good frame. `restart` begins the count of sequence numbers anew.
+    /// Counts a good frame. `restart` restarts the sequence.
     pub(super) fn accept(&mut self, sequence: u16, restart: bool) -> Order {
         self.frames = self.frames.saturating_add(1);
         let step = match self.last {
@@ -66,19 +72,17 @@ impl LinkState {
         };
         *counter = counter.saturating_add(1);
     }
+
+    /// Frames missed and refused, replies lost and overruns: the low halves of their counters.
+    pub(in crate::session) fn losses(&self) -> [u16; 4] {
+        let refused = self.crc_errors.wrapping_add(self.framing_errors);
+        [self.missed, refused, self.replies_lost, self.overruns].map(|count| count as u16)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn counted(numbers: &[u16]) -> (u32, u32) {
-        let mut link = LinkState::default();
-        for &number in numbers {
-            link.accept(number, false);
-        }
-        (link.missed, link.repeated)
-    }
 
     #[test]
     fn gaps_and_repeats_are_counted() {
@@ -93,14 +97,18 @@ mod tests {
             (&[65535, 1, 65535, 2], (0, 1)),
             (&[30_000, 100], (35_634, 0)),
         ] {
-            assert_eq!(counted(numbers), missed_and_repeated, "{numbers:?}");
+            let mut link = LinkState::new(None);
+            for &number in numbers {
+                link.accept(number, false);
+            }
+            let counted = (link.missed, link.repeated);
+            assert_eq!(counted, missed_and_repeated, "{numbers:?}");
         }
     }
 
     #[test]
     fn hello_restarts_the_count() {
-        let mut link = LinkState::default();
-        link.accept(500, false);
+        let mut link = LinkState::new(Some(500));
         assert_eq!(link.accept(498, true), Order::Forward);
         assert_eq!(link.accept(499, false), Order::Forward);
         assert_eq!((link.missed, link.repeated), (0, 0));
