@@ -100,12 +100,12 @@ fn an_arm_module_is_generated_from_a_urdf() {
     succeeds(&room, &format!("generate --urdf {urdf} --out panda.rs"));
     let written = fs::read_to_string(room.join("panda.rs")).expect("it was written");
     assert!(
-        written == include_str!("../../firmware/src/arm/panda.rs"),
+        written == include_str!("../../firmware/foretorque/src/arm/panda.rs"),
         "the committed module is another one"
     );
     succeeds(&room, "generate --robot ur5 --out ur5.rs");
     let written = fs::read_to_string(room.join("ur5.rs")).expect("it was written");
-    assert!(written == include_str!("../../firmware/src/arm/ur5.rs"));
+    assert!(written == include_str!("../../firmware/foretorque/src/arm/ur5.rs"));
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod program;
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::wire::PROTOCOL_VERSION;
+use foretorque_link::wire::PROTOCOL_VERSION;
 use foretorque_workbench::board::{Native, Transport};
 use program::{fails, files, room, states, succeeds};
 use serialport::{SerialPort, TTYPort};

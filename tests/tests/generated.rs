@@ -13,7 +13,7 @@ const BASE_TOLERANCE: f32 = 1e-5;
 fn committed_module(name: &str) -> String {
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
     let folder = match name {
-        "ur5" | "panda" => package.join("../firmware/src/arm"),
+        "ur5" | "panda" => package.join("../firmware/foretorque/src/arm"),
         _ => package.join("src/arms"),
     };
     let file = folder.join(format!("{name}.rs"));

@@ -1,7 +1,8 @@
 //! The one place that knows how the board's code is compiled: which cargo, which target, which profile.
 
-use std::env;
+use std::path::PathBuf;
 use std::process::Command;
+use std::{env, fmt};
 
 use crate::shell;
 
@@ -16,13 +17,34 @@ pub(crate) fn linked_name() -> String {
     env::var("FORETORQUE_TOOLCHAIN_NAME").unwrap_or_else(|_| "foretorque-arm".into())
 }
 
-/// A Rust toolchain that set-up may have found or made.
+/// The linked ELF of a binary of the board.
+pub(crate) fn elf(binary: &str) -> PathBuf {
+    elves().join(binary)
+}
+
+/// Directory of the linked ELF files of the board.
+pub(crate) fn elves() -> PathBuf {
+    let target = shell::root().join("target");
+    target.join(TARGET).join(PROFILE)
+}
+
+/// A Rust toolchain that set-up found or made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Toolchain {
     /// The one `cargo xtask` itself runs in.
     Host,
     /// The one set-up built from Debian's packages.
     Linked,
+}
+
+/// The cargo command as one types it.
+impl fmt::Display for Toolchain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Toolchain::Host => write!(f, "cargo"),
+            Toolchain::Linked => write!(f, "cargo +{}", linked_name()),
+        }
+    }
 }
 
 impl Toolchain {
@@ -38,25 +60,23 @@ impl Toolchain {
         }
     }
 
-    /// `cargo SUBCOMMAND` for the board's library, as others may take it: without the log.
+    /// `cargo SUBCOMMAND` for the libraries, as others may take them, in target and profile of the board.
     pub(crate) fn board_library_cargo(self, subcommand: &str) -> Command {
-        let mut command = self.tool("cargo");
-        command.args([
-            subcommand,
-            "--profile",
-            PROFILE,
-            "--target",
-            TARGET,
-            "-p",
-            "foretorque",
-        ]);
+        let mut command = self.for_board(subcommand);
+        command.args(["-p", "foretorque", "-p", "foretorque-link", "--lib"]);
         command
     }
 
-    /// `cargo SUBCOMMAND` for the board's package, target and profile, with the log that its binaries write.
+    /// `cargo SUBCOMMAND` for the board and every image, in target and profile of the board.
     pub(crate) fn board_cargo(self, subcommand: &str) -> Command {
-        let mut command = self.board_library_cargo(subcommand);
-        command.args(["--features", "defmt"]);
+        let mut command = self.for_board(subcommand);
+        command.args(["-p", "foretorque-f405", "-p", "foretorque-images"]);
+        command
+    }
+
+    fn for_board(self, subcommand: &str) -> Command {
+        let mut command = self.tool("cargo");
+        command.args([subcommand, "--profile", PROFILE, "--target", TARGET]);
         command
     }
 }
@@ -64,12 +84,8 @@ impl Toolchain {
 /// Which toolchain does what in this workspace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Tools {
-    /// Compiles and links for the board.
+    /// Compiles, links and lints for the board.
     pub(crate) board: Toolchain,
-    /// Lints the board's code.
-    pub(crate) board_clippy: Toolchain,
-    /// Lints the host's code.
-    pub(crate) clippy: Toolchain,
-    /// Formats everything.
-    pub(crate) fmt: Toolchain,
+    /// Lints the host's code and formats everything.
+    pub(crate) host: Toolchain,
 }

@@ -3,7 +3,7 @@ use super::{Failure, unsupported, unusable};
 use clap::Args;
 use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{self, Ur5};
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::identification::{

@@ -1,7 +1,7 @@
 //! The write key of a board, from a file.
 
 use super::{Failure, unusable};
-use foretorque::edge::write_key::{KEY_BYTES, WriteKey};
+use foretorque_link::write_key::{KEY_BYTES, WriteKey};
 use std::fs;
 use std::path::Path;
 

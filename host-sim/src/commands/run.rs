@@ -7,8 +7,8 @@ use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
-use foretorque::edge::store::StoreHealth;
-use foretorque::excitation::Cue;
+use foretorque_link::excitation::ExcitationCommand;
+use foretorque_link::store::StoreHealth;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::closed_loop::{ClosedLoop, TickRecord};
 use foretorque_workbench::files::{WholeFile, write_whole};
@@ -155,7 +155,7 @@ fn close_loop<const N: usize>(
         log.telemetry = Some(Recorder::create(&path, chosen, N, PERIOD_S)?);
     }
     if arguments.excite_on_board {
-        board.excitation(Cue::Start)?;
+        board.excitation(ExcitationCommand::Start)?;
     }
     for tick in 0..scene.ticks {
         let record = play.tick(plant, Some(board))?;

@@ -1,8 +1,8 @@
 //! What the board knows before it learns.
 
 use foretorque::arm::Arm;
-use foretorque::edge::bank::{NETWORK_SEED, ParameterBank};
 use foretorque::learning::ParameterSet;
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_workbench::robot::Robot;
 
 /// The parameter bank of a robot taken at its word: rigid body, viscous and Coulomb friction, networks that say nothing.

@@ -2,7 +2,7 @@
 //!
 //! `faults` is a firmware that carries the fault handlers of the flashable one and fails on request.
 
-use foretorque::edge::wire::ResetReason;
+use foretorque_link::wire::ResetReason;
 use foretorque_studies::faults::machine::{Crash, Trial};
 use std::path::PathBuf;
 
@@ -42,7 +42,7 @@ fn fail(name: &str, crash: Crash) -> (ResetReason, u32) {
 fn a_panic_switches_the_torque_off_and_is_reported() {
     let (reason, line) = fail("panic", Crash::Panic);
     assert_eq!(reason, ResetReason::Panic);
-    let source = include_str!("../../../firmware/src/bin/faults/main.rs");
+    let source = include_str!("../../../firmware/images/src/bin/faults.rs");
     let panics = source
         .lines()
         .nth(line as usize - 1)

@@ -3,8 +3,8 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{PARAMETERS, Ur5};
-use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::store::{SLOT_BYTES, Store};
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::store::{SLOT_BYTES, Store};
 use foretorque_studies::faults::store::{SECTOR, set};
 use foretorque_workbench::board::Client;
 use foretorque_workbench::board::flash::SimulatedFlash;

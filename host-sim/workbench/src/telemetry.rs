@@ -1,7 +1,7 @@
 //! Telemetry of a board as a table: one row a record, one column a number, with `t_s` in front.
 
 use crate::table::{TableWriter, joint_columns};
-use foretorque::edge::wire::{Field, TelemetryFrame};
+use foretorque_link::wire::{Field, TelemetryFrame};
 use std::fmt;
 use std::io;
 use std::path::Path;

@@ -11,15 +11,15 @@ mod patched;
 use driven::parts::{NEVER, drive};
 use driven::{PATIENCE, Trial, still, written};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::safety::{SafetyReason, SafetyState};
-use foretorque::edge::wire::{Configuration, Field, Pacing};
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::Flags;
+use foretorque_link::safety::{SafetyReason, SafetyState};
+use foretorque_link::wire::{Configuration, Field, Pacing};
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Client, Native};
 use std::fs;
 
-/// Of `firmware/src/bin/joint_drive/board.rs`: the joint, and the torque of a full duty, N·m.
+/// Of `firmware/boards/f405/src/pyboard_drive/mod.rs`: the joint, and the torque of a full duty, N·m.
 const JOINT: usize = 1;
 const FULL_SCALE_NM: f32 = 12.5 * 16.0;
 const TOP: f32 = 8400.0;

@@ -3,10 +3,10 @@
 mod patched;
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::safety::{SafetyReason, SafetyState};
-use foretorque::edge::wire::{Configuration, Field, NackReason, Pacing, ResetReason};
-use foretorque::edge::write_key::WriteKey;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::safety::{SafetyReason, SafetyState};
+use foretorque_link::wire::{Configuration, Field, NackReason, Pacing, ResetReason};
+use foretorque_link::write_key::WriteKey;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client};
 use patched::patched;

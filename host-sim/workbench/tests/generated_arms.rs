@@ -7,10 +7,10 @@ use foretorque_workbench::robot::Robot;
 #[test]
 fn committed_ur5_is_what_its_description_generates() {
     let robot = Robot::load("ur5").unwrap();
-    let committed = include_str!("../../../firmware/src/arm/ur5.rs");
+    let committed = include_str!("../../../firmware/foretorque/src/arm/ur5.rs");
     assert!(
         arm_module(&robot) == committed,
-        "firmware/src/arm/ur5.rs is stale: run `cargo run -p host-sim --example write_arm -- ur5 firmware/src/arm/ur5.rs`"
+        "firmware/foretorque/src/arm/ur5.rs is stale: run `cargo run -p host-sim --example write_arm -- ur5 firmware/foretorque/src/arm/ur5.rs`"
     );
 }
 

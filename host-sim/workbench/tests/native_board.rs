@@ -2,12 +2,12 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::bank::{BankError, ColumnId, ColumnKind, NETWORK_SEED, ParameterBank};
-use foretorque::edge::safety::{ARM_SAMPLES, SafetyReason, SafetyState};
-use foretorque::edge::wire::{Configuration, NackReason, Pacing, ReplyMode};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
+use foretorque_link::bank::{BankError, ColumnId, ColumnKind, NETWORK_SEED, ParameterBank};
+use foretorque_link::safety::{ARM_SAMPLES, SafetyReason, SafetyState};
+use foretorque_link::wire::{Configuration, NackReason, Pacing, ReplyMode};
 use foretorque_workbench::board::{BoardError, BoardShares, Client, Native, TickReply, Transport};
 use std::collections::VecDeque;
 use std::io;
@@ -131,7 +131,7 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
     let mut learner = Learner::<Ur5, N, P>::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap();
     let mut exchange = foretorque::learning::Exchange::new();
     for _ in 0..ARM_SAMPLES {
-        let heard = foretorque::edge::wire::SampleFrame::new(&sample(0)).sample(&[0.0; N]);
+        let heard = foretorque_link::wire::SampleFrame::new(&sample(0)).sample(&[0.0; N]);
         bare.adopt(&mut exchange);
         bare.step(&heard);
         // A disarmed board holds the torque back.
@@ -141,7 +141,7 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
     bare.set_learning(true);
     for k in 0..4000 {
         // What the scaled integers make of the sample is what both see.
-        let frame = foretorque::edge::wire::SampleFrame::new(&sample(k));
+        let frame = foretorque_link::wire::SampleFrame::new(&sample(k));
         let heard = frame.sample(&[0.0; N]);
         bare.adopt(&mut exchange);
         let torque = bare.step(&heard);

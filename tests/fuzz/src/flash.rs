@@ -1,5 +1,5 @@
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use foretorque::edge::store::SLOT_BYTES;
+use foretorque_link::store::SLOT_BYTES;
 
 const SECTOR: usize = SLOT_BYTES as usize;
 

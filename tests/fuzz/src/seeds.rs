@@ -1,7 +1,7 @@
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::wire::{Configuration, HostMessage, SampleFrame, encode};
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::wire::{Configuration, HostMessage, SampleFrame, encode};
 use foretorque::joint::{JointMotion, JointSample};
 
 /// Writes the seeds of a target where FORETORQUE_SEEDS says, if it says anything.
@@ -92,7 +92,7 @@ fn messages() -> Vec<Vec<u8>> {
 
 /// What the frame of a message holds between header and checksum.
 fn body(message: &HostMessage<6>) -> Vec<u8> {
-    let mut room = [0; foretorque::edge::wire::MAX_FRAME];
+    let mut room = [0; foretorque_link::wire::MAX_FRAME];
     let frame = encode(1, message, &mut room).expect("a frame has room for every message");
     let mut content = frame.to_vec();
     let length =

@@ -35,16 +35,16 @@ pub(crate) fn table(image: &Image) -> String {
     text
 }
 
-/// The room of a function: the module of the library, two levels of it at the edge; the crate of anything else.
+/// The room of a function: the module of the two libraries; the crate of anything else.
 fn room(name: &str) -> String {
-    const LIBRARY: &str = "foretorque::";
-    if let Some((_, path)) = name.split_once(LIBRARY) {
-        let mut parts = path.split("::");
-        let first = parts.next().unwrap_or_default();
-        return match (first, parts.next()) {
-            ("edge", Some(second)) => format!("edge::{second}"),
-            _ => first.to_owned(),
-        };
+    const LIBRARIES: [(&str, &str); 2] = [("foretorque::", ""), ("foretorque_link::", "link::")];
+    let found = LIBRARIES.iter().filter_map(|(library, prefix)| {
+        let (before, path) = name.split_once(library)?;
+        Some((before.len(), prefix, path))
+    });
+    if let Some((_, prefix, path)) = found.min() {
+        let module = path.split("::").next().unwrap_or_default();
+        return format!("{prefix}{module}");
     }
     let foreign = [
         ("serde", "serialisation"),
@@ -73,7 +73,7 @@ mod tests {
     #[test]
     fn functions_are_counted_where_they_live_and_constants_are_the_rest() {
         let mut image = Image::of_code(&[
-            ("foretorque::edge::wire::codec::push", 0x0800_1000, &[0; 8]),
+            ("foretorque_link::wire::codec::push", 0x0800_1000, &[0; 8]),
             ("foretorque::dynamics::rnea::rnea", 0x0800_1100, &[0; 4]),
             ("EXTI1", 0x0800_1200, &[0; 2]),
             (
@@ -88,7 +88,7 @@ mod tests {
         let rooms = by_room(&image);
         let expected = [
             ("constants", 100),
-            ("edge::wire", 16),
+            ("link::wire", 16),
             ("dynamics", 8),
             ("bin", 4),
             ("compiler", 2),

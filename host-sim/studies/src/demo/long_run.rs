@@ -5,7 +5,7 @@ use super::setup::Setup;
 use super::stages::{ErrorCurve, ReplyBits, error_of, learn, predictions, track};
 use super::{DemoConfig, PAGE_POINTS};
 use crate::{Progress, StudyError};
-use foretorque::edge::telemetry::Statistics;
+use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::metrics::{TorqueError, TrackingError};
 

@@ -1,6 +1,6 @@
 //! The figures of `report.json`, and the curves of the page.
 
-use foretorque::edge::telemetry::Statistics;
+use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::report::closed_loop::BoardCost;
 use foretorque_workbench::report::page::percent;

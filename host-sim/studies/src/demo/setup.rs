@@ -4,7 +4,7 @@ use super::DemoConfig;
 use crate::prior::bank_of;
 use crate::{Progress, StudyError};
 use foretorque::arm::Arm;
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::closed_loop::control::PdConfig;
 use foretorque_workbench::dynamics::{ReferenceModel, State};
 use foretorque_workbench::excitation::{Excitation, QuickConfig};

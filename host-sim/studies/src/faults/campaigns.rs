@@ -5,7 +5,7 @@ use super::store::{self, SECTOR, SMALL_SECTOR};
 use super::{BadUpload, Campaign, Damage};
 use super::{bad_uploads, damaged_line, foreign_frames, strange_numbers, watchdog_bites};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::store::slots;
+use foretorque_link::store::slots;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Native, Transport};
 use std::error::Error;

@@ -5,11 +5,11 @@ use super::Campaign;
 use super::damage::{BadLine, Damage};
 use super::rig::{Frame, Rig, Round};
 use foretorque::arm::ur5::JOINTS;
-use foretorque::edge::safety::SafetyState;
-use foretorque::edge::wire::{
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::safety::SafetyState;
+use foretorque_link::wire::{
     HostMessage, MAX_FRAME, MotionFrame, PROTOCOL_VERSION, SampleFrame, encode,
 };
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_workbench::board::{BoardError, Transport};
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
@@ -69,7 +69,7 @@ impl Host {
     /// A sample of this tick. Its answer waits for the lesson, which the reference has learnt before its next frame.
     fn message(&self, sample: &JointSample<JOINTS>) -> HostMessage<JOINTS> {
         let frame = SampleFrame::new(sample).in_period(self.tick as u8);
-        HostMessage::Sample(frame.answered_after_lesson())
+        HostMessage::Sample(frame.answered_after_learning())
     }
 
     pub(super) fn sample(&self) -> JointSample<JOINTS> {

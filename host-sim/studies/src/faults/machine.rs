@@ -2,7 +2,7 @@
 
 use super::Campaign;
 use foretorque::arm::ur5::JOINTS;
-use foretorque::edge::wire::{BoardHello, BoardMessage, Decoder, ResetReason};
+use foretorque_link::wire::{BoardHello, BoardMessage, Decoder, ResetReason};
 use foretorque_workbench::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
 use std::fs;
 use std::path::PathBuf;

@@ -1,10 +1,10 @@
 //! A board under test, a reference beside it, and the line between host and board.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::safety::SafetyState;
-use foretorque::edge::telemetry::Statistics;
-use foretorque::edge::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, encode};
 use foretorque::learning::ConfigError;
+use foretorque_link::safety::SafetyState;
+use foretorque_link::telemetry::Statistics;
+use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, encode};
 use foretorque_workbench::board::{BoardError, Native, Transport};
 use std::time::{Duration, Instant};
 

@@ -3,8 +3,8 @@
 use super::Campaign;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::store::{HEADER_BYTES, SLOT_BYTES, Store, StoreError, slots};
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::store::{HEADER_BYTES, SLOT_BYTES, Store, StoreError, slots};
 use foretorque_workbench::board::flash::{Protection, SimulatedFlash, Torn};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

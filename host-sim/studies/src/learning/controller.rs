@@ -2,14 +2,14 @@
 
 use super::setup::{N, P, PERIOD_S, Set};
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::bank::NETWORK_SEED;
-use foretorque::edge::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason, SafetyStatus};
-use foretorque::edge::wire::SampleFrame;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 use foretorque::learning::{ConfigError, Exchange, Learner, LearnerConfig, LearnerState, Report};
+use foretorque_link::bank::NETWORK_SEED;
+use foretorque_link::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason, SafetyStatus};
+use foretorque_link::wire::SampleFrame;
 
-/// Safety, feed-forward, learner and the desk between them.
+/// Safety, feed-forward, learner and the mailbox between them.
 ///
 /// The session of the firmware calls these functions in this order too; that its answers are the same bits over its
 /// link, in the emulator, is what [`super::emulated`] shows.

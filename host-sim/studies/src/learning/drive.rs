@@ -7,7 +7,7 @@ use super::scenario::Scenario;
 use super::setup::{N, PERIOD_S, Setup};
 use super::trace::Trace;
 use crate::StudyError;
-use foretorque::edge::safety::SafetyReason;
+use foretorque_link::safety::SafetyReason;
 use foretorque_workbench::closed_loop::{Answer, ClosedLoop, motion_f32};
 use foretorque_workbench::dynamics::Joints;
 use std::convert::Infallible;

@@ -3,7 +3,7 @@
 use super::setup::{N, P, Set};
 use super::trace::Trace;
 use foretorque::arm::ur5::Ur5;
-use foretorque::edge::bank::ParameterBank;
+use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::board::{BoardError, Client};
 use serde::Serialize;
 

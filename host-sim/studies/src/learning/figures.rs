@@ -4,7 +4,7 @@ use super::recorder::PAYLOAD_GRACE_S;
 use super::scenario::Scenario;
 use super::setup::N;
 use super::trace::{Evaluation, Second, Trace};
-use foretorque::edge::safety::SafetyState;
+use foretorque_link::safety::SafetyState;
 use foretorque_workbench::metrics::TrackingError;
 use foretorque_workbench::plant::Events;
 use std::collections::BTreeMap;

@@ -7,10 +7,10 @@ use super::setup::{N, P, PERIOD_S, Setup};
 use super::twin::Twin;
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::ur5::{JOINTS, Ur5};
-use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::wire::SampleFrame;
 use foretorque::joint::{JointMeasurement, JointSample};
 use foretorque::learning::{Estimator, MeasurementWindow, torque_row};
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::wire::SampleFrame;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::parallel::roam;
@@ -264,7 +264,7 @@ fn twin(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize),
         {
             let row = torque_row::<Ur5, N, P>(joint, &seen);
             let limit = <Ur5 as foretorque::arm::Arm<N, P>>::LIMITS[joint].torque;
-            let taken = estimator.correct(&config, prior, joint, limit, &row, seen.tau[joint]);
+            let taken = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
             if taken.is_some() {
                 twin.correct(joint, &row, seen.tau[joint]);
                 rows += 1;

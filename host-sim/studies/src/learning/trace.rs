@@ -1,9 +1,9 @@
 //! The record of one run.
 
 use super::setup::N;
-use foretorque::edge::safety::SafetyStatus;
 use foretorque::joint::JointSample;
 use foretorque::learning::{Decision, LearnerStatistics, PayloadEstimate};
+use foretorque_link::safety::SafetyStatus;
 use foretorque_workbench::metrics::TrackingError;
 use foretorque_workbench::plant::Payload;
 

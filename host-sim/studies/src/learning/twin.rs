@@ -3,7 +3,7 @@
 use super::setup::{N, P, Set};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
-use foretorque::dynamics::FRICTION_COLUMNS;
+use foretorque::dynamics::{FRICTION_COLUMNS, RESISTING};
 use foretorque::learning::{Estimator, LearnerConfig, Stacked, rigid_doubt, rigid_floor};
 use nalgebra::{DMatrix, DVector, SVector};
 
@@ -67,7 +67,7 @@ impl Twin {
     }
 
     /// Takes in the torque `tau` of `joint` with its row, as the estimator does:
-    /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(z, ±k) / √S`.
+    /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(z, ±k) / √S`, then the bounds by way of P, three at most.
     pub(super) fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
         let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
         let unit = f64::from(self.config.noise * limit);
@@ -96,31 +96,32 @@ impl Twin {
         let most = f64::from(self.config.outlier_sigmas);
         self.theta
             .axpy(z.clamp(-most, most) / s.sqrt(), &spread, 1.0);
-        let half_width = f64::from(self.config.box_sigmas);
-        self.theta
-            .apply(|theta| *theta = theta.clamp(-half_width, half_width));
-        for joint in 0..N {
-            self.resist(joint * FRICTION_COLUMNS);
+        for _ in 0..3 {
+            self.project(joint * FRICTION_COLUMNS);
         }
     }
 
-    /// Keeps the friction of the joint whose columns begin at `first` from pushing.
-    fn resist(&mut self, first: usize) {
-        let Self {
-            start,
-            sigma,
-            theta,
-            ..
-        } = self;
-        let mut floor = |k: usize, bound: f64| {
-            theta[k] = theta[k].max((bound - start[k]) / sigma[k]);
-            start[k] + sigma[k] * theta[k]
-        };
-        floor(first, 0.0);
-        let coulomb = floor(first + 1, 0.0);
-        floor(first + 2, -0.5 * coulomb);
-        floor(first + 3, -0.5 * coulomb);
-        floor(first + 4, 0.0);
+    /// Moves the worst violated bound of the friction whose columns begin at `first` by way of the covariance.
+    fn project(&mut self, first: usize) {
+        let mut worst = (1e-4, DVector::zeros(self.theta.len()));
+        for bound in &RESISTING {
+            let mut direction = DVector::zeros(self.theta.len());
+            let mut value = 0.0;
+            for (k, &a) in (first..).zip(bound) {
+                direction[k] = f64::from(a) * self.sigma[k];
+                value += f64::from(a) * (self.start[k] + self.sigma[k] * self.theta[k]);
+            }
+            let deviation = direction.norm();
+            if -value / deviation > worst.0 {
+                worst = (-value / deviation, direction / deviation);
+            }
+        }
+        let (violation, direction) = worst;
+        let spread = &self.covariance * &direction;
+        let variance = direction.dot(&spread);
+        if variance > 0.0 {
+            self.theta.axpy(violation / variance, &spread, 1.0);
+        }
     }
 
     /// Largest distance of any parameter of `estimate`, prior standard deviations.

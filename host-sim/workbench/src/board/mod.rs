@@ -14,8 +14,8 @@ pub mod serial;
 pub use client::{BoardShares, Client, LinkCount, TickReply};
 pub use native::Native;
 
-use foretorque::edge::bank::BankError;
-use foretorque::edge::wire::{NackReason, PROTOCOL_VERSION, ResetReason};
+use foretorque_link::bank::BankError;
+use foretorque_link::wire::{NackReason, PROTOCOL_VERSION, ResetReason};
 use std::io;
 use std::time::Duration;
 

@@ -8,7 +8,7 @@ use serialport::{ErrorKind, SerialPort};
 use super::Transport;
 
 /// Bit rate of the link, as the firmware sets it.
-pub use foretorque::edge::wire::size::BAUD;
+pub use foretorque_f405::chip::LINK_BAUD as BAUD;
 /// How long a port may take no bytes.
 const PATIENCE: Duration = Duration::from_secs(2);
 

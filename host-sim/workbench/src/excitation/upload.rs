@@ -2,7 +2,7 @@
 
 use super::series::JointSeries;
 use super::{Excitation, ExcitationError, ORDER};
-use foretorque::excitation::{self as board, ExcitationProgram, HARMONICS, MotionBounds};
+use foretorque_link::excitation::{self as board, ExcitationProgram, HARMONICS, MotionBounds};
 use std::f64::consts::TAU;
 
 const _: () = assert!(ORDER == HARMONICS);

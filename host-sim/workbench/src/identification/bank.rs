@@ -5,9 +5,9 @@ use super::columns::Layout;
 use super::methods::Fit;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
-use foretorque::edge::bank::{NETWORK_SEED, ParameterBank};
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::ParameterSet;
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 
 /// The bank of a fit over columns the board has; `None` when the layout is not that of `A`.
 ///

@@ -22,7 +22,7 @@ use nalgebra::{Matrix3, Vector3};
 pub const LINK_PARAMETERS: usize = 10;
 
 /// Most joints an arm may have: as many as a bank of the board holds.
-pub const MAX_JOINTS: usize = foretorque::edge::bank::MAX_JOINTS;
+pub const MAX_JOINTS: usize = foretorque_link::bank::MAX_JOINTS;
 
 /// Why a robot description was refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

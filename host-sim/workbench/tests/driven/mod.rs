@@ -4,9 +4,9 @@ pub(crate) mod parts;
 
 use crate::patched::patched;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::safety::SafetyReason;
-use foretorque::edge::wire::NackReason;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::safety::SafetyReason;
+use foretorque_link::wire::NackReason;
 use foretorque_workbench::board::log::Messages;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client, TickReply};

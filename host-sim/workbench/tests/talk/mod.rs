@@ -1,13 +1,13 @@
 //! What is said to a board, as raw bytes: samples, and a conversation whose every answer is kept.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::edge::bank::NETWORK_SEED;
-use foretorque::edge::safety::ARM_SAMPLES;
-use foretorque::edge::wire::{
-    BankSource, Configuration, Decoder, FrameBuffer, HostMessage, ReplyMode, SampleFrame,
-};
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::bank::NETWORK_SEED;
+use foretorque_link::safety::ARM_SAMPLES;
+use foretorque_link::wire::{
+    BankSource, Configuration, Decoder, FrameBuffer, HostMessage, ReplyMode, SampleFrame,
+};
 use foretorque_workbench::board::Transport;
 use std::time::Duration;
 
@@ -114,7 +114,7 @@ impl<T: Transport> Talk<T> {
         };
         let mut said = self.ask(&HostMessage::Configure(configuration));
         // The learner is done before the next sample comes, however busy this machine is.
-        let patient = |k| SampleFrame::new(&sample(k)).answered_after_lesson();
+        let patient = |k| SampleFrame::new(&sample(k)).answered_after_learning();
         for _ in 0..ARM_SAMPLES {
             said.extend(self.ask(&HostMessage::Sample(patient(0))));
         }

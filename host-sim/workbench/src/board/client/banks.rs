@@ -2,11 +2,11 @@
 
 use super::line::{acknowledged, refused};
 use super::{BoardError, Client};
-use foretorque::edge::bank::ParameterBank;
-use foretorque::edge::wire::{
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::excitation::ExcitationProgram;
+use foretorque_link::wire::{
     BankSource, BoardMessage, CHUNK, Capabilities, Chunk, HostMessage, MAC_BYTES,
 };
-use foretorque::excitation::ExcitationProgram;
 use std::time::Duration;
 
 /// How long the store may take: erasing a sector of 128 KiB takes up to 2 s (DS8626 table 48), and it has two.

@@ -1,8 +1,8 @@
 //! Questions and answers: frames out, frames in, each answer to its question.
 
 use super::{BoardError, Client};
-use foretorque::edge::safety::SafetyStatus;
-use foretorque::edge::wire::{
+use foretorque_link::safety::SafetyStatus;
+use foretorque_link::wire::{
     BoardHello, BoardMessage, Capabilities, Configuration, DecodeError, FrameBuffer, HostMessage,
 };
 use std::time::{Duration, Instant};
@@ -139,7 +139,7 @@ pub(super) fn refused<const N: usize>(answer: BoardMessage<N>) -> BoardError {
 
 /// Stands where the board's hello will stand.
 pub(super) fn nobody() -> BoardHello {
-    use foretorque::edge::wire::{CounterKind, Name, ResetReason};
+    use foretorque_link::wire::{CounterKind, Name, ResetReason};
     BoardHello {
         arm_hash: 0,
         arm: Name::new(),

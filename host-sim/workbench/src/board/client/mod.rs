@@ -4,18 +4,18 @@ mod torque;
 
 use super::{BoardError, Transport};
 use foretorque::arm::Arm;
-use foretorque::edge::safety::SafetyStatus;
-use foretorque::edge::telemetry::Statistics;
-use foretorque::edge::wire::{
-    BoardHello, BoardMessage, Configuration, Decoder, FrameBuffer, HostMessage, SampleFrame,
-    TelemetryFrame,
-};
-use foretorque::edge::write_key::WriteKey;
-use foretorque::excitation::Stage;
 use foretorque::feedforward::{Shares, Torque};
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::Request;
 use foretorque::limits::Flags;
+use foretorque_link::excitation::ExcitationState;
+use foretorque_link::safety::SafetyStatus;
+use foretorque_link::telemetry::Statistics;
+use foretorque_link::wire::{
+    BoardHello, BoardMessage, Configuration, Decoder, FrameBuffer, HostMessage, SampleFrame,
+    TelemetryFrame,
+};
+use foretorque_link::write_key::WriteKey;
 use line::{nobody, refused};
 use std::time::Duration;
 
@@ -42,7 +42,7 @@ pub struct TickReply<const N: usize> {
     /// What it is made of.
     pub shares: BoardShares<N>,
     /// Where the excitation stands and what it asks of the arm, if the board plays one.
-    pub excited: Option<(Stage, JointMotion<N>)>,
+    pub excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
 /// What the host saw of the link.
@@ -176,7 +176,7 @@ impl<const N: usize> Client<N> {
         })
     }
 
-    /// Has the board stream `fields`, a sum of [`Field`](foretorque::edge::wire::Field) bits, of every `every`-th tick.
+    /// Has the board stream `fields`, a sum of [`Field`](foretorque_link::wire::Field) bits, of every `every`-th tick.
     pub fn stream(&mut self, fields: u16, every: u16) -> Result<(), BoardError> {
         self.command(&HostMessage::Telemetry { fields, every })
     }

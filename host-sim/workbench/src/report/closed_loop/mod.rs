@@ -8,9 +8,9 @@ use crate::board::BoardShares;
 use crate::closed_loop::TickRecord;
 use crate::dynamics::Joints;
 use crate::metrics::TrackingError;
-use foretorque::edge::store::StoreHealth;
-use foretorque::edge::telemetry::{Cost, Statistics};
 use foretorque::limits::Flags;
+use foretorque_link::store::StoreHealth;
+use foretorque_link::telemetry::{Cost, Statistics};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -71,7 +71,7 @@ pub struct ClosedLoopReport {
     /// Learnt sets that came late.
     pub late_sets: u32,
     /// Learning samples that found no room.
-    pub lessons_lost: u32,
+    pub learning_samples_lost: u32,
     /// From the board's first instructions to its hello, µs; nothing where its counter is no clock.
     pub boot_us: Option<u32>,
     /// State of the board's store.
@@ -275,7 +275,7 @@ impl<const N: usize> ClosedLoopLog<N> {
                 .collect(),
             link: LinkReport::from(statistics),
             late_sets: statistics.late_sets,
-            lessons_lost: statistics.lessons_lost,
+            learning_samples_lost: statistics.learning_samples_lost,
             boot_us: run.boot_us,
             store: statistics.store,
             tick_cost: statistics.tick_cost.into(),

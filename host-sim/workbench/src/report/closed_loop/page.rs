@@ -116,7 +116,10 @@ fn tables(report: &ClosedLoopReport, command: &str) -> [Section; 4] {
         ("repeated or late", link.repeated),
         ("missed deadlines and overruns", link.overruns),
         ("late learnt sets", report.late_sets),
-        ("learning samples without room", report.lessons_lost),
+        (
+            "learning samples without room",
+            report.learning_samples_lost,
+        ),
     ];
     let costs = [
         ("tick", report.tick_cost),

@@ -1,0 +1,469 @@
+//! The schedule: who may interrupt whom. [`image!`](crate::image) binds the functions of this module to their interrupts.
+//!
+//! | priority | task | woken by | deadline |
+//! |---|---|---|---|
+//! | 4 | `byte`: one byte from or to the link | USART2 | 5 µs, the next byte at 2 Mbaud |
+//! | 4 | `timer`: notes that a tick is due | SysTick | the period |
+//! | 3 | `tick`: decode, feed-forward, reply | the end of a frame, or `timer` | the period |
+//! | 2 | `learn`: one lesson a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
+//! | 0 | `idle`: log, store, watchdog | every interrupt | the watchdog's time |
+//!
+//! The answer of a tick whose sample asks for it is kept until `learn` is done with its lesson and wakes `tick` once more: a
+//! host that keeps no time cannot be too fast for the learner then.
+//!
+//! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
+
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use foretorque::arm::Arm as _;
+use foretorque_link::safety::{SafetyReason, Task};
+use foretorque_link::session::{BoardDescription, LearnerMailbox};
+use foretorque_link::store::Store;
+use foretorque_link::telemetry::CostMeter;
+use foretorque_link::wire::{Capabilities, FrameBuffer};
+use heapless::spsc::{Consumer, Producer, Queue};
+use rtic::Mutex;
+use stm32f4xx_hal::pac::{self, Interrupt};
+use stm32f4xx_hal::prelude::*;
+
+use crate::board::{Arm, Board, Drive as _, JOINTS, PARAMETERS, Ports};
+use crate::chip::LINK_BYTES_S;
+use crate::clock::{self, ClockSource};
+use crate::counter::{self, Counter};
+use crate::fault::{self, Reason};
+use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
+use crate::log;
+use crate::pace::{self, Pace};
+use crate::rooms::{BoardLearner, BoardSession, furnish, open};
+use crate::secret;
+use crate::store_flash::StoreFlash;
+use crate::watchdog::{self, TASKS, Watchdog};
+
+/// Interrupt of the tick's task.
+const TICK: Interrupt = Interrupt::EXTI1;
+/// Interrupt of the learner's task.
+const LEARN: Interrupt = Interrupt::EXTI2;
+/// Ticks between two lines of the log.
+const LOG_EVERY: u32 = 1000;
+/// Bytes handed to the session at once.
+const CHUNK: usize = 64;
+
+/// Ticks run, for the log.
+static TICKS: AtomicU32 = AtomicU32::new(0);
+/// The tick's task has run since `idle` looked last.
+static TICKED: AtomicBool = AtomicBool::new(false);
+
+/// Shared by the tick and the learner: requests, lessons and parameter sets on their way.
+pub type BoardMailbox = &'static mut LearnerMailbox<JOINTS, PARAMETERS>;
+
+/// Static memory of the large parts.
+pub struct Statics {
+    mailbox: MaybeUninit<LearnerMailbox<JOINTS, PARAMETERS>>,
+    session: MaybeUninit<BoardSession>,
+    learner: MaybeUninit<BoardLearner>,
+    receive_ring: Queue<u8, RECEIVE_RING>,
+    transmit_ring: Queue<u8, TRANSMIT_RING>,
+}
+
+impl Statics {
+    /// Nothing in it.
+    pub const fn empty() -> Self {
+        Self {
+            mailbox: MaybeUninit::uninit(),
+            session: MaybeUninit::uninit(),
+            learner: MaybeUninit::uninit(),
+            receive_ring: Queue::new(),
+            transmit_ring: Queue::new(),
+        }
+    }
+}
+
+/// The parts of a started board, one for each task.
+pub struct Started<B: Board> {
+    /// Shared by tick, learner and idle loop.
+    pub mailbox: BoardMailbox,
+    /// Of the link's interrupt.
+    pub wire: Wire,
+    /// Of the tick.
+    pub tick: Tick<B>,
+    /// Of the learner.
+    pub learner: &'static mut BoardLearner,
+    /// Of the idle loop.
+    pub idle: Idle,
+}
+
+/// Starts clocks, pins, session, learner and link; leaves by a reset if a constant of the board cannot work.
+#[inline(always)]
+pub fn start<B: Board>(
+    chip: pac::Peripherals,
+    mut core: cortex_m::Peripherals,
+    statics: &'static mut Statics,
+) -> Started<B> {
+    let (reason, place) = fault::take();
+    let reset_reason = fault::reset_reason(reason, &chip.RCC);
+    let kept = fault::latched();
+    let clocks = clock::start(&chip.RCC, &chip.FLASH, B::CRYSTAL_HZ);
+    let seed = secret::seed(&chip.RNG, &chip.RCC);
+    let emulated = clocks.source == ClockSource::Emulated;
+
+    chip.RCC.apb1enr().modify(|_, w| {
+        w.usart2en()
+            .enabled()
+            .usart3en()
+            .enabled()
+            .tim2en()
+            .enabled()
+    });
+    let mut rcc = chip.RCC.constrain();
+    let ports = Ports {
+        a: chip.GPIOA,
+        b: chip.GPIOB,
+    };
+    B::start_pins(ports, &mut rcc);
+    let Some(mut drive) = B::Drive::start() else {
+        fault::leave::<B>(Reason::Setup, line!());
+    };
+
+    let (counter, counter_hz) = if emulated {
+        (counter::start_instructions(&chip.TIM2), 0)
+    } else {
+        (counter::start_cycles(&mut core), clocks.cpu_hz)
+    };
+    let booting = counter::now();
+    let drain = emulated.then(|| log::Drain::start(chip.USART3));
+    defmt::info!(
+        "boot: {=str}, clock {} at {=u32} Hz, started by {}, left before by {} at {=u32:#x}",
+        B::NAME,
+        clocks.source,
+        clocks.cpu_hz,
+        reset_reason,
+        reason,
+        place
+    );
+
+    let description = BoardDescription {
+        capabilities: Capabilities::LEARNING
+            | Capabilities::TIMER
+            | Capabilities::STORE
+            | Capabilities::WATCHDOG
+            | Capabilities::REBOOT,
+        counter,
+        counter_hz,
+        reset_reason,
+        kept_fault: kept,
+        link_bytes_s: LINK_BYTES_S,
+        write_key: secret::write_key(),
+        seed,
+        ..BoardDescription::plain(Counter)
+    };
+    let Some(session) = open(&mut statics.session, description) else {
+        fault::leave::<B>(Reason::Setup, line!());
+    };
+    let mailbox = statics.mailbox.write(LearnerMailbox::new());
+    let mut store = Store::new(StoreFlash::new(chip.FLASH));
+    let stored = session.boot_from(&mut store, mailbox);
+    defmt::info!("store: {}", stored);
+    let period_s = session.configuration().period_us as f32 * 1e-6;
+    let prior = &session.feed_forward().state().active;
+    let Some(learner) = furnish(&mut statics.learner, period_s, prior) else {
+        fault::leave::<B>(Reason::Setup, line!());
+    };
+    if let Some(joint) = B::OWN_JOINT {
+        learner.learn_only(joint);
+    }
+    let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
+    pace.follow(session.configuration());
+
+    let (receive_in, received) = statics.receive_ring.split();
+    let (mut waiting, transmit_out) = statics.transmit_ring.split();
+    let wire = Wire::start(chip.USART2, clocks.apb1_hz, receive_in, transmit_out);
+    let mut out = FrameBuffer::new();
+    let boot_counts = counter::now().wrapping_sub(booting);
+    session.note_boot(boot_counts);
+    drive.watch(session);
+    session.send_hello(&mut out);
+    link::send(&mut waiting, out.as_bytes());
+    out.clear();
+    defmt::info!(
+        "hello: arm {=str} {=u32:#x}, {} counter, {}, {}, {=u32} counts ({=u32} us) from clock to hello",
+        Arm::NAME,
+        Arm::HASH,
+        counter,
+        session.configuration(),
+        session.safety(),
+        boot_counts,
+        boot_counts
+            .checked_div(counter_hz / 1_000_000)
+            .unwrap_or_default()
+    );
+    Started {
+        mailbox,
+        wire,
+        tick: Tick {
+            session,
+            received,
+            waiting,
+            out,
+            pace,
+            drive,
+            kept,
+            troubles: 0,
+            latency: CostMeter::new(),
+        },
+        learner,
+        idle: Idle {
+            watchdog: Watchdog::start(chip.IWDG),
+            store,
+            drain,
+        },
+    }
+}
+
+/// One interrupt of the link: wakes the tick's task at the end of a frame.
+#[inline(always)]
+pub fn byte(wire: &mut Wire) {
+    if wire.interrupt() {
+        rtic::pend(TICK);
+    }
+}
+
+/// The interrupt of the timer: a tick is due.
+#[inline(always)]
+pub fn timer() {
+    pace::elapsed();
+    rtic::pend(TICK);
+}
+
+/// The tick's task: session, link and drive.
+pub struct Tick<B: Board> {
+    session: &'static mut BoardSession,
+    received: Consumer<'static, u8>,
+    waiting: Producer<'static, u8>,
+    out: FrameBuffer,
+    pace: Pace,
+    drive: B::Drive,
+    kept: SafetyReason,
+    troubles: u32,
+    latency: CostMeter,
+}
+
+impl<B: Board> Tick<B> {
+    /// Runs what is due: ticks, commands, replies.
+    #[inline(always)]
+    pub fn run(&mut self, mailbox: &mut impl Mutex<T = BoardMailbox>) {
+        let Self {
+            session,
+            received,
+            waiting,
+            out,
+            pace,
+            drive,
+            kept,
+            troubles,
+            latency,
+        } = self;
+        mailbox.lock(|mailbox| {
+            drive.watch(session);
+            if pace::take_due() {
+                session.timer_tick_with(mailbox, out, drive.own());
+            }
+            session.poll_store(mailbox, out);
+            loop {
+                let mut chunk = [0; CHUNK];
+                let mut count = 0;
+                for slot in &mut chunk {
+                    let Some(byte) = received.dequeue() else {
+                        break;
+                    };
+                    *slot = byte;
+                    count += 1;
+                }
+                let bytes = chunk.get(..count).unwrap_or_default();
+                session.receive_with(bytes, mailbox, out, drive.own());
+                // Before the host reads of it: what is told is done.
+                drive.follow(session);
+                let latched = session.latched_fault();
+                if *kept != latched {
+                    *kept = latched;
+                    fault::keep_latched(latched);
+                }
+                if session.reboot_wanted() {
+                    fault::leave::<B>(Reason::Asked, 0);
+                }
+                // An answer that waits for the learner is sent when that has woken this task again.
+                let waits = mailbox.holds_reply();
+                if !out.is_empty() {
+                    if !waits && !link::send(waiting, out.as_bytes()) {
+                        session.note_reply_lost();
+                    } else if count > 0 {
+                        latency.note(link::since_frame());
+                    }
+                }
+                if !waits {
+                    out.clear();
+                }
+                if count == 0 {
+                    break;
+                }
+            }
+        });
+        // Whether there are lessons or not: the learner shall say that it lives.
+        rtic::pend(LEARN);
+        pace.follow(session.configuration());
+        session.note_line(link::receive_cost(), latency.cost());
+        session.note_feeds(watchdog::feeds());
+        // What went wrong below the frames since the last tick. Counters wrap; only their difference counts.
+        let now = link::troubles().wrapping_add(pace::missed());
+        while *troubles != now {
+            *troubles = troubles.wrapping_add(1);
+            session.note_overrun();
+        }
+        TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
+        TICKED.store(true, Ordering::Relaxed);
+        TASKS.check_in(Task::Tick);
+        if session.link_alive() {
+            TASKS.check_in(Task::Link);
+        }
+    }
+}
+
+/// The learner's task: works the lessons off.
+#[inline(always)]
+pub fn learn(learner: &mut BoardLearner, mailbox: &mut impl Mutex<T = BoardMailbox>) {
+    while let Some(lesson) = mailbox.lock(|mailbox| mailbox.begin(learner)) {
+        let start = counter::now();
+        learner.study(&lesson);
+        let cost = counter::now().wrapping_sub(start);
+        mailbox.lock(|mailbox| mailbox.finish(learner, cost));
+    }
+    if mailbox.lock(|mailbox| mailbox.release_reply()) {
+        rtic::pend(TICK);
+    }
+    TASKS.check_in(Task::Learner);
+}
+
+/// The idle loop: log, store, watchdog.
+pub struct Idle {
+    watchdog: Watchdog,
+    store: Store<StoreFlash>,
+    drain: Option<log::Drain>,
+}
+
+impl Idle {
+    /// Never returns.
+    #[inline(always)]
+    pub fn run<B: Board>(&mut self, mailbox: &mut impl Mutex<T = BoardMailbox>) -> ! {
+        let mut logged = 0;
+        loop {
+            let ticks = TICKS.load(Ordering::Relaxed);
+            if ticks.wrapping_sub(logged) >= LOG_EVERY {
+                logged = ticks;
+                let cost = link::receive_cost();
+                defmt::info!(
+                    "tick {=u32}: {=u32} bytes in at {=u32} counts (max {=u32}), {=u32} lost, {=u32} overruns, {=u32} ticks missed",
+                    ticks,
+                    RECEIVED.bytes.load(Ordering::Relaxed),
+                    cost.mean,
+                    cost.max,
+                    RECEIVED.lost.load(Ordering::Relaxed),
+                    RECEIVED.overruns.load(Ordering::Relaxed),
+                    pace::missed()
+                );
+            }
+            B::Drive::report();
+            if let Some(drain) = &self.drain {
+                drain.empty();
+            }
+            if let Some(mut job) = mailbox.lock(|mailbox| mailbox.store.begin()) {
+                let store = &mut self.store;
+                let outcome = self.watchdog.patient(|| job.execute(store, Arm::HASH));
+                mailbox.lock(|mailbox| mailbox.store.finish(&job, outcome));
+                // It answers the host.
+                rtic::pend(TICK);
+            }
+            TASKS.check_in(Task::Housekeeping);
+            self.watchdog.feed_if_all_present();
+            // A tick that came since the beginning of this round may have left work: an interrupt that is only pending
+            // ends the wait too, so none is slept through.
+            cortex_m::interrupt::free(|_| {
+                if !TICKED.swap(false, Ordering::Relaxed) {
+                    cortex_m::asm::wfi();
+                }
+            });
+        }
+    }
+}
+
+/// The firmware of a board: its interrupts and fault handlers.
+#[macro_export]
+macro_rules! image {
+    ($board:ty) => {
+        $crate::fault_handlers!($board);
+
+        #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
+        mod app {
+            use $crate::app::{
+                BoardMailbox, Idle, Started, Statics, Tick, byte, learn, start, timer,
+            };
+            use $crate::link::Wire;
+            use $crate::rooms::BoardLearner;
+
+            #[shared]
+            struct Shared {
+                mailbox: BoardMailbox,
+            }
+
+            #[local]
+            struct Local {
+                wire: Wire,
+                tick: Tick<$board>,
+                learner: &'static mut BoardLearner,
+                idle: Idle,
+            }
+
+            #[init(local = [statics: Statics = Statics::empty()])]
+            fn init(cx: init::Context) -> (Shared, Local) {
+                let Started {
+                    mailbox,
+                    wire,
+                    tick,
+                    learner,
+                    idle,
+                } = start::<$board>(cx.device, cx.core, cx.local.statics);
+                let local = Local {
+                    wire,
+                    tick,
+                    learner,
+                    idle,
+                };
+                (Shared { mailbox }, local)
+            }
+
+            #[task(binds = USART2, priority = 4, local = [wire])]
+            fn on_byte(cx: on_byte::Context) {
+                byte(cx.local.wire);
+            }
+
+            #[task(binds = SysTick, priority = 4)]
+            fn on_timer(_: on_timer::Context) {
+                timer();
+            }
+
+            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [mailbox])]
+            fn on_tick(mut cx: on_tick::Context) {
+                cx.local.tick.run(&mut cx.shared.mailbox);
+            }
+
+            #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailbox])]
+            fn on_lesson(mut cx: on_lesson::Context) {
+                learn(cx.local.learner, &mut cx.shared.mailbox);
+            }
+
+            #[idle(local = [idle], shared = [mailbox])]
+            fn on_idle(mut cx: on_idle::Context) -> ! {
+                cx.local.idle.run::<$board>(&mut cx.shared.mailbox)
+            }
+        }
+    };
+}

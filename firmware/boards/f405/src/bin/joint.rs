@@ -1,0 +1,11 @@
+//! The flashable firmware of a joint controller: one STM32F405, one serial link, one tick.
+#![cfg_attr(target_os = "none", no_std, no_main)]
+
+#[cfg(target_os = "none")]
+foretorque_f405::image!(foretorque_f405::odrive_v3::OdriveV3);
+
+#[cfg(not(target_os = "none"))]
+fn main() {
+    eprintln!("joint is firmware: build it with `cargo firmware`");
+    std::process::exit(2);
+}

@@ -1,0 +1,12 @@
+//! The flashable firmware on a board that drives its joint: motor stage, fault input and encoder are its own, the rest is
+//! that of `joint`.
+#![cfg_attr(target_os = "none", no_std, no_main)]
+
+#[cfg(target_os = "none")]
+foretorque_f405::image!(foretorque_f405::pyboard_drive::PyboardDrive);
+
+#[cfg(not(target_os = "none"))]
+fn main() {
+    eprintln!("joint-drive is firmware: build it with `cargo firmware`");
+    std::process::exit(2);
+}

@@ -1,0 +1,61 @@
+//! What a board with this chip has of its own.
+
+use foretorque_link::session::LocalSensor;
+use stm32f4xx_hal::pac::{GPIOA, GPIOB};
+use stm32f4xx_hal::rcc::Rcc;
+
+use crate::pin::Pin;
+use crate::rooms::BoardSession;
+
+/// The arm of the images, its joints and its base parameters.
+pub use foretorque::arm::ur5::{
+    JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5 as Arm,
+};
+
+/// A board: constants, pins, and the drive of its joint.
+pub trait Board: Send + 'static {
+    /// Name in the log.
+    const NAME: &'static str;
+    /// Crystal, Hz (DS8626 5.3.9: 4 to 26 MHz).
+    const CRYSTAL_HZ: u32;
+    /// Torque enable of the motor stage, active high; the fault handlers write it without the owner of its pins.
+    const ENABLE: Pin;
+    /// The only joint that this board drives, from 0, and so the only one whose rows it learns from; `None` for all. The
+    /// torques of all joints are computed either way: the recursion passes through all of them.
+    const OWN_JOINT: Option<usize> = None;
+
+    /// Motor stage and encoder, or the enable alone.
+    type Drive: Drive;
+
+    /// Gives every pin its job; the enable is low.
+    fn start_pins(ports: Ports, rcc: &mut Rcc);
+}
+
+/// What the board drives itself, called by the tick's task.
+pub trait Drive: Sized + Send {
+    /// What measures the own joint.
+    type Own: LocalSensor;
+
+    /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
+    fn start() -> Option<Self>;
+
+    /// Before the ticks of a round: tells the session what is wrong out there.
+    fn watch(&mut self, session: &mut BoardSession);
+
+    /// What measures the own joint.
+    fn own(&mut self) -> &mut Self::Own;
+
+    /// After a tick: enable and torque command are what the session says.
+    fn follow(&mut self, session: &mut BoardSession);
+
+    /// Writes to the log what has changed; from the idle loop.
+    fn report();
+}
+
+/// The ports whose pins the boards use.
+pub struct Ports {
+    /// Port A.
+    pub a: GPIOA,
+    /// Port B.
+    pub b: GPIOB,
+}

@@ -1,0 +1,56 @@
+//! Constants of the STM32F405RG. Sources: RM0090 (reference manual), DS8626 (data sheet).
+
+use foretorque_link::wire::size::{full_torque, headroom_permille, sample};
+
+/// Internal oscillator, Hz, ± 1 % at room temperature (DS8626 table 41).
+pub const HSI_HZ: u32 = 16_000_000;
+/// Processor clock from the PLL, Hz: the most the chip allows at voltage scale 1, its reset state (DS8626 table 14).
+pub const PLL_HZ: u32 = 168_000_000;
+/// Input of the PLL after division by M, Hz: RM0090 7.3.2 recommends 2 MHz against jitter.
+pub const PLL_INPUT_HZ: u32 = 2_000_000;
+/// Factor N: 2 MHz × 168 = 336 MHz, inside 100 to 432 MHz (RM0090 7.3.2).
+pub const PLL_N: u16 = 168;
+/// Factor Q: 336 MHz / 7 = 48 MHz for USB and the random number generator.
+pub const PLL_Q: u8 = 7;
+/// Wait states of the flash at 168 MHz and 2.7 to 3.6 V (RM0090 table 10).
+pub const FLASH_WAIT_STATES: u8 = 5;
+/// Reads of a ready flag before a clock source is given up. One read takes at least three cycles at 16 MHz, so this
+/// is more than 18 ms; the crystal needs about 2 ms (DS8626 table 39), the PLL at most 0.3 ms (table 43).
+pub const CLOCK_POLLS: u32 = 100_000;
+/// First sector of the store, and bytes of each of its two: the last ones of the chip (RM0090 table 5; memory.x).
+pub const STORE_SECTOR: u8 = 10;
+/// Bytes of a sector of the store.
+pub const STORE_SECTOR_BYTES: usize = 128 * 1024;
+/// Reads of the busy flag before the flash is given up. One takes at least three cycles at 168 MHz, so this is more than
+/// 3.5 s; erasing takes at most 2 s (DS8626 table 48).
+pub const FLASH_POLLS: u32 = 200_000_000;
+/// Division of the slow peripheral bus while the PLL runs: 42 MHz, its maximum (DS8626 table 14).
+pub const APB1_DIVIDER: u32 = 4;
+
+/// Bit rate of the link. USART2 sits on APB1; eight-fold oversampling reaches it from 42 MHz (divider 21/8, exact)
+/// and from the bare 16 MHz oscillator (divider 8/8, exact).
+pub const LINK_BAUD: u32 = 2_000_000;
+/// Capacity of one direction of the link, bytes a second: a byte is a start bit, eight data bits and a stop bit.
+pub const LINK_BYTES_S: u32 = LINK_BAUD / 10;
+
+/// Instructions that the board counts for receiving a byte, at most. A test in the emulator holds them to it.
+pub const RECEIVE_INSTRUCTIONS: u64 = 60;
+/// What it cannot count, in cycles: entry and exit of the exception (12 each, ARM DDI 0439, 3.9), and the 36 instructions
+/// around the counter's two readings, which save registers and keep the account.
+pub const RECEIVE_OVERHEAD: u64 = 24 + 36;
+
+/// Part of the processor that receiving frames of `bytes` at `rate_hz` takes at an instruction a cycle, in per mille,
+/// rounded up.
+pub const fn receive_permille(bytes: usize, rate_hz: u64) -> u64 {
+    let cycles = (RECEIVE_INSTRUCTIONS + RECEIVE_OVERHEAD) * bytes as u64 * rate_hz;
+    (1000 * cycles).div_ceil(PLL_HZ as u64)
+}
+
+const _: () = assert!(headroom_permille(sample(7), 1000, LINK_BYTES_S) >= 300);
+const _: () = assert!(headroom_permille(full_torque(7), 1000, LINK_BYTES_S) >= 300);
+
+/// Division of the watchdog's oscillator, 17 to 47 kHz (DS8626 table 42): 16, which its register calls 2.
+pub const WATCHDOG_PRESCALER: u8 = 2;
+/// Counts after which an unfed watchdog bites: 68 to 188 ms. The longest legal period of the tick is 100 ms, but torque
+/// ends after 50 ms of silence all the same; what takes longer is a hung task.
+pub const WATCHDOG_RELOAD: u16 = 200;

@@ -1,0 +1,103 @@
+//! From reset to the best clock this board can give, without ever waiting for ever.
+
+use stm32f4xx_hal::pac::{FLASH, RCC};
+
+use crate::chip;
+
+/// Where the processor clock comes from, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
+pub enum ClockSource {
+    /// Crystal and PLL.
+    Crystal,
+    /// Internal oscillator and PLL: the crystal did not start. Tick and baud rate are good to 1 % only.
+    Internal,
+    /// Internal oscillator alone: the PLL did not lock.
+    Bare,
+    /// The emulator, which models no clocks and counts SysTick at the speed of the PLL.
+    Emulated,
+}
+
+/// Result of the bring-up.
+#[derive(Clone, Copy, Debug)]
+pub struct Clocks {
+    /// What it comes from.
+    pub source: ClockSource,
+    /// Processor and SysTick clock, Hz.
+    pub cpu_hz: u32,
+    /// Clock of the slow peripheral bus, Hz.
+    pub apb1_hz: u32,
+}
+
+/// Starts the best clock: crystal and PLL, else internal oscillator and PLL, else the internal oscillator.
+///
+/// * `crystal_hz` crystal of the board
+///
+/// Cannot fail. Cost: at most two bounded waits of [`chip::CLOCK_POLLS`] reads each.
+pub fn start(rcc: &RCC, flash: &FLASH, crystal_hz: u32) -> Clocks {
+    // On silicon HSION and HSIRDY are 1 after reset (RM0090 7.3.1): all zeros can only be the emulator, whose clock
+    // block is not modelled.
+    if rcc.cr().read().bits() == 0 {
+        return Clocks {
+            source: ClockSource::Emulated,
+            cpu_hz: chip::PLL_HZ,
+            apb1_hz: chip::PLL_HZ / 4,
+        };
+    }
+    rcc.cr().modify(|_, w| w.hseon().on());
+    let crystal = soon(|| rcc.cr().read().hserdy().is_ready());
+    if !crystal {
+        rcc.cr().modify(|_, w| w.hseon().off());
+    }
+    let input_hz = if crystal { crystal_hz } else { chip::HSI_HZ };
+    rcc.pllcfgr().modify(|_, w| {
+        let w = if crystal {
+            w.pllsrc().hse()
+        } else {
+            w.pllsrc().hsi()
+        };
+        // SAFETY: M = 4 or 8, N = 168 and Q = 7 lie in the ranges of RM0090 7.3.2.
+        unsafe {
+            w.pllm()
+                .bits((input_hz / chip::PLL_INPUT_HZ) as u8)
+                .plln()
+                .bits(chip::PLL_N)
+                .pllq()
+                .bits(chip::PLL_Q)
+        }
+        .pllp()
+        .div2()
+    });
+    rcc.cr().modify(|_, w| w.pllon().on());
+    if !soon(|| rcc.cr().read().pllrdy().is_ready()) {
+        rcc.cr().modify(|_, w| w.pllon().off());
+        return Clocks {
+            source: ClockSource::Bare,
+            cpu_hz: chip::HSI_HZ,
+            apb1_hz: chip::HSI_HZ,
+        };
+    }
+    // Wait states before speed, or the next fetch fails (RM0090 3.5.1); prefetch and both caches hide most of them.
+    flash.acr().modify(|_, w| {
+        w.latency().set(chip::FLASH_WAIT_STATES);
+        w.prften().set_bit().icen().set_bit().dcen().set_bit()
+    });
+    rcc.cfgr().modify(|_, w| w.ppre1().div4().ppre2().div2());
+    rcc.cfgr().modify(|_, w| w.sw().pll());
+    // The switch takes a few cycles of the slow clock; should it fail, the flag of the report is all that is wrong.
+    soon(|| rcc.cfgr().read().sws().is_pll());
+    let source = if crystal {
+        ClockSource::Crystal
+    } else {
+        ClockSource::Internal
+    };
+    Clocks {
+        source,
+        cpu_hz: chip::PLL_HZ,
+        apb1_hz: chip::PLL_HZ / chip::APB1_DIVIDER,
+    }
+}
+
+/// Reads `ready` until it is true, at most [`chip::CLOCK_POLLS`] times.
+fn soon(mut ready: impl FnMut() -> bool) -> bool {
+    (0..chip::CLOCK_POLLS).any(|_| ready())
+}

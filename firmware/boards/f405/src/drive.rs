@@ -1,0 +1,53 @@
+//! The drive of a board that drives nothing itself but the enable. A board with a motor stage and an encoder has one of
+//! its own, as [`crate::pyboard_drive`] has.
+
+use foretorque_link::hal::TorqueEnable;
+use foretorque_link::session::NoLocalSensor;
+
+use crate::board::{Board, Drive};
+use crate::fault::EnablePin;
+use crate::rooms::BoardSession;
+
+/// The enable pin; torque is put out by whoever reads the replies, and measured there.
+pub struct EnableOnly<B: Board> {
+    enable: TorqueEnable<EnablePin<B>>,
+    measures: NoLocalSensor,
+}
+
+impl<B: Board> Drive for EnableOnly<B> {
+    type Own = NoLocalSensor;
+
+    #[inline(always)]
+    fn start() -> Option<Self> {
+        // Switched off by its constructor; only a session that a host has armed switches it on.
+        let Ok(enable) = TorqueEnable::new(EnablePin::default());
+        Some(Self {
+            enable,
+            measures: NoLocalSensor,
+        })
+    }
+
+    #[inline(always)]
+    fn watch(&mut self, _: &mut BoardSession) {}
+
+    #[inline(always)]
+    fn own(&mut self) -> &mut NoLocalSensor {
+        &mut self.measures
+    }
+
+    #[inline(always)]
+    fn follow(&mut self, session: &mut BoardSession) {
+        let on = session.torque_enabled();
+        if self.enable.is_on() != on {
+            // This pin cannot refuse.
+            let Ok(()) = if on {
+                self.enable.on()
+            } else {
+                self.enable.off()
+            };
+        }
+    }
+
+    #[inline(always)]
+    fn report() {}
+}

@@ -1,0 +1,215 @@
+//! The way out: outputs safe, reason kept over the reset, restart. Nothing here waits.
+
+use core::marker::PhantomData;
+use core::mem::MaybeUninit;
+use core::sync::atomic::{Ordering, compiler_fence};
+
+use cortex_m::peripheral::SCB;
+use embedded_hal::digital::{ErrorType, OutputPin};
+use foretorque_link::hal::TorqueEnable;
+use foretorque_link::safety::SafetyReason;
+use foretorque_link::wire::ResetReason;
+use stm32f4xx_hal::pac::RCC;
+
+use crate::board::Board;
+
+/// Why the board restarted itself. The number is what is kept over the reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
+#[repr(u8)]
+pub enum Reason {
+    /// It did not: power on, the reset pin, a debugger.
+    None = 0,
+    /// A panic; the place is the line of the source.
+    Panic = 1,
+    /// A hard fault; the place is the address of the instruction.
+    HardFault = 2,
+    /// An interrupt or exception without a handler; the place is its number.
+    Unexpected = 3,
+    /// A configuration built into the firmware was refused; the place is the line of the source.
+    Setup = 4,
+    /// The stack ran out of its region; there is no place.
+    Stack = 5,
+    /// The host asked for it; there is no place.
+    Asked = 6,
+}
+
+/// What is kept over a reset: a mark, reason, place, and their check word. The linker leaves the section alone at
+/// start-up, and a reset does not clear the RAM (RM0090 6.1).
+#[unsafe(link_section = ".uninit.reason")]
+static mut KEPT: MaybeUninit<[u32; 4]> = MaybeUninit::uninit();
+
+/// The fault that safety has latched, likewise: a mark, its code, their check word.
+#[unsafe(link_section = ".uninit.latched")]
+static mut LATCHED: MaybeUninit<[u32; 3]> = MaybeUninit::uninit();
+
+/// Says that [`KEPT`] and [`LATCHED`] were written by this firmware: power-on leaves anything there.
+const MARK: u32 = 0x7041_5553;
+
+/// Torque enable: a pin without state, because a fault handler must be able to make one out of nothing.
+pub struct EnablePin<B>(PhantomData<B>);
+
+impl<B> Default for EnablePin<B> {
+    fn default() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<B> ErrorType for EnablePin<B> {
+    type Error = core::convert::Infallible;
+}
+
+impl<B: Board> OutputPin for EnablePin<B> {
+    fn set_low(&mut self) -> Result<(), Self::Error> {
+        B::ENABLE.write(false);
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Self::Error> {
+        B::ENABLE.write(true);
+        Ok(())
+    }
+}
+
+/// Why the board restarted last time, and where; forgets it.
+pub fn take() -> (Reason, u32) {
+    let kept = &raw mut KEPT;
+    // SAFETY: called once, from `init`, with interrupts off; any bit pattern is a valid [u32; 4].
+    let [mark, reason, place, check] = unsafe { kept.cast::<[u32; 4]>().read_volatile() };
+    // SAFETY: as above.
+    unsafe { kept.cast::<[u32; 4]>().write_volatile([0; 4]) };
+    if mark != MARK || check != mark ^ reason ^ place {
+        return (Reason::None, 0);
+    }
+    let reason = match reason {
+        1 => Reason::Panic,
+        2 => Reason::HardFault,
+        3 => Reason::Unexpected,
+        4 => Reason::Setup,
+        5 => Reason::Stack,
+        6 => Reason::Asked,
+        _ => Reason::None,
+    };
+    (reason, place)
+}
+
+/// The fault that was latched when the board restarted. After power-on there is none.
+pub fn latched() -> SafetyReason {
+    let kept = &raw const LATCHED;
+    // SAFETY: any bit pattern is a valid [u32; 3]; the words are written in the tick's task alone, and read before it runs.
+    let [mark, code, check] = unsafe { kept.cast::<[u32; 3]>().read_volatile() };
+    if mark != MARK || check != mark ^ code {
+        return SafetyReason::None;
+    }
+    SafetyReason::from_code(code as u8)
+}
+
+/// Keeps the fault that is latched over a reset.
+pub fn keep_latched(fault: SafetyReason) {
+    let kept = &raw mut LATCHED;
+    let code = u32::from(fault.code());
+    // SAFETY: called from the tick's task alone.
+    unsafe {
+        kept.cast::<[u32; 3]>()
+            .write_volatile([MARK, code, MARK ^ code])
+    };
+}
+
+/// Why the board started, for the link: what was kept, else what the chip remembers (RM0090 7.3.21), and forgets.
+///
+/// The emulator's chip remembers nothing.
+pub fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
+    let chip = rcc.csr().read();
+    rcc.csr().modify(|_, w| w.rmvf().set_bit());
+    match kept {
+        Reason::Panic | Reason::Setup => ResetReason::Panic,
+        Reason::HardFault | Reason::Unexpected | Reason::Stack => ResetReason::Fault,
+        Reason::Asked => ResetReason::Software,
+        Reason::None if chip.porrstf().bit_is_set() => ResetReason::PowerOn,
+        Reason::None if chip.wdgrstf().bit_is_set() || chip.wwdgrstf().bit_is_set() => {
+            ResetReason::Watchdog
+        }
+        Reason::None if chip.sftrstf().bit_is_set() => ResetReason::Software,
+        // Every reset also pulls the pin, so its flag means something only when it stands alone.
+        Reason::None if chip.padrstf().bit_is_set() => ResetReason::Pin,
+        Reason::None => ResetReason::Unknown,
+    }
+}
+
+/// Makes the outputs safe, keeps the reason and restarts. The torque stays off until somebody arms the board anew.
+pub fn leave<B: Board>(reason: Reason, place: u32) -> ! {
+    cortex_m::interrupt::disable();
+    // The constructor is what switches off; an infallible pin cannot refuse.
+    let _ = TorqueEnable::new(EnablePin::<B>::default());
+    let kept = &raw mut KEPT;
+    // SAFETY: interrupts are off and this does not return: nobody else looks at the words again before the reset.
+    unsafe {
+        kept.cast::<[u32; 4]>().write_volatile([
+            MARK,
+            reason as u32,
+            place,
+            MARK ^ reason as u32 ^ place,
+        ])
+    };
+    compiler_fence(Ordering::SeqCst);
+    SCB::sys_reset()
+}
+
+/// Bytes that the core pushes at most when an exception comes: eight registers and the state of the FPU.
+const FRAME_BYTES: u32 = 104;
+
+/// The end of [`fault_handlers!`]'s entry of the hard fault.
+///
+/// * `pointer` stack pointer after the exception came
+/// * `place` address of the interrupted instruction
+pub extern "C" fn hard_fault<B: Board>(pointer: u32, place: u32) -> ! {
+    unsafe extern "C" {
+        static _stack_end: u8;
+    }
+    // An overflowing stack faults where it leaves the region, and the core cannot push below that either.
+    let end = (&raw const _stack_end) as u32;
+    if pointer < end + FRAME_BYTES {
+        leave::<B>(Reason::Stack, 0);
+    }
+    leave::<B>(Reason::HardFault, place)
+}
+
+/// The handlers of panic, hard fault and unexpected exception in the firmware of a board: they all [`leave`].
+#[macro_export]
+macro_rules! fault_handlers {
+    ($board:ty) => {
+        #[panic_handler]
+        fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+            $crate::fault::leave::<$board>(
+                $crate::fault::Reason::Panic,
+                info.location().map_or(0, |place| place.line()),
+            )
+        }
+
+        /// The entry of the hard fault. It pushes nothing before it has a stack again, because the stack may be what
+        /// failed: passes the stack pointer on, and starts the stack over, for nothing returns from here.
+        // SAFETY: the name is that of the vector, and no other handler has it.
+        #[unsafe(naked)]
+        #[unsafe(export_name = "HardFault")]
+        extern "C" fn hard_fault_entry() -> ! {
+            core::arch::naked_asm!(
+                "mov r0, sp",
+                // The interrupted instruction: word 6 of what the core pushed, if that is inside the region of the stack.
+                "ldr r2, =_stack_end",
+                "movs r1, #0",
+                "cmp r0, r2",
+                "blo 1f",
+                "ldr r1, [r0, #24]",
+                "1:",
+                "ldr r3, =_stack_start",
+                "mov sp, r3",
+                "b {handler}",
+                handler = sym $crate::fault::hard_fault::<$board>,
+            )
+        }
+
+        #[cortex_m_rt::exception]
+        unsafe fn DefaultHandler(number: i16) {
+            $crate::fault::leave::<$board>($crate::fault::Reason::Unexpected, number as u32)
+        }
+    };
+}

@@ -1,0 +1,198 @@
+//! The serial link: USART2, one byte an interrupt in each direction.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use foretorque_link::telemetry::Cost;
+use heapless::spsc::{Consumer, Producer};
+use stm32f4xx_hal::pac::{Interrupt, USART2};
+
+use crate::{chip, counter};
+
+/// Bytes received and not yet read: more than the longest frame, so that an upload survives a busy tick.
+pub const RECEIVE_RING: usize = 1024;
+/// Bytes waiting to be sent.
+pub const TRANSMIT_RING: usize = 1024;
+
+/// What the receive interrupt saw. Written there only; everybody may read.
+#[derive(Debug)]
+pub struct ReceiveCounters {
+    /// Bytes moved into the ring.
+    pub bytes: AtomicU32,
+    /// Bytes lost because the ring was full.
+    pub lost: AtomicU32,
+    /// Overruns of the receive register: the interrupt came too late.
+    pub overruns: AtomicU32,
+    /// Counts spent on the last `counted` bytes or so: both are halved before they would wrap.
+    pub counts: AtomicU32,
+    /// Bytes that `counts` is about.
+    pub counted: AtomicU32,
+    /// Most counts spent on one byte.
+    pub counts_max: AtomicU32,
+}
+
+/// Counters of the link.
+pub static RECEIVED: ReceiveCounters = ReceiveCounters {
+    bytes: AtomicU32::new(0),
+    lost: AtomicU32::new(0),
+    overruns: AtomicU32::new(0),
+    counts: AtomicU32::new(0),
+    counted: AtomicU32::new(0),
+    counts_max: AtomicU32::new(0),
+};
+
+/// The interrupt's end of the link.
+pub struct Wire {
+    usart: USART2,
+    received: Producer<'static, u8>,
+    waiting: Consumer<'static, u8>,
+}
+
+impl Wire {
+    /// Sets the port up for 8 data bits, no parity, one stop bit. Receiving starts at once.
+    pub fn start(
+        usart: USART2,
+        apb1_hz: u32,
+        received: Producer<'static, u8>,
+        waiting: Consumer<'static, u8>,
+    ) -> Self {
+        // Eight-fold oversampling: USARTDIV = f / (8 · baud), mantissa in bits 4.., three bits of fraction
+        // (RM0090 30.3.4).
+        let eighths = (apb1_hz + chip::LINK_BAUD / 2) / chip::LINK_BAUD;
+        // SAFETY: bit 3 must stay clear with eight-fold oversampling, and does.
+        usart
+            .brr()
+            .write(|w| unsafe { w.bits((((eighths >> 3) << 4) | (eighths & 7)) as u16) });
+        usart.cr1().write(|w| {
+            w.over8()
+                .oversample8()
+                .ue()
+                .enabled()
+                .te()
+                .enabled()
+                .re()
+                .enabled()
+                .rxneie()
+                .enabled()
+        });
+        Self {
+            usart,
+            received,
+            waiting,
+        }
+    }
+
+    /// One interrupt: takes the received byte, fills the transmit register. True when the byte ended a frame.
+    ///
+    /// Cost: at 2 Mbaud it may come every 5 µs, 840 cycles; its counts are in [`RECEIVED`].
+    #[inline(always)]
+    pub fn interrupt(&mut self) -> bool {
+        let start = counter::now();
+        let status = self.usart.sr().read();
+        let mut delimiter = false;
+        let mut received = false;
+        if status.rxne().bit_is_set() || status.ore().bit_is_set() {
+            // Reading status and then data also clears the error flags (RM0090 30.6.1).
+            let byte = self.usart.dr().read().bits() as u8;
+            if status.ore().bit_is_set() {
+                add(&RECEIVED.overruns, 1);
+            }
+            match self.received.enqueue(byte) {
+                Ok(()) => add(&RECEIVED.bytes, 1),
+                Err(_) => add(&RECEIVED.lost, 1),
+            }
+            delimiter = byte == 0;
+            if delimiter {
+                ENDED_AT.store(start, Ordering::Relaxed);
+            }
+            received = true;
+        }
+        // A byte that finds some to send shares its interrupt with them, and says nothing of receiving.
+        let sent = self.transmit();
+        if received && !sent {
+            note_cost(counter::now().wrapping_sub(start));
+        }
+        delimiter
+    }
+
+    /// Moves waiting bytes into the transmit register while it is free: one on silicon, all in the emulator. True when
+    /// there was one.
+    #[inline(always)]
+    fn transmit(&mut self) -> bool {
+        let mut sent = false;
+        while self.usart.sr().read().txe().bit_is_set() {
+            match self.waiting.dequeue() {
+                // SAFETY: the data register takes any byte.
+                Some(byte) => self
+                    .usart
+                    .dr()
+                    .write(|w| unsafe { w.bits(u16::from(byte)) }),
+                None => {
+                    self.usart.cr1().modify(|_, w| w.txeie().disabled());
+                    return sent;
+                }
+            };
+            sent = true;
+        }
+        self.usart.cr1().modify(|_, w| w.txeie().enabled());
+        true
+    }
+}
+
+/// Queues frames and wakes the interrupt, which does the sending. False when they found no room; then none is sent,
+/// because half a frame is worth nothing to the other side.
+// Where it is called the length of the ring is known, and with it that nothing is divided by zero.
+#[inline(always)]
+pub fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
+    if bytes.len() > waiting.capacity() - waiting.len() {
+        return false;
+    }
+    let queued = bytes.iter().all(|&byte| waiting.enqueue(byte).is_ok());
+    // The emulator raises no interrupt for a free transmit register: pend it by hand, on silicon a nudge too many.
+    rtic::pend(Interrupt::USART2);
+    queued
+}
+
+/// Cost of receiving one byte, in counts, without [`chip::RECEIVE_OVERHEAD`].
+pub fn receive_cost() -> Cost {
+    let counted = RECEIVED.counted.load(Ordering::Relaxed).max(1);
+    Cost {
+        mean: RECEIVED.counts.load(Ordering::Relaxed) / counted,
+        max: RECEIVED.counts_max.load(Ordering::Relaxed),
+    }
+}
+
+/// When the last frame ended, on the board's counter.
+static ENDED_AT: AtomicU32 = AtomicU32::new(0);
+
+/// Counts since the last frame ended.
+pub fn since_frame() -> u32 {
+    counter::now().wrapping_sub(ENDED_AT.load(Ordering::Relaxed))
+}
+
+/// Bytes lost by the ring and overruns of the register, together. Wraps.
+pub fn troubles() -> u32 {
+    let lost = RECEIVED.lost.load(Ordering::Relaxed);
+    lost.wrapping_add(RECEIVED.overruns.load(Ordering::Relaxed))
+}
+
+/// Adds without a lock: there is one writer.
+#[inline(always)]
+fn add(counter: &AtomicU32, amount: u32) {
+    counter.store(
+        counter.load(Ordering::Relaxed).wrapping_add(amount),
+        Ordering::Relaxed,
+    );
+}
+
+/// Takes the cost of one byte; its own is not in it.
+#[inline(always)]
+fn note_cost(spent: u32) {
+    let half = RECEIVED.counts.load(Ordering::Relaxed) >> 31;
+    let counts = (RECEIVED.counts.load(Ordering::Relaxed) >> half) + spent;
+    let counted = (RECEIVED.counted.load(Ordering::Relaxed) >> half) + 1;
+    RECEIVED.counts.store(counts, Ordering::Relaxed);
+    RECEIVED.counted.store(counted, Ordering::Relaxed);
+    if spent > RECEIVED.counts_max.load(Ordering::Relaxed) {
+        RECEIVED.counts_max.store(spent, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,90 @@
+//! What this board drives itself: its joint, by a motor stage, and measured by an encoder.
+
+use core::cell::Cell;
+
+use cortex_m::interrupt::{self, Mutex};
+use foretorque_link::drive::{JointEncoder, JointStage};
+use foretorque_link::hal::{
+    AbsoluteEncoder, EncoderError, MotorStage, PwmWithDirection, StageError,
+};
+use foretorque_link::session::LocalSensor as _;
+
+use super::pins::{DirectionPin, FaultInput, StageEnable};
+use super::pulse::Pulse;
+use super::spi::EncoderDevice;
+use super::{ENCODER, JOINT, SCALE, TURN};
+use crate::board::{Drive, JOINTS};
+use crate::rooms::BoardSession;
+
+/// What is wrong with stage and encoder, for the log, which nobody writes in the tick.
+#[derive(Clone, Copy, PartialEq)]
+struct Troubles {
+    stage: Option<StageError>,
+    encoder: Option<EncoderError>,
+}
+
+impl Troubles {
+    const NONE: Self = Self {
+        stage: None,
+        encoder: None,
+    };
+}
+
+static SEEN: Mutex<Cell<Troubles>> = Mutex::new(Cell::new(Troubles::NONE));
+static LOGGED: Mutex<Cell<Troubles>> = Mutex::new(Cell::new(Troubles::NONE));
+
+/// Motor stage and encoder of the own joint.
+pub struct StageAndEncoder {
+    stage: JointStage<PwmWithDirection<Pulse, DirectionPin>, StageEnable, FaultInput>,
+    encoder: JointEncoder<EncoderDevice>,
+}
+
+impl Drive for StageAndEncoder {
+    type Own = JointEncoder<EncoderDevice>;
+
+    #[inline(never)]
+    fn start() -> Option<Self> {
+        let output = PwmWithDirection::new(Pulse::start(), DirectionPin);
+        let stage = MotorStage::new(output, StageEnable, FaultInput, SCALE);
+        let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
+        let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
+        // The first reading brings nothing, it only asks: so the first tick has a position.
+        let _ = encoder.measure::<JOINTS>(None, true);
+        Some(Self {
+            stage: JointStage::new(stage.ok()?, JOINT),
+            encoder,
+        })
+    }
+
+    fn watch(&mut self, session: &mut BoardSession) {
+        self.stage.check(session);
+    }
+
+    fn own(&mut self) -> &mut Self::Own {
+        &mut self.encoder
+    }
+
+    fn follow(&mut self, session: &mut BoardSession) {
+        self.stage.apply(session);
+        let seen = Troubles {
+            stage: self.stage.last_error(),
+            encoder: self.encoder.last_error(),
+        };
+        interrupt::free(|token| SEEN.borrow(token).set(seen));
+    }
+
+    fn report() {
+        let (seen, logged) = interrupt::free(|token| {
+            let seen = SEEN.borrow(token).get();
+            (seen, LOGGED.borrow(token).replace(seen))
+        });
+        if let Some(error) = seen.stage.filter(|_| seen.stage != logged.stage) {
+            defmt::error!("stage: {=str}", error.text());
+        }
+        match seen.encoder {
+            error if error == logged.encoder => {}
+            Some(error) => defmt::warn!("encoder: {=str}", error.text()),
+            None => defmt::info!("encoder: a position"),
+        }
+    }
+}

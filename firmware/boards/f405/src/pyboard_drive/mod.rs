@@ -1,0 +1,108 @@
+//! The third board: a pyboard v1.1 that drives its own joint, with a servo drive or inverter that takes its torque command
+//! as pulse width and direction, and an AS5047 class encoder.
+//!
+//! Card and chip are those of [`Pyboard`]; here is what this board has besides. **Scale, signs and zero are
+//! an example: they belong to one joint and its drive, and docs/board.md says how to find them.** Sources: as there, and the
+//! data sheets AS5047P v1-06 and DS8626, table 9 (alternate functions).
+
+mod drive;
+mod pins;
+mod pulse;
+mod spi;
+
+use foretorque_link::drive::TurnReference;
+use foretorque_link::hal::{Direction, EncoderConfig, TorqueScale};
+use stm32f4xx_hal::gpio::PinState;
+use stm32f4xx_hal::pac::{SPI1, TIM1};
+use stm32f4xx_hal::prelude::*;
+use stm32f4xx_hal::rcc::Rcc;
+
+use crate::board::{Board, Ports};
+use crate::pin::{Pin, Port};
+use crate::pyboard::Pyboard;
+
+/// The joint that this board drives, from 0: the shoulder lift.
+const JOINT: usize = 1;
+
+/// From torque to pulse width. The gain is also that of the bank if currents are measured.
+pub(crate) const SCALE: TorqueScale = TorqueScale {
+    gain_nm_per_a: 12.5,
+    // At a duty of 1: what the drive is set to take for its largest current command.
+    full_scale_a: 16.0,
+    limit_nm: 150.0,
+};
+
+/// Timer of the pulse width, channel 1N on PB13 (Y6), alternate function 1: the one timer whose break input the card has
+/// on a pin, so that a fault of the stage ends the pulses without the processor.
+pub(crate) type PulseTimer = TIM1;
+/// Counts of a period, and so of a full duty: 20 kHz from 168 MHz, above hearing; one count is 1/8400 of the full scale.
+/// From the bare oscillator of 16 MHz it is 1.9 kHz.
+pub(crate) const PULSE_TOP: u16 = 8400;
+/// Direction of the torque: PB9 (Y4), high for +.
+pub(crate) const DIRECTION: Pin = Pin {
+    port: Port::B,
+    number: 9,
+};
+/// Fault of the stage, active low: PB12 (Y5), which is also the break input of the timer, alternate function 1.
+pub(crate) const FAULT: Pin = Pin {
+    port: Port::B,
+    number: 12,
+};
+
+/// Bus of the encoder: clock PA5 (X6), from the chip PA6 (X7), to the chip PA7 (X8), alternate function 5.
+pub(crate) type EncoderBus = SPI1;
+/// Chip select of the encoder: PA4 (X5), active low.
+pub(crate) const SELECT: Pin = Pin {
+    port: Port::A,
+    number: 4,
+};
+/// Division of APB2 for the clock of the bus, 2^(n + 1): 84 MHz / 16 = 5.25 MHz; 10 MHz are allowed.
+pub(crate) const ENCODER_DIVIDER: u8 = 3;
+/// Cycles from select to clock, clock to select, and between frames: at least 350 ns (AS5047P, SPI timing), 59 at 168 MHz.
+pub(crate) const SELECT_CYCLES: u32 = 64;
+/// Reads of the ready flag before a byte is given up. A byte takes 256 cycles, a read at least three.
+pub(crate) const ENCODER_POLLS: u32 = 200;
+
+/// Zero, sign and ratio of the encoder: on the link, counting with +q. A thousand counts between two readings are 0.38 rad,
+/// more than the joint can move in the 50 ms that readings may fail.
+pub(crate) const ENCODER: EncoderConfig = EncoderConfig {
+    zero_counts: 0,
+    direction: Direction::Same,
+    ratio: 1.0,
+    largest_step: 1000,
+};
+/// One turn of the encoder is one of the joint: at start it is believed to be within ± π.
+pub(crate) const TURN: TurnReference = TurnReference::Near(0.0);
+
+/// The board.
+pub struct PyboardDrive;
+
+impl Board for PyboardDrive {
+    const NAME: &'static str = "pyboard-v1.1 with drive";
+    const CRYSTAL_HZ: u32 = Pyboard::CRYSTAL_HZ;
+    const ENABLE: Pin = Pyboard::ENABLE;
+    const OWN_JOINT: Option<usize> = Some(JOINT);
+
+    type Drive = drive::StageAndEncoder;
+
+    /// Direction low, no pulses, encoder not selected, link as on the card.
+    fn start_pins(ports: Ports, rcc: &mut Rcc) {
+        rcc.apb2enr()
+            .modify(|_, w| w.tim1en().enabled().spi1en().enabled());
+        let a = ports.a.split(rcc);
+        let b = ports.b.split(rcc);
+        b.pb8.into_push_pull_output_in_state(PinState::Low);
+        b.pb9.into_push_pull_output_in_state(PinState::Low);
+        b.pb13.into_alternate::<1>();
+        // A line that is not plugged in is a fault. The open drain of the drive has its pull-up, 4.7 kΩ, on the drive's side.
+        b.pb12.into_alternate::<1>().internal_pull_down(true);
+        a.pa4.into_push_pull_output_in_state(PinState::High);
+        a.pa5.into_alternate::<5>();
+        a.pa6.into_alternate::<5>().internal_pull_up(true);
+        a.pa7.into_alternate::<5>();
+        // Alternate function 7 is USART2 (DS8626 table 9).
+        a.pa2.into_alternate::<7>();
+        // Held high while nobody is plugged in: an open line is full of start bits.
+        a.pa3.into_alternate::<7>().internal_pull_up(true);
+    }
+}

@@ -1,0 +1,61 @@
+//! The write key in its sector of the flash, and what makes challenges differ from start to start.
+
+use core::mem::MaybeUninit;
+
+use foretorque_link::wire::MAC_BYTES;
+use foretorque_link::write_key::{KEY_BYTES, WriteKey};
+use stm32f4xx_hal::pac::{RCC, RNG};
+
+/// Reads of the random number generator's ready flag for one word: it takes 40 periods of 48 MHz (RM0090 24.3.1), 140
+/// cycles of the core.
+const RANDOM_POLLS: u32 = 1000;
+
+/// Starts of the board since power came on, from whatever the memory held then. The linker leaves the section alone.
+#[unsafe(link_section = ".uninit.starts")]
+static mut STARTS: MaybeUninit<u32> = MaybeUninit::uninit();
+
+/// The key that was written to the start of sector 9, if one was; see memory.x.
+pub(crate) fn write_key() -> Option<WriteKey> {
+    unsafe extern "C" {
+        static _write_key: [u8; KEY_BYTES];
+    }
+    // SAFETY: the address is in the flash, aligned for bytes, and never changes while the firmware runs. Volatile, because
+    // the compiler knows nothing of what is there.
+    WriteKey::from_slot(unsafe { (&raw const _write_key).read_volatile() })
+}
+
+/// Bytes that differ from start to start: random words where the generator gives some, and the number of the start.
+///
+/// The emulator's chip has no generator; there the number alone differs, and only until the emulator ends.
+pub(crate) fn seed(rng: &RNG, rcc: &RCC) -> [u8; MAC_BYTES] {
+    let starts = &raw mut STARTS;
+    // SAFETY: called once, from `init`, with interrupts off; any bit pattern is a u32.
+    let number = unsafe {
+        let number = starts.cast::<u32>().read_volatile().wrapping_add(1);
+        starts.cast::<u32>().write_volatile(number);
+        number
+    };
+    rcc.ahb2enr().modify(|_, w| w.rngen().enabled());
+    rng.cr().write(|w| w.rngen().set_bit());
+    let words = [number, random(rng), random(rng), random(rng)];
+    rng.cr().reset();
+    let mut seed = [0; MAC_BYTES];
+    for (slot, byte) in seed
+        .iter_mut()
+        .zip(words.into_iter().flat_map(u32::to_le_bytes))
+    {
+        *slot = byte;
+    }
+    seed
+}
+
+/// A random word; 0 when none comes, or the generator finds fault with itself.
+fn random(rng: &RNG) -> u32 {
+    let ready = (0..RANDOM_POLLS).any(|_| rng.sr().read().drdy().bit_is_set());
+    let status = rng.sr().read();
+    if ready && status.secs().bit_is_clear() && status.cecs().bit_is_clear() {
+        rng.dr().read().bits()
+    } else {
+        0
+    }
+}

@@ -1,0 +1,113 @@
+//! The board's own check of an uploaded excitation: some of it at once, the rest point by point over the ticks.
+
+use super::program::{ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
+use super::series::{JointSeries, PreparedSeries};
+use foretorque::joint::JointMotion;
+
+/// Points of one period that are looked at.
+pub(super) const POINTS: u32 = 1024;
+/// Points a tick: 256 ticks for all of them.
+pub(super) const POINTS_A_TICK: u32 = 4;
+/// Part by which what is seen may exceed what is certified: rounding, and a certificate written with six digits.
+const SLACK: f32 = 1e-3;
+/// Speed, rad/s, and acceleration, rad/s², that count as rest.
+const REST: (f32, f32) = (1e-3, 1e-2);
+
+/// What can be seen without playing it.
+pub(super) fn at_once<const N: usize>(
+    program: &ExcitationProgram<N>,
+    limits: &PlayLimits<N>,
+    arm_hash: u32,
+    tick_us: u32,
+) -> Result<(), ExcitationError> {
+    if program.arm_hash != arm_hash {
+        return Err(ExcitationError::WrongArm);
+    }
+    let tracking = program.tracking_rad > 0.0 && program.tracking_rad <= limits.tracking_rad;
+    // The fifth harmonic must have some ticks a turn, or its velocity means nothing between them.
+    if !tracking || program.period_us / 100 < tick_us {
+        return Err(ExcitationError::Number(0));
+    }
+    let joints = program.joints.iter().zip(&program.certificate);
+    for (joint, ((series, bounds), allowed)) in joints.zip(&limits.motion).enumerate() {
+        if !series.coefficients().all(f32::is_finite) {
+            return Err(ExcitationError::Number(joint as u8));
+        }
+        if !bounds.within(allowed) {
+            return Err(ExcitationError::CertificateBeyondLimits(joint as u8));
+        }
+    }
+    Ok(())
+}
+
+/// The joints rest at the beginning of the period.
+pub(super) fn begins_at_rest<const N: usize>(
+    program: &ExcitationProgram<N>,
+    series: &PreparedSeries,
+) -> Result<(), ExcitationError> {
+    let start = series.at(&program.joints, 0);
+    for (joint, (qd, qdd)) in start.qd.iter().zip(start.qdd.iter()).enumerate() {
+        if !(qd.abs() <= REST.0 && qdd.abs() <= REST.1) {
+            return Err(ExcitationError::NotAtRest(joint as u8));
+        }
+    }
+    Ok(())
+}
+
+/// The motion at point `point` of [`POINTS`], and what it can be up to the next one, keeps the certificate.
+///
+/// A function whose second derivative is bounded by K exceeds the larger of two neighbouring samples by at most K h² / 8
+/// between them.
+pub(super) fn point<const N: usize>(
+    program: &ExcitationProgram<N>,
+    series: &PreparedSeries,
+    point: u32,
+) -> Result<(), ExcitationError> {
+    let motion = series.at(&program.joints, point.wrapping_mul(u32::MAX / POINTS + 1));
+    let between = |joint: &JointSeries| {
+        let step_s = program.period_us as f32 * (1e-6 / POINTS as f32);
+        let part = step_s * step_s / 8.0;
+        let swings = joint.a_rad_s.iter().zip(&joint.b_rad_s);
+        let mut bound = [0.0; 3];
+        for ((a, b), rate) in swings.zip(series.rates()) {
+            // Bounds of acceleration, jerk and snap, times h² / 8.
+            let size = (a.abs() + b.abs()) * part;
+            let [qdd, jerk, snap] = &mut bound;
+            *qdd += size * rate;
+            *jerk += size * rate * rate;
+            *snap += size * rate * rate * rate;
+        }
+        bound
+    };
+    let joints = program.joints.iter().zip(&program.certificate);
+    for (joint, (coefficients, bounds)) in joints.enumerate() {
+        let [q_more, qd_more, qdd_more] = between(coefficients);
+        let kept = inside(&motion, joint, bounds, [q_more, qd_more, qdd_more]);
+        if !kept {
+            return Err(ExcitationError::CertificateBroken(joint as u8));
+        }
+    }
+    Ok(())
+}
+
+/// The motion of `joint`, widened by `more`, lies inside `bounds`; false where a number is none.
+fn inside<const N: usize>(
+    motion: &JointMotion<N>,
+    joint: usize,
+    bounds: &MotionBounds,
+    more: [f32; 3],
+) -> bool {
+    let (Some(q), Some(qd), Some(qdd)) = (
+        motion.q.get(joint),
+        motion.qd.get(joint),
+        motion.qdd.get(joint),
+    ) else {
+        return false;
+    };
+    let (low, high) = bounds.position_rad;
+    let slack = SLACK * (high - low);
+    q - more[0] >= low - slack
+        && q + more[0] <= high + slack
+        && qd.abs() + more[1] <= bounds.velocity_rad_s * (1.0 + SLACK)
+        && qdd.abs() + more[2] <= bounds.acceleration_rad_s2 * (1.0 + SLACK)
+}

@@ -1,0 +1,104 @@
+use super::program::MotionBounds;
+use super::series::{JointSeries, PreparedSeries};
+use foretorque::joint::{JointMotion, JointVector};
+use foretorque::math::sqrt;
+
+/// Part of the certified speed and acceleration that the approach uses.
+const APPROACH_SHARE: f32 = 0.25;
+/// Shortest approach, s.
+const APPROACH_S: f32 = 0.25;
+/// A whole path, in units of its phase.
+const WHOLE: f32 = 4_294_967_296.0;
+
+/// Which path the phase runs along, in units of 2⁻³² of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Path<const N: usize> {
+    /// A quintic at rest at both ends, over `1 / inv_time_s`.
+    Approach {
+        from: JointVector<N>,
+        to: JointVector<N>,
+        inv_time_s: f32,
+        phase_step: u32,
+    },
+    /// The series.
+    Series,
+}
+
+impl<const N: usize> Path<N> {
+    /// From `from` to `to`, in a quarter of what is certified.
+    ///
+    /// * `tick_us` period of the tick, µs
+    pub(super) fn approach(
+        from: JointVector<N>,
+        to: JointVector<N>,
+        certificate: &[MotionBounds; N],
+        tick_us: u32,
+    ) -> Self {
+        let time_s = approach_s(&(to - from), certificate);
+        let ticks = seconds_to_ticks(time_s, tick_us);
+        Self::Approach {
+            from,
+            to,
+            inv_time_s: 1.0 / time_s,
+            phase_step: u32::MAX.checked_div(ticks).unwrap_or(u32::MAX),
+        }
+    }
+
+    /// What one tick adds to the phase at full speed.
+    pub(super) fn phase_step(&self, series: &PreparedSeries) -> u32 {
+        match self {
+            Self::Approach { phase_step, .. } => *phase_step,
+            Self::Series => series.phase_step(),
+        }
+    }
+
+    /// Motion at `phase`, at full speed.
+    pub(super) fn at(
+        &self,
+        phase: u32,
+        series: &PreparedSeries,
+        joints: &[JointSeries; N],
+    ) -> JointMotion<N> {
+        let Self::Approach {
+            from,
+            to,
+            inv_time_s,
+            ..
+        } = self
+        else {
+            return series.at(joints, phase);
+        };
+        let s = phase as f32 * (1.0 / WHOLE);
+        let way = to - from;
+        let (s2, rest) = (s * s, 1.0 - s);
+        JointMotion {
+            q: from + way * (s2 * s * (10.0 + s * (6.0 * s - 15.0))),
+            qd: way * (30.0 * s2 * rest * rest * inv_time_s),
+            qdd: way * (60.0 * s * rest * (1.0 - 2.0 * s) * inv_time_s * inv_time_s),
+        }
+    }
+}
+
+/// Time for `way`, s: quintics have peaks of 1.875 way / T and 5.7735 way / T².
+fn approach_s<const N: usize>(way: &JointVector<N>, certificate: &[MotionBounds; N]) -> f32 {
+    let mut longest = APPROACH_S;
+    for (way, bounds) in way.iter().zip(certificate) {
+        let speed = APPROACH_SHARE * bounds.velocity_rad_s;
+        let acceleration = APPROACH_SHARE * bounds.acceleration_rad_s2;
+        for time in [
+            1.875 * way.abs() / speed,
+            sqrt(5.7735 * way.abs() / acceleration),
+        ] {
+            if time > longest {
+                longest = time;
+            }
+        }
+    }
+    longest
+}
+
+/// Whole ticks in `seconds`, at least one: what divides by them must be able to.
+pub(super) fn seconds_to_ticks(seconds: f32, tick_us: u32) -> u32 {
+    let ticks = (seconds * 1e6 / tick_us as f32) as u32;
+    if ticks == 0 { 1 } else { ticks }
+}

@@ -1,0 +1,94 @@
+use embedded_hal::digital::OutputPin;
+
+/// The torque enable input of a motor stage, active high. Off after construction.
+///
+/// ```
+/// # use embedded_hal_mock::eh1::digital::{Mock, State, Transaction};
+/// # let pin = Mock::new(&[Transaction::set(State::Low), Transaction::set(State::High), Transaction::set(State::Low)]);
+/// let mut enable = foretorque_link::hal::TorqueEnable::new(pin)?;
+/// enable.on()?;
+/// assert!(enable.is_on());
+/// enable.off()?;
+/// # enable.release().done();
+/// # Ok::<(), embedded_hal_mock::eh1::MockError>(())
+/// ```
+#[derive(Debug)]
+pub struct TorqueEnable<Pin> {
+    pin: Pin,
+    on: bool,
+}
+
+impl<Pin: OutputPin> TorqueEnable<Pin> {
+    /// Takes the pin and switches torque off.
+    ///
+    /// Errors: those of the pin; it is then in an unknown state.
+    pub fn new(mut pin: Pin) -> Result<Self, Pin::Error> {
+        pin.set_low()?;
+        Ok(Self { pin, on: false })
+    }
+
+    /// Lets torque through. Errors: those of the pin; torque counts as off until it answers.
+    pub fn on(&mut self) -> Result<(), Pin::Error> {
+        self.pin.set_high()?;
+        self.on = true;
+        Ok(())
+    }
+
+    /// Switches torque off. Errors: those of the pin; torque still counts as on, so that the caller tries again.
+    pub fn off(&mut self) -> Result<(), Pin::Error> {
+        self.pin.set_low()?;
+        self.on = false;
+        Ok(())
+    }
+
+    /// Torque may flow.
+    pub fn is_on(&self) -> bool {
+        self.on
+    }
+
+    /// Gives the pin back, as it is.
+    pub fn release(self) -> Pin {
+        self.pin
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use embedded_hal_mock::eh1::MockError;
+    use embedded_hal_mock::eh1::digital::{Mock, State, Transaction};
+    use std::io::ErrorKind;
+
+    use super::TorqueEnable;
+
+    #[test]
+    fn torque_is_off_after_construction() {
+        let enable = TorqueEnable::new(Mock::new(&[Transaction::set(State::Low)])).unwrap();
+        assert!(!enable.is_on());
+        enable.release().done();
+    }
+
+    #[test]
+    fn a_pin_that_refuses_to_go_low_leaves_torque_on_record() {
+        let broken = Transaction::set(State::Low).with_error(MockError::Io(ErrorKind::BrokenPipe));
+        let pin = Mock::new(&[
+            Transaction::set(State::Low),
+            Transaction::set(State::High),
+            broken,
+        ]);
+        let mut enable = TorqueEnable::new(pin).unwrap();
+        enable.on().unwrap();
+        assert!(enable.off().is_err());
+        assert!(enable.is_on());
+        enable.release().done();
+    }
+
+    #[test]
+    fn a_pin_that_refuses_to_go_high_leaves_torque_off_record() {
+        let broken = Transaction::set(State::High).with_error(MockError::Io(ErrorKind::BrokenPipe));
+        let mut enable =
+            TorqueEnable::new(Mock::new(&[Transaction::set(State::Low), broken])).unwrap();
+        assert!(enable.on().is_err());
+        assert!(!enable.is_on());
+        enable.release().done();
+    }
+}

@@ -1,0 +1,275 @@
+#[cfg(test)]
+pub(crate) mod chip;
+mod error;
+
+pub use error::EncoderError;
+
+use core::f32::consts::TAU;
+use embedded_hal::spi::{Error as _, SpiDevice};
+
+/// Counts of one turn: 14 bits.
+const TURN: i32 = 1 << 14;
+const VALUE: u16 = 0x3fff;
+/// Bit 14 of an answer: the command before was not understood.
+const ERROR_FLAG: u16 = 1 << 14;
+
+/// Which way the encoder counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// Counts grow with +q.
+    Same,
+    /// Counts fall with +q.
+    Opposite,
+}
+
+/// How counts become the joint's position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EncoderConfig {
+    /// Reading at q = 0, counts.
+    pub zero_counts: u16,
+    /// Which way it counts.
+    pub direction: Direction,
+    /// Turns of the encoder per turn of the joint: 1 on the link side, the gear ratio on the motor's shaft.
+    pub ratio: f32,
+    /// Largest change between two readings that is believed, counts; below half a turn, beyond which the way round cannot
+    /// be told.
+    pub largest_step: u16,
+}
+
+/// What an encoder carries from reading to reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EncoderState {
+    /// Position in counts over all turns since the reference, zero offset taken out; `None` while the turn is not known.
+    /// Wraps after 131 072 turns.
+    pub position: Option<i32>,
+    /// Readings that failed since the last good one. Saturates.
+    pub failed: u16,
+    /// What the next frame brings the answer to.
+    asked: Option<Register>,
+}
+
+/// Registers of the chip that are read here (AS5047P data sheet v1-06, table 21).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Register {
+    Errors = 0x0001,
+    Diagnostics = 0x3ffc,
+    /// With the dynamic angle error compensation, which takes the latency of the chip out.
+    Angle = 0x3fff,
+}
+
+impl Register {
+    /// The 16 bits that ask for it: bit 14 reads, bit 15 makes the number of ones even.
+    const fn read(self) -> u16 {
+        let command = self as u16 | 1 << 14;
+        command | ((command.count_ones() as u16 & 1) << 15)
+    }
+}
+
+/// A magnetic absolute encoder of the AS5047 class on an SPI bus of its own chip select: mode 1, at most 10 MHz.
+///
+/// The chip answers a question in the next frame. A reading is two frames: the first brings the diagnostics that were
+/// asked for by the reading before and asks for the angle, the second brings the angle, asked for microseconds ago, and asks
+/// for the diagnostics. The position counts on over turns, starting from a [`reference`](Self::reference).
+///
+/// ```text
+/// q = direction · 2π / (16384 · ratio) · (counts over all turns − zero)
+/// ```
+///
+/// A line without a chip is no position, whichever way it is pulled: all ones carry the error flag, and all zeros are
+/// diagnostics without "ready". One count is 0.383 mrad / ratio. The f32 is exact to a count within 1024 turns of the
+/// encoder.
+///
+/// ```
+/// # use embedded_hal_mock::eh1::spi::{Mock, Transaction};
+/// # let frame = |to: [u8; 2], from: [u8; 2]| [
+/// #     Transaction::transaction_start(),
+/// #     Transaction::transfer_in_place(to.to_vec(), from.to_vec()),
+/// #     Transaction::transaction_end(),
+/// # ];
+/// # let mut frames = Vec::new();
+/// # frames.extend(frame([0xff, 0xfc], [0, 0]));
+/// # for _ in 0..2 {
+/// #     frames.extend(frame([0xff, 0xff], [0x81, 0x00]));
+/// #     frames.extend(frame([0xff, 0xfc], [0x90, 0x00]));
+/// # }
+/// # let spi = Mock::new(&frames);
+/// use foretorque_link::hal::{AbsoluteEncoder, Direction, EncoderConfig, EncoderError};
+/// let config = EncoderConfig { zero_counts: 0, direction: Direction::Same, ratio: 1.0, largest_step: 1000 };
+/// let mut encoder = AbsoluteEncoder::new(spi, config)?;
+/// assert_eq!(encoder.reference(1.6), Err(EncoderError::Pipeline));
+/// encoder.reference(1.6)?;
+/// let q = encoder.position()?;
+/// assert!((q - core::f32::consts::FRAC_PI_2).abs() < 1e-6);
+/// # encoder.release().done();
+/// # Ok::<(), foretorque_link::hal::EncoderError>(())
+/// ```
+#[derive(Debug)]
+pub struct AbsoluteEncoder<Spi> {
+    spi: Spi,
+    config: EncoderConfig,
+    state: EncoderState,
+    rad_per_count: f32,
+}
+
+impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
+    /// Takes the device and says nothing to it.
+    ///
+    /// Errors: [`EncoderError::Configuration`].
+    pub fn new(spi: Spi, config: EncoderConfig) -> Result<Self, EncoderError> {
+        let step = i32::from(config.largest_step);
+        let ratio_usable = config.ratio > 0.0 && config.ratio.is_finite();
+        if !ratio_usable || step == 0 || step >= TURN / 2 || i32::from(config.zero_counts) >= TURN {
+            return Err(EncoderError::Configuration);
+        }
+        let sign = match config.direction {
+            Direction::Same => 1.0,
+            Direction::Opposite => -1.0,
+        };
+        Ok(Self {
+            spi,
+            config,
+            state: EncoderState::default(),
+            rad_per_count: sign * TAU / (TURN as f32 * config.ratio),
+        })
+    }
+
+    /// Takes the turn in which the joint is nearest to `q`, rad: how a single-turn encoder behind a gear learns where it
+    /// is.
+    ///
+    /// Errors: those of a reading; `NoReference` where `q` is no position. The turn is then not known.
+    pub fn reference(&mut self, q: f32) -> Result<f32, EncoderError> {
+        self.state.position = None;
+        let within = self.read()?;
+        let wanted = q / self.rad_per_count;
+        let turns = (wanted - within as f32) / TURN as f32;
+        // Half of what an i32 counts.
+        if turns.is_nan() || turns.abs() > 65_536.0 {
+            return Err(EncoderError::NoReference);
+        }
+        let half = if turns < 0.0 { -0.5 } else { 0.5 };
+        let position = within + TURN * (turns + half) as i32;
+        self.state.position = Some(position);
+        Ok(self.rad(position))
+    }
+
+    /// The joint's position, rad.
+    ///
+    /// Errors: those of a reading; `NoReference`; `Jump`, after which the turn is not known. Others leave the count of turns
+    /// as it was: it goes on if the joint has moved less than `largest_step` when the next reading is good.
+    pub fn position(&mut self) -> Result<f32, EncoderError> {
+        let within = self.read()?;
+        let last = self.state.position.ok_or(EncoderError::NoReference)?;
+        // The shortest way round, from −half a turn to half a turn.
+        let apart = within.wrapping_sub(last).wrapping_add(TURN / 2);
+        let step = (apart & (TURN - 1)) - TURN / 2;
+        if step.abs() > i32::from(self.config.largest_step) {
+            self.state.position = None;
+            return Err(EncoderError::Jump);
+        }
+        let position = last.wrapping_add(step);
+        self.state.position = Some(position);
+        Ok(self.rad(position))
+    }
+
+    /// What is carried from reading to reading.
+    pub const fn state(&self) -> &EncoderState {
+        &self.state
+    }
+
+    /// Gives the device back, as it is.
+    pub fn release(self) -> Spi {
+        self.spi
+    }
+
+    fn rad(&self, position: i32) -> f32 {
+        position as f32 * self.rad_per_count
+    }
+
+    /// Counts since the zero, within one turn: 0 to 16 383.
+    fn read(&mut self) -> Result<i32, EncoderError> {
+        let reading = self.angle();
+        self.state.failed = match reading {
+            Ok(_) => 0,
+            Err(_) => self.state.failed.saturating_add(1),
+        };
+        let counts = i32::from(reading?) - i32::from(self.config.zero_counts);
+        Ok(counts & (TURN - 1))
+    }
+
+    /// One reading: two frames; one after a start, a bus error or a flagged error, and three when the chip flags one.
+    fn angle(&mut self) -> Result<u16, EncoderError> {
+        match self.state.asked {
+            Some(Register::Diagnostics) => {
+                let diagnostics = self.exchange(Register::Angle)?;
+                let angle = self.exchange(Register::Diagnostics)?;
+                let checked = sound(diagnostics).and_then(|seen| Ok((seen, sound(angle)?)));
+                if checked == Err(EncoderError::Flagged) {
+                    // Asked at once, in a frame of its own: no position is worth more than knowing why.
+                    self.exchange(Register::Errors)?;
+                }
+                let (diagnostics, angle) = checked?;
+                healthy(diagnostics)?;
+                Ok(angle)
+            }
+            Some(Register::Errors) => {
+                // This answer still carries the flag that reading it clears.
+                let errors = even(self.exchange(Register::Diagnostics)?)?;
+                Err(EncoderError::Refused(errors as u8 & 7))
+            }
+            _ => {
+                self.exchange(Register::Diagnostics)?;
+                Err(EncoderError::Pipeline)
+            }
+        }
+    }
+
+    /// One frame of 16 bits each way.
+    fn exchange(&mut self, question: Register) -> Result<u16, EncoderError> {
+        let mut frame = question.read().to_be_bytes();
+        // Whether the chip heard a frame that failed is not known: then the next answer is nobody's.
+        self.state.asked = None;
+        let sent = self.spi.transfer_in_place(&mut frame);
+        sent.map_err(|error| EncoderError::Bus(error.kind()))?;
+        self.state.asked = Some(question);
+        Ok(u16::from_be_bytes(frame))
+    }
+}
+
+/// The answer, if its parity holds.
+fn even(answer: u16) -> Result<u16, EncoderError> {
+    if answer.count_ones() & 1 == 0 {
+        Ok(answer)
+    } else {
+        Err(EncoderError::Parity)
+    }
+}
+
+/// The value of an answer whose parity holds and that flags no error.
+fn sound(answer: u16) -> Result<u16, EncoderError> {
+    match even(answer)? {
+        flagged if flagged & ERROR_FLAG != 0 => Err(EncoderError::Flagged),
+        sound => Ok(sound & VALUE),
+    }
+}
+
+/// Start-up finished, magnet in range (AS5047P data sheet v1-06, register DIAAGC).
+fn healthy(diagnostics: u16) -> Result<(), EncoderError> {
+    const READY: u16 = 1 << 8;
+    const OVERFLOW: u16 = 1 << 9;
+    const STRONG: u16 = 1 << 10;
+    const WEAK: u16 = 1 << 11;
+    for (bit, bad_when, error) in [
+        (READY, 0, EncoderError::NotReady),
+        (OVERFLOW, OVERFLOW, EncoderError::Overflow),
+        (STRONG, STRONG, EncoderError::MagnetStrong),
+        (WEAK, WEAK, EncoderError::MagnetWeak),
+    ] {
+        if diagnostics & bit == bad_when {
+            return Err(error);
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,391 @@
+use super::{OutputError, TorqueEnable, TorqueOutput};
+use core::fmt;
+use embedded_hal::digital::{InputPin, OutputPin};
+use foretorque::limits::cut;
+
+/// From torque to what the stage is told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TorqueScale {
+    /// Drive gain κ: link-side torque per motor current, N·m/A (torque constant × gear ratio × efficiency). Negative where
+    /// a positive current turns the joint backwards.
+    pub gain_nm_per_a: f32,
+    /// Motor current at the largest command, A.
+    pub full_scale_a: f32,
+    /// Largest torque that is put out, N·m, whatever is asked.
+    pub limit_nm: f32,
+}
+
+impl TorqueScale {
+    /// All three can work, and the limit lies inside what the stage can give.
+    fn usable(&self) -> bool {
+        let full_scale_nm = self.gain_nm_per_a.abs() * self.full_scale_a;
+        full_scale_nm.is_finite() && self.limit_nm > 0.0 && self.limit_nm <= full_scale_nm
+    }
+}
+
+/// Why no torque is put out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StageError {
+    /// The scale cannot work: a number that is not positive, or a limit beyond the stage's full scale.
+    Scale,
+    /// The stage is switched off.
+    Disabled,
+    /// The stage reports a fault.
+    Fault,
+    /// The fault input could not be read, which counts as a fault.
+    FaultInput,
+    /// The torque is not a number.
+    NotFinite,
+    /// The command did not get out.
+    Output(OutputError),
+    /// The enable output refuses: torque may still flow. Cut the supply.
+    Enable,
+}
+
+impl StageError {
+    /// What it is, in words, without what came with it.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Scale => "gain, full scale and limit of the stage do not fit",
+            Self::Disabled => "the motor stage is switched off",
+            Self::Fault => "the motor stage reports a fault",
+            Self::FaultInput => "the fault input cannot be read",
+            Self::NotFinite => "the torque is not a number",
+            Self::Output(_) => "the torque command did not get out",
+            Self::Enable => "the enable output refuses; torque may still flow",
+        }
+    }
+}
+
+impl fmt::Display for StageError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.text())?;
+        match self {
+            Self::Output(error) => write!(f, ": {error}"),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl core::error::Error for StageError {}
+
+/// What was put out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Driven {
+    /// Motor current asked of the stage, A.
+    pub current_a: f32,
+    /// The torque was cut to the limit of the scale.
+    pub saturated: bool,
+}
+
+/// A motor stage: torque command, enable output, fault input (active low, as an open drain pulls it).
+///
+/// Current = τ / κ, level = current / full scale. Torque is put out while the stage is enabled and reports no fault, and
+/// at no other time. Whatever goes wrong in [`drive`](Self::drive) switches the enable off first and asks questions
+/// later; only [`enable`](Self::enable) switches it on.
+#[derive(Debug)]
+pub struct MotorStage<Output, Enable, Fault> {
+    output: Output,
+    enable: TorqueEnable<Enable>,
+    fault: Fault,
+    scale: TorqueScale,
+    level_per_nm: f32,
+}
+
+impl<Output, Enable, Fault> MotorStage<Output, Enable, Fault>
+where
+    Output: TorqueOutput,
+    Enable: OutputPin,
+    Fault: InputPin,
+{
+    /// A stage that is switched off, with the command at zero.
+    ///
+    /// Errors: [`StageError::Scale`], [`StageError::Enable`], [`StageError::Output`].
+    pub fn new(
+        output: Output,
+        enable: Enable,
+        fault: Fault,
+        scale: TorqueScale,
+    ) -> Result<Self, StageError> {
+        let enable = TorqueEnable::new(enable).map_err(|_| StageError::Enable)?;
+        if !scale.usable() {
+            return Err(StageError::Scale);
+        }
+        let mut stage = Self {
+            output,
+            enable,
+            fault,
+            scale,
+            level_per_nm: 1.0 / (scale.gain_nm_per_a * scale.full_scale_a),
+        };
+        stage.output.command(0.0).map_err(StageError::Output)?;
+        Ok(stage)
+    }
+
+    /// Switches the stage on, with the command at zero.
+    ///
+    /// Errors: any but `Scale`, `Disabled` and `NotFinite`; the stage is then off, unless it says [`StageError::Enable`].
+    pub fn enable(&mut self) -> Result<(), StageError> {
+        let ready = self.healthy();
+        let zeroed = ready.and_then(|()| self.output.command(0.0).map_err(StageError::Output));
+        if let Err(error) = zeroed {
+            return Err(self.trip(error));
+        }
+        if self.enable.on().is_err() {
+            return Err(self.trip(StageError::Enable));
+        }
+        Ok(())
+    }
+
+    /// Switches the stage off, then brings the command to zero.
+    ///
+    /// Errors: [`StageError::Enable`], and torque may still flow; [`StageError::Output`], and none does.
+    pub fn disable(&mut self) -> Result<(), StageError> {
+        let switched = self.enable.off().map_err(|_| StageError::Enable);
+        let zeroed = self.output.command(0.0).map_err(StageError::Output);
+        switched.and(zeroed)
+    }
+
+    /// Switches the stage off if it reports a fault.
+    ///
+    /// Errors: [`StageError::Fault`], [`StageError::FaultInput`]; [`StageError::Enable`], and torque may still flow.
+    pub fn check(&mut self) -> Result<(), StageError> {
+        match self.healthy() {
+            Err(error) if self.enable.is_on() => Err(self.trip(error)),
+            seen => seen,
+        }
+    }
+
+    /// Torque may flow.
+    pub fn is_enabled(&self) -> bool {
+        self.enable.is_on()
+    }
+
+    /// Puts out `tau_nm`, N·m, positive accelerates +q; cut to the limit of the scale.
+    ///
+    /// Errors: every one but [`StageError::Disabled`] has switched the stage off; [`StageError::Enable`] says that this
+    /// failed too.
+    ///
+    /// Cost: one read of a pin, one command.
+    pub fn drive(&mut self, tau_nm: f32) -> Result<Driven, StageError> {
+        if !self.enable.is_on() {
+            return Err(StageError::Disabled);
+        }
+        match self.put_out(tau_nm) {
+            Ok(driven) => Ok(driven),
+            Err(error) => Err(self.trip(error)),
+        }
+    }
+
+    /// Gives output, enable pin and fault pin back, as they are.
+    pub fn release(self) -> (Output, Enable, Fault) {
+        (self.output, self.enable.release(), self.fault)
+    }
+
+    fn put_out(&mut self, tau_nm: f32) -> Result<Driven, StageError> {
+        self.healthy()?;
+        if !tau_nm.is_finite() {
+            return Err(StageError::NotFinite);
+        }
+        let (bounded, saturated) = cut(tau_nm, self.scale.limit_nm);
+        let level = bounded * self.level_per_nm;
+        self.output.command(level).map_err(StageError::Output)?;
+        Ok(Driven {
+            current_a: level * self.scale.full_scale_a,
+            saturated,
+        })
+    }
+
+    fn healthy(&mut self) -> Result<(), StageError> {
+        match self.fault.is_high() {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(StageError::Fault),
+            Err(_) => Err(StageError::FaultInput),
+        }
+    }
+
+    /// Off. The reason, unless there is something worse to say.
+    fn trip(&mut self, reason: StageError) -> StageError {
+        match self.disable() {
+            Err(StageError::Enable) => StageError::Enable,
+            _ => reason,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use embedded_hal::spi::ErrorKind;
+    use embedded_hal_mock::eh1::MockError;
+    use embedded_hal_mock::eh1::digital::{Mock, State, Transaction};
+
+    const SCALE: TorqueScale = TorqueScale {
+        gain_nm_per_a: 10.0,
+        full_scale_a: 20.0,
+        limit_nm: 150.0,
+    };
+    const GONE: OutputError = OutputError::Bus(ErrorKind::Other);
+
+    /// Writes down what it is told; the command at `fails` does not get out.
+    #[derive(Default)]
+    struct Recorder {
+        told: Vec<f32>,
+        fails: Option<usize>,
+    }
+
+    impl TorqueOutput for Recorder {
+        fn command(&mut self, level: f32) -> Result<(), OutputError> {
+            self.told.push(level);
+            if self.fails == Some(self.told.len() - 1) {
+                return Err(GONE);
+            }
+            Ok(())
+        }
+    }
+
+    fn low() -> Transaction {
+        Transaction::set(State::Low)
+    }
+
+    fn high() -> Transaction {
+        Transaction::set(State::High)
+    }
+
+    fn fault(present: bool) -> Transaction {
+        Transaction::get(if present { State::Low } else { State::High })
+    }
+
+    fn broken(transaction: Transaction) -> Transaction {
+        transaction.with_error(MockError::Io(std::io::ErrorKind::BrokenPipe))
+    }
+
+    /// A stage whose pins expect just this.
+    fn stage(
+        scale: TorqueScale,
+        fails: Option<usize>,
+        enables: &[Transaction],
+        faults: &[Transaction],
+    ) -> MotorStage<Recorder, Mock, Mock> {
+        let recorder = Recorder {
+            told: Vec::new(),
+            fails,
+        };
+        MotorStage::new(recorder, Mock::new(enables), Mock::new(faults), scale).unwrap()
+    }
+
+    fn told(stage: MotorStage<Recorder, Mock, Mock>) -> Vec<f32> {
+        let (output, mut enable, mut fault) = stage.release();
+        enable.done();
+        fault.done();
+        output.told
+    }
+
+    #[test]
+    fn torque_becomes_current_over_gain_and_full_scale_and_is_cut_at_the_limit() {
+        for (gain, asked, current, level, saturated) in [
+            (10.0, 50.0, 5.0, 0.25, false),
+            (-10.0, 50.0, -5.0, -0.25, false),
+            (10.0, -150.0, -15.0, -0.75, false),
+            (10.0, 150.1, 15.0, 0.75, true),
+            (10.0, -1e9, -15.0, -0.75, true),
+        ] {
+            let scale = TorqueScale {
+                gain_nm_per_a: gain,
+                ..SCALE
+            };
+            let mut stage = stage(scale, None, &[low(), high()], &[fault(false), fault(false)]);
+            stage.enable().unwrap();
+            let driven = stage.drive(asked).unwrap();
+            assert!((driven.current_a - current).abs() < 1e-5, "{asked}");
+            assert_eq!(driven.saturated, saturated, "{asked}");
+            let told = told(stage);
+            assert_eq!(told[..2], [0.0, 0.0]);
+            assert!((told[2] - level).abs() < 1e-6, "{asked}: {}", told[2]);
+        }
+    }
+
+    #[test]
+    fn nothing_is_put_out_before_the_stage_is_enabled_or_after_it_is_disabled() {
+        let mut stage = stage(SCALE, None, &[low(), high(), low()], &[fault(false)]);
+        assert_eq!(stage.drive(10.0), Err(StageError::Disabled));
+        stage.enable().unwrap();
+        assert!(stage.is_enabled());
+        stage.disable().unwrap();
+        assert_eq!(stage.drive(10.0), Err(StageError::Disabled));
+        assert_eq!(told(stage), [0.0; 3]);
+    }
+
+    #[test]
+    fn a_bus_error_a_fault_and_a_torque_that_is_no_number_switch_the_enable_off() {
+        let cases = [
+            (Some(2), fault(false), 10.0, StageError::Output(GONE)),
+            (None, fault(true), 10.0, StageError::Fault),
+            (None, broken(fault(false)), 10.0, StageError::FaultInput),
+            (None, fault(false), f32::NAN, StageError::NotFinite),
+            (None, fault(false), f32::INFINITY, StageError::NotFinite),
+        ];
+        for (fails, seen, asked, error) in cases {
+            let mut stage = stage(SCALE, fails, &[low(), high(), low()], &[fault(false), seen]);
+            stage.enable().unwrap();
+            assert_eq!(stage.drive(asked), Err(error));
+            assert!(!stage.is_enabled());
+            assert_eq!(stage.drive(1.0), Err(StageError::Disabled));
+            assert_eq!(told(stage).last(), Some(&0.0), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_enable_that_stays_on_is_worse_than_what_tripped_it_and_is_tried_again() {
+        let enables = [low(), high(), broken(low()), low()];
+        let faults = [fault(false), fault(true), fault(true)];
+        let mut stage = stage(SCALE, None, &enables, &faults);
+        stage.enable().unwrap();
+        assert_eq!(stage.drive(1.0), Err(StageError::Enable));
+        assert!(stage.is_enabled());
+        assert_eq!(stage.drive(1.0), Err(StageError::Fault));
+        assert!(!stage.is_enabled());
+        told(stage);
+    }
+
+    #[test]
+    fn a_stage_with_a_fault_is_not_enabled() {
+        let mut stage = stage(SCALE, None, &[low(), low()], &[fault(true)]);
+        assert_eq!(stage.enable(), Err(StageError::Fault));
+        assert!(!stage.is_enabled());
+        told(stage);
+    }
+
+    #[test]
+    fn an_output_that_cannot_be_zeroed_is_not_enabled() {
+        let mut stage = stage(SCALE, Some(1), &[low(), low()], &[fault(false)]);
+        assert_eq!(stage.enable(), Err(StageError::Output(GONE)));
+        assert!(!stage.is_enabled());
+        told(stage);
+    }
+
+    #[test]
+    fn a_scale_that_cannot_work_is_refused_with_the_enable_off() {
+        for (gain_nm_per_a, full_scale_a, limit_nm) in [
+            (0.0, 20.0, 1.0),
+            (10.0, 0.0, 1.0),
+            (10.0, 20.0, 0.0),
+            (10.0, 20.0, 200.1),
+            (f32::NAN, 20.0, 1.0),
+            (10.0, f32::INFINITY, 1.0),
+            (10.0, 20.0, f32::NAN),
+        ] {
+            let (mut enable, mut fault) = (Mock::new(&[low()]), Mock::new(&[]));
+            let scale = TorqueScale {
+                gain_nm_per_a,
+                full_scale_a,
+                limit_nm,
+            };
+            let output = Recorder::default();
+            let refused = MotorStage::new(output, enable.clone(), fault.clone(), scale);
+            assert_eq!(refused.map(drop), Err(StageError::Scale), "{scale:?}");
+            enable.done();
+            fault.done();
+        }
+    }
+}

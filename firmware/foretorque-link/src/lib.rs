@@ -1,0 +1,26 @@
+//! Board side of foretorque: frames, parameter bank, session, safety, store, excitation, telemetry, hardware adapters.
+//!
+//! | module | contents |
+//! |---|---|
+//! | [`wire`] | frames and messages of the link |
+//! | [`bank`], [`store`] | parameter bank, and its place in flash |
+//! | [`safety`] | state machine of the torque enable, limits |
+//! | [`excitation`] | the Fourier series of eq. 17, checked and played by the board |
+//! | [`session`], [`telemetry`] | one conversation with a host |
+//! | [`hal`], [`drive`] | adapters of motor stage and encoder; the joint they make |
+//!
+//! Nothing allocates, nothing blocks, and no input makes a session panic.
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+
+pub mod bank;
+mod division;
+pub mod drive;
+pub mod excitation;
+pub mod hal;
+pub mod safety;
+pub mod session;
+pub mod store;
+pub mod telemetry;
+pub mod wire;
+pub mod write_key;

@@ -1,0 +1,207 @@
+use core::fmt;
+use serde::{Deserialize, Serialize, Serializer};
+
+/// Whether torque may leave the board.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum SafetyState {
+    /// Torque zero, enable pin off. After every start.
+    #[default]
+    Disarmed,
+    /// The torque of the tick leaves, within the hard limits.
+    Armed,
+    /// The torque goes to zero at the hard slew limit; the pin stays on until it is there.
+    RampDown,
+    /// Torque zero, enable pin off, a fault latched: it has to be cleared before the board can be armed.
+    Fault,
+}
+
+/// Why the torque is, or may soon be, less than what was asked for. Variants are only ever appended: their index is the
+/// code on the wire and in the memory that outlives a reset.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum SafetyReason {
+    /// Nothing is wrong.
+    #[default]
+    None,
+    /// The host disarmed the board.
+    Disarmed,
+    /// No usable sample came for [`COMMAND_TIMEOUT_S`](super::COMMAND_TIMEOUT_S).
+    CommandTimeout,
+    /// The host commanded an emergency stop.
+    Stopped,
+    /// A number of the desired motion was not finite, or could not be sent as one.
+    DesiredNotFinite,
+    /// The desired position moved faster than the joint can.
+    DesiredJump,
+    /// A measured position or effort was not finite.
+    MeasuredNotFinite,
+    /// A measured position lies outside the joint's range.
+    PositionRange,
+    /// The measured position moved faster than the joint can.
+    PositionJump,
+    /// A measured effort is beyond anything the joint can do.
+    EffortRange,
+    /// A motor is warm: its torque limit is reduced.
+    MotorWarm,
+    /// A motor is too hot.
+    MotorHot,
+    /// The torque of the tick was not finite.
+    TorqueNotFinite,
+    /// The drive reported a fault.
+    Drive,
+    /// The firmware restarted itself: panic, processor fault, stack overflow or watchdog.
+    Restarted,
+    /// Too few fresh samples in a row with a plausible measured position.
+    NoSample,
+    /// The desired position is too far from the measured one.
+    TooFar,
+    /// The torque is still on its way to zero.
+    StillRamping,
+    /// The torque command did not reach the board's own motor stage.
+    Stage,
+    /// The board's own encoder gives no position.
+    Encoder,
+}
+
+impl SafetyReason {
+    /// Every reason, in the order of their codes.
+    pub const ALL: [Self; 20] = [
+        Self::None,
+        Self::Disarmed,
+        Self::CommandTimeout,
+        Self::Stopped,
+        Self::DesiredNotFinite,
+        Self::DesiredJump,
+        Self::MeasuredNotFinite,
+        Self::PositionRange,
+        Self::PositionJump,
+        Self::EffortRange,
+        Self::MotorWarm,
+        Self::MotorHot,
+        Self::TorqueNotFinite,
+        Self::Drive,
+        Self::Restarted,
+        Self::NoSample,
+        Self::TooFar,
+        Self::StillRamping,
+        Self::Stage,
+        Self::Encoder,
+    ];
+
+    /// The code on the wire and in the memory that outlives a reset.
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// The reason of a code; [`Restarted`](Self::Restarted) for a code that none has, because something was wrong.
+    pub fn from_code(code: u8) -> Self {
+        let reason = Self::ALL.get(usize::from(code)).copied();
+        reason.unwrap_or(Self::Restarted)
+    }
+}
+
+impl Serialize for SafetyReason {
+    /// By its code alone, as the derived one does in the frames of the link, where names do not go; that one takes a call,
+    /// 44 bytes of flash, for every variant.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_unit_variant("SafetyReason", u32::from(self.code()), "")
+    }
+}
+
+impl fmt::Display for SafetyReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::None => "nothing is wrong",
+            Self::Disarmed => "disarmed by the host",
+            Self::CommandTimeout => "no usable sample came in time",
+            Self::Stopped => "emergency stop",
+            Self::DesiredNotFinite => "desired motion not finite",
+            Self::DesiredJump => "desired position jumped",
+            Self::MeasuredNotFinite => "measurement not finite",
+            Self::PositionRange => "measured position out of range",
+            Self::PositionJump => "measured position jumped",
+            Self::EffortRange => "measured effort out of range",
+            Self::MotorWarm => "motor warm, torque limit reduced",
+            Self::MotorHot => "motor too hot",
+            Self::TorqueNotFinite => "torque not finite",
+            Self::Drive => "drive fault",
+            Self::Restarted => "the firmware restarted itself",
+            Self::NoSample => "no fresh sample with a plausible position",
+            Self::TooFar => "desired position too far from the measured one",
+            Self::StillRamping => "torque still on its way to zero",
+            Self::Stage => "motor stage takes no command",
+            Self::Encoder => "the board's encoder gives no position",
+        })
+    }
+}
+
+/// State and reason of one tick, as replies carry them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SafetyStatus {
+    /// Whether torque may leave.
+    pub state: SafetyState,
+    /// The latched fault, else what is wrong with this tick's input, else a motor that is warm, else what ended the torque.
+    pub reason: SafetyReason,
+}
+
+impl fmt::Display for SafetyStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let state = match self.state {
+            SafetyState::Disarmed => "disarmed",
+            SafetyState::Armed => "armed",
+            SafetyState::RampDown => "torque going to zero",
+            SafetyState::Fault => "fault",
+        };
+        write!(f, "{state}: {}", self.reason)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_code_means_its_reason_and_an_unknown_one_a_restart() {
+        for (code, reason) in SafetyReason::ALL.into_iter().enumerate() {
+            assert_eq!(usize::from(reason.code()), code);
+            assert_eq!(SafetyReason::from_code(code as u8), reason);
+            let mut room = [0; 4];
+            let sent = postcard::to_slice(&reason, &mut room).unwrap();
+            assert_eq!(sent, [code as u8]);
+            assert_eq!(postcard::from_bytes(sent), Ok(reason));
+        }
+        assert_eq!(SafetyReason::from_code(200), SafetyReason::Restarted);
+    }
+
+    /// The row of the page that begins with these cells.
+    fn row<'p>(page: &'p str, cells: &str) -> Option<&'p str> {
+        page.lines().find(|line| line.starts_with(cells))
+    }
+
+    #[test]
+    fn the_page_of_safety_names_every_state_reason_and_flag() {
+        use foretorque::limits::Flags;
+        let page = include_str!("../../../../docs/safety.md");
+        let states = [
+            SafetyState::Disarmed,
+            SafetyState::Armed,
+            SafetyState::RampDown,
+            SafetyState::Fault,
+        ];
+        for state in states {
+            let cells = std::format!("| {} | `{state:?}` |", state as u8);
+            assert!(row(page, &cells).is_some(), "{cells}");
+        }
+        for reason in SafetyReason::ALL {
+            let cells = std::format!("| {} | `{reason:?}` |", reason.code());
+            assert!(row(page, &cells).is_some(), "{cells}");
+        }
+        for (bit, (flag, name)) in Flags::NAMED.into_iter().enumerate() {
+            assert_eq!(flag.0, 1 << bit, "{name}");
+            let cells = std::format!("| {bit} | `{}` |", name.to_uppercase());
+            assert!(row(page, &cells).is_some(), "{cells}");
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! A lost sample on a link that paces the board, against the tick without a sample of a board that keeps its own time.
+
+use super::*;
+use crate::wire::SampleFlags;
+use foretorque::feedforward::Torque;
+use foretorque::learning::{BRIDGED, Exchange, TAPS};
+use proptest::prelude::*;
+
+/// The ticks of an armed board that keeps its own time, around nothing but the parts: no link, no session.
+struct Timed {
+    safety: Safety<N>,
+    feed_forward: FeedForward<Ur5, N, P>,
+    learner: Box<Learner<Ur5, N, P>>,
+    exchange: Exchange<N, P>,
+}
+
+impl Timed {
+    fn armed() -> Self {
+        let set = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
+        let config = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
+        let limits = SafetyLimits::for_arm::<Ur5, P>(1e-3);
+        let mut timed = Self {
+            safety: Safety::new(limits, SafetyReason::None),
+            feed_forward: FeedForward::new(config, set).unwrap(),
+            learner: Box::new(Learner::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap()),
+            exchange: Exchange::new(),
+        };
+        for _ in 0..ARM_SAMPLES {
+            timed.tick(Some(0));
+        }
+        timed.safety.arm().unwrap();
+        timed.feed_forward.set_learning(true);
+        timed
+    }
+
+    fn tick(&mut self, sample: Option<u32>) -> Torque<N> {
+        let heard = sample.map(|k| SampleFrame::new(&swinging(k)).sample(&[0.0; N]));
+        self.feed_forward.adopt(&mut self.exchange);
+        let sample = self.safety.admit(heard, 1);
+        let mut torque = match &sample {
+            Some(sample) => self.feed_forward.step(sample),
+            None => self.feed_forward.step_stale(),
+        };
+        torque.total = self.safety.release(&torque.total);
+        self.feed_forward.applied(&torque.total);
+        let lesson = self
+            .feed_forward
+            .lesson(sample.and_then(|sample| sample.measured));
+        self.learner.learn(&lesson, &mut self.exchange);
+        torque
+    }
+}
+
+/// A board that is paced by samples, and a host that numbers its periods.
+struct Linked {
+    board: Board,
+    period: u8,
+}
+
+impl Linked {
+    fn armed() -> Self {
+        let mut linked = Self {
+            board: Board::new(),
+            period: 0,
+        };
+        for _ in 0..ARM_SAMPLES {
+            linked.sample(0);
+        }
+        assert_eq!(linked.board.ask(HostMessage::Arm), BoardMessage::Ack);
+        linked.board.ask(HostMessage::Learning { on: true });
+        linked
+    }
+
+    fn message(&mut self, k: u32) -> HostMessage<N> {
+        let frame = SampleFrame::new(&swinging(k)).in_period(self.period);
+        self.period = self.period.wrapping_add(1);
+        HostMessage::Sample(frame)
+    }
+
+    fn sample(&mut self, k: u32) -> TorqueFrame<N> {
+        let message = self.message(k);
+        let BoardMessage::Torque(torque) = self.board.ask(message) else {
+            panic!("a sample is answered by a torque");
+        };
+        self.board.learn();
+        torque
+    }
+
+    /// A sample that does not arrive.
+    fn lose(&mut self) {
+        self.period = self.period.wrapping_add(1);
+        self.board.sequence += 1;
+    }
+}
+
+/// A motion fast enough to learn from, with the torques of an arm that is a tenth heavier.
+fn swinging(k: u32) -> JointSample<N> {
+    let t = k as f32 * 1e-3;
+    let rate = |j: usize| 2.0 + 0.3 * j as f32;
+    let phase = |j: usize| rate(j) * t + j as f32;
+    let desired = JointMotion {
+        q: JointVector::from_fn(|j, _| phase(j).sin()),
+        qd: JointVector::from_fn(|j, _| rate(j) * phase(j).cos()),
+        qdd: JointVector::from_fn(|j, _| -rate(j) * rate(j) * phase(j).sin()),
+    };
+    let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
+    truth.rigid *= 1.1;
+    let tau = foretorque::feedforward::evaluate::<Ur5, N, P>(&truth, &desired).total;
+    JointSample {
+        desired,
+        measured: Some(JointMeasurement { q: desired.q, tau }),
+    }
+}
+
+/// Both boards through the same 600 ticks, of which those in `lost` have no sample; whether the torques were the same too.
+fn together(lost: &[u32]) -> (Timed, Linked, bool) {
+    let (mut timed, mut linked) = (Timed::armed(), Linked::armed());
+    let mut same = true;
+    for k in 0..600 {
+        if lost.contains(&k) {
+            timed.tick(None);
+            linked.lose();
+            continue;
+        }
+        let expected = timed.tick(Some(k));
+        let answered = linked.sample(k);
+        same &= answered.tick == expected.tick
+            && answered.flags == expected.flags.0
+            && JointVector::from(answered.total) == expected.total;
+    }
+    (timed, linked, same)
+}
+
+#[test]
+fn a_lost_sample_leaves_the_learner_as_the_same_gap_does_where_the_tick_goes_on() {
+    // One, two and three in a row, and near each other, at every place of a round.
+    let lost: Vec<u32> = (0..6)
+        .flat_map(|place| {
+            let first = 40 + 91 * place;
+            [0, 20, 21, 40, 41, 42, 50, 52].map(|later| first + later)
+        })
+        .collect();
+    let (timed, linked, same) = together(&lost);
+    assert!(same, "a torque differs");
+    assert!(timed.learner.state() == linked.board.learner.state());
+    let seen = timed.learner.state().statistics;
+    assert!(seen.accepted > 100 && seen.incomplete > 50, "{seen:?}");
+    let counted = linked.board.session.statistics(&linked.board.mailbox);
+    assert_eq!(counted.stale_ticks, lost.len() as u32);
+}
+
+#[test]
+fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
+    // The set of a round that closes in so long a gap can be a round late, so the torques may differ; the learner not.
+    for first in 200..206 {
+        let lost: Vec<u32> = (first..=first + BRIDGED as u32).collect();
+        let (timed, linked, _) = together(&lost);
+        assert!(timed.learner.state() == linked.board.learner.state());
+    }
+    let mut linked = Linked::armed();
+    (0..200).for_each(|k| _ = linked.sample(k));
+    (0..20).for_each(|_| linked.lose());
+    let before = linked.board.learner.state().statistics.accepted;
+    (220..219 + TAPS as u32).for_each(|k| _ = linked.sample(k));
+    assert_eq!(linked.board.learner.state().statistics.accepted, before);
+}
+
+#[test]
+fn without_the_numbers_a_lost_sample_would_bend_the_motion() {
+    let learnt = |counts: bool| {
+        let mut linked = Linked::armed();
+        for k in 0..600 {
+            if k % 50 == 49 {
+                linked.lose();
+            } else {
+                linked.sample(k);
+            }
+            if !counts {
+                linked.period = 0;
+            }
+        }
+        *linked.board.learner.state()
+    };
+    assert!(learnt(true).estimate != learnt(false).estimate);
+    assert!(learnt(true).statistics.incomplete > learnt(false).statistics.incomplete);
+}
+
+#[test]
+fn a_lost_command_costs_no_lesson() {
+    let (mut whole, mut asked) = (Linked::armed(), Linked::armed());
+    for k in 0..100 {
+        whole.sample(k);
+        asked.sample(k);
+        // The number of a command that never came.
+        asked.board.sequence += 1;
+    }
+    assert!(whole.board.learner.state() == asked.board.learner.state());
+}
+
+#[test]
+fn who_says_hello_does_not_join_on_to_what_was_measured_before() {
+    let mut linked = Linked::armed();
+    (0..100).for_each(|k| _ = linked.sample(k));
+    linked.board.ask(HostMessage::Hello);
+    let before = linked.board.learner.state().statistics.accepted;
+    (100..99 + TAPS as u32).for_each(|k| _ = linked.sample(k));
+    assert_eq!(linked.board.learner.state().statistics.accepted, before);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn no_numbers_make_a_sample_cost_more_than_a_few_ticks(
+        frames in prop::collection::vec((any::<u16>(), any::<u8>()), 1..60),
+    ) {
+        let mut board = Board::new();
+        for (sequence, flags) in frames {
+            let mut sample = SampleFrame::new(&sample(0));
+            sample.flags = SampleFlags(flags);
+            let before = board.session.statistics(&board.mailbox).ticks;
+            board.hear(&frame(sequence, &HostMessage::Sample(sample)));
+            let ran = board.session.statistics(&board.mailbox).ticks - before;
+            prop_assert!(ran <= BRIDGED as u32 + 2, "{} ticks", ran);
+            prop_assert!(board.mailbox.waiting() <= BRIDGED + 2);
+            board.learn();
+        }
+    }
+}

@@ -1,0 +1,284 @@
+use embedded_storage::nor_flash::NorFlash;
+
+use super::record::{HEADER_BYTES, Header, SLOT_BYTES};
+use super::{SECTORS, StoreError, slots};
+use crate::bank::ParameterBank;
+use crate::wire::CRC;
+
+/// Bytes read or written at once. A header is one piece, and a slot is whole pieces.
+const PIECE: usize = HEADER_BYTES;
+/// Slots that one save tries in a sector before it gives that sector up.
+const ATTEMPTS: usize = 4;
+
+/// A set on record: where it lies, and what its header says.
+#[derive(Clone, Copy, Debug)]
+struct Record {
+    /// Slot, counted over both sectors.
+    slot: u32,
+    header: Header,
+}
+
+impl Record {
+    /// What makes a record newer than another one.
+    fn age(&self) -> (u32, u32) {
+        (self.header.sequence, self.slot)
+    }
+}
+
+/// Parameter banks in two sectors of flash.
+///
+/// Blocking; see the [module](super) for what stalls. Cost: a load reads every header, and the bank it loads, a few times;
+/// a save reads the sector of the newest set besides.
+#[derive(Debug)]
+pub struct Store<F> {
+    flash: F,
+}
+
+impl<F: NorFlash> Store<F> {
+    /// The store in `flash`, whose capacity is two sectors and nothing else. Touches nothing.
+    pub const fn new(flash: F) -> Self {
+        const {
+            assert!(F::ERASE_SIZE.is_multiple_of(SLOT_BYTES as usize));
+            assert!(PIECE.is_multiple_of(F::WRITE_SIZE) && PIECE.is_multiple_of(F::READ_SIZE));
+            assert!(HEADER_BYTES + ParameterBank::MAX_BYTES <= SLOT_BYTES as usize);
+        }
+        Self { flash }
+    }
+
+    /// The flash inside.
+    pub const fn flash(&self) -> &F {
+        &self.flash
+    }
+
+    /// The flash inside, to be broken in a simulation.
+    pub const fn flash_mut(&mut self) -> &mut F {
+        &mut self.flash
+    }
+
+    /// The newest whole set of the arm, at the front of `room`: the bytes of a bank that nobody has judged yet.
+    ///
+    /// Errors: [`Empty`](StoreError::Empty), [`WrongArm`](StoreError::WrongArm), [`Version`](StoreError::Version),
+    /// [`Damaged`](StoreError::Damaged) when there is no such set, by what there is instead;
+    /// [`TooLong`](StoreError::TooLong) when the room is too small; [`Flash`](StoreError::Flash).
+    pub fn load<'r>(&mut self, arm_hash: u32, room: &'r mut [u8]) -> Result<&'r [u8], StoreError> {
+        let mut newer = None;
+        while let Some(record) = self.newest(newer, |header| header.is_for(arm_hash))? {
+            newer = Some(record);
+            let length = record.header.length as usize;
+            if length > room.len() {
+                return Err(StoreError::TooLong);
+            }
+            self.read(record, room)?;
+            let bytes = room.get(..length).unwrap_or_default();
+            if CRC.checksum(bytes) == record.header.crc {
+                return Ok(room.get(..length).unwrap_or_default());
+            }
+        }
+        Err(self.absence(arm_hash)?)
+    }
+
+    /// Stores `bank`, the bytes of one that is for `arm_hash`, and returns its number, counted from 1.
+    ///
+    /// What was the newest set before stays loadable until this one reads back as written.
+    ///
+    /// Errors: [`TooLong`](StoreError::TooLong); [`NotKept`](StoreError::NotKept), [`Flash`](StoreError::Flash) when the
+    /// flash is not fit to keep it. Either way the sets that were loadable before still are.
+    pub fn save(&mut self, arm_hash: u32, bank: &[u8]) -> Result<u32, StoreError> {
+        if bank.len() > SLOT_BYTES as usize - HEADER_BYTES {
+            return Err(StoreError::TooLong);
+        }
+        let newest = self.newest(None, |_| true)?;
+        let sequence = newest.map_or(0, |record| record.header.sequence);
+        // A counter at its end has been damaged in a way no checksum finds: no flash lasts that long.
+        let sequence = sequence.checked_add(1).ok_or(StoreError::NotKept)?;
+        let header = Header::of(bank, arm_hash, sequence);
+
+        let keep = self.keep(arm_hash)?;
+        if let Some(sector) = keep
+            && self.save_in(sector, header, bank)?
+        {
+            return Ok(sequence);
+        }
+        let sector = keep.map_or(0, |sector| (sector + 1) % SECTORS);
+        self.erase(sector)?;
+        if self.save_in(sector, header, bank)? {
+            return Ok(sequence);
+        }
+        Err(StoreError::NotKept)
+    }
+
+    /// The sector that must not be erased: that of the newest whole set, of this arm if there is one.
+    fn keep(&mut self, arm_hash: u32) -> Result<Option<u32>, StoreError> {
+        for own in [true, false] {
+            let mut newer = None;
+            while let Some(record) = self.newest(newer, |header| !own || header.is_for(arm_hash))? {
+                if self.is_whole(record)? {
+                    return Ok(Some(record.slot / Self::slots()));
+                }
+                newer = Some(record);
+            }
+        }
+        Ok(None)
+    }
+
+    /// Tries the first blank slots of `sector` in turn. True when one of them keeps the set.
+    fn save_in(&mut self, sector: u32, header: Header, bank: &[u8]) -> Result<bool, StoreError> {
+        let first = sector * Self::slots();
+        let mut attempts = 0;
+        for slot in first..first + Self::slots() {
+            if !self.is_blank(slot)? {
+                continue;
+            }
+            // A driver that reports an error leaves a slot that is not whole, as one does that keeps silent.
+            let written = self.write(slot, header, bank);
+            if written.is_ok() && self.is_kept(slot, header, bank)? {
+                return Ok(true);
+            }
+            attempts += 1;
+            if attempts == ATTEMPTS {
+                break;
+            }
+        }
+        Ok(false)
+    }
+
+    /// Writes one slot, the header last: before it is there, there is no record.
+    fn write(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<(), StoreError> {
+        let mut place = slot * SLOT_BYTES + HEADER_BYTES as u32;
+        for piece in bank.chunks(PIECE) {
+            let mut padded = [0xFF; PIECE];
+            for (to, from) in padded.iter_mut().zip(piece) {
+                *to = *from;
+            }
+            let length = piece.len().next_multiple_of(F::WRITE_SIZE);
+            let words = padded.get(..length).unwrap_or_default();
+            self.flash
+                .write(place, words)
+                .map_err(|_| StoreError::Flash)?;
+            place += PIECE as u32;
+        }
+        self.flash
+            .write(slot * SLOT_BYTES, &header.to_bytes())
+            .map_err(|_| StoreError::Flash)
+    }
+
+    fn erase(&mut self, sector: u32) -> Result<(), StoreError> {
+        let size = F::ERASE_SIZE as u32;
+        self.flash
+            .erase(sector * size, (sector + 1) * size)
+            .map_err(|_| StoreError::Flash)
+    }
+
+    /// Does the slot read as it was written?
+    fn is_kept(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<bool, StoreError> {
+        let mut kept = self.piece(slot * SLOT_BYTES)? == header.to_bytes();
+        let mut place = slot * SLOT_BYTES + HEADER_BYTES as u32;
+        for piece in bank.chunks(PIECE) {
+            let bytes = self.piece(place)?;
+            kept &= bytes.starts_with(piece);
+            place += PIECE as u32;
+        }
+        Ok(kept)
+    }
+
+    /// Does the checksum fit the set?
+    fn is_whole(&mut self, record: Record) -> Result<bool, StoreError> {
+        let mut crc = CRC.digest();
+        let mut left = record.header.length as usize;
+        let mut place = record.slot * SLOT_BYTES + HEADER_BYTES as u32;
+        while left > 0 {
+            let bytes = self.piece(place)?;
+            let length = left.min(PIECE);
+            crc.update(bytes.get(..length).unwrap_or_default());
+            left -= length;
+            place += PIECE as u32;
+        }
+        Ok(crc.finalize() == record.header.crc)
+    }
+
+    /// Reads the set into the front of `room`, which is long enough.
+    fn read(&mut self, record: Record, room: &mut [u8]) -> Result<(), StoreError> {
+        let length = record.header.length as usize;
+        let mut place = record.slot * SLOT_BYTES + HEADER_BYTES as u32;
+        for part in room.get_mut(..length).unwrap_or_default().chunks_mut(PIECE) {
+            let bytes = self.piece(place)?;
+            for (to, from) in part.iter_mut().zip(&bytes) {
+                *to = *from;
+            }
+            place += PIECE as u32;
+        }
+        Ok(())
+    }
+
+    /// The newest record that is `wanted` and older than `newer`, by its header alone.
+    fn newest(
+        &mut self,
+        newer: Option<Record>,
+        wanted: impl Fn(&Header) -> bool,
+    ) -> Result<Option<Record>, StoreError> {
+        let mut newest: Option<Record> = None;
+        for slot in 0..SECTORS * Self::slots() {
+            let Some(header) = Header::from_bytes(&self.piece(slot * SLOT_BYTES)?) else {
+                continue;
+            };
+            let record = Record { slot, header };
+            let older = newer.is_none_or(|newer| record.age() < newer.age());
+            let best = newest.is_none_or(|newest| record.age() > newest.age());
+            if wanted(&header) && older && best {
+                newest = Some(record);
+            }
+        }
+        Ok(newest)
+    }
+
+    /// Why there is no set of this arm.
+    fn absence(&mut self, arm_hash: u32) -> Result<StoreError, StoreError> {
+        let mut newer = None;
+        while let Some(record) = self.newest(newer, |header| !header.is_for(arm_hash))? {
+            newer = Some(record);
+            if !self.is_whole(record)? {
+                continue;
+            }
+            let Header {
+                arm_hash: found,
+                bank_version,
+                ..
+            } = record.header;
+            return Ok(if found == arm_hash {
+                StoreError::Version(bank_version)
+            } else {
+                StoreError::WrongArm { found }
+            });
+        }
+        for slot in 0..SECTORS * Self::slots() {
+            if !self.is_blank(slot)? {
+                return Ok(StoreError::Damaged);
+            }
+        }
+        Ok(StoreError::Empty)
+    }
+
+    /// Is every byte of the slot blank?
+    fn is_blank(&mut self, slot: u32) -> Result<bool, StoreError> {
+        let mut place = slot * SLOT_BYTES;
+        while place < (slot + 1) * SLOT_BYTES {
+            if self.piece(place)? != [0xFF; PIECE] {
+                return Ok(false);
+            }
+            place += PIECE as u32;
+        }
+        Ok(true)
+    }
+
+    fn piece(&mut self, place: u32) -> Result<[u8; PIECE], StoreError> {
+        let mut bytes = [0; PIECE];
+        self.flash
+            .read(place, &mut bytes)
+            .map_err(|_| StoreError::Flash)?;
+        Ok(bytes)
+    }
+
+    const fn slots() -> u32 {
+        slots(F::ERASE_SIZE as u32)
+    }
+}

@@ -1,0 +1,139 @@
+//! Counters that say how the board is doing.
+
+use crate::division::div_u64_by_u32;
+use crate::store::StoreHealth;
+use serde::{Deserialize, Serialize};
+
+/// Counters since boot or reset. All saturate or wrap; none stops the tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Statistics {
+    /// Good frames received.
+    #[serde(with = "postcard::fixint::le")]
+    pub frames: u32,
+    /// Frames with a wrong checksum.
+    #[serde(with = "postcard::fixint::le")]
+    pub crc_errors: u32,
+    /// Frames cut short or too long.
+    #[serde(with = "postcard::fixint::le")]
+    pub framing_errors: u32,
+    /// Sound frames of another protocol version.
+    #[serde(with = "postcard::fixint::le")]
+    pub foreign_version: u32,
+    /// Sound frames with no message that is known here.
+    #[serde(with = "postcard::fixint::le")]
+    pub unknown: u32,
+    /// Sequence numbers that never came.
+    #[serde(with = "postcard::fixint::le")]
+    pub missed: u32,
+    /// Frames that came twice or late, and were not acted on.
+    #[serde(with = "postcard::fixint::le")]
+    pub repeated: u32,
+    /// Bytes that belonged to no good frame.
+    #[serde(with = "postcard::fixint::le")]
+    pub bytes_lost: u32,
+    /// Samples that a newer one overtook before the timer ran a tick.
+    #[serde(with = "postcard::fixint::le")]
+    pub overtaken: u32,
+    /// Ticks without a sample: of the timer, and those made up for when samples were lost.
+    #[serde(with = "postcard::fixint::le")]
+    pub stale_ticks: u32,
+    /// Ticks that missed their deadline, and receive overruns of the line.
+    #[serde(with = "postcard::fixint::le")]
+    pub overruns: u32,
+    /// Replies that found no room.
+    #[serde(with = "postcard::fixint::le")]
+    pub replies_lost: u32,
+    /// Ticks run, with a sample or without.
+    #[serde(with = "postcard::fixint::le")]
+    pub ticks: u32,
+    /// Learnt sets that came late.
+    #[serde(with = "postcard::fixint::le")]
+    pub late_sets: u32,
+    /// Lessons that found no room.
+    #[serde(with = "postcard::fixint::le")]
+    pub learning_samples_lost: u32,
+    /// Cost of a tick, in counts of the board's counter.
+    pub tick_cost: Cost,
+    /// Cost of learning from one lesson, in counts of the board's counter.
+    pub learn_cost: Cost,
+    /// Cost of receiving one byte of the line, in counts of the board's counter.
+    pub receive_cost: Cost,
+    /// Hottest motor reported in the last round of samples, °C; -128 where not known.
+    pub hottest_c: i8,
+    /// Time from the end of a frame to its answer being queued, or kept until its lesson is learnt, in counts of the board's counter.
+    pub reply_latency: Cost,
+    /// Samples of which a part was not plausible.
+    #[serde(with = "postcard::fixint::le")]
+    pub implausible: u32,
+    /// Times that the watchdog was fed since boot.
+    #[serde(with = "postcard::fixint::le")]
+    pub watchdog_feeds: u32,
+    /// Telemetry records of which a part was not sent.
+    #[serde(with = "postcard::fixint::le")]
+    pub records_lost: u32,
+    /// How the store stands.
+    pub store: StoreHealth,
+}
+
+/// Mean and largest cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Cost {
+    /// Mean.
+    #[serde(with = "postcard::fixint::le")]
+    pub mean: u32,
+    /// Largest.
+    #[serde(with = "postcard::fixint::le")]
+    pub max: u32,
+}
+
+/// Gathers costs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CostMeter {
+    sum: u64,
+    times: u32,
+    max: u32,
+}
+
+impl CostMeter {
+    /// Nothing gathered.
+    pub const fn new() -> Self {
+        Self {
+            sum: 0,
+            times: 0,
+            max: 0,
+        }
+    }
+
+    /// Takes one cost.
+    pub fn note(&mut self, cost: u32) {
+        // Counting stops with `times`, so that the mean stays one; the maximum goes on.
+        if self.times < u32::MAX {
+            self.times += 1;
+            self.sum += u64::from(cost);
+        }
+        self.max = self.max.max(cost);
+    }
+
+    /// Mean and largest cost so far; zero before the first.
+    pub fn cost(&self) -> Cost {
+        Cost {
+            mean: div_u64_by_u32(self.sum, self.times.max(1)),
+            max: self.max,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mean_lies_between_the_costs_and_the_largest_is_kept() {
+        let mut meter = CostMeter::new();
+        assert_eq!(meter.cost(), Cost::default());
+        for cost in [10, 30, 20] {
+            meter.note(cost);
+        }
+        assert_eq!(meter.cost(), Cost { mean: 20, max: 30 });
+    }
+}

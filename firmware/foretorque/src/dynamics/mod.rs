@@ -1,0 +1,26 @@
+//! Inverse dynamics on the base parameters. Knows nothing of learning.
+
+#[macro_use]
+mod unroll;
+
+mod closed_form;
+mod friction;
+mod link;
+mod regressor;
+mod rnea;
+mod term;
+
+pub use closed_form::{mass_matrix, velocity_torque};
+pub use friction::{
+    FRICTION_COLUMNS, FrictionParameters, RESISTING, SIGN_WIDTH, SmoothedSign, cogging, friction,
+    friction_columns, friction_load, friction_row,
+};
+pub use link::is_angle;
+pub use regressor::{regressor, regressor_row};
+pub use rnea::{gravity_torque, rnea};
+pub use unroll::MAX_JOINTS;
+
+use nalgebra::SVector;
+
+/// The base parameters of an arm: links first, rotor inertias after them.
+pub type BaseParameters<const P: usize> = SVector<f32, P>;

@@ -1,0 +1,207 @@
+//! The one room where dynamics, network and learning meet.
+//!
+//! `tau = rigid(β) + friction(φ) + network(w)` of the *active* set for the *desired* motion, each share checked and
+//! bounded on its own, then limits.
+
+mod config;
+mod model;
+mod shares;
+mod step;
+
+#[cfg(test)]
+mod simulation;
+#[cfg(test)]
+mod tests;
+
+pub use crate::learning::{
+    JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
+};
+pub use config::FeedForwardConfig;
+pub use shares::{LEARNED_BOUND, Shares, evaluate};
+pub use step::{FeedForwardScratch, FeedForwardState, adopt, step, step_stale};
+
+use crate::arm::Arm;
+use crate::joint::{JointMeasurement, JointSample, JointVector};
+use crate::learning::{ConfigError, Exchange, Lesson, Request, RequestPending};
+use crate::limits::Flags;
+use core::marker::PhantomData;
+
+/// Output of one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Torque<const N: usize> {
+    /// The torque to add to the drives' set-points, after limits, N × N·m.
+    pub total: JointVector<N>,
+    /// Its shares, before limits.
+    pub shares: Shares<N>,
+    /// What happened.
+    pub flags: Flags,
+    /// Counter of the tick.
+    pub tick: u32,
+}
+
+impl<const N: usize> Torque<N> {
+    /// No torque, before the first tick.
+    fn zero() -> Self {
+        Self {
+            total: JointVector::zeros(),
+            shares: Shares::zero(),
+            flags: Flags::NONE,
+            tick: 0,
+        }
+    }
+}
+
+/// The feed-forward of one arm: configuration, state and scratch in one place.
+///
+/// One tick, with the learner that works in its slack:
+/// ```
+/// use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
+/// use foretorque::feedforward::FeedForwardConfig;
+/// use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+///
+/// const PERIOD_S: f32 = 1e-3;
+/// let set = ParameterSet::nominal::<Ur5>(1);
+/// let config = FeedForwardConfig::for_arm::<Ur5, _>(PERIOD_S);
+/// let mut feedforward = FeedForward::new(config, set)?;
+/// let mut learner = Learner::new(LearnerConfig::for_arm::<Ur5>(PERIOD_S), set)?;
+/// let mut exchange = Exchange::new();
+/// feedforward.set_learning(true);
+///
+/// let measured = Some(JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() });
+/// feedforward.adopt(&mut exchange);
+/// let torque = feedforward.step(&JointSample { desired: JointMotion::zero(), measured });
+/// learner.learn(&feedforward.lesson(measured), &mut exchange);
+///
+/// // At q = 0 the arm lies stretched out: the shoulder holds it up, from rest by the slew limit.
+/// assert!(torque.shares.rigid[1].abs() > 30.0);
+/// assert_eq!(torque.total[1].abs(), feedforward.config().slew_per_tick[1]);
+/// # Ok::<(), foretorque::learning::ConfigError>(())
+/// ```
+pub struct FeedForward<A: Arm<N, P>, const N: usize, const P: usize> {
+    config: FeedForwardConfig<N>,
+    state: FeedForwardState<N, P>,
+    scratch: FeedForwardScratch<N>,
+    arm: PhantomData<A>,
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
+    /// A feed-forward at tick 0, learning frozen, with `set` active and committed.
+    ///
+    /// Errors: the first field of `config` that cannot work.
+    pub fn new(config: FeedForwardConfig<N>, set: ParameterSet<N, P>) -> Result<Self, ConfigError> {
+        config.validate()?;
+        Ok(Self {
+            config,
+            state: FeedForwardState::new(set),
+            scratch: FeedForwardScratch::new(),
+            arm: PhantomData,
+        })
+    }
+
+    /// The torque of one tick; see [`step`].
+    pub fn step(&mut self, sample: &JointSample<N>) -> Torque<N> {
+        step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
+    }
+
+    /// Tells the feed-forward what became of its torque, N × N·m, finite: the next tick slews from there. A torque that was
+    /// held back does not come all at once when it is let through.
+    pub fn applied(&mut self, total: &JointVector<N>) {
+        self.state.last.total = *total;
+    }
+
+    /// A tick without a sample; see [`step_stale`].
+    pub fn step_stale(&mut self) -> Torque<N> {
+        step_stale(&self.config, &mut self.state)
+    }
+
+    /// The lesson of the tick that has just run; to be called once after every step.
+    pub fn lesson(&self, measured: Option<JointMeasurement<N>>) -> Lesson<N> {
+        Lesson {
+            tick: self.state.last.tick,
+            generation: self.state.generation,
+            requests: self.state.requests,
+            measured,
+            enabled: self.state.learning,
+            flags: self.state.last.flags,
+        }
+    }
+
+    /// Asks the learner for `request`, from the tick to come on. What came of it is among the decisions of
+    /// [`FeedForwardState::report`], two rounds later.
+    ///
+    /// Errors: the request before has not been taken yet; it stays.
+    pub fn request(
+        &mut self,
+        request: Request,
+        exchange: &mut Exchange<N, P>,
+    ) -> Result<(), RequestPending> {
+        let number = self.state.requests.wrapping_add(1);
+        exchange.ask(number, request)?;
+        self.state.requests = number;
+        Ok(())
+    }
+
+    /// Asks the learner for `request` in place of one that still waits.
+    pub fn request_over(&mut self, request: Request, exchange: &mut Exchange<N, P>) {
+        self.state.requests = self.state.requests.wrapping_add(1);
+        exchange.request = Some((self.state.requests, request));
+    }
+
+    /// Takes a finished set from the desk; to be called before every step. See [`adopt`].
+    pub fn adopt(&mut self, exchange: &mut Exchange<N, P>) {
+        adopt(&mut self.state, exchange);
+    }
+
+    /// Makes `set` active and committed from the next tick on, and sends it to the learner.
+    pub fn load(&mut self, set: ParameterSet<N, P>, exchange: &mut Exchange<N, P>) {
+        self.state.load(&set);
+        exchange.published = None;
+        exchange.reload = Some((self.state.generation, set));
+    }
+
+    /// Replaces the configuration from the next tick on; the state stays.
+    ///
+    /// Errors: the first field of `config` that cannot work; then nothing has changed.
+    pub fn configure(&mut self, config: FeedForwardConfig<N>) -> Result<(), ConfigError> {
+        config.validate()?;
+        self.config = config;
+        Ok(())
+    }
+
+    /// Starts over at tick 0 with `set`, as [`new`](Self::new) does. What the learner learnt before is dropped; it has to
+    /// be restarted too.
+    ///
+    /// Errors: the first field of `config` that cannot work; then nothing has changed.
+    #[inline(never)]
+    pub fn restart(
+        &mut self,
+        config: FeedForwardConfig<N>,
+        set: &ParameterSet<N, P>,
+    ) -> Result<(), ConfigError> {
+        self.configure(config)?;
+        self.state.restart(set);
+        Ok(())
+    }
+
+    /// Switches learning on or off (frozen) from the next tick on.
+    pub fn set_learning(&mut self, enabled: bool) {
+        self.state.learning = enabled;
+    }
+
+    /// What survives from tick to tick: active and committed set, counters.
+    pub fn state(&self) -> &FeedForwardState<N, P> {
+        &self.state
+    }
+
+    /// The active set with what the payload adds to it: the parameters the torque is computed from.
+    pub fn in_force(&self) -> ParameterSet<N, P> {
+        let mut set = self.state.active;
+        set.rigid += self.state.payload;
+        set
+    }
+
+    /// How the tick behaves.
+    pub fn config(&self) -> &FeedForwardConfig<N> {
+        &self.config
+    }
+}

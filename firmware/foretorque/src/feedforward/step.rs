@@ -1,0 +1,372 @@
+use super::Torque;
+use super::config::FeedForwardConfig;
+use super::model::{AtSpeed, Difference, Loaded, TickMotion};
+use super::shares::{Shares, select};
+use crate::arm::Arm;
+use crate::dynamics::{BaseParameters, cogging, friction_load, is_angle, rnea};
+use crate::joint::{JointSample, JointVector};
+use crate::learning::{Exchange, MotionRange, ParameterSet, Report};
+use crate::limits::{Flags, cut, limit};
+
+/// What survives from tick to tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeedForwardState<const N: usize, const P: usize> {
+    /// The set the torque is computed from.
+    pub active: ParameterSet<N, P>,
+    /// The set that stands in for it: the one that was last loaded or committed.
+    pub committed: ParameterSet<N, P>,
+    /// Counter of the tick to come.
+    pub tick: u32,
+    /// Learning is switched on.
+    pub learning: bool,
+    /// How often a set was not there when it was to be adopted.
+    pub late_sets: u32,
+    /// What the guard told with the set in force.
+    pub report: Report<N>,
+    /// What the payload adds to the base parameters.
+    pub payload: BaseParameters<P>,
+    /// Torque of the payload in the last tick, after its bound, N × N·m; part of the rigid-body share.
+    pub payload_torque: JointVector<N>,
+    /// The motion for which the active set has been learnt.
+    pub range: MotionRange<N>,
+    /// The set that was last loaded: what was learnt is measured from it.
+    loaded: Loaded<N, P>,
+    active_difference: Difference<N, P>,
+    committed_difference: Difference<N, P>,
+    /// What was learnt, payload included, in the torque of the last tick, and the sum it was part of.
+    learned: Option<JointVector<N>>,
+    sum: JointVector<N>,
+    /// The committed set is another one since the last tick.
+    recommitted: bool,
+    pub(super) last: Torque<N>,
+    stale_ticks: u32,
+    /// Number of the last load.
+    pub(super) generation: u32,
+    /// Requests made to the learner.
+    pub(super) requests: u32,
+    /// Rounds to come in which no set is due yet.
+    rounds_without_set: u32,
+    adoption: Flags,
+}
+
+/// Rounds after a load in which no set is due: the first may be cut short, and the next then closes too late.
+const ROUNDS_WITHOUT_SET: u32 = 2;
+
+impl<const N: usize, const P: usize> FeedForwardState<N, P> {
+    /// At tick 0, torque zero, learning frozen, with `set` both active and committed.
+    pub fn new(set: ParameterSet<N, P>) -> Self {
+        Self {
+            active: set,
+            committed: set,
+            tick: 0,
+            learning: false,
+            late_sets: 0,
+            report: Report::new(),
+            payload: BaseParameters::zeros(),
+            payload_torque: JointVector::zeros(),
+            range: MotionRange::NONE,
+            loaded: Loaded::new(&set),
+            active_difference: Difference::none(),
+            committed_difference: Difference::none(),
+            learned: None,
+            sum: JointVector::zeros(),
+            recommitted: false,
+            last: Torque::zero(),
+            stale_ticks: 0,
+            generation: 0,
+            requests: 0,
+            rounds_without_set: ROUNDS_WITHOUT_SET,
+            adoption: Flags::NONE,
+        }
+    }
+
+    /// Back to what [`new`](Self::new) makes of `set`, in place: a board does it in the tick, whose stack is small. The
+    /// numbers of loads and requests go on.
+    #[inline(never)]
+    pub(super) fn restart(&mut self, set: &ParameterSet<N, P>) {
+        self.tick = 0;
+        self.load(set);
+        self.learning = false;
+        self.late_sets = 0;
+        self.report = Report::new();
+        self.payload_torque = JointVector::zeros();
+        self.sum = JointVector::zeros();
+        self.recommitted = false;
+        self.last = Torque::zero();
+        self.stale_ticks = 0;
+        self.adoption = Flags::NONE;
+    }
+
+    /// Makes `set` loaded, active and committed from the tick to come on; the hand is empty.
+    pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
+        self.loaded = Loaded::new(set);
+        self.payload.fill(0.0);
+        self.range = MotionRange::NONE;
+        self.learned = None;
+        self.active = *set;
+        self.committed = *set;
+        self.active_difference = Difference::none();
+        self.committed_difference = Difference::none();
+        self.generation = self.generation.wrapping_add(1);
+        self.rounds_without_set = ROUNDS_WITHOUT_SET;
+    }
+
+    pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>) {
+        self.active_difference
+            .update(set, &self.active, &self.loaded);
+        self.active = *set;
+    }
+
+    pub(super) fn set_committed(&mut self, set: &ParameterSet<N, P>) {
+        self.committed_difference
+            .update(set, &self.committed, &self.loaded);
+        self.committed = *set;
+    }
+}
+
+/// Working memory of one tick: the motion, and what rigid bodies need for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeedForwardScratch<const N: usize> {
+    motion: TickMotion<N>,
+    /// What the gears carry as far as friction is reckoned with it, N × N·m.
+    load: JointVector<N>,
+    /// Torques of the loaded set and of the payload for the motion as it is wanted, and of what the active and the
+    /// committed set have learnt, for the motion that was learnt; N × N·m each.
+    loaded: JointVector<N>,
+    payload: JointVector<N>,
+    active: JointVector<N>,
+    committed: JointVector<N>,
+    /// What was learnt, payload included, within all its bounds, N × N·m.
+    learned: JointVector<N>,
+}
+
+impl<const N: usize> FeedForwardScratch<N> {
+    /// Room for one tick.
+    pub fn new() -> Self {
+        Self {
+            motion: TickMotion::zero(),
+            load: JointVector::zeros(),
+            loaded: JointVector::zeros(),
+            payload: JointVector::zeros(),
+            active: JointVector::zeros(),
+            committed: JointVector::zeros(),
+            learned: JointVector::zeros(),
+        }
+    }
+}
+
+impl<const N: usize> Default for FeedForwardScratch<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The feed-forward torque of one tick.
+///
+/// The desired motion is cut to the limits first. A desired motion that is not finite is no motion: the tick is then as
+/// good as [`step_stale`]. Of each share of each joint the active set's value counts if it is finite and plausible, the
+/// committed set's if not, and none if that is bad too. What was learnt since the set was loaded is evaluated for the
+/// motion it was learnt on: beyond, it stays what it was at the edge. The sum may differ from the committed set's by
+/// `LEARNED_BOUND`, the payload by a bound of its own comes on top, and both together change by no more than
+/// `learned_slew_per_tick`, whatever is adopted and whatever the motion. The rest is saturation and slew.
+/// Cogging alone follows the measured position.
+///
+/// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
+///
+/// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: four times the RNEA, the
+/// gravity torques, smoothed signs and Stribeck peaks at two speeds of each joint, all networks twice.
+#[inline(never)]
+pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+    scratch: &mut FeedForwardScratch<N>,
+    sample: &JointSample<N>,
+) -> Torque<N> {
+    let mut flags = Flags::when(sample.measured.is_none(), Flags::NO_MEASUREMENT);
+    let motion = &mut scratch.motion;
+    if !motion.take(config, &state.range, &sample.desired, &mut flags) {
+        return hold(config, state, flags | Flags::NOT_FINITE);
+    }
+    scratch.load = friction_load::<A, N, P>(&motion.desired.q);
+    scratch.loaded = rnea::<A, N, P>(&state.loaded.rigid, &motion.desired);
+    scratch.payload = rnea::<A, N, P>(&state.payload, &motion.desired);
+    scratch.active = rnea::<A, N, P>(&state.active_difference.rigid, &motion.bounded);
+    scratch.committed = rnea::<A, N, P>(&state.committed_difference.rigid, &motion.bounded);
+    // Where nothing was measured the joint is where it should be.
+    let (place, lead) = match &sample.measured {
+        Some(measured) => (&measured.q, config.lead),
+        None => (&motion.desired.q, 0.0),
+    };
+    let recommitted = core::mem::take(&mut state.recommitted);
+    let mut ignored = Flags::NONE;
+    let mut speeds = [AtSpeed::NONE; 2];
+    for joint in 0..N {
+        let limits = &config.limits[joint];
+        let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
+        let cogging = cogging(
+            A::COGGING_CYCLES[joint],
+            cogging_place(place[joint] + qd * lead, q),
+        );
+        let load = scratch.load[joint];
+        // In place: as a new array they would be copied.
+        for (speed, qd) in speeds.iter_mut().zip([qd, motion.bounded.qd[joint]]) {
+            *speed = AtSpeed::new(qd, cogging, load);
+        }
+        let friction = speeds[0].friction(&state.loaded.friction[joint].columns());
+        let active = state.active_difference.shares(
+            joint,
+            (scratch.loaded[joint] + scratch.active[joint], friction),
+            &state.active.network[joint],
+            &speeds,
+            limits.torque,
+            &mut flags,
+        );
+        let committed = state.committed_difference.shares(
+            joint,
+            (scratch.loaded[joint] + scratch.committed[joint], friction),
+            &state.committed.network[joint],
+            &speeds,
+            limits.torque,
+            &mut ignored,
+        );
+        let selected = select(&active, &committed, limits.torque, &mut flags);
+
+        let payload = scratch.payload[joint];
+        let finite = payload.is_finite();
+        let (carried, was_cut) = cut(
+            if finite { payload } else { 0.0 },
+            config.payload_bound[joint],
+        );
+        flags |= Flags::when(was_cut || !finite, Flags::PAYLOAD_CLIPPED);
+        state.payload_torque[joint] = carried;
+        let wanted = selected.learned + carried;
+        let before = match (&state.learned, recommitted) {
+            (None, _) => wanted,
+            // Measured from another set now: the torque goes on from where it was.
+            (Some(_), true) => state.sum[joint] - selected.reference,
+            (Some(learned), false) => learned[joint],
+        };
+        let (step, slewed) = cut(wanted - before, config.learned_slew_per_tick[joint]);
+        let learned = if slewed { before + step } else { wanted };
+        scratch.learned[joint] = learned;
+        state.sum[joint] = selected.reference + learned;
+        let shares = &mut state.last.shares;
+        shares.rigid[joint] = selected.shares.rigid + carried;
+        shares.friction[joint] = selected.shares.friction;
+        shares.network[joint] = selected.shares.network;
+    }
+    state.learned = Some(scratch.learned);
+    state.stale_ticks = 0;
+    let target = state.sum;
+    finish(config, state, &target, flags)
+}
+
+/// A tick without a sample: the torque is held for `hold_ticks`, then goes to zero at the slew limit.
+pub fn step_stale<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+) -> Torque<N> {
+    hold(config, state, Flags::NO_MEASUREMENT)
+}
+
+/// Where a joint will be when the torque acts, for the cogging, rad: a tracking error of a few milliradians turns its
+/// phase, so the measured position counts, carried on at the desired speed.
+#[inline]
+fn cogging_place(measured: f32, desired: f32) -> f32 {
+    // A wild encoder must not take the friction share with it.
+    if is_angle(measured) {
+        measured
+    } else {
+        desired
+    }
+}
+
+fn hold<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+    flags: Flags,
+) -> Torque<N> {
+    let flags = flags | Flags::STALE_SAMPLE;
+    if state.stale_ticks < config.hold_ticks {
+        state.stale_ticks += 1;
+        let target = state.last.total;
+        return finish(config, state, &target, flags);
+    }
+    state.last.shares = Shares::zero();
+    finish(
+        config,
+        state,
+        &JointVector::zeros(),
+        flags | Flags::WITHDRAWN,
+    )
+}
+
+/// Limits, flags of the state, and the step of the counter.
+#[inline]
+fn finish<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+    target: &JointVector<N>,
+    flags: Flags,
+) -> Torque<N> {
+    let mut flags = flags | state.adoption | Flags::when(state.learning, Flags::LEARNING_ON);
+    for joint in 0..N {
+        let (torque, limited) = limit(
+            target[joint],
+            state.last.total[joint],
+            config.limits[joint].torque,
+            config.slew_per_tick[joint],
+        );
+        state.last.total[joint] = torque;
+        flags |= limited;
+    }
+    state.last.flags = flags;
+    state.last.tick = state.tick;
+    state.adoption = Flags::NONE;
+    state.tick = state.tick.wrapping_add(1);
+    state.last
+}
+
+/// Takes a finished set from the desk, if the tick to come is one at which sets are taken: `tick % N == N / 2`.
+///
+/// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
+/// learning is on, counts as late; what was learnt from another set than the one loaded last is dropped.
+#[inline(never)]
+pub fn adopt<const N: usize, const P: usize>(
+    state: &mut FeedForwardState<N, P>,
+    exchange: &mut Exchange<N, P>,
+) {
+    let rounds = N as u32;
+    if state.tick % rounds != rounds / 2 {
+        return;
+    }
+    let due = state.tick.wrapping_sub(rounds / 2 + 1);
+    // Nothing is due from a round that was cut short, by a start or a load or where the counter wraps.
+    let whole = state.rounds_without_set == 0 && due % rounds == rounds - 1;
+    state.rounds_without_set = state.rounds_without_set.saturating_sub(1);
+    let expected = state.learning && whole;
+    match &exchange.published {
+        // Equal, not later: ticks half the range of their counter apart have no order.
+        Some(finished) if finished.generation == state.generation => {
+            state.set_active(&finished.set);
+            if finished.commit {
+                state.set_committed(&finished.set);
+                state.recommitted = true;
+            }
+            state.payload = finished.payload;
+            state.range = finished.range;
+            state.report = finished.report;
+            state.adoption |= Flags::SET_ADOPTED;
+            if finished.closed != due {
+                state.adoption |= Flags::SET_LATE;
+                state.late_sets = state.late_sets.saturating_add(1);
+            }
+        }
+        _ if expected => {
+            state.adoption |= Flags::SET_LATE;
+            state.late_sets = state.late_sets.saturating_add(1);
+        }
+        _ => {}
+    }
+    exchange.published = None;
+}

@@ -1,0 +1,274 @@
+use super::*;
+use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
+use crate::joint::{JointMotion, JointVector};
+use std::vec::Vec;
+
+const WIDTH: usize = FRICTION_COLUMNS;
+
+/// The same filter on the plain covariance, in f64.
+struct Twin {
+    start: Vec<f64>,
+    sigma: Vec<f64>,
+    theta: Vec<f64>,
+    p: Vec<Vec<f64>>,
+    variance: [f64; N],
+    noticed: [f64; N],
+    visits: [usize; N],
+}
+
+impl Twin {
+    fn correct(&mut self, joint: usize, phi: &[f64], innovation: f64, process_noise: f64) {
+        let k = WIDTH * joint + self.visits[joint] % WANDERING;
+        self.visits[joint] += 1;
+        if self.p[k][k] < 1.0 {
+            self.p[k][k] += WANDERING as f64 * process_noise;
+        }
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
+        let s = dot(&gain, phi) + self.variance[joint];
+        for (row, a) in self.p.iter_mut().zip(&gain) {
+            for (p, b) in row.iter_mut().zip(&gain) {
+                *p -= a * b / s;
+            }
+        }
+        let z = innovation / s.sqrt();
+        let up = z.abs() > 0.6745;
+        let mut step = 1.005;
+        if self.noticed[joint] < f64::from(NOTICED_ROWS) {
+            self.noticed[joint] += self.variance[joint] / s;
+            step = 1.0 + 2.3 * self.variance[joint] / s / self.noticed[joint];
+        }
+        self.variance[joint] *= if up { step } else { 1.0 / step };
+        for (theta, gain) in self.theta.iter_mut().zip(&gain) {
+            *theta += gain * z.clamp(-3.0, 3.0) / s.sqrt();
+        }
+        for _ in 0..MAX_PROJECTIONS {
+            if !self.project(WIDTH * joint) {
+                break;
+            }
+        }
+    }
+
+    /// Moves the worst violated bound of the friction whose columns begin at `first`; returns whether there was one.
+    fn project(&mut self, first: usize) -> bool {
+        let n = self.theta.len();
+        let mut worst = (f64::from(TOLERANCE), std::vec![0.0; n]);
+        for bound in &RESISTING {
+            let mut direction = std::vec![0.0; n];
+            let mut value = 0.0;
+            for (k, &a) in (first..).zip(bound) {
+                direction[k] = f64::from(a) * self.sigma[k];
+                value += f64::from(a) * (self.start[k] + self.sigma[k] * self.theta[k]);
+            }
+            let deviation = direction.iter().map(|a| a * a).sum::<f64>().sqrt();
+            direction.iter_mut().for_each(|a| *a /= deviation);
+            if -value / deviation > worst.0 {
+                worst = (-value / deviation, direction);
+            }
+        }
+        let (violation, direction) = worst;
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let gain: Vec<f64> = self.p.iter().map(|row| dot(row, &direction)).collect();
+        let variance = dot(&gain, &direction);
+        if variance > 0.0 {
+            for (theta, gain) in self.theta.iter_mut().zip(&gain) {
+                *theta += gain * violation / variance;
+            }
+        }
+        variance > 0.0
+    }
+}
+
+/// In units of the prior standard deviations: friction first, uncorrelated, then the doubts about links.
+fn prior_covariance(n: usize) -> Vec<Vec<f64>> {
+    let floor = rigid_floor::<Ur5, N, P>();
+    let mut p: Vec<Vec<f64>> = (0..n).map(|_| std::vec![0.0; n]).collect();
+    for (k, row) in p.iter_mut().enumerate() {
+        row[k] = k.checked_sub(n - P).map_or(1.0, |k| f64::from(floor[k]));
+    }
+    for doubt in (0..).map_while(rigid_doubt::<Ur5, N, P>) {
+        for (row, a) in p[n - P..].iter_mut().zip(doubt) {
+            for (p, b) in row[n - P..].iter_mut().zip(doubt) {
+                *p += f64::from(a) * f64::from(b);
+            }
+        }
+    }
+    p
+}
+
+#[test]
+fn it_starts_from_the_doubts_about_links_each_parameter_as_uncertain_as_its_deviation_says() {
+    let prior = ParameterSet::nominal::<Ur5>(1);
+    let estimator = Estimator::<N, P>::new::<Ur5>(&prior);
+    let n = WIDTH * N + P;
+    let twin = prior_covariance(n);
+    for k in 0..P {
+        let variance = f64::from(estimator.filter().rigid_variance(k).unwrap());
+        assert!((variance - 1.0).abs() < 1e-4, "{k}: {variance}");
+        assert!((variance - twin[n - P + k][n - P + k]).abs() < 1e-4, "{k}");
+    }
+    // The first moments of upper arm and forearm share the masses beyond the elbow.
+    let (upper, forearm) = (n - P + 1, n - P + 8);
+    assert!(twin[upper][forearm] > 0.5, "{}", twin[upper][forearm]);
+}
+
+/// Sines that never repeat, at most 2 rad/s, and the torque of an arm 10 % heavier than its description, with noise.
+fn seen(tick: u32, joint: usize, random: &mut u64) -> (Stacked<N, P>, f32) {
+    let t = f64::from(tick) * 1e-3;
+    let wave = |j: usize| {
+        let w = 1.1 + 0.37 * j as f64;
+        (w * t + j as f64, w)
+    };
+    let motion = JointMotion::<N> {
+        q: JointVector::from_fn(|j, _| wave(j).0.sin() as f32),
+        qd: JointVector::from_fn(|j, _| (wave(j).1 * wave(j).0.cos()) as f32),
+        qdd: JointVector::from_fn(|j, _| (-wave(j).1.powi(2) * wave(j).0.sin()) as f32),
+    };
+    let mut tau = JointVector::<N>::zeros();
+    let mut truth = Stacked::of(&ParameterSet::nominal::<Ur5>(1));
+    truth.rigid = truth.rigid.map(|theta| 1.1 * theta);
+    let row = torque_row::<Ur5, N, P>(joint, &Conditioned { motion, tau });
+    truth.friction = [[2.0, 3.0, 0.5, 0.5, 0.05, -0.3, 0.2, -0.1]; N];
+    let noise: f64 = (0..12)
+        .map(|_| {
+            *random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (*random >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        })
+        .sum();
+    // A row is made from a mean of torques.
+    let noise = 0.01 * noise / (AVERAGED as f64).sqrt();
+    tau[joint] = row.dot(&truth) + noise as f32 * Ur5::LIMITS[joint].torque;
+    (row, tau[joint])
+}
+
+#[test]
+fn after_a_million_rows_it_is_where_exact_arithmetic_is_and_its_factors_are_positive() {
+    let config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
+    let prior = ParameterSet::nominal::<Ur5>(1);
+    let (start, sigma) = (Stacked::of(&prior), Stacked::sigma(&config));
+    let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
+    let n = start.iter().count();
+    let wide = |numbers: &Stacked<N, P>| numbers.iter().copied().map(f64::from).collect();
+    let mut twin = Twin {
+        start: wide(&start),
+        sigma: wide(&sigma),
+        theta: std::vec![0.0; n],
+        p: prior_covariance(n),
+        variance: [f64::from(FIRST_VARIANCE); N],
+        noticed: [f64::from(FIRST_ROWS); N],
+        visits: [0; N],
+    };
+    let (mut worst, mut random) = (0.0f64, 7);
+    for tick in 0..1_000_000 {
+        let joint = tick as usize % N;
+        let limit = Ur5::LIMITS[joint].torque;
+        let (row, tau) = seen(tick, joint, &mut random);
+        let before = estimator.correct(&config, joint, limit, &row, tau);
+        assert!(before.is_some());
+        let unit = f64::from(config.noise * limit);
+        let mut innovation = f64::from(tau);
+        let mut phi = Vec::with_capacity(n);
+        let columns = row.iter().zip(start.iter()).zip(sigma.iter());
+        for (((&row, &start), &sigma), theta) in columns.zip(&twin.theta) {
+            let (row, sigma) = (f64::from(row), f64::from(sigma));
+            innovation -= row * (f64::from(start) + sigma * theta);
+            phi.push(row * sigma / unit);
+        }
+        twin.correct(
+            joint,
+            &phi,
+            innovation / unit,
+            f64::from(config.process_noise),
+        );
+        if tick % 1000 == 999 {
+            let numbers = estimator.parameters().iter().zip(start.iter());
+            for (((&theta, &start), &sigma), twin) in numbers.zip(sigma.iter()).zip(&twin.theta) {
+                let theta = (f64::from(theta) - f64::from(start)) / f64::from(sigma);
+                worst = worst.max((theta - twin).abs());
+            }
+            assert!(estimator.filter().diagonal().iter().all(|&d| d > 0.0));
+        }
+    }
+    std::println!("f32 and f64 at most {worst:.1e} prior standard deviations apart");
+    assert!(worst <= 1e-2, "{worst}");
+}
+
+#[test]
+fn doubt_about_friction_is_what_a_row_of_friction_alone_adds_to_the_innovation() {
+    let mut filter = UdFilter::<N, P>::new();
+    let mut gain = Stacked::filled(0.0);
+    let mut random = 3;
+    for tick in 0..600 {
+        let joint = tick as usize % N;
+        let (row, _) = seen(tick, joint, &mut random);
+        filter.update(joint, &row, 1.0, &mut gain);
+    }
+    for joint in 0..N {
+        let mut phi = Stacked::filled(0.0);
+        phi.friction[joint] = [0.7, 1.0, 0.1, 0.4, 2.0, 1.0, 0.6, -0.8];
+        let doubt = filter.friction_doubt(joint, &phi.friction[joint]);
+        let variance = { filter }.update(joint, &phi, 1.0, &mut gain);
+        assert!(doubt > 1e-3, "{joint}: {doubt}");
+        assert!(
+            (variance - 1.0 - doubt).abs() < 1e-4 * variance,
+            "{joint}: {doubt} {variance}"
+        );
+    }
+}
+
+/// Rows of an arm without friction whose torque sensor sits behind the gear, with what no model explains: a disturbance of
+/// 2 % of the limit that lasts for tenths of a second.
+fn frictionless(
+    tick: u32,
+    joint: usize,
+    random: &mut u64,
+    drift: &mut f32,
+) -> (Stacked<N, P>, f32) {
+    let (row, _) = seen(tick, joint, random);
+    let rigid = Stacked::of(&ParameterSet::nominal::<Ur5>(1))
+        .rigid
+        .map(|theta| 1.1 * theta);
+    *random = random
+        .wrapping_mul(6_364_136_223_846_793_005)
+        .wrapping_add(1);
+    let white = (*random >> 40) as f32 / (1 << 23) as f32 - 1.0;
+    *drift = 0.98 * *drift + 0.02 * 6.0 * white;
+    let tau = dot(&row.rigid, &rigid) + 0.02 * *drift * Ur5::LIMITS[joint].torque;
+    (row, tau)
+}
+
+#[test]
+fn friction_at_its_bound_does_not_push_its_neighbours_away() {
+    let mut config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
+    for outlier_sigmas in [3.0, 1e6] {
+        config.outlier_sigmas = outlier_sigmas;
+        let prior = ParameterSet::nominal::<Ur5>(1);
+        let sigma = Stacked::<N, P>::sigma(&config);
+        let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
+        let (mut random, mut drifts) = (5, [0.0; N]);
+        let mut worst = 0.0f32;
+        for tick in 0..240_000 {
+            let joint = tick as usize % N;
+            let limit = Ur5::LIMITS[joint].torque;
+            let (row, tau) = frictionless(tick, joint, &mut random, &mut drifts[joint]);
+            assert!(
+                estimator
+                    .correct(&config, joint, limit, &row, tau)
+                    .is_some()
+            );
+            let friction = estimator.parameters().friction[joint];
+            for bound in &RESISTING {
+                let violation =
+                    -dot(bound, &friction) / dot(&bound.map(f32::abs), &sigma.friction[joint]);
+                assert!(violation <= 0.3, "tick {tick}, joint {joint}: {friction:?}");
+            }
+            if tick > 60_000 {
+                worst = worst.max(friction[1] / limit);
+            }
+        }
+        std::println!("Coulomb torque up to {worst:.4} of the limit");
+        assert!(worst < 0.02, "{worst}");
+    }
+}

@@ -1,0 +1,342 @@
+use super::*;
+use crate::arm::ur5::Ur5;
+use crate::dynamics::RESISTING;
+use crate::joint::{JointMeasurement, JointVector};
+use crate::learning::Request;
+use crate::limits::Flags;
+
+const N: usize = 6;
+const P: usize = 40;
+
+/// A learner that never raises an alarm: the arm of these tests is none that could be explained.
+fn learner() -> Learner<Ur5, N, P> {
+    let mut config = LearnerConfig::for_arm::<Ur5>(1e-3);
+    config.guard.detector.threshold = 1e9;
+    Learner::new(config, ParameterSet::nominal::<Ur5>(1)).unwrap()
+}
+
+fn measured(tick: u32, speed: f32, tau: f32) -> JointMeasurement<N> {
+    let t = tick as f32 * 1e-3;
+    JointMeasurement {
+        q: JointVector::from_fn(|j, _| (speed * t + j as f32).sin()),
+        tau: JointVector::from_element(tau),
+    }
+}
+
+fn lesson(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> Lesson<N> {
+    Lesson {
+        tick,
+        generation: 0,
+        requests: 0,
+        measured,
+        enabled,
+        flags: Flags::NONE,
+    }
+}
+
+/// Lessons `ticks` of a moving arm that always measures 20 N·m.
+fn teach(learner: &mut Learner<Ur5, N, P>, ticks: core::ops::Range<u32>, enabled: bool) {
+    for tick in ticks {
+        learner.study(&lesson(tick, Some(measured(tick, 2.0, 20.0)), enabled));
+    }
+}
+
+#[test]
+fn frozen_nothing_is_learnt_but_the_window_runs_on() {
+    let mut learner = learner();
+    teach(&mut learner, 0..100, false);
+    assert_eq!(learner.state.candidate, learner.state.prior);
+    assert_eq!(learner.state.statistics, LearnerStatistics::default());
+    let before = learner.state.estimate;
+    teach(&mut learner, 100..101, true);
+    assert_eq!(learner.state.statistics.accepted, 1);
+    assert_ne!(learner.state.estimate, before);
+}
+
+#[test]
+fn a_measurement_that_is_missing_or_not_finite_changes_nothing() {
+    let mut bad_torque = measured(60, 2.0, 20.0);
+    bad_torque.tau[0] = f32::NAN;
+    let mut bad_position = measured(60, 2.0, 20.0);
+    bad_position.q[5] = f32::INFINITY;
+    for bad in [None, Some(bad_torque), Some(bad_position)] {
+        let mut learner = learner();
+        teach(&mut learner, 0..60, true);
+        let before = (learner.state.estimate, learner.state.candidate);
+        learner.study(&lesson(60, bad, true));
+        // The first one behind a gap may be late.
+        teach(&mut learner, 61..62, true);
+        assert!((learner.state.estimate, learner.state.candidate) == before);
+        let without = learner.state.statistics.incomplete;
+        teach(&mut learner, 62..63, true);
+        assert_ne!(learner.state.estimate, before.0);
+        teach(&mut learner, 63..100, true);
+        // In the middle of the window the two torques are missing once more.
+        assert_eq!(learner.state.statistics.incomplete, without + 2);
+    }
+}
+
+#[test]
+fn a_lost_lesson_is_a_gap() {
+    let mut learner = learner();
+    teach(&mut learner, 0..60, true);
+    let before = learner.state.statistics;
+    teach(&mut learner, 61..91, true);
+    assert_eq!(learner.state.statistics.accepted, before.accepted);
+    assert_eq!(learner.state.statistics.incomplete, before.incomplete + 30);
+}
+
+#[test]
+fn networks_are_trained_out_of_sight_of_the_torque() {
+    let mut learner = learner();
+    teach(&mut learner, 0..30, true);
+    let before = learner.state.trainer;
+    // The linear parameters come first.
+    for tick in 30..4300 {
+        teach(&mut learner, tick..tick + 1, true);
+        assert_eq!(learner.state.candidate.network, learner.state.prior.network);
+    }
+    assert!(learner.state.trainer != before);
+}
+
+#[test]
+fn a_learner_of_one_joint_learns_from_its_rows_and_leaves_the_others_as_they_are() {
+    let mut learner = learner();
+    learner.learn_only(1);
+    teach(&mut learner, 0..600, true);
+    let prior = Stacked::of(&learner.state.prior);
+    let estimate = learner.state.estimate.parameters();
+    assert_ne!(estimate.rigid, prior.rigid);
+    for joint in 0..N {
+        let moved = estimate.friction[joint] != prior.friction[joint];
+        assert_eq!(moved, joint == 1, "joint {joint}");
+    }
+    let statistics = learner.state.statistics;
+    assert!(statistics.accepted > 0 && statistics.accepted <= 100);
+}
+
+#[test]
+fn a_joint_that_hardly_moves_teaches_nothing() {
+    let mut learner = learner();
+    for tick in 0..100 {
+        learner.study(&lesson(tick, Some(measured(tick, 0.04, 20.0)), true));
+    }
+    assert_eq!(learner.state.candidate, learner.state.prior);
+    assert_eq!(learner.state.statistics.gated, 70);
+}
+
+#[test]
+fn an_encoder_gone_wild_or_an_impossible_torque_is_rejected() {
+    let mut learner = learner();
+    for tick in 0..100 {
+        let mut wild = measured(tick, 2.0, 20.0);
+        wild.q[4] = tick as f32;
+        learner.study(&lesson(tick, Some(wild), true));
+    }
+    for tick in 100..200 {
+        learner.study(&lesson(tick, Some(measured(tick, 2.0, 1e30)), true));
+    }
+    assert_eq!(learner.state.candidate, learner.state.prior);
+    assert_eq!(learner.state.statistics.accepted, 0);
+    assert!(learner.state.statistics.rejected > 100);
+}
+
+#[test]
+fn one_glitch_of_one_encoder_teaches_nothing_to_any_joint() {
+    let (mut clean, mut glitched) = (learner(), learner());
+    for tick in 0..200 {
+        let good = measured(tick, 2.0, 20.0);
+        let mut bad = good;
+        if tick == 100 {
+            bad.q[3] += 0.2;
+        }
+        clean.study(&lesson(tick, Some(good), !(100..=130).contains(&tick)));
+        glitched.study(&lesson(tick, Some(bad), true));
+    }
+    // A few places of the window weigh nothing in the acceleration; those rows are as good as the others.
+    assert!(glitched.state.statistics.rejected >= 15);
+    let of = |learner: &Learner<Ur5, N, P>| learner.state.estimate.parameters().rigid;
+    let (glitched, clean, prior) = (of(&glitched), of(&clean), clean.state.prior.rigid);
+    let largest = |a: [f32; P], b: &[f32]| {
+        let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+        apart.fold(0.0, f32::max)
+    };
+    let (apart, moved) = (largest(glitched, &clean), largest(clean, prior.as_slice()));
+    assert!(apart < 0.2 * moved, "{apart} of {moved}");
+}
+
+#[test]
+fn a_wrong_torque_sensor_leaves_every_parameter_finite_and_friction_within_its_bounds() {
+    let mut learner = learner();
+    teach(&mut learner, 0..60_000, true);
+    let LearnerState {
+        prior,
+        candidate,
+        estimate,
+        ..
+    } = &learner.state;
+    assert!(candidate.is_finite());
+    assert!(estimate.parameters().iter().all(|theta| theta.is_finite()));
+    let mut moved = false;
+    for (joint, friction) in candidate.friction.iter().enumerate() {
+        let deviation = learner.config.friction_sigma[joint].columns();
+        for bound in &RESISTING {
+            let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
+            let value = dot(bound, &friction.columns());
+            assert!(
+                value >= -0.02 * dot(bound, &deviation),
+                "joint {joint}: {friction:?}"
+            );
+        }
+        moved |= *friction != prior.friction[joint];
+    }
+    assert!(moved, "nothing was learnt");
+}
+
+#[test]
+fn sets_are_published_when_a_round_closes_and_only_then() {
+    let mut learner = learner();
+    for tick in 0..60 {
+        let mut exchange = Exchange::new();
+        learner.learn(
+            &lesson(tick, Some(measured(tick, 2.0, 20.0)), true),
+            &mut exchange,
+        );
+        let published = exchange.published.map(|set| set.closed);
+        assert_eq!(published, (tick % 6 == 5).then_some(tick));
+    }
+    assert_eq!(learner.state.statistics.published, 10);
+}
+
+#[test]
+fn a_reloaded_set_is_taken_with_the_first_lesson_it_holds_for() {
+    let mut learner = learner();
+    let mut loaded = ParameterSet::nominal::<Ur5>(9);
+    loaded.friction[0].coulomb = 3.0;
+    let mut exchange = Exchange::new();
+    exchange.reload = Some((1, loaded));
+    for tick in 40..44 {
+        let mut lesson = lesson(tick, None, true);
+        lesson.generation = u32::from(tick >= 42);
+        learner.learn(&lesson, &mut exchange);
+        assert_eq!(learner.state.prior == loaded, tick >= 42, "tick {tick}");
+        assert_eq!(learner.state.candidate == loaded, tick >= 42, "tick {tick}");
+        assert_eq!(exchange.reload.is_none(), tick >= 42, "tick {tick}");
+    }
+}
+
+#[test]
+fn a_configuration_that_cannot_work_is_refused() {
+    let good = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
+    let mut sigma = good;
+    sigma.rigid_sigma[7] = 0.0;
+    let mut rate = good;
+    rate.network.hidden_rate = f32::NAN;
+    assert_eq!(good.validate(), Ok(()));
+    assert_eq!(
+        sigma.validate(),
+        Err(ConfigError::NotPositive("rigid_sigma"))
+    );
+    assert_eq!(
+        rate.validate(),
+        Err(ConfigError::RateOutOfRange("network.hidden_rate"))
+    );
+    assert!(
+        LearnerConfig::<N, P>::for_arm::<Ur5>(0.0)
+            .validate()
+            .is_err()
+    );
+}
+
+fn ask(learner: &mut Learner<Ur5, N, P>, tick: u32, request: Request) -> Option<Reason> {
+    let mut exchange = Exchange::new();
+    exchange.ask(1, request).unwrap();
+    assert!(exchange.ask(1, request).is_err());
+    let mut lesson = lesson(tick, None, true);
+    learner.collect(&lesson, &mut exchange);
+    assert!(exchange.request.is_some(), "taken before its lesson");
+    lesson.requests = 1;
+    learner.collect(&lesson, &mut exchange);
+    assert_eq!(exchange.request, None);
+    let newest = learner.state.report.decisions.newest()?;
+    assert_eq!(newest.tick, tick);
+    Some(newest.reason)
+}
+
+#[test]
+fn a_rollback_on_request_restores_the_kept_parameters_bit_for_bit() {
+    let mut learner = learner();
+    teach(&mut learner, 0..200, true);
+    assert_eq!(
+        ask(&mut learner, 200, Request::Rollback),
+        Some(Reason::Refused)
+    );
+    let before = learner.state.candidate;
+    assert_eq!(
+        ask(&mut learner, 201, Request::Snapshot),
+        Some(Reason::Kept)
+    );
+    teach(&mut learner, 201..1200, true);
+    learner.state.candidate.rigid[0] += 0.1;
+    assert_eq!(
+        ask(&mut learner, 1200, Request::Rollback),
+        Some(Reason::RolledBack)
+    );
+    assert_eq!(learner.state.candidate, before);
+}
+
+#[test]
+fn after_an_emergency_stop_nothing_is_learnt_until_learning_is_switched_on_again() {
+    let mut learner = learner();
+    teach(&mut learner, 0..60, true);
+    assert_eq!(
+        ask(&mut learner, 60, Request::Stop),
+        Some(Reason::FrozenStopped)
+    );
+    let before = (learner.state.estimate, learner.state.candidate);
+    teach(&mut learner, 60..120, true);
+    assert!((learner.state.estimate, learner.state.candidate) == before);
+    teach(&mut learner, 120..121, false);
+    teach(&mut learner, 121..130, true);
+    assert!(learner.state.estimate != before.0);
+}
+
+#[test]
+fn what_ran_on_another_set_is_not_learnt_from_and_not_published() {
+    let mut learner = learner();
+    teach(&mut learner, 0..60, true);
+    let mut exchange = Exchange::new();
+    learner.publish(&mut exchange);
+    exchange.published = None;
+    let before = (learner.state.estimate, learner.state.statistics);
+    for tick in 60..120 {
+        let mut foreign = lesson(tick, Some(measured(tick, 2.0, 20.0)), true);
+        foreign.generation = 1;
+        learner.learn(&foreign, &mut exchange);
+        assert_eq!(exchange.published, None, "tick {tick}");
+    }
+    assert!((learner.state.estimate, learner.state.statistics) == before);
+    // The window of measurements has gone on meanwhile.
+    teach(&mut learner, 120..121, true);
+    assert!(learner.state.statistics.accepted > before.1.accepted);
+}
+
+#[test]
+fn a_commit_that_belongs_to_a_set_of_before_does_not_commit_the_next() {
+    let mut learner = learner();
+    let mut exchange = Exchange::new();
+    learner.answer(0, Request::Commit);
+    for tick in 0..6 {
+        learner.learn(&lesson(tick, None, true), &mut exchange);
+    }
+    assert!(exchange.published.is_some_and(|set| set.commit));
+    // A load that met the learner in the middle of a lesson; the tick has not looked since.
+    exchange.reload = Some((1, ParameterSet::nominal::<Ur5>(9)));
+    for tick in 6..12 {
+        let mut lesson = lesson(tick, None, true);
+        lesson.generation = 1;
+        learner.learn(&lesson, &mut exchange);
+    }
+    let published = exchange.published.unwrap();
+    assert_eq!((published.generation, published.commit), (1, false));
+}

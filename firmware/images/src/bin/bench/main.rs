@@ -1,0 +1,79 @@
+//! The kernels of the tick, called over seeded inputs: what `cargo xtask bench` counts and traces in the emulator.
+//!
+//! One line `name count` leaves over semihosting for every call of every row. The count is that of TIM2, which under
+//! `-icount shift=0` advances by one for each executed instruction. The semihosting command line is the number of
+//! calls of each row, then the number of ticks of the long run, of which one line `name least sum most` leaves.
+#![cfg_attr(target_os = "none", no_std, no_main)]
+
+/// An arm without round numbers, from the acceptance tests: sparsity must not be mistaken for skill.
+#[cfg(target_os = "none")]
+#[expect(
+    dead_code,
+    unreachable_pub,
+    reason = "written by the generator for a library"
+)]
+#[path = "../../../../../tests/tests/calibrated/arm.rs"]
+mod calibrated;
+#[cfg(target_os = "none")]
+mod long_run;
+#[cfg(target_os = "none")]
+mod machine;
+#[cfg(target_os = "none")]
+mod rows;
+#[cfg(target_os = "none")]
+mod stage;
+
+#[cfg(target_os = "none")]
+use foretorque::arm::ur5::Learner;
+
+#[cfg(target_os = "none")]
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    use cortex_m_semihosting::{debug, hprintln};
+
+    machine::start_counter();
+    let (calls, ticks) = machine::numbers();
+    if run(calls, ticks).is_none() {
+        hprintln!("the configuration of the tick does not validate");
+        debug::exit(debug::EXIT_FAILURE);
+    }
+    debug::exit(debug::EXIT_SUCCESS);
+    loop {
+        cortex_m::asm::nop();
+    }
+}
+
+#[cfg(target_os = "none")]
+fn run(calls: u32, ticks: u32) -> Option<()> {
+    /// Too large for the stack, and for code that would build it: it lies in the image.
+    static mut LEARNER: Learner = stage::Stage::LEARNER;
+    // SAFETY: this function runs once, nothing else names the static, and no interrupt is enabled.
+    let mut learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
+    for row in rows::ROWS {
+        // Every row starts from the same stage, so that a row added or removed does not move the others.
+        let mut stage = stage::Stage::new(learner)?;
+        for _ in 0..calls {
+            stage.vary();
+            let count = machine::count(row.run, &mut stage);
+            cortex_m_semihosting::hprintln!("{} {}", row.name, count);
+        }
+        learner = stage.learner;
+    }
+    if ticks > 0 {
+        let mut stage = stage::Stage::new(learner)?;
+        let spread = long_run::of_step(&mut stage, ticks);
+        cortex_m_semihosting::hprintln!(
+            "feedforward_step {} {} {}",
+            spread.least,
+            spread.sum,
+            spread.most
+        );
+    }
+    Some(())
+}
+
+#[cfg(not(target_os = "none"))]
+fn main() {
+    eprintln!("bench is firmware: `cargo xtask bench` builds and runs it");
+    std::process::exit(2);
+}

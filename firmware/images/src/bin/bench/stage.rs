@@ -1,0 +1,196 @@
+//! Inputs and outputs of every row, and how they change from call to call.
+
+use core::f32::consts::TAU;
+
+use foretorque::arm::Arm;
+use foretorque::arm::panda::{self, Panda};
+use foretorque::arm::ur5::{
+    Exchange, FeedForward, JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5,
+};
+use foretorque::dynamics::{BaseParameters, FrictionParameters};
+use foretorque::feedforward::{FeedForwardConfig, Torque, evaluate};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::learning::Lesson;
+use foretorque::limits::Flags;
+use foretorque::math::{SinCos, sin_cos};
+use foretorque::network::{BpNetwork, StepParameters};
+use nalgebra::SVector;
+
+use crate::calibrated::{self, Ur5Calibrated};
+
+/// Period of the tick, s.
+const PERIOD: f32 = 1e-3;
+/// Ticks before the first measured call: the learner's window of measurements is full by then.
+const WARM_UP: u32 = 48;
+/// Bound of the noise on the measured torque, in units of the torque limit.
+const NOISE: f32 = 0.01;
+
+/// Everything a row reads or writes. A row takes what it needs; the rest costs it nothing.
+///
+/// In this order, small kernels first, so that an access is one instruction as it would be through an argument.
+#[repr(C)]
+pub(crate) struct Stage {
+    pub(crate) angle: f32,
+    pub(crate) sin_cos: SinCos,
+    pub(crate) joint: usize,
+    pub(crate) motion: JointMotion<JOINTS>,
+    pub(crate) tau: JointVector<JOINTS>,
+    pub(crate) input: SVector<f32, 18>,
+    pub(crate) target: SVector<f32, 6>,
+    pub(crate) output: SVector<f32, 6>,
+    pub(crate) step: StepParameters,
+    pub(crate) set: ParameterSet,
+    pub(crate) paper: BpNetwork<18, 32, 6>,
+    pub(crate) calibrated: BaseParameters<{ calibrated::PARAMETERS }>,
+    pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
+    pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
+    pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
+    pub(crate) sample: JointSample<JOINTS>,
+    pub(crate) torque: Torque<JOINTS>,
+    pub(crate) feedforward: FeedForward,
+    pub(crate) lesson: Lesson<JOINTS>,
+    pub(crate) exchange: Exchange,
+    /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
+    pub(crate) learner: &'static mut Learner,
+    random: Random,
+}
+
+impl Stage {
+    /// A learner for the stages, one after the other.
+    pub(crate) const LEARNER: Learner = Learner::idle(LearnerConfig::for_arm::<Ur5>(PERIOD));
+
+    /// The stage after the warm-up; `None` if a configuration does not validate.
+    pub(crate) fn new(learner: &'static mut Learner) -> Option<Self> {
+        let mut set = ParameterSet::nominal::<Ur5>(1);
+        for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
+            *friction = FrictionParameters {
+                viscous: 0.05 * limits.torque,
+                coulomb: 0.05 * limits.torque,
+                stribeck: 0.01 * limits.torque,
+                bend: 0.01 * limits.torque,
+                load: 0.05,
+                offset: 0.001 * limits.torque,
+                cogging_sin: 0.003 * limits.torque,
+                cogging_cos: 0.001 * limits.torque,
+            };
+        }
+        learner
+            .restart(LearnerConfig::for_arm::<Ur5>(PERIOD), &set)
+            .ok()?;
+        let mut feedforward =
+            FeedForward::new(FeedForwardConfig::for_arm::<Ur5, _>(PERIOD), set).ok()?;
+        feedforward.set_learning(true);
+        let mut stage = Self {
+            random: Random(0x9E37_79B9),
+            set,
+            motion: JointMotion::zero(),
+            angle: 0.0,
+            joint: 0,
+            sin_cos: SinCos { sin: 0.0, cos: 1.0 },
+            tau: JointVector::zeros(),
+            calibrated: BaseParameters::from(Ur5Calibrated::NOMINAL),
+            panda: BaseParameters::from(Panda::NOMINAL),
+            panda_motion: JointMotion::zero(),
+            panda_tau: JointVector::zeros(),
+            paper: BpNetwork::random(1),
+            input: SVector::zeros(),
+            target: SVector::zeros(),
+            output: SVector::zeros(),
+            step: StepParameters {
+                learning_rate: 0.01,
+                error_clip: 0.5,
+            },
+            torque: evaluate::<Ur5, JOINTS, PARAMETERS>(&set, &JointMotion::zero()),
+            feedforward,
+            sample: JointSample {
+                desired: JointMotion::zero(),
+                measured: None,
+            },
+            learner,
+            lesson: Lesson {
+                tick: 0,
+                generation: 0,
+                requests: 0,
+                measured: None,
+                enabled: true,
+                flags: Flags::NONE,
+            },
+            exchange: Exchange::new(),
+        };
+        for _ in 0..WARM_UP {
+            stage.vary();
+            // With learning off a lesson only fills the window of measurements.
+            stage.lesson.enabled = false;
+            stage.learner.learn(&stage.lesson, &mut stage.exchange);
+        }
+        Some(stage)
+    }
+
+    /// Next inputs: a random state of the arm for the kernels, the next tick of a smooth motion for what has a memory.
+    pub(crate) fn vary(&mut self) {
+        let random = &mut self.random;
+        for (joint, limits) in Ur5::LIMITS.iter().enumerate() {
+            self.motion.q[joint] = random.within(TAU);
+            self.motion.qd[joint] = random.within(limits.velocity);
+            self.motion.qdd[joint] = random.within(10.0);
+        }
+        for (joint, limits) in Panda::LIMITS.iter().enumerate() {
+            self.panda_motion.q[joint] = random.within(TAU);
+            self.panda_motion.qd[joint] = random.within(limits.velocity);
+            self.panda_motion.qdd[joint] = random.within(10.0);
+        }
+        self.angle = random.within(TAU);
+        self.joint = (self.joint + 1) % JOINTS;
+        self.input.apply(|x| *x = random.within(1.0));
+        self.target.apply(|x| *x = random.within(1.0));
+
+        let tick = self.lesson.tick.wrapping_add(1);
+        let wave = wave(tick);
+        let mut tau = wave.q;
+        for (tau, limits) in tau.iter_mut().zip(&Ur5::LIMITS) {
+            *tau = limits.torque * (0.2 * *tau + random.within(NOISE));
+        }
+        let measured = Some(JointMeasurement { q: wave.q, tau });
+        self.sample = JointSample {
+            desired: wave,
+            measured,
+        };
+        self.lesson = Lesson {
+            tick,
+            generation: 0,
+            requests: 0,
+            measured,
+            enabled: true,
+            flags: Flags::NONE,
+        };
+    }
+}
+
+/// One sine a joint, each with a frequency of its own, none ever at rest for long.
+fn wave(tick: u32) -> JointMotion<JOINTS> {
+    let time = tick as f32 * PERIOD;
+    let mut motion = JointMotion::zero();
+    for joint in 0..JOINTS {
+        let omega = 1.5 + 0.2 * joint as f32;
+        let SinCos { sin, cos } = sin_cos(omega * time + joint as f32);
+        motion.q[joint] = sin;
+        motion.qd[joint] = omega * cos;
+        motion.qdd[joint] = -omega * omega * sin;
+    }
+    motion
+}
+
+/// Xorshift with a 32-bit state [Marsaglia 2003].
+struct Random(u32);
+
+impl Random {
+    /// A number within ±`bound`.
+    fn within(&mut self, bound: f32) -> f32 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 17;
+        self.0 ^= self.0 << 5;
+        // The upper 24 bits are exact in f32.
+        let unit = (self.0 >> 8) as f32 * (1.0 / 16_777_216.0);
+        bound * (2.0 * unit - 1.0)
+    }
+}

@@ -1,0 +1,77 @@
+//! The tick of the flashable firmware around two pipes of the emulator: the same code, many more ticks a second.
+#![cfg_attr(target_os = "none", no_std, no_main)]
+
+#[cfg(target_os = "none")]
+mod run {
+    use core::mem::MaybeUninit;
+
+    use foretorque_f405::counter::{self, Counter};
+    use foretorque_f405::rooms::{BoardLearner, BoardSession, furnish, open};
+    use foretorque_images::semihost::{Streams, exit};
+    use foretorque_link::session::{BoardDescription, LearnerMailbox};
+    use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};
+    use stm32f4xx_hal::pac;
+
+    /// Bytes handed to the session at once.
+    const CHUNK: usize = 64;
+
+    /// Runs until the host hangs up. Ends the emulator with an error when it could not start.
+    #[cortex_m_rt::entry]
+    fn main() -> ! {
+        exit(run().is_some())
+    }
+
+    fn run() -> Option<()> {
+        let streams = Streams::open()?;
+        let counter = counter::start_instructions(&pac::Peripherals::take()?.TIM2);
+        let board = BoardDescription {
+            capabilities: Capabilities::LEARNING,
+            counter,
+            // Virtual time is not the chip's: there is no honest number.
+            counter_hz: 0,
+            reset_reason: ResetReason::Unknown,
+            ..BoardDescription::plain(Counter)
+        };
+        let room = cortex_m::singleton!(: MaybeUninit<BoardSession> = MaybeUninit::uninit())?;
+        let session = open(room, board)?;
+        let period_s = session.configuration().period_us as f32 * 1e-6;
+        let prior = &session.feed_forward().state().active;
+        let room = cortex_m::singleton!(: MaybeUninit<BoardLearner> = MaybeUninit::uninit())?;
+        let learner = furnish(room, period_s, prior)?;
+        let mut mailbox = LearnerMailbox::new();
+        let mut out = FrameBuffer::new();
+        let mut buffer = [0u8; 1024];
+
+        session.send_hello(&mut out);
+        if !streams.write(out.as_bytes()) {
+            return Some(());
+        }
+        out.clear();
+        loop {
+            let Some(bytes) = streams.read(&mut buffer) else {
+                return Some(());
+            };
+            // In pieces, as the flashable firmware takes them: a piece cannot ask for more than the replies have room for.
+            for piece in bytes.chunks(CHUNK) {
+                session.receive(piece, &mut mailbox, &mut out);
+                if !out.is_empty() && !streams.write(out.as_bytes()) {
+                    return Some(());
+                }
+                out.clear();
+                mailbox.work(learner, &Counter);
+            }
+        }
+    }
+
+    /// Says nothing of where: the emulator's exit status tells the host, and a debugger the rest.
+    #[panic_handler]
+    fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+        exit(false)
+    }
+}
+
+#[cfg(not(target_os = "none"))]
+fn main() {
+    eprintln!("bulk is firmware: build it with `cargo firmware`");
+    std::process::exit(2);
+}
