@@ -1,12 +1,11 @@
-//! The firmware's estimator once more, on the plain covariance and in f64: where exact arithmetic would be.
+//! A twin of the firmware's estimator on the plain covariance and in f64: nearly exact arithmetic.
 
-use super::baselines::prior_covariance;
-use super::world::{N, P, Set};
+use super::setup::{N, P, Set};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::{DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS};
-use foretorque::learning::{Estimator, LearnerConfig, LinearParameters};
-use nalgebra::{DMatrix, DVector};
+use foretorque::learning::{Estimator, LearnerConfig, LinearParameters, prior_factor, prior_floor};
+use nalgebra::{DMatrix, DVector, SVector};
 
 /// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
 const MEDIAN: f64 = 0.6745;
@@ -27,6 +26,21 @@ pub(super) struct Twin {
     variance: [f64; N],
     noticed: [f64; N],
     wandering: [usize; N],
+}
+
+/// Prior covariance of the parameters, in units of the prior standard deviations: friction uncorrelated, base parameters
+/// correlated by the uncertainty of whole links.
+pub(super) fn prior_covariance() -> DMatrix<f64> {
+    let friction = N * FRICTION_COLUMNS;
+    let mut covariance = DMatrix::<f64>::identity(friction + P, friction + P);
+    let mut rigid = covariance.view_mut((friction, friction), (P, P));
+    let floor = SVector::<f64, P>::from(prior_floor::<Ur5, N, P>().map(f64::from));
+    rigid.set_diagonal(&floor);
+    for link in (0..).map_while(prior_factor::<Ur5, N, P>) {
+        let link = SVector::<f64, P>::from(link.map(f64::from));
+        rigid += link * link.transpose();
+    }
+    covariance
 }
 
 fn wide(numbers: &LinearParameters<N, P>) -> DVector<f64> {

@@ -1,11 +1,11 @@
-//! Colours by what they stand for: a plot is drawn in stand-ins, which a page's style sheet or a picture's palette replaces.
+//! Plot colours by meaning: a plot is drawn in placeholders, which a page's style sheet or a picture's palette replaces.
 
 use plotters::style::RGBColor;
 
-/// Colours of the page, by what they stand for.
+/// Colour of a curve, by meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ink {
-    /// What is true, or wanted.
+pub enum PlotColor {
+    /// True or desired value.
     Truth,
     /// The starting model, wrong on purpose.
     Before,
@@ -17,13 +17,13 @@ pub enum Ink {
     Joint(u8),
 }
 
-/// Colours of axes and grid; the page's style sheet translates each of these stand-ins.
+/// Placeholders of axes, grid and text; the page's style sheet translates them.
 pub(super) const AXIS: RGBColor = RGBColor(1, 1, 1);
 pub(super) const GRID: RGBColor = RGBColor(2, 2, 2);
 pub(super) const TEXT: RGBColor = RGBColor(3, 3, 3);
 
-impl Ink {
-    pub(super) fn stand_in(self) -> RGBColor {
+impl PlotColor {
+    pub(super) fn placeholder(self) -> RGBColor {
         let code = match self {
             Self::Truth => 16,
             Self::Before => 17,
@@ -35,7 +35,7 @@ impl Ink {
     }
 
     /// Name of the page's CSS variable for this colour.
-    pub fn variable(self) -> String {
+    pub(super) fn variable(self) -> String {
         match self {
             Self::Truth => "--truth".to_owned(),
             Self::Before => "--before".to_owned(),
@@ -76,7 +76,7 @@ pub(super) fn light(variable: &str) -> &'static str {
 }
 
 /// CSS that defines the colours, light and dark.
-pub fn variables() -> String {
+pub(super) fn variables() -> String {
     let (mut lights, mut darks) = (String::new(), String::new());
     for (name, light, dark) in PALETTE {
         lights += &format!("{name}:{light};");
@@ -85,24 +85,29 @@ pub fn variables() -> String {
     format!(":root{{{lights}}}\n@media (prefers-color-scheme:dark){{:root{{{darks}}}}}\n")
 }
 
-/// Every stand-in as it is written in a drawing, and the variable it stands for.
-fn stand_ins() -> impl Iterator<Item = (String, String)> {
+/// Every placeholder as written in a drawing, with its CSS variable.
+fn placeholders() -> impl Iterator<Item = (String, String)> {
     let axes = [
         (AXIS, "--axis".to_owned()),
         (GRID, "--grid".to_owned()),
         (TEXT, "--text".to_owned()),
     ];
-    let named = [Ink::Truth, Ink::Before, Ink::After, Ink::Other];
-    let inks = named.into_iter().chain((0..8).map(Ink::Joint));
-    let inks = inks.map(|ink| (ink.stand_in(), ink.variable()));
+    let named = [
+        PlotColor::Truth,
+        PlotColor::Before,
+        PlotColor::After,
+        PlotColor::Other,
+    ];
+    let colors = named.into_iter().chain((0..8).map(PlotColor::Joint));
+    let colors = colors.map(|color| (color.placeholder(), color.variable()));
     axes.into_iter()
-        .chain(inks)
+        .chain(colors)
         .map(|(RGBColor(r, g, b), variable)| (format!("#{r:02X}{g:02X}{b:02X}"), variable))
 }
 
-/// CSS rules that give every stand-in colour its variable.
-pub fn style_sheet() -> String {
-    stand_ins()
+/// CSS rules that map every placeholder to its variable.
+pub(super) fn style_sheet() -> String {
+    placeholders()
         .map(|(hex, variable)| {
             format!(
                 "svg [stroke=\"{hex}\"]{{stroke:var({variable})}}svg [fill=\"{hex}\"]{{fill:var({variable})}}\n"
@@ -113,7 +118,7 @@ pub fn style_sheet() -> String {
 
 /// A drawing in the light colours, for viewers that know no style sheet.
 pub(super) fn coloured(drawing: &str) -> String {
-    stand_ins().fold(drawing.to_owned(), |drawing, (hex, variable)| {
+    placeholders().fold(drawing.to_owned(), |drawing, (hex, variable)| {
         drawing.replace(&format!("\"{hex}\""), &format!("\"{}\"", light(&variable)))
     })
 }

@@ -1,7 +1,8 @@
-//! What every board of the job meets: arm, controller, paths and the wrong prior.
+//! The setup of every board of the job: arm, controller, paths and the wrong prior.
 
-use super::{DemoConfig, Progress};
+use super::DemoConfig;
 use crate::prior::bank_of;
+use crate::{Progress, StudyError};
 use foretorque::arm::Arm;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::closed_loop::control::PdConfig;
@@ -10,10 +11,10 @@ use foretorque_workbench::excitation::{Excitation, QuickConfig};
 use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
-use std::error::Error;
 
-/// The world of the job: the same for every board that is put into it.
-pub(super) struct World<const N: usize> {
+/// The setup of every board of the job.
+pub(super) struct Setup<const N: usize> {
+    pub(super) series: Excitation,
     pub(super) excitation: Trajectory<N>,
     pub(super) validation: Trajectory<N>,
     pub(super) plant: Plant<N>,
@@ -22,13 +23,13 @@ pub(super) struct World<const N: usize> {
     pub(super) period_s: f64,
 }
 
-impl<const N: usize> World<N> {
+impl<const N: usize> Setup<N> {
     pub(super) fn new<A: Arm<N, P>, const P: usize>(
         robot: &Robot,
         config: &DemoConfig,
         progress: Progress<'_>,
-    ) -> Result<Self, Box<dyn Error>> {
-        let other_size = || format!("robot '{}' has not {N} joints", robot.name);
+    ) -> Result<Self, StudyError> {
+        let other_size = || StudyError::Joints(robot.joint_count());
         let truth = robot.perturbed(config.seed, &Perturbation::PLANT);
         let wrong = truth.perturbed(config.seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
         let search = QuickConfig {
@@ -43,9 +44,10 @@ impl<const N: usize> World<N> {
         let nominal = ReferenceModel::<N>::new(robot).ok_or_else(other_size)?;
         Ok(Self {
             excitation: Trajectory::Excitation {
-                series,
+                series: series.clone(),
                 duration_s: config.learning_s,
             },
+            series,
             validation: Trajectory::validation(robot, config.seed.wrapping_add(2)),
             plant: Plant::new(&truth, PlantConfig::default(), config.seed)
                 .ok_or_else(other_size)?,
@@ -53,18 +55,6 @@ impl<const N: usize> World<N> {
             prior: bank_of::<A, N, P>(&wrong),
             period_s: config.period_s,
         })
-    }
-
-    /// The excitation over its period: time, s, and motion.
-    pub(super) fn one_period(&self) -> Vec<(f64, State<N>)> {
-        const POINTS: u32 = 1000;
-        let Trajectory::Excitation { series, .. } = &self.excitation else {
-            return Vec::new();
-        };
-        (0..=POINTS)
-            .map(|k| series.period_s * f64::from(k) / f64::from(POINTS))
-            .map(|t_s| (t_s, series.at(t_s)))
-            .collect()
     }
 
     /// The unseen path at `points` instants, evenly spaced.

@@ -1,9 +1,11 @@
-//! What all scenarios of one seed share: the true arm, what is believed of it at first, the paths.
+//! The setup that all scenarios of one seed share: the true arm, the wrong prior, the paths.
 
+use crate::StudyError;
 use crate::prior::bank_of;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::JointMotion;
+use foretorque_workbench::board::BoardError;
 use foretorque_workbench::closed_loop::control::PdConfig;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
@@ -12,7 +14,6 @@ use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::via::ViaPath;
 use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
-use std::error::Error;
 
 /// Joints of the arm of this study.
 pub(super) const N: usize = JOINTS;
@@ -26,22 +27,22 @@ pub(super) type Set = ParameterSet<N, P>;
 /// Points of the unseen path on which sets are judged.
 const UNSEEN_POINTS: usize = 250;
 
-/// The same for every scenario of a seed.
-pub(super) struct World {
+/// The setup of all scenarios of a seed.
+pub(super) struct Setup {
     pub(super) seed: u64,
     /// The arm as described.
     pub(super) described: Robot,
     /// The arm as it is.
     pub(super) truth: Robot,
     nominal: ReferenceModel<N>,
-    /// What the board believes at first: inertias 20 % and friction 40 % off.
+    /// The wrong prior: inertias 20 % and friction 40 % off.
     pub(super) wrong: Set,
-    /// The unseen path: what is wanted there.
+    /// The unseen path.
     unseen: Vec<(State<N>, JointMotion<N>)>,
 }
 
-impl World {
-    pub(super) fn new(seed: u64) -> Result<Self, Box<dyn Error>> {
+impl Setup {
+    pub(super) fn new(seed: u64) -> Result<Self, StudyError> {
         let described = Robot::load("ur5")?;
         let truth = described.perturbed(seed, &Perturbation::PLANT);
         let wrong = truth.perturbed(seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
@@ -53,28 +54,30 @@ impl World {
         });
         Ok(Self {
             seed,
-            nominal: ReferenceModel::new(&described).ok_or("the UR5 has six joints")?,
-            wrong: bank_of::<Ur5, N, P>(&wrong).set::<Ur5, N, P>()?,
+            nominal: ReferenceModel::new(&described).ok_or(StudyError::Joints(N))?,
+            wrong: bank_of::<Ur5, N, P>(&wrong)
+                .set::<Ur5, N, P>()
+                .map_err(BoardError::Bank)?,
             unseen: unseen.collect(),
             described,
             truth,
         })
     }
 
-    /// The true arm with its viscous friction times `viscous`. `stream` tells its noise from that of other arms of this
+    /// The true arm with its viscous friction times `viscous`. `stream` separates its noise from that of other arms of this
     /// seed.
     pub(super) fn plant(
         &self,
         config: PlantConfig,
         viscous: f64,
         stream: u64,
-    ) -> Result<Plant<N>, Box<dyn Error>> {
+    ) -> Result<Plant<N>, StudyError> {
         let seed = self.seed.wrapping_mul(1000).wrapping_add(stream);
         let mut arm = self.truth.clone();
         for joint in &mut arm.joints {
             joint.friction.viscous *= viscous;
         }
-        Ok(Plant::new(&arm, config, seed).ok_or("the UR5 has six joints")?)
+        Ok(Plant::new(&arm, config, seed).ok_or(StudyError::Joints(N))?)
     }
 
     /// PD control of the arm as described.
@@ -82,7 +85,7 @@ impl World {
         PdConfig::tuned(&self.nominal, bandwidth_hz, PERIOD_S)
     }
 
-    /// What the arm does for a living: a path through via points, another one for each `stream`.
+    /// The task of the arm: a path through via points, another one for each `stream`.
     pub(super) fn task(&self, seconds: f64, stream: u64) -> ViaPath<N> {
         let seed = self.seed.wrapping_add(3 + stream);
         ViaPath::random(&self.described, seed, seconds, VALIDATION_PEAK_RAD_S)
@@ -95,18 +98,18 @@ impl World {
     }
 
     /// The torques of `set` along the unseen path.
-    pub(super) fn said(&self, set: &Set) -> Vec<Joints<N>> {
+    pub(super) fn predicted(&self, set: &Set) -> Vec<Joints<N>> {
         let motions = self.unseen.iter();
         motions
             .map(|(_, motion)| evaluate::<Ur5, N, P>(set, motion).total.cast())
             .collect()
     }
 
-    /// Error of `said` against `needed` along the unseen path.
-    pub(super) fn error(&self, said: &[Joints<N>], needed: &[Joints<N>]) -> TorqueError<N> {
+    /// Error of `predicted` against `needed` along the unseen path.
+    pub(super) fn error(&self, predicted: &[Joints<N>], needed: &[Joints<N>]) -> TorqueError<N> {
         let mut error = TorqueError::default();
-        for (((state, _), said), needed) in self.unseen.iter().zip(said).zip(needed) {
-            error.add(needed, said, &state.qd);
+        for (((state, _), predicted), needed) in self.unseen.iter().zip(predicted).zip(needed) {
+            error.add(needed, predicted, &state.qd);
         }
         error
     }

@@ -1,10 +1,10 @@
-//! What is kept of a run, gathered tick by tick.
+//! The recorder of a run, tick by tick.
 
-use super::bound::WeighingBound;
 use super::controller::Controller;
-use super::drive::{Look, Run, Second, Trace};
-use super::scenario::Start;
-use super::world::{N, PERIOD_S, Set, World};
+use super::cramer_rao::CramerRao;
+use super::scenario::{Scenario, Start};
+use super::setup::{N, PERIOD_S, Set, Setup};
+use super::trace::{Evaluation, Second, Trace};
 use foretorque::joint::JointMotion;
 use foretorque::learning::LinearParameters;
 use foretorque::limits::Flags;
@@ -25,23 +25,23 @@ const COUNTED: [Flags; 8] = [
     Flags::WITHDRAWN,
 ];
 
-/// Time between two looks: at first, later on, and close to events, ticks.
-const LOOK_FIRST: usize = 100;
-const LOOK: usize = 500;
-const LOOK_CLOSE: usize = 20;
+/// Time between two evaluations: at first, later on, and close to events, ticks.
+const EVALUATE_FIRST: usize = 100;
+const EVALUATE: usize = 500;
+const EVALUATE_CLOSE: usize = 20;
 /// The first part, and how long after an event it is still close, s.
 const FIRST_S: f64 = 5.0;
 const CLOSE_S: f64 = 2.6;
 /// Rows this soon after a payload has changed are no row of a window, s.
 pub(super) const PAYLOAD_GRACE_S: f64 = 2.5;
-/// When a payload is weighed, after it was picked, s.
+/// Time from the pick of a payload to its weighing, s.
 const WEIGHED_AFTER_S: f64 = 1.0;
-/// When the torque is compared after a release, s.
+/// Time from a release to the comparison of torques, s.
 const RESTORED_AFTER_S: f64 = 0.5;
 
-/// What watches a run.
-pub(super) struct Watch<'w> {
-    world: &'w World,
+/// The recorder of a run.
+pub(super) struct Recorder<'w> {
+    setup: &'w Setup,
     start: Start,
     events: Events<N>,
     still_s: f64,
@@ -49,16 +49,16 @@ pub(super) struct Watch<'w> {
     /// Active set one second after the arm has come to rest.
     settled: Option<Set>,
     /// The second after the last pick, and the noise of a torque in units of its limit.
-    bound: WeighingBound,
+    bound: CramerRao,
     noise: f64,
-    /// What the set before the last pick says along the unseen path.
+    /// Torques of the set before the last pick along the unseen path.
     before_pick: Option<Vec<Joints<N>>>,
-    /// Decisions of the guard already written down.
+    /// Decisions of the supervisor already recorded.
     decided: u32,
     pub(super) trace: Trace,
 }
 
-/// True torques along the unseen path, and what is in the hand adds to them.
+/// True torques along the unseen path, with and without the payload in the hand.
 struct Needed {
     torques: Vec<Joints<N>>,
     bare: Vec<Joints<N>>,
@@ -67,18 +67,20 @@ struct Needed {
     step: Option<f64>,
 }
 
-impl<'w> Watch<'w> {
+impl<'w> Recorder<'w> {
     pub(super) fn new(
-        run: &Run<'w>,
+        setup: &'w Setup,
+        scenario: &Scenario,
         events: Events<N>,
+        ticks: usize,
         path: &Trajectory<N>,
         plant: &Plant<N>,
     ) -> Self {
-        let seconds = run.scenario.length_s(run.quick).ceil() as usize;
-        let bare = run.world.needed(plant);
+        let seconds = (ticks as f64 * PERIOD_S).ceil() as usize;
+        let bare = setup.needed(plant);
         Self {
-            world: run.world,
-            start: run.scenario.start,
+            setup,
+            start: scenario.start,
             events,
             still_s: path.duration_s(),
             needed: Needed {
@@ -89,8 +91,8 @@ impl<'w> Watch<'w> {
                 step: None,
             },
             settled: None,
-            bound: WeighingBound::new(),
-            noise: run.scenario.plant.torque_noise,
+            bound: CramerRao::new(),
+            noise: scenario.plant.torque_noise,
             before_pick: None,
             decided: 0,
             trace: Trace {
@@ -103,7 +105,7 @@ impl<'w> Watch<'w> {
         }
     }
 
-    /// Writes down what the guard has decided since the last tick.
+    /// Records the decisions of the supervisor since the last tick.
     pub(super) fn decisions(&mut self, tick: usize, board: &Controller) {
         let report = board.report();
         let trust = report.quality.trust;
@@ -119,8 +121,8 @@ impl<'w> Watch<'w> {
         self.decided = count;
     }
 
-    /// Looks at the active set when it is time.
-    pub(super) fn look(&mut self, tick: usize, board: &Controller, plant: &Plant<N>) {
+    /// Evaluates the active set when it is due.
+    pub(super) fn evaluate(&mut self, tick: usize, board: &Controller, plant: &Plant<N>) {
         let t_s = tick as f64 * PERIOD_S;
         let at = |time_s: f64| (time_s / PERIOD_S).round() as usize == tick;
         if at(self.still_s + 1.0) {
@@ -128,36 +130,36 @@ impl<'w> Watch<'w> {
         }
         for payload in &self.events.payloads {
             if at(payload.from_s) {
-                self.before_pick = Some(self.world.said(&board.active()));
+                self.before_pick = Some(self.setup.predicted(&board.active()));
             }
             if at(payload.from_s + WEIGHED_AFTER_S) {
-                let believed = board.report().quality.payload;
-                self.trace.weighed.push((believed, *payload));
+                let estimate = board.report().quality.payload;
+                self.trace.weighed.push((estimate, *payload));
             }
             if let Some(before) = &self.before_pick
                 && at(payload.to_s + RESTORED_AFTER_S)
             {
-                let now = self.world.said(&board.active());
+                let now = self.setup.predicted(&board.active());
                 self.trace.restored.push(relative_change(before, &now));
             }
         }
         let close = self.close_to_event(t_s);
         let every = if close {
-            LOOK_CLOSE
+            EVALUATE_CLOSE
         } else if t_s < FIRST_S {
-            LOOK_FIRST
+            EVALUATE_FIRST
         } else {
-            LOOK
+            EVALUATE
         };
         if tick.is_multiple_of(every) {
-            self.needed.update(self.world, plant);
-            let said = self.world.said(&board.active());
-            let error = self.world.error(&said, &self.needed.torques);
+            self.needed.update(self.setup, plant);
+            let predicted = self.setup.predicted(&board.active());
+            let error = self.setup.error(&predicted, &self.needed.torques);
             let of_step = self.needed.step.map(|step| {
-                let missed = self.world.in_limits(&said, &self.needed.torques);
+                let missed = self.setup.in_limits(&predicted, &self.needed.torques);
                 missed / step
             });
-            self.trace.looks.push(Look {
+            self.trace.evaluations.push(Evaluation {
                 t_s,
                 nrmse: error.nrmse_moving(),
                 of_step,
@@ -165,14 +167,14 @@ impl<'w> Watch<'w> {
         }
     }
 
-    /// Follows what can be known of the payload in the first second after a pick.
+    /// Adds to the Cramér–Rao bound of the payload in the first second after a pick.
     pub(super) fn weigh(&mut self, tick: usize, motion: &JointMotion<N>) {
         let tick_of = |time_s: f64| (time_s / PERIOD_S).round() as usize;
         for payload in &self.events.payloads {
             let from = tick_of(payload.from_s);
             let to = tick_of(payload.from_s + WEIGHED_AFTER_S);
             if tick == from {
-                self.bound = WeighingBound::new();
+                self.bound = CramerRao::new();
             }
             if (from..to).contains(&tick) {
                 self.bound.add(motion, self.noise);
@@ -226,7 +228,7 @@ impl<'w> Watch<'w> {
     }
 
     pub(super) fn finish(mut self, board: &Controller, plant: &Plant<N>, ticks: usize) -> Trace {
-        self.look(ticks, board, plant);
+        self.evaluate(ticks, board, plant);
         if let Some(settled) = &self.settled {
             let sigma = LinearParameters::sigma(&self.start.config());
             let (before, after) = (
@@ -246,16 +248,16 @@ impl<'w> Watch<'w> {
 }
 
 impl Needed {
-    /// Takes the torques anew when a second has passed or the hand has picked or let go.
-    fn update(&mut self, world: &World, plant: &Plant<N>) {
+    /// Renews the torques when a second has passed or the hand has picked or let go.
+    fn update(&mut self, setup: &Setup, plant: &Plant<N>) {
         let carried = plant.carried().is_some();
         let changed = carried != self.carried;
         if !changed && plant.t_s() < self.valid_until_s {
             return;
         }
-        self.torques = world.needed(plant);
+        self.torques = setup.needed(plant);
         if carried && changed {
-            self.step = Some(world.in_limits(&self.torques, &self.bare));
+            self.step = Some(setup.in_limits(&self.torques, &self.bare));
         }
         if !carried {
             self.bare.clone_from(&self.torques);

@@ -1,6 +1,6 @@
-//! How well a payload can be weighed at all: the Cramér–Rao bound of a scale that knows everything else.
+//! The Cramér–Rao bound of a payload estimate that knows everything else.
 
-use super::world::{N, P};
+use super::setup::{N, P};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::{JointMotion, JointVector};
@@ -11,20 +11,20 @@ use nalgebra::{SMatrix, SVector, Vector3};
 const NUMBERS: usize = 7;
 /// The first of them among the standard parameters.
 const FIRST: usize = 10 * (N - 1);
-/// Rows slower than this tell nothing, rad/s: the gate of the board.
+/// Rows slower than this are left out, rad/s: the gate of the board.
 const GATE_RAD_S: f32 = 0.05;
 /// Standard deviations before anything is weighed: kg, kg·m, kg·m². Wide: they hardly count.
 const WIDE: [f64; NUMBERS] = [6.0, 1.0, 1.0, 1.0, 0.15, 0.15, 0.15];
 
-/// What the torques of all joints along a motion say of a payload when the arm itself is known exactly, and only the
-/// torque noise is in the way. No unbiased scale can be better.
+/// Information of the torques of all joints along a motion about a payload, if the arm itself is known exactly and torque
+/// noise is the only disturbance. No unbiased estimate has a smaller covariance than its inverse.
 #[derive(Clone, Debug)]
-pub(super) struct WeighingBound {
+pub(super) struct CramerRao {
     information: SMatrix<f64, NUMBERS, NUMBERS>,
 }
 
-impl WeighingBound {
-    /// Nothing is known.
+impl CramerRao {
+    /// Information of the wide prior alone.
     pub(super) fn new() -> Self {
         let information = SVector::from(WIDE.map(|sigma| 1.0 / (sigma * sigma)));
         Self {
