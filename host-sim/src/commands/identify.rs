@@ -187,7 +187,7 @@ fn bank<A: foretorque::arm::Arm<N, P>, const N: usize, const P: usize>(
         &outcome.bank_layout,
         &outcome.bank_fit,
         outcome.networks.as_deref(),
-        outcome.ripple.as_ref(),
+        outcome.cogging.as_ref(),
     )
 }
 

@@ -5,7 +5,7 @@ use crate::campaign::JobError;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{
-    ColumnSet, Layout, MethodName, SampleRow, Trial, despiked, fit_rows,
+    ColumnSet, Layout, MethodName, MethodResult, SampleRow, despiked, fit_rows,
 };
 use foretorque_workbench::metrics::{MOVING_RAD_S, TorqueError};
 use foretorque_workbench::plant::{Plant, PlantConfig};
@@ -194,7 +194,7 @@ impl Bench {
                 let name = format!("{method}{}", model.suffix);
                 // Both sets of columns are on the board.
                 let layout = &model.layout;
-                let trials = fit_rows(&self.robot, layout, layout, &[*method], &rows, cell.seed);
+                let trials = fit_rows(&self.robot, (layout, layout), &[*method], &rows, cell.seed);
                 let trial = match trials.map(|mut trials| trials.pop()) {
                     Ok(Some(trial)) => trial,
                     Ok(None) => continue,
@@ -287,13 +287,13 @@ fn row(
         moving: std::array::from_fn(|joint| state.qd[joint].abs() > MOVING_RAD_S),
         panel: panel.into(),
         // The arms of this study have no cogging.
-        waves: [[0.0; 2]; JOINTS],
+        cogging_basis: [[0.0; 2]; JOINTS],
     }
 }
 
 /// NRMSE over the moving rows, a ratio.
 fn score(
-    trial: &Trial<JOINTS>,
+    trial: &MethodResult<JOINTS>,
     layout: &Layout<JOINTS>,
     states: &[State<JOINTS>],
     wanted: &[Joints<JOINTS>],
@@ -302,7 +302,7 @@ fn score(
     let mut error = TorqueError::<JOINTS>::default();
     for ((state, panel), wanted) in states.iter().zip(panels(layout, states)).zip(wanted) {
         let row = row(state, &panel, &nothing, &nothing, 0);
-        error.add(wanted, &trial.torque(layout, &row), &state.qd);
+        error.add(wanted, &trial.candidate.torque(layout, &row), &state.qd);
     }
     error.nrmse_moving()
 }

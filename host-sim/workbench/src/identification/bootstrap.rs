@@ -1,10 +1,10 @@
 //! Confidence intervals by resampling blocks of rows [Künsch 1989]: neighbouring errors belong together, blocks hardly.
 
 use super::columns::Layout;
-use super::gathered::SampleRow;
+use super::dataset::SampleRow;
 use super::methods::MethodName;
 use super::normal::solve;
-use super::solve::{Material, Solved};
+use super::problem::{MethodResult, TrainingData};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -47,27 +47,27 @@ pub(super) fn middle(values: &mut [f64]) -> Option<[f64; 2]> {
 /// 95 % intervals of the parameters of a least-squares method; `None` for others.
 pub(super) fn parameter_intervals<const N: usize>(
     layout: &Layout<N>,
-    material: &Material<'_, N>,
-    solved: &Solved<N>,
+    data: &TrainingData<'_, N>,
+    result: &MethodResult<N>,
     seed: u64,
 ) -> Option<Vec<[f64; 2]>> {
-    let robust = match solved.name {
+    let robust = match result.name {
         MethodName::Ols | MethodName::Wls => false,
         MethodName::Irls => true,
         _ => return None,
     };
-    let fit = solved.fit.as_ref()?;
-    let sigma = match solved.name {
+    let fit = result.fit.as_ref()?;
+    let sigma = match result.name {
         MethodName::Ols => [1.0; N],
         _ => fit.sigma,
     };
-    let stride = material.sample.len().div_ceil(ROWS).max(1);
-    let rows: Vec<&SampleRow<N>> = material.sample.iter().copied().step_by(stride).collect();
+    let stride = data.sample.len().div_ceil(ROWS).max(1);
+    let rows: Vec<&SampleRow<N>> = data.sample.iter().copied().step_by(stride).collect();
     let length = rows.len().div_ceil(BLOCKS).max(1);
     let blocks: Vec<_> = rows
         .chunks(length)
         .map(|block| {
-            let mut own = Material::of(layout, block.to_vec());
+            let mut own = TrainingData::of(layout, block.to_vec());
             if robust {
                 own.weigh(layout, &fit.theta, &sigma);
                 return own.clean_sums.weighted(layout, &sigma);

@@ -299,7 +299,7 @@ impl<const N: usize> Layout<N> {
     }
 
     /// `[sin(z q), cos(z q)]` of every joint, z its cogging cycles a turn; zero where the description gives none.
-    pub fn waves(&self, q: &Joints<N>) -> [[f64; 2]; N] {
+    pub fn cogging_basis(&self, q: &Joints<N>) -> [[f64; 2]; N] {
         std::array::from_fn(|joint| {
             let cycles = self.cogging[joint];
             if cycles > 0.0 {

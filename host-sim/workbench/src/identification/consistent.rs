@@ -178,7 +178,7 @@ impl Cone {
             let described = match column {
                 FrictionColumn::Viscous => friction.viscous,
                 FrictionColumn::Coulomb => friction.coulomb,
-                // Peaks, offsets and ripple have no sign; what grows with the load has one, but no description to start from.
+                // Peaks, offsets and cogging have no sign; what grows with the load has one, but no description to start from.
                 _ => continue,
             };
             scalars.push(full + k);
@@ -317,7 +317,7 @@ fn described<const N: usize>(robot: &Robot, layout: &Layout<N>, z: &DVector<f64>
             friction.stribeck_ratio = height / friction.coulomb;
             friction.stribeck_velocity = area / height;
         }
-        // The description's ripple is a sine.
+        // The description's cogging is a sine.
         friction.cogging = of(FrictionColumn::CoggingSine).max(0.0);
     }
     robot

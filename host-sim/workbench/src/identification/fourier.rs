@@ -5,13 +5,13 @@
 //! and torque are projected on the same harmonics.
 
 use super::columns::Layout;
+use super::error::IdentifyError;
 use super::filter::{despiked, median};
 use super::log::{LogReader, LogRow};
 use super::prepare::{MotionSource, Preparation, PrepareConfig, Prepared, Raw};
 use crate::dynamics::{Joints, State};
 use crate::robot::Robot;
 use crate::table::TableError;
-use std::error::Error;
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -32,7 +32,7 @@ pub(super) fn folded<const N: usize>(
     config: &PrepareConfig,
     period_s: f64,
     notes: &mut Vec<String>,
-) -> Result<(Preparation, Prepared<N>), Box<dyn Error>> {
+) -> Result<(Preparation, Prepared<N>), IdentifyError> {
     let mut reader = LogReader::<N>::open(path, robot)?;
     let name = path.display();
     let mut chunk: Vec<LogRow<N>> = Vec::with_capacity(CHUNK);
@@ -56,7 +56,10 @@ pub(super) fn folded<const N: usize>(
         path: path.to_owned(),
     })?;
     if fold.count.contains(&0.0) {
-        return Err(format!("{name}: the log does not show a whole period of {period_s} s").into());
+        return Err(IdentifyError::ShortLog {
+            path: path.to_owned(),
+            period_s,
+        });
     }
     let phases = fold.count.len();
     let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
@@ -91,21 +94,22 @@ struct Fold<const N: usize> {
 }
 
 impl<const N: usize> Fold<N> {
-    fn new(first: &[LogRow<N>], period_s: f64, path: &Path) -> Result<Self, Box<dyn Error>> {
+    fn new(first: &[LogRow<N>], period_s: f64, path: &Path) -> Result<Self, IdentifyError> {
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let row_s = median(&mut steps);
         if first.len() < 3 {
-            return Err(Box::new(TableError::Empty {
+            return Err(TableError::Empty {
                 path: path.to_owned(),
-            }));
+            }
+            .into());
         }
         let phases = (period_s / row_s).round();
         if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
-            return Err(format!(
-                "{}: a period of {period_s} s is no whole number of rows, which are {row_s:.6} s apart",
-                path.display()
-            )
-            .into());
+            return Err(IdentifyError::PeriodOfRows {
+                path: path.to_owned(),
+                period_s,
+                row_s,
+            });
         }
         let phases = phases as usize;
         Ok(Self {
@@ -125,7 +129,7 @@ impl<const N: usize> Fold<N> {
         rows: &[LogRow<N>],
         config: &PrepareConfig,
         path: &Path,
-    ) -> Result<(), Box<dyn Error>> {
+    ) -> Result<(), IdentifyError> {
         let tau: Vec<f64> = rows.iter().flat_map(|row| row.tau).collect();
         let reach = self.preparation(config).spike_reach();
         let (clean, spikes) = despiked(&tau, N, reach);
@@ -133,14 +137,12 @@ impl<const N: usize> Fold<N> {
         for (k, row) in rows.iter().enumerate() {
             let place = (row.t_s - self.start_s) / self.row_s;
             if (place - place.round()).abs() > UNEVEN {
-                return Err(format!(
-                    "{}:{}: column t_s: {} is off the even spacing of {:.6} s that folding needs",
-                    path.display(),
-                    row.line,
-                    row.t_s,
-                    self.row_s
-                )
-                .into());
+                return Err(IdentifyError::UnevenRow {
+                    path: path.to_owned(),
+                    line: row.line,
+                    t_s: row.t_s,
+                    row_s: self.row_s,
+                });
             }
             let phase = place.round() as usize % self.count.len();
             self.count[phase] += 1.0;
@@ -266,13 +268,13 @@ mod tests {
         let (phases, period_s) = (200, 4.0);
         let w = TAU / period_s;
         let t = |phase: usize| period_s * phase as f64 / phases as f64;
-        let wave = |t: f64| 0.3 + (w * t).sin() - 0.4 * (3.0 * w * t).cos();
+        let basis = |t: f64| 0.3 + (w * t).sin() - 0.4 * (3.0 * w * t).cos();
         let mut table: Vec<f64> = (0..phases)
-            .map(|phase| wave(t(phase)) + 0.1 * (40.0 * w * t(phase)).sin())
+            .map(|phase| basis(t(phase)) + 0.1 * (40.0 * w * t(phase)).sin())
             .collect();
         let series = Harmonics::of(&table, 1, 5);
         let exact: [&dyn Fn(f64) -> f64; 3] = [
-            &wave,
+            &basis,
             &|t| w * (w * t).cos() + 1.2 * w * (3.0 * w * t).sin(),
             &|t| -w * w * (w * t).sin() + 3.6 * w * w * (3.0 * w * t).cos(),
         ];

@@ -1,18 +1,18 @@
-//! Drive gains from standstill: what the motors hold is what gravity asks for.
+//! Drive gains from standstill: the motors hold the gravity torque.
 
+use super::error::IdentifyError;
 use super::log::LogReader;
 use super::record::GainRecord;
 use crate::dynamics::{Joints, ReferenceModel};
 use crate::robot::Robot;
-use std::error::Error;
 use std::path::PathBuf;
 
 /// The arm must stand this long, s, and a stand is cut when it has lasted ten times as long.
 const STAND_S: f64 = 0.2;
 /// Fewest stands.
 const FEWEST: usize = 3;
-/// Largest relative deviation of a gain that is believed.
-const DOUBT: f64 = 0.1;
+/// Largest relative deviation of a gain that is used.
+const LARGEST_DEVIATION: f64 = 0.1;
 
 /// Sums over one stand.
 struct Stand<const N: usize> {
@@ -31,19 +31,18 @@ pub(super) fn standstill_gains<const N: usize>(
     robot: &Robot,
     logs: &[PathBuf],
     still_rad_s: f64,
-) -> Result<Vec<GainRecord>, Box<dyn Error>> {
-    let model = ReferenceModel::<N>::new(robot).ok_or("another number of joints")?;
+) -> Result<Vec<GainRecord>, IdentifyError> {
+    let model = ReferenceModel::<N>::new(robot).ok_or_else(|| IdentifyError::Joints {
+        robot: robot.name.clone(),
+        joints: N,
+    })?;
     // Gravity torque and mean current of each stand.
     let mut stands: Vec<(Joints<N>, Joints<N>)> = Vec::new();
     let gain = Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain));
     for path in logs {
         let mut reader = LogReader::<N>::open(path, robot)?;
         if !reader.from_current() {
-            return Err(format!(
-                "{}: no motor currents to find drive gains from",
-                path.display()
-            )
-            .into());
+            return Err(IdentifyError::NoCurrents { path: path.clone() });
         }
         let mut stand: Option<Stand<N>> = None;
         loop {
@@ -93,11 +92,11 @@ pub(super) fn standstill_gains<const N: usize>(
             let inverse = pairs().map(|(g, i)| g * i).sum::<f64>() / power;
             let rest: f64 = pairs().map(|(g, i)| (i - g * inverse).powi(2)).sum();
             let count = stands.len();
-            let doubt = (rest / (count.max(2) - 1) as f64 / power).sqrt() / inverse;
-            let known = count >= FEWEST && inverse > 0.0 && doubt < DOUBT;
+            let deviation = (rest / (count.max(2) - 1) as f64 / power).sqrt() / inverse;
+            let known = count >= FEWEST && inverse > 0.0 && deviation < LARGEST_DEVIATION;
             GainRecord {
                 gain_nm_a: if known { 1.0 / inverse } else { gain[joint] },
-                std_nm_a: known.then(|| doubt / inverse),
+                std_nm_a: known.then(|| deviation / inverse),
                 description_nm_a: gain[joint],
                 stands: count,
             }

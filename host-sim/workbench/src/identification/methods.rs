@@ -1,8 +1,8 @@
 //! Least squares in three temperaments: plain, weighted by joint, robust.
 
 use super::columns::Layout;
+use super::dataset::SampleRow;
 use super::filter::median;
-use super::gathered::SampleRow;
 use super::normal::{JointSums, NormalEquations, solve};
 use nalgebra::{DMatrix, DVector};
 use std::fmt;

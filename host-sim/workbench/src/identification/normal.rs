@@ -5,69 +5,8 @@
 //! is the square of the condition number, which f64 affords up to about 1e7 (rank decisions are made at 1e4).
 
 use super::columns::Layout;
-use super::filter::Butterworth;
+use super::error::IdentifyError;
 use nalgebra::{DMatrix, DMatrixView, DVector};
-use std::fmt;
-
-/// Why parameters cannot be identified.
-#[derive(Clone, Debug, PartialEq)]
-pub enum IdentificationError {
-    /// No joint moves.
-    NoMotion {
-        /// The logs.
-        logs: String,
-    },
-    /// Rows this far apart do not show the cut-off of a filter.
-    CutOff {
-        /// The log.
-        log: String,
-        /// The option that asks for it.
-        option: &'static str,
-        /// What it asks for, Hz.
-        asked_hz: f64,
-        /// Rows of the log a second.
-        rate_hz: f64,
-    },
-    /// The motion does not show these parameters.
-    RankDeficient {
-        /// Rank found.
-        rank: usize,
-        /// Parameters wanted.
-        wanted: usize,
-        /// The parameters that cannot be seen.
-        unseen: Vec<String>,
-    },
-}
-
-impl fmt::Display for IdentificationError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NoMotion { logs } => write!(f, "{logs}: no joint moves"),
-            Self::CutOff {
-                log,
-                option,
-                asked_hz,
-                rate_hz,
-            } => write!(
-                f,
-                "{log}: {option} is {asked_hz}, must be below {:.4}, {} of its {rate_hz:.4} rows a second",
-                Butterworth::RATE_SHARE * rate_hz,
-                Butterworth::RATE_SHARE
-            ),
-            Self::RankDeficient {
-                rank,
-                wanted,
-                unseen,
-            } => write!(
-                f,
-                "the excitation is rank deficient ({rank} of {wanted}): it does not show {}",
-                unseen.join(", ")
-            ),
-        }
-    }
-}
-
-impl std::error::Error for IdentificationError {}
 
 /// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Useful
 /// excitations leave 1e-2 and more, encoder noise on a joint that is held still about 1e-5.
@@ -203,9 +142,9 @@ impl<const N: usize> NormalEquations<N> {
         })
     }
 
-    /// Every parameter can be seen. Errors: [`IdentificationError::RankDeficient`], naming the columns that the columns
+    /// Every parameter can be seen. Errors: [`IdentifyError::RankDeficient`], naming the columns that the columns
     /// left of them explain.
-    pub fn check_rank(&self, layout: &Layout<N>) -> Result<(), IdentificationError> {
+    pub fn check_rank(&self, layout: &Layout<N>) -> Result<(), IdentifyError> {
         let (mut rest, _) = self.weighted(layout, &[1.0; N]);
         let size = rest.nrows();
         let length: Vec<f64> = (0..size).map(|c| rest[(c, c)]).collect();
@@ -222,7 +161,7 @@ impl<const N: usize> NormalEquations<N> {
         if unseen.is_empty() {
             Ok(())
         } else {
-            Err(IdentificationError::RankDeficient {
+            Err(IdentifyError::RankDeficient {
                 rank: size - unseen.len(),
                 wanted: size,
                 unseen,

@@ -169,7 +169,7 @@ pub struct Prepared<const N: usize> {
     /// Active columns of all joints, row after row, filtered.
     pub panel: Vec<f64>,
     /// Sine and cosine of the cogging phase of all joints, row after row, filtered.
-    pub waves: Vec<f64>,
+    pub cogging_basis: Vec<f64>,
     /// Torques, N a row, filtered, N·m.
     pub tau: Vec<f64>,
     /// The same with spikes taken out before filtering, N·m.
@@ -180,7 +180,7 @@ pub struct Prepared<const N: usize> {
     pub core: Range<usize>,
     /// Times of all rows, s.
     pub t_s: Vec<f64>,
-    /// What every joint's raw torque says at each speed.
+    /// Sums over raw torques by speed.
     pub speeds: SpeedSums<N>,
 }
 
@@ -203,6 +203,11 @@ impl<const N: usize> Prepared<N> {
         })
     }
 
+    /// Active columns of `joint` in `row`, filtered.
+    pub(super) fn columns(&self, layout: &Layout<N>, row: usize, joint: usize) -> &[f64] {
+        &self.panel[row * layout.width + layout.offset[joint]..][..layout.active[joint].len()]
+    }
+
     /// Regressor and torque through the same filter `smooth`, which takes a table and its width.
     pub(super) fn of(
         raw: Raw<N>,
@@ -221,12 +226,12 @@ impl<const N: usize> Prepared<N> {
         } = raw;
         let mut scratch = DMatrix::zeros(N, (crate::robot::LINK_PARAMETERS + 1) * N);
         let mut panel = Vec::with_capacity(states.len() * layout.width);
-        let mut waves = Vec::with_capacity(states.len() * 2 * N);
+        let mut cogging_basis = Vec::with_capacity(states.len() * 2 * N);
         for (state, t_s) in states.iter().zip(&t_s) {
             layout.append_row(state, t_s - preparation.start_s, &mut scratch, &mut panel);
-            waves.extend(layout.waves(&state.q).as_flattened());
+            cogging_basis.extend(layout.cogging_basis(&state.q).as_flattened());
         }
-        let mut speeds = SpeedSums::new(layout);
+        let mut speeds = SpeedSums::new();
         for row in core.clone() {
             // Blocks of a second take turns.
             let half = ((t_s[row] - preparation.start_s) as usize) % 2;
@@ -234,21 +239,21 @@ impl<const N: usize> Prepared<N> {
             for joint in 0..N {
                 let qd = states[row].qd[joint];
                 if qd.abs() > preparation.still_rad_s {
-                    let waves = &waves[2 * (row * N + joint)..][..2];
-                    let clean = clean[row * N + joint];
-                    speeds.add(layout, joint, half, qd, panel, waves, clean);
+                    let columns = &panel[layout.offset[joint]..][..layout.active[joint].len()];
+                    let basis = &cogging_basis[2 * (row * N + joint)..][..2];
+                    speeds.add((joint, half), qd, columns, basis, clean[row * N + joint]);
                 }
             }
         }
         smooth(&mut panel, layout.width);
-        smooth(&mut waves, 2 * N);
+        smooth(&mut cogging_basis, 2 * N);
         smooth(&mut tau, N);
         smooth(&mut clean, N);
         Self {
             index,
             states,
             panel,
-            waves,
+            cogging_basis,
             tau,
             clean,
             spikes,

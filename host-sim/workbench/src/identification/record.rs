@@ -1,9 +1,12 @@
 //! `report.json` of an identification: units in the keys, `null` where a joint never moves.
 
+use super::columns::Layout;
+use super::problem::MethodResult;
+use super::truth::base_error;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// How one method does on one unseen log.
+/// Errors of one method on one unseen log.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ValidationRecord {
     /// RMS error of every joint while it moves, N·m.
@@ -52,7 +55,7 @@ pub struct ParameterRecord {
     pub truth: Option<f64>,
 }
 
-/// What training and hold-out rows of the same paths say: the paper's split.
+/// Errors on hold-out rows of the same paths: the paper's split.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SplitRecord {
     /// RMS error of every joint on the 20 % held out, moving rows, N·m.
@@ -61,7 +64,7 @@ pub struct SplitRecord {
     pub nrmse_moving_ratio: Vec<Option<f64>>,
 }
 
-/// What a method makes of the first part of the training rows.
+/// Error of a method trained on the first part of the training rows.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LearningPoint {
     /// Share of the rows, from the start.
@@ -173,4 +176,48 @@ pub struct Report {
     pub recommended: String,
     /// Methods by name.
     pub methods: BTreeMap<String, MethodRecord>,
+}
+
+impl MethodRecord {
+    /// The record of a result, without validation logs.
+    pub(super) fn of<const N: usize>(
+        result: &MethodResult<N>,
+        layout: &Layout<N>,
+        truth: Option<&[Option<f64>]>,
+        split_80_20: SplitRecord,
+    ) -> Self {
+        let fit = result.fit.as_ref();
+        let parameters = fit.map_or_else(Vec::new, |fit| {
+            let deviations = fit.deviations();
+            let named = layout.parameters.iter().enumerate();
+            // Columns the method does not have carry neither value nor deviation.
+            let own = named.filter(|(place, _)| fit.covariance[(*place, *place)] > 0.0);
+            own.map(|(place, parameter)| ParameterRecord {
+                name: parameter.name.clone(),
+                value: fit.theta[place],
+                unit: parameter.unit.to_owned(),
+                std: deviations[place],
+                ci95: None,
+                truth: truth.and_then(|truth| truth[place]),
+            })
+            .collect()
+        });
+        Self {
+            validation: BTreeMap::new(),
+            split_80_20,
+            parameters,
+            base_parameter_error_ratio: fit
+                .zip(truth)
+                .and_then(|(fit, truth)| base_error(&fit.theta, truth, layout.base)),
+            noise_nm: fit.map_or_else(Vec::new, |fit| fit.sigma.to_vec()),
+            rows: result.rows,
+            epochs: result.epochs,
+            seconds: result.seconds,
+            learning_curve: Vec::new(),
+            loss_ratio: result.losses.clone(),
+            distance_from_free_nats: result.distance_nats,
+            epochs_to_1_05_wls: result.epochs_to_wls,
+            base_parameter_error_ratio_by_epoch: Vec::new(),
+        }
+    }
 }

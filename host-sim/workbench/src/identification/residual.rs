@@ -1,17 +1,15 @@
 //! The linear model that the board has and one small BP network a joint for what it leaves.
 
+use super::cogging::CoggingAmplitudes;
 use super::columns::Layout;
+use super::error::IdentifyError;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::NormalEquations;
-use super::ripple::Ripple;
-use super::solve::{Material, Problem, Solved, thinned, unsolvable};
-use super::study::Progress;
-use super::validation::Candidate;
+use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
 use crate::training::{ResidualConfig, train_residual};
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
-use std::error::Error;
 use std::sync::mpsc::channel;
 
 /// Times the linear model is fitted, each time to what the networks leave: a friction curve that the linear model cannot
@@ -24,9 +22,9 @@ type Trained = (JointNetwork, Vec<f64>);
 /// Fits the columns of the board to rows without spikes and trains the networks on what is left, in turns.
 pub(super) fn residual<const N: usize>(
     problem: &Problem<'_, N>,
-    material: &Material<'_, N>,
+    data: &TrainingData<'_, N>,
     progress: Progress<'_>,
-) -> Result<Solved<N>, Box<dyn Error>> {
+) -> Result<MethodResult<N>, IdentifyError> {
     let Problem {
         robot,
         layout,
@@ -34,42 +32,40 @@ pub(super) fn residual<const N: usize>(
         ..
     } = *problem;
     let limits: [f64; N] = std::array::from_fn(|joint| robot.joints[joint].limits.torque);
-    let mut ripple: Ripple<N> = [[0.0; 2]; N];
+    let mut cogging: CoggingAmplitudes<N> = [[0.0; 2]; N];
     // Cogging is fast against every other column: fitted in turns, both are there after a few.
-    let solve = |sums: &NormalEquations<N>, ripple: &mut Ripple<N>| {
+    let solve = |sums: &NormalEquations<N>, cogging: &mut CoggingAmplitudes<N>| {
         let mut fit = None;
         for _ in 0..ROUNDS {
             let mut rest = sums.clone();
-            for (joint, amplitude) in ripple.iter().enumerate() {
-                material
-                    .ripple
+            for (joint, amplitude) in cogging.iter().enumerate() {
+                data.cogging
                     .subtract(joint, *amplitude, &mut rest.joints[joint]);
             }
-            let found = wls(&rest.subset(layout, board), board).ok_or_else(unsolvable)?;
+            let found = wls(&rest.subset(layout, board), board).ok_or(IdentifyError::Unsolvable)?;
             let found = widened(&found, layout, board);
-            for (joint, amplitude) in ripple.iter_mut().enumerate() {
+            for (joint, amplitude) in cogging.iter_mut().enumerate() {
                 let own = found.theta.select_rows(&layout.active[joint]);
-                *amplitude = material.ripple.best(joint, &own, found.sigma[joint]);
+                *amplitude = data.cogging.best(joint, &own, found.sigma[joint]);
             }
             fit = Some(found);
         }
-        fit.ok_or_else(unsolvable)
+        fit.ok_or(IdentifyError::Unsolvable)
     };
-    let mut fit = solve(&material.clean_sums, &mut ripple)?;
-    let mut trained = train(problem, material, (&fit.theta, &ripple), &limits, progress);
+    let mut fit = solve(&data.clean_sums, &mut cogging)?;
+    let mut trained = train(problem, data, (&fit.theta, &cogging), &limits, progress);
     for _ in 1..ROUNDS {
-        let mut sums = material.clean_sums.clone();
+        let mut sums = data.clean_sums.clone();
         for (joint, (network, _)) in trained.iter().enumerate() {
             let torque = |qd: f64| {
                 let output = network.forward(&network_inputs(qd as f32))[0];
                 f64::from(output) * limits[joint]
             };
-            material
-                .speeds
+            data.speeds
                 .subtract(joint, &mut sums.joints[joint], &torque);
         }
-        fit = solve(&sums, &mut ripple)?;
-        trained = train(problem, material, (&fit.theta, &ripple), &limits, progress);
+        fit = solve(&sums, &mut cogging)?;
+        trained = train(problem, data, (&fit.theta, &cogging), &limits, progress);
     }
     let epochs = trained.iter().map(|(_, losses)| losses.len()).max();
     let mean: Vec<f64> = (0..epochs.unwrap_or(0))
@@ -79,28 +75,26 @@ pub(super) fn residual<const N: usize>(
         })
         .collect();
     let networks: Vec<JointNetwork> = trained.into_iter().map(|(network, _)| network).collect();
-    let networks: [JointNetwork; N] = networks
-        .try_into()
-        .map_err(|_| "a network could not be trained")?;
+    let networks: [JointNetwork; N] = networks.try_into().map_err(|_| IdentifyError::Untrained)?;
     let candidate = Candidate::Residual {
         theta: fit.theta.clone(),
-        ripple,
+        cogging,
         networks: Box::new(networks),
         limits,
     };
-    Ok(Solved {
+    Ok(MethodResult {
         fit: Some(fit),
         epochs: mean.len(),
         losses: thinned(&mean),
-        ..Solved::plain(MethodName::BpResidual, candidate, material.sample.len())
+        ..MethodResult::plain(MethodName::BpResidual, candidate, data.sample.len())
     })
 }
 
 /// Trains the networks of all joints on what parameters and cogging leave.
 fn train<const N: usize>(
     problem: &Problem<'_, N>,
-    material: &Material<'_, N>,
-    (theta, ripple): (&DVector<f64>, &Ripple<N>),
+    data: &TrainingData<'_, N>,
+    (theta, cogging): (&DVector<f64>, &CoggingAmplitudes<N>),
     limits: &[f64; N],
     progress: Progress<'_>,
 ) -> Vec<Trained> {
@@ -111,9 +105,9 @@ fn train<const N: usize>(
                 let told = told.clone();
                 scope.spawn(move || {
                     let of = |half| {
-                        let speeds = &material.speeds;
-                        let ripple = ripple[joint];
-                        speeds.residuals(problem.layout, theta, ripple, joint, half, limits[joint])
+                        let speeds = &data.speeds;
+                        let cogging = cogging[joint];
+                        speeds.residuals(problem.layout, theta, cogging, joint, half, limits[joint])
                     };
                     let config = ResidualConfig {
                         seed: problem.seed,

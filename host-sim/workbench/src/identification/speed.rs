@@ -1,7 +1,7 @@
-//! What a joint's raw torque says at each speed: sums from which the mean residual of any linear model follows.
+//! Sums over a joint's raw torque by speed, from which the mean residual of any linear model follows.
 //!
 //! A filter wide enough to make torques readable is wider than the passage of a joint through its Stribeck peak. The mean
-//! over all rows of one speed needs no filter, forgets ripple and noise, and streams.
+//! over all rows of one speed needs no filter, forgets cogging and noise, and streams.
 
 use super::columns::Layout;
 use super::normal::JointSums;
@@ -21,7 +21,7 @@ struct Bin {
     qd: f64,
     tau: f64,
     /// Sine and cosine of the cogging phase.
-    waves: [f64; 2],
+    cogging_basis: [f64; 2],
     x: Vec<f64>,
 }
 
@@ -32,70 +32,72 @@ pub struct SpeedSums<const N: usize> {
     bins: Vec<Vec<Option<Box<Bin>>>>,
 }
 
+impl Bin {
+    fn new(columns: usize) -> Self {
+        Self {
+            count: 0.0,
+            qd: 0.0,
+            tau: 0.0,
+            cogging_basis: [0.0; 2],
+            x: vec![0.0; columns],
+        }
+    }
+
+    fn add(&mut self, count: f64, qd: f64, tau: f64, cogging_basis: &[f64], x: &[f64]) {
+        self.count += count;
+        self.qd += qd;
+        self.tau += tau;
+        for (sum, basis) in self.cogging_basis.iter_mut().zip(cogging_basis) {
+            *sum += basis;
+        }
+        for (sum, x) in self.x.iter_mut().zip(x) {
+            *sum += x;
+        }
+    }
+}
+
 impl<const N: usize> SpeedSums<N> {
     /// No rows yet.
-    pub fn new(_layout: &Layout<N>) -> Self {
+    pub(super) fn new() -> Self {
         Self {
             bins: vec![vec![None; BINS]; 2 * N],
         }
     }
 
-    /// Adds one row of one joint, N·m.
+    /// Adds one row of one joint in one half of the log.
     ///
-    /// * `panel` active columns of all joints; `waves` sine and cosine of the joint's cogging phase
-    #[expect(clippy::too_many_arguments, reason = "one row has this many parts")]
+    /// * `columns` active columns of the joint; `cogging_basis` sine and cosine of its cogging phase; `tau` N·m
     pub(super) fn add(
         &mut self,
-        layout: &Layout<N>,
-        joint: usize,
-        half: usize,
+        (joint, half): (usize, usize),
         qd: f64,
-        panel: &[f64],
-        waves: &[f64],
+        columns: &[f64],
+        cogging_basis: &[f64],
         tau: f64,
     ) {
         let share = (qd / FINE_RAD_S).asinh() / (FASTEST_RAD_S / FINE_RAD_S).asinh();
         let place = ((0.5 * (share + 1.0) * BINS as f64).max(0.0) as usize).min(BINS - 1);
-        let columns = &panel[layout.offset[joint]..][..layout.active[joint].len()];
-        let bin = self.bins[2 * joint + half][place].get_or_insert_with(|| {
-            Box::new(Bin {
-                count: 0.0,
-                qd: 0.0,
-                tau: 0.0,
-                waves: [0.0; 2],
-                x: vec![0.0; columns.len()],
-            })
-        });
-        bin.count += 1.0;
-        bin.qd += qd;
-        bin.tau += tau;
-        for (sum, wave) in bin.waves.iter_mut().zip(waves) {
-            *sum += wave;
-        }
-        for (sum, x) in bin.x.iter_mut().zip(columns) {
-            *sum += x;
-        }
+        let bin = self.bins[2 * joint + half][place]
+            .get_or_insert_with(|| Box::new(Bin::new(columns.len())));
+        bin.add(1.0, qd, tau, cogging_basis, columns);
     }
 
     /// Adds all rows of another part of the log.
-    pub fn merge(&mut self, other: &Self) {
-        for (own, other) in self.bins.iter_mut().zip(&other.bins) {
-            for (own, other) in own.iter_mut().zip(other) {
-                match (own.as_mut(), other) {
-                    (Some(own), Some(other)) => {
-                        own.count += other.count;
-                        own.qd += other.qd;
-                        own.tau += other.tau;
-                        for (sum, wave) in own.waves.iter_mut().zip(&other.waves) {
-                            *sum += wave;
-                        }
-                        for (sum, x) in own.x.iter_mut().zip(&other.x) {
-                            *sum += x;
-                        }
-                    }
-                    (None, Some(other)) => *own = Some(other.clone()),
-                    (_, None) => (),
+    pub(super) fn merge(&mut self, other: &Self) {
+        let pairs = self.bins.iter_mut().flatten();
+        for (own, other) in pairs.zip(other.bins.iter().flatten()) {
+            match (own.as_mut(), other) {
+                (Some(own), Some(other)) => {
+                    own.add(
+                        other.count,
+                        other.qd,
+                        other.tau,
+                        &other.cogging_basis,
+                        &other.x,
+                    );
                 }
+                (None, Some(other)) => *own = Some(other.clone()),
+                (_, None) => (),
             }
         }
     }
@@ -123,7 +125,7 @@ impl<const N: usize> SpeedSums<N> {
         &self,
         layout: &Layout<N>,
         theta: &DVector<f64>,
-        ripple: [f64; 2],
+        cogging: [f64; 2],
         joint: usize,
         half: usize,
         unit: f64,
@@ -137,7 +139,7 @@ impl<const N: usize> SpeedSums<N> {
                 .zip(active)
                 .map(|(x, &place)| x * theta[place])
                 .sum();
-            let cogging = ripple[0] * bin.waves[0] + ripple[1] * bin.waves[1];
+            let cogging = cogging[0] * bin.cogging_basis[0] + cogging[1] * bin.cogging_basis[1];
             SpeedPoint {
                 qd: bin.qd / bin.count,
                 residual: (bin.tau - linear - cogging) / bin.count / unit,

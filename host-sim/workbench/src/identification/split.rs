@@ -1,13 +1,13 @@
 //! The paper's split: 80 % of the rows to train on, 20 % to judge by. It flatters.
 
 use super::columns::Layout;
-use super::gathered::{Gathered, SampleRow};
+use super::dataset::{Dataset, SampleRow};
+use super::error::IdentifyError;
+use super::problem::{Candidate, Problem, TrainingData};
 use super::record::SplitRecord;
-use super::solve::{Material, Problem, solve_all};
-use super::validation::Candidate;
+use super::solve::solve_all;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::error::Error;
 
 /// Share of the rows the paper trains on.
 const TRAINING_SHARE: f64 = 0.8;
@@ -15,16 +15,16 @@ const TRAINING_SHARE: f64 = 0.8;
 /// Trains on 80 % of the rows, drawn at random, and scores on the rest.
 pub(super) fn split<const N: usize>(
     problem: &Problem<'_, N>,
-    gathered: &Gathered<N>,
-) -> Result<Vec<SplitRecord>, Box<dyn Error>> {
+    dataset: &Dataset<N>,
+) -> Result<Vec<SplitRecord>, IdentifyError> {
     let layout = problem.layout;
     let mut random = ChaCha8Rng::seed_from_u64(problem.seed);
-    let (training, held_out): (Vec<&SampleRow<N>>, Vec<&SampleRow<N>>) = gathered
+    let (training, held_out): (Vec<&SampleRow<N>>, Vec<&SampleRow<N>>) = dataset
         .sample
         .iter()
         .partition(|_| random.random_range(0.0..1.0) < TRAINING_SHARE);
-    let material = Material::of(layout, training);
-    let solved = solve_all(problem, &material, &|_| ())?;
+    let data = TrainingData::of(layout, training);
+    let solved = solve_all(problem, &data, &|_| ())?;
     Ok(solved
         .iter()
         .map(|solved| {
@@ -43,20 +43,18 @@ pub(super) fn errors<const N: usize>(
     candidate: &Candidate<N>,
     rows: &[&SampleRow<N>],
 ) -> (Vec<Option<f64>>, Vec<Option<f64>>) {
-    let (mut rmse, mut ratio) = (Vec::new(), Vec::new());
-    for joint in 0..N {
-        let (mut error, mut power, mut count) = (0.0, 0.0, 0.0);
-        for row in rows.iter().filter(|row| row.moving[joint]) {
-            let theta = candidate.theta();
-            let linear = theta.map_or(0.0, |theta| row.linear(layout, theta, joint));
-            let network = candidate.network(&row.state).map_or(0.0, |tau| tau[joint]);
-            let ripple = candidate.ripple(joint, &row.waves[joint]);
-            error += (linear + ripple + network - row.tau[joint]).powi(2);
-            power += row.tau[joint].powi(2);
-            count += 1.0;
+    let (mut error, mut power, mut count) = ([0.0; N], [0.0; N], [0.0; N]);
+    for row in rows {
+        let predicted = candidate.torque(layout, row);
+        for joint in (0..N).filter(|&joint| row.moving[joint]) {
+            error[joint] += (predicted[joint] - row.tau[joint]).powi(2);
+            power[joint] += row.tau[joint].powi(2);
+            count[joint] += 1.0;
         }
-        rmse.push((count > 0.0).then(|| f64::sqrt(error / count)));
-        ratio.push((power > 0.0).then(|| f64::sqrt(error / power)));
     }
-    (rmse, ratio)
+    let root = |over: [f64; N]| {
+        let joints = error.iter().zip(over);
+        joints.map(|(error, over)| (over > 0.0).then(|| f64::sqrt(error / over)))
+    };
+    (root(count).collect(), root(power).collect())
 }

@@ -2,7 +2,7 @@
 
 use super::columns::{FrictionColumn, Layout};
 use super::methods::Fit;
-use super::solve::{Material, layer_of};
+use super::problem::TrainingData;
 use crate::robot::Robot;
 use crate::training::{Descent, PhysicalConfig};
 use nalgebra::DVector;
@@ -43,7 +43,7 @@ pub(super) fn base_error(theta: &DVector<f64>, truth: &[Option<f64>], base: usiz
 
 /// Error of the base parameters as the accelerated layer trains; empty without a truth.
 pub(super) fn error_curve<const N: usize>(
-    material: &Material<'_, N>,
+    data: &TrainingData<'_, N>,
     layout: &Layout<N>,
     reference: &Fit<N>,
     truth: Option<&[Option<f64>]>,
@@ -52,7 +52,7 @@ pub(super) fn error_curve<const N: usize>(
     let Some(truth) = truth else {
         return Vec::new();
     };
-    let layer = layer_of(material, layout, reference);
+    let layer = data.layer(layout, reference);
     let mut curve = Vec::new();
     for max_epochs in [1, 2, 5, 10, 20, 30, 50, 75, 100, 150, 200, 300, 500, 1000] {
         let config = PhysicalConfig {

@@ -1,81 +1,13 @@
-//! How well a model says the torques of a log it has not seen.
+//! Torque errors of models on a log they were not trained on.
 
 use super::bootstrap::{middle, resample};
 use super::columns::Layout;
-use super::gathered::SampleRow;
+use super::dataset::SampleRow;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
+use super::problem::Candidate;
 use super::record::ValidationRecord;
-use super::ripple::Ripple;
-use crate::dynamics::State;
-use crate::training::BlackBox;
-use foretorque::feedforward::{JointNetwork, NETWORK_BOUND};
-use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
-
-/// A model to be judged.
-#[derive(Clone, Debug)]
-pub enum Candidate<const N: usize> {
-    /// The linear model.
-    Linear(DVector<f64>),
-    /// The black-box network.
-    BlackBox(Box<BlackBox<N>>),
-    /// The linear model and the board's networks, in f32 and with the board's bound.
-    Residual {
-        /// Parameters of the linear part, zero for columns the board does not have.
-        theta: DVector<f64>,
-        /// Direct connections of the networks from sine and cosine of the cogging phase, N·m.
-        ripple: Ripple<N>,
-        /// One network a joint.
-        networks: Box<[JointNetwork; N]>,
-        /// Torque limit of every joint, N·m.
-        limits: [f64; N],
-    },
-}
-
-impl<const N: usize> Candidate<N> {
-    /// Parameters of its linear part.
-    pub fn theta(&self) -> Option<&DVector<f64>> {
-        match self {
-            Self::Linear(theta) | Self::Residual { theta, .. } => Some(theta),
-            Self::BlackBox(_) => None,
-        }
-    }
-
-    /// Torque of its linear part at a joint with these columns, N·m.
-    fn linear(&self, columns: &[f64], active: &[usize]) -> f64 {
-        self.theta().map_or(0.0, |theta| {
-            let pairs = columns.iter().zip(active);
-            pairs.map(|(x, &place)| x * theta[place]).sum()
-        })
-    }
-
-    /// Torque at a joint whose cogging phase has these sine and cosine, N·m.
-    pub fn ripple(&self, joint: usize, waves: &[f64]) -> f64 {
-        match self {
-            Self::Residual { ripple, .. } => {
-                let pairs = ripple[joint].iter().zip(waves);
-                pairs.map(|(amplitude, wave)| amplitude * wave).sum()
-            }
-            Self::Linear(_) | Self::BlackBox(_) => 0.0,
-        }
-    }
-
-    /// Torques its networks add at the speeds of `state`, N·m; `None` when it has none.
-    pub fn network(&self, state: &State<N>) -> Option<[f64; N]> {
-        match self {
-            Self::Linear(_) => None,
-            Self::BlackBox(network) => Some(network.torque(state)),
-            Self::Residual {
-                networks, limits, ..
-            } => Some(std::array::from_fn(|joint| {
-                let inputs = network_inputs(state.qd[joint] as f32);
-                let [[output]] = networks[joint].forward(&inputs).data.0;
-                f64::from(output.clamp(-NETWORK_BOUND, NETWORK_BOUND)) * limits[joint]
-            })),
-        }
-    }
-}
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
@@ -100,6 +32,16 @@ pub struct FileScores<const N: usize> {
     pub trace: Vec<(f64, [f64; N], Vec<[f64; N]>)>,
 }
 
+impl Sums {
+    fn add(&mut self, moving: bool, value: f64) {
+        if moving {
+            self.moving += value;
+        } else {
+            self.still += value;
+        }
+    }
+}
+
 /// Squared errors of every candidate, squared torques and rows of one second, moving rows only.
 #[derive(Clone, Debug)]
 struct Block<const N: usize> {
@@ -107,6 +49,53 @@ struct Block<const N: usize> {
     errors: Vec<[f64; N]>,
     torque: [f64; N],
     count: [f64; N],
+}
+
+/// The block of the second at `t_s`.
+fn open_block<const N: usize>(
+    blocks: &mut Vec<Block<N>>,
+    t_s: f64,
+    candidates: usize,
+) -> &mut Block<N> {
+    let second = t_s.floor() as i64;
+    if blocks.last().map(|block| block.second) != Some(second) {
+        blocks.push(Block {
+            second,
+            errors: vec![[0.0; N]; candidates],
+            torque: [0.0; N],
+            count: [0.0; N],
+        });
+    }
+    let last = blocks.len() - 1;
+    &mut blocks[last]
+}
+
+/// Torques of a candidate in the rows that count, N a row, N·m, through the filter of the measurement.
+fn predictions<const N: usize>(
+    layout: &Layout<N>,
+    preparation: &Preparation,
+    prepared: &Prepared<N>,
+    candidate: &Candidate<N>,
+) -> Vec<f64> {
+    let shares = prepared.states.iter().map(|state| candidate.network(state));
+    let shares: Option<Vec<[f64; N]>> = shares.collect();
+    let mut table = match shares {
+        Some(shares) => {
+            let mut table = shares.concat();
+            preparation.smooth_torque(&mut table, N);
+            table
+        }
+        None => vec![0.0; prepared.tau.len()],
+    };
+    for row in prepared.core.clone() {
+        for (joint, active) in layout.active.iter().enumerate() {
+            let basis = &prepared.cogging_basis[2 * (row * N + joint)..][..2];
+            table[row * N + joint] += candidate
+                .linear(prepared.columns(layout, row, joint), active)
+                + candidate.cogging(joint, basis);
+        }
+    }
+    table
 }
 
 /// Rows a sample keeps.
@@ -130,7 +119,7 @@ impl<const N: usize> FileScores<N> {
         }
     }
 
-    /// Judges a stretch: model and measurement through the same filter, network output included.
+    /// Adds a stretch: model and measurement through the same filter, network output included.
     pub fn add(
         &mut self,
         layout: &Layout<N>,
@@ -138,122 +127,51 @@ impl<const N: usize> FileScores<N> {
         prepared: &Prepared<N>,
         candidates: &[&Candidate<N>],
     ) {
-        let networks: Vec<Option<Vec<f64>>> = candidates
+        let predicted: Vec<Vec<f64>> = candidates
             .iter()
-            .map(|candidate| {
-                let mut shares = Vec::with_capacity(prepared.tau.len());
-                for state in &prepared.states {
-                    shares.extend(candidate.network(state)?);
-                }
-                preparation.smooth_torque(&mut shares, N);
-                Some(shares)
-            })
+            .map(|candidate| predictions(layout, preparation, prepared, candidate))
             .collect();
         let stride = preparation.stride();
-        let (first, seconds) = self.open_blocks(prepared, candidates.len());
-        for (joint, active) in layout.active.iter().enumerate() {
-            let (mut x, mut tau) = (Vec::new(), Vec::new());
-            for row in prepared.core.clone() {
+        let mut equations: [(Vec<f64>, Vec<f64>); N] = std::array::from_fn(|_| Default::default());
+        for row in prepared.core.clone() {
+            let block = open_block(&mut self.blocks, prepared.t_s[row], candidates.len());
+            for (joint, (x, tau)) in equations.iter_mut().enumerate() {
                 let measured = prepared.tau[row * N + joint];
                 let moving = prepared.states[row].qd[joint].abs() > preparation.still_rad_s;
-                let start = row * layout.width + layout.offset[joint];
-                let columns = &prepared.panel[start..start + active.len()];
-                let place = first + seconds[row - prepared.core.start];
-                let block = &mut self.blocks[place];
-                let put = |sums: &mut Sums, value: f64| {
-                    if moving {
-                        sums.moving += value;
-                    } else {
-                        sums.still += value;
-                    }
-                };
-                for (((candidate, shares), errors), in_block) in candidates
-                    .iter()
-                    .zip(&networks)
-                    .zip(&mut self.errors)
-                    .zip(&mut block.errors)
-                {
-                    let waves = &prepared.waves[2 * (row * N + joint)..][..2];
-                    let linear = candidate.linear(columns, active) + candidate.ripple(joint, waves);
-                    let share = shares
-                        .as_ref()
-                        .map_or(0.0, |shares| shares[row * N + joint]);
-                    let square = (linear + share - measured).powi(2);
-                    put(&mut errors[joint], square);
-                    if moving {
-                        in_block[joint] += square;
-                    }
+                self.torque[joint].add(moving, measured * measured);
+                self.count[joint].add(moving, 1.0);
+                let errors = self.errors.iter_mut().zip(&mut block.errors);
+                for (predicted, (errors, in_block)) in predicted.iter().zip(errors) {
+                    let square = (predicted[row * N + joint] - measured).powi(2);
+                    errors[joint].add(moving, square);
+                    in_block[joint] += if moving { square } else { 0.0 };
                 }
-                put(&mut self.torque[joint], measured * measured);
-                put(&mut self.count[joint], 1.0);
                 if moving {
                     block.torque[joint] += measured * measured;
                     block.count[joint] += 1.0;
                     let (low, high) = self.range[joint];
                     self.range[joint] = (low.min(measured), high.max(measured));
                     if row % stride == 0 {
-                        x.extend_from_slice(columns);
+                        x.extend_from_slice(prepared.columns(layout, row, joint));
                         tau.push(measured);
                     }
                 }
             }
-            self.sums.joints[joint].add(&x, &tau);
         }
-        for row in prepared.core.clone().step_by(stride) {
-            if self.sample.len() < SAMPLE {
-                self.sample
-                    .push(SampleRow::of(layout, preparation, prepared, row));
-            }
+        for (sums, (x, tau)) in self.sums.joints.iter_mut().zip(&equations) {
+            sums.add(x, tau);
         }
-        for row in prepared.core.clone().step_by(stride) {
-            if self.trace.len() >= TRACE {
-                break;
-            }
+        let rows = || prepared.core.clone().step_by(stride);
+        for row in rows().take(SAMPLE.saturating_sub(self.sample.len())) {
+            let row = SampleRow::of(layout, preparation, prepared, row);
+            self.sample.push(row);
+        }
+        for row in rows().take(TRACE.saturating_sub(self.trace.len())) {
             let at = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
-            let predicted = candidates.iter().zip(&networks).map(|(candidate, shares)| {
-                let shares: [f64; N] = shares.as_deref().map_or([0.0; N], at);
-                std::array::from_fn(|joint| {
-                    let start = row * layout.width + layout.offset[joint];
-                    let columns = &prepared.panel[start..];
-                    let waves = &prepared.waves[2 * (row * N + joint)..][..2];
-                    candidate.linear(columns, &layout.active[joint])
-                        + candidate.ripple(joint, waves)
-                        + shares[joint]
-                })
-            });
-            let predicted = predicted.collect();
-            self.trace
-                .push((prepared.t_s[row], at(&prepared.tau), predicted));
+            let predicted = predicted.iter().map(|table| at(table)).collect();
+            let measured = at(&prepared.tau);
+            self.trace.push((prepared.t_s[row], measured, predicted));
         }
-    }
-
-    /// Opens a block for every second of the stretch; returns the first of them and, row by row, which of them it is.
-    fn open_blocks(&mut self, prepared: &Prepared<N>, candidates: usize) -> (usize, Vec<usize>) {
-        let mut first = self.blocks.len();
-        let second = |row: usize| prepared.t_s[row].floor() as i64;
-        if let (Some(last), Some(row)) = (self.blocks.last(), prepared.core.clone().next())
-            && last.second == second(row)
-        {
-            first -= 1;
-        }
-        let places = prepared
-            .core
-            .clone()
-            .map(|row| {
-                if self.blocks.len() == first
-                    || self.blocks.last().map(|block| block.second) != Some(second(row))
-                {
-                    self.blocks.push(Block {
-                        second: second(row),
-                        errors: vec![[0.0; N]; candidates],
-                        torque: [0.0; N],
-                        count: [0.0; N],
-                    });
-                }
-                self.blocks.len() - 1 - first
-            })
-            .collect();
-        (first, places)
     }
 
     /// Puts the 95 % intervals of one candidate into its record.

@@ -1,9 +1,9 @@
-//! What stays of the logs: sums over all rows, and a bounded sample of them.
+//! The dataset of the training logs: sums over all rows, and a bounded sample of them.
 
+use super::cogging::CoggingSums;
 use super::columns::Layout;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
-use super::ripple::RippleSums;
 use super::speed::SpeedSums;
 use crate::dynamics::State;
 
@@ -21,7 +21,7 @@ pub struct SampleRow<const N: usize> {
     /// Active columns of all joints.
     pub panel: Box<[f64]>,
     /// Sine and cosine of every joint's cogging phase, filtered as the columns are.
-    pub waves: [[f64; 2]; N],
+    pub cogging_basis: [[f64; 2]; N],
 }
 
 impl<const N: usize> SampleRow<N> {
@@ -40,9 +40,12 @@ impl<const N: usize> SampleRow<N> {
             clean: values(&prepared.clean),
             moving: std::array::from_fn(|joint| state.qd[joint].abs() > preparation.still_rad_s),
             panel: prepared.panel[row * layout.width..(row + 1) * layout.width].into(),
-            waves: std::array::from_fn(|joint| {
+            cogging_basis: std::array::from_fn(|joint| {
                 let place = 2 * (row * N + joint);
-                [prepared.waves[place], prepared.waves[place + 1]]
+                [
+                    prepared.cogging_basis[place],
+                    prepared.cogging_basis[place + 1],
+                ]
             }),
         }
     }
@@ -51,23 +54,23 @@ impl<const N: usize> SampleRow<N> {
 /// Most rows of the sample.
 pub(super) const SAMPLE: usize = 60_000;
 
-/// What one pass over the training logs leaves: the sums of all rows, and an evenly thinned sample for methods that
-/// iterate over rows.
+/// Result of one pass over the training logs: sums over all rows, and an evenly thinned sample for methods that iterate
+/// over rows.
 #[derive(Clone, Debug)]
-pub struct Gathered<const N: usize> {
+pub struct Dataset<const N: usize> {
     /// Sums over all moving rows.
     pub sums: NormalEquations<N>,
-    /// The same over rows without spikes.
+    /// Sums over the same rows without spikes.
     pub clean_sums: NormalEquations<N>,
-    /// What borders them by the waves of cogging.
-    pub ripple: RippleSums<N>,
+    /// Their border by the sine and cosine of cogging.
+    pub cogging: CoggingSums<N>,
     /// Every `thinning`-th of the rows that went into the sums.
     pub sample: Vec<SampleRow<N>>,
     /// See `sample`.
     pub thinning: usize,
     /// Rows that went into the sums.
     pub rows: usize,
-    /// What every joint's raw torque says at each speed.
+    /// Sums over raw torques by speed.
     pub speeds: SpeedSums<N>,
     /// Rows read, edges left out.
     pub rows_read: usize,
@@ -77,17 +80,17 @@ pub struct Gathered<const N: usize> {
     pub spikes: usize,
 }
 
-impl<const N: usize> Gathered<N> {
-    /// Nothing yet.
+impl<const N: usize> Dataset<N> {
+    /// An empty dataset.
     pub fn new(layout: &Layout<N>) -> Self {
         Self {
             sums: NormalEquations::new(layout),
             clean_sums: NormalEquations::new(layout),
-            ripple: RippleSums::new(layout),
+            cogging: CoggingSums::new(layout),
             sample: Vec::new(),
             thinning: 1,
             rows: 0,
-            speeds: SpeedSums::new(layout),
+            speeds: SpeedSums::new(),
             rows_read: 0,
             still: [0; N],
             spikes: 0,
@@ -106,21 +109,21 @@ impl<const N: usize> Gathered<N> {
             }
         }
         let rows: Vec<usize> = prepared.core.clone().step_by(stride).collect();
-        for (joint, active) in layout.active.iter().enumerate() {
+        for joint in 0..N {
             let (mut x, mut tau, mut clean) = (Vec::new(), Vec::new(), Vec::new());
-            let mut waves = Vec::new();
+            let mut cogging_basis = Vec::new();
             for &row in &rows {
                 if prepared.states[row].qd[joint].abs() > preparation.still_rad_s {
-                    let start = row * layout.width + layout.offset[joint];
-                    x.extend_from_slice(&prepared.panel[start..start + active.len()]);
+                    x.extend_from_slice(prepared.columns(layout, row, joint));
                     tau.push(prepared.tau[row * N + joint]);
                     clean.push(prepared.clean[row * N + joint]);
-                    waves.extend_from_slice(&prepared.waves[2 * (row * N + joint)..][..2]);
+                    cogging_basis
+                        .extend_from_slice(&prepared.cogging_basis[2 * (row * N + joint)..][..2]);
                 }
             }
             self.sums.joints[joint].add(&x, &tau);
             self.clean_sums.joints[joint].add(&x, &clean);
-            self.ripple.add(joint, &x, &waves, &clean);
+            self.cogging.add(joint, &x, &cogging_basis, &clean);
         }
         for &row in &rows {
             if self.rows.is_multiple_of(self.thinning) {

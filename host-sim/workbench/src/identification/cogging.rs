@@ -1,4 +1,4 @@
-//! Torque that repeats with a joint's position, cogging: what the residual networks see beside the speed.
+//! Cogging, the torque that repeats with a joint's position: an input of the residual networks beside the speed.
 //!
 //! Their direct connections from sin(z q) and cos(z q) to the output are linear, so they follow from sums over rows, and
 //! the board has a place for them: the cogging columns of its friction.
@@ -8,7 +8,7 @@ use super::normal::JointSums;
 use nalgebra::{DMatrix, DMatrixView, DVector, Matrix2, Vector2};
 
 /// Amplitudes of sine and cosine of every joint, N·m.
-pub type Ripple<const N: usize> = [[f64; 2]; N];
+pub type CoggingAmplitudes<const N: usize> = [[f64; 2]; N];
 
 /// Gain in squared residuals over their variance from which a joint keeps its connections: two of them reach that by
 /// chance in one case of a hundred [chi-squared, 2 degrees of freedom].
@@ -27,11 +27,11 @@ struct Border {
 
 /// The borders of all joints' equations.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RippleSums<const N: usize> {
+pub struct CoggingSums<const N: usize> {
     joints: Vec<Border>,
 }
 
-impl<const N: usize> RippleSums<N> {
+impl<const N: usize> CoggingSums<N> {
     /// No rows yet.
     pub(super) fn new(layout: &Layout<N>) -> Self {
         let joints = layout.active.iter().map(|active| Border {
@@ -44,17 +44,17 @@ impl<const N: usize> RippleSums<N> {
         }
     }
 
-    /// Adds rows of one joint: `x` row after row, `waves` sine and cosine a row, `tau` one a row.
-    pub(super) fn add(&mut self, joint: usize, x: &[f64], waves: &[f64], tau: &[f64]) {
+    /// Adds rows of one joint: `x` row after row, `cogging_basis` sine and cosine a row, `tau` one a row.
+    pub(super) fn add(&mut self, joint: usize, x: &[f64], cogging_basis: &[f64], tau: &[f64]) {
         if tau.is_empty() {
             return;
         }
         let border = &mut self.joints[joint];
         let columns = DMatrixView::from_slice(x, border.cross.nrows(), tau.len());
-        let waves = DMatrixView::from_slice(waves, 2, tau.len());
-        border.cross += columns * waves.transpose();
-        border.gram += waves * waves.transpose();
-        border.moment += waves * DVector::from_column_slice(tau);
+        let cogging_basis = DMatrixView::from_slice(cogging_basis, 2, tau.len());
+        border.cross += columns * cogging_basis.transpose();
+        border.gram += cogging_basis * cogging_basis.transpose();
+        border.moment += cogging_basis * DVector::from_column_slice(tau);
     }
 
     /// Takes the torque of these amplitudes (N·m) from the equations of a joint.
@@ -122,7 +122,7 @@ mod tests {
                     clean: tau,
                     moving: std::array::from_fn(|j| state.qd[j].abs() > 0.05),
                     panel: panel.into(),
-                    waves: layout.waves(&state.q),
+                    cogging_basis: layout.cogging_basis(&state.q),
                 }
             })
             .collect()
@@ -137,15 +137,17 @@ mod tests {
         let training: Vec<&SampleRow<6>> = training.iter().collect();
         let methods = [MethodName::Wls, MethodName::BpResidual];
         let trials =
-            fit_rows(&robot, &layout, &layout, &methods, &training, 1).expect("well shown");
+            fit_rows(&robot, (&layout, &layout), &methods, &training, 1).expect("well shown");
         let errors: Vec<f64> = trials
             .iter()
             .map(|trial| {
                 let square = |row: &SampleRow<6>| {
-                    let said = trial.torque(&layout, row);
+                    let predicted = trial.candidate.torque(&layout, row);
                     let moving = (0..6).filter(|&j| row.moving[j]);
                     moving
-                        .map(|j| ((said[j] - row.tau[j]) / robot.joints[j].limits.torque).powi(2))
+                        .map(|j| {
+                            ((predicted[j] - row.tau[j]) / robot.joints[j].limits.torque).powi(2)
+                        })
                         .sum::<f64>()
                 };
                 unseen.iter().map(square).sum::<f64>().sqrt()
