@@ -32,17 +32,15 @@ pub(super) fn standstill_gains<const N: usize>(
     logs: &[PathBuf],
     still_rad_s: f64,
 ) -> Result<Vec<GainRecord>, IdentifyError> {
-    let model = ReferenceModel::<N>::new(robot).ok_or_else(|| IdentifyError::Joints {
-        robot: robot.name.clone(),
-        joints: N,
-    })?;
+    let model = ReferenceModel::<N>::new(robot)
+        .ok_or_else(|| IdentifyError::Joints(robot.name.clone(), N))?;
     // Gravity torque and mean current of each stand.
     let mut stands: Vec<(Joints<N>, Joints<N>)> = Vec::new();
     let gain = Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain));
     for path in logs {
         let mut reader = LogReader::<N>::open(path, robot)?;
         if !reader.from_current() {
-            return Err(IdentifyError::NoCurrents { path: path.clone() });
+            return Err(IdentifyError::NoCurrents(path.clone()));
         }
         let mut stand: Option<Stand<N>> = None;
         loop {

@@ -3,7 +3,6 @@
 use super::columns::Layout;
 use super::log::LogRow;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch};
-use super::sources::choose;
 use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::parallel::cores;
 use crate::robot::Robot;
@@ -31,7 +30,7 @@ pub fn for_each_prepared<const N: usize>(
     take: &mut dyn FnMut(&Preparation, Prepared<N>),
 ) -> Result<Preparation, TableError> {
     let mut log = WholeLog::<N>::open(path, robot)?;
-    let preparation = choose(&log, config, path, notes);
+    let preparation = Preparation::of_log(&log, config, path, notes);
     let workers = cores();
     let (to_workers, stretches) = sync_channel::<Stretch<N>>(workers);
     let stretches = Mutex::new(stretches);
