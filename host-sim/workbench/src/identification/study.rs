@@ -119,33 +119,14 @@ pub fn identify<const N: usize>(
             "the board has no column {columns}: the bank holds a fit without"
         ));
     }
-    let (condition_number, condition_number_equilibrated) =
-        dataset.sums.all.condition_numbers(&layout);
-    let still = dataset.still.iter();
     let report = Report {
         robot: robot.name.clone(),
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        seed: config.seed,
-        columns: config.columns.to_string(),
         drive_gains,
         logs: logs.iter().map(|path| key_of(path, logs)).collect(),
         notes,
-        fold_period_s: config.fold_period_s,
-        motion_cutoff_hz: config.prepare.motion_hz,
-        torque_cutoff_hz: config.prepare.torque_hz,
-        still_rad_s: config.prepare.still_rad_s,
-        rows_read: dataset.rows_read,
-        rows_used: dataset.sums.rows,
-        still_share_ratio: still
-            .map(|&still| still as f64 / dataset.rows_read.max(1) as f64)
-            .collect(),
-        spikes: dataset.spikes,
-        rank: layout.parameters.len(),
-        condition_number,
-        condition_number_of: "raw SI regressor of the base parameters, moving rows, Craig link frames, first independent columns from left to right".to_owned(),
-        condition_number_equilibrated,
         recommended: best.name.to_string(),
         methods,
+        ..figures(config, &dataset, &layout)
     };
     let (networks, cogging) = match &best.candidate {
         Candidate::Residual {
@@ -166,6 +147,34 @@ pub fn identify<const N: usize>(
             .collect(),
         bank_layout: board.clone(),
     })
+}
+
+/// Figures of settings and dataset.
+fn figures<const N: usize>(
+    config: &IdentifyConfig,
+    dataset: &Dataset<N>,
+    layout: &Layout<N>,
+) -> Report {
+    let (condition_number, equilibrated) = dataset.sums.all.condition_numbers(layout);
+    let share = |still: usize| still as f64 / dataset.rows_read.max(1) as f64;
+    Report {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        seed: config.seed,
+        columns: config.columns.to_string(),
+        fold_period_s: config.fold_period_s,
+        motion_cutoff_hz: config.prepare.motion_hz,
+        torque_cutoff_hz: config.prepare.torque_hz,
+        still_rad_s: config.prepare.still_rad_s,
+        rows_read: dataset.rows_read,
+        rows_used: dataset.sums.rows,
+        still_share_ratio: dataset.still.map(share).to_vec(),
+        spikes: dataset.spikes,
+        rank: layout.parameters.len(),
+        condition_number,
+        condition_number_of: "raw SI regressor of the base parameters, moving rows, Craig link frames, first independent columns from left to right".to_owned(),
+        condition_number_equilibrated: equilibrated,
+        ..Report::default()
+    }
 }
 
 /// Check that the rows of a log are near enough for the filters.
