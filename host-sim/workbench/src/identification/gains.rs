@@ -40,7 +40,7 @@ pub(super) fn standstill_gains<const N: usize>(
     let gain = Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain));
     for path in logs {
         let mut reader = LogReader::<N>::open(path, robot)?;
-        if !reader.from_current() {
+        if !reader.has_currents() {
             return Err(IdentifyError::NoCurrents(path.clone()));
         }
         for_each_stand(&mut reader, &gain, still_rad_s, |stand| {

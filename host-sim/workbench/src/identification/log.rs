@@ -111,7 +111,7 @@ impl<const N: usize> LogReader<N> {
     }
 
     /// Torque is drive gain × motor current.
-    pub(super) fn from_current(&self) -> bool {
+    pub(super) fn has_currents(&self) -> bool {
         self.from_current
     }
 

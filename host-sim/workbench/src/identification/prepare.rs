@@ -72,7 +72,7 @@ impl Preparation {
         notes: &mut Vec<String>,
     ) -> Self {
         let (reader, period_s, name) = (log.reader(), log.period_s(), path.display());
-        if reader.from_current() {
+        if reader.has_currents() {
             notes.push(format!("{name}: torque is drive gain × motor current"));
         }
         // Up to the first gap: derivatives across it would be wrong.
