@@ -161,7 +161,11 @@ pub fn run(
 
 /// The column set of a text of this program.
 pub(super) fn columns(text: &str) -> Result<ColumnSet, StudyError> {
-    text.parse().map_err(StudyError::Unusable)
+    text.parse().map_err(
+        |unknown: foretorque_workbench::identification::UnknownName| {
+            StudyError::Unusable(unknown.to_string())
+        },
+    )
 }
 
 /// Geometric mean; 1 of no values.
