@@ -63,7 +63,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     outcomes.push(pass("linked firmware", bench::check_firmware));
     outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("library for C", || {
-        setup::bring_c_compiler()?;
+        capi::bring_compiler()?;
         capi::build(tools)
     }));
     // After the builds, because the tests run the board's ELF files.
@@ -116,17 +116,17 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
 /// The gates that only build or look, cheapest first.
 fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
     const STRICT: [&str; 3] = ["--", "-D", "warnings"];
-    let mut fmt = tools.fmt.tool("cargo");
+    let mut fmt = tools.host.tool("cargo");
     fmt.args(["fmt", "--all", "--check"]);
-    let mut clippy = tools.clippy.tool("cargo");
+    let mut clippy = tools.host.tool("cargo");
     clippy
         .args(["clippy", "--workspace", "--all-targets"])
         .args(STRICT);
-    let mut board_clippy = tools.board_clippy.board_cargo("clippy");
+    let mut board_clippy = tools.board.board_cargo("clippy");
     board_clippy.args(["--lib", "--bins"]).args(STRICT);
-    let mut plain_clippy = tools.board_clippy.board_library_cargo("clippy");
+    let mut plain_clippy = tools.board.board_library_cargo("clippy");
     plain_clippy.args(STRICT);
-    let mut log_clippy = tools.board_clippy.board_library_cargo("clippy");
+    let mut log_clippy = tools.board.board_library_cargo("clippy");
     log_clippy.args(["--features", "defmt"]).args(STRICT);
     let no_std = tools.board.board_library_cargo("build");
     let mut firmware = tools.board.board_cargo("build");

@@ -15,7 +15,7 @@ use foretorque::arm::ur5::{
 };
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::Lesson;
+use foretorque::learning::LearningSample;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 #[cfg(target_os = "none")]
 use panic_never as _;
@@ -90,7 +90,7 @@ pub struct Foretorque {
     learner: Learner,
     exchange: Exchange,
     /// What the last tick has to teach, until the learner takes it.
-    lesson: Option<Lesson<JOINTS>>,
+    lesson: Option<LearningSample<JOINTS>>,
     bank: ParameterBank,
     /// Room for a bank on its way in, which is not believed before all of it is.
     incoming: ParameterBank,
@@ -103,7 +103,7 @@ impl Foretorque {
     ///
     /// # Safety
     /// `place` is aligned, may be written and is nobody else's.
-    unsafe fn furnish(place: *mut Self, period_s: f32) -> Option<()> {
+    unsafe fn init_in_place(place: *mut Self, period_s: f32) -> Option<()> {
         /// A learner of zeros, until it is restarted: the image of one with a single other number in it would take 33 kB.
         const BLANK: Learner = {
             // SAFETY: zeros are a value of every field. The compiler looks at the value of a constant, and takes none that
@@ -162,7 +162,7 @@ impl Foretorque {
             None => self.feed_forward.step_stale(),
         };
         let measured = sample.and_then(|sample| sample.measured);
-        self.lesson = Some(self.feed_forward.lesson(measured));
+        self.lesson = Some(self.feed_forward.learning_sample(measured));
         let array = |vector: JointVector<JOINTS>| vector.into();
         ForetorqueTorque {
             total_nm: array(torque.total),
@@ -219,7 +219,7 @@ pub unsafe extern "C" fn foretorque_init(
     }
     // SAFETY: not null, aligned and large enough, as just checked, and the caller's to give; `out` may be written.
     unsafe {
-        if Foretorque::furnish(place, period_s).is_none() {
+        if Foretorque::init_in_place(place, period_s).is_none() {
             return ForetorqueStatus::Period;
         }
         out.write(place);

@@ -7,7 +7,7 @@ use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
-use foretorque_link::excitation::Cue;
+use foretorque_link::excitation::ExcitationCommand;
 use foretorque_link::store::StoreHealth;
 use foretorque_workbench::closed_loop::ClosedLoop;
 use foretorque_workbench::files::{WholeFile, write_whole};
@@ -139,7 +139,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         None => None,
     };
     if arguments.excite_on_board {
-        board.excitation(Cue::Start)?;
+        board.excitation(ExcitationCommand::Start)?;
     }
     let mut ticks = 0;
     for tick in 0..scene.ticks {
@@ -182,7 +182,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         flag_ticks: seen.flag_ticks(),
         link: LinkReport::from(&statistics),
         late_sets: statistics.late_sets,
-        lessons_lost: statistics.lessons_lost,
+        lessons_lost: statistics.learning_samples_lost,
         boot_us: board.hello().boot_us(),
         store: statistics.store,
         tick_cost: statistics.tick_cost.into(),

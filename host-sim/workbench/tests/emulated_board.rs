@@ -115,7 +115,7 @@ fn costs_repeat_from_run_to_run() {
     // What docs/protocol.md allots to the interrupt.
     assert!(u64::from(first.receive_cost.max) <= chip::RECEIVE_INSTRUCTIONS);
     assert_eq!(
-        (first.late_sets, first.lessons_lost, first.overruns),
+        (first.late_sets, first.learning_samples_lost, first.overruns),
         (0, 0, 0)
     );
     let (first, second) = (run(Image::Bulk), run(Image::Bulk));
@@ -284,7 +284,7 @@ fn no_lesson_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
         assert!(seen.ticks >= samples);
         assert!(pacing == Pacing::SysTick || seen.learn_cost.mean > 10_000);
         assert_eq!(
-            (seen.late_sets, seen.lessons_lost, seen.overruns),
+            (seen.late_sets, seen.learning_samples_lost, seen.overruns),
             (0, 0, 0)
         );
     }

@@ -19,7 +19,6 @@ mod thumb;
 mod trace;
 
 use std::fs;
-use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail, ensure};
 
@@ -32,7 +31,7 @@ use trace::Call;
 
 use crate::setup::{self, Way};
 use crate::shell;
-use crate::toolchain::{PROFILE, TARGET, Toolchain};
+use crate::toolchain::{Toolchain, elf};
 
 /// Calls of each row that are counted, and that are traced: enough for every joint to have its turn.
 const COUNTED: u32 = 96;
@@ -158,11 +157,6 @@ fn firmware(name: &str) -> Result<Memory> {
         memory.nested_bytes, memory.stack_bytes
     );
     Ok(memory)
-}
-
-fn elf(name: &str) -> PathBuf {
-    let target = shell::root().join("target");
-    target.join(TARGET).join(PROFILE).join(name)
 }
 
 /// The version line of the compiler that builds for the board.

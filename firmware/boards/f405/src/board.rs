@@ -1,6 +1,6 @@
 //! What a board with this chip has of its own.
 
-use foretorque_link::session::OwnJoint;
+use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::pac::{GPIOA, GPIOB};
 use stm32f4xx_hal::rcc::Rcc;
 
@@ -34,7 +34,7 @@ pub trait Board: Send + 'static {
 /// What the board drives itself, called by the tick's task.
 pub trait Drive: Sized + Send {
     /// What measures the own joint.
-    type Own: OwnJoint;
+    type Own: LocalSensor;
 
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
     fn start() -> Option<Self>;

@@ -19,7 +19,7 @@ pub fn open(
     room: &'static mut MaybeUninit<BoardSession>,
     board: BoardDescription<Counter>,
 ) -> Option<&'static mut BoardSession> {
-    Session::furnish(room, board).ok()
+    Session::init_in_place(room, board).ok()
 }
 
 /// Puts a learner that starts from `prior` into `room`; `None` if its configuration does not validate.

@@ -1,6 +1,6 @@
 //! Sizes of the cyclic frames and the share of a link that they take.
 
-use crate::quotient::quotient;
+use crate::division::div_u64_by_u32;
 
 /// Version, sequence number and message tag.
 pub const HEADER: usize = 4;
@@ -56,8 +56,8 @@ pub const RESERVE_PERCENT: u64 = 30;
 ///
 /// * `bytes_s` capacity of the direction, bytes a second
 pub const fn left(bytes_s: u32, period_us: u32, reply: usize) -> usize {
-    let bytes = quotient(bytes_s as u64 * period_us as u64, 1_000_000);
-    let planned = quotient(bytes as u64 * (100 - RESERVE_PERCENT), 100);
+    let bytes = div_u64_by_u32(bytes_s as u64 * period_us as u64, 1_000_000);
+    let planned = div_u64_by_u32(bytes as u64 * (100 - RESERVE_PERCENT), 100);
     (planned as usize).saturating_sub(reply)
 }
 

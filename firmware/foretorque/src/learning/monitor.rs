@@ -152,7 +152,7 @@ impl Phase {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::learning::stacked::Stacked;
+    use crate::learning::stacked::LinearParameters;
 
     fn row(residual: f32) -> Observation {
         Observation {
@@ -199,8 +199,8 @@ mod tests {
     fn information_is_the_mean_part_of_the_doubt_that_rows_have_removed() {
         const PARAMETERS: usize = 2 * FRICTION_COLUMNS + 3;
         let mut filter = UdFilter::<2, 3>::new();
-        let mut gain = Stacked::filled(0.0);
-        let mut phi = Stacked::filled(0.0);
+        let mut gain = LinearParameters::filled(0.0);
+        let mut phi = LinearParameters::filled(0.0);
         (phi.friction[1][2], phi.rigid[0]) = (3.0, 4.0);
         filter.update(1, &phi, 1.0, &mut gain);
         let (mut monitor, mut quality) = (Monitor::<2>::new(), ModelQuality::new());

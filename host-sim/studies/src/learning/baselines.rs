@@ -4,15 +4,15 @@ use super::world::{N, P, Set};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::FRICTION_COLUMNS;
-use foretorque::learning::{Estimator, LearnerConfig, Stacked, rigid_doubt, rigid_floor};
+use foretorque::learning::{Estimator, LearnerConfig, LinearParameters, prior_factor, prior_floor};
 use nalgebra::{DMatrix, DVector, RealField, SVector};
 
 /// Something that learns linear parameters row by row.
 pub(super) trait RowEstimator {
     /// Takes in the torque `tau`, N·m, of `joint`.
-    fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32);
+    fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32);
     /// The estimate.
-    fn parameters(&self) -> Stacked<N, P>;
+    fn parameters(&self) -> LinearParameters<N, P>;
     /// Multiply-adds of one row, n parameters, to leading order.
     fn multiply_adds(&self, n: usize) -> usize;
 }
@@ -23,9 +23,9 @@ pub(super) fn prior_covariance() -> DMatrix<f64> {
     let friction = N * FRICTION_COLUMNS;
     let mut covariance = DMatrix::<f64>::identity(friction + P, friction + P);
     let mut rigid = covariance.view_mut((friction, friction), (P, P));
-    let floor = SVector::<f64, P>::from(rigid_floor::<Ur5, N, P>().map(f64::from));
+    let floor = SVector::<f64, P>::from(prior_floor::<Ur5, N, P>().map(f64::from));
     rigid.set_diagonal(&floor);
-    for doubt in (0..).map_while(rigid_doubt::<Ur5, N, P>) {
+    for doubt in (0..).map_while(prior_factor::<Ur5, N, P>) {
         let doubt = SVector::<f64, P>::from(doubt.map(f64::from));
         rigid += doubt * doubt.transpose();
     }
@@ -53,13 +53,13 @@ impl Firmware {
 }
 
 impl RowEstimator for Firmware {
-    fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
+    fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32) {
         let Self { config, estimator } = self;
         // A row with a number that is none changes nothing; there is none here.
         let _ = estimator.correct(config, joint, limit(joint), row, tau);
     }
 
-    fn parameters(&self) -> Stacked<N, P> {
+    fn parameters(&self) -> LinearParameters<N, P> {
         *self.estimator.parameters()
     }
 
@@ -71,22 +71,27 @@ impl RowEstimator for Firmware {
 
 /// Rows and parameters in units of noise and of the prior's standard deviations.
 struct Scale {
-    start: Stacked<N, P>,
-    sigma: Stacked<N, P>,
+    start: LinearParameters<N, P>,
+    sigma: LinearParameters<N, P>,
     noise: f32,
 }
 
 impl Scale {
     fn new(config: &LearnerConfig<N, P>, prior: &Set) -> Self {
         Self {
-            start: Stacked::of(prior),
-            sigma: Stacked::sigma(config),
+            start: LinearParameters::of(prior),
+            sigma: LinearParameters::sigma(config),
             noise: config.noise,
         }
     }
 
     /// The row, and what the start leaves unexplained.
-    fn row<T: RealField>(&self, joint: usize, row: &Stacked<N, P>, tau: f32) -> (DVector<T>, T) {
+    fn row<T: RealField>(
+        &self,
+        joint: usize,
+        row: &LinearParameters<N, P>,
+        tau: f32,
+    ) -> (DVector<T>, T) {
         let inv_noise = 1.0 / (self.noise * limit(joint));
         let columns = row.iter().zip(self.sigma.iter());
         let phi: Vec<T> = columns
@@ -96,7 +101,7 @@ impl Scale {
         (DVector::from_vec(phi), nalgebra::convert(left))
     }
 
-    fn parameters(&self, theta: impl Iterator<Item = f64>) -> Stacked<N, P> {
+    fn parameters(&self, theta: impl Iterator<Item = f64>) -> LinearParameters<N, P> {
         let mut found = self.start;
         let columns = found.iter_mut().zip(self.sigma.iter());
         for ((found, sigma), theta) in columns.zip(theta) {
@@ -126,14 +131,14 @@ impl Nlms {
 }
 
 impl RowEstimator for Nlms {
-    fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
+    fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32) {
         let (phi, left) = self.scale.row::<f64>(joint, row, tau);
         let error = left - phi.dot(&self.theta);
         let step = self.rate * error / (1.0 + phi.norm_squared());
         self.theta.axpy(step, &phi, 1.0);
     }
 
-    fn parameters(&self) -> Stacked<N, P> {
+    fn parameters(&self) -> LinearParameters<N, P> {
         self.scale.parameters(self.theta.iter().copied())
     }
 
@@ -168,7 +173,7 @@ impl<T: RealField + Copy> Rls<T> {
 }
 
 impl<T: RealField + Copy + Into<f64>> RowEstimator for Rls<T> {
-    fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
+    fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32) {
         let (phi, left) = self.scale.row::<T>(joint, row, tau);
         let spread = &self.covariance * &phi;
         let inverse = T::one() / (self.forgetting + phi.dot(&spread));
@@ -181,7 +186,7 @@ impl<T: RealField + Copy + Into<f64>> RowEstimator for Rls<T> {
         self.covariance *= half / self.forgetting;
     }
 
-    fn parameters(&self) -> Stacked<N, P> {
+    fn parameters(&self) -> LinearParameters<N, P> {
         self.scale
             .parameters(self.theta.iter().map(|&theta| theta.into()))
     }

@@ -9,7 +9,7 @@ use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
 use foretorque::joint::JointVector;
 use foretorque::learning::{
-    Conditioned, DELAY, MeasurementWindow, Stacked, ripple_share, torque_row,
+    ConditionedSample, DELAY, LinearParameters, MeasurementWindow, cogging_attenuation, torque_row,
 };
 use foretorque_workbench::closed_loop::{Answer, ClosedLoop};
 use foretorque_workbench::dynamics::Joints;
@@ -54,7 +54,7 @@ const LOOK: usize = 100;
 
 /// An instant as the board's filter shows it, and the torques of that tick alone.
 struct Instant {
-    seen: Conditioned<N>,
+    seen: ConditionedSample<N>,
     raw: JointVector<N>,
 }
 
@@ -187,11 +187,11 @@ fn part(
 }
 
 /// The torque row of `joint` as the filter of the motion leaves it, for torques that ask nothing against cogging.
-pub(super) fn heard_row(joint: usize, seen: &Conditioned<N>) -> Stacked<N, P> {
+pub(super) fn heard_row(joint: usize, seen: &ConditionedSample<N>) -> LinearParameters<N, P> {
     let mut row = torque_row::<Ur5, N, P>(joint, seen);
     let cycles = <Ur5 as Arm<N, P>>::COGGING_CYCLES[joint];
-    let share = ripple_share(cycles * seen.motion.qd[joint] * PERIOD_S as f32);
-    row.swallow(joint, share, &Stacked::filled(0.0));
+    let share = cogging_attenuation(cycles * seen.motion.qd[joint] * PERIOD_S as f32);
+    row.attenuate_cogging(joint, share, &LinearParameters::filled(0.0));
     row
 }
 
@@ -238,7 +238,7 @@ fn learn(world: &World, parts: &[Part; 2], feed: &Method) -> MethodReport {
     let learnt = loaded[pick + 1..]
         .iter()
         .find(|(.., missed)| *missed < 0.1 * step);
-    let n = Stacked::of(&world.wrong).iter().count();
+    let n = LinearParameters::of(&world.wrong).iter().count();
     let last = |curve: &[(f64, f64, f64)]| curve.last().map_or(f64::NAN, |look| look.1);
     MethodReport {
         rows_a_tick_count: feed.rows_a_tick,

@@ -4,12 +4,14 @@ use super::world::{N, P, PERIOD_S, Set};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
-use foretorque::learning::{ConfigError, Exchange, Learner, LearnerConfig, LearnerState, Report};
+use foretorque::learning::{
+    ConfigError, Exchange, Learner, LearnerConfig, LearnerReport, LearnerState,
+};
 use foretorque_link::bank::NETWORK_SEED;
 use foretorque_link::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason, SafetyStatus};
 use foretorque_link::wire::SampleFrame;
 
-/// Safety, feed-forward, learner and the desk between them.
+/// Safety, feed-forward, learner and the mailbox between them.
 ///
 /// The session of the firmware calls these functions in this order too; that its answers are the same bits over its
 /// link, in the emulator, is what [`super::emulated`] shows.
@@ -74,7 +76,7 @@ impl Controller {
     pub(super) fn tick(&mut self, sample: Option<&JointSample<N>>) -> Torque<N> {
         self.feedforward.adopt(&mut self.exchange);
         let heard = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
-        let sample = self.safety.admit(heard, 1);
+        let sample = self.safety.admit(heard, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feedforward.step(sample),
             None => self.feedforward.step_stale(),
@@ -83,7 +85,7 @@ impl Controller {
         self.feedforward.applied(&torque.total);
         if self.learning {
             let measured = sample.and_then(|sample| sample.measured);
-            let lesson = self.feedforward.lesson(measured);
+            let lesson = self.feedforward.learning_sample(measured);
             self.learner.learn(&lesson, &mut self.exchange);
         }
         torque
@@ -105,7 +107,7 @@ impl Controller {
     }
 
     /// What the guard tells: model quality and decisions.
-    pub(super) fn report(&self) -> &Report<N> {
+    pub(super) fn report(&self) -> &LearnerReport<N> {
         &self.feedforward.state().report
     }
 

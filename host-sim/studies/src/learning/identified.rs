@@ -6,8 +6,9 @@ use super::controller::Controller;
 use super::scenario::Start;
 use super::world::{N, P, PERIOD_S, Set, World};
 use foretorque::arm::ur5::{JOINTS, Ur5};
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::evaluate;
-use foretorque::learning::{Conditioned, LearnerConfig, MeasurementWindow, Stacked};
+use foretorque::learning::{ConditionedSample, LearnerConfig, LinearParameters, MeasurementWindow};
 use foretorque_workbench::closed_loop::{Answer, ClosedLoop};
 use foretorque_workbench::plant::PlantConfig;
 use foretorque_workbench::trajectory::Trajectory;
@@ -57,9 +58,13 @@ impl Start {
         let mut config = Controller::config();
         if self == Self::PlainFriction {
             for sigma in &mut config.friction_sigma {
-                sigma.stribeck *= UNUSED;
-                sigma.bend *= UNUSED;
-                sigma.load *= UNUSED;
+                for column in [
+                    FrictionColumn::Stribeck,
+                    FrictionColumn::ShearThinning,
+                    FrictionColumn::Load,
+                ] {
+                    sigma[column] *= UNUSED;
+                }
             }
         }
         config
@@ -67,7 +72,7 @@ impl Start {
 }
 
 /// What the board would have learnt from: the filtered motion and the torque of the same instant.
-fn conditioned_rows(world: &World) -> Result<Vec<Conditioned<N>>, Box<dyn Error>> {
+fn conditioned_rows(world: &World) -> Result<Vec<ConditionedSample<N>>, Box<dyn Error>> {
     let quiet = PlantConfig {
         viscous_drift: 0.0,
         ..PlantConfig::default()
@@ -98,9 +103,9 @@ fn conditioned_rows(world: &World) -> Result<Vec<Conditioned<N>>, Box<dyn Error>
 }
 
 /// Weighted least squares with the doubts of `config` around `prior`.
-fn least_squares(rows: &[Conditioned<N>], prior: &Set, config: &LearnerConfig<N, P>) -> Set {
-    let start = Stacked::of(prior);
-    let sigma = Stacked::sigma(config);
+fn least_squares(rows: &[ConditionedSample<N>], prior: &Set, config: &LearnerConfig<N, P>) -> Set {
+    let start = LinearParameters::of(prior);
+    let sigma = LinearParameters::sigma(config);
     let n = start.iter().count();
     let prior_information = prior_covariance().try_inverse();
     let mut normal = prior_information.unwrap_or_else(|| DMatrix::identity(n, n));

@@ -6,7 +6,7 @@ use super::drive::{Look, Run, Second, Trace};
 use super::scenario::Start;
 use super::world::{N, PERIOD_S, Set, World};
 use foretorque::joint::JointMotion;
-use foretorque::learning::Stacked;
+use foretorque::learning::LinearParameters;
 use foretorque::limits::Flags;
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::metrics::MOVING_RAD_S;
@@ -228,8 +228,11 @@ impl<'w> Watch<'w> {
     pub(super) fn finish(mut self, board: &Controller, plant: &Plant<N>, ticks: usize) -> Trace {
         self.look(ticks, board, plant);
         if let Some(settled) = &self.settled {
-            let sigma = Stacked::sigma(&self.start.config());
-            let (before, after) = (Stacked::of(settled), Stacked::of(&board.active()));
+            let sigma = LinearParameters::sigma(&self.start.config());
+            let (before, after) = (
+                LinearParameters::of(settled),
+                LinearParameters::of(&board.active()),
+            );
             let columns = before.iter().zip(after.iter()).zip(sigma.iter());
             self.trace.drift = columns
                 .map(|((before, after), sigma)| f64::from((after - before).abs() / sigma))

@@ -132,7 +132,7 @@ impl Board {
             None => self.feedforward.step_stale(),
         };
         let measured = sample.and_then(|sample| sample.measured);
-        let lesson = self.feedforward.lesson(measured);
+        let lesson = self.feedforward.learning_sample(measured);
         self.learner.learn(&lesson, &mut self.exchange);
         self.ticks += 1;
         self.clipped += u32::from(torque.flags.contains(Flags::LEARNED_CLIPPED));

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::bank::BankError;
-use crate::excitation::{AbortReason, Cue, Stage};
+use crate::excitation::{AbortReason, ExcitationCommand, ExcitationState};
 use crate::safety::{SafetyReason, SafetyState, SafetyStatus};
 use crate::store::StoreError;
 use crate::telemetry::Statistics;
@@ -95,7 +95,10 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
                 mac: Some([1; MAC_BYTES])
             }
         ),
-        host("Excitation", HostMessage::Excitation(Cue::Start)),
+        host(
+            "Excitation",
+            HostMessage::Excitation(ExcitationCommand::Start)
+        ),
     ];
     let from_board = std::vec![
         board(
@@ -169,7 +172,7 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
         ),
         board(
             "Excitation",
-            BoardMessage::Excitation(Stage::Aborted(AbortReason::Tracking(1)))
+            BoardMessage::Excitation(ExcitationState::Aborted(AbortReason::Tracking(1)))
         ),
         board(
             "Excited",
@@ -181,7 +184,7 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
                     total: ones,
                     shares: [1.0; 3],
                 },
-                stage: Stage::Aborted(AbortReason::Tracking(1)),
+                state: ExcitationState::Aborted(AbortReason::Tracking(1)),
                 q: [Position::encode(1.0); J],
                 qd: [Velocity::encode(1.0); J],
                 qdd: [Acceleration::encode(1.0); J],
