@@ -59,7 +59,7 @@ fn run() -> Option<()> {
             let exchange = &mut *EXCHANGE.borrow_ref_mut(token);
             feed_forward.adopt(exchange);
             black_box(feed_forward.step(&sample));
-            learner.learn(&feed_forward.lesson(sample.measured), exchange);
+            learner.learn(&feed_forward.learning_sample(sample.measured), exchange);
         });
     }
 }
