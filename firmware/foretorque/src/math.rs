@@ -1,7 +1,8 @@
 //! f32 kernels of the tick, each with its error bound and cost.
 //!
 //! Only additions, multiplications, one division and integer operations on the bits, in a fixed order and never fused:
-//! every machine gives the same bits. Nothing calls libm, whose `sinf` computes in software f64 on a Cortex-M4F.
+//! every machine gives the same bits. They call no libm, whose `sinf` computes in software f64 on a Cortex-M4F. Random start
+//! values and quality figures, outside the tick, use libm.
 
 /// 1.5 · 2²³: adding it rounds to the nearest integer and leaves that integer in the lowest bits of the mantissa.
 const ROUND: f32 = 12_582_912.0;

@@ -1,7 +1,6 @@
 use super::quality::{ModelQuality, Phase};
 use super::ud::UdFilter;
 use crate::dynamics::FRICTION_COLUMNS;
-use crate::math::sqrt;
 
 /// Rows of a joint after which what was seen has faded to 37 %.
 const FADE: f32 = 1.0 - 1.0 / 512.0;
@@ -111,7 +110,7 @@ impl<const N: usize> Monitor<N> {
                 continue;
             }
             let inverse = 1.0 / sums.weight;
-            *rms = sqrt(sums.residual * inverse);
+            *rms = libm::sqrtf(sums.residual * inverse);
             for (total, share) in shares.iter_mut().zip(sums.shares) {
                 *total += share * inverse;
             }
@@ -123,8 +122,8 @@ impl<const N: usize> Monitor<N> {
         if moved == 0.0 {
             return None;
         }
-        quality.share_rms = shares.map(|sum| sqrt(sum / moved));
-        let trust = 1.0 - sqrt(unexplained / moved);
+        quality.share_rms = shares.map(|sum| libm::sqrtf(sum / moved));
+        let trust = 1.0 - libm::sqrtf(unexplained / moved);
         quality.trust = if trust > 0.0 { trust } else { 0.0 };
         let before = quality.low_trust;
         quality.low_trust = if before {
