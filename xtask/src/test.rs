@@ -8,13 +8,12 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::bench;
 use crate::capi;
 use crate::fuzz;
 use crate::outside;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
-use crate::toolchain::Tools;
+use crate::toolchain::{self, Tools};
 
 /// What a gate gave.
 struct Outcome {
@@ -60,7 +59,9 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     for (name, mut gate) in builds(tools) {
         outcomes.push(pass(name, || shell::run(&mut gate)));
     }
-    outcomes.push(pass("linked firmware", bench::check_firmware));
+    outcomes.push(pass("linked firmware", || {
+        foretorque_cost::check_firmware(&toolchain::elves())
+    }));
     outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("library for C", || {
         capi::bring_compiler()?;

@@ -1,11 +1,11 @@
-//! The long run: how far the instructions of a tick lie apart over many different samples.
+//! The long run: spread of a tick's instructions over many different samples.
 
 use anyhow::{Context as _, Result, ensure};
 
 /// Ticks of the long run.
 pub(crate) const TICKS: u32 = 100_000;
 
-/// How far a tick may be from the mean, in thousandths of it: jitter of the tick is jitter of the torque.
+/// Largest distance of a tick from the mean, in thousandths of it: jitter of the tick is jitter of the torque.
 pub(crate) const PERMILLE_LIMIT: u64 = 50;
 
 /// Instructions of one row over many ticks.
@@ -21,28 +21,29 @@ pub(crate) struct Spread {
 impl Spread {
     /// From the line `name least sum most` over `ticks` ticks.
     pub(crate) fn read(line: &str, ticks: u32) -> Result<Self> {
-        let words: Vec<_> = line.split(' ').collect();
-        let [row, least, sum, most] = words[..] else {
-            anyhow::bail!("the bench program said `{line}` of its long run");
+        let read = || {
+            let mut words = line.split(' ');
+            let row = words.next()?.to_owned();
+            let mut number = || words.next()?.parse::<u64>().ok();
+            let (least, sum, most) = (number()?, number()?, number()?);
+            Some(Self {
+                row,
+                ticks,
+                least: u32::try_from(least).ok()?,
+                mean: sum as f64 / f64::from(ticks),
+                most: u32::try_from(most).ok()?,
+            })
         };
-        let number = |word: &str| {
-            word.parse::<u64>()
-                .with_context(|| format!("`{word}` is no count in `{line}`"))
-        };
-        let spread = Self {
-            row: row.to_owned(),
-            ticks,
-            least: u32::try_from(number(least)?)?,
-            mean: number(sum)? as f64 / f64::from(ticks),
-            most: u32::try_from(number(most)?)?,
-        };
-        let between =
-            f64::from(spread.least) <= spread.mean && spread.mean <= f64::from(spread.most);
-        ensure!(between, "the long run cannot be trusted: `{line}`");
+        let spread = read().with_context(|| format!("no long run in `{line}`"))?;
+        let range = f64::from(spread.least)..=f64::from(spread.most);
+        ensure!(
+            range.contains(&spread.mean),
+            "the long run cannot be trusted: `{line}`"
+        );
         Ok(spread)
     }
 
-    /// The same without the `bracket` that every call was counted with.
+    /// The same without the `bracket` that every count includes.
     pub(crate) fn without(self, bracket: u32) -> Self {
         Self {
             least: self.least.saturating_sub(bracket),
@@ -61,10 +62,6 @@ impl Spread {
     pub(crate) fn permille(&self) -> u64 {
         (1000.0 * self.deviation()).ceil() as u64
     }
-
-    pub(crate) fn quantity(&self) -> String {
-        format!("{}, permille off its mean", self.row)
-    }
 }
 
 #[cfg(test)]
@@ -73,13 +70,10 @@ mod tests {
 
     #[test]
     fn a_spread_is_the_larger_distance_from_the_mean() {
-        let spread = Spread::read("step 990 10100 1060", 10).unwrap();
-        assert_eq!(spread.permille(), 50);
-        assert_eq!(spread.without(10).mean, 1000.0);
-        assert_eq!(
-            Spread::read("step 900 10000 1010", 10).unwrap().permille(),
-            100
-        );
+        let spread = |line| Spread::read(line, 10).unwrap();
+        assert_eq!(spread("step 990 10100 1060").permille(), 50);
+        assert_eq!(spread("step 990 10100 1060").without(10).mean, 1000.0);
+        assert_eq!(spread("step 900 10000 1010").permille(), 100);
     }
 
     #[test]

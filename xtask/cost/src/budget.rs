@@ -1,30 +1,30 @@
-//! The committed budget: `docs/budget.md` is both the page people read and the table this program compares with.
+//! The committed budget: `docs/budget.md` is both the page people read and the table that `cargo xtask bench` compares with.
 
 use std::fmt::Write as _;
 use std::fs;
+use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
 
-use super::anchors;
-use crate::shell;
+use crate::anchors;
 
 /// The page, from the workspace's root.
 pub(crate) const PAGE: &str = "docs/budget.md";
 
-/// Room for a compiler that is not the budget's, in parts of a limit: 1.95 and 1.96 differ by up to 2 %.
+/// Margin of a compiler that is not the budget's, in parts of a limit: 1.95 and 1.96 differ by up to 2 %.
 const FOREIGN_MARGIN: f64 = 0.05;
 
-/// Room that a newly accepted value gets.
+/// Margin of a newly accepted value.
 const FRESH_MARGIN: f64 = 0.02;
 
 /// One line of the table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Line {
     /// `row, unit`.
-    pub(crate) quantity: String,
-    pub(crate) value: u64,
+    quantity: String,
+    value: u64,
     pub(crate) limit: u64,
-    pub(crate) how: String,
+    how: String,
 }
 
 /// One measured quantity.
@@ -33,37 +33,35 @@ pub(crate) struct Measured {
     pub(crate) quantity: String,
     pub(crate) value: u64,
     pub(crate) how: &'static str,
-    /// A limit that is set by what is wanted, not by what was measured.
+    /// A limit that follows from a goal and not from a measurement.
     pub(crate) allowed: Option<u64>,
 }
 
 /// The committed table and the compiler whose code it measured.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Budget {
-    pub(crate) toolchain: String,
-    pub(crate) lines: Vec<Line>,
+    toolchain: String,
+    lines: Vec<Line>,
 }
 
-/// What a comparison found, one sentence each.
+/// Findings of a comparison, one sentence each.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Verdict {
     /// The build fails for these.
     pub(crate) exceeded: Vec<String>,
-    /// Worth saying.
     pub(crate) notes: Vec<String>,
 }
 
 impl Budget {
-    pub(crate) fn read() -> Result<Self> {
-        let path = shell::root().join(PAGE);
-        let text =
-            fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    pub(crate) fn read(root: &Path) -> Result<Self> {
+        let text = fs::read_to_string(root.join(PAGE));
+        let text = text.with_context(|| format!("cannot read {PAGE}"))?;
         Self::parse(&text).with_context(|| format!("{PAGE} is not a budget"))
     }
 
-    pub(crate) fn write(&self) -> Result<()> {
-        let path = shell::root().join(PAGE);
-        fs::write(&path, self.page()).with_context(|| format!("cannot write {}", path.display()))
+    pub(crate) fn write(&self, root: &Path) -> Result<()> {
+        let written = fs::write(root.join(PAGE), self.page());
+        written.with_context(|| format!("cannot write {PAGE}"))
     }
 
     fn parse(text: &str) -> Result<Self> {
@@ -74,13 +72,13 @@ impl Budget {
         let mut lines = Vec::new();
         for row in text.lines().filter(|line| line.starts_with("| `")) {
             let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
-            // What stands between is for people.
+            // The columns between are for people.
             let [quantity, value, limit, .., how] = cells[..] else {
                 bail!("not four cells or more: {row}");
             };
             let number = |cell: &str| {
-                cell.parse()
-                    .with_context(|| format!("`{cell}` is no number in: {row}"))
+                let number = cell.parse();
+                number.with_context(|| format!("`{cell}` is no number in: {row}"))
             };
             lines.push(Line {
                 quantity: quantity.replace('`', ""),
@@ -89,23 +87,24 @@ impl Budget {
                 how: how.into(),
             });
         }
-        Ok(Self {
-            toolchain: toolchain.trim().into(),
-            lines,
-        })
+        let toolchain = toolchain.trim().into();
+        Ok(Self { toolchain, lines })
     }
 
     pub(crate) fn line(&self, quantity: &str) -> Option<&Line> {
         self.lines.iter().find(|line| line.quantity == quantity)
     }
 
-    /// Compares with what `toolchain` gave.
+    /// Compares with the measurements of the code of `toolchain`.
     pub(crate) fn compare(&self, toolchain: &str, measured: &[Measured]) -> Verdict {
-        let mut verdict = Verdict::default();
+        let Verdict {
+            mut exceeded,
+            mut notes,
+        } = Verdict::default();
         let foreign = release(toolchain) != release(&self.toolchain);
         let margin = if foreign { FOREIGN_MARGIN } else { 0.0 };
         if foreign {
-            verdict.notes.push(format!(
+            notes.push(format!(
                 "compiled by {toolchain}, budgeted for {}: every limit is widened by {:.0} %",
                 self.toolchain,
                 100.0 * FOREIGN_MARGIN
@@ -116,42 +115,37 @@ impl Budget {
         } in measured
         {
             let Some(line) = self.line(quantity) else {
-                verdict
-                    .exceeded
-                    .push(format!("{quantity}: {value} has no budget"));
+                exceeded.push(format!("{quantity}: {value} has no budget"));
                 continue;
             };
-            let limit = line.limit as f64 * (1.0 + margin);
+            let (before, limit) = (line.value, line.limit as f64 * (1.0 + margin));
             if *value as f64 > limit {
-                let over = format!(
-                    "{quantity}: {value} exceeds {limit:.0} (was {})",
-                    line.value
-                );
-                verdict.exceeded.push(over);
+                exceeded.push(format!(
+                    "{quantity}: {value} exceeds {limit:.0} (was {before})"
+                ));
             } else if foreign {
-                // Its differences are the compiler's, not a change of the code.
-            } else if *value < line.value {
-                let better = format!("{quantity}: improved from {} to {value}", line.value);
-                verdict.notes.push(better);
-            } else if *value > line.value {
-                let worse = format!(
-                    "{quantity}: grew from {} to {value}, within {}",
-                    line.value, line.limit
-                );
-                verdict.notes.push(worse);
+                // The difference is the compiler's, not a change of the code.
+            } else if *value < before {
+                notes.push(format!("{quantity}: improved from {before} to {value}"));
+            } else if *value > before {
+                let limit = line.limit;
+                notes.push(format!(
+                    "{quantity}: grew from {before} to {value}, within {limit}"
+                ));
             }
         }
-        for line in &self.lines {
-            if !measured.iter().any(|m| m.quantity == line.quantity) {
-                let gone = format!("{}: is in the budget and was not measured", line.quantity);
-                verdict.exceeded.push(gone);
-            }
-        }
-        verdict
+        let measured = |line: &&Line| !measured.iter().any(|m| m.quantity == line.quantity);
+        let gone = self
+            .lines
+            .iter()
+            .filter(measured)
+            .map(|line| &line.quantity);
+        exceeded.extend(gone.map(|name| format!("{name}: is in the budget and was not measured")));
+        Verdict { exceeded, notes }
     }
 
-    /// The table with the measured values. A limit follows an improvement down and never goes up by itself: raising one
-    /// is a change somebody makes by hand.
+    /// The table with the measured values. A limit follows an improvement down and never goes up by itself: whoever wants
+    /// that edits the page.
     pub(crate) fn accept(&self, toolchain: &str, measured: &[Measured]) -> Result<Self> {
         let mut lines = Vec::new();
         for Measured {
@@ -162,13 +156,11 @@ impl Budget {
         } in measured
         {
             let fresh = (*value as f64 * (1.0 + FRESH_MARGIN)).ceil() as u64;
-            let followed = self
-                .line(quantity)
-                .map_or(fresh, |line| line.limit.min(fresh));
-            let limit = allowed.unwrap_or(followed);
+            let before = self.line(quantity).map_or(fresh, |line| line.limit);
+            let limit = allowed.unwrap_or(before.min(fresh));
             ensure!(
                 *value <= limit,
-                "{quantity}: {value} exceeds {limit}; whoever wants that raises the limit in {PAGE} by hand"
+                "{quantity}: {value} exceeds {limit}; to allow it, raise the limit in {PAGE} by hand"
             );
             lines.push(Line {
                 quantity: quantity.clone(),
@@ -177,15 +169,12 @@ impl Budget {
                 how: (*how).into(),
             });
         }
-        Ok(Self {
-            toolchain: toolchain.into(),
-            lines,
-        })
+        let toolchain = toolchain.into();
+        Ok(Self { toolchain, lines })
     }
 
     fn page(&self) -> String {
-        let mut page = String::from(INTRODUCTION);
-        let _ = writeln!(page, "\nToolchain: {}\n", self.toolchain);
+        let mut page = format!("{INTRODUCTION}\nToolchain: {}\n\n", self.toolchain);
         page.push_str(
             "| quantity | value | limit | to reach | best peer | who | how measured |\n\
              |---|---:|---:|---:|---:|---|---|\n",
@@ -200,10 +189,8 @@ impl Budget {
             let number = |value: Option<u32>| value.map_or(String::new(), |v| v.to_string());
             let reach = number(anchors::reach(quantity));
             let peer = anchors::peer(quantity);
-            let (best, who) = (
-                number(peer.map(|p| p.value)),
-                peer.map_or("", |peer| peer.who),
-            );
+            let best = number(peer.map(|peer| peer.value));
+            let who = peer.map_or("", |peer| peer.who);
             let _ = writeln!(
                 page,
                 "| `{quantity}` | {value} | {limit} | {reach} | {best} | {who} | {how} |"
@@ -213,7 +200,7 @@ impl Budget {
     }
 }
 
-/// `rustc 1.96.0` of a version line: who packaged it does not matter.
+/// `rustc 1.96.0` of a version line, whoever packaged it.
 fn release(line: &str) -> Vec<&str> {
     line.split_whitespace().take(2).collect()
 }
@@ -221,17 +208,17 @@ fn release(line: &str) -> Vec<&str> {
 const INTRODUCTION: &str = "\
 # Budget
 
-What the firmware may cost. `cargo xtask bench` measures every line, fails where a value exceeds its limit, and says so
-where one has improved. `cargo xtask bench --accept` writes this page anew: values as measured, limits at most 2 % above
-them and never higher than before. A limit is raised by hand, in a change that says why.
+The budget limits the cost of the firmware. `cargo xtask bench` measures every line, fails if a value exceeds its limit, and
+lists every improvement. `cargo xtask bench --accept` writes this page anew: the values as measured, the limits at most 2 %
+above them. It never raises a limit. To raise one, edit this page by hand and give the reason in the commit.
 
 Instructions are executed instructions in the emulator, the same on every run: the mean over calls with varying inputs.
 Cycles are *estimates* for a Cortex-M4 with zero-wait memory, from the executed instructions and the cycle tables of
-ARM DDI 0439; nothing here was measured on silicon. Bytes are those of the flashable firmware. A compiler other than the
+ARM DDI 0439. Nothing here was measured on silicon. Bytes are those of the flashable firmware. A compiler other than the
 one named here gets 5 % more.
 
-What is to reach was set before the first measurement. The best peers were measured the same way; gcc fuses their
-multiplications with additions, which this code never does: its results are the same bits on every machine.
+The column *to reach* was set before the first measurement. The best peers were measured the same way. gcc fuses their
+multiplications with additions. This code never does: its results are the same bits on every machine.
 ";
 
 #[cfg(test)]

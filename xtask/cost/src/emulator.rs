@@ -1,6 +1,5 @@
 //! Runs the bench ELF in the emulator, once to count and once to trace.
 
-use std::collections::BTreeMap;
 use std::io::{BufReader, Read};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -9,15 +8,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 
-use super::image::Image;
-use super::spread::{Spread, TICKS};
-use super::trace::{self, Call};
-use crate::shell;
+use crate::image::Image;
+use crate::spread::{Spread, TICKS};
+use crate::trace::{self, Call};
 
-/// No run takes longer than half a minute; one that does hangs.
+/// A run takes less than half a minute; a longer one hangs.
 const LIMIT: Duration = Duration::from_secs(120);
 
-/// The row whose function returns at once: what it is counted beyond its own instructions is the bracket.
+/// The row whose function returns at once: its count beyond its own instructions is the bracket.
 const EMPTY: &str = "empty";
 
 /// Executed instructions of every call of a row, the bracket's own included.
@@ -25,12 +23,6 @@ const EMPTY: &str = "empty";
 pub(crate) struct Counts {
     pub(crate) name: String,
     pub(crate) calls: Vec<u32>,
-}
-
-impl Counts {
-    pub(crate) fn max(&self) -> u32 {
-        self.calls.iter().copied().max().unwrap_or(0)
-    }
 }
 
 /// Counts the instructions of `calls` calls of every row and of the long run, exactly and the same in every run.
@@ -44,10 +36,8 @@ pub(crate) fn count(elf: &Path, calls: u32) -> Result<(Vec<Counts>, Spread)> {
         child.read_to_string(&mut text)?;
         Ok(text)
     })?;
-    let (rows, long_run) = text
-        .trim_end()
-        .rsplit_once('\n')
-        .context("the bench program said nothing")?;
+    let lines = text.trim_end().rsplit_once('\n');
+    let (rows, long_run) = lines.context("the bench program printed nothing")?;
     Ok((read_counts(rows)?, Spread::read(long_run, TICKS)?))
 }
 
@@ -56,8 +46,9 @@ pub(crate) fn trace(
     elf: &Path,
     image: &Image,
     calls: u32,
-    rows: &[String],
+    rows: &[Counts],
 ) -> Result<Vec<Vec<Call>>> {
+    let names: Vec<_> = rows.iter().map(|row| row.name.as_str()).collect();
     let mut command = machine(elf, calls, 0);
     // One instruction a block, and every block through the loop that logs the processor.
     command.args(["-singlestep", "-d", "cpu,nochain"]);
@@ -65,35 +56,28 @@ pub(crate) fn trace(
     command.args(["-D", "/dev/stderr"]);
     command.stdout(Stdio::null()).stderr(Stdio::piped());
     bounded(&mut command, |child| {
-        trace::follow(BufReader::with_capacity(1 << 16, child), image, rows)
+        trace::follow(BufReader::with_capacity(1 << 16, child), image, &names)
     })
 }
 
 fn machine(elf: &Path, calls: u32, ticks: u32) -> Command {
-    let mut command = shell::command("qemu-system-arm");
+    let mut command = Command::new("qemu-system-arm");
     command
-        .args([
-            "-machine",
-            "netduinoplus2",
-            "-nographic",
-            "-monitor",
-            "none",
-        ])
-        .args(["-serial", "none", "-semihosting-config"])
+        .args(["-machine", "netduinoplus2", "-nographic"])
+        .args(["-monitor", "none", "-serial", "none", "-semihosting-config"])
         .arg(format!("enable=on,target=native,arg={calls},arg={ticks}"))
         .arg("-kernel")
-        .arg(elf);
+        .arg(elf)
+        .stdin(Stdio::null());
     command
 }
 
-/// Runs `command` for at most [`LIMIT`] while `read` reads what it was given as a pipe.
+/// Runs `command` for at most [`LIMIT`] while `read` reads its pipe.
 fn bounded<T: Send>(
     command: &mut Command,
     read: impl FnOnce(&mut (dyn Read + Send)) -> Result<T> + Send,
 ) -> Result<T> {
-    let mut child = command
-        .spawn()
-        .with_context(|| format!("cannot start `{}`", shell::line(command)))?;
+    let mut child = command.spawn().context("cannot start qemu-system-arm")?;
     let mut pipe: Box<dyn Read + Send> = match (child.stdout.take(), child.stderr.take()) {
         (Some(stdout), _) => Box::new(stdout),
         (_, Some(stderr)) => Box::new(stderr),
@@ -109,7 +93,7 @@ fn bounded<T: Send>(
             if start.elapsed() > LIMIT {
                 child.kill()?;
                 child.wait()?;
-                bail!("the emulator gave no end within {} s", LIMIT.as_secs());
+                bail!("the emulator did not end within {} s", LIMIT.as_secs());
             }
             thread::sleep(Duration::from_millis(5));
         };
@@ -122,31 +106,25 @@ fn bounded<T: Send>(
 /// Lines `name count`, one a call.
 fn read_counts(text: &str) -> Result<Vec<Counts>> {
     let mut rows: Vec<Counts> = Vec::new();
-    let mut places = BTreeMap::new();
     for line in text.lines() {
         let (name, count) = line
             .split_once(' ')
             .and_then(|(name, count)| Some((name, count.parse::<u32>().ok()?)))
-            .with_context(|| format!("the bench program said `{line}`"))?;
-        let place = *places.entry(name.to_owned()).or_insert_with(|| {
-            rows.push(Counts {
+            .with_context(|| format!("the bench program printed `{line}`"))?;
+        match rows.iter_mut().find(|row| row.name == name) {
+            Some(row) => row.calls.push(count),
+            None => rows.push(Counts {
                 name: name.to_owned(),
-                calls: Vec::new(),
-            });
-            rows.len() - 1
-        });
-        rows[place].calls.push(count);
+                calls: vec![count],
+            }),
+        }
     }
+    let empty = rows.first().filter(|row| row.name == EMPTY);
+    let empty = empty.context("the bench program did not begin with row `empty`")?;
     ensure!(
-        rows.first().is_some_and(|row| row.name == EMPTY),
-        "the bench program did not begin with row `{EMPTY}`"
-    );
-    let mut empty = rows[0].calls.iter();
-    let first = empty.next();
-    ensure!(
-        empty.all(|count| Some(count) == first),
+        empty.calls.iter().all(|count| *count == empty.calls[0]),
         "the empty row does not always cost the same: {:?}",
-        rows[0].calls
+        empty.calls
     );
     Ok(rows)
 }
@@ -160,7 +138,6 @@ mod tests {
         let rows = read_counts("empty 11\nempty 11\nsin_cos 50\nsin_cos 54\n").unwrap();
         assert_eq!(rows.len(), 2);
         assert_eq!(rows[1].calls, [50, 54]);
-        assert_eq!(rows[1].max(), 54);
     }
 
     #[test]

@@ -1,30 +1,29 @@
-//! An estimate of Cortex-M4 cycles over the instructions that were executed. Never a measurement on silicon.
+//! An estimate of Cortex-M4 cycles over the executed instructions. Never a measurement on silicon.
 //!
 //! Cycle counts: ARM DDI 0439 (Cortex-M4 r0p1 technical reference manual), table 3-1 for the core and table 7-1 for
-//! the FPU; load pipelining from section 3.3.3. The flash model follows RM0090, section 3.5.2 (adaptive accelerator):
-//! 5 wait states at 168 MHz, lines of 16 bytes, 64 of them cached for code and 8 for data, the next line prefetched.
-//! Replacement and the timing of the prefetch are assumptions.
+//! the FPU; load pipelining from section 3.3.3. A branch refills the pipeline in 2 cycles; loads are pipelined unless an
+//! address waits for the load before; a float result that is used at once costs one cycle.
+//!
+//! The flash model follows RM0090, section 3.5.2 (adaptive accelerator): 5 wait states at 168 MHz, lines of 16 bytes, 64
+//! of them cached for code and 8 for data, the next line prefetched. Replacement and the timing of the prefetch are
+//! assumptions.
 
-use super::image::FLASH;
-use super::step::Step;
-use super::thumb::{Class, Flow, Instruction, PC, Registers};
+use crate::image::FLASH;
+use crate::step::Step;
+use crate::thumb::{Class, Flow, Instruction, PC, Registers};
 
 const WAIT_STATES: u64 = 5;
 const LINE_BITS: u32 = 4;
 const CODE_LINES: usize = 64;
 const DATA_LINES: usize = 8;
+const REFILL: u64 = 2;
 
-/// Cycles of one stretch of code.
+/// Cycles of a piece of code.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Cycles {
-    /// Pipeline refill of a branch 1, loads pipelined whenever possible, no wait for float results.
-    pub(crate) low: u64,
-    /// Refill 2; loads pipelined unless an address waits for the load before; one cycle for a float result that is
-    /// used at once. The estimate that is quoted.
+    /// At zero wait states. The estimate that is quoted.
     pub(crate) estimate: u64,
-    /// Refill 3 and no pipelining.
-    pub(crate) high: u64,
-    /// `estimate` and the waits of the flash model.
+    /// With the waits of the flash model.
     pub(crate) flash: u64,
 }
 
@@ -33,18 +32,13 @@ impl std::ops::Sub for Cycles {
 
     fn sub(self, before: Self) -> Self {
         Self {
-            low: self.low - before.low,
             estimate: self.estimate - before.estimate,
-            high: self.high - before.high,
             flash: self.flash - before.flash,
         }
     }
 }
 
-/// Low, estimate and high of one instruction.
-type Three = [u64; 3];
-
-/// The pipeline and the flash interface, as far as they remember anything.
+/// State of the pipeline and of the flash interface.
 #[derive(Debug, Default)]
 pub(crate) struct Model {
     spent: Cycles,
@@ -53,7 +47,7 @@ pub(crate) struct Model {
     /// Float registers whose result the next instruction has to wait for.
     late: Registers,
     line: Option<u32>,
-    /// Line on its way and the cycle at which it is there.
+    /// Line on its way and the cycle at which it arrives.
     prefetch: Option<(u32, u64)>,
     code: Cache<CODE_LINES>,
     data: Cache<DATA_LINES>,
@@ -75,21 +69,14 @@ impl Model {
     pub(crate) fn execute(&mut self, instruction: &Instruction, step: &Step, next: u32) {
         let failed = step.condition_failed();
         let taken = next != step.pc() + instruction.size;
-        let [mut low, mut estimate, mut high] = if failed {
-            [1; 3]
-        } else {
-            cost(instruction, taken)
-        };
-        let single = !failed && is_single(instruction, taken);
-        if let (true, Some(written)) = (single, self.pipelined) {
-            low = low.min(1);
-            if estimate == 2 && !written.meets(instruction.reads) {
-                estimate = 1;
-            }
+        let single = !failed && !taken && is_single(instruction);
+        let mut estimate = if failed { 1 } else { cost(instruction, taken) };
+        let free = |written: Registers| single && !written.meets(instruction.reads);
+        if estimate == 2 && self.pipelined.is_some_and(free) {
+            estimate = 1;
         }
         if !failed && waits(instruction, self.late) {
             estimate += 1;
-            high += 1;
         }
         self.pipelined = single.then_some(instruction.writes);
         self.late = match instruction.class {
@@ -104,9 +91,7 @@ impl Model {
         if !failed {
             stall += self.constant(instruction, step);
         }
-        self.spent.low += low;
         self.spent.estimate += estimate;
-        self.spent.high += high;
         self.spent.flash += estimate + stall;
     }
 
@@ -127,7 +112,7 @@ impl Model {
             }
             let next = line + 1;
             let coming = self.prefetch.is_some_and(|(coming, _)| coming == next);
-            if !self.code.holds(next) && !coming {
+            if !self.code.lines.contains(&next) && !coming {
                 let ready = self.spent.flash + stall + WAIT_STATES + 1;
                 self.prefetch = Some((next, ready));
             }
@@ -140,25 +125,21 @@ impl Model {
         let Some(place) = instruction.address else {
             return 0;
         };
-        let base = if place.base == PC {
-            (step.pc() + 4) & !3
-        } else {
-            step.register(place.base)
+        let base = match place.base {
+            PC => (step.pc() + 4) & !3,
+            base => step.register(base),
         };
         let index = place
             .index
             .map_or(0, |(index, shift)| step.register(index) << shift);
         let address = base.wrapping_add(index).wrapping_add_signed(place.offset);
-        if FLASH.contains(&address) && !self.data.touch(address >> LINE_BITS) {
-            WAIT_STATES
-        } else {
-            0
-        }
+        let hit = !FLASH.contains(&address) || self.data.touch(address >> LINE_BITS);
+        if hit { 0 } else { WAIT_STATES }
     }
 }
 
-/// Whether a result still under way holds `instruction` up. The addition of a multiply-accumulate comes last, so its
-/// accumulator may be late.
+/// Whether a late result delays `instruction`. The addition of a multiply-accumulate comes last, so its accumulator may
+/// be late.
 fn waits(instruction: &Instruction, late: Registers) -> bool {
     let needed = match instruction.class {
         Class::FloatAccumulate { accumulator } => Registers(instruction.reads.0 & !accumulator.0),
@@ -167,35 +148,28 @@ fn waits(instruction: &Instruction, late: Registers) -> bool {
     needed.meets(late)
 }
 
-fn is_single(instruction: &Instruction, taken: bool) -> bool {
-    matches!(instruction.class, Class::Load | Class::Store { .. }) && !taken
+fn is_single(instruction: &Instruction) -> bool {
+    matches!(instruction.class, Class::Load | Class::Store { .. })
 }
 
-fn cost(instruction: &Instruction, taken: bool) -> Three {
-    let refill = |base: u64| [base + 1, base + 2, base + 3];
-    let leaves = taken || matches!(instruction.flow, Flow::Call(_) | Flow::CallIndirect);
+fn cost(instruction: &Instruction, taken: bool) -> u64 {
+    let refill = if taken { REFILL } else { 0 };
     match instruction.class {
-        Class::Branch if leaves => refill(1),
-        Class::TableBranch => [3, 4, 5],
-        Class::Multiple { words } => {
-            let base = 1 + u64::from(words);
-            if taken { refill(base) } else { [base; 3] }
-        }
-        Class::Load if taken => refill(2),
-        Class::Load | Class::Store { indexed: true } => [2; 3],
-        Class::Store { indexed: false } => [1, 1, 2],
-        Class::Alu if taken => refill(1),
+        Class::Branch => match instruction.flow {
+            Flow::Call(_) | Flow::CallIndirect => 1 + REFILL,
+            _ => 1 + refill,
+        },
+        Class::TableBranch => 2 + REFILL,
+        Class::Multiple { words } => 1 + u64::from(words) + refill,
+        Class::Load => 2 + refill,
+        Class::Store { indexed } => 1 + u64::from(indexed),
+        Class::Alu => 1 + refill,
         // 2 to 12 cycles, by the operands.
-        Class::Divide => [2, 7, 12],
-        Class::System | Class::FloatMovePair => [2; 3],
-        Class::FloatAccumulate { .. } => [3; 3],
-        Class::FloatDivide => [14; 3],
-        Class::Branch
-        | Class::Alu
-        | Class::FloatArithmetic
-        | Class::FloatMove
-        | Class::IfThen { .. }
-        | Class::Undefined => [1; 3],
+        Class::Divide => 7,
+        Class::System | Class::FloatMovePair => 2,
+        Class::FloatAccumulate { .. } => 3,
+        Class::FloatDivide => 14,
+        Class::FloatArithmetic | Class::FloatMove | Class::IfThen { .. } | Class::Undefined => 1,
     }
 }
 
@@ -206,11 +180,7 @@ struct Cache<const LINES: usize> {
 }
 
 impl<const LINES: usize> Cache<LINES> {
-    fn holds(&self, line: u32) -> bool {
-        self.lines.contains(&line)
-    }
-
-    /// Uses `line`; whether it was there.
+    /// Uses `line`; returns whether it was held.
     fn touch(&mut self, line: u32) -> bool {
         let place = self.lines.iter().position(|&held| held == line);
         if let Some(place) = place {
@@ -225,8 +195,8 @@ impl<const LINES: usize> Cache<LINES> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::thumb::decode;
     use super::*;
+    use crate::thumb::decode;
 
     /// Cycle estimate of instructions one after another, none of them a branch, in RAM.
     fn estimate(code: &[(u16, u16)]) -> u64 {

@@ -1,20 +1,19 @@
-//! Walks the code of a linked ELF from an entry: which functions it can reach, and how deep its stack can get.
+//! The functions that code of a linked ELF can reach from an entry, and the depth of their stack.
 //!
-//! Sound as far as it succeeds: every path through every function is followed, conditional instructions both ways, and
-//! anything whose target or stack movement the code does not fix is a [`Doubt`], never a guess.
+//! Sound as far as it succeeds: every path through every function is followed, conditional instructions both ways. A
+//! target or stack movement that the code does not fix is an [`Unknown`], never a guess.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::ops::Range;
 
-use super::image::Image;
-use super::thumb::{Class, Flow, Stack};
+use crate::image::Image;
+use crate::thumb::{Class, Flow, Stack};
 
-/// What the walk could not decide.
+/// A place that the walk could not decide.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Doubt {
-    /// The function in which it lies.
-    pub(crate) function: String,
+pub(crate) struct Unknown {
+    function: String,
     address: u32,
     kind: Kind,
 }
@@ -29,39 +28,39 @@ enum Kind {
     Recursion,
 }
 
-impl fmt::Display for Doubt {
+impl fmt::Display for Unknown {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let what = match self.kind {
+        let verb = match self.kind {
             Kind::IndirectCall => "calls through a pointer",
             Kind::IndirectJump => "jumps through a pointer",
             Kind::UnknownStack => "moves the stack by an amount the code does not fix",
-            Kind::TwoDepths => "comes to one place with two depths of stack",
+            Kind::TwoDepths => "reaches one place with two depths of stack",
             Kind::NoCode => "leads to no code",
             Kind::Recursion => "calls itself, directly or through others",
         };
-        write!(f, "{} {what} at {:#010x}", self.function, self.address)
+        write!(f, "{} {verb} at {:#010x}", self.function, self.address)
     }
 }
 
-/// One function on its own.
+/// One function by itself.
 #[derive(Clone, Debug, Default)]
 struct Node {
     /// Deepest stack of its own, bytes.
     own: u32,
-    /// Functions it goes on to, and how deep the stack is then.
+    /// Functions it calls or jumps to, and the depth of the stack there.
     calls: BTreeSet<(u32, u32)>,
 }
 
-/// Everything that can be reached from an entry.
+/// Everything in reach of an entry.
 #[derive(Debug)]
 pub(crate) struct Walk<'a> {
     image: &'a Image,
     nodes: BTreeMap<u32, Node>,
-    /// Empty if the walk saw everything.
-    pub(crate) doubts: BTreeSet<Doubt>,
+    /// Empty if the walk is complete.
+    pub(crate) unknowns: BTreeSet<Unknown>,
 }
 
-/// The deepest stack, and the functions on the way there with the stack each adds.
+/// The deepest stack, and the functions on the path there with the stack of each.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Depth {
     pub(crate) bytes: u32,
@@ -74,7 +73,7 @@ impl<'a> Walk<'a> {
         let mut walk = Self {
             image,
             nodes: BTreeMap::new(),
-            doubts: BTreeSet::new(),
+            unknowns: BTreeSet::new(),
         };
         let mut open = entries.to_vec();
         while let Some(entry) = open.pop() {
@@ -88,13 +87,13 @@ impl<'a> Walk<'a> {
         walk
     }
 
-    /// Every name of every function that can be reached.
+    /// Every name of every function in reach.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
         self.nodes.keys().flat_map(|&entry| self.image.names(entry))
     }
 
-    /// The way from an entry to the function at `target`, as names.
-    pub(crate) fn way_to(&self, name: &str, entries: &[u32]) -> Vec<String> {
+    /// The path from an entry to the function of this name, as names.
+    pub(crate) fn path_to(&self, name: &str, entries: &[u32]) -> Vec<String> {
         let mut from: BTreeMap<u32, Option<u32>> = entries.iter().map(|&e| (e, None)).collect();
         let mut open: Vec<u32> = entries.to_vec();
         let mut next = 0;
@@ -102,9 +101,9 @@ impl<'a> Walk<'a> {
             next += 1;
             if self.image.names(entry).any(|n| n == name) {
                 let back = std::iter::successors(Some(entry), |at| *from.get(at)?);
-                let mut way: Vec<_> = back.map(|at| self.name(at)).collect();
-                way.reverse();
-                return way;
+                let mut path: Vec<_> = back.map(|at| self.name(at)).collect();
+                path.reverse();
+                return path;
             }
             for &(target, _) in self.nodes.get(&entry).iter().flat_map(|node| &node.calls) {
                 from.entry(target).or_insert_with(|| {
@@ -116,7 +115,7 @@ impl<'a> Walk<'a> {
         Vec::new()
     }
 
-    /// The deepest stack from `entry` on. Recursion is added to the doubts.
+    /// The deepest stack from `entry` on. Recursion is unknown.
     pub(crate) fn depth(&mut self, entry: u32) -> Depth {
         let mut known = BTreeMap::new();
         self.deepest(entry, &mut Vec::new(), &mut known)
@@ -132,7 +131,7 @@ impl<'a> Walk<'a> {
             return depth.clone();
         }
         if above.contains(&entry) {
-            self.doubt(entry, entry, Kind::Recursion);
+            self.unknown(entry, entry, Kind::Recursion);
             return Depth::default();
         }
         let node = self.nodes.get(&entry).cloned().unwrap_or_default();
@@ -159,9 +158,9 @@ impl<'a> Walk<'a> {
         name.map_or_else(|| format!("{address:#010x}"), str::to_owned)
     }
 
-    fn doubt(&mut self, entry: u32, address: u32, kind: Kind) {
+    fn unknown(&mut self, entry: u32, address: u32, kind: Kind) {
         let function = self.name(entry);
-        self.doubts.insert(Doubt {
+        self.unknowns.insert(Unknown {
             function,
             address,
             kind,
@@ -172,10 +171,10 @@ impl<'a> Walk<'a> {
     fn function(&mut self, entry: u32) -> Node {
         let mut node = Node::default();
         let Some(code) = self.image.at(entry).map(|f| f.code.clone()) else {
-            self.doubt(entry, entry, Kind::NoCode);
+            self.unknown(entry, entry, Kind::NoCode);
             return node;
         };
-        // Where to go on: address, depth of the stack, conditional instructions still to come.
+        // Places still to visit: address, depth of the stack, conditional instructions left.
         let mut open = vec![(entry, 0u32, 0u32)];
         let mut seen: BTreeMap<u32, u32> = BTreeMap::new();
         while let Some((address, depth, conditional)) = open.pop() {
@@ -187,12 +186,12 @@ impl<'a> Walk<'a> {
                 None => {}
                 Some(before) if before == depth => continue,
                 Some(_) => {
-                    self.doubt(entry, address, Kind::TwoDepths);
+                    self.unknown(entry, address, Kind::TwoDepths);
                     continue;
                 }
             }
             let Some(instruction) = self.image.instruction(address) else {
-                self.doubt(entry, address, Kind::NoCode);
+                self.unknown(entry, address, Kind::NoCode);
                 continue;
             };
             let next = address + instruction.size;
@@ -200,7 +199,7 @@ impl<'a> Walk<'a> {
                 Stack::Kept => depth,
                 Stack::Moved(bytes) => depth.saturating_add_signed(-bytes),
                 Stack::Lost => {
-                    self.doubt(entry, address, Kind::UnknownStack);
+                    self.unknown(entry, address, Kind::UnknownStack);
                     depth
                 }
             };
@@ -216,8 +215,8 @@ impl<'a> Walk<'a> {
                 Flow::Call(target) => {
                     node.calls.insert((target, after));
                 }
-                Flow::CallIndirect => self.doubt(entry, address, Kind::IndirectCall),
-                Flow::JumpIndirect => self.doubt(entry, address, Kind::IndirectJump),
+                Flow::CallIndirect => self.unknown(entry, address, Kind::IndirectCall),
+                Flow::JumpIndirect => self.unknown(entry, address, Kind::IndirectJump),
                 Flow::Table { halfwords } => targets = self.table(address, halfwords, &code),
             }
             for &target in &targets {
@@ -234,32 +233,32 @@ impl<'a> Walk<'a> {
             if !ends {
                 open.push((next, after, left));
             } else if conditional > 0 {
-                // Its condition may fail; then it did nothing, to the stack neither.
+                // Its condition may fail; then it leaves the stack as it was.
                 open.push((next, depth, left));
             }
         }
         node
     }
 
-    /// Targets of a table branch at `address` in `code`. The table ends where the first of its targets begins, or
-    /// earlier if padding or constants follow it: those, read as offsets, point into the table or out of the function.
+    /// Targets of a table branch at `address` in `code`.
+    ///
+    /// The table ends where the first of its targets begins, or earlier if padding or constants follow it: as offsets,
+    /// those point into the table or out of the function.
     fn table(&self, address: u32, halfwords: bool, code: &Range<u32>) -> Vec<u32> {
         let base = address + 4;
         let mut targets: Vec<u32> = Vec::new();
         for entry in (base..).step_by(if halfwords { 2 } else { 1 }) {
-            let offset = if halfwords {
-                self.image.halfword(entry).map(u32::from)
-            } else {
-                self.image.byte(entry).map(u32::from)
-            };
-            let target = offset.map(|offset| base + 2 * offset);
+            let mask = if halfwords { 0xFFFF } else { 0xFF };
+            let offset = self
+                .image
+                .halfword(entry)
+                .map(|half| u32::from(half) & mask);
+            let target = offset.map_or(0, |offset| base + 2 * offset);
             let ended = targets.iter().any(|&first| entry >= first);
-            match target {
-                Some(target) if !ended && target > entry && code.contains(&target) => {
-                    targets.push(target);
-                }
-                _ => break,
+            if ended || target <= entry || !code.contains(&target) {
+                break;
             }
+            targets.push(target);
         }
         targets
     }
@@ -280,57 +279,60 @@ mod tests {
         [0xF7FF, 0xF800 | half as u16 & 0x7FF]
     }
 
-    fn depth_and_doubts(image: &Image) -> (u32, Vec<Kind>) {
+    fn depth_and_unknowns(image: &Image) -> (u32, Vec<Kind>) {
         let mut walk = Walk::from(image, &[CALLER]);
         let bytes = walk.depth(CALLER).bytes;
-        (bytes, walk.doubts.iter().map(|doubt| doubt.kind).collect())
+        (
+            bytes,
+            walk.unknowns.iter().map(|unknown| unknown.kind).collect(),
+        )
     }
 
     #[test]
-    fn frames_add_up_along_the_deepest_way() {
+    fn frames_add_up_along_the_deepest_path() {
         let [high, low] = call(CALLER + 2, LEAF);
         // push {r4, lr}; bl leaf; pop {r4, pc}
         let caller = [0xB510, high, low, 0xBD10];
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image), (8 + 16, vec![]));
+        assert_eq!(depth_and_unknowns(&image), (8 + 16, vec![]));
         let walk = Walk::from(&image, &[CALLER]);
-        assert_eq!(walk.way_to("leaf", &[CALLER]), ["caller", "leaf"]);
+        assert_eq!(walk.path_to("leaf", &[CALLER]), ["caller", "leaf"]);
     }
 
     #[test]
-    fn a_tail_call_has_given_its_frame_back() {
+    fn a_tail_call_has_released_its_frame() {
         // push {r4, lr}; pop.w {r4, lr}; b leaf
         let mut caller = [0xB510, 0xE8BD, 0x4010, 0xE000];
         let half = LEAF.wrapping_sub(CALLER + 6 + 4) >> 1;
         caller[3] |= half as u16 & 0x7FF;
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image), (16, vec![]));
+        assert_eq!(depth_and_unknowns(&image), (16, vec![]));
     }
 
     #[test]
-    fn a_call_through_a_pointer_is_a_doubt() {
+    fn a_call_through_a_pointer_is_unknown() {
         // push {r4, lr}; blx r0; pop {r4, pc}
         let caller = [0xB510, 0x4780, 0xBD10];
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image), (8, vec![Kind::IndirectCall]));
+        assert_eq!(depth_and_unknowns(&image), (8, vec![Kind::IndirectCall]));
     }
 
     #[test]
-    fn recursion_and_stacks_of_unknown_size_are_doubts() {
+    fn recursion_and_stacks_of_unfixed_size_are_unknown() {
         let [high, low] = call(CALLER + 2, CALLER);
         let itself = [0xB510, high, low, 0xBD10];
         let image = Image::of_code(&[("caller", CALLER, &itself)]);
-        assert_eq!(depth_and_doubts(&image).1, [Kind::Recursion]);
+        assert_eq!(depth_and_unknowns(&image).1, [Kind::Recursion]);
         // sub.w sp, sp, r0; bx lr
         let image = Image::of_code(&[("caller", CALLER, &[0xEBAD, 0x0D00, 0x4770])]);
-        assert_eq!(depth_and_doubts(&image).1, [Kind::UnknownStack]);
+        assert_eq!(depth_and_unknowns(&image).1, [Kind::UnknownStack]);
     }
 
     #[test]
     fn what_follows_a_conditional_return_is_followed_too() {
         // it eq; bxeq lr; push {r4, lr}; pop {r4, pc}
         let image = Image::of_code(&[("caller", CALLER, &[0xBF08, 0x4770, 0xB510, 0xBD10])]);
-        assert_eq!(depth_and_doubts(&image), (8, vec![]));
+        assert_eq!(depth_and_unknowns(&image), (8, vec![]));
     }
 
     #[test]
@@ -342,10 +344,10 @@ mod tests {
             0xB510, 0xBD10, // push {r4, lr}; pop {r4, pc}
         ];
         let image = Image::of_code(&[("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image), (8, vec![]));
+        assert_eq!(depth_and_unknowns(&image), (8, vec![]));
         // tbb [pc, r0] with three cases, the first of them a return, and a byte of padding
         let caller = [0xE8DF, 0xF000, 0x0302, 0x0002, 0x4770, 0xB510, 0xBD10];
         let image = Image::of_code(&[("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_doubts(&image), (8, vec![]));
+        assert_eq!(depth_and_unknowns(&image), (8, vec![]));
     }
 }

@@ -1,6 +1,6 @@
 //! The processor before one instruction, as the emulator logs it.
 
-use super::thumb::PC;
+use crate::thumb::PC;
 
 /// The processor before one instruction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -18,7 +18,7 @@ impl Step {
         self.registers[number as usize & 15]
     }
 
-    /// The instruction stands in an if-then block and its condition does not hold (DDI 0403E.e, A7.3).
+    /// Whether the instruction is in an if-then block and its condition does not hold (DDI 0403E.e, A7.3).
     pub(crate) fn condition_failed(&self) -> bool {
         let flag = |number: u32| self.status >> number & 1 == 1;
         let (negative, zero, carry, overflow) = (flag(31), flag(30), flag(29), flag(28));
@@ -41,7 +41,7 @@ impl Step {
         holds == (condition & 1 == 1)
     }
 
-    /// Takes the registers of one line of the log; whether the step is complete.
+    /// Takes the registers of one line of the log; returns whether the step is complete.
     pub(crate) fn read_line(&mut self, line: &[u8]) -> bool {
         let number = |at: usize| hexadecimal(line.get(at..at + 8)?);
         if let Some(status) = line.strip_prefix(b"XPSR=").and_then(|_| number(5)) {
@@ -78,8 +78,8 @@ fn hexadecimal(digits: &[u8]) -> Option<u32> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::thumb::SP;
     use super::*;
+    use crate::thumb::SP;
 
     #[test]
     fn a_step_is_read_from_the_lines_of_the_log() {
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_condition_is_judged_by_the_flags_and_the_block() {
+    fn a_condition_follows_from_the_flags_and_the_block() {
         let with = |status| Step {
             status,
             ..Step::default()

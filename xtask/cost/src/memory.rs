@@ -1,14 +1,14 @@
-//! Flash, static RAM and the worst stack of the flashable firmware, from its linked ELF alone.
+//! Flash, static RAM and the worst stack of a flashable firmware, from its linked ELF alone.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 
-use super::calls::{Depth, Walk};
-use super::image::Image;
+use crate::calls::{Depth, Walk};
+use crate::image::Image;
 
-/// The interrupt in which the tick runs.
+/// The interrupt of the tick.
 const TICK: &str = "EXTI1";
 
-/// What the core pushes when it takes an exception: 26 words with the float registers, and one to align
+/// Bytes that the core pushes for an exception: 26 words with the float registers, and one to align
 /// (DDI 0403E.e, B1.5.7).
 const EXCEPTION_FRAME: u32 = 4 * (26 + 1);
 
@@ -23,7 +23,7 @@ pub(crate) struct Memory {
     pub(crate) stack_bytes: u32,
     /// Bound of the whole stack: the main program and one of every handler on top of each other.
     pub(crate) nested_bytes: u32,
-    /// Where the tick is deepest.
+    /// Deepest calls of the tick.
     pub(crate) deepest: Depth,
 }
 
@@ -38,11 +38,11 @@ impl Memory {
         for (_, handler) in image.handlers() {
             nested_bytes += EXCEPTION_FRAME + bounded_depth(image, handler.code.start)?.bytes;
         }
-        // That the variables fit beside the stack is the linker's to say.
-        let room = image.stack_room;
+        // The linker checks that the variables fit beside the stack.
+        let limit = image.stack_limit;
         ensure!(
-            nested_bytes <= room,
-            "the stack can need {nested_bytes} of its {room} bytes"
+            nested_bytes <= limit,
+            "the stack can need {nested_bytes} of its {limit} bytes"
         );
         Ok(Self {
             flash_bytes: image.flash_bytes,
@@ -58,8 +58,8 @@ impl Memory {
 pub(crate) fn bounded_depth(image: &Image, entry: u32) -> Result<Depth> {
     let mut walk = Walk::from(image, &[entry]);
     let depth = walk.depth(entry);
-    if let Some(doubt) = walk.doubts.first() {
-        anyhow::bail!("the stack is not bounded: {doubt}");
+    if let Some(unknown) = walk.unknowns.first() {
+        bail!("the stack is not bounded: {unknown}");
     }
     Ok(depth)
 }

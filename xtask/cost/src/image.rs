@@ -9,21 +9,21 @@ use elf::ElfBytes;
 use elf::abi::{PT_LOAD, SHF_ALLOC, SHT_NOBITS, STT_FUNC};
 use elf::endian::LittleEndian;
 
-use super::thumb::{self, Instruction};
+use crate::thumb::{self, Instruction};
 
-/// Where the STM32F405 has flash and static RAM (memory.x).
+/// Flash and static RAM of the STM32F405 (memory.x).
 pub(crate) const FLASH: Range<u32> = 0x0800_0000..0x0810_0000;
 pub(crate) const RAM: Range<u32> = 0x2000_0000..0x2002_0000;
 
 /// A function of the symbol table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Function {
-    /// As in the source, without the hash.
+    /// Path in the source, without the hash.
     pub(crate) name: String,
     pub(crate) code: Range<u32>,
 }
 
-/// What of a linked ELF the measurements need.
+/// A linked ELF, as far as the measurements need it.
 #[derive(Debug)]
 pub(crate) struct Image {
     /// Sorted by address; a function with two names is listed twice.
@@ -33,8 +33,8 @@ pub(crate) struct Image {
     pub(crate) flash_bytes: u32,
     /// Bytes of static variables.
     pub(crate) ram_bytes: u32,
-    /// Room that memory.x gives the stack.
-    pub(crate) stack_room: u32,
+    /// Bytes that memory.x leaves for the stack.
+    pub(crate) stack_limit: u32,
 }
 
 impl Image {
@@ -77,7 +77,7 @@ impl Image {
             if symbol.st_symtype() != STT_FUNC || symbol.is_undefined() {
                 continue;
             }
-            // The lowest bit says Thumb.
+            // The lowest bit marks Thumb.
             let start = u32::try_from(symbol.st_value)? & !1;
             let end = start + u32::try_from(symbol.st_size)?;
             let name = names.get(symbol.st_name as usize)?;
@@ -99,7 +99,7 @@ impl Image {
             segments,
             flash_bytes,
             ram_bytes,
-            stack_room: stack_start.saturating_sub(stack_end),
+            stack_limit: stack_start.saturating_sub(stack_end),
         })
     }
 
@@ -116,7 +116,7 @@ impl Image {
             .then_some(first)
     }
 
-    /// Every function once, whatever names it has.
+    /// Every function once, whatever its names.
     pub(crate) fn distinct_functions(&self) -> impl Iterator<Item = &Function> {
         let mut before = None;
         self.functions.iter().filter(move |function| {
@@ -142,26 +142,15 @@ impl Image {
             .map(|f| f.name.as_str())
     }
 
-    /// Bytes from `address` on, as far as the file has them.
-    fn bytes(&self, address: u32) -> Option<&[u8]> {
+    fn bytes<const COUNT: usize>(&self, address: u32) -> Option<[u8; COUNT]> {
         self.segments.iter().find_map(|(start, data)| {
             let offset = address.checked_sub(*start)? as usize;
-            data.get(offset..).filter(|rest| !rest.is_empty())
+            data.get(offset..)?.first_chunk().copied()
         })
     }
 
     pub(crate) fn halfword(&self, address: u32) -> Option<u16> {
-        let bytes = self.bytes(address)?.first_chunk::<2>()?;
-        Some(u16::from_le_bytes(*bytes))
-    }
-
-    pub(crate) fn byte(&self, address: u32) -> Option<u8> {
-        self.bytes(address)?.first().copied()
-    }
-
-    fn word(&self, address: u32) -> Option<u32> {
-        let bytes = self.bytes(address)?.first_chunk::<4>()?;
-        Some(u32::from_le_bytes(*bytes))
+        self.bytes(address).map(u16::from_le_bytes)
     }
 
     /// The instruction at `address`.
@@ -185,7 +174,9 @@ impl Image {
             .or(self.function("DefaultHandler"));
         (SYSTICK..VECTORS)
             .filter_map(|number| {
-                let address = self.word(FLASH.start + 4 * number)?;
+                let address = self
+                    .bytes(FLASH.start + 4 * number)
+                    .map(u32::from_le_bytes)?;
                 let function = self.at(address & !1)?;
                 let bound = default.is_none_or(|d| d.code.start != function.code.start);
                 (address != 0 && bound).then_some((number, function))
@@ -209,7 +200,7 @@ impl Image {
                 .collect(),
             flash_bytes: 0,
             ram_bytes: 0,
-            stack_room: 0,
+            stack_limit: 0,
         }
     }
 }

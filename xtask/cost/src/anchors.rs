@@ -1,19 +1,19 @@
-//! What the measured quantities are to reach, and the best that anybody else has published.
+//! Goals of the measured quantities, and the best published figures of others.
 //!
-//! The peers' figures were measured as ours are: instructions executed in the emulator, cycles estimated at zero wait
-//! states. gcc fuses multiplications with additions, our code never does.
+//! The figures of others were measured as ours are: instructions executed in the emulator, cycles estimated at zero wait
+//! states. gcc fuses multiplications with additions; our code never does.
 
 /// One quantity of the budget beside others.
 struct Anchor {
-    /// As the budget names it.
+    /// Name in the budget.
     quantity: &'static str,
-    /// What this project wants to reach.
+    /// Goal of this project.
     reach: Option<u32>,
     /// The best peer.
     peer: Option<Peer>,
 }
 
-/// Somebody else's figure.
+/// A figure of others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Peer {
     pub(crate) value: u32,
@@ -22,24 +22,20 @@ pub(crate) struct Peer {
 
 const NEWLIB: &str = "newlib sinf + cosf";
 const PINOCCHIO: &str = "Pinocchio + CasADi, 60 run-time parameters, gcc -Ofast";
-const PINOCCHIO_ROWS: &str = "Pinocchio + CasADi, all rows of 60 columns";
+const ROWS: &str = "Pinocchio + CasADi, all rows of 60 columns";
+const BEST: &str = "the best known";
 const CMSIS: &str = "CMSIS-DSP mat_vec_mult";
 const PLAIN_C: &str = "plain C, -O3 -ffast-math -funroll-loops";
 
 const ANCHORS: &[Anchor] = &[
     against("sin_cos, instructions", 40, 152, NEWLIB),
-    beside("sin_cos, est. cycles", 272, NEWLIB),
+    against("sin_cos, est. cycles", 0, 272, NEWLIB),
     against("rnea_ur5, instructions", 1000, 1790, PINOCCHIO),
     against("rnea_ur5, est. cycles", 1700, 2908, PINOCCHIO),
-    against(
-        "rnea_calibrated, instructions",
-        1700,
-        1890,
-        "the best known",
-    ),
-    against("regressor_row_ur5, instructions", 500, 2834, PINOCCHIO_ROWS),
-    against("regressor_ur5, instructions", 1800, 2834, PINOCCHIO_ROWS),
-    beside("regressor_ur5, est. cycles", 4216, PINOCCHIO_ROWS),
+    against("rnea_calibrated, instructions", 1700, 1890, BEST),
+    against("regressor_row_ur5, instructions", 500, 2834, ROWS),
+    against("regressor_ur5, instructions", 1800, 2834, ROWS),
+    against("regressor_ur5, est. cycles", 0, 4216, ROWS),
     against("bp_18_32_6_forward, instructions", 2600, 3049, CMSIS),
     against("bp_18_32_6_forward, est. cycles", 4766, 4766, PLAIN_C),
     against("bp_18_32_6_update, instructions", 6500, 7926, PLAIN_C),
@@ -52,18 +48,11 @@ const ANCHORS: &[Anchor] = &[
     alone("stack of the tick, bytes", 8 << 10),
 ];
 
+/// A goal, none if 0, and a peer.
 const fn against(quantity: &'static str, reach: u32, value: u32, who: &'static str) -> Anchor {
     Anchor {
         quantity,
-        reach: Some(reach),
-        peer: Some(Peer { value, who }),
-    }
-}
-
-const fn beside(quantity: &'static str, value: u32, who: &'static str) -> Anchor {
-    Anchor {
-        quantity,
-        reach: None,
+        reach: if reach == 0 { None } else { Some(reach) },
         peer: Some(Peer { value, who }),
     }
 }
@@ -76,12 +65,12 @@ const fn alone(quantity: &'static str, reach: u32) -> Anchor {
     }
 }
 
-/// What `quantity` is to reach; `None` if nothing was set.
+/// Goal of `quantity`, if one was set.
 pub(crate) fn reach(quantity: &str) -> Option<u32> {
     find(quantity)?.reach
 }
 
-/// The best peer of `quantity`; `None` if nobody is known.
+/// The best peer of `quantity`, if one is known.
 pub(crate) fn peer(quantity: &str) -> Option<Peer> {
     find(quantity)?.peer
 }

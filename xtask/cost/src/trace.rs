@@ -5,10 +5,10 @@ use std::io::BufRead;
 
 use anyhow::{Context as _, Result, bail};
 
-use super::cycles::{Cycles, Model};
-use super::image::Image;
-use super::step::Step;
-use super::thumb::{Instruction, LR, SP};
+use crate::cycles::{Cycles, Model};
+use crate::image::Image;
+use crate::step::Step;
+use crate::thumb::{Instruction, LR, SP};
 
 /// One traced call.
 #[derive(Clone, Debug, Default)]
@@ -17,15 +17,15 @@ pub(crate) struct Call {
     pub(crate) cycles: Cycles,
     /// Bytes of stack below the caller's.
     pub(crate) stack_bytes: u32,
-    /// How often each instruction was executed.
+    /// Executions of each instruction.
     pub(crate) mix: HashMap<&'static str, u32>,
 }
 
-/// Follows the log and keeps what happens inside the functions named in `rows`: the calls of each, in that order.
+/// The calls of the functions named in `rows`, in that order, from the log.
 pub(crate) fn follow(
     mut log: impl BufRead,
     image: &Image,
-    rows: &[String],
+    rows: &[&str],
 ) -> Result<Vec<Vec<Call>>> {
     let mut starts = HashMap::new();
     for (row, name) in rows.iter().enumerate() {
@@ -56,10 +56,10 @@ pub(crate) fn follow(
 
 struct Follower<'a> {
     image: &'a Image,
-    /// Which row a function belongs to, by its address.
+    /// Row of a function, by its address.
     starts: HashMap<u32, usize>,
     decoded: HashMap<u32, Instruction>,
-    /// One pipeline and flash interface a row: what ran between two calls of it is not looked at.
+    /// One pipeline and flash interface a row; code between two calls does not count.
     models: Vec<Model>,
     calls: Vec<Vec<Call>>,
     open: Option<Open>,
