@@ -19,7 +19,7 @@ const ROW_LIMIT_SHARE: f64 = 2e-6;
 /// Seconds after which the emulator is stopped; it needs about one.
 const PATIENCE: &str = "120";
 
-/// What the arms are asked, in the order of `each_arm`, and the answers after the run.
+/// Requests to the arms, in the order of `each_arm`, and the answers after the run.
 #[derive(Default)]
 struct Play {
     asked: Vec<f32>,

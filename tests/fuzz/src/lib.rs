@@ -1,4 +1,4 @@
-//! What is fuzzed, and what must hold for any bytes. Each target takes bytes, and panics when a promise is broken.
+//! Fuzz targets and their promises. Each target takes any bytes and panics when a promise is broken.
 //!
 //! A checksum stops a fuzzer at the door, so an even first byte lets it in: what follows is then sealed as a good sender
 //! would have done it, and the reader behind the checksum gets the bytes that the fuzzer wanted it to get.

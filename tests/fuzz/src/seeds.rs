@@ -15,7 +15,7 @@ pub fn plant(target: &str) {
     }
 }
 
-/// What a target begins with: good inputs, made from the types of today, so that they never grow old.
+/// Seeds of a target: good inputs, made from the types of today, so that they never grow old.
 pub fn seeds(target: &str) -> Vec<Vec<u8>> {
     let banks = [
         bytes(&ParameterBank::nominal::<Ur5, 6, 40>()),
@@ -90,7 +90,7 @@ fn messages() -> Vec<Vec<u8>> {
     messages.iter().map(body).collect()
 }
 
-/// What the frame of a message holds between header and checksum.
+/// Body of a message's frame between header and checksum.
 fn body(message: &HostMessage<6>) -> Vec<u8> {
     let mut room = [0; foretorque_link::wire::MAX_FRAME];
     let frame = encode(1, message, &mut room).expect("a frame has room for every message");

@@ -1,9 +1,9 @@
-//! What is wrong with a table, as one line.
+//! Defects of a table, one line each.
 
 use std::io;
 use std::path::PathBuf;
 
-/// What is wrong with a table.
+/// Defect of a table.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
     /// The file cannot be opened or read.
@@ -14,7 +14,7 @@ pub enum TableError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the reader said.
+        /// Message of the reader.
         reason: String,
     },
     /// The header lacks a column.
@@ -64,7 +64,7 @@ pub enum TableError {
         line: u64,
         /// Column of the field.
         column: String,
-        /// What stands there.
+        /// Text of the cell.
         text: String,
     },
     /// Time stands still or runs backwards.

@@ -1,4 +1,4 @@
-//! The same targets without libFuzzer: replays seeds, inputs and mutations of them without looking at coverage. For machines
+//! The fuzz targets without libFuzzer: replays seeds, inputs and mutations of them without looking at coverage. For machines without a C++
 //! without a C++ compiler, and for reproducing what was found: `plain TARGET RUNS [FILE or DIR …]`.
 
 use std::path::{Path, PathBuf};
