@@ -245,7 +245,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn harmonics_and_derivatives_are_exact_and_noise_between_them_goes() {
+    fn harmonics_are_exact_and_noise_between_them_goes() {
         let (phases, period_s) = (200, 4.0);
         let w = TAU / period_s;
         let t = |phase: usize| period_s * phase as f64 / phases as f64;
