@@ -7,6 +7,7 @@ mod demo;
 mod faults;
 mod flash;
 mod fuzz;
+mod outside;
 mod setup;
 mod shell;
 mod test;

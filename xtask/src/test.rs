@@ -10,6 +10,7 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::capi;
 use crate::fuzz;
+use crate::outside;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
 use crate::toolchain::{self, Tools};
@@ -61,6 +62,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     outcomes.push(pass("linked firmware", || {
         foretorque_cost::check_firmware(&toolchain::elves())
     }));
+    outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("library for C", || {
         capi::bring_compiler()?;
         capi::build(tools)

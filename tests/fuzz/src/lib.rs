@@ -14,7 +14,9 @@ use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::bank::ParameterBank;
-use foretorque_link::session::{BoardDescription, LearnerMailbox, NoClock, Session};
+use foretorque_link::session::{
+    BoardDescription, LearnerMailbox, Mailboxes, NoClock, NoLocalSensor, Session,
+};
 use foretorque_link::store::{Store, StoreState};
 use foretorque_link::wire::{
     BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, PROTOCOL_VERSION, encode,
@@ -162,10 +164,10 @@ fn check_set<A: Arm<N, P>, const N: usize, const P: usize>(bank: &ParameterBank)
 pub fn session(input: &[u8]) {
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
-    let (mut mailbox, mut out) = (LearnerMailbox::new(), FrameBuffer::new());
+    let (mut mailboxes, mut out) = (Mailboxes::new(), FrameBuffer::new());
     let mut listener = Decoder::new();
     for piece in line(input).chunks(64) {
-        session.receive(piece, &mut mailbox, &mut out);
+        session.receive(piece, &mut mailboxes, &mut out, &mut NoLocalSensor);
         for &byte in out.as_bytes() {
             let Some(frame) = listener.push(byte) else {
                 continue;

@@ -16,9 +16,9 @@ const INV_CURVATURE: f32 = 1.0 / (SUM_4 - SUM_2 * SUM_2 / SUM_0);
 /// Where nothing of a ripple is left in the acceleration: square of the first zero of j₂.
 const RIPPLE_END: f32 = 33.2;
 
-/// Longest gap that is bridged, ticks. A straight line misses a quadratic by `qdd ((BRIDGED + 1) T)² / 8` at most: 30 µrad at
+/// Longest gap that is bridged, ticks. A straight line misses a quadratic by `qdd ((MAX_BRIDGED + 1) T)² / 8` at most: 30 µrad at
 /// 10 rad/s² and 1 kHz, less than the steps of most encoders.
-pub const BRIDGED: usize = 4;
+pub const MAX_BRIDGED: usize = 4;
 
 /// Torque samples that are averaged around the middle of the window. One joint's row is learnt in a tick, so its next row is
 /// six ticks away in an arm of six joints: a mean of five samples has news of five ticks for the price of one row. Over
@@ -30,7 +30,7 @@ const TORQUES: usize = DELAY + 1 + AVERAGED / 2;
 
 /// Motion and torque of the same instant, `DELAY` ticks ago.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Conditioned<const N: usize> {
+pub struct ConditionedSample<const N: usize> {
     /// Smoothed position, and velocity and acceleration of the same quadratic.
     pub motion: JointMotion<N>,
     /// Mean of five torques around that instant: the noise of means that have no sample in common is white.
@@ -98,7 +98,7 @@ impl<const N: usize> MeasurementWindow<N> {
             // A copy is as good as nothing: what comes next may be late as well.
             self.newest = self.newest.filter(|_| !follows);
             self.gap += 1;
-            if self.filled == 0 || self.gap > BRIDGED {
+            if self.filled == 0 || self.gap > MAX_BRIDGED {
                 self.reset();
             }
             return;
@@ -158,7 +158,7 @@ impl<const N: usize> MeasurementWindow<N> {
     ///
     /// Cost: `5 · DELAY` multiply-adds a joint.
     #[inline(never)]
-    pub fn conditioned(&self, inv_period: f32) -> Option<Conditioned<N>> {
+    pub fn conditioned(&self, inv_period: f32) -> Option<ConditionedSample<N>> {
         let known = self.measured >> DELAY & 1 == 1;
         if self.filled < TAPS || self.gap > 0 || !known {
             return None;
@@ -178,7 +178,7 @@ impl<const N: usize> MeasurementWindow<N> {
             tau += self.tau[(self.torque_next + age) % TORQUES];
         }
         tau *= 1.0 / AVERAGED as f32;
-        Some(Conditioned { motion, tau })
+        Some(ConditionedSample { motion, tau })
     }
 }
 
@@ -196,7 +196,7 @@ impl<const N: usize> Default for MeasurementWindow<N> {
 /// ```
 /// the second derivative of the quadratic that fits a sine over a window of ±x, over that of the sine; j₂ is the
 /// spherical Bessel function, zero at 5.763. The sum over 31 taps lies within 0.01 of it.
-pub fn ripple_share(angle: f32) -> f32 {
+pub fn cogging_attenuation(angle: f32) -> f32 {
     let half = angle * (0.5 * TAPS as f32);
     let y = half * half;
     if y < RIPPLE_END {

@@ -1,8 +1,8 @@
 use super::doubt::rigid_sigma;
-use super::guard_config::GuardConfig;
+use super::guard_config::SupervisorConfig;
 use super::trainer::TrainerConfig;
 use crate::arm::Arm;
-use crate::dynamics::FrictionParameters;
+use crate::dynamics::{FrictionParameters, friction_prior};
 
 /// A configuration that cannot work, with the field that is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,16 +49,14 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     /// How the networks are trained.
     pub network: TrainerConfig,
     /// When the guard believes what.
-    pub guard: GuardConfig,
+    pub supervisor: SupervisorConfig,
 }
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
     /// numbers of its own: every link's mass, inertia and rotor are uncertain by 20 % of what the description says, its
-    /// centre of mass by 5 % of its distance and 3 mm along each axis; viscous friction by 10 % of the limit at full speed,
-    /// Coulomb friction by 3 % of the limit, its bend by 1.2 %, the Stribeck peak by 1 %, offset and cogging by 0.5 % each,
-    /// what grows with the load by 1.3 % of the load (a real UR5's shoulder lift has 7.9 %, docs/learning-scenarios.md; more
-    /// doubt makes payloads harder to weigh); cogging of a joint that has none stays 0.
+    /// centre of mass by 5 % of its distance and 3 mm along each axis; friction as in the table of
+    /// [`FrictionColumn`](crate::dynamics::FrictionColumn).
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -84,7 +82,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
                 hidden_rate: 1e-4,
                 clip_sigmas: 3.0,
             },
-            guard: GuardConfig::for_arm::<A, N, P>(1.0 / period_s),
+            supervisor: SupervisorConfig::for_arm::<A, N, P>(1.0 / period_s),
         }
     }
 
@@ -107,7 +105,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             }
         }
         // A deviation of zero holds its parameter where it is.
-        let mut friction = self.friction_sigma.iter().flat_map(|s| s.columns());
+        let mut friction = self.friction_sigma.iter().flat_map(|s| s.0);
         if !friction.all(|s| s >= 0.0 && s.is_finite()) {
             return Err(ConfigError::NotPositive("friction_sigma"));
         }
@@ -117,7 +115,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         if !(0.0..1.0).contains(&self.network.hidden_rate) {
             return Err(ConfigError::RateOutOfRange("network.hidden_rate"));
         }
-        self.guard.validate()
+        self.supervisor.validate()
     }
 }
 
@@ -125,17 +123,7 @@ const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [Fric
     let mut sigma = [FrictionParameters::NONE; N];
     let mut joint = 0;
     while joint < N {
-        let limits = A::LIMITS[joint];
-        sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
-        sigma[joint].coulomb = 0.03 * limits.torque;
-        sigma[joint].stribeck = 0.01 * limits.torque;
-        sigma[joint].bend = 0.012 * limits.torque;
-        sigma[joint].load = 0.013;
-        sigma[joint].offset = 0.005 * limits.torque;
-        if A::COGGING_CYCLES[joint] > 0.0 {
-            sigma[joint].cogging_sin = 0.005 * limits.torque;
-            sigma[joint].cogging_cos = 0.005 * limits.torque;
-        }
+        sigma[joint] = friction_prior(&A::LIMITS[joint], A::COGGING_CYCLES[joint]);
         joint += 1;
     }
     sigma

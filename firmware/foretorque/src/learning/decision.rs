@@ -22,11 +22,11 @@ pub enum Reason {
     /// The active set became the committed one. Figure: its residual over that of the committed set before.
     Committed = 9,
     /// A set was kept on request.
-    Kept = 10,
+    SnapshotTaken = 10,
     /// The payload was set to nothing on request. Figure: the mass it had, kg.
     PayloadZeroed = 11,
     /// What a request asks for is not there. Figure: the number of the request.
-    Refused = 12,
+    RequestRefused = 12,
     /// Learning stopped because a torque was saturated.
     FrozenSaturated = 13,
     /// Learning stopped because no fresh sample came.
@@ -36,12 +36,12 @@ pub enum Reason {
     /// Learning stopped on an emergency stop.
     FrozenStopped = 16,
     /// Learning goes on after one of the stops above.
-    Thawed = 17,
+    Resumed = 17,
     /// The change stayed and is no payload: friction is learnt anew, out of sight of the torque.
     Relearning = 18,
     /// Time for relearning is over: alarms are listened to again. Figure: residual of the estimate over that of the
     /// committed set.
-    Relearnt = 19,
+    RelearningEnded = 19,
     /// A trained network was believed. Figure: its residual over that of the one before.
     NetworkPromoted = 20,
     /// A network that made the torque worse was silenced. Figure: the residual with it over that without.
@@ -52,7 +52,7 @@ pub enum Reason {
     TrustRegained = 23,
     /// All measured torques are off by one factor: that is the sensors or the drives, not the arm. What is learnt from
     /// them stays out of the torque. Figure: the factor.
-    DriveGain = 24,
+    CommonGain = 24,
     /// The estimate explains unseen rows better than the committed set: the active set follows it. Figure: its residual
     /// over that of the committed set.
     Followed = 25,
@@ -73,7 +73,7 @@ pub struct Decision {
 }
 
 /// Decisions that are kept.
-pub const DECISIONS: usize = 8;
+pub const DECISION_CAPACITY: usize = 8;
 
 /// Room for a [`Decision`], without one at first. Zeros have to be a value of it, as of everything in a learner: a board
 /// makes room for one that is nothing but zeros.
@@ -97,7 +97,7 @@ impl Slot {
 /// The newest decisions, and how many there were.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DecisionLog {
-    ring: [Slot; DECISIONS],
+    ring: [Slot; DECISION_CAPACITY],
     count: u32,
 }
 
@@ -105,14 +105,14 @@ impl DecisionLog {
     /// No decision yet.
     pub const fn new() -> Self {
         Self {
-            ring: [Slot::EMPTY; DECISIONS],
+            ring: [Slot::EMPTY; DECISION_CAPACITY],
             count: 0,
         }
     }
 
     /// Takes a decision; the oldest kept one gives way.
     pub(super) fn note(&mut self, decision: Decision) {
-        if let Some(slot) = self.ring.get_mut(self.count as usize % DECISIONS) {
+        if let Some(slot) = self.ring.get_mut(self.count as usize % DECISION_CAPACITY) {
             *slot = Slot {
                 tick: decision.tick,
                 reason: Some(decision.reason),
@@ -131,10 +131,10 @@ impl DecisionLog {
     /// Decision number `index`, counted from 0; `None` if it is not kept any more or not made yet.
     pub fn get(&self, index: u32) -> Option<Decision> {
         let age = self.count.wrapping_sub(index);
-        if age == 0 || age > DECISIONS as u32 {
+        if age == 0 || age > DECISION_CAPACITY as u32 {
             return None;
         }
-        let slot = self.ring.get(index as usize % DECISIONS)?;
+        let slot = self.ring.get(index as usize % DECISION_CAPACITY)?;
         Some(Decision {
             tick: slot.tick,
             reason: slot.reason?,

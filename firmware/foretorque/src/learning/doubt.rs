@@ -25,14 +25,16 @@ const FLOOR: f32 = 1.5e-3;
 const DOUBT_ACCELERATION: f32 = 10.0;
 
 /// Number of ways in which the links of an arm of `joints` joints may differ from their descriptions.
-pub const fn rigid_doubts(joints: usize) -> usize {
+pub const fn prior_factor_count(joints: usize) -> usize {
     WAYS * joints
 }
 
 /// One way, number `place`, in which the links may differ: change of the base parameters, in units of their prior
 /// standard deviations. `None` if there is no such.
-pub fn rigid_doubt<A: Arm<N, P>, const N: usize, const P: usize>(place: usize) -> Option<[f32; P]> {
-    if place >= rigid_doubts(N) {
+pub fn prior_factor<A: Arm<N, P>, const N: usize, const P: usize>(
+    place: usize,
+) -> Option<[f32; P]> {
+    if place >= prior_factor_count(N) {
         return None;
     }
     let mut doubt = base_change::<A, N, P>(place);
@@ -43,7 +45,7 @@ pub fn rigid_doubt<A: Arm<N, P>, const N: usize, const P: usize>(place: usize) -
 }
 
 /// Variances that base parameters have for no link's reason, in units of the prior's.
-pub fn rigid_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
+pub fn prior_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
     const { relative_floor::<A, N, P>() }
 }
 
@@ -51,7 +53,7 @@ pub fn rigid_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
 pub(super) const fn rigid_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
     let mut square = floor_squared::<A, N, P>();
     let mut place = 0;
-    while place < rigid_doubts(N) {
+    while place < prior_factor_count(N) {
         let change = base_change::<A, N, P>(place);
         let mut column = 0;
         while column < P {

@@ -1,11 +1,14 @@
-use super::conditioning::{AVERAGED, Conditioned};
+use super::conditioning::{AVERAGED, ConditionedSample};
 use super::config::LearnerConfig;
-use super::doubt::{rigid_doubt, rigid_doubts, rigid_floor};
+use super::doubt::{prior_factor, prior_factor_count, prior_floor};
 use super::parameters::ParameterSet;
-use super::stacked::Stacked;
+use super::stacked::LinearParameters;
 use super::ud::{UdFilter, dot};
 use crate::arm::Arm;
-use crate::dynamics::{FRICTION_COLUMNS, RESISTING, friction_load, friction_row, regressor_row};
+use crate::dynamics::{
+    COGGING_COLUMNS, DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS, friction_load,
+    friction_row, regressor_row,
+};
 use crate::limits::cut;
 use crate::math::sqrt;
 
@@ -30,23 +33,18 @@ const FIRST_ROWS: f32 = 4.0;
 /// Doubts about links that a tick takes into the covariance after a reset: all of them before the window is full.
 const DOUBTS_A_TICK: usize = 3;
 
-/// The first friction columns of a joint, those that change with grease, temperature and wear, wander; load, offset and
-/// cogging, which are those of gears, sensors and magnets, do not.
-const WANDERING: usize = 4;
 /// Violated bounds that one row mends: no joint has more that bind at once but in its first rows.
 const MAX_PROJECTIONS: usize = 3;
 /// Violation of a bound that is rounding, prior standard deviations: some last bits of a parameter.
 const TOLERANCE: f32 = 1e-4;
-/// The cogging columns come last.
-const COGGING: usize = FRICTION_COLUMNS - 2;
 
 /// The torque row of one joint: N·m for each unit of each linear parameter.
 #[inline(never)]
 pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
-    seen: &Conditioned<N>,
-) -> Stacked<N, P> {
-    let mut row = Stacked::filled(0.0);
+    seen: &ConditionedSample<N>,
+) -> LinearParameters<N, P> {
+    let mut row = LinearParameters::filled(0.0);
     row.rigid = regressor_row::<A, N, P>(joint, &seen.motion).data.0[0];
     let (q, qd) = (seen.motion.q.get(joint), seen.motion.qd.get(joint));
     let loads = friction_load::<A, N, P>(&seen.motion.q);
@@ -73,10 +71,10 @@ pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// bound by way of P; nothing else bounds the estimate: what reaches the torque is bounded in the tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimator<const N: usize, const P: usize> {
-    parameters: Stacked<N, P>,
+    parameters: LinearParameters<N, P>,
     /// What rounding has kept from the parameters so far. After many rows a step is a few last bits of them, and no
     /// later row takes back what was rounded off.
-    owed: Stacked<N, P>,
+    owed: LinearParameters<N, P>,
     filter: UdFilter<N, P>,
     variance: [f32; N],
     /// Rows that each is known from, as far as they were uncertain because of noise.
@@ -100,7 +98,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Starts from `prior`, as uncertain as the description of the arm.
     pub fn new<A: Arm<N, P>>(prior: &ParameterSet<N, P>) -> Self {
         let mut estimator = Self::idle();
-        estimator.parameters = Stacked::of(prior);
+        estimator.parameters = LinearParameters::of(prior);
         while !estimator.prepare::<A>() {}
         estimator
     }
@@ -111,23 +109,23 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Cost: a row's, and nothing when all is done.
     pub(super) fn prepare<A: Arm<N, P>>(&mut self) -> bool {
         if self.doubted == 0 {
-            self.filter.set_rigid(&rigid_floor::<A, N, P>());
+            self.filter.set_rigid(&prior_floor::<A, N, P>());
         }
         for _ in 0..DOUBTS_A_TICK {
-            let Some(mut doubt) = rigid_doubt::<A, N, P>(self.doubted) else {
+            let Some(mut doubt) = prior_factor::<A, N, P>(self.doubted) else {
                 break;
             };
             self.filter.add_rigid(&mut doubt);
             self.doubted += 1;
         }
-        self.doubted == rigid_doubts(N)
+        self.doubted == prior_factor_count(N)
     }
 
     /// All parameters zero and as uncertain as a prior.
     pub(super) const fn idle() -> Self {
         Self {
-            parameters: Stacked::filled(0.0),
-            owed: Stacked::filled(0.0),
+            parameters: LinearParameters::filled(0.0),
+            owed: LinearParameters::filled(0.0),
             filter: UdFilter::new(),
             variance: [FIRST_VARIANCE; N],
             noticed: [FIRST_ROWS; N],
@@ -138,7 +136,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 
     /// Starts over from `prior`, in place.
     pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>) {
-        self.move_to(&Stacked::of(prior));
+        self.move_to(&LinearParameters::of(prior));
         self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
         self.noticed = [FIRST_ROWS; N];
@@ -147,18 +145,18 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     }
 
     /// Takes `parameters` for the estimate; what is known of their covariance stays.
-    pub(super) fn move_to(&mut self, parameters: &Stacked<N, P>) {
+    pub(super) fn move_to(&mut self, parameters: &LinearParameters<N, P>) {
         self.parameters = *parameters;
-        self.owed = Stacked::filled(0.0);
+        self.owed = LinearParameters::filled(0.0);
     }
 
     /// Raises the doubt about one friction parameter by `variance`, in units of the prior's.
     pub(super) fn reopen(&mut self, joint: usize, column: usize, variance: f32) {
-        self.filter.add_noise(joint, column, variance);
+        self.filter.add_process_noise(joint, column, variance);
     }
 
     /// The estimate, in the units of the parameters.
-    pub fn parameters(&self) -> &Stacked<N, P> {
+    pub fn parameters(&self) -> &LinearParameters<N, P> {
         &self.parameters
     }
 
@@ -184,23 +182,24 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         config: &LearnerConfig<N, P>,
         joint: usize,
         limit: f32,
-        row: &Stacked<N, P>,
+        row: &LinearParameters<N, P>,
         tau: f32,
     ) -> Option<Correction> {
         let inv_noise = 1.0 / (config.noise * limit);
-        let sigma = Stacked::sigma(config);
+        let sigma = LinearParameters::sigma(config);
         let innovation = (tau - row.dot(&self.parameters)) * inv_noise;
         let measured = self.variance.get_mut(joint)?;
         let noticed = self.noticed.get_mut(joint)?;
         if !innovation.is_finite() {
             return None;
         }
-        let column = self.wandering.get_mut(joint)?;
-        if self.filter.friction_variance(joint, *column)? < 1.0 {
-            let noise = WANDERING as f32 * config.process_noise;
-            self.filter.add_noise(joint, *column, noise);
+        let turn = self.wandering.get_mut(joint)?;
+        let column = *RANDOM_WALK_COLUMNS.get(*turn)? as usize;
+        if self.filter.friction_variance(joint, column)? < 1.0 {
+            let noise = RANDOM_WALK_COLUMNS.len() as f32 * config.process_noise;
+            self.filter.add_process_noise(joint, column, noise);
         }
-        *column = (*column + 1) % WANDERING;
+        *turn = (*turn + 1) % RANDOM_WALK_COLUMNS.len();
         let mut phi = *row;
         let scale = |phi: &mut [f32], sigma: &[f32]| {
             for (phi, sigma) in phi.iter_mut().zip(sigma) {
@@ -210,7 +209,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         // A row has no friction but its joint's.
         scale(phi.friction.get_mut(joint)?, sigma.friction.get(joint)?);
         scale(&mut phi.rigid, &sigma.rigid);
-        let mut gain = Stacked::filled(0.0);
+        let mut gain = LinearParameters::filled(0.0);
         let variance = self.filter.update(joint, &phi, *measured, &mut gain);
         if !(variance > 0.0 && variance.is_finite()) {
             // Nothing sound is left in the factors: as uncertain as at first, but nothing wrong either.
@@ -246,7 +245,12 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     }
 
     /// θ ← θ + σ gain step, in compensated sums [Kahan 1965].
-    fn move_by(&mut self, sigma: &Stacked<N, P>, gain: &Stacked<N, P>, step: f32) {
+    fn move_by(
+        &mut self,
+        sigma: &LinearParameters<N, P>,
+        gain: &LinearParameters<N, P>,
+        step: f32,
+    ) {
         let parts = sigma.parts().into_iter().zip(gain.parts());
         let moving = self.parameters.parts_mut().into_iter();
         for ((theta, owed), (sigma, gain)) in moving.zip(self.owed.parts_mut()).zip(parts) {
@@ -260,7 +264,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         }
     }
 
-    /// Moves the estimate onto the bounds of [`RESISTING`] that the friction of `joint` violates, the worst first.
+    /// Moves the estimate onto the bounds of [`DISSIPATION_BOUNDS`] that the friction of `joint` violates, the worst first.
     ///
     /// ```text
     /// θ ← θ − P a (aᵀθ) / (aᵀPa)     P stays
@@ -269,8 +273,13 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// with the violated one move with it, so that rows which are explained stay explained. A column that is cut alone
     /// leaves torque unexplained, the next row pushes it again, and its neighbours run away.
     ///
-    /// Cost: [`RESISTING`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
-    fn project(&mut self, sigma: &Stacked<N, P>, joint: usize, gain: &mut Stacked<N, P>) {
+    /// Cost: [`DISSIPATION_BOUNDS`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
+    fn project(
+        &mut self,
+        sigma: &LinearParameters<N, P>,
+        joint: usize,
+        gain: &mut LinearParameters<N, P>,
+    ) {
         let Some(sigma_own) = sigma.friction.get(joint) else {
             return;
         };
@@ -280,7 +289,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             };
             let mut direction = [0.0; FRICTION_COLUMNS];
             let mut worst = TOLERANCE;
-            for bound in &RESISTING {
+            for bound in &DISSIPATION_BOUNDS {
                 let value = dot(bound, own);
                 if value >= 0.0 {
                     continue;
@@ -310,17 +319,17 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     }
 }
 
-impl<const N: usize, const P: usize> Stacked<N, P> {
+impl<const N: usize, const P: usize> LinearParameters<N, P> {
     /// Takes out of a torque row what the filter of the motion swallows of the cogging of `joint`, all but `share` of it.
     /// What `active` asks of the drive against that part is not in the motion, but in the torque: returned, N·m.
-    pub fn swallow(&mut self, joint: usize, share: f32, active: &Self) -> f32 {
+    pub fn attenuate_cogging(&mut self, joint: usize, share: f32, active: &Self) -> f32 {
         let mut asked = 0.0;
         if let (Some(row), Some(active)) =
             (self.friction.get_mut(joint), active.friction.get(joint))
         {
-            for (row, active) in row.iter_mut().zip(active).skip(COGGING) {
-                asked += (1.0 - share) * *row * active;
-                *row *= share;
+            for column in COGGING_COLUMNS.map(|column| column as usize) {
+                asked += (1.0 - share) * row[column] * active[column];
+                row[column] *= share;
             }
         }
         asked

@@ -8,7 +8,7 @@ use crate::limits::Flags;
 
 /// What one tick hands to the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lesson<const N: usize> {
+pub struct LearningSample<const N: usize> {
     /// Counter of the tick.
     pub tick: u32,
     /// Number of the load before the tick: a lesson teaches only the learner of the set that was loaded then.
@@ -42,14 +42,14 @@ impl<const N: usize> MotionRange<N> {
 
 /// What the guard tells about itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Report<const N: usize> {
+pub struct LearnerReport<const N: usize> {
     /// How well the model explains what is measured.
     pub quality: ModelQuality<N>,
     /// What was decided.
     pub decisions: DecisionLog,
 }
 
-impl<const N: usize> Report<N> {
+impl<const N: usize> LearnerReport<N> {
     /// Nothing to tell.
     pub const fn new() -> Self {
         Self {
@@ -59,7 +59,7 @@ impl<const N: usize> Report<N> {
     }
 }
 
-impl<const N: usize> Default for Report<N> {
+impl<const N: usize> Default for LearnerReport<N> {
     fn default() -> Self {
         Self::new()
     }
@@ -81,7 +81,7 @@ pub struct Publication<const N: usize, const P: usize> {
     /// The set becomes the committed one as well.
     pub commit: bool,
     /// What the guard tells.
-    pub report: Report<N>,
+    pub report: LearnerReport<N>,
 }
 
 /// The desk between tick and learner: the only state both touch, each for the time of one copy.
@@ -108,7 +108,7 @@ impl<const N: usize, const P: usize> Exchange<N, P> {
     /// Asks the learner for `request`, from the first lesson on before which `number` requests were made.
     ///
     /// Errors: the request before has not been taken yet; it stays.
-    pub fn ask(&mut self, number: u32, request: Request) -> Result<(), RequestPending> {
+    pub fn post_request(&mut self, number: u32, request: Request) -> Result<(), RequestPending> {
         if self.request.is_some() {
             return Err(RequestPending);
         }

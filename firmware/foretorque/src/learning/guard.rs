@@ -1,8 +1,8 @@
 use super::detector::{ChangeDetector, Decimator, Slice};
 use super::evidence::Evidence;
-use super::guard_config::GuardConfig;
+use super::guard_config::SupervisorConfig;
 use super::payload::{PAYLOAD_PARAMETERS, Payload, PayloadFilter, payload_sigma};
-use super::stacked::Stacked;
+use super::stacked::LinearParameters;
 use super::trial::Trial;
 use crate::dynamics::BaseParameters;
 use crate::joint::zero_vector;
@@ -10,9 +10,9 @@ use crate::joint::zero_vector;
 /// Linear parameters of one instant: what the estimate was and what was in the torque.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Checkpoint<const N: usize, const P: usize> {
-    pub(super) estimate: Stacked<N, P>,
-    pub(super) active: Stacked<N, P>,
-    pub(super) committed: Stacked<N, P>,
+    pub(super) estimate: LinearParameters<N, P>,
+    pub(super) active: LinearParameters<N, P>,
+    pub(super) committed: LinearParameters<N, P>,
     pub(super) payload: Payload,
 }
 
@@ -45,7 +45,7 @@ pub(super) struct Guard<const N: usize, const P: usize> {
     pub(super) checkpoints: [Checkpoint<N, P>; 2],
     /// The estimate against the committed set.
     pub(super) evidence: Evidence<N>,
-    pub(super) committed: Stacked<N, P>,
+    pub(super) committed: LinearParameters<N, P>,
     /// The active set follows the estimate.
     pub(super) following: bool,
     /// Ticks for which the estimate has been followed since the last commit.
@@ -60,7 +60,7 @@ pub(super) struct Guard<const N: usize, const P: usize> {
 
 impl<const N: usize, const P: usize> Guard<N, P> {
     /// Begins with `set` active, committed and estimated, and an empty hand.
-    pub(super) const fn new(config: &GuardConfig, set: &Stacked<N, P>) -> Self {
+    pub(super) const fn new(config: &SupervisorConfig, set: &LinearParameters<N, P>) -> Self {
         let nothing = [0.0; PAYLOAD_PARAMETERS];
         let checkpoint = Checkpoint {
             estimate: *set,
@@ -74,7 +74,7 @@ impl<const N: usize, const P: usize> Guard<N, P> {
             waiting: None,
             payload: nothing,
             payload_base: zero_vector(),
-            filter: PayloadFilter::new(&nothing, &payload_sigma(config.heaviest)),
+            filter: PayloadFilter::new(&nothing, &payload_sigma(config.max_payload_mass)),
             slices_carried: 0,
             trial: Trial::new(config, &nothing),
             slice_variance: [(1.0, 0); N],
@@ -102,8 +102,8 @@ impl<const N: usize, const P: usize> Guard<N, P> {
     }
 
     /// The payload is still being weighed.
-    pub(super) fn weighing(&self, config: &GuardConfig) -> bool {
-        self.loaded() && self.slices_carried < config.weighing_slices
+    pub(super) fn weighing(&self, config: &SupervisorConfig) -> bool {
+        self.loaded() && self.slices_carried < config.payload_update_blocks
     }
 
     /// The arm's own parameters rest while a payload is carried, unless for long. On release they are again what they were

@@ -4,36 +4,36 @@ use crate::arm::Arm;
 
 /// When the guard believes what.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GuardConfig {
+pub struct SupervisorConfig {
     /// Ticks of a slice, about a hundredth of a second.
-    pub slice_ticks: u32,
+    pub block_ticks: u32,
     /// When innovations are an alarm.
     pub detector: DetectorConfig,
     /// Largest mass that is believed to be a payload, kg.
-    pub heaviest: f32,
+    pub max_payload_mass: f32,
     /// Smallest mass that is believed to be a payload, kg.
-    pub lightest: f32,
+    pub min_payload_mass: f32,
     /// Largest distance of a payload's centre of mass from the origin of the last link, m.
-    pub reach: f32,
+    pub max_com_distance: f32,
     /// Standard deviation of the mass below which a payload is believed, kg.
-    pub mass_sigma: f32,
+    pub max_mass_sigma: f32,
     /// Factor on the mean square that slices usually have, while a payload is weighed: residuals of one hundredth of a
     /// second look like those of the next.
-    pub inflation: f32,
+    pub block_inflation: f32,
     /// A candidate has to leave less than this part of the mean square residual of the active set.
     pub residual_ratio: f32,
     /// Mean square residual, in variances of a measurement, below which nothing is left to explain.
-    pub calm: f32,
+    pub quiet_level: f32,
     /// Slices in a row for which the evidence has to hold.
-    pub evidence_slices: u32,
+    pub decision_blocks: u32,
     /// Slices after which a candidate that has not been believed is refused.
-    pub time_out_slices: u32,
+    pub timeout_blocks: u32,
     /// Slices for which a payload is weighed on after it was believed.
-    pub weighing_slices: u32,
+    pub payload_update_blocks: u32,
     /// Rows after which an estimate may be followed, if it has proved itself on them: a fifth of a second.
-    pub proof_rows: u32,
+    pub test_rows: u32,
     /// Significance of a proof, in standard deviations.
-    pub proof_sigmas: f32,
+    pub test_sigmas: f32,
     /// Rows between two commits.
     pub commit_rows: u32,
     /// A joint torque that is off by a common factor on all joints by more than this speaks against the sensors.
@@ -110,18 +110,18 @@ pub const fn payload_bound<A: Arm<N, P>, const N: usize, const P: usize>() -> [f
     bound
 }
 
-impl GuardConfig {
+impl SupervisorConfig {
     /// Defaults for an arm.
     ///
     /// * `inv_period` ticks per second, 1/s
     pub const fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
-        let slice_ticks = (0.01 * inv_period + 0.5) as u32;
+        let block_ticks = (0.01 * inv_period + 0.5) as u32;
         // Each joint of a slice is worked on in a tick of its own.
         let shortest = N as u32 + 1;
         let proof = (PROOF_S * inv_period + 0.5) as u32;
         Self {
-            slice_ticks: if slice_ticks > shortest {
-                slice_ticks
+            block_ticks: if block_ticks > shortest {
+                block_ticks
             } else {
                 shortest
             },
@@ -130,22 +130,22 @@ impl GuardConfig {
                 drift: 3.2,
                 threshold: 25.0,
             },
-            heaviest: const { 1.2 * rated_payload::<A, N, P>() },
-            lightest: 0.25,
-            reach: PAYLOAD_REACH,
-            mass_sigma: 0.15,
-            inflation: 5.0,
+            max_payload_mass: const { 1.2 * rated_payload::<A, N, P>() },
+            min_payload_mass: 0.25,
+            max_com_distance: PAYLOAD_REACH,
+            max_mass_sigma: 0.15,
+            block_inflation: 5.0,
             residual_ratio: 0.6,
-            calm: 0.5,
-            evidence_slices: 5,
-            time_out_slices: 300,
-            weighing_slices: 1000,
-            proof_rows: if proof > LEAST_PROOF {
+            quiet_level: 0.5,
+            decision_blocks: 5,
+            timeout_blocks: 300,
+            payload_update_blocks: 1000,
+            test_rows: if proof > LEAST_PROOF {
                 proof
             } else {
                 LEAST_PROOF
             },
-            proof_sigmas: 3.0,
+            test_sigmas: 3.0,
             commit_rows: 8000,
             gain_error: 0.08,
             trust_floor: 0.7,
@@ -155,22 +155,22 @@ impl GuardConfig {
     /// Every field is usable.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let positive = [
-            ("guard.detector.clip", self.detector.clip),
-            ("guard.detector.drift", self.detector.drift),
-            ("guard.detector.threshold", self.detector.threshold),
-            ("guard.heaviest", self.heaviest),
-            ("guard.lightest", self.lightest),
-            ("guard.reach", self.reach),
-            ("guard.mass_sigma", self.mass_sigma),
-            ("guard.inflation", self.inflation),
-            ("guard.residual_ratio", self.residual_ratio),
-            ("guard.calm", self.calm),
-            ("guard.proof_sigmas", self.proof_sigmas),
-            ("guard.gain_error", self.gain_error),
-            ("guard.trust_floor", self.trust_floor),
-            ("guard.slice_ticks", self.slice_ticks as f32),
-            ("guard.evidence_slices", self.evidence_slices as f32),
-            ("guard.time_out_slices", self.time_out_slices as f32),
+            ("supervisor.detector.clip", self.detector.clip),
+            ("supervisor.detector.drift", self.detector.drift),
+            ("supervisor.detector.threshold", self.detector.threshold),
+            ("supervisor.max_payload_mass", self.max_payload_mass),
+            ("supervisor.min_payload_mass", self.min_payload_mass),
+            ("supervisor.max_com_distance", self.max_com_distance),
+            ("supervisor.max_mass_sigma", self.max_mass_sigma),
+            ("supervisor.block_inflation", self.block_inflation),
+            ("supervisor.residual_ratio", self.residual_ratio),
+            ("supervisor.quiet_level", self.quiet_level),
+            ("supervisor.test_sigmas", self.test_sigmas),
+            ("supervisor.gain_error", self.gain_error),
+            ("supervisor.trust_floor", self.trust_floor),
+            ("supervisor.block_ticks", self.block_ticks as f32),
+            ("supervisor.decision_blocks", self.decision_blocks as f32),
+            ("supervisor.timeout_blocks", self.timeout_blocks as f32),
         ];
         for (field, value) in positive {
             if !(value > 0.0 && value.is_finite()) {

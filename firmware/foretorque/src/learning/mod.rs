@@ -1,6 +1,6 @@
 //! Incremental learning in the slack of the tick.
 //!
-//! The tick hands over one [`Lesson`] a tick; the [`Learner`] works through them at its own pace and lays a finished
+//! The tick hands over one [`LearningSample`] a tick; the [`Learner`] works through them at its own pace and lays a finished
 //! [`ParameterSet`] on the [`Exchange`] desk after every round of `N` ticks, in which each joint had one row. The tick
 //! takes the set at a fixed tick of the next round, never earlier, so the torque does not depend on how fast the
 //! learner was.
@@ -27,14 +27,16 @@ mod trainer;
 mod trial;
 mod ud;
 
-pub use conditioning::{BRIDGED, Conditioned, DELAY, MeasurementWindow, TAPS, ripple_share};
+pub use conditioning::{
+    ConditionedSample, DELAY, MAX_BRIDGED, MeasurementWindow, TAPS, cogging_attenuation,
+};
 pub use config::{ConfigError, LearnerConfig};
-pub use decision::{DECISIONS, Decision, DecisionLog, Reason};
+pub use decision::{DECISION_CAPACITY, Decision, DecisionLog, Reason};
 pub use detector::DetectorConfig;
-pub use doubt::{rigid_doubt, rigid_doubts, rigid_floor};
+pub use doubt::{prior_factor, prior_factor_count, prior_floor};
 pub use estimator::{Correction, Estimator, torque_row};
-pub use exchange::{Exchange, Lesson, MotionRange, Publication, Report};
-pub use guard_config::{GuardConfig, payload_bound, rated_payload};
+pub use exchange::{Exchange, LearnerReport, LearningSample, MotionRange, Publication};
+pub use guard_config::{SupervisorConfig, payload_bound, rated_payload};
 pub use learner::{Learner, LearnerState, LearnerStatistics};
 pub(crate) use parameters::network_inputs_at;
 pub use parameters::{
@@ -42,6 +44,6 @@ pub use parameters::{
 };
 pub use quality::{ModelQuality, PayloadEstimate, Phase};
 pub use request::{Request, RequestPending};
-pub use stacked::Stacked;
+pub use stacked::LinearParameters;
 pub use trainer::TrainerConfig;
 pub use ud::UdFilter;

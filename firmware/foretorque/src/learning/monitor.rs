@@ -1,7 +1,6 @@
 use super::quality::{ModelQuality, Phase};
 use super::ud::UdFilter;
 use crate::dynamics::FRICTION_COLUMNS;
-use crate::math::sqrt;
 
 /// Rows of a joint after which what was seen has faded to 37 %.
 const FADE: f32 = 1.0 - 1.0 / 512.0;
@@ -111,7 +110,7 @@ impl<const N: usize> Monitor<N> {
                 continue;
             }
             let inverse = 1.0 / sums.weight;
-            *rms = sqrt(sums.residual * inverse);
+            *rms = libm::sqrtf(sums.residual * inverse);
             for (total, share) in shares.iter_mut().zip(sums.shares) {
                 *total += share * inverse;
             }
@@ -123,8 +122,8 @@ impl<const N: usize> Monitor<N> {
         if moved == 0.0 {
             return None;
         }
-        quality.share_rms = shares.map(|sum| sqrt(sum / moved));
-        let trust = 1.0 - sqrt(unexplained / moved);
+        quality.share_rms = shares.map(|sum| libm::sqrtf(sum / moved));
+        let trust = 1.0 - libm::sqrtf(unexplained / moved);
         quality.trust = if trust > 0.0 { trust } else { 0.0 };
         let before = quality.low_trust;
         quality.low_trust = if before {
@@ -152,7 +151,7 @@ impl Phase {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::learning::stacked::Stacked;
+    use crate::learning::stacked::LinearParameters;
 
     fn row(residual: f32) -> Observation {
         Observation {
@@ -199,8 +198,8 @@ mod tests {
     fn information_is_the_mean_part_of_the_doubt_that_rows_have_removed() {
         const PARAMETERS: usize = 2 * FRICTION_COLUMNS + 3;
         let mut filter = UdFilter::<2, 3>::new();
-        let mut gain = Stacked::filled(0.0);
-        let mut phi = Stacked::filled(0.0);
+        let mut gain = LinearParameters::filled(0.0);
+        let mut phi = LinearParameters::filled(0.0);
         (phi.friction[1][2], phi.rigid[0]) = (3.0, 4.0);
         filter.update(1, &phi, 1.0, &mut gain);
         let (mut monitor, mut quality) = (Monitor::<2>::new(), ModelQuality::new());

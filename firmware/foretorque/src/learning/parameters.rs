@@ -57,7 +57,7 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
         let friction = self
             .friction
             .iter()
-            .all(|f| f.columns().iter().all(|p| p.is_finite()));
+            .all(|f| f.0.iter().all(|p| p.is_finite()));
         rigid && friction && self.network.iter().all(JointNetwork::is_finite)
     }
 }

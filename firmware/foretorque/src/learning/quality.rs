@@ -7,7 +7,7 @@ pub enum Phase {
     #[default]
     Healthy = 0,
     /// Something changed: the active set is frozen while candidates are weighed in the shadow.
-    Trial = 1,
+    PayloadTest = 1,
     /// The change is no payload: friction is learnt anew in the shadow.
     Relearning = 2,
     /// An emergency stop: nothing is learnt.

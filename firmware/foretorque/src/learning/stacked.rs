@@ -6,14 +6,14 @@ use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters};
 ///
 /// Two fields and not one array, because `P + N · FRICTION_COLUMNS` is no length that stable Rust can write.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stacked<const N: usize, const P: usize> {
+pub struct LinearParameters<const N: usize, const P: usize> {
     /// Friction, joint by joint, in the order of [`crate::dynamics::friction_row`].
     pub friction: [[f32; FRICTION_COLUMNS]; N],
     /// Base parameters of the rigid body.
     pub rigid: [f32; P],
 }
 
-impl<const N: usize, const P: usize> Stacked<N, P> {
+impl<const N: usize, const P: usize> LinearParameters<N, P> {
     /// `value` everywhere.
     pub const fn filled(value: f32) -> Self {
         Self {
@@ -26,7 +26,7 @@ impl<const N: usize, const P: usize> Stacked<N, P> {
     pub fn of(set: &ParameterSet<N, P>) -> Self {
         let [rigid] = set.rigid.data.0;
         Self {
-            friction: columns(&set.friction),
+            friction: set.friction.map(|joint| joint.0),
             rigid,
         }
     }
@@ -34,7 +34,7 @@ impl<const N: usize, const P: usize> Stacked<N, P> {
     /// The prior standard deviations of `config`.
     pub fn sigma(config: &LearnerConfig<N, P>) -> Self {
         Self {
-            friction: columns(&config.friction_sigma),
+            friction: config.friction_sigma.map(|joint| joint.0),
             rigid: config.rigid_sigma,
         }
     }
@@ -42,7 +42,7 @@ impl<const N: usize, const P: usize> Stacked<N, P> {
     /// Puts these parameters into `set`.
     pub fn write(&self, set: &mut ParameterSet<N, P>) {
         for (friction, &columns) in set.friction.iter_mut().zip(&self.friction) {
-            *friction = FrictionParameters::from_columns(columns);
+            *friction = FrictionParameters(columns);
         }
         set.rigid.data.0 = [self.rigid];
     }
@@ -67,13 +67,4 @@ impl<const N: usize, const P: usize> Stacked<N, P> {
         let friction = self.friction.as_flattened_mut();
         friction.iter_mut().chain(&mut self.rigid)
     }
-}
-
-/// The columns of every joint.
-fn columns<const N: usize>(friction: &[FrictionParameters; N]) -> [[f32; FRICTION_COLUMNS]; N] {
-    let mut columns = [[0.0; FRICTION_COLUMNS]; N];
-    for (columns, friction) in columns.iter_mut().zip(friction) {
-        *columns = friction.columns();
-    }
-    columns
 }

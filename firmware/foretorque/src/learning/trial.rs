@@ -1,7 +1,7 @@
 //! What is weighed in the shadow after an alarm: is it a payload, is a payload gone, or was it nothing that stays?
 
 use super::decision::Reason;
-use super::guard_config::GuardConfig;
+use super::guard_config::SupervisorConfig;
 use super::payload::{Payload, PayloadFilter, describe, payload_sigma, payload_torque};
 
 /// How a trial ends.
@@ -48,9 +48,9 @@ pub(super) struct Trial {
 
 impl Trial {
     /// Begins around `payload`, with everything open.
-    pub(super) const fn new(config: &GuardConfig, payload: &Payload) -> Self {
+    pub(super) const fn new(config: &SupervisorConfig, payload: &Payload) -> Self {
         Self {
-            filter: PayloadFilter::new(payload, &payload_sigma(config.heaviest)),
+            filter: PayloadFilter::new(payload, &payload_sigma(config.max_payload_mass)),
             slices: 0,
             rows: 0.0,
             current: 0.0,
@@ -95,7 +95,7 @@ impl Trial {
     #[inline(never)]
     pub(super) fn judge(
         &mut self,
-        config: &GuardConfig,
+        config: &SupervisorConfig,
         loaded: bool,
         alone: bool,
         usual: f32,
@@ -110,18 +110,18 @@ impl Trial {
         let [current, empty, candidate] =
             [self.current, self.empty, self.candidate].map(|sum| sum * inverse);
         let believed = self.doubt(config, current, candidate).is_none();
-        let explained = config.calm + REMAINDER * current;
+        let explained = config.quiet_level + REMAINDER * current;
         let gone = loaded
             && empty < config.residual_ratio * current
             && (empty < explained || empty < 1.2 * candidate);
         let count = |counter: &mut u32, holds: bool, enough: bool| {
             *counter = if holds && enough { *counter + 1 } else { 0 };
-            *counter >= config.evidence_slices
+            *counter >= config.decision_blocks
         };
         let promoted = count(&mut self.proven, believed, enough);
         let released = count(&mut self.released, gone, enough);
         let enough = enough || alone && self.rows >= LEAST_ROWS_ALONE;
-        let quiet = config.calm + USUAL * usual;
+        let quiet = config.quiet_level + USUAL * usual;
         let calm = count(&mut self.calm, current < quiet, enough);
         for sum in [
             &mut self.rows,
@@ -137,7 +137,7 @@ impl Trial {
             Some(Verdict::Promote)
         } else if calm {
             Some(Verdict::Transient)
-        } else if self.slices >= config.time_out_slices {
+        } else if self.slices >= config.timeout_blocks {
             let (reason, figure) = self
                 .doubt(config, current, candidate)
                 .unwrap_or((Reason::Uncertain, self.filter.mass_sigma()));
@@ -148,19 +148,24 @@ impl Trial {
     }
 
     /// Why the candidate is not believed.
-    fn doubt(&self, config: &GuardConfig, current: f32, candidate: f32) -> Option<(Reason, f32)> {
+    fn doubt(
+        &self,
+        config: &SupervisorConfig,
+        current: f32,
+        candidate: f32,
+    ) -> Option<(Reason, f32)> {
         let mass_sigma = self.filter.mass_sigma();
         let payload = describe(&self.filter.payload(), mass_sigma);
         let [x, y, z] = payload.com;
         let distance = x * x + y * y + z * z;
-        let plausible = payload.mass >= config.lightest
-            && payload.mass <= config.heaviest
-            && distance <= config.reach * config.reach;
+        let plausible = payload.mass >= config.min_payload_mass
+            && payload.mass <= config.max_payload_mass
+            && distance <= config.max_com_distance * config.max_com_distance;
         let explained = candidate <= config.residual_ratio * current
-            && candidate <= config.calm + REMAINDER * current;
+            && candidate <= config.quiet_level + REMAINDER * current;
         if !plausible {
             Some((Reason::Implausible, payload.mass))
-        } else if mass_sigma >= config.mass_sigma {
+        } else if mass_sigma >= config.max_mass_sigma {
             Some((Reason::Uncertain, mass_sigma))
         } else if !explained {
             Some((Reason::Residual, candidate / current))

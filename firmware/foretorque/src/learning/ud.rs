@@ -1,6 +1,6 @@
 mod rows;
 
-use super::stacked::Stacked;
+use super::stacked::LinearParameters;
 use crate::dynamics::FRICTION_COLUMNS;
 use core::array::{from_mut, from_ref};
 use core::mem::take;
@@ -36,7 +36,7 @@ impl<const P: usize> JointEntries<P> {
 pub struct UdFilter<const N: usize, const P: usize> {
     friction: [[JointEntries<P>; FRICTION_COLUMNS]; N],
     rigid: [[f32; P]; P],
-    diagonal: Stacked<N, P>,
+    diagonal: LinearParameters<N, P>,
 }
 
 impl<const N: usize, const P: usize> UdFilter<N, P> {
@@ -45,7 +45,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         Self {
             friction: [[JointEntries::ZERO; FRICTION_COLUMNS]; N],
             rigid: [[0.0; P]; P],
-            diagonal: Stacked::filled(1.0),
+            diagonal: LinearParameters::filled(1.0),
         }
     }
 
@@ -78,9 +78,9 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     pub fn update(
         &mut self,
         joint: usize,
-        phi: &Stacked<N, P>,
+        phi: &LinearParameters<N, P>,
         variance: f32,
-        gain: &mut Stacked<N, P>,
+        gain: &mut LinearParameters<N, P>,
     ) -> f32 {
         let Some(friction) = phi.friction.get(joint) else {
             return f32::NAN;
@@ -147,7 +147,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         joint: usize,
         lambda: &JointEntries<P>,
         v: &JointEntries<P>,
-        gain: &mut Stacked<N, P>,
+        gain: &mut LinearParameters<N, P>,
     ) {
         let own = Turns {
             lambda: &lambda.own,
@@ -243,7 +243,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         &self,
         joint: usize,
         phi: &[f32; FRICTION_COLUMNS],
-        gain: &mut Stacked<N, P>,
+        gain: &mut LinearParameters<N, P>,
     ) -> f32 {
         let f = self.transposed_times(joint, phi, &[0.0; P]);
         let mut v = f;
@@ -281,7 +281,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// ```
     ///
     /// Cost: `column²` multiply-adds.
-    pub fn add_noise(&mut self, joint: usize, column: usize, noise: f32) {
+    pub fn add_process_noise(&mut self, joint: usize, column: usize, noise: f32) {
         let (Some(rows), Some(diagonal)) = (
             self.friction.get_mut(joint),
             self.diagonal.friction.get_mut(joint),
@@ -314,7 +314,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     }
 
     /// Adds a doubt about the base parameters that is one number times `direction`, in units of the prior's standard
-    /// deviations; leaves nothing of use in `direction`. As [`add_noise`](Self::add_noise), with `c = 1` and in any
+    /// deviations; leaves nothing of use in `direction`. As [`add_process_noise`](Self::add_process_noise), with `c = 1` and in any
     /// direction.
     ///
     /// Cost: `2 j` multiply-adds for each column j that the direction reaches, `P²` at most.
@@ -343,7 +343,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     }
 
     /// D, friction first: all positive, or the covariance is none.
-    pub fn diagonal(&self) -> &Stacked<N, P> {
+    pub fn diagonal(&self) -> &LinearParameters<N, P> {
         &self.diagonal
     }
 }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::wire::SampleFlags;
 use foretorque::feedforward::Torque;
-use foretorque::learning::{BRIDGED, Exchange, TAPS};
+use foretorque::learning::{Exchange, MAX_BRIDGED, TAPS};
 use proptest::prelude::*;
 
 /// The ticks of an armed board that keeps its own time, around nothing but the parts: no link, no session.
@@ -36,7 +36,7 @@ impl Timed {
     fn tick(&mut self, sample: Option<u32>) -> Torque<N> {
         let heard = sample.map(|k| SampleFrame::new(&swinging(k)).sample(&[0.0; N]));
         self.feed_forward.adopt(&mut self.exchange);
-        let sample = self.safety.admit(heard, 1);
+        let sample = self.safety.admit(heard, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),
             None => self.feed_forward.step_stale(),
@@ -45,7 +45,7 @@ impl Timed {
         self.feed_forward.applied(&torque.total);
         let lesson = self
             .feed_forward
-            .lesson(sample.and_then(|sample| sample.measured));
+            .learning_sample(sample.and_then(|sample| sample.measured));
         self.learner.learn(&lesson, &mut self.exchange);
         torque
     }
@@ -145,7 +145,10 @@ fn a_lost_sample_leaves_the_learner_as_the_same_gap_does_where_the_tick_goes_on(
     assert!(timed.learner.state() == linked.board.learner.state());
     let seen = timed.learner.state().statistics;
     assert!(seen.accepted > 100 && seen.incomplete > 50, "{seen:?}");
-    let counted = linked.board.session.statistics(&linked.board.mailbox);
+    let counted = linked
+        .board
+        .session
+        .statistics(&linked.board.mailboxes.learner);
     assert_eq!(counted.stale_ticks, lost.len() as u32);
 }
 
@@ -153,7 +156,7 @@ fn a_lost_sample_leaves_the_learner_as_the_same_gap_does_where_the_tick_goes_on(
 fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
     // The set of a round that closes in so long a gap can be a round late, so the torques may differ; the learner not.
     for first in 200..206 {
-        let lost: Vec<u32> = (first..=first + BRIDGED as u32).collect();
+        let lost: Vec<u32> = (first..=first + MAX_BRIDGED as u32).collect();
         let (timed, linked, _) = together(&lost);
         assert!(timed.learner.state() == linked.board.learner.state());
     }
@@ -218,11 +221,11 @@ proptest! {
         for (sequence, flags) in frames {
             let mut sample = SampleFrame::new(&sample(0));
             sample.flags = SampleFlags(flags);
-            let before = board.session.statistics(&board.mailbox).ticks;
+            let before = board.session.statistics(&board.mailboxes.learner).ticks;
             board.hear(&frame(sequence, &HostMessage::Sample(sample)));
-            let ran = board.session.statistics(&board.mailbox).ticks - before;
-            prop_assert!(ran <= BRIDGED as u32 + 2, "{} ticks", ran);
-            prop_assert!(board.mailbox.waiting() <= BRIDGED + 2);
+            let ran = board.session.statistics(&board.mailboxes.learner).ticks - before;
+            prop_assert!(ran <= MAX_BRIDGED as u32 + 2, "{} ticks", ran);
+            prop_assert!(board.mailboxes.learner.waiting() <= MAX_BRIDGED + 2);
             board.learn();
         }
     }

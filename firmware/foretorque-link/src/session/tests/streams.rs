@@ -19,7 +19,9 @@ fn streamed(bytes_s: u32, fields: u16, every: u16, ticks: u32) -> (Vec<Telemetry
         let mut out = FrameBuffer::new();
         board.sequence += 1;
         let line = frame(board.sequence, &sample_message(k));
-        board.session.receive(&line, &mut board.mailbox, &mut out);
+        board
+            .session
+            .receive(&line, &mut board.mailboxes, &mut out, &mut NoLocalSensor);
         most = most.max(out.as_bytes().len());
         for (sequence, message) in heard(out.as_bytes()) {
             if let BoardMessage::Telemetry(frame) = message {
@@ -28,7 +30,13 @@ fn streamed(bytes_s: u32, fields: u16, every: u16, ticks: u32) -> (Vec<Telemetry
             }
         }
     }
-    assert_eq!(board.session.statistics(&board.mailbox).records_lost, 0);
+    assert_eq!(
+        board
+            .session
+            .statistics(&board.mailboxes.learner)
+            .records_lost,
+        0
+    );
     (frames, most)
 }
 

@@ -56,7 +56,7 @@ fn of_a_ripple_the_filter_lets_through_the_share_that_it_says() {
         }
         let seen = window.conditioned(1.0).expect("the window is full");
         let share = -seen.motion.qdd[0] / (angle * angle);
-        let said = ripple_share(angle);
+        let said = cogging_attenuation(angle);
         assert!((share - said).abs() < 0.05, "{angle}: {share} {said}");
         assert!(
             angle > 0.3 || (share - said).abs() < 0.01,
@@ -83,7 +83,7 @@ fn swinging(tick: usize) -> JointMeasurement<2> {
 /// What a window says after each of 200 ticks of which `arrives` makes what arrives.
 fn said(
     arrives: impl Fn(usize) -> Option<JointMeasurement<2>>,
-) -> std::vec::Vec<Option<Conditioned<2>>> {
+) -> std::vec::Vec<Option<ConditionedSample<2>>> {
     let mut window = MeasurementWindow::<2>::new();
     let ticks = 0..200;
     ticks
@@ -151,7 +151,7 @@ fn a_long_gap_empties_the_window() {
     for tick in 0..50 {
         window.push(Some(&swinging(tick)));
     }
-    for _ in 0..BRIDGED {
+    for _ in 0..MAX_BRIDGED {
         window.push(None);
         assert!(window.is_whole() && window.conditioned(1e3).is_none());
     }

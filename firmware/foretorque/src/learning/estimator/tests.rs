@@ -18,10 +18,11 @@ struct Twin {
 
 impl Twin {
     fn correct(&mut self, joint: usize, phi: &[f64], innovation: f64, process_noise: f64) {
-        let k = WIDTH * joint + self.visits[joint] % WANDERING;
+        let turn = self.visits[joint] % RANDOM_WALK_COLUMNS.len();
+        let k = WIDTH * joint + RANDOM_WALK_COLUMNS[turn] as usize;
         self.visits[joint] += 1;
         if self.p[k][k] < 1.0 {
-            self.p[k][k] += WANDERING as f64 * process_noise;
+            self.p[k][k] += RANDOM_WALK_COLUMNS.len() as f64 * process_noise;
         }
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
@@ -53,7 +54,7 @@ impl Twin {
     fn project(&mut self, first: usize) -> bool {
         let n = self.theta.len();
         let mut worst = (f64::from(TOLERANCE), std::vec![0.0; n]);
-        for bound in &RESISTING {
+        for bound in &DISSIPATION_BOUNDS {
             let mut direction = std::vec![0.0; n];
             let mut value = 0.0;
             for (k, &a) in (first..).zip(bound) {
@@ -81,12 +82,12 @@ impl Twin {
 
 /// In units of the prior standard deviations: friction first, uncorrelated, then the doubts about links.
 fn prior_covariance(n: usize) -> Vec<Vec<f64>> {
-    let floor = rigid_floor::<Ur5, N, P>();
+    let floor = prior_floor::<Ur5, N, P>();
     let mut p: Vec<Vec<f64>> = (0..n).map(|_| std::vec![0.0; n]).collect();
     for (k, row) in p.iter_mut().enumerate() {
         row[k] = k.checked_sub(n - P).map_or(1.0, |k| f64::from(floor[k]));
     }
-    for doubt in (0..).map_while(rigid_doubt::<Ur5, N, P>) {
+    for doubt in (0..).map_while(prior_factor::<Ur5, N, P>) {
         for (row, a) in p[n - P..].iter_mut().zip(doubt) {
             for (p, b) in row[n - P..].iter_mut().zip(doubt) {
                 *p += f64::from(a) * f64::from(b);
@@ -113,7 +114,7 @@ fn it_starts_from_the_doubts_about_links_each_parameter_as_uncertain_as_its_devi
 }
 
 /// Sines that never repeat, at most 2 rad/s, and the torque of an arm 10 % heavier than its description, with noise.
-fn seen(tick: u32, joint: usize, random: &mut u64) -> (Stacked<N, P>, f32) {
+fn seen(tick: u32, joint: usize, random: &mut u64) -> (LinearParameters<N, P>, f32) {
     let t = f64::from(tick) * 1e-3;
     let wave = |j: usize| {
         let w = 1.1 + 0.37 * j as f64;
@@ -125,9 +126,9 @@ fn seen(tick: u32, joint: usize, random: &mut u64) -> (Stacked<N, P>, f32) {
         qdd: JointVector::from_fn(|j, _| (-wave(j).1.powi(2) * wave(j).0.sin()) as f32),
     };
     let mut tau = JointVector::<N>::zeros();
-    let mut truth = Stacked::of(&ParameterSet::nominal::<Ur5>(1));
+    let mut truth = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1));
     truth.rigid = truth.rigid.map(|theta| 1.1 * theta);
-    let row = torque_row::<Ur5, N, P>(joint, &Conditioned { motion, tau });
+    let row = torque_row::<Ur5, N, P>(joint, &ConditionedSample { motion, tau });
     truth.friction = [[2.0, 3.0, 0.5, 0.5, 0.05, -0.3, 0.2, -0.1]; N];
     let noise: f64 = (0..12)
         .map(|_| {
@@ -147,10 +148,13 @@ fn seen(tick: u32, joint: usize, random: &mut u64) -> (Stacked<N, P>, f32) {
 fn after_a_million_rows_it_is_where_exact_arithmetic_is_and_its_factors_are_positive() {
     let config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
     let prior = ParameterSet::nominal::<Ur5>(1);
-    let (start, sigma) = (Stacked::of(&prior), Stacked::sigma(&config));
+    let (start, sigma) = (
+        LinearParameters::of(&prior),
+        LinearParameters::sigma(&config),
+    );
     let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
     let n = start.iter().count();
-    let wide = |numbers: &Stacked<N, P>| numbers.iter().copied().map(f64::from).collect();
+    let wide = |numbers: &LinearParameters<N, P>| numbers.iter().copied().map(f64::from).collect();
     let mut twin = Twin {
         start: wide(&start),
         sigma: wide(&sigma),
@@ -198,7 +202,7 @@ fn after_a_million_rows_it_is_where_exact_arithmetic_is_and_its_factors_are_posi
 #[test]
 fn doubt_about_friction_is_what_a_row_of_friction_alone_adds_to_the_innovation() {
     let mut filter = UdFilter::<N, P>::new();
-    let mut gain = Stacked::filled(0.0);
+    let mut gain = LinearParameters::filled(0.0);
     let mut random = 3;
     for tick in 0..600 {
         let joint = tick as usize % N;
@@ -206,7 +210,7 @@ fn doubt_about_friction_is_what_a_row_of_friction_alone_adds_to_the_innovation()
         filter.update(joint, &row, 1.0, &mut gain);
     }
     for joint in 0..N {
-        let mut phi = Stacked::filled(0.0);
+        let mut phi = LinearParameters::filled(0.0);
         phi.friction[joint] = [0.7, 1.0, 0.1, 0.4, 2.0, 1.0, 0.6, -0.8];
         let doubt = filter.friction_doubt(joint, &phi.friction[joint]);
         let variance = { filter }.update(joint, &phi, 1.0, &mut gain);
@@ -225,9 +229,9 @@ fn frictionless(
     joint: usize,
     random: &mut u64,
     drift: &mut f32,
-) -> (Stacked<N, P>, f32) {
+) -> (LinearParameters<N, P>, f32) {
     let (row, _) = seen(tick, joint, random);
-    let rigid = Stacked::of(&ParameterSet::nominal::<Ur5>(1))
+    let rigid = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1))
         .rigid
         .map(|theta| 1.1 * theta);
     *random = random
@@ -245,7 +249,7 @@ fn friction_at_its_bound_does_not_push_its_neighbours_away() {
     for outlier_sigmas in [3.0, 1e6] {
         config.outlier_sigmas = outlier_sigmas;
         let prior = ParameterSet::nominal::<Ur5>(1);
-        let sigma = Stacked::<N, P>::sigma(&config);
+        let sigma = LinearParameters::<N, P>::sigma(&config);
         let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
         let (mut random, mut drifts) = (5, [0.0; N]);
         let mut worst = 0.0f32;
@@ -259,7 +263,7 @@ fn friction_at_its_bound_does_not_push_its_neighbours_away() {
                     .is_some()
             );
             let friction = estimator.parameters().friction[joint];
-            for bound in &RESISTING {
+            for bound in &DISSIPATION_BOUNDS {
                 let violation =
                     -dot(bound, &friction) / dot(&bound.map(f32::abs), &sigma.friction[joint]);
                 assert!(violation <= 0.3, "tick {tick}, joint {joint}: {friction:?}");

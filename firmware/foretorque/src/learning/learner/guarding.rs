@@ -9,9 +9,9 @@ use crate::learning::evidence::Evidence;
 use crate::learning::guard::Checkpoint;
 use crate::learning::payload::{PAYLOAD_PARAMETERS, describe, payload_base};
 use crate::learning::quality::{PayloadEstimate, Phase};
-use crate::learning::stacked::Stacked;
+use crate::learning::stacked::LinearParameters;
 use crate::learning::trial::{Trial, Verdict};
-use crate::learning::{Lesson, Request};
+use crate::learning::{LearningSample, Request};
 use crate::limits::Flags;
 
 /// Ticks between two checkpoints: an alarm falls back to one between one and two such times old, longer ago than the
@@ -27,12 +27,12 @@ const TRUST_ROUNDS: u32 = 16;
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Learning is on and nothing speaks against this lesson. Notes when that changes.
     #[inline(never)]
-    pub(super) fn may_learn(&mut self, lesson: &Lesson<N>) -> bool {
+    pub(super) fn may_learn(&mut self, lesson: &LearningSample<N>) -> bool {
         let state = &mut self.state;
         if !lesson.enabled {
             if state.phase() == Phase::Stopped {
                 state.report.quality.phase = Phase::Healthy;
-                state.note(lesson.tick, Reason::Thawed, None, 0.0);
+                state.note(lesson.tick, Reason::Resumed, None, 0.0);
             }
             state.frozen = None;
             state.guard.forget_slices();
@@ -60,7 +60,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             state.thaw_in = state.thaw_in.saturating_sub(1);
             if state.thaw_in == 0 {
                 state.frozen = None;
-                state.note(lesson.tick, Reason::Thawed, None, 0.0);
+                state.note(lesson.tick, Reason::Resumed, None, 0.0);
             }
         }
         if state.frozen.is_some() {
@@ -78,8 +78,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let guard = &mut state.guard;
         guard.payload = older.payload;
         guard.payload_base = payload_base::<A, N, P>(&older.payload);
-        guard.trial = Trial::new(&self.config.guard, &older.payload);
-        state.report.quality.phase = Phase::Trial;
+        guard.trial = Trial::new(&self.config.supervisor, &older.payload);
+        state.report.quality.phase = Phase::PayloadTest;
         state.note(tick, Reason::Alarm, Some(joint), sum);
     }
 
@@ -106,7 +106,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 state.note(tick, Reason::Released, None, mass);
             }
             Verdict::Transient => {
-                let seconds = guard.trial.slices() as f32 * self.config.guard.slice_ticks as f32
+                let seconds = guard.trial.slices() as f32
+                    * self.config.supervisor.block_ticks as f32
                     / self.config.inv_period;
                 state.note(tick, Reason::Transient, None, seconds);
             }
@@ -130,12 +131,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let mut figure = 0.0;
         let reason = match (request, state.kept) {
             (Request::Snapshot, _) => {
-                state.kept = Some(state.candidate);
-                Reason::Kept
+                state.kept = Some(state.active);
+                Reason::SnapshotTaken
             }
             (Request::Rollback, Some(kept)) => {
-                state.candidate = kept;
-                state.estimate.move_to(&Stacked::of(&kept));
+                state.active = kept;
+                state.estimate.move_to(&LinearParameters::of(&kept));
                 state.guard.following = false;
                 state.guard.evidence = Evidence::NONE;
                 state.resume(Phase::Healthy);
@@ -161,7 +162,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
             (Request::Rollback, None) => {
                 figure = f32::from(request as u8);
-                Reason::Refused
+                Reason::RequestRefused
             }
         };
         state.note(tick, reason, None, figure);
@@ -170,7 +171,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// All joints had their row: follows the estimate, or decides to, or to commit or to go back.
     #[inline(never)]
     pub(super) fn close_round(&mut self, tick: u32) {
-        let config = &self.config.guard;
+        let config = &self.config.supervisor;
         let state = &mut self.state;
         let pending = core::mem::replace(&mut state.pending, [None; N]);
         let rounds = tick / N as u32;
@@ -178,13 +179,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             state.reopen_friction();
             let evidence = state.guard.evidence;
             let patience = match state.phase() {
-                Phase::Relearning => 15 * config.proof_rows,
-                _ => config.proof_rows,
+                Phase::Relearning => 15 * config.test_rows,
+                _ => config.test_rows,
             };
             let settled = evidence.rows() >= patience;
             let early = evidence.ratio() < config.residual_ratio * config.residual_ratio;
             // A little better on some joints may be worse on others; much better is worth it.
-            let told = config.proof_rows as f32;
+            let told = config.test_rows as f32;
             let agreed = |sigmas: f32| early || evidence.no_joint_objects(told, sigmas);
             let opposed = settled && evidence.opposes();
             let fault = if opposed {
@@ -193,24 +194,24 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 evidence.common_gain(config.gain_error).filter(|_| settled)
             };
             if let (Some(gain), false) = (fault, state.guard.gain_fault) {
-                state.note(tick, Reason::DriveGain, None, gain);
+                state.note(tick, Reason::CommonGain, None, gain);
             }
             if settled {
                 state.guard.gain_fault = fault.is_some();
             }
             if state.guard.following {
                 state.guard.followed = state.guard.followed.saturating_add(N as u32);
-                if evidence.favours(-config.proof_sigmas) {
+                if evidence.favours(-config.test_sigmas) {
                     state.roll_back();
                     state.note(tick, Reason::RolledBack, None, evidence.ratio());
-                } else if agreed(config.proof_sigmas) && !opposed {
+                } else if agreed(config.test_sigmas) && !opposed {
                     state.follow(&pending, self.config.torque_step);
                     let followed = state.guard.followed;
                     let due = followed >= config.commit_rows
                         || followed >= config.commit_rows / 4 && early;
                     if due {
                         // What has not been proved better since the last commit waits for a new proof.
-                        let proven = evidence.favours(config.proof_sigmas);
+                        let proven = evidence.favours(config.test_sigmas);
                         state.commit();
                         state.guard.following = proven;
                         state.note(tick, Reason::Committed, None, evidence.ratio());
@@ -219,7 +220,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             } else if settled
                 && agreed(0.0)
                 && fault.is_none()
-                && evidence.favours(config.proof_sigmas)
+                && evidence.favours(config.test_sigmas)
             {
                 state.guard.following = true;
                 state.guard.followed = 0;
@@ -229,7 +230,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 state.guard.relearning = state.guard.relearning.saturating_sub(N as u32);
                 if state.guard.relearning == 0 {
                     state.resume(Phase::Healthy);
-                    state.note(tick, Reason::Relearnt, None, evidence.ratio());
+                    state.note(tick, Reason::RelearningEnded, None, evidence.ratio());
                 }
             }
         }
@@ -266,7 +267,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     /// Estimate and active set as they were at `checkpoint`, bit for bit.
     fn restore(&mut self, checkpoint: &Checkpoint<N, P>) {
         self.estimate.move_to(&checkpoint.estimate);
-        checkpoint.active.write(&mut self.candidate);
+        checkpoint.active.write(&mut self.active);
         self.guard.forget_slices();
     }
 
@@ -282,7 +283,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     fn keep_checkpoint(&mut self) {
         let now = Checkpoint {
             estimate: *self.estimate.parameters(),
-            active: Stacked::of(&self.candidate),
+            active: LinearParameters::of(&self.active),
             committed: self.guard.committed,
             payload: self.guard.payload,
         };
@@ -302,10 +303,10 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         let (mut estimate, mut active) = (before.estimate, before.active);
         if !guard.resting() {
             estimate.friction = self.estimate.parameters().friction;
-            active.friction = Stacked::of(&self.candidate).friction;
+            active.friction = LinearParameters::of(&self.active).friction;
         }
         self.estimate.move_to(&estimate);
-        active.write(&mut self.candidate);
+        active.write(&mut self.active);
         guard.following = false;
         guard.evidence = Evidence::NONE;
         if guard.committed != before.committed {
@@ -318,7 +319,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     fn commit(&mut self) {
         self.commit = true;
         let guard = &mut self.guard;
-        guard.committed = Stacked::of(&self.candidate);
+        guard.committed = LinearParameters::of(&self.active);
         guard.evidence = Evidence::NONE;
         guard.following = false;
         guard.followed = 0;
@@ -328,7 +329,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     fn roll_back(&mut self) {
         let committed = self.guard.committed;
         self.estimate.move_to(&committed);
-        committed.write(&mut self.candidate);
+        committed.write(&mut self.active);
         self.guard.evidence = Evidence::NONE;
         self.guard.following = false;
     }
@@ -357,15 +358,15 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
             }
         }
         if largest <= bound {
-            self.estimate.parameters().write(&mut self.candidate);
+            self.estimate.parameters().write(&mut self.active);
             return;
         }
         let part = bound / largest;
-        let mut followed = Stacked::of(&self.candidate);
+        let mut followed = LinearParameters::of(&self.active);
         let estimate = self.estimate.parameters();
         for (followed, estimate) in followed.iter_mut().zip(estimate.iter()) {
             *followed += part * (estimate - *followed);
         }
-        followed.write(&mut self.candidate);
+        followed.write(&mut self.active);
     }
 }

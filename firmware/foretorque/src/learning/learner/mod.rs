@@ -13,9 +13,9 @@ use crate::learning::guard::Guard;
 use crate::learning::monitor::Monitor;
 use crate::learning::parameters::ParameterSet;
 use crate::learning::quality::{ModelQuality, Phase};
-use crate::learning::stacked::Stacked;
+use crate::learning::stacked::LinearParameters;
 use crate::learning::trainer::NetworkTrainer;
-use crate::learning::{Exchange, Lesson, MotionRange, Publication, Report};
+use crate::learning::{Exchange, LearnerReport, LearningSample, MotionRange, Publication};
 use core::marker::PhantomData;
 
 /// What became of the rows so far.
@@ -55,13 +55,13 @@ pub struct LearnerState<const N: usize, const P: usize> {
     pub estimate: Estimator<N, P>,
     /// The set on its way to the tick: linear parameters that follow the estimate while the guard lets them, networks
     /// that have proved themselves. It becomes visible to the tick only whole, at the end of a round.
-    pub candidate: ParameterSet<N, P>,
+    pub active: ParameterSet<N, P>,
     /// The motion for which the estimate has been learnt.
     pub range: MotionRange<N>,
     /// What became of the rows.
     pub statistics: LearnerStatistics,
     /// What the guard tells.
-    pub report: Report<N>,
+    pub report: LearnerReport<N>,
     guard: Guard<N, P>,
     trainer: NetworkTrainer<N>,
     monitor: Monitor<N>,
@@ -107,25 +107,25 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         config: LearnerConfig<N, P>,
         prior: ParameterSet<N, P>,
     ) -> Result<Self, ConfigError> {
-        let mut learner = Self::idle(config);
+        let mut learner = Self::empty(config);
         learner.restart(config, &prior)?;
         Ok(learner)
     }
 
     /// A learner that knows nothing, for a static: [`restart`](Self::restart) it before its first lesson. It is too large
     /// to be built on the stack of a board.
-    pub const fn idle(config: LearnerConfig<N, P>) -> Self {
+    pub const fn empty(config: LearnerConfig<N, P>) -> Self {
         let nothing = ParameterSet::nothing();
         Self {
             config,
             state: LearnerState {
                 prior: nothing,
                 estimate: Estimator::idle(),
-                candidate: nothing,
+                active: nothing,
                 range: MotionRange::NONE,
                 statistics: LearnerStatistics::NONE,
-                report: Report::new(),
-                guard: Guard::new(&config.guard, &Stacked::filled(0.0)),
+                report: LearnerReport::new(),
+                guard: Guard::new(&config.supervisor, &LinearParameters::filled(0.0)),
                 trainer: NetworkTrainer::new(&nothing.network),
                 monitor: Monitor::new(),
                 kept: None,
@@ -157,7 +157,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         config.validate()?;
         self.config = config;
         self.state.statistics = LearnerStatistics::NONE;
-        self.state.report = Report::new();
+        self.state.report = LearnerReport::new();
         self.state.window.reset();
         self.state.next_tick = 0;
         self.state.generation = None;
@@ -179,12 +179,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
     /// The parameters on their way to the tick, for tests that put others in their place.
     #[cfg(test)]
-    pub(crate) fn candidate_mut(&mut self) -> &mut ParameterSet<N, P> {
-        &mut self.state.candidate
+    pub(crate) fn active_mut(&mut self) -> &mut ParameterSet<N, P> {
+        &mut self.state.active
     }
 
     /// Works through one lesson: [`collect`](Self::collect), [`study`](Self::study), [`publish`](Self::publish).
-    pub fn learn(&mut self, lesson: &Lesson<N>, exchange: &mut Exchange<N, P>) {
+    pub fn learn(&mut self, lesson: &LearningSample<N>, exchange: &mut Exchange<N, P>) {
         self.collect(lesson, exchange);
         self.study(lesson);
         self.publish(exchange);
@@ -192,7 +192,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
     /// Takes over a reloaded set or a request if it holds for `lesson`. Touches the desk for one copy at most.
     #[inline(never)]
-    pub fn collect(&mut self, lesson: &Lesson<N>, exchange: &mut Exchange<N, P>) {
+    pub fn collect(&mut self, lesson: &LearningSample<N>, exchange: &mut Exchange<N, P>) {
         // Lessons older than either may still be in the queue. Ticks half the range of their counter apart have no order,
         // so numbers are compared, and for equality alone.
         let reload = &mut exchange.reload;
@@ -212,7 +212,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Cost: the filter of all joints, the torque of the estimate, two regressor rows, one row of the estimator; the
     /// joint's network three times.
     #[inline(never)]
-    pub fn study(&mut self, lesson: &Lesson<N>) {
+    pub fn study(&mut self, lesson: &LearningSample<N>) {
         if lesson.tick != self.state.next_tick {
             self.state.window.reset();
         }
@@ -257,7 +257,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             exchange.published = Some(Publication {
                 closed: tick,
                 generation,
-                set: state.candidate,
+                set: state.active,
                 payload: state.guard.payload_base,
                 range: state.range,
                 commit: core::mem::take(&mut state.commit) || waiting,
@@ -271,11 +271,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     fn start_from(&mut self, prior: &ParameterSet<N, P>) {
         let state = &mut self.state;
         state.prior = *prior;
-        state.candidate = *prior;
+        state.active = *prior;
         state.estimate.reset(prior);
         state.range = MotionRange::NONE;
         state.innovation_variance = [1.0; N];
-        state.guard = Guard::new(&self.config.guard, &Stacked::of(prior));
+        state.guard = Guard::new(&self.config.supervisor, &LinearParameters::of(prior));
         state.trainer = NetworkTrainer::new(&prior.network);
         state.monitor = Monitor::new();
         state.kept = None;

@@ -4,13 +4,13 @@ use super::{Learner, count};
 use crate::arm::Arm;
 use crate::joint::JointVector;
 use crate::learning::NETWORK_BOUND;
-use crate::learning::conditioning::{Conditioned, ripple_share};
+use crate::learning::conditioning::{ConditionedSample, cogging_attenuation};
 use crate::learning::decision::Reason;
 use crate::learning::estimator::torque_row;
 use crate::learning::exchange::MotionRange;
 use crate::learning::monitor::Observation;
 use crate::learning::parameters::network_inputs;
-use crate::learning::stacked::Stacked;
+use crate::learning::stacked::LinearParameters;
 use crate::learning::trainer::{NetworkRow, NetworkVerdict};
 use crate::limits::cut;
 use crate::math::sqrt;
@@ -34,7 +34,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         &mut self,
         tick: u32,
         joint: usize,
-        seen: &Conditioned<N>,
+        seen: &ConditionedSample<N>,
     ) -> Option<f32> {
         let (verdict, step) = self.row(tick, joint, seen);
         let statistics = &mut self.state.statistics;
@@ -49,7 +49,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
     /// The linear parameters take what they can explain; the joint's network is trained on what remained before.
     #[inline(never)]
-    fn row(&mut self, tick: u32, joint: usize, seen: &Conditioned<N>) -> (Verdict, Option<f32>) {
+    fn row(
+        &mut self,
+        tick: u32,
+        joint: usize,
+        seen: &ConditionedSample<N>,
+    ) -> (Verdict, Option<f32>) {
         let (Some(limits), Some(&speed), Some(&tau)) = (
             A::LIMITS.get(joint),
             seen.motion.qd.get(joint),
@@ -71,10 +76,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if speed.abs() >= self.config.velocity_gate {
             let variance = state.estimate.variance().get(joint).copied();
             let sigma = self.config.noise * sqrt(variance.unwrap_or(1.0));
-            let active = Stacked::of(&state.candidate);
+            let active = LinearParameters::of(&state.active);
             let rigid = row.rigid_dot(&active) + carried;
             let friction = row.friction_dot(&active);
-            let [[said]] = match state.candidate.network.get(joint) {
+            let [[said]] = match state.active.network.get(joint) {
                 Some(network) => network.forward(&network_inputs(speed)).data.0,
                 None => return (Verdict::Rejected, None),
             };
@@ -90,8 +95,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             verdict = Verdict::Frozen;
             if state.phase().learns() && !state.guard.resting() {
                 let mut heard = row;
-                let share = ripple_of::<A, N, P>(joint, speed, self.config.inv_period);
-                let own = own - heard.swallow(joint, share, &active);
+                let share = cogging_attenuation_at::<A, N, P>(joint, speed, self.config.inv_period);
+                let own = own - heard.attenuate_cogging(joint, share, &active);
                 let correction = state
                     .estimate
                     .correct(&self.config, joint, limit, &heard, own);
@@ -116,7 +121,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                     residual: (tau - rigid - friction) * inv_limit,
                     sigma,
                 };
-                let trained = match state.candidate.network.get_mut(joint) {
+                let trained = match state.active.network.get_mut(joint) {
                     Some(active) if state.guard.trains() => {
                         let config = &self.config.network;
                         state.trainer.train(config, joint, &lesson, active)
@@ -142,19 +147,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             let change = estimated - row.dot(&state.guard.committed);
             state.guard.evidence.note_still(joint, change * inv_limit);
         }
-        let step = estimated - row.dot(&Stacked::of(&state.candidate));
+        let step = estimated - row.dot(&LinearParameters::of(&state.active));
         (verdict, Some(step * inv_limit))
     }
 }
 
 /// Share of the cogging of `joint` at `speed`, rad/s, that reaches the learner's motion.
-pub(super) fn ripple_of<A: Arm<N, P>, const N: usize, const P: usize>(
+pub(super) fn cogging_attenuation_at<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     speed: f32,
     inv_period: f32,
 ) -> f32 {
     let cycles = A::COGGING_CYCLES.get(joint).copied().unwrap_or(0.0);
-    ripple_share(cycles * speed / inv_period)
+    cogging_attenuation(cycles * speed / inv_period)
 }
 
 /// Widens `range` towards the motion of a row that was learnt from.

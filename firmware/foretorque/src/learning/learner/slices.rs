@@ -1,13 +1,14 @@
 //! Hundredths of a second: the detector, and the trial after an alarm.
 
-use super::row::ripple_of;
+use super::row::cogging_attenuation_at;
 use super::{Learner, count};
 use crate::arm::Arm;
 use crate::dynamics::{
-    BaseParameters, FrictionParameters, friction, friction_load, friction_row, regressor_row, rnea,
+    BaseParameters, COGGING_COLUMNS, FrictionParameters, friction, friction_load, friction_row,
+    regressor_row, rnea,
 };
 use crate::joint::JointVector;
-use crate::learning::conditioning::{AVERAGED, Conditioned};
+use crate::learning::conditioning::{AVERAGED, ConditionedSample};
 use crate::learning::detector::Slice;
 use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
@@ -30,7 +31,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         &mut self,
         tick: u32,
         joint: usize,
-        seen: &Conditioned<N>,
+        seen: &ConditionedSample<N>,
     ) -> Option<f32> {
         if !plausible::<A, N, P>(seen, self.config.acceleration_limit) {
             self.state.guard.forget_slices();
@@ -39,7 +40,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let residual = self.unexplained(seen);
         let gate = self.config.velocity_gate;
-        let ticks = self.config.guard.slice_ticks;
+        let ticks = self.config.supervisor.block_ticks;
         let guard = &mut self.state.guard;
         if let Some(slice) = guard.decimator.push(&seen.motion, &residual, gate, ticks) {
             guard.waiting = Some((slice, 0));
@@ -56,18 +57,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
     /// What the estimate leaves of the torques, the payload not counted, N × N·m.
     #[inline(never)]
-    fn unexplained(&self, seen: &Conditioned<N>) -> JointVector<N> {
+    fn unexplained(&self, seen: &ConditionedSample<N>) -> JointVector<N> {
         let state = &self.state;
         let estimate = state.estimate.parameters();
-        let mut drives = estimate.friction.map(FrictionParameters::from_columns);
+        let mut drives = estimate.friction.map(FrictionParameters);
         // What the filter swallows of the cogging is in the torque as far as the active set asks for it.
-        let active = drives.iter_mut().zip(&state.candidate.friction);
+        let active = drives.iter_mut().zip(&state.active.friction);
         for (joint, ((drive, active), &qd)) in active.zip(seen.motion.qd.iter()).enumerate() {
-            let share = ripple_of::<A, N, P>(joint, qd, self.config.inv_period);
-            drive.cogging_sin =
-                active.cogging_sin + share * (drive.cogging_sin - active.cogging_sin);
-            drive.cogging_cos =
-                active.cogging_cos + share * (drive.cogging_cos - active.cogging_cos);
+            let share = cogging_attenuation_at::<A, N, P>(joint, qd, self.config.inv_period);
+            for column in COGGING_COLUMNS {
+                let active = active[column];
+                drive[column] = active + share * (drive[column] - active);
+            }
         }
         let rigid = BaseParameters::<P>::from(estimate.rigid);
         seen.tau
@@ -82,8 +83,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             // What is left of a joint whose friction is not learnt here is no news.
             return;
         }
-        let weighing =
-            self.state.phase() == Phase::Trial || self.state.guard.weighing(&self.config.guard);
+        let weighing = self.state.phase() == Phase::PayloadTest
+            || self.state.guard.weighing(&self.config.supervisor);
         // The estimator rests meanwhile: the tick has time for it.
         let doubt = if weighing {
             self.friction_doubt(joint, slice)
@@ -103,7 +104,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let row = regressor_row::<A, N, P>(joint, &slice.motion).data.0[0];
         let row = payload_row::<A, N, P>(&row);
         let unit = self.config.noise * limits.torque;
-        let config = &self.config.guard;
+        let config = &self.config.supervisor;
         // What one measurement scatters, not the mean of some: the thresholds are in these units.
         let single = AVERAGED as f32 * measured;
         let sigma = unit * sqrt(single);
@@ -111,9 +112,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let Some((usual, seen)) = guard.slice_variance.get_mut(joint) else {
             return;
         };
-        let inflated = unit * sqrt(config.inflation * *usual + LASTING * doubt);
+        let inflated = unit * sqrt(config.block_inflation * *usual + LASTING * doubt);
         match state.report.quality.phase {
-            Phase::Trial => guard
+            Phase::PayloadTest => guard
                 .trial
                 .note(&guard.payload, &row, left, sigma, inflated),
             Phase::Healthy => {
@@ -162,7 +163,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         };
         let inverse = 1.0 / (self.config.noise * limits.torque);
         let mut phi = friction_row(cycles, q, qd, load);
-        for (phi, sigma) in phi.iter_mut().zip(sigma.columns()) {
+        for (phi, sigma) in phi.iter_mut().zip(sigma.0) {
             *phi *= sigma * inverse;
         }
         self.state.estimate.filter().friction_doubt(joint, &phi)
@@ -171,10 +172,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// After the last joint of a slice.
     #[inline(never)]
     fn judge(&mut self, tick: u32) {
-        let config = &self.config.guard;
+        let config = &self.config.supervisor;
         let guard = &mut self.state.guard;
         match self.state.report.quality.phase {
-            Phase::Trial => {
+            Phase::PayloadTest => {
                 let loaded = guard.loaded();
                 let mut usual = 0.0;
                 let joints = guard.slice_variance.iter();
@@ -204,7 +205,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 /// Nothing in `seen` is beyond what the arm can do. A model fitted to the impossible is worth nothing; a wild encoder
 /// shows in the acceleration first.
 fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
-    seen: &Conditioned<N>,
+    seen: &ConditionedSample<N>,
     acceleration_limit: f32,
 ) -> bool {
     let motion = seen.motion.qd.iter().zip(seen.motion.qdd.iter());

@@ -1,6 +1,6 @@
 use super::*;
 use crate::arm::ur5::Ur5;
-use crate::dynamics::RESISTING;
+use crate::dynamics::{DISSIPATION_BOUNDS, FrictionColumn};
 use crate::joint::{JointMeasurement, JointVector};
 use crate::learning::Request;
 use crate::limits::Flags;
@@ -11,7 +11,7 @@ const P: usize = 40;
 /// A learner that never raises an alarm: the arm of these tests is none that could be explained.
 fn learner() -> Learner<Ur5, N, P> {
     let mut config = LearnerConfig::for_arm::<Ur5>(1e-3);
-    config.guard.detector.threshold = 1e9;
+    config.supervisor.detector.threshold = 1e9;
     Learner::new(config, ParameterSet::nominal::<Ur5>(1)).unwrap()
 }
 
@@ -23,8 +23,8 @@ fn measured(tick: u32, speed: f32, tau: f32) -> JointMeasurement<N> {
     }
 }
 
-fn lesson(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> Lesson<N> {
-    Lesson {
+fn lesson(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> LearningSample<N> {
+    LearningSample {
         tick,
         generation: 0,
         requests: 0,
@@ -45,7 +45,7 @@ fn teach(learner: &mut Learner<Ur5, N, P>, ticks: core::ops::Range<u32>, enabled
 fn frozen_nothing_is_learnt_but_the_window_runs_on() {
     let mut learner = learner();
     teach(&mut learner, 0..100, false);
-    assert_eq!(learner.state.candidate, learner.state.prior);
+    assert_eq!(learner.state.active, learner.state.prior);
     assert_eq!(learner.state.statistics, LearnerStatistics::default());
     let before = learner.state.estimate;
     teach(&mut learner, 100..101, true);
@@ -62,11 +62,11 @@ fn a_measurement_that_is_missing_or_not_finite_changes_nothing() {
     for bad in [None, Some(bad_torque), Some(bad_position)] {
         let mut learner = learner();
         teach(&mut learner, 0..60, true);
-        let before = (learner.state.estimate, learner.state.candidate);
+        let before = (learner.state.estimate, learner.state.active);
         learner.study(&lesson(60, bad, true));
         // The first one behind a gap may be late.
         teach(&mut learner, 61..62, true);
-        assert!((learner.state.estimate, learner.state.candidate) == before);
+        assert!((learner.state.estimate, learner.state.active) == before);
         let without = learner.state.statistics.incomplete;
         teach(&mut learner, 62..63, true);
         assert_ne!(learner.state.estimate, before.0);
@@ -94,7 +94,7 @@ fn networks_are_trained_out_of_sight_of_the_torque() {
     // The linear parameters come first.
     for tick in 30..4300 {
         teach(&mut learner, tick..tick + 1, true);
-        assert_eq!(learner.state.candidate.network, learner.state.prior.network);
+        assert_eq!(learner.state.active.network, learner.state.prior.network);
     }
     assert!(learner.state.trainer != before);
 }
@@ -104,7 +104,7 @@ fn a_learner_of_one_joint_learns_from_its_rows_and_leaves_the_others_as_they_are
     let mut learner = learner();
     learner.learn_only(1);
     teach(&mut learner, 0..600, true);
-    let prior = Stacked::of(&learner.state.prior);
+    let prior = LinearParameters::of(&learner.state.prior);
     let estimate = learner.state.estimate.parameters();
     assert_ne!(estimate.rigid, prior.rigid);
     for joint in 0..N {
@@ -121,7 +121,7 @@ fn a_joint_that_hardly_moves_teaches_nothing() {
     for tick in 0..100 {
         learner.study(&lesson(tick, Some(measured(tick, 0.04, 20.0)), true));
     }
-    assert_eq!(learner.state.candidate, learner.state.prior);
+    assert_eq!(learner.state.active, learner.state.prior);
     assert_eq!(learner.state.statistics.gated, 70);
 }
 
@@ -136,7 +136,7 @@ fn an_encoder_gone_wild_or_an_impossible_torque_is_rejected() {
     for tick in 100..200 {
         learner.study(&lesson(tick, Some(measured(tick, 2.0, 1e30)), true));
     }
-    assert_eq!(learner.state.candidate, learner.state.prior);
+    assert_eq!(learner.state.active, learner.state.prior);
     assert_eq!(learner.state.statistics.accepted, 0);
     assert!(learner.state.statistics.rejected > 100);
 }
@@ -171,18 +171,18 @@ fn a_wrong_torque_sensor_leaves_every_parameter_finite_and_friction_within_its_b
     teach(&mut learner, 0..60_000, true);
     let LearnerState {
         prior,
-        candidate,
+        active,
         estimate,
         ..
     } = &learner.state;
-    assert!(candidate.is_finite());
+    assert!(active.is_finite());
     assert!(estimate.parameters().iter().all(|theta| theta.is_finite()));
     let mut moved = false;
-    for (joint, friction) in candidate.friction.iter().enumerate() {
-        let deviation = learner.config.friction_sigma[joint].columns();
-        for bound in &RESISTING {
+    for (joint, friction) in active.friction.iter().enumerate() {
+        let deviation = learner.config.friction_sigma[joint].0;
+        for bound in &DISSIPATION_BOUNDS {
             let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
-            let value = dot(bound, &friction.columns());
+            let value = dot(bound, &friction.0);
             assert!(
                 value >= -0.02 * dot(bound, &deviation),
                 "joint {joint}: {friction:?}"
@@ -212,7 +212,7 @@ fn sets_are_published_when_a_round_closes_and_only_then() {
 fn a_reloaded_set_is_taken_with_the_first_lesson_it_holds_for() {
     let mut learner = learner();
     let mut loaded = ParameterSet::nominal::<Ur5>(9);
-    loaded.friction[0].coulomb = 3.0;
+    loaded.friction[0][FrictionColumn::Coulomb] = 3.0;
     let mut exchange = Exchange::new();
     exchange.reload = Some((1, loaded));
     for tick in 40..44 {
@@ -220,7 +220,7 @@ fn a_reloaded_set_is_taken_with_the_first_lesson_it_holds_for() {
         lesson.generation = u32::from(tick >= 42);
         learner.learn(&lesson, &mut exchange);
         assert_eq!(learner.state.prior == loaded, tick >= 42, "tick {tick}");
-        assert_eq!(learner.state.candidate == loaded, tick >= 42, "tick {tick}");
+        assert_eq!(learner.state.active == loaded, tick >= 42, "tick {tick}");
         assert_eq!(exchange.reload.is_none(), tick >= 42, "tick {tick}");
     }
 }
@@ -250,8 +250,8 @@ fn a_configuration_that_cannot_work_is_refused() {
 
 fn ask(learner: &mut Learner<Ur5, N, P>, tick: u32, request: Request) -> Option<Reason> {
     let mut exchange = Exchange::new();
-    exchange.ask(1, request).unwrap();
-    assert!(exchange.ask(1, request).is_err());
+    exchange.post_request(1, request).unwrap();
+    assert!(exchange.post_request(1, request).is_err());
     let mut lesson = lesson(tick, None, true);
     learner.collect(&lesson, &mut exchange);
     assert!(exchange.request.is_some(), "taken before its lesson");
@@ -269,20 +269,20 @@ fn a_rollback_on_request_restores_the_kept_parameters_bit_for_bit() {
     teach(&mut learner, 0..200, true);
     assert_eq!(
         ask(&mut learner, 200, Request::Rollback),
-        Some(Reason::Refused)
+        Some(Reason::RequestRefused)
     );
-    let before = learner.state.candidate;
+    let before = learner.state.active;
     assert_eq!(
         ask(&mut learner, 201, Request::Snapshot),
-        Some(Reason::Kept)
+        Some(Reason::SnapshotTaken)
     );
     teach(&mut learner, 201..1200, true);
-    learner.state.candidate.rigid[0] += 0.1;
+    learner.state.active.rigid[0] += 0.1;
     assert_eq!(
         ask(&mut learner, 1200, Request::Rollback),
         Some(Reason::RolledBack)
     );
-    assert_eq!(learner.state.candidate, before);
+    assert_eq!(learner.state.active, before);
 }
 
 #[test]
@@ -293,9 +293,9 @@ fn after_an_emergency_stop_nothing_is_learnt_until_learning_is_switched_on_again
         ask(&mut learner, 60, Request::Stop),
         Some(Reason::FrozenStopped)
     );
-    let before = (learner.state.estimate, learner.state.candidate);
+    let before = (learner.state.estimate, learner.state.active);
     teach(&mut learner, 60..120, true);
-    assert!((learner.state.estimate, learner.state.candidate) == before);
+    assert!((learner.state.estimate, learner.state.active) == before);
     teach(&mut learner, 120..121, false);
     teach(&mut learner, 121..130, true);
     assert!(learner.state.estimate != before.0);

@@ -4,8 +4,8 @@ use super::*;
 /// Returns the filter and the sum of what the rows say, `Σ φ²/R`.
 fn after(rows: u32) -> (UdFilter<2, 1>, f64) {
     let mut filter = UdFilter::new();
-    let mut phi = Stacked::filled(0.0);
-    let mut gain = Stacked::filled(0.0);
+    let mut phi = LinearParameters::filled(0.0);
+    let mut gain = LinearParameters::filled(0.0);
     let mut said = 0.0;
     for row in 0..rows {
         let weight = 0.5 + 0.01 * (row % 97) as f32;
@@ -39,9 +39,9 @@ fn after_many_rows_a_variance_is_what_they_say() {
 fn a_row_of_any_size_leaves_the_diagonal_positive() {
     for size in [1e-12, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12] {
         let mut filter = UdFilter::<2, 1>::new();
-        let (mut gain, mut random) = (Stacked::filled(0.0), 1u32);
+        let (mut gain, mut random) = (LinearParameters::filled(0.0), 1u32);
         for _ in 0..1000 {
-            let mut phi = Stacked::filled(0.0);
+            let mut phi = LinearParameters::filled(0.0);
             for phi in phi.friction[0].iter_mut().chain(&mut phi.rigid) {
                 random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 *phi = size * (random >> 8) as f32 / (1 << 23) as f32;
@@ -92,9 +92,9 @@ impl<const P: usize> Wide<P> {
 fn a_million_rows_do_not_wear_the_correlations() {
     const P: usize = 12;
     let (mut filter, mut wide) = (UdFilter::<1, P>::new(), Wide::<P>::new());
-    let (mut gain, mut random) = (Stacked::filled(0.0), 1u32);
+    let (mut gain, mut random) = (LinearParameters::filled(0.0), 1u32);
     for _ in 0..1_000_000 {
-        let mut phi = Stacked::<1, P>::filled(0.0);
+        let mut phi = LinearParameters::<1, P>::filled(0.0);
         for phi in &mut phi.rigid {
             random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             *phi = 0.5 + (random >> 8) as f32 / (1 << 24) as f32;
