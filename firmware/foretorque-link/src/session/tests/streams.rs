@@ -1,5 +1,6 @@
 use super::*;
-use crate::wire::{Field, TelemetryFrame, size};
+use crate::wire::size::{self, LinkCapacity};
+use crate::wire::{Field, TelemetryFrame};
 
 const ALL: u16 = (1 << Field::ALL.len()) - 1;
 
@@ -9,7 +10,7 @@ const LINE: u32 = 200_000;
 /// A board whose line has this capacity, and what it says in `ticks` ticks: telemetry, and the most bytes in one tick.
 fn streamed(bytes_s: u32, fields: u16, every: u16, ticks: u32) -> (Vec<TelemetryFrame>, usize) {
     let mut board = Board::described(BoardDescription {
-        link_bytes_s: bytes_s,
+        link: LinkCapacity::stream(bytes_s),
         ..BoardDescription::plain(NoClock)
     });
     let answer = board.ask(HostMessage::Telemetry { fields, every });
@@ -42,7 +43,7 @@ fn streamed(bytes_s: u32, fields: u16, every: u16, ticks: u32) -> (Vec<Telemetry
 
 fn refused(bytes_s: u32, fields: u16, every: u16) -> u16 {
     let mut board = Board::described(BoardDescription {
-        link_bytes_s: bytes_s,
+        link: LinkCapacity::stream(bytes_s),
         ..BoardDescription::plain(NoClock)
     });
     match board.ask(HostMessage::Telemetry { fields, every }) {
