@@ -1,4 +1,4 @@
-//! Acceptance tests across the crates of foretorque.
+//! Requirements that hold across the crates of foretorque.
 
 pub mod arms;
 pub mod table;

@@ -1,4 +1,4 @@
-//! Physical identities of the board's inverse dynamics, for every arm. Every arm: seeded random geometry too.
+//! Physical identities of the board's inverse dynamics, for every arm, with seeded random geometry too.
 
 use acceptance::arms::description;
 use acceptance::each_arm;

@@ -15,7 +15,7 @@ use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
 use crate::toolchain::{self, Tools};
 
-/// What a gate gave.
+/// Result of a gate.
 struct Outcome {
     name: &'static str,
     passed: bool,
@@ -157,7 +157,7 @@ fn pass(name: &'static str, gate: impl FnOnce() -> Result<()>) -> Outcome {
     }
 }
 
-/// Runs `cargo test` with its output shown; what its result lines sum to, and whether it ended well.
+/// Runs `cargo test` with its output shown; returns the sum of its result lines, and whether it ended well.
 fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
     let mut child = cargo
         .stdout(Stdio::piped())
