@@ -3,7 +3,7 @@
 use super::filter::median;
 use super::log::{LogReader, LogRow};
 use crate::robot::Robot;
-use crate::table::TableError;
+use crate::table::{TableError, TableProblem};
 use std::collections::VecDeque;
 use std::path::Path;
 
@@ -44,9 +44,7 @@ impl<const N: usize> WholeLog<N> {
             }
         }
         if first.len() < 3 {
-            return Err(TableError::Empty {
-                path: path.to_owned(),
-            });
+            return Err(TableProblem::Empty.at(path, None));
         }
         let times = first.iter().zip(first.iter().skip(1));
         let mut steps: Vec<f64> = times.map(|(a, b)| b.t_s - a.t_s).collect();
