@@ -80,7 +80,7 @@ impl Scale {
     fn new(config: &LearnerConfig<N, P>, prior: &Set) -> Self {
         Self {
             start: LinearParameters::of(prior),
-            sigma: LinearParameters::sigma(config),
+            sigma: config.sigma(),
             noise: config.noise,
         }
     }
