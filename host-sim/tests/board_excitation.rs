@@ -3,7 +3,9 @@
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque_link::excitation::{AbortReason, Cue, ExcitationError, ExcitationProgram, Stage};
+use foretorque_link::excitation::{
+    AbortReason, ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState,
+};
 use foretorque_link::wire::NackReason;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client, Native, Transport};
@@ -47,7 +49,7 @@ fn emulated() -> Client<N> {
 }
 
 /// What the board said in one tick: torque bit for bit, stage, desired motion.
-type Said = (Vec<u32>, Option<(Stage, JointMotion<N>)>);
+type Said = (Vec<u32>, Option<(ExcitationState, JointMotion<N>)>);
 
 /// Plays it on an arm that follows within the resolution of the link, and is `late` in joint 3 from tick 2000 on.
 fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
@@ -65,7 +67,9 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
         }),
     };
     client.arm(&standing).expect("the board can be armed");
-    client.excitation(Cue::Start).expect("it may be started");
+    client
+        .excitation(ExcitationCommand::Start)
+        .expect("it may be started");
     client.learning(true).expect("the board learns");
     let mut said = Vec::new();
     for tick in 0..TICKS {
@@ -90,7 +94,7 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
     said
 }
 
-fn stages(said: &[Said]) -> Vec<Option<Stage>> {
+fn stages(said: &[Said]) -> Vec<Option<ExcitationState>> {
     let mut stages: Vec<_> = said
         .iter()
         .map(|(_, e)| e.map(|(stage, _)| stage))
@@ -104,15 +108,15 @@ fn the_board_plays_the_series_of_the_file_the_same_natively_and_emulated() {
     let said = play(&mut native(), 0.0);
     let expected = [
         None,
-        Some(Stage::Approaching),
-        Some(Stage::Playing),
-        Some(Stage::Holding),
+        Some(ExcitationState::Approaching),
+        Some(ExcitationState::Playing),
+        Some(ExcitationState::Holding),
     ];
     assert_eq!(stages(&said), expected);
     let series = excitation();
     let playing: Vec<_> = said
         .iter()
-        .filter_map(|(_, excited)| excited.filter(|(stage, _)| *stage == Stage::Playing))
+        .filter_map(|(_, excited)| excited.filter(|(stage, _)| *stage == ExcitationState::Playing))
         .collect();
     assert_eq!(playing.len(), 2000);
     // The wire's resolution is the coarsest part: 2^-20 rad, 2^-18 rad/s, 2^-9 rad/s², half a step of each, and f32.
@@ -132,7 +136,7 @@ fn the_board_plays_the_series_of_the_file_the_same_natively_and_emulated() {
 fn an_arm_that_does_not_follow_is_told_in_the_reply_and_brought_to_rest() {
     let mut client = native();
     let said = play(&mut client, 0.06);
-    let aborted = Some(Stage::Aborted(AbortReason::Tracking(2)));
+    let aborted = Some(ExcitationState::Aborted(AbortReason::Tracking(2)));
     assert_eq!(stages(&said).last(), Some(&aborted));
     let (_, end) = said
         .last()
@@ -140,8 +144,10 @@ fn an_arm_that_does_not_follow_is_told_in_the_reply_and_brought_to_rest() {
         .expect("in charge");
     assert_eq!(end.qd, JointVector::<N>::zeros());
     assert_eq!(
-        client.excitation(Cue::Release).expect("at rest"),
-        Stage::Ready
+        client
+            .excitation(ExcitationCommand::Release)
+            .expect("at rest"),
+        ExcitationState::Ready
     );
 }
 

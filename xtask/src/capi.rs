@@ -1,25 +1,30 @@
 //! The library for C: static library, and the example in C that the tests run in the emulator.
 
-use std::path::PathBuf;
-
 use anyhow::{Context as _, Result};
 
 use crate::setup::{self, Way};
 use crate::shell::{self, command};
-use crate::toolchain::{PROFILE, TARGET, Tools};
+use crate::toolchain::{self, PROFILE, TARGET, Tools};
 
 /// C's own half of the example, from the workspace's root.
 const PLACE: &str = "firmware/capi";
+/// The compiler of the example in C.
+const COMPILER: &str = "arm-none-eabi-gcc";
+
+/// Installs the compiler, unless it is here.
+pub(crate) fn bring_compiler() -> Result<()> {
+    setup::bring_program(COMPILER, "gcc-arm-none-eabi")
+}
 
 /// Sets up, compiler for C included, and builds both.
 pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     let tools = setup::run(forced)?;
-    setup::bring_c_compiler()?;
+    bring_compiler()?;
     build(tools)?;
     println!(
         "library: {}\nheader:  {PLACE}/include/foretorque.h\nexample: {}",
-        built("libforetorque_capi.a").display(),
-        built("capi-example").display()
+        toolchain::elf("libforetorque_capi.a").display(),
+        toolchain::elf("capi-example").display()
     );
     Ok(())
 }
@@ -34,7 +39,7 @@ pub(crate) fn build(tools: Tools) -> Result<()> {
 
     let place = shell::root().join(PLACE);
     let example = place.join("example");
-    let mut compiler = command(setup::C_COMPILER);
+    let mut compiler = command(COMPILER);
     compiler
         .args(["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard"])
         .args(["-mfpu=fpv4-sp-d16", "-std=c11", "-O2", "-Wall", "-Wextra"])
@@ -49,15 +54,10 @@ pub(crate) fn build(tools: Tools) -> Result<()> {
         .arg(place.join("include"))
         .arg(example.join("main.c"))
         .arg(example.join("startup.c"))
-        .arg(built("libforetorque_capi.a"))
+        .arg(toolchain::elf("libforetorque_capi.a"))
         .arg("-T")
         .arg(example.join("link.ld"))
         .args(["-Wl,--gc-sections", "-Wl,-z,noexecstack", "-o"])
-        .arg(built("capi-example"));
+        .arg(toolchain::elf("capi-example"));
     shell::run(&mut compiler).context("the example in C does not build")
-}
-
-fn built(name: &str) -> PathBuf {
-    let target = shell::root().join("target");
-    target.join(TARGET).join(PROFILE).join(name)
 }

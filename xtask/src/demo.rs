@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result};
 
-use crate::flash;
 use crate::setup::{self, Way};
 use crate::shell::{self, command};
+use crate::toolchain;
 
 /// Where the demo's report goes, from the workspace's root.
 const OUT: &str = "target/foretorque/demo";
@@ -33,7 +33,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         "--out",
         OUT,
     ]))?;
-    let elf = flash::elf("joint");
+    let elf = toolchain::elf("joint");
     let copied = fs::copy(&elf, shell::root().join(ELF_COPY))
         .with_context(|| format!("cannot copy {}", elf.display()))?;
     println!(

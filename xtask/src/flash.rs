@@ -1,7 +1,7 @@
 //! From the linked ELF to the board: images for any programmer, and the ELF itself through probe-rs.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use elf::ElfBytes;
@@ -12,7 +12,7 @@ use ihex::Record;
 use crate::demo;
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command};
-use crate::toolchain::{PROFILE, TARGET};
+use crate::toolchain;
 
 /// Where the images go, from the workspace's root.
 const OUT: &str = "target/foretorque/flash";
@@ -63,7 +63,7 @@ impl Board {
 pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result<()> {
     let tools = setup::run(forced)?;
     shell::run(tools.board.board_cargo("build").arg("--bins"))?;
-    let elf = elf(board.binary());
+    let elf = toolchain::elf(board.binary());
     let bytes = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
     let segments = loadable(&bytes)?;
     write_images(&segments, board.binary())?;
@@ -84,12 +84,6 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
     download.args(["download", "--chip", CHIP, "--verify"]);
     shell::run(download.arg(&elf))?;
     shell::run(command("probe-rs").args(["reset", "--chip", CHIP]))
-}
-
-/// The flashable ELF of a binary.
-pub(crate) fn elf(binary: &str) -> PathBuf {
-    let target = shell::root().join("target");
-    target.join(TARGET).join(PROFILE).join(binary)
 }
 
 /// Whether the ELF is byte for byte the one that the last demo emulated.

@@ -115,8 +115,7 @@ fn judge(outcomes: &[Outcome]) -> Result<()> {
 
 /// There is a C++ compiler, or can be had.
 fn compiler() -> bool {
-    let here = || capture(command("c++").arg("--version")).is_some();
-    here() || (setup::install_compiler().is_ok() && here())
+    setup::bring_program("c++", "g++").is_ok()
 }
 
 /// Where the committed inputs of a target lie.

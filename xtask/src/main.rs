@@ -6,6 +6,7 @@ mod demo;
 mod faults;
 mod flash;
 mod fuzz;
+mod outside;
 mod setup;
 mod shell;
 mod test;
@@ -166,7 +167,7 @@ fn main() -> ExitCode {
         Request::Setup {
             forced,
             check: false,
-        } => setup::run(forced).and_then(|_| setup::bring_c_compiler()),
+        } => setup::run(forced).and_then(|_| capi::bring_compiler()),
         Request::Demo { forced } => demo::run(forced),
         Request::Bench { forced, accept } => bench::run(forced, accept),
         Request::Faults { forced, accept } => faults::run(forced, accept),

@@ -8,12 +8,12 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::bench;
 use crate::capi;
 use crate::fuzz;
+use crate::outside;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
-use crate::toolchain::Tools;
+use crate::toolchain::{self, Tools};
 
 /// What a gate gave.
 struct Outcome {
@@ -59,9 +59,12 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     for (name, mut gate) in builds(tools) {
         outcomes.push(pass(name, || shell::run(&mut gate)));
     }
-    outcomes.push(pass("linked firmware", bench::check_firmware));
+    outcomes.push(pass("linked firmware", || {
+        foretorque_cost::check_firmware(&toolchain::elves())
+    }));
+    outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("library for C", || {
-        setup::bring_c_compiler()?;
+        capi::bring_compiler()?;
         capi::build(tools)
     }));
     // After the builds, because the tests run the board's ELF files.
@@ -114,17 +117,17 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
 /// The gates that only build or look, cheapest first.
 fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
     const STRICT: [&str; 3] = ["--", "-D", "warnings"];
-    let mut fmt = tools.fmt.tool("cargo");
+    let mut fmt = tools.host.tool("cargo");
     fmt.args(["fmt", "--all", "--check"]);
-    let mut clippy = tools.clippy.tool("cargo");
+    let mut clippy = tools.host.tool("cargo");
     clippy
         .args(["clippy", "--workspace", "--all-targets"])
         .args(STRICT);
-    let mut board_clippy = tools.board_clippy.board_cargo("clippy");
+    let mut board_clippy = tools.board.board_cargo("clippy");
     board_clippy.args(["--lib", "--bins"]).args(STRICT);
-    let mut plain_clippy = tools.board_clippy.board_library_cargo("clippy");
+    let mut plain_clippy = tools.board.board_library_cargo("clippy");
     plain_clippy.args(STRICT);
-    let mut log_clippy = tools.board_clippy.board_library_cargo("clippy");
+    let mut log_clippy = tools.board.board_library_cargo("clippy");
     log_clippy.args(["--features", "defmt"]).args(STRICT);
     let no_std = tools.board.board_library_cargo("build");
     let mut firmware = tools.board.board_cargo("build");

@@ -1,7 +1,8 @@
 //! The one place that knows how the board's code is compiled: which cargo, which target, which profile.
 
-use std::env;
+use std::path::PathBuf;
 use std::process::Command;
+use std::{env, fmt};
 
 use crate::shell;
 
@@ -16,13 +17,34 @@ pub(crate) fn linked_name() -> String {
     env::var("FORETORQUE_TOOLCHAIN_NAME").unwrap_or_else(|_| "foretorque-arm".into())
 }
 
-/// A Rust toolchain that set-up may have found or made.
+/// The linked ELF of a binary of the board.
+pub(crate) fn elf(binary: &str) -> PathBuf {
+    elves().join(binary)
+}
+
+/// Directory of the linked ELF files of the board.
+pub(crate) fn elves() -> PathBuf {
+    let target = shell::root().join("target");
+    target.join(TARGET).join(PROFILE)
+}
+
+/// A Rust toolchain that set-up found or made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Toolchain {
     /// The one `cargo xtask` itself runs in.
     Host,
     /// The one set-up built from Debian's packages.
     Linked,
+}
+
+/// The cargo command as one types it.
+impl fmt::Display for Toolchain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Toolchain::Host => write!(f, "cargo"),
+            Toolchain::Linked => write!(f, "cargo +{}", linked_name()),
+        }
+    }
 }
 
 impl Toolchain {
@@ -62,12 +84,8 @@ impl Toolchain {
 /// Which toolchain does what in this workspace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Tools {
-    /// Compiles and links for the board.
+    /// Compiles, links and lints for the board.
     pub(crate) board: Toolchain,
-    /// Lints the board's code.
-    pub(crate) board_clippy: Toolchain,
-    /// Lints the host's code.
-    pub(crate) clippy: Toolchain,
-    /// Formats everything.
-    pub(crate) fmt: Toolchain,
+    /// Lints the host's code and formats everything.
+    pub(crate) host: Toolchain,
 }

@@ -10,10 +10,12 @@ use core::mem::{MaybeUninit, align_of, size_of};
 use core::slice;
 
 use foretorque::arm::Arm as _;
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
-use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet};
+use foretorque::arm::ur5::{
+    Exchange, FeedForward, JOINTS, Learner, LearnerConfig, ParameterSet, Ur5 as Arm,
+};
+use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Exchange, Learner, LearnerConfig, LearningSample};
+use foretorque::learning::LearningSample;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 #[cfg(target_os = "none")]
 use panic_never as _;
@@ -84,9 +86,9 @@ pub struct ForetorqueTorque {
 
 /// Feed-forward and learner of one arm. Opaque: C sees a pointer into its own memory.
 pub struct Foretorque {
-    feed_forward: FeedForward<Arm, JOINTS, PARAMETERS>,
-    learner: Learner<Arm, JOINTS, PARAMETERS>,
-    exchange: Exchange<JOINTS, PARAMETERS>,
+    feed_forward: FeedForward,
+    learner: Learner,
+    exchange: Exchange,
     /// What the last tick has to teach, until the learner takes it.
     lesson: Option<LearningSample<JOINTS>>,
     bank: ParameterBank,
@@ -101,9 +103,9 @@ impl Foretorque {
     ///
     /// # Safety
     /// `place` is aligned, may be written and is nobody else's.
-    unsafe fn furnish(place: *mut Self, period_s: f32) -> Option<()> {
+    unsafe fn init_in_place(place: *mut Self, period_s: f32) -> Option<()> {
         /// A learner of zeros, until it is restarted: the image of one with a single other number in it would take 33 kB.
-        const BLANK: Learner<Arm, JOINTS, PARAMETERS> = {
+        const BLANK: Learner = {
             // SAFETY: zeros are a value of every field. The compiler looks at the value of a constant, and takes none that
             // is not valid.
             unsafe { MaybeUninit::zeroed().assume_init() }
@@ -112,13 +114,13 @@ impl Foretorque {
             return None;
         }
         let set = ParameterSet::nominal::<Arm>(NETWORK_SEED);
-        let config = FeedForwardConfig::for_arm::<Arm, PARAMETERS>(period_s);
+        let config = FeedForwardConfig::for_arm::<Arm, _>(period_s);
         // SAFETY: every part of `place` may be written, and the learner is read only after it was.
         unsafe {
             (&raw mut (*place).feed_forward).write(FeedForward::new(config, set).ok()?);
             (&raw mut (*place).exchange).write(Exchange::new());
             (&raw mut (*place).lesson).write(None);
-            (&raw mut (*place).bank).write(ParameterBank::nominal::<Arm, JOINTS, PARAMETERS>());
+            (&raw mut (*place).bank).write(ParameterBank::nominal::<Arm, _, _>());
             (&raw mut (*place).incoming).write(ParameterBank::empty());
             (&raw mut (*place).period_s).write(period_s);
             let learner = &raw mut (*place).learner;
@@ -131,10 +133,10 @@ impl Foretorque {
 
     fn load(&mut self, bytes: &[u8]) -> Option<()> {
         self.incoming.decode_into(bytes).ok()?;
-        let set = self.incoming.set::<Arm, JOINTS, PARAMETERS>().ok()?;
+        let set = self.incoming.set::<Arm, _, _>().ok()?;
         let config = self
             .incoming
-            .feed_forward_config::<Arm, JOINTS, PARAMETERS>(self.period_s)
+            .feed_forward_config::<Arm, _, _>(self.period_s)
             .ok()?;
         self.feed_forward.configure(config).ok()?;
         self.feed_forward.load(set, &mut self.exchange);
@@ -217,7 +219,7 @@ pub unsafe extern "C" fn foretorque_init(
     }
     // SAFETY: not null, aligned and large enough, as just checked, and the caller's to give; `out` may be written.
     unsafe {
-        if Foretorque::furnish(place, period_s).is_none() {
+        if Foretorque::init_in_place(place, period_s).is_none() {
             return ForetorqueStatus::Period;
         }
         out.write(place);
@@ -273,7 +275,7 @@ pub unsafe extern "C" fn foretorque_save_bank(
         return ForetorqueStatus::Null;
     };
     it.bank
-        .refresh::<Arm, JOINTS, PARAMETERS>(&it.feed_forward.state().active);
+        .refresh::<Arm, _, _>(&it.feed_forward.state().active);
     let Ok(bytes) = it.bank.encode(room) else {
         return ForetorqueStatus::TooSmall;
     };

@@ -14,10 +14,10 @@
 #![forbid(unsafe_code)]
 
 pub mod bank;
+mod division;
 pub mod drive;
 pub mod excitation;
 pub mod hal;
-mod quotient;
 pub mod safety;
 pub mod session;
 pub mod store;

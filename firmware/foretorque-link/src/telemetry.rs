@@ -1,6 +1,6 @@
 //! Counters that say how the board is doing.
 
-use crate::quotient::quotient;
+use crate::division::div_u64_by_u32;
 use crate::store::StoreHealth;
 use serde::{Deserialize, Serialize};
 
@@ -51,7 +51,7 @@ pub struct Statistics {
     pub late_sets: u32,
     /// Lessons that found no room.
     #[serde(with = "postcard::fixint::le")]
-    pub lessons_lost: u32,
+    pub learning_samples_lost: u32,
     /// Cost of a tick, in counts of the board's counter.
     pub tick_cost: Cost,
     /// Cost of learning from one lesson, in counts of the board's counter.
@@ -117,7 +117,7 @@ impl CostMeter {
     /// Mean and largest cost so far; zero before the first.
     pub fn cost(&self) -> Cost {
         Cost {
-            mean: quotient(self.sum, self.times.max(1)),
+            mean: div_u64_by_u32(self.sum, self.times.max(1)),
             max: self.max,
         }
     }

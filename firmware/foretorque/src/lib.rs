@@ -36,6 +36,9 @@
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
+// A generated arm names this crate as one of a user does.
+extern crate self as foretorque;
+
 pub mod arm;
 pub mod dynamics;
 pub mod feedforward;

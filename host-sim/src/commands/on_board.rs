@@ -3,7 +3,7 @@
 use super::simulate::{PERIOD_S, Scene};
 use super::{Failure, unusable};
 use foretorque::arm::Arm;
-use foretorque_link::excitation::{Cue, Stage};
+use foretorque_link::excitation::{ExcitationCommand, ExcitationState};
 use foretorque_workbench::board::Client;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
@@ -63,16 +63,16 @@ fn beside<const N: usize>(series: &Excitation, robot: &Robot) -> Joints<N> {
 pub(super) fn has_ended<const N: usize>(
     board: &mut Client<N>,
     tick: usize,
-    stage: Option<Stage>,
+    stage: Option<ExcitationState>,
 ) -> Result<bool, Failure> {
     match stage {
-        Some(Stage::Holding) => Ok(true),
-        Some(Stage::Aborted(reason)) => Err(unusable(format!(
+        Some(ExcitationState::Holding) => Ok(true),
+        Some(ExcitationState::Aborted(reason)) => Err(unusable(format!(
             "the board broke the excitation off after {:.3} s: {reason}",
             tick as f64 * PERIOD_S
         ))),
-        None if tick == CHECK_TICKS => match board.excitation(Cue::Status)? {
-            stage if stage.in_charge() => Ok(false),
+        None if tick == CHECK_TICKS => match board.excitation(ExcitationCommand::Status)? {
+            stage if stage.is_active() => Ok(false),
             stage => Err(unusable(format!(
                 "the board did not begin the excitation: {stage:?}"
             ))),

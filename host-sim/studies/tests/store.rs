@@ -3,7 +3,7 @@
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::bank::ParameterBank;
-use foretorque_link::store::{Store, StoreDesk, StoreError, StoreOrder, saves, slots};
+use foretorque_link::store::{Store, StoreError, StoreMailbox, StoreOrder, saves, slots};
 use foretorque_studies::faults::store::{self, SECTOR, SMALL_SECTOR, set};
 use foretorque_workbench::board::flash::SimulatedFlash;
 
@@ -91,27 +91,30 @@ fn saves_wear_both_sectors_alike_and_rewrite_no_word() {
 fn orders_pass_the_desk_one_at_a_time() {
     let bank = |number| ParameterBank::decode(&set(number)).unwrap();
     let mut store = Store::new(SimulatedFlash::<SMALL_SECTOR>::new(SEED));
-    let mut desk = StoreDesk::new();
-    let mut keep_house = |desk: &mut StoreDesk| {
-        let mut job = desk.begin().expect("an order waits");
-        let outcome = job.carry_out(&mut store, Ur5::HASH);
-        desk.finish(&job, outcome);
+    let mut mailbox = StoreMailbox::new();
+    let mut keep_house = |mailbox: &mut StoreMailbox| {
+        let mut job = mailbox.begin().expect("an order waits");
+        let outcome = job.execute(&mut store, Ur5::HASH);
+        mailbox.finish(&job, outcome);
     };
-    assert!(desk.begin().is_none());
-    assert!(desk.restore(7));
-    keep_house(&mut desk);
-    let answer = desk.collect().unwrap();
+    assert!(mailbox.begin().is_none());
+    assert!(mailbox.restore(7));
+    keep_house(&mut mailbox);
+    let answer = mailbox.collect().unwrap();
     assert_eq!((answer.requester, answer.order), (7, StoreOrder::Restore));
     assert_eq!(answer.outcome, Err(StoreError::Empty));
 
-    assert!(desk.save(8, &bank(1)));
-    assert!(!desk.save(9, &bank(2)) && !desk.restore(9), "one at a time");
-    keep_house(&mut desk);
-    assert!(!desk.restore(9), "the answer waits");
-    assert_eq!(desk.collect().unwrap().outcome, Ok(&set(1)[..]));
-    assert_eq!(desk.collect(), None);
+    assert!(mailbox.save(8, &bank(1)));
+    assert!(
+        !mailbox.save(9, &bank(2)) && !mailbox.restore(9),
+        "one at a time"
+    );
+    keep_house(&mut mailbox);
+    assert!(!mailbox.restore(9), "the answer waits");
+    assert_eq!(mailbox.collect().unwrap().outcome, Ok(&set(1)[..]));
+    assert_eq!(mailbox.collect(), None);
 
-    assert!(desk.restore(10));
-    keep_house(&mut desk);
-    assert_eq!(desk.collect().unwrap().outcome, Ok(&set(1)[..]));
+    assert!(mailbox.restore(10));
+    keep_house(&mut mailbox);
+    assert_eq!(mailbox.collect().unwrap().outcome, Ok(&set(1)[..]));
 }

@@ -22,7 +22,7 @@ pub fn arm_module(robot: &Robot) -> String {
         robot.name
     ));
     line("");
-    line("use super::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};");
+    line("use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};");
     line("");
     line("/// Number of joints.");
     line(&format!(
@@ -35,6 +35,40 @@ pub fn arm_module(robot: &Robot) -> String {
     line(&format!("/// The arm `{}`.", robot.name));
     line("#[derive(Clone, Copy, Debug, PartialEq, Eq)]");
     line(&format!("pub struct {type_name};"));
+    line("");
+    for (quantity, path, parameters) in [
+        (
+            "Feed-forward",
+            "feedforward::FeedForward",
+            format!("{type_name}, JOINTS, PARAMETERS"),
+        ),
+        (
+            "Learner",
+            "learning::Learner",
+            format!("{type_name}, JOINTS, PARAMETERS"),
+        ),
+        (
+            "Learner configuration",
+            "learning::LearnerConfig",
+            "JOINTS, PARAMETERS".into(),
+        ),
+        (
+            "Parameter set",
+            "learning::ParameterSet",
+            "JOINTS, PARAMETERS".into(),
+        ),
+        (
+            "Exchange between feed-forward and learner",
+            "learning::Exchange",
+            "JOINTS, PARAMETERS".into(),
+        ),
+    ] {
+        let name = path.rsplit("::").next().unwrap_or(path);
+        line(&format!("/// {quantity} of this arm."));
+        line(&format!(
+            "pub type {name} = foretorque::{path}<{parameters}>;"
+        ));
+    }
     line("");
     line("#[rustfmt::skip]");
     line(&format!("impl Arm<JOINTS, PARAMETERS> for {type_name} {{"));

@@ -3,8 +3,9 @@
 mod talk;
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque_f405::chip;
 use foretorque_link::wire::{
-    BoardMessage, Configuration, CounterKind, Decoder, HostMessage, Pacing, SampleFrame, size,
+    BoardMessage, Configuration, CounterKind, Decoder, HostMessage, Pacing, SampleFrame,
 };
 use foretorque_workbench::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client, Native, Transport};
@@ -112,9 +113,9 @@ fn costs_repeat_from_run_to_run() {
     assert_eq!(first.receive_cost, second.receive_cost);
     assert!(first.tick_cost.mean > 1000 && first.receive_cost.mean > 10);
     // What docs/protocol.md allots to the interrupt.
-    assert!(u64::from(first.receive_cost.max) <= size::RECEIVE_INSTRUCTIONS);
+    assert!(u64::from(first.receive_cost.max) <= chip::RECEIVE_INSTRUCTIONS);
     assert_eq!(
-        (first.late_sets, first.lessons_lost, first.overruns),
+        (first.late_sets, first.learning_samples_lost, first.overruns),
         (0, 0, 0)
     );
     let (first, second) = (run(Image::Bulk), run(Image::Bulk));
@@ -283,7 +284,7 @@ fn no_lesson_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
         assert!(seen.ticks >= samples);
         assert!(pacing == Pacing::SysTick || seen.learn_cost.mean > 10_000);
         assert_eq!(
-            (seen.late_sets, seen.lessons_lost, seen.overruns),
+            (seen.late_sets, seen.learning_samples_lost, seen.overruns),
             (0, 0, 0)
         );
     }

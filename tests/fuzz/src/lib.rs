@@ -14,7 +14,9 @@ use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::bank::ParameterBank;
-use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
+use foretorque_link::session::{
+    BoardDescription, LearnerMailbox, Mailboxes, NoClock, NoLocalSensor, Session,
+};
 use foretorque_link::store::{Store, StoreState};
 use foretorque_link::wire::{
     BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, PROTOCOL_VERSION, encode,
@@ -162,10 +164,10 @@ fn judge<A: Arm<N, P>, const N: usize, const P: usize>(bank: &ParameterBank) {
 pub fn session(input: &[u8]) {
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
-    let (mut desk, mut out) = (Desk::new(), FrameBuffer::new());
+    let (mut mailboxes, mut out) = (Mailboxes::new(), FrameBuffer::new());
     let mut listener = Decoder::new();
     for piece in line(input).chunks(64) {
-        session.receive(piece, &mut desk, &mut out);
+        session.receive(piece, &mut mailboxes, &mut out, &mut NoLocalSensor);
         for &byte in out.as_bytes() {
             let Some(frame) = listener.push(byte) else {
                 continue;
@@ -189,7 +191,7 @@ pub fn store(input: &[u8]) {
     let before = store.load(Ur5::HASH, &mut room).map(<[u8]>::to_vec);
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
-    let state = session.boot_from(&mut store, &mut Desk::new());
+    let state = session.boot_from(&mut store, &mut LearnerMailbox::new());
     assert!(before.is_ok() || state != StoreState::Loaded);
     let bytes = input.get(..64).unwrap_or(input);
     match store.save(Ur5::HASH, bytes) {

@@ -1,9 +1,7 @@
 //! Arms that exist to test the dynamics on: random geometry of 1 to 7 joints, and a URDF with everything untidy.
 //!
-//! The modules are written by the generator from `tests/data/pinocchio/arms/`, as those of the firmware are; they use
-//! the constants of an arm from here as those use them from `foretorque::arm`.
+//! The modules are written by the generator from `tests/data/pinocchio/arms/`, as those of the library are.
 
-use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 use foretorque_workbench::robot::Robot;
 
 pub mod oblique;

@@ -1,6 +1,6 @@
 //! Constants of `random_4_b`, written by `host-sim generate` from its description. Change that, not this.
 
-use super::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
+use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 
 /// Number of joints.
 pub const JOINTS: usize = 4;
@@ -10,6 +10,17 @@ pub const PARAMETERS: usize = 27;
 /// The arm `random_4_b`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Random4B;
+
+/// Feed-forward of this arm.
+pub type FeedForward = foretorque::feedforward::FeedForward<Random4B, JOINTS, PARAMETERS>;
+/// Learner of this arm.
+pub type Learner = foretorque::learning::Learner<Random4B, JOINTS, PARAMETERS>;
+/// Learner configuration of this arm.
+pub type LearnerConfig = foretorque::learning::LearnerConfig<JOINTS, PARAMETERS>;
+/// Parameter set of this arm.
+pub type ParameterSet = foretorque::learning::ParameterSet<JOINTS, PARAMETERS>;
+/// Exchange between feed-forward and learner of this arm.
+pub type Exchange = foretorque::learning::Exchange<JOINTS, PARAMETERS>;
 
 #[rustfmt::skip]
 impl Arm<JOINTS, PARAMETERS> for Random4B {

@@ -1,13 +1,14 @@
 //! An arm whose geometry has no round numbers left: the kernels must not live by the zeros of a data sheet.
 
 #[expect(
+    dead_code,
     unreachable_pub,
-    reason = "written by the generator for the firmware, where it is reachable"
+    reason = "written by the generator for a library"
 )]
 mod arm;
 
 use arm::{JOINTS, PARAMETERS, Ur5Calibrated};
-use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
+use foretorque::arm::Arm;
 use foretorque::dynamics::{BaseParameters, regressor, rnea};
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque_workbench::dynamics::{ReferenceModel, State};

@@ -18,27 +18,28 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use foretorque::arm::Arm as _;
 use foretorque_link::safety::{SafetyReason, Task};
-use foretorque_link::session::{BoardDescription, Desk};
+use foretorque_link::session::{BoardDescription, Mailboxes};
 use foretorque_link::store::Store;
 use foretorque_link::telemetry::CostMeter;
 use foretorque_link::wire::{Capabilities, FrameBuffer};
-use heapless::spsc::{Consumer, Producer, Queue};
+use heapless::spsc::Queue;
 use rtic::Mutex;
 use stm32f4xx_hal::pac::{self, Interrupt};
 use stm32f4xx_hal::prelude::*;
 
 use crate::board::{Arm, Board, Drive as _, JOINTS, PARAMETERS, Ports};
-use crate::chip::LINK_BAUD;
+use crate::chip::LINK_BYTES_S;
 use crate::clock::{self, ClockSource};
 use crate::counter::{self, Counter};
 use crate::fault::{self, Reason};
 use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
 use crate::log;
 use crate::pace::{self, Pace};
+use crate::ring::{self, Receiver, Sender};
 use crate::rooms::{BoardLearner, BoardSession, furnish, open};
 use crate::secret;
 use crate::store_flash::StoreFlash;
-use crate::watchdog::{self, ROLL, Watchdog};
+use crate::watchdog::{self, TASKS, Watchdog};
 
 /// Interrupt of the tick's task.
 const TICK: Interrupt = Interrupt::EXTI1;
@@ -55,26 +56,28 @@ static TICKS: AtomicU32 = AtomicU32::new(0);
 static TICKED: AtomicBool = AtomicBool::new(false);
 
 /// Shared by the tick and the learner: requests, lessons and parameter sets on their way.
-pub type BoardDesk = &'static mut Desk<JOINTS, PARAMETERS>;
+pub type BoardMailboxes = &'static mut Mailboxes<JOINTS, PARAMETERS>;
 
 /// Static memory of the large parts.
 pub struct Statics {
-    desk: MaybeUninit<Desk<JOINTS, PARAMETERS>>,
+    mailboxes: MaybeUninit<Mailboxes<JOINTS, PARAMETERS>>,
     session: MaybeUninit<BoardSession>,
     learner: MaybeUninit<BoardLearner>,
     receive_ring: Queue<u8, RECEIVE_RING>,
     transmit_ring: Queue<u8, TRANSMIT_RING>,
+    out: FrameBuffer,
 }
 
 impl Statics {
     /// Nothing in it.
     pub const fn empty() -> Self {
         Self {
-            desk: MaybeUninit::uninit(),
+            mailboxes: MaybeUninit::uninit(),
             session: MaybeUninit::uninit(),
             learner: MaybeUninit::uninit(),
             receive_ring: Queue::new(),
             transmit_ring: Queue::new(),
+            out: FrameBuffer::new(),
         }
     }
 }
@@ -82,7 +85,7 @@ impl Statics {
 /// The parts of a started board, one for each task.
 pub struct Started<B: Board> {
     /// Shared by tick, learner and idle loop.
-    pub desk: BoardDesk,
+    pub mailboxes: BoardMailboxes,
     /// Of the link's interrupt.
     pub wire: Wire,
     /// Of the tick.
@@ -152,7 +155,7 @@ pub fn start<B: Board>(
         counter_hz,
         reset_reason,
         kept_fault: kept,
-        link_baud: LINK_BAUD,
+        link_bytes_s: LINK_BYTES_S,
         write_key: secret::write_key(),
         seed,
         ..BoardDescription::plain(Counter)
@@ -160,9 +163,9 @@ pub fn start<B: Board>(
     let Some(session) = open(&mut statics.session, description) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
-    let desk = statics.desk.write(Desk::new());
+    let mailboxes = statics.mailboxes.write(Mailboxes::new());
     let mut store = Store::new(StoreFlash::new(chip.FLASH));
-    let stored = session.boot_from(&mut store, desk);
+    let stored = session.boot_from(&mut store, &mut mailboxes.learner);
     defmt::info!("store: {}", stored);
     let period_s = session.configuration().period_us as f32 * 1e-6;
     let prior = &session.feed_forward().state().active;
@@ -175,14 +178,14 @@ pub fn start<B: Board>(
     let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
     pace.follow(session.configuration());
 
-    let (receive_in, received) = statics.receive_ring.split();
-    let (mut waiting, transmit_out) = statics.transmit_ring.split();
+    let (receive_in, received) = ring::split(&mut statics.receive_ring);
+    let (mut waiting, transmit_out) = ring::split(&mut statics.transmit_ring);
     let wire = Wire::start(chip.USART2, clocks.apb1_hz, receive_in, transmit_out);
-    let mut out = FrameBuffer::new();
+    let out = &mut statics.out;
     let boot_counts = counter::now().wrapping_sub(booting);
     session.note_boot(boot_counts);
     drive.watch(session);
-    session.greet(&mut out);
+    session.send_hello(out);
     link::send(&mut waiting, out.as_bytes());
     out.clear();
     defmt::info!(
@@ -198,7 +201,7 @@ pub fn start<B: Board>(
             .unwrap_or_default()
     );
     Started {
-        desk,
+        mailboxes,
         wire,
         tick: Tick {
             session,
@@ -238,9 +241,9 @@ pub fn timer() {
 /// The tick's task: session, link and drive.
 pub struct Tick<B: Board> {
     session: &'static mut BoardSession,
-    received: Consumer<'static, u8>,
-    waiting: Producer<'static, u8>,
-    out: FrameBuffer,
+    received: Receiver<RECEIVE_RING>,
+    waiting: Sender<TRANSMIT_RING>,
+    out: &'static mut FrameBuffer,
     pace: Pace,
     drive: B::Drive,
     kept: SafetyReason,
@@ -251,7 +254,7 @@ pub struct Tick<B: Board> {
 impl<B: Board> Tick<B> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, desk: &mut impl Mutex<T = BoardDesk>) {
+    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
         let Self {
             session,
             received,
@@ -263,24 +266,24 @@ impl<B: Board> Tick<B> {
             troubles,
             latency,
         } = self;
-        desk.lock(|desk| {
+        mailboxes.lock(|mailboxes| {
             drive.watch(session);
             if pace::take_due() {
-                session.timer_tick_with(desk, out, drive.own());
+                session.timer_tick(mailboxes, out, drive.own());
             }
-            session.collect(desk, out);
+            session.poll_store(mailboxes, out);
             loop {
                 let mut chunk = [0; CHUNK];
                 let mut count = 0;
                 for slot in &mut chunk {
-                    let Some(byte) = received.dequeue() else {
+                    let Some(byte) = received.take() else {
                         break;
                     };
                     *slot = byte;
                     count += 1;
                 }
                 let bytes = chunk.get(..count).unwrap_or_default();
-                session.receive_with(bytes, desk, out, drive.own());
+                session.receive(bytes, mailboxes, out, drive.own());
                 // Before the host reads of it: what is told is done.
                 drive.follow(session);
                 let latched = session.latched_fault();
@@ -292,7 +295,7 @@ impl<B: Board> Tick<B> {
                     fault::leave::<B>(Reason::Asked, 0);
                 }
                 // An answer that waits for the learner is sent when that has woken this task again.
-                let waits = desk.holds_answer();
+                let waits = mailboxes.learner.holds_reply();
                 if !out.is_empty() {
                     if !waits && !link::send(waiting, out.as_bytes()) {
                         session.note_reply_lost();
@@ -321,26 +324,26 @@ impl<B: Board> Tick<B> {
         }
         TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
         TICKED.store(true, Ordering::Relaxed);
-        ROLL.present(Task::Tick);
+        TASKS.check_in(Task::Tick);
         if session.link_alive() {
-            ROLL.present(Task::Link);
+            TASKS.check_in(Task::Link);
         }
     }
 }
 
 /// The learner's task: works the lessons off.
 #[inline(always)]
-pub fn learn(learner: &mut BoardLearner, desk: &mut impl Mutex<T = BoardDesk>) {
-    while let Some(lesson) = desk.lock(|desk| desk.begin(learner)) {
+pub fn learn(learner: &mut BoardLearner, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
+    while let Some(lesson) = mailboxes.lock(|mailboxes| mailboxes.learner.begin(learner)) {
         let start = counter::now();
         learner.study(&lesson);
         let cost = counter::now().wrapping_sub(start);
-        desk.lock(|desk| desk.finish(learner, cost));
+        mailboxes.lock(|mailboxes| mailboxes.learner.finish(learner, cost));
     }
-    if desk.lock(|desk| desk.release_answer()) {
+    if mailboxes.lock(|mailboxes| mailboxes.learner.release_reply()) {
         rtic::pend(TICK);
     }
-    ROLL.present(Task::Learner);
+    TASKS.check_in(Task::Learner);
 }
 
 /// The idle loop: log, store, watchdog.
@@ -353,7 +356,7 @@ pub struct Idle {
 impl Idle {
     /// Never returns.
     #[inline(always)]
-    pub fn run<B: Board>(&mut self, desk: &mut impl Mutex<T = BoardDesk>) -> ! {
+    pub fn run<B: Board>(&mut self, mailboxes: &mut impl Mutex<T = BoardMailboxes>) -> ! {
         let mut logged = 0;
         loop {
             let ticks = TICKS.load(Ordering::Relaxed);
@@ -375,14 +378,14 @@ impl Idle {
             if let Some(drain) = &self.drain {
                 drain.empty();
             }
-            if let Some(mut job) = desk.lock(|desk| desk.store.begin()) {
+            if let Some(mut job) = mailboxes.lock(|mailboxes| mailboxes.store.begin()) {
                 let store = &mut self.store;
-                let outcome = self.watchdog.patient(|| job.carry_out(store, Arm::HASH));
-                desk.lock(|desk| desk.store.finish(&job, outcome));
+                let outcome = self.watchdog.patient(|| job.execute(store, Arm::HASH));
+                mailboxes.lock(|mailboxes| mailboxes.store.finish(&job, outcome));
                 // It answers the host.
                 rtic::pend(TICK);
             }
-            ROLL.present(Task::Housekeeping);
+            TASKS.check_in(Task::Housekeeping);
             self.watchdog.feed_if_all_present();
             // A tick that came since the beginning of this round may have left work: an interrupt that is only pending
             // ends the wait too, so none is slept through.
@@ -403,13 +406,15 @@ macro_rules! image {
 
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
-            use $crate::app::{BoardDesk, Idle, Started, Statics, Tick, byte, learn, start, timer};
+            use $crate::app::{
+                BoardMailboxes, Idle, Started, Statics, Tick, byte, learn, start, timer,
+            };
             use $crate::link::Wire;
             use $crate::rooms::BoardLearner;
 
             #[shared]
             struct Shared {
-                desk: BoardDesk,
+                mailboxes: BoardMailboxes,
             }
 
             #[local]
@@ -423,7 +428,7 @@ macro_rules! image {
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let Started {
-                    desk,
+                    mailboxes,
                     wire,
                     tick,
                     learner,
@@ -435,7 +440,7 @@ macro_rules! image {
                     learner,
                     idle,
                 };
-                (Shared { desk }, local)
+                (Shared { mailboxes }, local)
             }
 
             #[task(binds = USART2, priority = 4, local = [wire])]
@@ -448,19 +453,19 @@ macro_rules! image {
                 timer();
             }
 
-            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [desk])]
+            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [mailboxes])]
             fn on_tick(mut cx: on_tick::Context) {
-                cx.local.tick.run(&mut cx.shared.desk);
+                cx.local.tick.run(&mut cx.shared.mailboxes);
             }
 
-            #[task(binds = EXTI2, priority = 2, local = [learner], shared = [desk])]
+            #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailboxes])]
             fn on_lesson(mut cx: on_lesson::Context) {
-                learn(cx.local.learner, &mut cx.shared.desk);
+                learn(cx.local.learner, &mut cx.shared.mailboxes);
             }
 
-            #[idle(local = [idle], shared = [desk])]
+            #[idle(local = [idle], shared = [mailboxes])]
             fn on_idle(mut cx: on_idle::Context) -> ! {
-                cx.local.idle.run::<$board>(&mut cx.shared.desk)
+                cx.local.idle.run::<$board>(&mut cx.shared.mailboxes)
             }
         }
     };

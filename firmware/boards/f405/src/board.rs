@@ -1,6 +1,6 @@
 //! What a board with this chip has of its own.
 
-use foretorque_link::session::OwnJoint;
+use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::pac::{GPIOA, GPIOB};
 use stm32f4xx_hal::rcc::Rcc;
 
@@ -8,7 +8,9 @@ use crate::pin::Pin;
 use crate::rooms::BoardSession;
 
 /// The arm of the images, its joints and its base parameters.
-pub use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
+pub use foretorque::arm::ur5::{
+    JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5 as Arm,
+};
 
 /// A board: constants, pins, and the drive of its joint.
 pub trait Board: Send + 'static {
@@ -32,7 +34,7 @@ pub trait Board: Send + 'static {
 /// What the board drives itself, called by the tick's task.
 pub trait Drive: Sized + Send {
     /// What measures the own joint.
-    type Own: OwnJoint;
+    type Own: LocalSensor;
 
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
     fn start() -> Option<Self>;

@@ -1,9 +1,11 @@
 //! Constants of the STM32F405RG. Sources: RM0090 (reference manual), DS8626 (data sheet).
 
+use foretorque_link::wire::size::{full_torque, headroom_permille, sample};
+
 /// Internal oscillator, Hz, ± 1 % at room temperature (DS8626 table 41).
 pub const HSI_HZ: u32 = 16_000_000;
 /// Processor clock from the PLL, Hz: the most the chip allows at voltage scale 1, its reset state (DS8626 table 14).
-pub const PLL_HZ: u32 = foretorque_link::wire::size::PROCESSOR_HZ as u32;
+pub const PLL_HZ: u32 = 168_000_000;
 /// Input of the PLL after division by M, Hz: RM0090 7.3.2 recommends 2 MHz against jitter.
 pub const PLL_INPUT_HZ: u32 = 2_000_000;
 /// Factor N: 2 MHz × 168 = 336 MHz, inside 100 to 432 MHz (RM0090 7.3.2).
@@ -27,7 +29,25 @@ pub const APB1_DIVIDER: u32 = 4;
 
 /// Bit rate of the link. USART2 sits on APB1; eight-fold oversampling reaches it from 42 MHz (divider 21/8, exact)
 /// and from the bare 16 MHz oscillator (divider 8/8, exact).
-pub const LINK_BAUD: u32 = foretorque_link::wire::size::BAUD;
+pub const LINK_BAUD: u32 = 2_000_000;
+/// Capacity of one direction of the link, bytes a second: a byte is a start bit, eight data bits and a stop bit.
+pub const LINK_BYTES_S: u32 = LINK_BAUD / 10;
+
+/// Instructions that the board counts for receiving a byte, at most. A test in the emulator holds them to it.
+pub const RECEIVE_INSTRUCTIONS: u64 = 60;
+/// What it cannot count, in cycles: entry and exit of the exception (12 each, ARM DDI 0439, 3.9), and the 36 instructions
+/// around the counter's two readings, which save registers and keep the account.
+pub const RECEIVE_OVERHEAD: u64 = 24 + 36;
+
+/// Part of the processor that receiving frames of `bytes` at `rate_hz` takes at an instruction a cycle, in per mille,
+/// rounded up.
+pub const fn receive_permille(bytes: usize, rate_hz: u64) -> u64 {
+    let cycles = (RECEIVE_INSTRUCTIONS + RECEIVE_OVERHEAD) * bytes as u64 * rate_hz;
+    (1000 * cycles).div_ceil(PLL_HZ as u64)
+}
+
+const _: () = assert!(headroom_permille(sample(7), 1000, LINK_BYTES_S) >= 300);
+const _: () = assert!(headroom_permille(full_torque(7), 1000, LINK_BYTES_S) >= 300);
 
 /// Division of the watchdog's oscillator, 17 to 47 kHz (DS8626 table 42): 16, which its register calls 2.
 pub const WATCHDOG_PRESCALER: u8 = 2;

@@ -2,7 +2,7 @@
 //! its own, as [`crate::pyboard_drive`] has.
 
 use foretorque_link::hal::TorqueEnable;
-use foretorque_link::session::HostMeasures;
+use foretorque_link::session::NoLocalSensor;
 
 use crate::board::{Board, Drive};
 use crate::fault::EnablePin;
@@ -11,11 +11,11 @@ use crate::rooms::BoardSession;
 /// The enable pin; torque is put out by whoever reads the replies, and measured there.
 pub struct EnableOnly<B: Board> {
     enable: TorqueEnable<EnablePin<B>>,
-    measures: HostMeasures,
+    measures: NoLocalSensor,
 }
 
 impl<B: Board> Drive for EnableOnly<B> {
-    type Own = HostMeasures;
+    type Own = NoLocalSensor;
 
     #[inline(always)]
     fn start() -> Option<Self> {
@@ -23,7 +23,7 @@ impl<B: Board> Drive for EnableOnly<B> {
         let Ok(enable) = TorqueEnable::new(EnablePin::default());
         Some(Self {
             enable,
-            measures: HostMeasures,
+            measures: NoLocalSensor,
         })
     }
 
@@ -31,7 +31,7 @@ impl<B: Board> Drive for EnableOnly<B> {
     fn watch(&mut self, _: &mut BoardSession) {}
 
     #[inline(always)]
-    fn own(&mut self) -> &mut HostMeasures {
+    fn own(&mut self) -> &mut NoLocalSensor {
         &mut self.measures
     }
 

@@ -3,16 +3,15 @@
 
 use core::mem::MaybeUninit;
 
-use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
 use foretorque_link::session::{BoardDescription, Session};
 
-use crate::board::{Arm, JOINTS, PARAMETERS};
+use crate::board::{Arm, JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet};
 use crate::counter::Counter;
 
 /// A session of a board with the arm of the images.
 pub type BoardSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
 /// Its learner.
-pub type BoardLearner = Learner<Arm, JOINTS, PARAMETERS>;
+pub type BoardLearner = Learner;
 
 /// Puts a session at tick 0 into `room`; `None` if a limit of the arm cannot work.
 #[inline(never)]
@@ -20,7 +19,7 @@ pub fn open(
     room: &'static mut MaybeUninit<BoardSession>,
     board: BoardDescription<Counter>,
 ) -> Option<&'static mut BoardSession> {
-    Session::furnish(room, board).ok()
+    Session::init_in_place(room, board).ok()
 }
 
 /// Puts a learner that starts from `prior` into `room`; `None` if its configuration does not validate.
@@ -28,7 +27,7 @@ pub fn open(
 pub fn furnish(
     room: &'static mut MaybeUninit<BoardLearner>,
     period_s: f32,
-    prior: &ParameterSet<JOINTS, PARAMETERS>,
+    prior: &ParameterSet,
 ) -> Option<&'static mut BoardLearner> {
     /// A learner of zeros, until it is restarted: built on the stack it would not fit, and the image of one with a single
     /// other number in it would take 33 kB of flash.

@@ -1,16 +1,16 @@
-//! The independent watchdog: fed only when every task has answered the roll.
+//! Independent watchdog, fed only after every task has checked in.
 //!
 //! The emulator has no such watchdog; what is proved there is that the feeding stops when a task hangs.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use foretorque_link::safety::RollCall;
+use foretorque_link::safety::TaskCheckIn;
 use stm32f4xx_hal::pac::IWDG;
 
 use crate::chip;
 
 /// Who has answered since the watchdog was fed last.
-pub(crate) static ROLL: RollCall = RollCall::new();
+pub(crate) static TASKS: TaskCheckIn = TaskCheckIn::new();
 /// Times that it was fed.
 static FEEDS: AtomicU32 = AtomicU32::new(0);
 
@@ -59,7 +59,7 @@ impl Watchdog {
 
     /// Feeds it if everybody has answered since it was fed last.
     pub(crate) fn feed_if_all_present(&self) {
-        if ROLL.complete() {
+        if TASKS.complete() {
             self.feed();
         }
     }

@@ -1,18 +1,18 @@
 use crate::hal::{AbsoluteEncoder, EncoderError};
 use crate::safety::SafetyReason;
-use crate::session::OwnJoint;
+use crate::session::LocalSensor;
 use embedded_hal::spi::SpiDevice;
 use foretorque::joint::JointSample;
 
 /// Where the turn comes from in which a single-turn encoder stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Turn {
+pub enum TurnReference {
     /// At start, and wherever the count is lost, the joint is less than half a turn of the encoder from here, rad. For
     /// encoders on the link's side, one turn of which is the joint's range.
     Near(f32),
     /// The host's measured position of the joint tells it, once. For encoders behind a gear: the host must know the joint
     /// to half a turn of the encoder.
-    OfSample,
+    FromSample,
 }
 
 /// The encoder of a board's own joint, as the session reads it: once a tick.
@@ -20,24 +20,24 @@ pub enum Turn {
 pub struct JointEncoder<Spi> {
     encoder: AbsoluteEncoder<Spi>,
     joint: usize,
-    turn: Turn,
-    trouble: Option<EncoderError>,
+    turn: TurnReference,
+    last_error: Option<EncoderError>,
 }
 
 impl<Spi: SpiDevice> JointEncoder<Spi> {
     /// The encoder of `joint`, counted from 0. Says nothing to it.
-    pub const fn new(encoder: AbsoluteEncoder<Spi>, joint: usize, turn: Turn) -> Self {
+    pub const fn new(encoder: AbsoluteEncoder<Spi>, joint: usize, turn: TurnReference) -> Self {
         Self {
             encoder,
             joint,
             turn,
-            trouble: None,
+            last_error: None,
         }
     }
 
     /// What was wrong with the reading of the last tick.
-    pub const fn trouble(&self) -> Option<EncoderError> {
-        self.trouble
+    pub const fn last_error(&self) -> Option<EncoderError> {
+        self.last_error
     }
 
     /// Where a lost turn is found again, at rest only: a reference taken while torque flows could put the joint a whole
@@ -47,14 +47,14 @@ impl<Spi: SpiDevice> JointEncoder<Spi> {
             return self.encoder.position();
         }
         self.encoder.reference(match self.turn {
-            Turn::Near(q) => q,
+            TurnReference::Near(q) => q,
             // A position that is none is refused, after the reading: the questions to the chip go on.
-            Turn::OfSample => told.unwrap_or(f32::NAN),
+            TurnReference::FromSample => told.unwrap_or(f32::NAN),
         })
     }
 }
 
-impl<Spi: SpiDevice> OwnJoint for JointEncoder<Spi> {
+impl<Spi: SpiDevice> LocalSensor for JointEncoder<Spi> {
     fn measure<const N: usize>(
         &mut self,
         sample: Option<&mut JointSample<N>>,
@@ -67,11 +67,11 @@ impl<Spi: SpiDevice> OwnJoint for JointEncoder<Spi> {
                 if let Some(slot) = slot {
                     *slot = q;
                 }
-                self.trouble = None;
+                self.last_error = None;
                 SafetyReason::None
             }
             Err(error) => {
-                self.trouble = Some(error);
+                self.last_error = Some(error);
                 SafetyReason::Encoder
             }
         }

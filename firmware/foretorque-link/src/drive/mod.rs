@@ -11,7 +11,7 @@
 
 mod encoder;
 
-pub use encoder::{JointEncoder, Turn};
+pub use encoder::{JointEncoder, TurnReference};
 
 use crate::hal::{MotorStage, StageError, TorqueOutput};
 use crate::safety::SafetyReason;
@@ -26,7 +26,7 @@ pub struct JointStage<Output, Enable, Fault> {
     joint: usize,
     /// Bits of the torque that was put out last, so that a command goes out once a tick.
     told: Option<u32>,
-    trouble: Option<StageError>,
+    last_error: Option<StageError>,
 }
 
 impl<Output, Enable, Fault> JointStage<Output, Enable, Fault>
@@ -41,19 +41,19 @@ where
             stage,
             joint,
             told: None,
-            trouble: None,
+            last_error: None,
         }
     }
 
     /// What was wrong with the stage last. Once told it stays, until the stage has been switched on again.
-    pub const fn trouble(&self) -> Option<StageError> {
-        self.trouble
+    pub const fn last_error(&self) -> Option<StageError> {
+        self.last_error
     }
 
     /// Before a tick: a stage with a fault is off, and the session knows.
     ///
     /// Cost: one read of a pin.
-    pub fn watch<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
+    pub fn check<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
         &mut self,
         session: &mut Session<A, N, P, C>,
     ) {
@@ -64,7 +64,7 @@ where
     /// After a tick: enable and torque command are what the session's safety says.
     ///
     /// Cost: one read of a pin and one command; nothing where neither enable nor torque have changed.
-    pub fn follow<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
+    pub fn apply<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
         &mut self,
         session: &mut Session<A, N, P, C>,
     ) {
@@ -83,7 +83,7 @@ where
         if !self.stage.is_enabled() {
             self.stage.enable()?;
             self.told = None;
-            self.trouble = None;
+            self.last_error = None;
         }
         if self.told != Some(tau_nm.to_bits()) {
             self.told = None;
@@ -106,8 +106,8 @@ where
         session: &mut Session<A, N, P, C>,
     ) {
         if let Err(error) = done {
-            self.trouble = Some(error);
-            session.cut(reason(error));
+            self.last_error = Some(error);
+            session.torque_off(reason(error));
         }
     }
 }

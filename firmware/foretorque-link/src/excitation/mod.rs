@@ -22,10 +22,10 @@ mod path_speed;
 mod player;
 mod program;
 mod series;
-mod stage;
+mod state;
 mod watch;
 
 pub use player::Player;
 pub use program::{AbortReason, ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
 pub use series::{HARMONICS, JointSeries, PreparedSeries};
-pub use stage::{Cue, Stage};
+pub use state::{ExcitationCommand, ExcitationState};

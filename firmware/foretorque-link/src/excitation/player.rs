@@ -3,7 +3,7 @@ use super::path::Path;
 use super::path_speed::PathSpeed;
 use super::program::{AbortReason, ExcitationError, ExcitationProgram, PlayLimits};
 use super::series::PreparedSeries;
-use super::stage::{Cue, Stage};
+use super::state::{ExcitationCommand, ExcitationState};
 use super::watch::Watch;
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointSample, JointVector};
@@ -14,7 +14,7 @@ const HANDOVER_RAD_S: f32 = 0.02;
 /// What the player carries from tick to tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct PlayerState<const N: usize> {
-    stage: Stage,
+    stage: ExcitationState,
     /// Points checked.
     checked: u32,
     /// A start waits for the check, or for a measurement.
@@ -55,7 +55,7 @@ impl<const N: usize> Player<N> {
             program: ExcitationProgram::EMPTY,
             series: PreparedSeries::new(1_000_000, tick_us),
             state: PlayerState {
-                stage: Stage::Empty,
+                stage: ExcitationState::Empty,
                 checked: 0,
                 wanted: false,
                 path: Path::Series,
@@ -69,20 +69,20 @@ impl<const N: usize> Player<N> {
     }
 
     /// Where it stands.
-    pub fn stage(&self) -> Stage {
+    pub fn state(&self) -> ExcitationState {
         self.state.stage
     }
 
     /// What was asked of the arm last, while the player is in charge.
     pub fn desired(&self) -> Option<&JointMotion<N>> {
-        self.state.stage.in_charge().then_some(&self.state.last)
+        self.state.stage.is_active().then_some(&self.state.last)
     }
 
     /// Takes `program`; its check begins with the next tick.
     ///
     /// Errors: what can be seen at once; then the one before stays. `Running` while the player is in charge.
     pub fn load(&mut self, program: &ExcitationProgram<N>) -> Result<(), ExcitationError> {
-        if self.state.stage.in_charge() {
+        if self.state.stage.is_active() {
             return Err(ExcitationError::Running);
         }
         check::at_once(program, &self.limits, self.arm_hash, self.tick_us)?;
@@ -91,7 +91,7 @@ impl<const N: usize> Player<N> {
         self.program = *program;
         self.series = series;
         self.state.speed.prepare(&program.certificate, self.tick_us);
-        self.state.stage = Stage::Checking;
+        self.state.stage = ExcitationState::Checking;
         self.state.checked = 0;
         self.state.wanted = false;
         Ok(())
@@ -100,32 +100,35 @@ impl<const N: usize> Player<N> {
     /// Does what a host asks.
     ///
     /// Errors: `NotLoaded`; the reason of a refused program; `Running` when it cannot be started or released now.
-    pub fn cue(&mut self, cue: Cue) -> Result<(), ExcitationError> {
-        match (cue, self.state.stage) {
-            (Cue::Status, _) => Ok(()),
-            (_, Stage::Empty) => Err(ExcitationError::NotLoaded),
-            (_, Stage::Refused(reason)) => Err(reason),
-            (Cue::Start, _) => {
+    pub fn command(&mut self, command: ExcitationCommand) -> Result<(), ExcitationError> {
+        match (command, self.state.stage) {
+            (ExcitationCommand::Status, _) => Ok(()),
+            (_, ExcitationState::Empty) => Err(ExcitationError::NotLoaded),
+            (_, ExcitationState::Refused(reason)) => Err(reason),
+            (ExcitationCommand::Start, _) => {
                 if self.moving() {
                     return Err(ExcitationError::Running);
                 }
                 self.state.wanted = true;
                 Ok(())
             }
-            (Cue::Stop, stage) => {
+            (ExcitationCommand::Stop, stage) => {
                 self.state.wanted = false;
-                if matches!(stage, Stage::Approaching | Stage::Playing) {
-                    self.state.stage = Stage::Stopping;
+                if matches!(
+                    stage,
+                    ExcitationState::Approaching | ExcitationState::Playing
+                ) {
+                    self.state.stage = ExcitationState::Stopping;
                     self.state.speed.stop();
                 }
                 Ok(())
             }
-            (Cue::Release, stage) => {
+            (ExcitationCommand::Release, stage) => {
                 if self.moving() {
                     return Err(ExcitationError::Running);
                 }
-                if stage.in_charge() {
-                    self.state.stage = Stage::Ready;
+                if stage.is_active() {
+                    self.state.stage = ExcitationState::Ready;
                 }
                 self.state.wanted = false;
                 Ok(())
@@ -139,14 +142,14 @@ impl<const N: usize> Player<N> {
     ///
     /// Cost: four points of the check, or one of the path; a `sin_cos` each.
     pub fn step(&mut self, sample: Option<&JointSample<N>>) -> Option<JointMotion<N>> {
-        if self.state.stage == Stage::Checking {
+        if self.state.stage == ExcitationState::Checking {
             self.check();
         }
         let measured = sample.and_then(|sample| sample.measured.map(|measured| measured.q));
         if self.state.wanted
             && matches!(
                 self.state.stage,
-                Stage::Ready | Stage::Holding | Stage::Aborted(_)
+                ExcitationState::Ready | ExcitationState::Holding | ExcitationState::Aborted(_)
             )
             && let (Some(sample), Some(measured)) = (sample, &measured)
         {
@@ -165,24 +168,24 @@ impl<const N: usize> Player<N> {
         for _ in 0..check::POINTS_A_TICK {
             let seen = check::point(&self.program, &self.series, self.state.checked);
             if let Err(reason) = seen {
-                self.state.stage = Stage::Refused(reason);
+                self.state.stage = ExcitationState::Refused(reason);
                 self.state.wanted = false;
                 return;
             }
             self.state.checked += 1;
         }
         if self.state.checked >= check::POINTS {
-            self.state.stage = Stage::Ready;
+            self.state.stage = ExcitationState::Ready;
         }
     }
 
     fn moving(&self) -> bool {
-        self.state.stage.in_charge() && self.state.speed.moving()
+        self.state.stage.is_active() && self.state.speed.moving()
     }
 
     fn abort(&mut self, reason: AbortReason) {
-        if !matches!(self.state.stage, Stage::Aborted(_)) {
-            self.state.stage = Stage::Aborted(reason);
+        if !matches!(self.state.stage, ExcitationState::Aborted(_)) {
+            self.state.stage = ExcitationState::Aborted(reason);
             self.state.speed.stop();
         }
     }
@@ -191,7 +194,7 @@ impl<const N: usize> Player<N> {
     fn begin(&mut self, sample: &JointSample<N>, measured: &JointVector<N>) {
         let state = &mut self.state;
         state.wanted = false;
-        let held = state.stage.in_charge();
+        let held = state.stage.is_active();
         let asked = if held { state.last } else { sample.desired };
         state.last = JointMotion {
             q: asked.q,
@@ -203,7 +206,7 @@ impl<const N: usize> Player<N> {
             .position(|qd| qd.is_nan() || qd.abs() > HANDOVER_RAD_S);
         state.speed.rest();
         state.watch.restart();
-        state.stage = Stage::Approaching;
+        state.stage = ExcitationState::Approaching;
         let refused = match fast {
             Some(joint) => Some(AbortReason::Velocity(joint as u8)),
             None => self.watch(Some(measured)),
@@ -215,7 +218,7 @@ impl<const N: usize> Player<N> {
                 self.state.last.q = *measured;
             }
             if !held && !finite {
-                self.state.stage = Stage::Ready;
+                self.state.stage = ExcitationState::Ready;
                 return;
             }
             self.abort(reason);
@@ -242,8 +245,8 @@ impl<const N: usize> Player<N> {
         if arrived {
             self.arrive();
         }
-        if !self.state.speed.moving() && self.state.stage == Stage::Stopping {
-            self.state.stage = Stage::Holding;
+        if !self.state.speed.moving() && self.state.stage == ExcitationState::Stopping {
+            self.state.stage = ExcitationState::Holding;
         }
         self.state.last = self.motion(next_speed, slowing);
     }
@@ -254,8 +257,8 @@ impl<const N: usize> Player<N> {
             // At rest on both sides of the seam, whatever the speed along them.
             self.state.path = Path::Series;
             self.state.phase = 0;
-            if self.state.stage == Stage::Approaching {
-                self.state.stage = Stage::Playing;
+            if self.state.stage == ExcitationState::Approaching {
+                self.state.stage = ExcitationState::Playing;
             }
             return;
         }
@@ -263,8 +266,8 @@ impl<const N: usize> Player<N> {
         if self.program.periods != 0 && self.state.periods >= self.program.periods {
             self.state.phase = 0;
             self.state.speed.rest();
-            if self.state.stage == Stage::Playing {
-                self.state.stage = Stage::Holding;
+            if self.state.stage == ExcitationState::Playing {
+                self.state.stage = ExcitationState::Holding;
             }
         }
     }

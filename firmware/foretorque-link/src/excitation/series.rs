@@ -1,4 +1,4 @@
-use crate::quotient::quotient;
+use crate::division::div_u64_by_u32;
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::math::sin_cos;
 use serde::{Deserialize, Serialize};
@@ -60,7 +60,7 @@ impl PreparedSeries {
         Self {
             rate,
             inv_rate,
-            phase_step: quotient(tick, period),
+            phase_step: div_u64_by_u32(tick, period),
         }
     }
 

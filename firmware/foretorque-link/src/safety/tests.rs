@@ -27,7 +27,7 @@ fn measured(sample: &mut JointSample<N>) -> &mut JointMeasurement<N> {
 }
 
 fn tick(safety: &mut Safety<N>, sample: Option<JointSample<N>>) -> JointVector<N> {
-    safety.admit(sample, 1);
+    safety.admit(sample, 1, SafetyReason::None);
     safety.release(&JointVector::<N>::repeat(5.0))
 }
 
@@ -118,13 +118,13 @@ fn a_sound_torque_passes_bit_for_bit_and_an_unsound_one_within_the_hard_limits()
     for k in 0..1000 {
         // As fast as the tick's own slew limit allows, half the hard one.
         let wanted = limits().torque * (0.9 * (k as f32 * 0.05).sin());
-        safety.admit(Some(sample()), 1);
+        safety.admit(Some(sample()), 1, SafetyReason::None);
         let given = safety.release(&wanted);
         assert!(k < 20 || given == wanted, "tick {k}");
     }
     for absurd in [1e30, -1e30] {
         let before = *safety.output();
-        safety.admit(Some(sample()), 1);
+        safety.admit(Some(sample()), 1, SafetyReason::None);
         let given = safety.release(&JointVector::<N>::repeat(absurd));
         for joint in 0..N {
             let step = (given[joint] - before[joint]).abs();
@@ -167,7 +167,7 @@ fn a_gap_shorter_than_the_time_out_ends_nothing() {
 #[test]
 fn a_stop_is_immediate_from_any_state_and_latches() {
     for mut safety in [Safety::new(limits(), SafetyReason::None), ready(), armed()] {
-        safety.stop();
+        safety.torque_off(SafetyReason::Stopped);
         assert!(!safety.enabled());
         assert_eq!(tick(&mut safety, Some(sample())), JointVector::<N>::zeros());
         assert_eq!(safety.status().reason, SafetyReason::Stopped);
@@ -241,11 +241,11 @@ fn an_implausible_measurement_is_not_learnt_from() {
     let mut safety = armed();
     let mut bad = sample();
     measured(&mut bad).q[0] += 0.2;
-    let admitted = safety.admit(Some(bad), 1).unwrap();
+    let admitted = safety.admit(Some(bad), 1, SafetyReason::None).unwrap();
     assert_eq!((admitted.desired, admitted.measured), (bad.desired, None));
     let mut jump = sample();
     jump.desired.q[0] += 0.2;
-    assert_eq!(safety.admit(Some(jump), 1), None);
+    assert_eq!(safety.admit(Some(jump), 1, SafetyReason::None), None);
 }
 
 #[test]
@@ -254,7 +254,10 @@ fn a_step_after_lost_samples_is_no_jump() {
     let mut later = sample();
     measured(&mut later).q[0] += 0.1;
     later.desired.q[0] += 0.1;
-    assert_eq!(safety.admit(Some(later), 30), Some(later));
+    assert_eq!(
+        safety.admit(Some(later), 30, SafetyReason::None),
+        Some(later)
+    );
     assert_eq!(safety.status().reason, SafetyReason::None);
 }
 
@@ -274,7 +277,7 @@ fn heat_tightens_the_limit_and_ends_the_torque() {
     let mut safety = armed();
     safety.note_temperature(3, 90);
     for _ in 0..30 {
-        safety.admit(Some(sample()), 1);
+        safety.admit(Some(sample()), 1, SafetyReason::None);
         safety.release(&JointVector::<N>::repeat(28.0));
     }
     assert_eq!(safety.output()[3], 14.0);
@@ -353,7 +356,7 @@ fn a_board_just_armed_waits_for_a_sample_however_large_the_torque_it_is_given() 
     // A torque that flows stands what a board just armed does not.
     let mut far = sample();
     far.desired.q[0] += 0.3;
-    safety.admit(Some(far), 100);
+    safety.admit(Some(far), 100, SafetyReason::None);
     assert_eq!(safety.status().state, SafetyState::Armed);
 }
 
@@ -371,7 +374,7 @@ proptest! {
             match kind {
                 0 => allowed |= safety.arm().is_ok(),
                 1 => safety.disarm(),
-                2 => { safety.stop(); allowed = false; }
+                2 => { safety.torque_off(SafetyReason::Stopped); allowed = false; }
                 3 => { let _ = safety.clear(); }
                 4 => safety.note_temperature(joint, bits as i8),
                 5 => heard = None,
@@ -382,7 +385,7 @@ proptest! {
                 _ => {}
             }
             let before = *safety.output();
-            safety.admit(heard, 1);
+            safety.admit(heard, 1, SafetyReason::None);
             let given = safety.release(&JointVector::<N>::repeat(value));
             for joint in 0..N {
                 prop_assert!(given[joint].is_finite());

@@ -19,12 +19,12 @@
 //!
 //! Wear: a sector lasts [`ERASE_CYCLES`] erases and takes [`slots`] saves between two of them; see [`saves`].
 
-mod desk;
 mod log;
+mod mailbox;
 mod record;
 
-pub use desk::{StoreAnswer, StoreDesk, StoreHealth, StoreJob, StoreOrder, StoreState};
 pub use log::Store;
+pub use mailbox::{StoreHealth, StoreJob, StoreMailbox, StoreOrder, StoreReply, StoreState};
 pub use record::{HEADER_BYTES, SLOT_BYTES};
 
 use core::fmt;

@@ -1,7 +1,7 @@
 //! What the messages of a tick carry.
 
 use super::{Acceleration, Effort, Position, Velocity};
-use crate::excitation::Stage;
+use crate::excitation::ExcitationState;
 use crate::safety::SafetyStatus;
 use core::hint::black_box;
 use foretorque::feedforward::{Shares, Torque};
@@ -20,7 +20,7 @@ impl SampleFlags {
     pub const CURRENT: Self = Self(1 << 1);
     /// The answer shall wait until the lesson of this tick is learnt: for a host that keeps no time, whose next sample
     /// would else come as soon as this one is answered, and before the learner is done.
-    pub const AFTER_LESSON: Self = Self(1 << 2);
+    pub const AFTER_LEARNING: Self = Self(1 << 2);
     /// The highest bits are the [`period`](Self::period).
     const PERIOD_SHIFT: u32 = 3;
     /// Periods are numbered modulo this.
@@ -108,9 +108,9 @@ impl<const N: usize> SampleFrame<N> {
         self
     }
 
-    /// The same for a host that wants the answer [after the lesson](SampleFlags::AFTER_LESSON).
-    pub fn answered_after_lesson(mut self) -> Self {
-        self.flags = self.flags.with(SampleFlags::AFTER_LESSON);
+    /// The same for a host that wants the answer [after the lesson](SampleFlags::AFTER_LEARNING).
+    pub fn answered_after_learning(mut self) -> Self {
+        self.flags = self.flags.with(SampleFlags::AFTER_LEARNING);
         self
     }
 
@@ -225,7 +225,7 @@ pub struct ExcitedFrame<const N: usize> {
     /// The torque, and the shares of one joint.
     pub torque: TorqueFrame<N>,
     /// Where the excitation stands.
-    pub stage: Stage,
+    pub state: ExcitationState,
     /// Desired positions of the tick in which the torque takes effect.
     #[serde(with = "super::array")]
     pub q: [Position; N],
@@ -239,10 +239,10 @@ pub struct ExcitedFrame<const N: usize> {
 
 impl<const N: usize> ExcitedFrame<N> {
     /// The frame of `torque`, which belongs to `desired`.
-    pub fn new(torque: TorqueFrame<N>, stage: Stage, desired: &JointMotion<N>) -> Self {
+    pub fn new(torque: TorqueFrame<N>, state: ExcitationState, desired: &JointMotion<N>) -> Self {
         Self {
             torque,
-            stage,
+            state,
             q: encoded(desired.q.as_slice(), Position::encode),
             qd: encoded(desired.qd.as_slice(), Velocity::encode),
             qdd: encoded(desired.qdd.as_slice(), Acceleration::encode),

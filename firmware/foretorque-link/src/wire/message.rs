@@ -5,7 +5,7 @@ use super::{
     SampleFrame, TelemetryFrame, TorqueFrame,
 };
 use crate::bank::BankError;
-use crate::excitation::{Cue, ExcitationError, Stage};
+use crate::excitation::{ExcitationCommand, ExcitationError, ExcitationState};
 use crate::safety::SafetyReason;
 use crate::store::StoreError;
 use crate::telemetry::Statistics;
@@ -126,7 +126,7 @@ pub enum HostMessage<const N: usize> {
         mac: Option<[u8; MAC_BYTES]>,
     },
     /// Start, stop, release the excitation, or ask for its stage. Answer: [`BoardMessage::Excitation`].
-    Excitation(Cue),
+    Excitation(ExcitationCommand),
 }
 
 /// From the board to the host. A frame carries the sequence number of the host's frame that it answers.
@@ -165,7 +165,7 @@ pub enum BoardMessage<const N: usize> {
         nonce: [u8; MAC_BYTES],
     },
     /// Where the excitation stands.
-    Excitation(Stage),
+    Excitation(ExcitationState),
     /// Torque of one tick whose desired motion was the excitation's, with that motion.
     Excited(ExcitedFrame<N>),
 }

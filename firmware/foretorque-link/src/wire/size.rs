@@ -1,16 +1,11 @@
 //! Sizes of the cyclic frames and the share of a link that they take.
 
-use crate::quotient::quotient;
+use crate::division::div_u64_by_u32;
 
 /// Version, sequence number and message tag.
 pub const HEADER: usize = 4;
 /// CRC-32, COBS byte and delimiter.
 pub const TRAILER: usize = 6;
-/// Bits on an asynchronous line for one byte: start, eight data, stop.
-pub const BITS_PER_BYTE: u64 = 10;
-
-/// Bits a second of the boards' serial link.
-pub const BAUD: u32 = 2_000_000;
 
 /// Wire size of a frame whose message has `content` bytes behind the tag.
 pub const fn frame(content: usize) -> usize {
@@ -48,37 +43,23 @@ pub const SAMPLE_6: usize = sample(6);
 pub const TORQUE_6: usize = torque(6);
 
 /// Part of one direction of a line that frames of `bytes` at `rate_hz` leave free, in per mille.
-pub const fn headroom_permille(bytes: usize, rate_hz: u64, baud: u64) -> i64 {
-    1000 - (1000 * bytes as u64 * BITS_PER_BYTE * rate_hz / baud) as i64
+///
+/// * `bytes_s` capacity of the direction, bytes a second
+pub const fn headroom_permille(bytes: usize, rate_hz: u64, bytes_s: u32) -> i64 {
+    1000 - (1000 * bytes as u64 * rate_hz / bytes_s as u64) as i64
 }
 
 /// Part of a line that is never planned for, in per cent: repeats, commands, what nobody thought of.
 pub const RESERVE_PERCENT: u64 = 30;
 
 /// Bytes that a direction of a line has left in one period besides a frame of `reply` bytes and the reserve.
-pub const fn left(baud: u32, period_us: u32, reply: usize) -> usize {
-    let bits_us = baud as u64 * period_us as u64;
-    let bytes = quotient(bits_us, (BITS_PER_BYTE * 1_000_000) as u32);
-    let planned = quotient(bytes as u64 * (100 - RESERVE_PERCENT), 100);
+///
+/// * `bytes_s` capacity of the direction, bytes a second
+pub const fn left(bytes_s: u32, period_us: u32, reply: usize) -> usize {
+    let bytes = div_u64_by_u32(bytes_s as u64 * period_us as u64, 1_000_000);
+    let planned = div_u64_by_u32(bytes as u64 * (100 - RESERVE_PERCENT), 100);
     (planned as usize).saturating_sub(reply)
 }
 
-/// Instructions that the board counts for receiving a byte, at most. A test in the emulator holds them to it.
-pub const RECEIVE_INSTRUCTIONS: u64 = 60;
-/// What it cannot count, in cycles: entry and exit of the exception (12 each, ARM DDI 0439, 3.9), and the 36 instructions
-/// around the counter's two readings, which save registers and keep the account.
-pub const RECEIVE_OVERHEAD: u64 = 24 + 36;
-/// Clock of the board's processor, Hz.
-pub const PROCESSOR_HZ: u64 = 168_000_000;
-
-/// Part of the processor that receiving frames of `bytes` at `rate_hz` takes at an instruction a cycle, in per mille,
-/// rounded up.
-pub const fn receive_permille(bytes: usize, rate_hz: u64) -> u64 {
-    let cycles = (RECEIVE_INSTRUCTIONS + RECEIVE_OVERHEAD) * bytes as u64 * rate_hz;
-    (1000 * cycles).div_ceil(PROCESSOR_HZ)
-}
-
 const _: () = assert!(SAMPLE_6 <= 96 && TORQUE_6 <= 64);
-const _: () = assert!(headroom_permille(sample(7), 1000, BAUD as u64) >= 300);
-const _: () = assert!(headroom_permille(full_torque(7), 1000, BAUD as u64) >= 300);
 const _: () = assert!(excited(7) <= full_torque(7));

@@ -1,6 +1,6 @@
 //! Constants of `panda`, written by `host-sim generate` from its description. Change that, not this.
 
-use super::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
+use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 
 /// Number of joints.
 pub const JOINTS: usize = 7;
@@ -10,6 +10,17 @@ pub const PARAMETERS: usize = 48;
 /// The arm `panda`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Panda;
+
+/// Feed-forward of this arm.
+pub type FeedForward = foretorque::feedforward::FeedForward<Panda, JOINTS, PARAMETERS>;
+/// Learner of this arm.
+pub type Learner = foretorque::learning::Learner<Panda, JOINTS, PARAMETERS>;
+/// Learner configuration of this arm.
+pub type LearnerConfig = foretorque::learning::LearnerConfig<JOINTS, PARAMETERS>;
+/// Parameter set of this arm.
+pub type ParameterSet = foretorque::learning::ParameterSet<JOINTS, PARAMETERS>;
+/// Exchange between feed-forward and learner of this arm.
+pub type Exchange = foretorque::learning::Exchange<JOINTS, PARAMETERS>;
 
 #[rustfmt::skip]
 impl Arm<JOINTS, PARAMETERS> for Panda {

@@ -1,6 +1,6 @@
 //! Constants of `ur5`, written by `host-sim generate` from its description. Change that, not this.
 
-use super::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
+use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 
 /// Number of joints.
 pub const JOINTS: usize = 6;
@@ -10,6 +10,17 @@ pub const PARAMETERS: usize = 40;
 /// The arm `ur5`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ur5;
+
+/// Feed-forward of this arm.
+pub type FeedForward = foretorque::feedforward::FeedForward<Ur5, JOINTS, PARAMETERS>;
+/// Learner of this arm.
+pub type Learner = foretorque::learning::Learner<Ur5, JOINTS, PARAMETERS>;
+/// Learner configuration of this arm.
+pub type LearnerConfig = foretorque::learning::LearnerConfig<JOINTS, PARAMETERS>;
+/// Parameter set of this arm.
+pub type ParameterSet = foretorque::learning::ParameterSet<JOINTS, PARAMETERS>;
+/// Exchange between feed-forward and learner of this arm.
+pub type Exchange = foretorque::learning::Exchange<JOINTS, PARAMETERS>;
 
 #[rustfmt::skip]
 impl Arm<JOINTS, PARAMETERS> for Ur5 {

@@ -55,16 +55,15 @@ impl<const N: usize> Torque<N> {
 ///
 /// One tick, with the learner that works in its slack:
 /// ```
-/// use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-/// use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet};
+/// use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
+/// use foretorque::feedforward::FeedForwardConfig;
 /// use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-/// use foretorque::learning::{Exchange, Learner, LearnerConfig};
 ///
 /// const PERIOD_S: f32 = 1e-3;
 /// let set = ParameterSet::nominal::<Ur5>(1);
-/// let config = FeedForwardConfig::for_arm::<Ur5, PARAMETERS>(PERIOD_S);
-/// let mut feedforward = FeedForward::<Ur5, JOINTS, PARAMETERS>::new(config, set)?;
-/// let mut learner = Learner::<Ur5, JOINTS, PARAMETERS>::new(LearnerConfig::for_arm::<Ur5>(PERIOD_S), set)?;
+/// let config = FeedForwardConfig::for_arm::<Ur5, _>(PERIOD_S);
+/// let mut feedforward = FeedForward::new(config, set)?;
+/// let mut learner = Learner::new(LearnerConfig::for_arm::<Ur5>(PERIOD_S), set)?;
 /// let mut exchange = Exchange::new();
 /// feedforward.set_learning(true);
 ///

@@ -212,7 +212,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         for (speed, qd) in speeds.iter_mut().zip([qd, motion.bounded.qd[joint]]) {
             *speed = AtSpeed::new(qd, cogging, load);
         }
-        let friction = speeds[0].friction(&state.loaded.friction[joint].columns());
+        let friction = speeds[0].friction(&state.loaded.friction[joint]);
         let active = state.active_difference.shares(
             joint,
             (scratch.loaded[joint] + scratch.active[joint], friction),

@@ -4,7 +4,7 @@ use super::prior_covariance::rigid_sigma;
 use super::supervisor::config::SupervisorConfig;
 use super::trainer::TrainerConfig;
 use crate::arm::Arm;
-use crate::dynamics::FrictionParameters;
+use crate::dynamics::{FrictionParameters, friction_prior};
 
 /// Configuration of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,16 +37,13 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Defaults for an arm; prior standard deviations follow from the description and the limits of the joints.
     ///
     /// Mass, inertia and rotor of a link: 20 % of the description; centre of mass: 5 % of its distance and 3 mm along each
-    /// axis. Friction, in parts of the torque limit: viscous 10 % at full speed, Coulomb 3 %, shear thinning 1.2 %,
-    /// Stribeck 1 %, offset and cogging 0.5 % each; load 1.3 % of the load, because more makes payloads harder to find.
-    /// Cogging of a joint without cogging stays 0.
+    /// axis; friction: table of [`FrictionColumn`](crate::dynamics::FrictionColumn).
     ///
     /// * `period_s` period of the tick, s
     ///
     /// ```
-    /// use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-    /// use foretorque::learning::LearnerConfig;
-    /// const CONFIG: LearnerConfig<JOINTS, PARAMETERS> = LearnerConfig::for_arm::<Ur5>(1e-3);
+    /// use foretorque::arm::ur5::{LearnerConfig, Ur5};
+    /// const CONFIG: LearnerConfig = LearnerConfig::for_arm::<Ur5>(1e-3);
     /// assert!(CONFIG.validate().is_ok());
     /// ```
     pub const fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
@@ -73,7 +70,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Prior standard deviations of all linear parameters, in their units.
     pub fn sigma(&self) -> LinearParameters<N, P> {
         LinearParameters {
-            friction: self.friction_sigma.map(FrictionParameters::columns),
+            friction: self.friction_sigma.map(|joint| joint.0),
             rigid: self.rigid_sigma,
         }
     }
@@ -94,7 +91,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         ];
         let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
         check_positive(positive.into_iter().chain(rigid))?;
-        let mut friction = self.friction_sigma.iter().flat_map(|s| s.columns());
+        let mut friction = self.friction_sigma.iter().flat_map(|s| s.0);
         if !friction.all(|s| s >= 0.0 && s.is_finite()) {
             return Err(ConfigError::NotPositive("friction_sigma"));
         }
@@ -112,17 +109,7 @@ const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [Fric
     let mut sigma = [FrictionParameters::NONE; N];
     let mut joint = 0;
     while joint < N {
-        let limits = A::LIMITS[joint];
-        sigma[joint].viscous = 0.1 * limits.torque / limits.velocity;
-        sigma[joint].coulomb = 0.03 * limits.torque;
-        sigma[joint].stribeck = 0.01 * limits.torque;
-        sigma[joint].bend = 0.012 * limits.torque;
-        sigma[joint].load = 0.013;
-        sigma[joint].offset = 0.005 * limits.torque;
-        if A::COGGING_CYCLES[joint] > 0.0 {
-            sigma[joint].cogging_sin = 0.005 * limits.torque;
-            sigma[joint].cogging_cos = 0.005 * limits.torque;
-        }
+        sigma[joint] = friction_prior(&A::LIMITS[joint], A::COGGING_CYCLES[joint]);
         joint += 1;
     }
     sigma

@@ -4,7 +4,10 @@ use super::parameters::{LinearParameters, ParameterSet, dot};
 use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
 use super::ud::UdFilter;
 use crate::arm::Arm;
-use crate::dynamics::{FRICTION_COLUMNS, RESISTING, friction_load, friction_row, regressor_row};
+use crate::dynamics::{
+    DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS, friction_load, friction_row,
+    regressor_row,
+};
 use crate::joint::JointMotion;
 use crate::limits::cut;
 use crate::math::sqrt;
@@ -30,9 +33,6 @@ const FIRST_ROWS: f32 = 4.0;
 /// Prior factors added in one tick after a reset; all are added before the measurement window is full.
 const FACTORS_PER_TICK: usize = 3;
 
-/// Number of friction columns with a random walk: the first ones, which change with grease, temperature and wear. Load,
-/// offset and cogging belong to gears, sensors and magnets and are constant.
-const RANDOM_WALK_COLUMNS: usize = 4;
 /// Bounds projected onto in one row; more are violated at once only in the first rows of a joint.
 const MAX_PROJECTIONS: usize = 3;
 /// Violation of a bound attributed to rounding, prior standard deviations.
@@ -88,8 +88,8 @@ pub struct Estimator<const N: usize, const P: usize> {
     variance: [f32; N],
     /// Rows behind each variance; a row counts by the part of its innovation variance that is noise.
     effective_rows: [f32; N],
-    /// Friction column of each joint that receives process noise with its next row.
-    random_walk: [usize; N],
+    /// Place in [`RANDOM_WALK_COLUMNS`] of the process noise with the next row of each joint.
+    random_walk_turn: [usize; N],
     /// Prior factors already in the covariance.
     factors_added: usize,
 }
@@ -137,7 +137,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             filter: UdFilter::new(),
             variance: [FIRST_VARIANCE; N],
             effective_rows: [FIRST_ROWS; N],
-            random_walk: [0; N],
+            random_walk_turn: [0; N],
             factors_added: 0,
         }
     }
@@ -148,7 +148,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
         self.effective_rows = [FIRST_ROWS; N];
-        self.random_walk = [0; N];
+        self.random_walk_turn = [0; N];
         self.factors_added = 0;
     }
 
@@ -201,12 +201,13 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         if !innovation.is_finite() {
             return None;
         }
-        let column = self.random_walk.get_mut(joint)?;
-        if self.filter.friction_variance(joint, *column)? < 1.0 {
-            let noise = RANDOM_WALK_COLUMNS as f32 * config.process_noise;
-            self.filter.add_process_noise(joint, *column, noise);
+        let turn = self.random_walk_turn.get_mut(joint)?;
+        let column = *RANDOM_WALK_COLUMNS.get(*turn)? as usize;
+        if self.filter.friction_variance(joint, column)? < 1.0 {
+            let noise = RANDOM_WALK_COLUMNS.len() as f32 * config.process_noise;
+            self.filter.add_process_noise(joint, column, noise);
         }
-        *column = (*column + 1) % RANDOM_WALK_COLUMNS;
+        *turn = (*turn + 1) % RANDOM_WALK_COLUMNS.len();
         let mut phi = *row;
         let scale = |phi: &mut [f32], sigma: &[f32]| {
             for (phi, sigma) in phi.iter_mut().zip(sigma) {
@@ -275,7 +276,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         }
     }
 
-    /// Projection of the estimate onto the violated bounds of [`RESISTING`] of `joint`, the worst first.
+    /// Projection of the estimate onto the violated [`DISSIPATION_BOUNDS`] of `joint`, the worst first.
     ///
     /// ```text
     /// θ ← θ − P a (aᵀθ) / (aᵀPa)     P stays
@@ -284,7 +285,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// violated one, so explained rows stay explained. Clipping the column alone leaves a residual. The next row repeats the
     /// step, and the correlated columns drift away.
     ///
-    /// Cost: [`RESISTING`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
+    /// Cost: [`DISSIPATION_BOUNDS`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
     fn project(
         &mut self,
         sigma: &LinearParameters<N, P>,
@@ -300,7 +301,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             };
             let mut direction = [0.0; FRICTION_COLUMNS];
             let mut worst = TOLERANCE;
-            for bound in &RESISTING {
+            for bound in &DISSIPATION_BOUNDS {
                 let value = dot(bound, own);
                 if value >= 0.0 {
                     continue;

@@ -1,5 +1,7 @@
 use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, FRICTION_COLUMNS, FrictionParameters, SmoothedSign};
+use crate::dynamics::{
+    BaseParameters, COGGING_COLUMNS, FRICTION_COLUMNS, FrictionParameters, SmoothedSign,
+};
 use crate::joint::zero_vector;
 use crate::network::BpNetwork;
 use nalgebra::SVector;
@@ -57,7 +59,7 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
         let friction = self
             .friction
             .iter()
-            .all(|f| f.columns().iter().all(|p| p.is_finite()));
+            .all(|f| f.0.iter().all(|p| p.is_finite()));
         rigid && friction && self.network.iter().all(JointNetwork::is_finite)
     }
 }
@@ -88,9 +90,6 @@ pub struct LinearParameters<const N: usize, const P: usize> {
     pub rigid: [f32; P],
 }
 
-/// The cogging columns come last.
-const COGGING: usize = FRICTION_COLUMNS - 2;
-
 impl<const N: usize, const P: usize> LinearParameters<N, P> {
     /// Constant vector of `value`.
     pub const fn filled(value: f32) -> Self {
@@ -104,7 +103,7 @@ impl<const N: usize, const P: usize> LinearParameters<N, P> {
     pub fn of(set: &ParameterSet<N, P>) -> Self {
         let [rigid] = set.rigid.data.0;
         Self {
-            friction: set.friction.map(FrictionParameters::columns),
+            friction: set.friction.map(|joint| joint.0),
             rigid,
         }
     }
@@ -112,7 +111,7 @@ impl<const N: usize, const P: usize> LinearParameters<N, P> {
     /// Copy these parameters into `set`; its networks stay.
     pub fn write(&self, set: &mut ParameterSet<N, P>) {
         for (friction, &columns) in set.friction.iter_mut().zip(&self.friction) {
-            *friction = FrictionParameters::from_columns(columns);
+            *friction = FrictionParameters(columns);
         }
         set.rigid.data.0 = [self.rigid];
     }
@@ -147,9 +146,9 @@ impl<const N: usize, const P: usize> LinearParameters<N, P> {
         if let (Some(row), Some(active)) =
             (self.friction.get_mut(joint), active.friction.get(joint))
         {
-            for (row, active) in row.iter_mut().zip(active).skip(COGGING) {
-                commanded += (1.0 - attenuation) * *row * active;
-                *row *= attenuation;
+            for column in COGGING_COLUMNS.map(|column| column as usize) {
+                commanded += (1.0 - attenuation) * row[column] * active[column];
+                row[column] *= attenuation;
             }
         }
         commanded

@@ -1,6 +1,5 @@
 use super::ud::UdFilter;
 use crate::dynamics::FRICTION_COLUMNS;
-use crate::math::sqrt;
 
 /// State of the learning supervisor; see the [state diagram](crate::learning).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -191,7 +190,7 @@ impl<const N: usize> Monitor<N> {
                 continue;
             }
             let inverse = 1.0 / sums.weight;
-            *rms = sqrt(sums.residual * inverse);
+            *rms = libm::sqrtf(sums.residual * inverse);
             for (total, share) in shares.iter_mut().zip(sums.shares) {
                 *total += share * inverse;
             }
@@ -203,8 +202,8 @@ impl<const N: usize> Monitor<N> {
         if moved == 0.0 {
             return None;
         }
-        quality.share_rms = shares.map(|sum| sqrt(sum / moved));
-        let trust = 1.0 - sqrt(ratios / moved);
+        quality.share_rms = shares.map(|sum| libm::sqrtf(sum / moved));
+        let trust = 1.0 - libm::sqrtf(ratios / moved);
         quality.trust = if trust > 0.0 { trust } else { 0.0 };
         let before = quality.low_trust;
         quality.low_trust = if before {

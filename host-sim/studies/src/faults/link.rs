@@ -69,7 +69,7 @@ impl Host {
     /// A sample of this tick. Its answer waits for the lesson, which the reference has learnt before its next frame.
     fn message(&self, sample: &JointSample<JOINTS>) -> HostMessage<JOINTS> {
         let frame = SampleFrame::new(sample).in_period(self.tick as u8);
-        HostMessage::Sample(frame.answered_after_lesson())
+        HostMessage::Sample(frame.answered_after_learning())
     }
 
     pub(super) fn sample(&self) -> JointSample<JOINTS> {

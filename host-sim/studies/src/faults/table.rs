@@ -1,34 +1,40 @@
-//! The counts of a run, as they are kept in the documentation.
+//! The counts of a run as text.
 
 use super::Campaign;
 
-/// A row for each campaign, and the sums.
+/// Headings of [`row`].
+pub fn header() -> String {
+    format!(
+        "{:<42} {:<15} {:>9} {:>9} {:>7} {:>5} {:>9} {:>6}",
+        "fault", "board", "injected", "torques", "wrong", "lost", "recovered", "unseen"
+    )
+}
+
+/// The counts of one campaign.
+pub fn row(campaign: &Campaign) -> String {
+    format!(
+        "{:<42} {:<15} {:>9} {:>9} {:>7} {:>5} {:>9} {:>6}",
+        campaign.name,
+        campaign.board,
+        campaign.injected,
+        campaign.torques,
+        campaign.wrong_torques,
+        campaign.lost_sets,
+        campaign.recovered,
+        campaign.unnoticed
+    )
+}
+
+/// A row for each campaign, and their number.
 pub fn text(campaigns: &[Campaign]) -> String {
-    let sum = |count: fn(&Campaign) -> u64| campaigns.iter().map(count).sum::<u64>();
-    let mut out = format!(
-        "{} campaigns, {} faults, {} torques compared: {} wrong, {} sets lost, {} not recovered, {} unseen.\n\n\
-         | fault | board | injected | torques compared | wrong | lost sets | recovered | unseen |\n\
-         |---|---|---:|---:|---:|---:|---:|---:|\n",
-        campaigns.len(),
-        sum(|campaign| campaign.injected),
-        sum(|campaign| campaign.torques),
-        sum(|campaign| campaign.wrong_torques),
-        sum(|campaign| campaign.lost_sets),
-        sum(|campaign| campaign.injected - campaign.recovered),
-        sum(|campaign| campaign.unnoticed),
-    );
-    for campaign in campaigns {
-        out += &format!(
-            "| {} | {} | {} | {} | {} | {} | {} | {} |\n",
-            campaign.name,
-            campaign.board,
-            campaign.injected,
-            campaign.torques,
-            campaign.wrong_torques,
-            campaign.lost_sets,
-            campaign.recovered,
-            campaign.unnoticed
-        );
-    }
-    out
+    let rows: String = campaigns
+        .iter()
+        .map(|campaign| row(campaign) + "\n")
+        .collect();
+    let injected: u64 = campaigns.iter().map(|campaign| campaign.injected).sum();
+    format!(
+        "{}\n{rows}{} campaigns, {injected} faults\n",
+        header(),
+        campaigns.len()
+    )
 }

@@ -1,11 +1,11 @@
-//! A watchdog that is not there, fed by the roll call of the firmware.
+//! Simulated watchdog, fed through the task check-in of the firmware.
 
 use super::Campaign;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::ConfigError;
-use foretorque_link::safety::{RollCall, SafetyReason, SafetyState, Task};
-use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
+use foretorque_link::safety::{SafetyReason, SafetyState, Task, TaskCheckIn};
+use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
 use foretorque_link::wire::{
     BoardMessage, Decoder, FrameBuffer, HostMessage, ResetReason, SampleFrame,
 };
@@ -36,15 +36,15 @@ pub fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, ConfigError> {
     for _ in 0..times {
         let silent = Task::ALL[random.random_range(0..Task::ALL.len())];
         let end = random.random_range(0..1000);
-        let roll = RollCall::new();
+        let tasks = TaskCheckIn::new();
         let mut watchdog = SimulatedWatchdog { left: HUNGER };
         let bite = (0..end + 2 * HUNGER).find(|&period| {
             for task in Task::ALL {
                 if task != silent || period < end {
-                    roll.present(task);
+                    tasks.check_in(task);
                 }
             }
-            watchdog.period(roll.complete())
+            watchdog.period(tasks.complete())
         });
         campaign.injected += 1;
         // Not before the task stopped, and at once when the hunger is over.
@@ -63,7 +63,7 @@ fn restarted() -> Result<(bool, bool), ConfigError> {
         ..BoardDescription::plain(NoClock)
     };
     let mut session = Session::<Ur5, JOINTS, PARAMETERS>::new(board)?;
-    let mut desk = Desk::new();
+    let mut mailboxes = Mailboxes::new();
     let still = JointSample {
         desired: JointMotion::zero(),
         measured: Some(JointMeasurement {
@@ -79,7 +79,12 @@ fn restarted() -> Result<(bool, bool), ConfigError> {
         sequence += 1;
         // A frame always fits an empty buffer.
         let _ = question.push(sequence, message);
-        session.receive(question.as_bytes(), &mut desk, &mut answer);
+        session.receive(
+            question.as_bytes(),
+            &mut mailboxes,
+            &mut answer,
+            &mut NoLocalSensor,
+        );
         heard(answer.as_bytes())
     };
     let mut quiet = true;

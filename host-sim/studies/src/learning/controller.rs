@@ -1,6 +1,6 @@
 //! The board's tick and its learning, in the order in which the board does them.
 
-use super::world::{N, P, PERIOD_S, Set};
+use super::setup::{N, P, PERIOD_S, Set};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
@@ -11,7 +11,7 @@ use foretorque_link::bank::NETWORK_SEED;
 use foretorque_link::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason, SafetyStatus};
 use foretorque_link::wire::SampleFrame;
 
-/// Safety, feed-forward, learner and the desk between them.
+/// Safety, feed-forward, learner and the mailbox between them.
 ///
 /// The session of the firmware calls these functions in this order too; that its answers are the same bits over its
 /// link, in the emulator, is what [`super::emulated`] shows.
@@ -52,7 +52,7 @@ impl Controller {
         })
     }
 
-    /// What arms the board at rest in `desired`: a sample that is shown until the board believes it.
+    /// The sample that arms the board at rest in `desired`: shown until the board accepts it.
     pub(super) fn arming_sample(&self, desired: JointMotion<N>) -> JointSample<N> {
         let tau = evaluate::<Ur5, N, P>(&self.active(), &desired).total;
         JointSample {
@@ -76,7 +76,7 @@ impl Controller {
     pub(super) fn tick(&mut self, sample: Option<&JointSample<N>>) -> Torque<N> {
         self.feedforward.adopt(&mut self.exchange);
         let heard = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
-        let sample = self.safety.admit(heard, 1);
+        let sample = self.safety.admit(heard, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feedforward.step(sample),
             None => self.feedforward.step_stale(),
@@ -101,12 +101,12 @@ impl Controller {
         self.feedforward.in_force()
     }
 
-    /// What the learner knows.
+    /// State of the learner.
     pub(super) fn learner(&self) -> &LearnerState<N, P> {
         self.learner.state()
     }
 
-    /// What the guard tells: model quality and decisions.
+    /// Report of the supervisor: model quality and decisions.
     pub(super) fn report(&self) -> &LearnerReport<N> {
         &self.feedforward.state().report
     }

@@ -1,4 +1,4 @@
-//! What the steps leave for figures and tables.
+//! Curves of the steps, for figures and tables.
 
 use super::JOINTS;
 use super::rigid::Sample;

@@ -1,4 +1,4 @@
-//! What the draws of the robustness study add up to.
+//! Sums over the draws of the robustness study.
 
 use super::cell::{CellRecord, FrictionKind, MethodDraw};
 use serde::Serialize;
@@ -21,6 +21,15 @@ pub struct Condition {
     pub methods: BTreeMap<String, MethodSummary>,
     /// Methods that found none, and in how many draws.
     pub failed: BTreeMap<String, usize>,
+}
+
+impl Condition {
+    /// The condition of the efficiency study: 1 % noise, Coulomb and viscous friction, no outliers.
+    pub(super) fn is_plain(&self) -> bool {
+        self.noise_percent == 1.0
+            && self.outlier_percent == 0.0
+            && self.friction == FrictionKind::CoulombViscous
+    }
 }
 
 /// One method in one condition.

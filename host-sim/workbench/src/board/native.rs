@@ -1,7 +1,7 @@
 use super::Transport;
 use foretorque::arm::Arm;
 use foretorque::learning::{ConfigError, Learner, LearnerConfig};
-use foretorque_link::session::{BoardDescription, Desk, NoClock, Session};
+use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
 use foretorque_link::wire::FrameBuffer;
 use std::collections::VecDeque;
 use std::io;
@@ -12,7 +12,7 @@ use std::time::Duration;
 /// The learner works through its lesson right after each reply, as it does on the board that simulates in bulk.
 pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
     session: Session<A, N, P>,
-    desk: Desk<N, P>,
+    mailboxes: Mailboxes<N, P>,
     learner: Learner<A, N, P>,
     out: FrameBuffer,
     waiting: VecDeque<u8>,
@@ -29,12 +29,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
         let set = session.feed_forward().state().active;
         let mut native = Self {
             session,
-            desk: Desk::new(),
+            mailboxes: Mailboxes::new(),
             learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
             out: FrameBuffer::new(),
             waiting: VecDeque::new(),
         };
-        native.session.greet(&mut native.out);
+        native.session.send_hello(&mut native.out);
         native.flush();
         Ok(native)
     }
@@ -62,9 +62,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
-            self.session.receive(frame, &mut self.desk, &mut self.out);
+            self.session.receive(
+                frame,
+                &mut self.mailboxes,
+                &mut self.out,
+                &mut NoLocalSensor,
+            );
             self.flush();
-            self.desk.work(&mut self.learner, &NoClock);
+            self.mailboxes.learner.work(&mut self.learner, &NoClock);
         }
         Ok(())
     }

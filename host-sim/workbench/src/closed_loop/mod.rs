@@ -8,7 +8,7 @@ use crate::plant::{Measurement, Plant};
 use crate::trajectory::Trajectory;
 use control::{PdConfig, PdState};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque_link::excitation::Stage;
+use foretorque_link::excitation::ExcitationState;
 
 /// What happened in one tick.
 #[derive(Clone, Copy, Debug)]
@@ -32,7 +32,7 @@ pub struct TickRecord<const N: usize> {
     /// Flags that came with it.
     pub flags: u16,
     /// Where the board's own excitation stands, while it is in charge of the desired motion.
-    pub stage: Option<Stage>,
+    pub stage: Option<ExcitationState>,
 }
 
 /// What a board answers to one sample.

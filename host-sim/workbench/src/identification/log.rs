@@ -4,7 +4,7 @@ use crate::files::at;
 use crate::robot::{LogColumns, Robot};
 use crate::table::{TableError, is_compressed, unreadable};
 use flate2::read::MultiGzDecoder;
-use std::collections::HashMap;
+use std::collections::HashSet;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ pub struct LogRow<const N: usize> {
 }
 
 /// Reads a log row by row, in constant memory.
-pub struct LogReader<const N: usize> {
+pub(super) struct LogReader<const N: usize> {
     path: PathBuf,
     reader: csv::Reader<Box<dyn Read + Send>>,
     record: csv::ByteRecord,
@@ -37,24 +37,18 @@ pub struct LogReader<const N: usize> {
     qd: Option<[usize; N]>,
     qdd: Option<[usize; N]>,
     tau: [usize; N],
-    /// Torque a unit of the torque column stands for: the drive gain where it is a current, N·m/A, else 1.
+    /// Torque of one unit of the torque column: the drive gain where it is a current, N·m/A, else 1.
     gain: [f64; N],
     from_current: bool,
     mapped: bool,
     previous_s: Option<f64>,
 }
 
-/// Names of one quantity: this project's own, and the description's.
-struct Names<'a> {
-    own: (&'a str, &'a str),
-    foreign: Option<&'a str>,
-}
-
 impl<const N: usize> LogReader<N> {
-    /// Opens a log. Own column names win over those of the map; time, position and torque (or current) must be there.
+    /// Opens a log. Own column names win over those of the map; time, position and torque (or current) are required.
     ///
     /// Errors: [`TableError`] of the header.
-    pub fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
+    pub(super) fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
         let file = File::open(path).map_err(|error| TableError::File(at(path, error)))?;
         let bytes: Box<dyn Read + Send> = if is_compressed(path) {
             Box::new(MultiGzDecoder::new(BufReader::new(file)))
@@ -66,61 +60,32 @@ impl<const N: usize> LogReader<N> {
             .trim(csv::Trim::Headers)
             .buffer_capacity(1 << 18)
             .from_reader(bytes);
-        let header: Vec<String> = reader
-            .headers()
-            .map_err(|error| unreadable(path, &error))?
-            .iter()
-            .map(str::to_owned)
-            .collect();
-        let mut places = HashMap::new();
-        for (index, name) in header.iter().enumerate() {
-            if places.insert(name.as_str(), index).is_some() {
-                return Err(TableError::RepeatedColumn {
-                    path: path.to_owned(),
-                    column: name.clone(),
-                });
-            }
-        }
+        let header = reader.headers().map_err(|error| unreadable(path, &error))?;
+        let header: Vec<String> = header.iter().map(str::to_owned).collect();
+        let columns = Header::of(path, &header)?;
         let none = LogColumns::default();
         let map = robot.log_columns.as_ref().unwrap_or(&none);
-        let names = |own, foreign: &'static str| Names {
-            own,
-            foreign: match foreign {
-                "q" => map.q_rad.as_deref(),
-                "qd" => map.qd_rad_s.as_deref(),
-                "qdd" => map.qdd_rad_s2.as_deref(),
-                "tau" => map.tau_nm.as_deref(),
-                _ => map.i_a.as_deref(),
-            },
-        };
-        let header_of = Header { path, places };
-        let mapped_time = map
-            .t_s
-            .as_deref()
-            .and_then(|name| header_of.places.get(name));
-        let time = header_of.places.get("t_s").or(mapped_time).copied();
-        let time = time.ok_or_else(|| header_of.missing("t_s".to_owned()))?;
-        let q_names = names(("q", "rad"), "q");
-        let q = header_of.joints(&q_names)?;
-        let q = q.ok_or_else(|| header_of.missing("q1_rad".to_owned()))?;
-        let qd = header_of.joints(&names(("qd", "rad_s"), "qd"))?;
-        let qdd = header_of.joints(&names(("qdd", "rad_s2"), "qdd"))?;
+        let time = columns.place("t_s");
+        let time = time.or_else(|| columns.place(map.t_s.as_deref()?));
+        let time = time.ok_or_else(|| columns.missing("t_s"))?;
+        let q = columns.joints(("q", "rad"), map.q_rad.as_deref())?;
+        let q = q.ok_or_else(|| columns.missing("q1_rad"))?;
+        let qd = columns.joints(("qd", "rad_s"), map.qd_rad_s.as_deref())?;
+        let qdd = columns.joints(("qdd", "rad_s2"), map.qdd_rad_s2.as_deref())?;
         let mut gain = [1.0; N];
-        let (tau, from_current) = match header_of.joints(&names(("tau", "nm"), "tau"))? {
-            Some(tau) => (tau, false),
-            None => {
-                for (gain, joint) in gain.iter_mut().zip(&robot.joints) {
-                    *gain = joint.drive.gain;
-                }
-                let current = header_of.joints(&names(("i", "a"), "i"))?;
-                (
-                    current.ok_or_else(|| header_of.missing("tau1_nm".to_owned()))?,
-                    true,
-                )
+        let logged = columns.joints(("tau", "nm"), map.tau_nm.as_deref())?;
+        let from_current = logged.is_none();
+        let tau = if from_current {
+            for (gain, joint) in gain.iter_mut().zip(&robot.joints) {
+                *gain = joint.drive.gain;
             }
+            columns.joints(("i", "a"), map.i_a.as_deref())?
+        } else {
+            logged
         };
-        let mapped = !header_of.places.contains_key("q1_rad");
         Ok(Self {
+            tau: tau.ok_or_else(|| columns.missing("tau1_nm"))?,
+            mapped: columns.place("q1_rad").is_none(),
             path: path.to_owned(),
             reader,
             record: csv::ByteRecord::new(),
@@ -128,44 +93,39 @@ impl<const N: usize> LogReader<N> {
             q,
             qd,
             qdd,
-            tau,
             gain,
             from_current,
-            mapped,
             previous_s: None,
             header,
         })
     }
 
     /// The log has velocities.
-    pub fn has_velocity(&self) -> bool {
+    pub(super) fn has_velocity(&self) -> bool {
         self.qd.is_some()
     }
 
     /// The log has accelerations.
-    pub fn has_acceleration(&self) -> bool {
+    pub(super) fn has_acceleration(&self) -> bool {
         self.qdd.is_some()
     }
 
     /// Torque is drive gain × motor current.
-    pub fn from_current(&self) -> bool {
+    pub(super) fn has_currents(&self) -> bool {
         self.from_current
     }
 
     /// The columns were found through the map of the description.
-    pub fn is_mapped(&self) -> bool {
+    pub(super) fn is_mapped(&self) -> bool {
         self.mapped
     }
 
     /// The next row, `None` at the end.
     ///
     /// Errors: [`TableError`] of that row, naming line and column.
-    pub fn next_row(&mut self) -> Result<Option<LogRow<N>>, TableError> {
-        let more = self
-            .reader
-            .read_byte_record(&mut self.record)
-            .map_err(|error| unreadable(&self.path, &error))?;
-        if !more {
+    pub(super) fn next_row(&mut self) -> Result<Option<LogRow<N>>, TableError> {
+        let more = self.reader.read_byte_record(&mut self.record);
+        if !more.map_err(|error| unreadable(&self.path, &error))? {
             return Ok(None);
         }
         let line = self.record.position().map_or(0, csv::Position::line);
@@ -187,19 +147,16 @@ impl<const N: usize> LogReader<N> {
             });
         }
         self.previous_s = Some(t_s);
-        let zero = [0.0; N];
+        let optional = |columns: &Option<[usize; N]>| match columns {
+            Some(columns) => self.numbers(line, columns),
+            None => Ok([0.0; N]),
+        };
         let mut row = LogRow {
             line,
             t_s,
             q: self.numbers(line, &self.q)?,
-            qd: match &self.qd {
-                Some(columns) => self.numbers(line, columns)?,
-                None => zero,
-            },
-            qdd: match &self.qdd {
-                Some(columns) => self.numbers(line, columns)?,
-                None => zero,
-            },
+            qd: optional(&self.qd)?,
+            qdd: optional(&self.qdd)?,
             tau: self.numbers(line, &self.tau)?,
         };
         for (tau, gain) in row.tau.iter_mut().zip(&self.gain) {
@@ -218,9 +175,8 @@ impl<const N: usize> LogReader<N> {
 
     fn number(&self, line: u64, column: usize) -> Result<f64, TableError> {
         let field = self.record.get(column).unwrap_or_default();
-        std::str::from_utf8(field)
-            .ok()
-            .and_then(|text| text.trim().parse::<f64>().ok())
+        let text = std::str::from_utf8(field).ok();
+        text.and_then(|text| text.trim().parse::<f64>().ok())
             .filter(|value| value.is_finite())
             .ok_or_else(|| TableError::NotANumber {
                 path: self.path.clone(),
@@ -234,37 +190,53 @@ impl<const N: usize> LogReader<N> {
 /// The header row of a log.
 struct Header<'a> {
     path: &'a Path,
-    places: HashMap<&'a str, usize>,
+    names: &'a [String],
 }
 
-impl Header<'_> {
-    fn missing(&self, column: String) -> TableError {
-        TableError::MissingColumn {
-            path: self.path.to_owned(),
-            column,
+impl<'a> Header<'a> {
+    fn of(path: &'a Path, names: &'a [String]) -> Result<Self, TableError> {
+        let mut known = HashSet::new();
+        match names.iter().find(|name| !known.insert(*name)) {
+            None => Ok(Self { path, names }),
+            Some(twice) => Err(TableError::RepeatedColumn {
+                path: path.to_owned(),
+                column: twice.clone(),
+            }),
         }
     }
 
-    /// Columns of one quantity for all joints; `None` when not even the first joint's is there.
-    fn joints<const N: usize>(&self, names: &Names<'_>) -> Result<Option<[usize; N]>, TableError> {
-        let own = |joint: usize| format!("{}{joint}_{}", names.own.0, names.own.1);
-        let foreign = |joint: usize| {
-            let pattern = names.foreign?;
-            Some(pattern.replace("{}", &joint.to_string()))
+    fn place(&self, name: &str) -> Option<usize> {
+        self.names.iter().position(|own| own == name)
+    }
+
+    fn missing(&self, column: &str) -> TableError {
+        TableError::MissingColumn {
+            path: self.path.to_owned(),
+            column: column.to_owned(),
+        }
+    }
+
+    /// Columns of one quantity for all joints, by the project's name (symbol, unit) or the pattern of the map; `None` without
+    /// such a column.
+    fn joints<const N: usize>(
+        &self,
+        (symbol, unit): (&str, &str),
+        pattern: Option<&str>,
+    ) -> Result<Option<[usize; N]>, TableError> {
+        let own = |joint: usize| format!("{symbol}{joint}_{unit}");
+        let mapped = |joint: usize| Some(pattern?.replace("{}", &joint.to_string()));
+        let is_own = (1..=N + 1).any(|joint| self.place(&own(joint)).is_some());
+        let name = |joint: usize| {
+            mapped(joint)
+                .filter(|_| !is_own)
+                .unwrap_or_else(|| own(joint))
         };
-        let there = |name: &String| self.places.contains_key(name.as_str());
-        let is_own = (1..=N + 1).any(|joint| there(&own(joint)));
-        let is_foreign = (1..=N + 1).any(|joint| foreign(joint).is_some_and(|name| there(&name)));
-        if !is_own && !is_foreign {
+        if !(1..=N + 1).any(|joint| self.place(&name(joint)).is_some()) {
             return Ok(None);
         }
-        let name = |joint: usize| match foreign(joint) {
-            Some(name) if !is_own => name,
-            _ => own(joint),
-        };
-        // A seventh joint in the log of an arm with six is a log of another robot.
+        // One joint more: the log of another robot.
         let extra = name(N + 1);
-        if there(&extra) {
+        if self.place(&extra).is_some() {
             return Err(TableError::ExtraColumn {
                 path: self.path.to_owned(),
                 column: extra,
@@ -274,10 +246,7 @@ impl Header<'_> {
         let mut columns = [0; N];
         for (index, column) in columns.iter_mut().enumerate() {
             let name = name(index + 1);
-            *column = *self
-                .places
-                .get(name.as_str())
-                .ok_or_else(|| self.missing(name))?;
+            *column = self.place(&name).ok_or_else(|| self.missing(&name))?;
         }
         Ok(Some(columns))
     }

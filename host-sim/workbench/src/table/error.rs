@@ -1,15 +1,16 @@
 //! What is wrong with a table, as one line.
 
-use std::fmt;
 use std::io;
 use std::path::PathBuf;
 
 /// What is wrong with a table.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub enum TableError {
     /// The file cannot be opened or read.
+    #[error("{0}")]
     File(io::Error),
     /// The file is no CSV (wrong encoding, broken compression).
+    #[error("{path}: {reason}")]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -17,6 +18,7 @@ pub enum TableError {
         reason: String,
     },
     /// The header lacks a column.
+    #[error("{path}:1: column {column} is missing")]
     MissingColumn {
         /// The file.
         path: PathBuf,
@@ -24,6 +26,7 @@ pub enum TableError {
         column: String,
     },
     /// The header names a column twice.
+    #[error("{path}:1: column {column} appears twice")]
     RepeatedColumn {
         /// The file.
         path: PathBuf,
@@ -31,6 +34,7 @@ pub enum TableError {
         column: String,
     },
     /// The header names a column of a joint the robot does not have.
+    #[error("{path}:1: column {column} is one too many: the robot has {joints} joints")]
     ExtraColumn {
         /// The file.
         path: PathBuf,
@@ -40,6 +44,7 @@ pub enum TableError {
         joints: usize,
     },
     /// A row has more or fewer fields than the header.
+    #[error("{path}:{line}: {found} fields where the header has {expected}")]
     Ragged {
         /// The file.
         path: PathBuf,
@@ -51,6 +56,7 @@ pub enum TableError {
         expected: usize,
     },
     /// A field is no finite number.
+    #[error("{path}:{line}: column {column}: {text:?} is not a finite number")]
     NotANumber {
         /// The file.
         path: PathBuf,
@@ -62,6 +68,7 @@ pub enum TableError {
         text: String,
     },
     /// Time stands still or runs backwards.
+    #[error("{path}:{line}: column t_s: {t_s} does not come after {previous_s}")]
     Time {
         /// The file.
         path: PathBuf,
@@ -73,65 +80,9 @@ pub enum TableError {
         previous_s: f64,
     },
     /// There is a header at most.
+    #[error("{path}: no rows")]
     Empty {
         /// The file.
         path: PathBuf,
     },
 }
-
-impl fmt::Display for TableError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::File(error) => write!(f, "{error}"),
-            Self::Unreadable { path, reason } => write!(f, "{}: {reason}", path.display()),
-            Self::MissingColumn { path, column } => {
-                write!(f, "{}:1: column {column} is missing", path.display())
-            }
-            Self::RepeatedColumn { path, column } => {
-                write!(f, "{}:1: column {column} appears twice", path.display())
-            }
-            Self::ExtraColumn {
-                path,
-                column,
-                joints,
-            } => write!(
-                f,
-                "{}:1: column {column} is one too many: the robot has {joints} joints",
-                path.display()
-            ),
-            Self::Ragged {
-                path,
-                line,
-                found,
-                expected,
-            } => write!(
-                f,
-                "{}:{line}: {found} fields where the header has {expected}",
-                path.display()
-            ),
-            Self::NotANumber {
-                path,
-                line,
-                column,
-                text,
-            } => write!(
-                f,
-                "{}:{line}: column {column}: {text:?} is not a finite number",
-                path.display()
-            ),
-            Self::Time {
-                path,
-                line,
-                t_s,
-                previous_s,
-            } => write!(
-                f,
-                "{}:{line}: column t_s: {t_s} does not come after {previous_s}",
-                path.display()
-            ),
-            Self::Empty { path } => write!(f, "{}: no rows", path.display()),
-        }
-    }
-}
-
-impl std::error::Error for TableError {}

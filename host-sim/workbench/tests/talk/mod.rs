@@ -1,6 +1,7 @@
 //! What is said to a board, as raw bytes: samples, and a conversation whose every answer is kept.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_link::bank::NETWORK_SEED;
@@ -39,7 +40,8 @@ pub(crate) fn credible(k: u32) -> JointSample<JOINTS> {
     let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
     truth.rigid *= 1.1;
     for friction in &mut truth.friction {
-        (friction.viscous, friction.coulomb) = (2.0, 1.0);
+        friction[FrictionColumn::Viscous] = 2.0;
+        friction[FrictionColumn::Coulomb] = 1.0;
     }
     let mut sample = sample(k);
     let tau = evaluate::<Ur5, JOINTS, PARAMETERS>(&truth, &sample.desired).total;
@@ -114,7 +116,7 @@ impl<T: Transport> Talk<T> {
         };
         let mut said = self.ask(&HostMessage::Configure(configuration));
         // The learner is done before the next sample comes, however busy this machine is.
-        let patient = |k| SampleFrame::new(&sample(k)).answered_after_lesson();
+        let patient = |k| SampleFrame::new(&sample(k)).answered_after_learning();
         for _ in 0..ARM_SAMPLES {
             said.extend(self.ask(&HostMessage::Sample(patient(0))));
         }

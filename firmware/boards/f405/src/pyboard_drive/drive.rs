@@ -7,7 +7,7 @@ use foretorque_link::drive::{JointEncoder, JointStage};
 use foretorque_link::hal::{
     AbsoluteEncoder, EncoderError, MotorStage, PwmWithDirection, StageError,
 };
-use foretorque_link::session::OwnJoint as _;
+use foretorque_link::session::LocalSensor as _;
 
 use super::pins::{DirectionPin, FaultInput, StageEnable};
 use super::pulse::Pulse;
@@ -57,7 +57,7 @@ impl Drive for StageAndEncoder {
     }
 
     fn watch(&mut self, session: &mut BoardSession) {
-        self.stage.watch(session);
+        self.stage.check(session);
     }
 
     fn own(&mut self) -> &mut Self::Own {
@@ -65,10 +65,10 @@ impl Drive for StageAndEncoder {
     }
 
     fn follow(&mut self, session: &mut BoardSession) {
-        self.stage.follow(session);
+        self.stage.apply(session);
         let seen = Troubles {
-            stage: self.stage.trouble(),
-            encoder: self.encoder.trouble(),
+            stage: self.stage.last_error(),
+            encoder: self.encoder.last_error(),
         };
         interrupt::free(|token| SEEN.borrow(token).set(seen));
     }

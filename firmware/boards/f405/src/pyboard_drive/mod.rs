@@ -10,7 +10,7 @@ mod pins;
 mod pulse;
 mod spi;
 
-use foretorque_link::drive::Turn;
+use foretorque_link::drive::TurnReference;
 use foretorque_link::hal::{Direction, EncoderConfig, TorqueScale};
 use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::pac::{SPI1, TIM1};
@@ -72,7 +72,7 @@ pub(crate) const ENCODER: EncoderConfig = EncoderConfig {
     largest_step: 1000,
 };
 /// One turn of the encoder is one of the joint: at start it is believed to be within ± π.
-pub(crate) const TURN: Turn = Turn::Near(0.0);
+pub(crate) const TURN: TurnReference = TurnReference::Near(0.0);
 
 /// The board.
 pub struct PyboardDrive;

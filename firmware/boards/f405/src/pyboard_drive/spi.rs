@@ -39,7 +39,7 @@ impl SpiDevice for EncoderDevice {
         let _ = bus().dr().read();
         pins::select(true);
         asm::delay(SELECT_CYCLES);
-        let done = operations.iter_mut().try_for_each(carry_out);
+        let done = operations.iter_mut().try_for_each(execute);
         asm::delay(SELECT_CYCLES);
         pins::select(false);
         asm::delay(SELECT_CYCLES);
@@ -48,7 +48,7 @@ impl SpiDevice for EncoderDevice {
 }
 
 /// One operation of a frame. An encoder asks and answers in one breath; nothing else is needed here.
-fn carry_out(operation: &mut Operation<'_, u8>) -> Result<(), ErrorKind> {
+fn execute(operation: &mut Operation<'_, u8>) -> Result<(), ErrorKind> {
     let Operation::TransferInPlace(bytes) = operation else {
         return Err(ErrorKind::Other);
     };

@@ -8,7 +8,7 @@ use crate::hal::{
     AbsoluteEncoder, Chip, Direction, EncoderConfig, EncoderError, OutputError, TorqueScale,
 };
 use crate::safety::SafetyState;
-use crate::session::{BoardDescription, Desk, NoClock};
+use crate::session::{BoardDescription, Mailboxes, NoClock};
 use crate::wire::{
     BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, HostMessage, NackReason,
     Pacing, SampleFrame, TorqueFrame,
@@ -97,7 +97,7 @@ impl SpiDevice for Bus {
 /// A board with a stage and an encoder, as its firmware runs it.
 struct Board {
     session: Session<Ur5, N, P>,
-    desk: Desk<N, P>,
+    mailboxes: Mailboxes<N, P>,
     stage: JointStage<Hands, Hands, Hands>,
     encoder: JointEncoder<Bus>,
     chip: Rc<RefCell<Chip>>,
@@ -106,7 +106,7 @@ struct Board {
 }
 
 impl Board {
-    fn new(turn: Turn) -> Self {
+    fn new(turn: TurnReference) -> Self {
         let (hands, chip) = (Hands::default(), Rc::new(RefCell::new(Chip::new(0))));
         let stage = MotorStage::new(hands.clone(), hands.clone(), hands.clone(), SCALE).unwrap();
         let config = EncoderConfig {
@@ -118,7 +118,7 @@ impl Board {
         let encoder = AbsoluteEncoder::new(Bus(chip.clone()), config).unwrap();
         Self {
             session: Session::new(BoardDescription::plain(NoClock)).unwrap(),
-            desk: Desk::new(),
+            mailboxes: Mailboxes::new(),
             stage: JointStage::new(stage, JOINT),
             encoder: JointEncoder::new(encoder, JOINT, turn),
             chip,
@@ -132,11 +132,11 @@ impl Board {
         self.sequence += 1;
         let (mut frame, mut out) = (FrameBuffer::new(), FrameBuffer::new());
         frame.push(self.sequence, &message).unwrap();
-        self.stage.watch(&mut self.session);
-        let (desk, own) = (&mut self.desk, &mut self.encoder);
+        self.stage.check(&mut self.session);
+        let (mailboxes, sensor) = (&mut self.mailboxes, &mut self.encoder);
         self.session
-            .receive_with(frame.as_bytes(), desk, &mut out, own);
-        self.stage.follow(&mut self.session);
+            .receive(frame.as_bytes(), mailboxes, &mut out, sensor);
+        self.stage.apply(&mut self.session);
         let mut decoder = Decoder::new();
         let heard = out.as_bytes().iter().find_map(|&byte| {
             let frame = decoder.push(byte)?;
@@ -152,7 +152,7 @@ impl Board {
         }
     }
 
-    fn armed(turn: Turn) -> Self {
+    fn armed(turn: TurnReference) -> Self {
         let mut board = Self::new(turn);
         for _ in 0..5 {
             assert_eq!(board.sample(&still(0.0)).total, [0.0; N]);

@@ -56,11 +56,11 @@ fn follow(player: &mut Player<N>) -> Option<JointMotion<N>> {
 fn approaching() -> Player<N> {
     let mut player = player();
     player.load(&program()).unwrap();
-    player.cue(Cue::Start).unwrap();
+    player.command(ExcitationCommand::Start).unwrap();
     for _ in 0..=check::POINTS / check::POINTS_A_TICK {
         follow(&mut player);
     }
-    assert_eq!(player.stage(), Stage::Approaching);
+    assert_eq!(player.state(), ExcitationState::Approaching);
     player
 }
 
@@ -68,7 +68,7 @@ fn playing() -> Player<N> {
     let mut player = approaching();
     for _ in 0..20_000 {
         follow(&mut player);
-        if player.stage() == Stage::Playing {
+        if player.state() == ExcitationState::Playing {
             return player;
         }
     }
@@ -96,20 +96,20 @@ fn assert_smooth(motions: &[JointMotion<N>]) {
 fn it_approaches_plays_its_periods_and_holds_without_a_leap() {
     let mut player = player();
     player.load(&program()).unwrap();
-    player.cue(Cue::Start).unwrap();
-    let mut stages = std::vec![player.stage()];
+    player.command(ExcitationCommand::Start).unwrap();
+    let mut stages = std::vec![player.state()];
     let mut motions = Vec::new();
     for _ in 0..20_000 {
         motions.extend(follow(&mut player));
-        if stages.last() != Some(&player.stage()) {
-            stages.push(player.stage());
+        if stages.last() != Some(&player.state()) {
+            stages.push(player.state());
         }
     }
     let expected = [
-        Stage::Checking,
-        Stage::Approaching,
-        Stage::Playing,
-        Stage::Holding,
+        ExcitationState::Checking,
+        ExcitationState::Approaching,
+        ExcitationState::Playing,
+        ExcitationState::Holding,
     ];
     assert_eq!(stages, expected);
     assert_smooth(&motions);
@@ -137,20 +137,26 @@ fn a_stop_comes_to_rest_on_the_path_and_a_start_begins_again_from_there() {
         for _ in 0..ticks {
             motions.extend(follow(&mut player));
         }
-        player.cue(Cue::Stop).unwrap();
-        assert_eq!(player.cue(Cue::Release), Err(ExcitationError::Running));
-        assert_eq!(player.cue(Cue::Start), Err(ExcitationError::Running));
+        player.command(ExcitationCommand::Stop).unwrap();
+        assert_eq!(
+            player.command(ExcitationCommand::Release),
+            Err(ExcitationError::Running)
+        );
+        assert_eq!(
+            player.command(ExcitationCommand::Start),
+            Err(ExcitationError::Running)
+        );
         for _ in 0..1500 {
             motions.extend(follow(&mut player));
         }
-        assert_eq!(player.stage(), Stage::Holding, "{ticks}");
+        assert_eq!(player.state(), ExcitationState::Holding, "{ticks}");
         assert_smooth(&motions);
         let worst = motions.iter().map(|m| m.qdd.amax()).fold(0.0, f32::max);
         assert!(worst <= 1.5 * BOUNDS.acceleration_rad_s2, "{worst}");
         let held = *motions.last().unwrap();
-        player.cue(Cue::Start).unwrap();
+        player.command(ExcitationCommand::Start).unwrap();
         let next = follow(&mut player).unwrap();
-        assert_eq!((player.stage(), next), (Stage::Approaching, held));
+        assert_eq!((player.state(), next), (ExcitationState::Approaching, held));
     }
 }
 
@@ -160,12 +166,12 @@ fn a_stop_on_the_approach_rests_there() {
     for _ in 0..400 {
         follow(&mut player);
     }
-    player.cue(Cue::Stop).unwrap();
+    player.command(ExcitationCommand::Stop).unwrap();
     let mut motions = Vec::new();
     for _ in 0..2000 {
         motions.extend(follow(&mut player));
     }
-    assert_eq!(player.stage(), Stage::Holding);
+    assert_eq!(player.state(), ExcitationState::Holding);
     assert_smooth(&motions);
 }
 
@@ -173,17 +179,20 @@ fn a_stop_on_the_approach_rests_there() {
 fn released_the_host_is_in_charge_again_and_may_load_another() {
     let mut player = playing();
     assert_eq!(player.load(&program()), Err(ExcitationError::Running));
-    player.cue(Cue::Stop).unwrap();
+    player.command(ExcitationCommand::Stop).unwrap();
     for _ in 0..2000 {
         follow(&mut player);
     }
-    player.cue(Cue::Release).unwrap();
-    assert_eq!((player.stage(), follow(&mut player)), (Stage::Ready, None));
+    player.command(ExcitationCommand::Release).unwrap();
+    assert_eq!(
+        (player.state(), follow(&mut player)),
+        (ExcitationState::Ready, None)
+    );
     assert_eq!(player.load(&program()), Ok(()));
 }
 
 /// What becomes of a playing excitation whose tick 100 sees `spoil`ed positions.
-fn spoiled(spoil: impl Fn(&mut JointVector<N>)) -> Stage {
+fn spoiled(spoil: impl Fn(&mut JointVector<N>)) -> ExcitationState {
     let mut player = playing();
     for tick in 0..200 {
         let mut q = player.desired().unwrap().q;
@@ -192,21 +201,21 @@ fn spoiled(spoil: impl Fn(&mut JointVector<N>)) -> Stage {
         }
         player.step(Some(&sample(at_rest(0.0), q)));
     }
-    player.stage()
+    player.state()
 }
 
 #[test]
 fn an_arm_that_does_not_follow_or_is_no_number_breaks_it_off() {
-    assert_eq!(spoiled(|_| {}), Stage::Playing);
+    assert_eq!(spoiled(|_| {}), ExcitationState::Playing);
     let tracking = spoiled(|q| q[2] += 0.06);
-    assert_eq!(tracking, Stage::Aborted(AbortReason::Tracking(2)));
+    assert_eq!(tracking, ExcitationState::Aborted(AbortReason::Tracking(2)));
     let leapt = spoiled(|q| q[4] += 0.04);
-    assert_eq!(leapt, Stage::Aborted(AbortReason::Velocity(4)));
+    assert_eq!(leapt, ExcitationState::Aborted(AbortReason::Velocity(4)));
     let gone = spoiled(|q| q[1] = 7.0);
-    assert_eq!(gone, Stage::Aborted(AbortReason::Position(1)));
+    assert_eq!(gone, ExcitationState::Aborted(AbortReason::Position(1)));
     for nothing in [f32::NAN, f32::INFINITY] {
         let stage = spoiled(|q| q[5] = nothing);
-        assert_eq!(stage, Stage::Aborted(AbortReason::NotFinite(5)));
+        assert_eq!(stage, ExcitationState::Aborted(AbortReason::NotFinite(5)));
     }
 }
 
@@ -221,11 +230,14 @@ fn an_aborted_one_comes_to_rest_and_stays_in_charge_with_its_reason() {
         }
         motions.extend(player.step(Some(&sample(at_rest(0.0), q))));
     }
-    assert_eq!(player.stage(), Stage::Aborted(AbortReason::Tracking(0)));
+    assert_eq!(
+        player.state(),
+        ExcitationState::Aborted(AbortReason::Tracking(0))
+    );
     assert_smooth(&motions);
     assert_eq!(motions.last().unwrap().qd, JointVector::<N>::zeros());
-    player.cue(Cue::Release).unwrap();
-    assert_eq!(player.stage(), Stage::Ready);
+    player.command(ExcitationCommand::Release).unwrap();
+    assert_eq!(player.state(), ExcitationState::Ready);
 }
 
 #[test]
@@ -234,9 +246,9 @@ fn it_goes_on_blind_for_ten_ticks_and_no_longer() {
     for _ in 0..11 {
         player.step(None);
     }
-    assert_eq!(player.stage(), Stage::Playing);
+    assert_eq!(player.state(), ExcitationState::Playing);
     player.step(None);
-    assert_eq!(player.stage(), Stage::Aborted(AbortReason::Blind));
+    assert_eq!(player.state(), ExcitationState::Aborted(AbortReason::Blind));
 }
 
 #[test]
@@ -244,16 +256,20 @@ fn it_does_not_begin_on_a_moving_arm_or_one_that_is_not_where_it_is_held() {
     let mut moving = at_rest(0.3);
     moving.qd[3] = 0.1;
     let cases = [
-        (moving, moving.q, Stage::Aborted(AbortReason::Velocity(3))),
+        (
+            moving,
+            moving.q,
+            ExcitationState::Aborted(AbortReason::Velocity(3)),
+        ),
         (
             at_rest(0.3),
             JointVector::from_element(0.36),
-            Stage::Aborted(AbortReason::Tracking(0)),
+            ExcitationState::Aborted(AbortReason::Tracking(0)),
         ),
         (
             at_rest(f32::NAN),
             JointVector::from_element(0.3),
-            Stage::Aborted(AbortReason::NotFinite(0)),
+            ExcitationState::Aborted(AbortReason::NotFinite(0)),
         ),
     ];
     for (desired, q, stage) in cases {
@@ -262,9 +278,9 @@ fn it_does_not_begin_on_a_moving_arm_or_one_that_is_not_where_it_is_held() {
         for _ in 0..300 {
             follow(&mut player);
         }
-        player.cue(Cue::Start).unwrap();
+        player.command(ExcitationCommand::Start).unwrap();
         let motion = player.step(Some(&sample(desired, q))).unwrap();
-        assert_eq!(player.stage(), stage);
+        assert_eq!(player.state(), stage);
         assert_eq!(motion.q, q, "at rest where the arm is");
         assert_eq!(
             (motion.qd, motion.qdd),
@@ -277,13 +293,13 @@ fn it_does_not_begin_on_a_moving_arm_or_one_that_is_not_where_it_is_held() {
 fn a_start_waits_for_a_measurement() {
     let mut player = player();
     player.load(&program()).unwrap();
-    player.cue(Cue::Start).unwrap();
+    player.command(ExcitationCommand::Start).unwrap();
     for _ in 0..300 {
         assert_eq!(player.step(None), None);
     }
-    assert_eq!(player.stage(), Stage::Ready);
+    assert_eq!(player.state(), ExcitationState::Ready);
     follow(&mut player);
-    assert_eq!(player.stage(), Stage::Approaching);
+    assert_eq!(player.state(), ExcitationState::Approaching);
 }
 
 #[test]
@@ -340,23 +356,31 @@ fn a_series_that_does_not_keep_its_certificate_is_refused_by_the_check() {
         change(&mut program.certificate[3]);
         let mut player = player();
         player.load(&program).unwrap();
-        player.cue(Cue::Start).unwrap();
+        player.command(ExcitationCommand::Start).unwrap();
         for _ in 0..300 {
             assert_eq!(follow(&mut player), None);
         }
         let refused = ExcitationError::CertificateBroken(3);
-        assert_eq!(player.stage(), Stage::Refused(refused), "case {case}");
-        assert_eq!(player.cue(Cue::Start), Err(refused));
+        assert_eq!(
+            player.state(),
+            ExcitationState::Refused(refused),
+            "case {case}"
+        );
+        assert_eq!(player.command(ExcitationCommand::Start), Err(refused));
     }
 }
 
 #[test]
 fn without_a_program_there_is_nothing_to_start() {
     let mut player = player();
-    for cue in [Cue::Start, Cue::Stop, Cue::Release] {
-        assert_eq!(player.cue(cue), Err(ExcitationError::NotLoaded));
+    for command in [
+        ExcitationCommand::Start,
+        ExcitationCommand::Stop,
+        ExcitationCommand::Release,
+    ] {
+        assert_eq!(player.command(command), Err(ExcitationError::NotLoaded));
     }
-    assert_eq!(player.cue(Cue::Status), Ok(()));
+    assert_eq!(player.command(ExcitationCommand::Status), Ok(()));
     assert_eq!(follow(&mut player), None);
 }
 
@@ -385,6 +409,6 @@ fn whatever_is_measured_the_motion_is_finite_and_inside_the_certificate() {
             assert!(motion.qd.amax() <= BOUNDS.velocity_rad_s);
             assert!(motion.qdd.amax() <= 1.5 * BOUNDS.acceleration_rad_s2);
         }
-        assert!(matches!(player.stage(), Stage::Aborted(_)));
+        assert!(matches!(player.state(), ExcitationState::Aborted(_)));
     }
 }

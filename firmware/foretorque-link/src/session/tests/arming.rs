@@ -29,7 +29,7 @@ fn torque_flows_only_between_arming_and_disarming() {
     assert_eq!(board.ask(HostMessage::Arm), BoardMessage::Ack);
     let first = board.sample(50);
     assert!(board.session.torque_enabled());
-    let slew = board.session.feed_forward.config().slew_per_tick;
+    let slew = board.session.feed_forward().config().slew_per_tick;
     for (torque, slew) in first.total.iter().zip(slew) {
         assert!(
             torque.abs() <= slew,
@@ -56,8 +56,8 @@ fn torque_flows_only_between_arming_and_disarming() {
 #[test]
 fn an_armed_board_gives_the_torque_of_its_feed_forward_bit_for_bit() {
     let mut board = armed();
-    let mut bare = *board.session.feed_forward.state();
-    let config = *board.session.feed_forward.config();
+    let mut bare = *board.session.feed_forward().state();
+    let config = *board.session.feed_forward().config();
     let mut scratch = foretorque::feedforward::FeedForwardScratch::new();
     for k in 0..400 {
         let frame = SampleFrame::new(&sample(k));
@@ -239,7 +239,7 @@ fn what_is_asked_of_the_learner_is_handed_on() {
     assert_eq!(board.ask(ask(1)), BoardMessage::Ack);
     let busy = BoardMessage::Nack(NackReason::Busy);
     assert_eq!(board.ask(ask(3)), busy);
-    let waits = board.desk.exchange.request;
+    let waits = board.mailboxes.learner.exchange.request;
     assert_eq!(waits, Some((1, foretorque::learning::Request::Snapshot)));
     board.sample(0);
     board.learn();

@@ -6,15 +6,15 @@ fn an_upload_takes_effect_whole_for_tick_fallback_and_learner() {
     let mut board = Board::new();
     let bank = uploaded();
     board.write(&bank);
-    let before = board.session.feed_forward.state().active;
+    let before = board.session.feed_forward().state().active;
     assert_eq!(board.commit(&bank), BoardMessage::Ack);
-    let state = *board.session.feed_forward.state();
+    let state = *board.session.feed_forward().state();
     assert_ne!(state.active, before);
     assert_eq!(state.committed, state.active);
     board.ask(sample_message(0));
     board.learn();
     assert_eq!(board.learner.state().active, state.active);
-    assert_eq!(board.session.gains, [10.0; N]);
+    assert_eq!(*board.session.controller.gains(), [10.0; N]);
     assert_eq!(board.read(), bank);
 }
 

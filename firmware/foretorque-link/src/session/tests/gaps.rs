@@ -36,7 +36,7 @@ impl Timed {
     fn tick(&mut self, sample: Option<u32>) -> Torque<N> {
         let heard = sample.map(|k| SampleFrame::new(&swinging(k)).sample(&[0.0; N]));
         self.feed_forward.adopt(&mut self.exchange);
-        let sample = self.safety.admit(heard, 1);
+        let sample = self.safety.admit(heard, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),
             None => self.feed_forward.step_stale(),
@@ -145,7 +145,10 @@ fn a_lost_sample_leaves_the_learner_as_the_same_gap_does_where_the_tick_goes_on(
     assert!(timed.learner.state() == linked.board.learner.state());
     let seen = timed.learner.state().statistics;
     assert!(seen.accepted > 100 && seen.incomplete > 50, "{seen:?}");
-    let counted = linked.board.session.statistics(&linked.board.desk);
+    let counted = linked
+        .board
+        .session
+        .statistics(&linked.board.mailboxes.learner);
     assert_eq!(counted.stale_ticks, lost.len() as u32);
 }
 
@@ -218,11 +221,11 @@ proptest! {
         for (sequence, flags) in frames {
             let mut sample = SampleFrame::new(&sample(0));
             sample.flags = SampleFlags(flags);
-            let before = board.session.statistics(&board.desk).ticks;
+            let before = board.session.statistics(&board.mailboxes.learner).ticks;
             board.hear(&frame(sequence, &HostMessage::Sample(sample)));
-            let ran = board.session.statistics(&board.desk).ticks - before;
+            let ran = board.session.statistics(&board.mailboxes.learner).ticks - before;
             prop_assert!(ran <= MAX_BRIDGED as u32 + 2, "{} ticks", ran);
-            prop_assert!(board.desk.waiting() <= MAX_BRIDGED + 2);
+            prop_assert!(board.mailboxes.learner.waiting() <= MAX_BRIDGED + 2);
             board.learn();
         }
     }

@@ -1,5 +1,7 @@
 use super::*;
-use crate::excitation::{Cue, ExcitationProgram, JointSeries, MotionBounds, Stage};
+use crate::excitation::{
+    ExcitationCommand, ExcitationProgram, ExcitationState, JointSeries, MotionBounds,
+};
 use crate::wire::MAC_BYTES;
 use crate::write_key::WriteKey;
 
@@ -136,8 +138,8 @@ fn an_excitation_needs_the_signature_that_a_bank_needs() {
     let foreign = key(4).sign_upload(&nonce, Ur5::HASH, &program);
     assert_eq!(load(&mut board, &program, Some(foreign)), refused);
     assert_eq!(
-        board.ask(HostMessage::Excitation(Cue::Status)),
-        BoardMessage::Excitation(Stage::Empty)
+        board.ask(HostMessage::Excitation(ExcitationCommand::Status)),
+        BoardMessage::Excitation(ExcitationState::Empty)
     );
     let nonce = challenge(&mut board);
     let mac = key(3).sign_upload(&nonce, Ur5::HASH, &program);

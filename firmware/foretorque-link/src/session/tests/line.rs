@@ -1,6 +1,6 @@
 use super::*;
 use crate::wire::encode_as;
-use foretorque::feedforward::Torque;
+use foretorque::feedforward::{FeedForwardScratch, step};
 use proptest::prelude::*;
 
 #[test]
@@ -10,7 +10,13 @@ fn a_host_of_another_version_is_told_who_is_here() {
     let foreign = encode_as(9, 77, &HostMessage::<N>::Hello, &mut room).unwrap();
     let answers = board.hear(foreign);
     assert!(matches!(answers.as_slice(), [(0, BoardMessage::Hello(_))]));
-    assert_eq!(board.session.statistics(&board.desk).foreign_version, 1);
+    assert_eq!(
+        board
+            .session
+            .statistics(&board.mailboxes.learner)
+            .foreign_version,
+        1
+    );
 }
 
 #[test]
@@ -20,7 +26,10 @@ fn answers_that_find_no_room_are_counted_and_the_rest_is_whole() {
         .flat_map(|k| frame(k, &HostMessage::Statistics))
         .collect();
     let answers = board.hear(&flood);
-    let lost = board.session.statistics(&board.desk).replies_lost;
+    let lost = board
+        .session
+        .statistics(&board.mailboxes.learner)
+        .replies_lost;
     assert_eq!(answers.len() + lost as usize, 40);
     assert!(lost > 0);
 }
@@ -118,7 +127,9 @@ proptest! {
             board.hear(&frame(board.sequence, &message));
             board.learn();
         }
-        let last: Torque<N> = board.session.feed_forward.step(&sample(0));
+        let feed_forward = board.session.feed_forward();
+        let (config, mut state) = (*feed_forward.config(), *feed_forward.state());
+        let last = step::<Ur5, N, P>(&config, &mut state, &mut FeedForwardScratch::new(), &sample(0));
         prop_assert!(last.total.iter().all(|tau| tau.is_finite()));
     }
 }

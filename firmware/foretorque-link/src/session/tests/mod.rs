@@ -10,13 +10,16 @@ mod streams;
 mod ticks;
 
 use super::*;
-use crate::safety::{ARM_SAMPLES, SafetyReason, SafetyState, SafetyStatus};
+use crate::bank::NETWORK_SEED;
+use crate::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyState};
 use crate::wire::{
-    BankSource, CHUNK, CRC, Chunk, HostMessage, NackReason, Pacing, TorqueFrame, encode,
+    BankSource, CHUNK, CRC, Capabilities, Chunk, Decoder, HostMessage, NackReason, Pacing,
+    ResetReason, SampleFrame, TorqueFrame, encode,
 };
 use foretorque::arm::ur5::Ur5;
+use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Learner, LearnerConfig};
+use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
 use foretorque::limits::Flags;
 use std::boxed::Box;
 use std::vec::Vec;
@@ -24,10 +27,10 @@ use std::vec::Vec;
 const N: usize = 6;
 const P: usize = 40;
 
-/// A session with its desk and learner, as one board has them.
+/// A session with its mailbox and learner, as one board has them.
 struct Board {
     session: Box<Session<Ur5, N, P>>,
-    desk: Box<Desk<N, P>>,
+    mailboxes: Box<Mailboxes<N, P>>,
     learner: Box<Learner<Ur5, N, P>>,
     sequence: u16,
 }
@@ -41,10 +44,10 @@ impl Board {
 
     fn described(description: BoardDescription) -> Self {
         let session = Session::new(description).unwrap();
-        let set = session.feed_forward.state().active;
+        let set = session.feed_forward().state().active;
         Self {
             session: Box::new(session),
-            desk: Box::default(),
+            mailboxes: Box::default(),
             learner: Box::new(Learner::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap()),
             sequence: 0,
         }
@@ -52,7 +55,8 @@ impl Board {
 
     fn hear(&mut self, bytes: &[u8]) -> Vec<(u16, BoardMessage<N>)> {
         let mut out = FrameBuffer::new();
-        self.session.receive(bytes, &mut self.desk, &mut out);
+        self.session
+            .receive(bytes, &mut self.mailboxes, &mut out, &mut NoLocalSensor);
         heard(out.as_bytes())
     }
 
@@ -83,7 +87,8 @@ impl Board {
 
     fn timer(&mut self) -> Vec<(u16, BoardMessage<N>)> {
         let mut out = FrameBuffer::new();
-        self.session.timer_tick(&mut self.desk, &mut out);
+        self.session
+            .timer_tick(&mut self.mailboxes, &mut out, &mut NoLocalSensor);
         heard(out.as_bytes())
     }
 
@@ -104,7 +109,7 @@ impl Board {
     }
 
     fn learn(&mut self) {
-        self.desk.work(&mut self.learner, &NoClock);
+        self.mailboxes.learner.work(&mut self.learner, &NoClock);
     }
 
     fn read(&mut self) -> Vec<u8> {

@@ -78,11 +78,11 @@ impl Board {
             busy,
             "no torque while the flash is written"
         );
-        let mut job = self.desk.store.begin().unwrap();
-        let outcome = job.carry_out(store, Ur5::HASH);
-        self.desk.store.finish(&job, outcome);
+        let mut job = self.mailboxes.store.begin().unwrap();
+        let outcome = job.execute(store, Ur5::HASH);
+        self.mailboxes.store.finish(&job, outcome);
         let mut out = FrameBuffer::new();
-        self.session.collect(&mut self.desk, &mut out);
+        self.session.poll_store(&mut self.mailboxes, &mut out);
         match heard(out.as_bytes()).as_slice() {
             [(sequence, answer)] => {
                 assert_eq!(*sequence, asked);
@@ -157,7 +157,9 @@ fn a_flash_that_keeps_nothing_is_told_until_it_keeps_something() {
         other => panic!("{other:?}"),
     };
     assert_eq!(told(&mut board), StoreHealth::Unused);
-    board.session.boot_from(&mut store, &mut board.desk);
+    board
+        .session
+        .boot_from(&mut store, &mut board.mailboxes.learner);
     assert_eq!(told(&mut board), StoreHealth::Empty);
     let saved = board.ask_store(&mut store, &HostMessage::Save);
     assert_eq!(saved, BoardMessage::Ack);

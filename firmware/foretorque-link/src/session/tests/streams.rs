@@ -3,10 +3,13 @@ use crate::wire::{Field, TelemetryFrame, size};
 
 const ALL: u16 = (1 << Field::ALL.len()) - 1;
 
-/// A board whose line has this rate, and what it says in `ticks` ticks: telemetry, and the most bytes in one tick.
-fn streamed(baud: u32, fields: u16, every: u16, ticks: u32) -> (Vec<TelemetryFrame>, usize) {
+/// Capacity of a serial line of 2 Mbaud, bytes a second.
+const LINE: u32 = 200_000;
+
+/// A board whose line has this capacity, and what it says in `ticks` ticks: telemetry, and the most bytes in one tick.
+fn streamed(bytes_s: u32, fields: u16, every: u16, ticks: u32) -> (Vec<TelemetryFrame>, usize) {
     let mut board = Board::described(BoardDescription {
-        link_baud: baud,
+        link_bytes_s: bytes_s,
         ..BoardDescription::plain(NoClock)
     });
     let answer = board.ask(HostMessage::Telemetry { fields, every });
@@ -16,7 +19,9 @@ fn streamed(baud: u32, fields: u16, every: u16, ticks: u32) -> (Vec<TelemetryFra
         let mut out = FrameBuffer::new();
         board.sequence += 1;
         let line = frame(board.sequence, &sample_message(k));
-        board.session.receive(&line, &mut board.desk, &mut out);
+        board
+            .session
+            .receive(&line, &mut board.mailboxes, &mut out, &mut NoLocalSensor);
         most = most.max(out.as_bytes().len());
         for (sequence, message) in heard(out.as_bytes()) {
             if let BoardMessage::Telemetry(frame) = message {
@@ -25,13 +30,19 @@ fn streamed(baud: u32, fields: u16, every: u16, ticks: u32) -> (Vec<TelemetryFra
             }
         }
     }
-    assert_eq!(board.session.statistics(&board.desk).records_lost, 0);
+    assert_eq!(
+        board
+            .session
+            .statistics(&board.mailboxes.learner)
+            .records_lost,
+        0
+    );
     (frames, most)
 }
 
-fn refused(baud: u32, fields: u16, every: u16) -> u16 {
+fn refused(bytes_s: u32, fields: u16, every: u16) -> u16 {
     let mut board = Board::described(BoardDescription {
-        link_baud: baud,
+        link_bytes_s: bytes_s,
         ..BoardDescription::plain(NoClock)
     });
     match board.ask(HostMessage::Telemetry { fields, every }) {
@@ -42,7 +53,7 @@ fn refused(baud: u32, fields: u16, every: u16) -> u16 {
 
 #[test]
 fn every_field_of_every_record_arrives_whole_and_in_its_own_tick() {
-    let (frames, _) = streamed(size::BAUD, ALL, 10, 200);
+    let (frames, _) = streamed(LINE, ALL, 10, 200);
     for tick in (0..200).step_by(10) {
         let of_tick = frames.iter().filter(|frame| frame.tick == tick);
         let fields: Vec<Field> = of_tick
@@ -56,23 +67,23 @@ fn every_field_of_every_record_arrives_whole_and_in_its_own_tick() {
 #[test]
 fn telemetry_never_takes_more_than_the_line_has_left() {
     for every in [10, 50] {
-        let (frames, most) = streamed(size::BAUD, ALL, every, 100);
+        let (frames, most) = streamed(LINE, ALL, every, 100);
         assert!(!frames.is_empty());
         // 200 bytes a period, of which a reserve is never planned for.
         assert!(most <= 140, "{most}");
     }
-    let (_, most) = streamed(size::BAUD, Field::Total.bit(), 1, 100);
+    let (_, most) = streamed(LINE, Field::Total.bit(), 1, 100);
     assert_eq!(most, size::torque(N) + size::telemetry(4 * N));
 }
 
 #[test]
 fn what_the_line_has_no_room_for_is_refused_with_what_it_has_room_for() {
-    let every = refused(size::BAUD, ALL, 1);
+    let every = refused(LINE, ALL, 1);
     assert!((2..=10).contains(&every), "{every}");
-    streamed(size::BAUD, ALL, every, 10);
-    assert_eq!(refused(size::BAUD, ALL, every - 1), every);
+    streamed(LINE, ALL, every, 10);
+    assert_eq!(refused(LINE, ALL, every - 1), every);
     assert_eq!(
-        refused(500_000, Field::Total.bit(), 1000),
+        refused(50_000, Field::Total.bit(), 1000),
         0,
         "replies alone fill this line"
     );

@@ -28,7 +28,7 @@ fn the_timer_runs_the_newest_sample_once_and_then_none() {
     let (sequence, tick, second) = flags(board.timer());
     assert_eq!((sequence, tick), (3, 1));
     assert!(second.contains(Flags::NO_MEASUREMENT));
-    let statistics = board.session.statistics(&board.desk);
+    let statistics = board.session.statistics(&board.mailboxes.learner);
     assert_eq!((statistics.overtaken, statistics.stale_ticks), (1, 1));
 }
 
@@ -36,7 +36,7 @@ fn the_timer_runs_the_newest_sample_once_and_then_none() {
 fn the_timer_does_nothing_where_the_link_paces() {
     let mut board = Board::new();
     assert!(board.timer().is_empty());
-    assert_eq!(board.session.statistics(&board.desk).ticks, 0);
+    assert_eq!(board.session.statistics(&board.mailboxes.learner).ticks, 0);
 }
 
 #[test]
@@ -49,7 +49,7 @@ fn every_constant_follows_the_period() {
     assert_eq!(board.ask(slow), BoardMessage::Ack);
     let bank = ParameterBank::nominal::<Ur5, N, P>();
     let wanted = bank.feed_forward_config::<Ur5, N, P>(4e-3).unwrap();
-    assert_eq!(*board.session.feed_forward.config(), wanted);
+    assert_eq!(*board.session.feed_forward().config(), wanted);
     // The learner starts over too: a round is closed and published from its new tick 0.
     for k in 0..6 {
         board.ask(sample_message(k));
@@ -95,13 +95,13 @@ fn a_set_learnt_before_a_restart_never_meets_the_ticks_after_it() {
         board.learn();
     }
     board.ask(sample_message(5));
-    let lesson = board.desk.begin(&mut board.learner).unwrap();
+    let lesson = board.mailboxes.learner.begin(&mut board.learner).unwrap();
     board.learner.study(&lesson);
     // The tick interrupts the learner here, at the end of a round.
     board.ask(HostMessage::Learning { on: false });
     assert_eq!(board.ask(HostMessage::Reset), BoardMessage::Ack);
-    board.desk.finish(&mut board.learner, 0);
-    assert_eq!(board.desk.exchange.published, None);
+    board.mailboxes.learner.finish(&mut board.learner, 0);
+    assert_eq!(board.mailboxes.learner.exchange.published, None);
 }
 
 #[test]
@@ -122,30 +122,33 @@ fn an_answer_that_is_to_wait_is_held_until_everything_is_learnt() {
     let mut board = Board::new();
     board.ask(HostMessage::Learning { on: true });
     board.ask(sample_message(0));
-    assert!(!board.desk.holds_answer(), "nobody asked for it");
-    let patient = SampleFrame::new(&sample(1)).answered_after_lesson();
+    assert!(
+        !board.mailboxes.learner.holds_reply(),
+        "nobody asked for it"
+    );
+    let patient = SampleFrame::new(&sample(1)).answered_after_learning();
     board.ask(HostMessage::Sample(patient));
-    assert!(board.desk.holds_answer());
+    assert!(board.mailboxes.learner.holds_reply());
     // Two lessons wait. The learner is interrupted in the first one.
-    let first = board.desk.begin(&mut board.learner).unwrap();
+    let first = board.mailboxes.learner.begin(&mut board.learner).unwrap();
     board.ask(HostMessage::Statistics);
     board.learner.study(&first);
-    board.desk.finish(&mut board.learner, 0);
-    assert!(!board.desk.release_answer() && board.desk.holds_answer());
-    let second = board.desk.begin(&mut board.learner).unwrap();
+    board.mailboxes.learner.finish(&mut board.learner, 0);
+    assert!(!board.mailboxes.learner.release_reply() && board.mailboxes.learner.holds_reply());
+    let second = board.mailboxes.learner.begin(&mut board.learner).unwrap();
     board.learner.study(&second);
-    board.desk.finish(&mut board.learner, 0);
-    assert!(board.desk.begin(&mut board.learner).is_none());
-    assert!(board.desk.release_answer() && !board.desk.holds_answer());
-    assert!(!board.desk.release_answer(), "it is sent once");
+    board.mailboxes.learner.finish(&mut board.learner, 0);
+    assert!(board.mailboxes.learner.begin(&mut board.learner).is_none());
+    assert!(board.mailboxes.learner.release_reply() && !board.mailboxes.learner.holds_reply());
+    assert!(!board.mailboxes.learner.release_reply(), "it is sent once");
 }
 
 #[test]
 fn an_answer_that_waits_when_the_tick_starts_over_is_let_go() {
     let mut board = Board::new();
-    let patient = SampleFrame::new(&sample(1)).answered_after_lesson();
+    let patient = SampleFrame::new(&sample(1)).answered_after_learning();
     board.ask(HostMessage::Sample(patient));
     assert_eq!(board.ask(HostMessage::Reset), BoardMessage::Ack);
-    assert!(board.desk.begin(&mut board.learner).is_none());
-    assert!(board.desk.release_answer());
+    assert!(board.mailboxes.learner.begin(&mut board.learner).is_none());
+    assert!(board.mailboxes.learner.release_reply());
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::bank::BankError;
-use crate::excitation::{AbortReason, Cue, ExcitationError, Stage};
+use crate::excitation::{AbortReason, ExcitationCommand, ExcitationError, ExcitationState};
 use crate::safety::{SafetyReason, SafetyState, SafetyStatus};
 use crate::store::{StoreError, StoreHealth};
 use crate::telemetry::{Cost, Statistics};
@@ -98,8 +98,13 @@ fn commands() -> impl Strategy<Value = HostMessage<N>> {
         Just(HostMessage::Reboot),
         (any::<u16>(), any::<u32>(), any::<Option<[u8; MAC_BYTES]>>())
             .prop_map(|(length, crc, mac)| HostMessage::ExcitationLoad { length, crc, mac }),
-        prop::sample::select(std::vec![Cue::Status, Cue::Start, Cue::Stop, Cue::Release])
-            .prop_map(HostMessage::Excitation),
+        prop::sample::select(std::vec![
+            ExcitationCommand::Status,
+            ExcitationCommand::Start,
+            ExcitationCommand::Stop,
+            ExcitationCommand::Release
+        ])
+        .prop_map(HostMessage::Excitation),
     ]
 }
 
@@ -158,12 +163,12 @@ fn nack() -> impl Strategy<Value = NackReason> {
     ]
 }
 
-fn stage() -> impl Strategy<Value = Stage> {
+fn state() -> impl Strategy<Value = ExcitationState> {
     prop_oneof![
-        Just(Stage::Empty),
-        Just(Stage::Playing),
-        any::<u8>().prop_map(|j| Stage::Refused(ExcitationError::CertificateBroken(j))),
-        any::<u8>().prop_map(|j| Stage::Aborted(AbortReason::Tracking(j))),
+        Just(ExcitationState::Empty),
+        Just(ExcitationState::Playing),
+        any::<u8>().prop_map(|j| ExcitationState::Refused(ExcitationError::CertificateBroken(j))),
+        any::<u8>().prop_map(|j| ExcitationState::Aborted(AbortReason::Tracking(j))),
     ]
 }
 
@@ -184,7 +189,7 @@ fn statistics() -> impl Strategy<Value = Statistics> {
             replies_lost: d,
             ticks: a,
             late_sets: b,
-            lessons_lost: c,
+            learning_samples_lost: c,
             tick_cost: Cost { mean: d, max: a },
             learn_cost: Cost { mean: b, max: c },
             receive_cost: Cost { mean: c, max: d },
@@ -266,8 +271,8 @@ pub(super) fn board_message() -> impl Strategy<Value = BoardMessage<N>> {
         statistics().prop_map(BoardMessage::Statistics),
         telemetry().prop_map(BoardMessage::Telemetry),
         any::<[u8; MAC_BYTES]>().prop_map(|nonce| BoardMessage::Challenge { nonce }),
-        stage().prop_map(BoardMessage::Excitation),
-        (stage(), sample(), floats(), floats()).prop_map(|(stage, motion, total, shares)| {
+        state().prop_map(BoardMessage::Excitation),
+        (state(), sample(), floats(), floats()).prop_map(|(state, motion, total, shares)| {
             BoardMessage::Excited(ExcitedFrame {
                 torque: TorqueFrame {
                     tick: 7,
@@ -279,7 +284,7 @@ pub(super) fn board_message() -> impl Strategy<Value = BoardMessage<N>> {
                     total,
                     shares,
                 },
-                stage,
+                state,
                 q: motion.desired_q,
                 qd: motion.desired_qd,
                 qdd: motion.desired_qdd,

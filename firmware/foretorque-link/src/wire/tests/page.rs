@@ -23,52 +23,6 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
             );
         }
     }
-    let permille = |bytes| size::headroom_permille(bytes, 1000, size::BAUD.into());
-    for (name, bytes) in [
-        ("request, 6 joints", size::sample(6)),
-        ("request, 7 joints", size::sample(7)),
-        ("reply, 6 joints", size::torque(6)),
-        ("reply, 7 joints", size::torque(7)),
-        ("full reply, 6 joints", size::full_torque(6)),
-        ("full reply, 7 joints", size::full_torque(7)),
-        ("reply with motion, 6 joints", size::excited(6)),
-        ("reply with motion, 7 joints", size::excited(7)),
-    ] {
-        let headroom = permille(bytes);
-        let wanted = std::format!(
-            "| {name} | {bytes} | {}.{} % |",
-            headroom / 10,
-            headroom % 10
-        );
-        assert_eq!(row(page, &std::format!("| {name} |")), wanted);
-    }
-    let heading = page.find("| receive interrupt |").unwrap();
-    for (name, joints) in [("request, 6 joints", 6), ("request, 7 joints", 7)] {
-        let share = size::receive_permille(size::sample(joints), 1000);
-        let wanted = std::format!(
-            "| {name} | ≤ {} | {} | {}.{} % |",
-            size::RECEIVE_INSTRUCTIONS,
-            size::RECEIVE_INSTRUCTIONS + size::RECEIVE_OVERHEAD,
-            share / 10,
-            share % 10
-        );
-        assert_eq!(row(&page[heading..], &std::format!("| {name} |")), wanted);
-    }
-    for (name, joints) in [("six", 6), ("seven", 7)] {
-        let bytes = size::sample(joints) + size::full_torque(joints);
-        let share = size::receive_permille(bytes, 1000);
-        let sums = std::format!(
-            "({} + {}) × {}",
-            size::sample(joints),
-            size::full_torque(joints),
-            size::RECEIVE_INSTRUCTIONS + size::RECEIVE_OVERHEAD
-        );
-        let told = std::format!("{}.{} %", share / 10, share % 10);
-        assert!(
-            page.contains(&sums) && page.contains(&told),
-            "{name}: {sums}, {told}"
-        );
-    }
     let heading = page.find("| bit | field |").unwrap();
     for field in Field::ALL {
         let line = row(&page[heading..], &std::format!("| {} | ", field as u8));

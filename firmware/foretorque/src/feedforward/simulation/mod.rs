@@ -6,7 +6,7 @@
 use super::{FeedForward, FeedForwardConfig, ParameterSet, Torque, evaluate};
 use crate::arm::Arm;
 use crate::arm::ur5::Ur5;
-use crate::dynamics::{BaseParameters, FrictionParameters, rnea};
+use crate::dynamics::{BaseParameters, FrictionColumn, FrictionParameters, rnea};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use crate::learning::{Exchange, Learner, LearnerConfig, LearningSample};
 use crate::limits::Flags;
@@ -156,10 +156,10 @@ fn wrong_prior(seed: u64) -> Set {
             1.2
         };
     }
-    set.friction = core::array::from_fn(|j| FrictionParameters {
-        viscous: (0.6 * VISCOUS[j]) as f32,
-        coulomb: (0.6 * COULOMB[j]) as f32,
-        ..FrictionParameters::NONE
+    set.friction = core::array::from_fn(|j| {
+        FrictionParameters::NONE
+            .with(FrictionColumn::Viscous, (0.6 * VISCOUS[j]) as f32)
+            .with(FrictionColumn::Coulomb, (0.6 * COULOMB[j]) as f32)
     });
     set
 }

@@ -72,7 +72,7 @@ impl Bench {
 
 fn moved(by: f32) -> Set {
     let mut moved = set();
-    moved.friction[0].viscous += by;
+    moved.friction[0][FrictionColumn::Viscous] += by;
     moved
 }
 

@@ -18,10 +18,11 @@ struct Twin {
 
 impl Twin {
     fn correct(&mut self, joint: usize, phi: &[f64], innovation: f64, process_noise: f64) {
-        let k = WIDTH * joint + self.visits[joint] % RANDOM_WALK_COLUMNS;
+        let turn = self.visits[joint] % RANDOM_WALK_COLUMNS.len();
+        let k = WIDTH * joint + RANDOM_WALK_COLUMNS[turn] as usize;
         self.visits[joint] += 1;
         if self.p[k][k] < 1.0 {
-            self.p[k][k] += RANDOM_WALK_COLUMNS as f64 * process_noise;
+            self.p[k][k] += RANDOM_WALK_COLUMNS.len() as f64 * process_noise;
         }
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
@@ -53,7 +54,7 @@ impl Twin {
     fn project(&mut self, first: usize) -> bool {
         let n = self.theta.len();
         let mut worst = (f64::from(TOLERANCE), std::vec![0.0; n]);
-        for bound in &RESISTING {
+        for bound in &DISSIPATION_BOUNDS {
             let mut direction = std::vec![0.0; n];
             let mut value = 0.0;
             for (k, &a) in (first..).zip(bound) {
@@ -259,7 +260,7 @@ fn friction_at_its_bound_leaves_correlated_columns_in_place() {
                     .is_some()
             );
             let friction = estimator.parameters().friction[joint];
-            for bound in &RESISTING {
+            for bound in &DISSIPATION_BOUNDS {
                 let violation =
                     -dot(bound, &friction) / dot(&bound.map(f32::abs), &sigma.friction[joint]);
                 assert!(violation <= 0.3, "tick {tick}, joint {joint}: {friction:?}");

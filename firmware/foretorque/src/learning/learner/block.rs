@@ -3,7 +3,9 @@
 use super::row::joint_attenuation;
 use super::{Learner, increment};
 use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, FrictionParameters, friction, regressor_row, rnea};
+use crate::dynamics::{
+    BaseParameters, COGGING_COLUMNS, FrictionParameters, friction, regressor_row, rnea,
+};
 use crate::joint::JointVector;
 use crate::learning::change_detection::Block;
 use crate::learning::conditioning::{AVERAGED, ConditionedSample};
@@ -61,15 +63,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     fn residual_torque(&self, sample: &ConditionedSample<N>) -> JointVector<N> {
         let state = &self.state;
         let estimate = state.estimate.parameters();
-        let mut drives = estimate.friction.map(FrictionParameters::from_columns);
+        let mut drives = estimate.friction.map(FrictionParameters);
         // Cogging removed by the motion filter is in the torque as far as the active set commands it.
         let active = drives.iter_mut().zip(&state.active.friction);
         for (joint, ((drive, active), &qd)) in active.zip(sample.motion.qd.iter()).enumerate() {
             let gain = joint_attenuation::<A, N, P>(joint, qd, self.config.inv_period);
-            drive.cogging_sin =
-                active.cogging_sin + gain * (drive.cogging_sin - active.cogging_sin);
-            drive.cogging_cos =
-                active.cogging_cos + gain * (drive.cogging_cos - active.cogging_cos);
+            for column in COGGING_COLUMNS {
+                let active = active[column];
+                drive[column] = active + gain * (drive[column] - active);
+            }
         }
         let rigid = BaseParameters::<P>::from(estimate.rigid);
         sample.tau
@@ -147,7 +149,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             return 0.0;
         };
         let inverse = 1.0 / (self.config.noise * limits.torque);
-        for (phi, sigma) in phi.iter_mut().zip(sigma.columns()) {
+        for (phi, sigma) in phi.iter_mut().zip(sigma.0) {
             *phi *= sigma * inverse;
         }
         let filter = self.state.estimate.filter();

@@ -1,6 +1,6 @@
 use super::*;
 use crate::arm::ur5::Ur5;
-use crate::dynamics::RESISTING;
+use crate::dynamics::{DISSIPATION_BOUNDS, FrictionColumn};
 use crate::joint::{JointMeasurement, JointVector};
 use crate::learning::Request;
 use crate::limits::Flags;
@@ -181,10 +181,10 @@ fn a_wrong_torque_sensor_leaves_parameters_within_bounds() {
     assert!(estimate.parameters().iter().all(|theta| theta.is_finite()));
     let mut moved = false;
     for (joint, friction) in active.friction.iter().enumerate() {
-        let deviation = learner.config.friction_sigma[joint].columns();
-        for bound in &RESISTING {
+        let deviation = learner.config.friction_sigma[joint].0;
+        for bound in &DISSIPATION_BOUNDS {
             let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
-            let value = dot(bound, &friction.columns());
+            let value = dot(bound, &friction.0);
             assert!(
                 value >= -0.02 * dot(bound, &deviation),
                 "joint {joint}: {friction:?}"
@@ -214,7 +214,7 @@ fn sets_are_published_only_when_a_round_closes() {
 fn a_loaded_set_is_taken_with_its_first_sample() {
     let mut learner = learner();
     let mut loaded = ParameterSet::nominal::<Ur5>(9);
-    loaded.friction[0].coulomb = 3.0;
+    loaded.friction[0][FrictionColumn::Coulomb] = 3.0;
     let mut exchange = Exchange::new();
     exchange.reload = Some((1, loaded));
     for tick in 40..44 {

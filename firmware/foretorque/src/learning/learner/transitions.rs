@@ -216,7 +216,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         let early = test.ratio() < limits.residual_ratio * limits.residual_ratio;
         // A small advantage may hide worse joints; a large one outweighs them.
         let passes = |sigmas: f32| early || test.joints_pass(limits.test_rows as f32, sigmas);
-        let reversed = test.is_reversed();
+        let reversed = settled && test.is_reversed();
         let gain = if reversed {
             Some(-1.0)
         } else {
@@ -225,7 +225,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         if let (Some(gain), false) = (gain, self.supervisor.gain_fault) {
             self.record(tick, Reason::CommonGain, None, gain);
         }
-        if settled || reversed {
+        if settled {
             self.supervisor.gain_fault = gain.is_some();
         }
         let better = test.is_better(limits.test_sigmas);

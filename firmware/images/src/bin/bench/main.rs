@@ -7,7 +7,11 @@
 
 /// An arm without round numbers, from the acceptance tests: sparsity must not be mistaken for skill.
 #[cfg(target_os = "none")]
-#[expect(unreachable_pub, reason = "written by the generator for a library")]
+#[expect(
+    dead_code,
+    unreachable_pub,
+    reason = "written by the generator for a library"
+)]
 #[path = "../../../../../tests/tests/calibrated/arm.rs"]
 mod calibrated;
 #[cfg(target_os = "none")]
@@ -20,11 +24,7 @@ mod rows;
 mod stage;
 
 #[cfg(target_os = "none")]
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-#[cfg(target_os = "none")]
-use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
-#[cfg(target_os = "none")]
-use foretorque::learning::Learner;
+use foretorque::arm::ur5::Learner;
 
 #[cfg(target_os = "none")]
 #[cortex_m_rt::entry]
@@ -46,7 +46,7 @@ fn main() -> ! {
 #[cfg(target_os = "none")]
 fn run(calls: u32, ticks: u32) -> Option<()> {
     /// Too large for the stack, and for code that would build it: it lies in the image.
-    static mut LEARNER: Learner<Ur5, JOINTS, PARAMETERS> = stage::Stage::LEARNER;
+    static mut LEARNER: Learner = stage::Stage::LEARNER;
     // SAFETY: this function runs once, nothing else names the static, and no interrupt is enabled.
     let mut learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
     for row in rows::ROWS {

@@ -4,11 +4,13 @@ use core::f32::consts::TAU;
 
 use foretorque::arm::Arm;
 use foretorque::arm::panda::{self, Panda};
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::dynamics::{BaseParameters, FrictionParameters};
-use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
+use foretorque::arm::ur5::{
+    Exchange, FeedForward, JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5,
+};
+use foretorque::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
+use foretorque::feedforward::{FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Exchange, Learner, LearnerConfig, LearningSample, ParameterSet};
+use foretorque::learning::LearningSample;
 use foretorque::limits::Flags;
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
@@ -37,7 +39,7 @@ pub(crate) struct Stage {
     pub(crate) target: SVector<f32, 6>,
     pub(crate) output: SVector<f32, 6>,
     pub(crate) step: StepParameters,
-    pub(crate) set: ParameterSet<JOINTS, PARAMETERS>,
+    pub(crate) set: ParameterSet,
     pub(crate) paper: BpNetwork<18, 32, 6>,
     pub(crate) calibrated: BaseParameters<{ calibrated::PARAMETERS }>,
     pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
@@ -45,39 +47,37 @@ pub(crate) struct Stage {
     pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
     pub(crate) sample: JointSample<JOINTS>,
     pub(crate) torque: Torque<JOINTS>,
-    pub(crate) feedforward: FeedForward<Ur5, JOINTS, PARAMETERS>,
+    pub(crate) feedforward: FeedForward,
     pub(crate) lesson: LearningSample<JOINTS>,
-    pub(crate) exchange: Exchange<JOINTS, PARAMETERS>,
+    pub(crate) exchange: Exchange,
     /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
-    pub(crate) learner: &'static mut Learner<Ur5, JOINTS, PARAMETERS>,
+    pub(crate) learner: &'static mut Learner,
     random: Random,
 }
 
 impl Stage {
     /// A learner for the stages, one after the other.
-    pub(crate) const LEARNER: Learner<Ur5, JOINTS, PARAMETERS> =
-        Learner::empty(LearnerConfig::for_arm::<Ur5>(PERIOD));
+    pub(crate) const LEARNER: Learner = Learner::empty(LearnerConfig::for_arm::<Ur5>(PERIOD));
 
     /// The stage after the warm-up; `None` if a configuration does not validate.
-    pub(crate) fn new(learner: &'static mut Learner<Ur5, JOINTS, PARAMETERS>) -> Option<Self> {
+    pub(crate) fn new(learner: &'static mut Learner) -> Option<Self> {
         let mut set = ParameterSet::nominal::<Ur5>(1);
         for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
-            *friction = FrictionParameters {
-                viscous: 0.05 * limits.torque,
-                coulomb: 0.05 * limits.torque,
-                stribeck: 0.01 * limits.torque,
-                bend: 0.01 * limits.torque,
-                load: 0.05,
-                offset: 0.001 * limits.torque,
-                cogging_sin: 0.003 * limits.torque,
-                cogging_cos: 0.001 * limits.torque,
-            };
+            *friction = FrictionParameters::NONE
+                .with(FrictionColumn::Viscous, 0.05 * limits.torque)
+                .with(FrictionColumn::Coulomb, 0.05 * limits.torque)
+                .with(FrictionColumn::Stribeck, 0.01 * limits.torque)
+                .with(FrictionColumn::ShearThinning, 0.01 * limits.torque)
+                .with(FrictionColumn::Load, 0.05)
+                .with(FrictionColumn::Offset, 0.001 * limits.torque)
+                .with(FrictionColumn::CoggingSine, 0.003 * limits.torque)
+                .with(FrictionColumn::CoggingCosine, 0.001 * limits.torque);
         }
         learner
             .restart(LearnerConfig::for_arm::<Ur5>(PERIOD), &set)
             .ok()?;
         let mut feedforward =
-            FeedForward::new(FeedForwardConfig::for_arm::<Ur5, PARAMETERS>(PERIOD), set).ok()?;
+            FeedForward::new(FeedForwardConfig::for_arm::<Ur5, _>(PERIOD), set).ok()?;
         feedforward.set_learning(true);
         let mut stage = Self {
             random: Random(0x9E37_79B9),

@@ -1,6 +1,4 @@
-//! The arms of the acceptance tests; their modules use the constants of an arm from here.
-
-pub(crate) use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
+//! The arms of the acceptance tests.
 
 #[path = "../../../../../tests/src/arms/random_1_a.rs"]
 pub(crate) mod random_1_a;

@@ -7,7 +7,11 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-#[expect(unreachable_pub, reason = "written by the generator for a library")]
+#[expect(
+    dead_code,
+    unreachable_pub,
+    reason = "written by the generator for a library"
+)]
 mod arms;
 
 #[cfg(target_os = "none")]

@@ -8,7 +8,7 @@ use foretorque::feedforward::{Shares, Torque};
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::Request;
 use foretorque::limits::Flags;
-use foretorque_link::excitation::Stage;
+use foretorque_link::excitation::ExcitationState;
 use foretorque_link::safety::SafetyStatus;
 use foretorque_link::telemetry::Statistics;
 use foretorque_link::wire::{
@@ -42,7 +42,7 @@ pub struct TickReply<const N: usize> {
     /// What it is made of.
     pub shares: BoardShares<N>,
     /// Where the excitation stands and what it asks of the arm, if the board plays one.
-    pub excited: Option<(Stage, JointMotion<N>)>,
+    pub excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
 /// What the host saw of the link.

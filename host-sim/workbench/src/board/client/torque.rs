@@ -5,7 +5,7 @@ use super::{BoardError, BoardShares, Client, TickReply};
 use foretorque::feedforward::Torque;
 use foretorque::joint::JointSample;
 use foretorque::limits::Flags;
-use foretorque_link::excitation::{Cue, Stage};
+use foretorque_link::excitation::{ExcitationCommand, ExcitationState};
 use foretorque_link::safety::{ARM_SAMPLES, SafetyReason, SafetyState, SafetyStatus};
 use foretorque_link::wire::{BoardMessage, HostMessage, NackReason, SampleFlags, SampleFrame};
 
@@ -26,7 +26,7 @@ impl<const N: usize> Client<N> {
     pub fn sample_frame(&mut self, frame: &SampleFrame<N>) -> Result<TickReply<N>, BoardError> {
         let mut frame = frame.in_period(self.period);
         if self.patient {
-            frame = frame.answered_after_lesson();
+            frame = frame.answered_after_learning();
         }
         self.skip_period();
         let sequence = self.post(&HostMessage::Sample(frame))?;
@@ -46,7 +46,7 @@ impl<const N: usize> Client<N> {
                 safety: reply.torque.safety,
                 total: reply.torque.total.into(),
                 shares: BoardShares::Joint(reply.torque.tick as usize % N, reply.torque.shares),
-                excited: Some((reply.stage, reply.desired())),
+                excited: Some((reply.state, reply.desired())),
             }),
             BoardMessage::FullTorque(reply) => {
                 let torque = Torque::from(&reply);
@@ -129,8 +129,11 @@ impl<const N: usize> Client<N> {
     }
 
     /// Starts, stops or releases the excitation on the board, or asks for it; where it then stands.
-    pub fn excitation(&mut self, cue: Cue) -> Result<Stage, BoardError> {
-        match self.ask(&HostMessage::Excitation(cue))? {
+    pub fn excitation(
+        &mut self,
+        command: ExcitationCommand,
+    ) -> Result<ExcitationState, BoardError> {
+        match self.ask(&HostMessage::Excitation(command))? {
             BoardMessage::Excitation(stage) => Ok(stage),
             other => Err(refused(other)),
         }
