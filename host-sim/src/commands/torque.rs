@@ -63,7 +63,8 @@ impl OnArm for &Arguments {
 }
 
 /// States one after the other, from a table or a trajectory.
-type States<const N: usize> = Box<dyn Iterator<Item = Result<StateRow<N>, TableError>>>;
+type States<const N: usize> =
+    Box<dyn Iterator<Item = Result<StateRow<N>, foretorque_workbench::table::TableError>>>;
 
 impl Arguments {
     /// Whether the states have times, and the states.
