@@ -44,7 +44,7 @@ impl std::str::FromStr for Board {
             "pyboard" => Ok(Self::Pyboard),
             "drive" => Ok(Self::Drive),
             other => Err(format!(
-                "unknown board `{other}`: it is odrive, pyboard or drive"
+                "unknown board `{other}`: choose odrive, pyboard or drive"
             )),
         }
     }
@@ -78,8 +78,8 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
     }
     if capture(command("probe-rs").arg("--version")).is_none() {
         bail!(
-            "probe-rs is not installed (https://probe.rs/docs/getting-started/installation); the images above suit \
-             any other programmer"
+            "probe-rs is not installed (https://probe.rs/docs/getting-started/installation); use the \
+             images above with any other programmer"
         );
     }
     let mut download = command("probe-rs");

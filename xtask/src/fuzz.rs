@@ -64,7 +64,7 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     unpack()?;
     let outcomes = fuzz(runs)?;
     let mut json = String::from("{\"targets\": [");
-    println!("{:<10} {:>12} {:>12}", "target", "executions", "a second");
+    println!("{:<10} {:>12} {:>12}", "target", "executions", "per second");
     for (place, outcome) in outcomes.iter().enumerate() {
         let Outcome {
             name,
@@ -110,7 +110,7 @@ fn check(outcomes: &[Outcome]) -> Result<()> {
         .filter_map(|outcome| outcome.found.as_deref())
         .collect();
     if !found.is_empty() {
-        bail!("found: {}", found.join("; "));
+        bail!("inputs that break a promise: {}", found.join("; "));
     }
     Ok(())
 }
@@ -176,7 +176,10 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
     });
     let mut outcomes = Vec::new();
     for lane in lanes {
-        outcomes.extend(lane.join().map_err(|_| anyhow!("a lane panicked"))??);
+        outcomes.extend(
+            lane.join()
+                .map_err(|_| anyhow!("a fuzzing thread panicked"))??,
+        );
     }
     Ok(outcomes)
 }

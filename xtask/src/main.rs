@@ -49,7 +49,7 @@ Options:
       --board <BOARD>    flash: odrive (default), pyboard or drive
       --image            flash: write the images, flash nothing
       --accept           bench: write docs/budget.md anew; limits go down, never up
-                         faults: write the counts to their table instead of comparing them
+                         faults: write the counts into tests/snapshots/faults.txt instead of comparing them
       --runs <N>         fuzz: executions in all (default 100000000)
   -h, --help             Print this help
 
