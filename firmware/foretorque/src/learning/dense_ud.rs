@@ -1,16 +1,18 @@
-/// A Kalman filter of `K` constants, its covariance in factors `P = U D Uᵀ`, all in square room: for the few numbers that
-/// are weighed beside the large estimate. In units in which the prior is `P = I`. [Bierman 1977, ch. V.3]
+/// Kalman filter of `K` constants with covariance factors `P = U D Uᵀ`; the prior is `P = I`. [Bierman 1977, ch. V.3]
+///
+/// For the payload and for the output layers of the networks. [`UdFilter`](super::ud::UdFilter) is the same update for the
+/// block structure of an arm, ordered for speed and compensated for millions of rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct SmallFilter<const K: usize> {
-    /// The estimate.
+pub(super) struct DenseUdFilter<const K: usize> {
+    /// Estimate.
     pub(super) theta: [f32; K],
-    /// U column by column, unit diagonal not kept.
+    /// U by columns; the unit diagonal is not stored.
     upper: [[f32; K]; K],
     diagonal: [f32; K],
 }
 
-impl<const K: usize> SmallFilter<K> {
-    /// `theta`, as uncertain as the prior.
+impl<const K: usize> DenseUdFilter<K> {
+    /// Estimate `theta` with the covariance of the prior.
     pub(super) const fn new(theta: [f32; K]) -> Self {
         Self {
             theta,
@@ -19,12 +21,12 @@ impl<const K: usize> SmallFilter<K> {
         }
     }
 
-    /// What the estimate leaves of `y` in row `phi`.
+    /// Residual of the measurement `y` with row `phi`.
     pub(super) fn residual(&self, phi: &[f32; K], y: f32) -> f32 {
         y - dot(&self.theta, phi)
     }
 
-    /// Takes in `y = phi·theta + noise` of variance `variance`. What is not finite changes nothing.
+    /// Update with `y = phi·theta + noise` of variance `variance`; a result that is not finite is discarded.
     ///
     /// Cost: `3/2 K²` multiply-adds and K divisions.
     pub(super) fn update(&mut self, phi: &[f32; K], y: f32, variance: f32) {
@@ -65,14 +67,14 @@ impl<const K: usize> SmallFilter<K> {
         }
     }
 
-    /// Adds `variance` to every entry of D: what the numbers may have changed by since the row before.
-    pub(super) fn wander(&mut self, variance: f32) {
+    /// Add `variance` to every entry of D: the constants drift between rows.
+    pub(super) fn add_process_noise(&mut self, variance: f32) {
         for d in &mut self.diagonal {
             *d += variance;
         }
     }
 
-    /// Variance of number `index`; 0 if there is none.
+    /// Variance of constant `index`; 0 if there is none.
     ///
     /// ```text
     /// P_ii = D_i + Σ U_ij² D_j (j > i)
@@ -100,16 +102,16 @@ fn dot<const K: usize>(a: &[f32; K], b: &[f32; K]) -> f32 {
 mod tests {
     use super::*;
 
-    /// Rows that repeat in no short time.
+    /// Rows without a short period.
     fn row(k: u32) -> [f32; 3] {
         let t = 0.7 * k as f32;
         [t.sin(), (1.3 * t).cos(), 0.4]
     }
 
     #[test]
-    fn constants_are_found_and_their_variance_is_that_of_least_squares() {
+    fn estimate_and_variance_are_those_of_least_squares() {
         let truth = [1.5, -0.5, 0.25];
-        let mut filter = SmallFilter::new([0.0; 3]);
+        let mut filter = DenseUdFilter::new([0.0; 3]);
         let mut covariance = nalgebra::Matrix3::<f64>::identity();
         for k in 0..400 {
             let phi = row(k);
@@ -130,8 +132,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_changes_nothing() {
-        let mut filter = SmallFilter::new([0.0; 3]);
+    fn a_row_that_is_not_finite_changes_nothing() {
+        let mut filter = DenseUdFilter::new([0.0; 3]);
         filter.update(&row(1), 2.0, 0.1);
         let before = filter;
         for bad in [f32::NAN, f32::INFINITY] {
