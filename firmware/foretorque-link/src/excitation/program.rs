@@ -176,32 +176,16 @@ pub enum ExcitationError {
 
 impl fmt::Display for ExcitationError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let joint = |joint: &u8| u16::from(*joint) + 1;
-        match self {
-            Self::WrongArm => f.write_str("the excitation belongs to another arm"),
-            Self::Number(j) => write!(
-                f,
-                "joint {}: coefficient, bound or period cannot be played",
-                joint(j)
-            ),
-            Self::CertificateBeyondLimits(j) => {
-                write!(
-                    f,
-                    "joint {}: certificate exceeds the arm's limits",
-                    joint(j)
-                )
-            }
-            Self::CertificateBroken(j) => {
-                write!(
-                    f,
-                    "joint {}: series does not keep its certificate",
-                    joint(j)
-                )
-            }
-            Self::NotAtRest(j) => write!(f, "joint {}: series does not start at rest", joint(j)),
-            Self::NotLoaded => f.write_str("no excitation is loaded"),
-            Self::Running => f.write_str("an excitation is running: stop it first"),
-        }
+        let (joint, text) = match *self {
+            Self::WrongArm => return f.write_str("the excitation belongs to another arm"),
+            Self::NotLoaded => return f.write_str("no excitation is loaded"),
+            Self::Running => return f.write_str("an excitation is running: stop it first"),
+            Self::Number(j) => (j, "coefficient, bound or period cannot be played"),
+            Self::CertificateBeyondLimits(j) => (j, "certificate exceeds the arm's limits"),
+            Self::CertificateBroken(j) => (j, "series does not keep its certificate"),
+            Self::NotAtRest(j) => (j, "series does not start at rest"),
+        };
+        write!(f, "joint {}: {text}", u16::from(joint) + 1)
     }
 }
 
@@ -227,15 +211,15 @@ pub enum AbortReason {
 
 impl fmt::Display for AbortReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let joint = |joint: &u8| u16::from(*joint) + 1;
-        match self {
-            Self::Position(j) => write!(f, "joint {} left its range", joint(j)),
-            Self::Velocity(j) => write!(f, "joint {} was too fast", joint(j)),
-            Self::Acceleration(j) => write!(f, "joint {} accelerated too hard", joint(j)),
-            Self::Tracking(j) => write!(f, "joint {} did not follow", joint(j)),
-            Self::Blind => f.write_str("no measurements"),
-            Self::NotFinite(j) => write!(f, "joint {}: a position is not finite", joint(j)),
-        }
+        let (joint, text) = match *self {
+            Self::Blind => return f.write_str("no measurements"),
+            Self::Position(j) => (j, "outside its range"),
+            Self::Velocity(j) => (j, "too fast"),
+            Self::Acceleration(j) => (j, "acceleration too high"),
+            Self::Tracking(j) => (j, "does not follow"),
+            Self::NotFinite(j) => (j, "a position is not finite"),
+        };
+        write!(f, "joint {}: {text}", u16::from(joint) + 1)
     }
 }
 
