@@ -1,4 +1,4 @@
-//! Studies that are sharded: the parts, merged, are the whole; and what the paper's experiment shows.
+//! Studies over ranges of seeds: concatenated records make the whole report; figures of the paper's experiment.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -35,20 +35,29 @@ fn text(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-#[test]
-fn the_papers_experiment_is_whole_in_one_run_and_in_shards() {
-    let room = room("paper");
-    let study = "experiment paper --quick --seeds 2 --seed 3";
-    succeeds(&room, &format!("{study} --out whole"));
-    for shard in 1..=3 {
-        succeeds(&room, &format!("{study} --shard {shard}/3 --out parts"));
+/// Runs `study` over seeds 3 and 4 at once, and in two jobs whose records are concatenated in the wrong order.
+fn whole_and_in_jobs(room: &Path, study: &str) -> String {
+    succeeds(room, &format!("{study} --seed 3 --seeds 2 --out whole"));
+    for seed in [3, 4] {
+        let job = format!("{study} --seed {seed} --seeds 1 --records {seed}.jsonl");
+        succeeds(room, &job);
     }
-    let parts = [3, 1, 2]
-        .map(|shard| format!("parts/shard-{shard}-of-3.json"))
-        .join(" ");
-    succeeds(&room, &format!("merge {parts} --out merged"));
+    let records = text(&room.join("4.jsonl")) + &text(&room.join("3.jsonl"));
+    fs::write(room.join("all.jsonl"), records).expect("it can be written");
+    let study = format!("{study} --seeds 2 --from all.jsonl");
+    succeeds(room, &format!("{study} --seed 3 --out jobs"));
     let whole = text(&room.join("whole/report.json"));
-    assert_eq!(whole, text(&room.join("merged/report.json")));
+    assert_eq!(whole, text(&room.join("jobs/report.json")));
+    let error = fails(room, &format!("{study} --seed 4 --out x"));
+    assert!(error.contains("all.jsonl: "), "{error}");
+    assert!(error.contains("records are missing"), "{error}");
+    whole
+}
+
+#[test]
+fn the_papers_experiment_is_whole_in_one_run_and_in_jobs() {
+    let room = room("paper");
+    let whole = whole_and_in_jobs(&room, "experiment paper --quick");
     let figures = [
         "fig3-excitation.svg",
         "fig6-predicted-torques.svg",
@@ -58,7 +67,7 @@ fn the_papers_experiment_is_whole_in_one_run_and_in_shards() {
     ];
     for figure in figures {
         let svg = text(&room.join("whole").join(figure));
-        assert_eq!(svg, text(&room.join("merged").join(figure)), "{figure}");
+        assert_eq!(svg, text(&room.join("jobs").join(figure)), "{figure}");
         assert!(
             svg.starts_with("<svg xmlns=") && !svg.contains("var("),
             "{figure}"
@@ -87,45 +96,34 @@ fn the_papers_experiment_is_whole_in_one_run_and_in_shards() {
 }
 
 #[test]
-fn the_excitation_campaign_is_whole_in_one_run_and_in_shards() {
+fn the_excitation_campaign_is_whole_in_one_run_and_in_jobs() {
     let room = room("excitation");
-    let study = "experiment excitation --quick --seeds 2";
-    succeeds(&room, &format!("{study} --out whole"));
-    for shard in 1..=2 {
-        succeeds(&room, &format!("{study} --shard {shard}/2 --out parts"));
-    }
-    succeeds(
-        &room,
-        "merge parts/shard-1-of-2.json parts/shard-2-of-2.json --out merged",
-    );
-    let whole = text(&room.join("whole/report.json"));
-    assert_eq!(whole, text(&room.join("merged/report.json")));
+    let study = "experiment excitation --quick";
+    let whole = whole_and_in_jobs(&room, study);
     assert_eq!(
         text(&room.join("whole/report.html")),
-        text(&room.join("merged/report.html"))
+        text(&room.join("jobs/report.html"))
     );
     let report: serde_json::Value = serde_json::from_str(&whole).expect("is JSON");
     assert_eq!(report["violations"], 0);
     assert_eq!(report["seeds"].as_array().map(Vec::len), Some(2));
 
-    // What does not make a study is refused.
-    let said = fails(&room, "merge parts/shard-1-of-2.json --out x");
-    assert!(
-        said.contains("1 of 2 jobs are missing, the first is 1"),
-        "{said}"
-    );
-    let said = fails(&room, "merge whole/report.json --out x");
-    assert!(said.contains("whole/report.json: not a shard"), "{said}");
-    let said = fails(&room, "merge nowhere.json --out x");
-    assert!(said.contains("nowhere.json"), "{said}");
     for (arguments, message) in [
         (
-            "experiment excitation --shard 3/2 --out x",
-            "'3/2' is no shard",
+            "experiment excitation --from all.jsonl --out x",
+            "all.jsonl: line 1 is of another configuration or version",
         ),
         (
-            "experiment demo --shard 1/2 --out x",
-            "unexpected argument '--shard'",
+            "experiment excitation --from whole/report.json --out x",
+            "whole/report.json: line 1 is no record",
+        ),
+        (
+            "experiment excitation --from nowhere.json --out x",
+            "nowhere.json",
+        ),
+        (
+            "experiment demo --records a --out x",
+            "unexpected argument '--records'",
         ),
         (
             "experiment paper --seeds 0 --out x",
@@ -138,6 +136,10 @@ fn the_excitation_campaign_is_whole_in_one_run_and_in_shards() {
         (
             "experiment paper --excitation nowhere.json --out x",
             "nowhere.json",
+        ),
+        (
+            "experiment paper --snapshot nowhere.txt --out x",
+            "nowhere.txt",
         ),
     ] {
         let said = fails(&room, arguments);

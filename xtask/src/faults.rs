@@ -7,11 +7,10 @@ use crate::shell::{self, command};
 
 /// Where the counts go, from the workspace's root.
 const OUT: &str = "target/foretorque/faults.json";
-/// The page that keeps them.
-const PAGE: &str = "docs/reliability.md";
+/// The snapshot that keeps them.
+const SNAPSHOT: &str = "tests/snapshots/faults.txt";
 
-/// Sets up, builds the board's ELF files, breaks them, and compares the counts with those of the page; `accept` writes them
-/// there.
+/// Sets up, builds the board's ELF files, breaks them, and compares the counts with the snapshot; `accept` writes them there.
 pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
     let tools = setup::run(forced)?;
     shell::run(tools.board.board_cargo("build").arg("--bins"))?;
@@ -26,11 +25,11 @@ pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
         "faults",
         "--out",
         OUT,
-        "--table",
-        PAGE,
+        "--snapshot",
+        SNAPSHOT,
     ]);
-    if !accept {
-        campaign.arg("--check");
+    if accept {
+        campaign.arg("--accept");
     }
     shell::run(&mut campaign)
 }

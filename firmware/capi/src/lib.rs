@@ -15,7 +15,7 @@ use foretorque::arm::ur5::{
 };
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::Lesson;
+use foretorque::learning::LearningSample;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 #[cfg(target_os = "none")]
 use panic_never as _;
@@ -90,7 +90,7 @@ pub struct Foretorque {
     learner: Learner,
     exchange: Exchange,
     /// What the last tick has to teach, until the learner takes it.
-    lesson: Option<Lesson<JOINTS>>,
+    lesson: Option<LearningSample<JOINTS>>,
     bank: ParameterBank,
     /// Room for a bank on its way in, which is not believed before all of it is.
     incoming: ParameterBank,
@@ -162,7 +162,7 @@ impl Foretorque {
             None => self.feed_forward.step_stale(),
         };
         let measured = sample.and_then(|sample| sample.measured);
-        self.lesson = Some(self.feed_forward.lesson(measured));
+        self.lesson = Some(self.feed_forward.learning_sample(measured));
         let array = |vector: JointVector<JOINTS>| vector.into();
         ForetorqueTorque {
             total_nm: array(torque.total),

@@ -20,7 +20,7 @@ pub(super) struct Arguments {
     /// Directory for excitation.json, excitation.csv, excitation.html and excitation.svg
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What is made small
+    /// Objective of the search
     #[arg(long, value_enum, default_value_t = CriterionName::Constrained)]
     criterion: CriterionName,
     /// Limit of the condition number for `constrained` (links' base regressor, raw SI, standard DH frames)
@@ -133,7 +133,7 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
         range_rad: arguments.range_rad,
         threads: arguments.threads,
     };
-    // A directory that cannot be written is said now, not after the work.
+    // A directory that cannot be written is refused before the work.
     let mut json = WholeFile::create(&arguments.out.join("excitation.json"))?;
     let bar = Bar::new();
     let excitation = excitation::optimise::<N>(robot, &config, given.as_ref(), |done, all| {
@@ -183,7 +183,7 @@ fn write<const N: usize>(excitation: &Excitation, out: &Path) -> Result<(), Fail
         table.row(std::iter::once(&t_s).chain(values))?;
     }
     table.finish()?;
-    let page = excitation::page::page::<N>(excitation)?;
+    let page = excitation::page::page::<N>(excitation).html()?;
     write_whole(&out.join("excitation.html"), page.as_bytes())?;
     let picture = excitation::page::picture::<N>(excitation)?;
     write_whole(&out.join("excitation.svg"), picture.as_bytes())?;

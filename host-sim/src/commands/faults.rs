@@ -1,4 +1,4 @@
-use super::kept_table::KeptTable;
+use super::experiment::Snapshot;
 use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unusable};
@@ -23,11 +23,8 @@ pub(super) struct Arguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
-    table: KeptTable,
+    snapshot: Snapshot,
 }
-
-/// Name of the table of all counts.
-const TABLE: &str = "faults";
 
 #[derive(Serialize)]
 struct Report {
@@ -44,35 +41,22 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         seed: arguments.seed,
         campaigns: Vec::new(),
     };
-    // A place that cannot be written is said now, not after the work.
+    // A place that cannot be written or compared is refused before the work.
     write(arguments, &report)?;
-    arguments.table.look(TABLE)?;
+    arguments.snapshot.check()?;
     let scratch = std::env::temp_dir().join(format!("foretorque-faults-{}", std::process::id()));
     std::fs::create_dir_all(&scratch)?;
     let all = scenarios(lengths, arguments.seed, &scratch);
     let (bar, count) = (Bar::new(), all.len());
-    say(format_args!(
-        "{:<42} {:<15} {:>9} {:>9} {:>7} {:>5} {:>9} {:>6} {:>7}",
-        "fault", "board", "injected", "torques", "wrong", "lost", "recovered", "unseen", "seconds"
-    ))?;
+    say(format_args!("{} seconds", table::header()))?;
     for (place, scenario) in all.into_iter().enumerate() {
         bar.show(scenario.name, place, count);
         let (name, start) = (scenario.name, Instant::now());
         let campaign = scenario
             .run()
             .map_err(|error| unusable(format!("{name}: {error}")))?;
-        say(format_args!(
-            "{:<42} {:<15} {:>9} {:>9} {:>7} {:>5} {:>9} {:>6} {:>7.1}",
-            campaign.name,
-            campaign.board,
-            campaign.injected,
-            campaign.torques,
-            campaign.wrong_torques,
-            campaign.lost_sets,
-            campaign.recovered,
-            campaign.unnoticed,
-            start.elapsed().as_secs_f64()
-        ))?;
+        let seconds = start.elapsed().as_secs_f64();
+        say(format_args!("{} {seconds:>7.1}", table::row(&campaign)))?;
         report.campaigns.push(campaign);
         write(arguments, &report)?;
     }
@@ -98,7 +82,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if !failed.is_empty() {
         return Err(unusable(format!("not survived: {}", failed.join(", "))));
     }
-    arguments.table.keep(TABLE, &table::text(&report.campaigns))
+    arguments
+        .snapshot
+        .keep(&table::text(arguments.seed, &report.campaigns))
 }
 
 fn write(arguments: &Arguments, report: &Report) -> Result<(), Failure> {

@@ -1,4 +1,3 @@
-use super::report_files::ReportFiles;
 use super::terminal::say;
 use super::{Failure, unsupported, unusable};
 use clap::Args;
@@ -11,6 +10,7 @@ use foretorque_workbench::identification::{
     ColumnSet, IdentifyConfig, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit, identify,
     page,
 };
+use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -187,7 +187,7 @@ fn bank<A: foretorque::arm::Arm<N, P>, const N: usize, const P: usize>(
         &outcome.bank_layout,
         &outcome.bank_fit,
         outcome.networks.as_deref(),
-        outcome.ripple.as_ref(),
+        outcome.cogging.as_ref(),
     )
 }
 
@@ -216,8 +216,7 @@ fn identify_arm<const N: usize>(
     bar.finish_and_clear();
     let outcome = outcome?;
     let report = &outcome.report;
-    let html = page::<N>(report, &outcome.trace)?;
-    let shown = files.finish(report, &html)?;
+    let shown = files.finish(report, &page::<N>(report, &outcome.trace))?;
     for note in &report.notes {
         say(format_args!("note  {note}"))?;
     }

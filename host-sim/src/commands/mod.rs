@@ -10,13 +10,10 @@ mod experiment;
 mod faults;
 mod generate;
 mod identify;
-mod kept_table;
 mod key;
-mod merge;
 mod motion_log;
 mod on_board;
 mod progress;
-mod report_files;
 mod run;
 mod simulate;
 mod terminal;
@@ -81,7 +78,6 @@ enum Command {
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
-    Merge(merge::Arguments),
     Faults(faults::Arguments),
 }
 
@@ -98,7 +94,6 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
-        Command::Merge(arguments) => merge::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
     }
 }

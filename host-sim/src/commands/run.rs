@@ -2,22 +2,24 @@ use super::boards::{BoardChoice, OnArm, on_arm};
 use super::motion_log::{Effort, MotionLog};
 use super::on_board;
 use super::progress::Bar;
-use super::simulate::{MotionArguments, PERIOD_S};
+use super::simulate::{MotionArguments, PERIOD_S, Scene};
 use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque_link::excitation::ExcitationCommand;
 use foretorque_link::store::StoreHealth;
-use foretorque_workbench::closed_loop::ClosedLoop;
+use foretorque_workbench::board::Client;
+use foretorque_workbench::closed_loop::{ClosedLoop, TickRecord};
 use foretorque_workbench::files::{WholeFile, write_whole};
+use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::closed_loop::{
-    self, ClosedLoopLog, ClosedLoopReport, LinkReport,
+    self, ClosedLoopLog, ClosedLoopReport, RunDescription,
 };
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::joint_columns;
 use foretorque_workbench::telemetry::{Recorder, Selection};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
 #[derive(Debug, Args)]
@@ -37,11 +39,11 @@ pub(super) struct Arguments {
     /// Write key of the board, 32 hexadecimal digits
     #[arg(long, value_name = "FILE")]
     key_file: Option<PathBuf>,
-    /// Record what the board tells into telemetry.csv: fields and every how many ticks, such as state,total,quality/10
+    /// Record the telemetry of the board into telemetry.csv: fields and every how many ticks, such as state,total,quality/10
     #[arg(long, value_name = "FIELDS/TICKS")]
     telemetry: Option<Selection>,
     /// Have the board play the excitation of --trajectory itself: uploaded, checked there, approached from 0.1 rad beside
-    /// its beginning, and followed as the board asks
+    /// its beginning, and followed
     #[arg(long)]
     excite_on_board: bool,
     /// Tracking error of any joint at which the board breaks its excitation off, rad
@@ -105,9 +107,8 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Result<(), Failure> {
     let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let mut board = arguments
-        .board
-        .connect::<A, N, P>(arguments.stream().as_deref())?;
+    let stream = arguments.stream();
+    let mut board = arguments.board.connect::<A, N, P>(stream.as_deref())?;
     if let Some(file) = &arguments.key_file {
         board.set_write_key(key::read(file)?);
     }
@@ -117,97 +118,108 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     if arguments.excite_on_board {
         on_board::load::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
     }
-    let mut columns = joint_columns("feed_forward", "nm", N);
-    columns.push("flags".to_owned());
-    let mut log = MotionLog::<N>::create(&arguments.out.join("log.csv"), Effort::Torque, &columns)?;
-    let mut seen = ClosedLoopLog::<N>::new(scene.ticks);
-    let bar = Bar::new();
-    let mut play = ClosedLoop::new(
-        &mut scene.plant,
-        &scene.pd,
-        &scene.trajectory,
-        PERIOD_S,
-        Some(&mut board),
-    )?;
-    board.learning(arguments.learn)?;
-    let mut recorder = match arguments.telemetry {
-        Some(chosen) => {
-            board.stream(chosen.fields, chosen.every)?;
-            let path = arguments.out.join("telemetry.csv");
-            Some(Recorder::create(&path, chosen, N, PERIOD_S)?)
-        }
-        None => None,
+    let log = Log::<N>::create(arguments, scene.ticks)?;
+    let log = close_loop(arguments, &mut scene, &mut board, log)?;
+    board.learning(false)?;
+    board.stream(0, 1)?;
+    board.disarm()?;
+    let statistics = board.statistics()?;
+    let learnt = bank::bytes(&board.read_bank()?)?;
+    let run = RunDescription {
+        robot: robot.name.clone(),
+        board: arguments.board.to_string(),
+        seed: arguments.motion.seed,
+        period_s: PERIOD_S,
+        toolchain: arguments.board.toolchain(),
+        learning: arguments.learn,
+        boot_us: board.hello().boot_us(),
     };
+    let report = log.seen.report(run, &statistics);
+    log.finish(&report, &learnt, &arguments.out)
+}
+
+/// Plays the scene to its end, or to that of the board's excitation.
+fn close_loop<const N: usize>(
+    arguments: &Arguments,
+    scene: &mut Scene<N>,
+    board: &mut Client<N>,
+    mut log: Log<N>,
+) -> Result<Log<N>, Failure> {
+    let bar = Bar::new();
+    let (plant, path) = (&mut scene.plant, &scene.trajectory);
+    let mut play = ClosedLoop::new(plant, &scene.pd, path, PERIOD_S, Some(board))?;
+    board.learning(arguments.learn)?;
+    if let Some(chosen) = arguments.telemetry {
+        board.stream(chosen.fields, chosen.every)?;
+        let path = arguments.out.join("telemetry.csv");
+        log.telemetry = Some(Recorder::create(&path, chosen, N, PERIOD_S)?);
+    }
     if arguments.excite_on_board {
         board.excitation(ExcitationCommand::Start)?;
     }
-    let mut ticks = 0;
     for tick in 0..scene.ticks {
-        let record = play.tick(&mut scene.plant, Some(&mut board))?;
-        seen.add(&record);
-        let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
-        let flags = f64::from(record.flags);
-        log.add(&record, record.measured, answer.chain([flags]).collect())?;
-        if let Some(recorder) = &mut recorder {
-            recorder.take(&board.take_telemetry())?;
-        }
-        ticks += 1;
-        if arguments.excite_on_board && on_board::has_ended(&mut board, tick, record.stage)? {
+        let record = play.tick(plant, Some(board))?;
+        log.add(&record, board)?;
+        if arguments.excite_on_board && on_board::has_ended(board, tick, record.stage)? {
             break;
         }
         if tick % 256 == 0 {
             bar.show("run", tick, scene.ticks);
         }
     }
-    drop(bar);
-    board.learning(false)?;
-    board.stream(0, 1)?;
-    board.disarm()?;
-    let statistics = board.statistics()?;
-    let learnt = bank::bytes(&board.read_bank()?)?;
-    let report = ClosedLoopReport {
-        robot: robot.name.clone(),
-        board: arguments.board.to_string(),
-        seed: arguments.motion.seed,
-        ticks,
-        period_s: PERIOD_S,
-        toolchain: arguments.board.toolchain(),
-        learning: arguments.learn,
-        tracking_rms_mrad: seen.tracking_rms_mrad(),
-        tracking_rms_joint_mrad: seen.tracking_rms_joint_mrad(),
-        tracking_peak_joint_mrad: seen.tracking_peak_joint_mrad(),
-        torque_rms_nm: seen.torque_rms_nm(),
-        torque_peak_nm: seen.torque_peak_nm(),
-        feed_forward_rms_nm: seen.feed_forward_rms_nm(),
-        flag_ticks: seen.flag_ticks(),
-        link: LinkReport::from(&statistics),
-        late_sets: statistics.late_sets,
-        lessons_lost: statistics.learning_samples_lost,
-        boot_us: board.hello().boot_us(),
-        store: statistics.store,
-        tick_cost: statistics.tick_cost.into(),
-        learning_cost: statistics.learn_cost.into(),
-    };
-    let page = closed_loop::html(&report, &seen, &terminal::command_line())?;
-    log.finish()?;
-    if let Some(recorder) = recorder {
-        recorder.finish()?;
+    Ok(log)
+}
+
+/// Everything that a run writes down.
+struct Log<const N: usize> {
+    motion: MotionLog<N>,
+    seen: ClosedLoopLog<N>,
+    telemetry: Option<Recorder>,
+}
+
+impl<const N: usize> Log<N> {
+    fn create(arguments: &Arguments, ticks: usize) -> Result<Self, Failure> {
+        let mut columns = joint_columns("feed_forward", "nm", N);
+        columns.push("flags".to_owned());
+        let path = arguments.out.join("log.csv");
+        Ok(Self {
+            motion: MotionLog::create(&path, Effort::Torque, &columns)?,
+            seen: ClosedLoopLog::new(ticks),
+            telemetry: None,
+        })
     }
-    write_whole(&arguments.out.join("bank.bin"), &learnt)?;
-    write_whole(&arguments.out.join("report.html"), page.as_bytes())?;
-    let text = serde_json::to_string_pretty(&report)? + "\n";
-    write_whole(&arguments.out.join("report.json"), text.as_bytes())?;
-    say(format_args!(
-        "{} ticks, tracking error {:.3} mrad RMS, {} link errors",
-        report.ticks,
-        report.tracking_rms_mrad,
-        report.link.errors()
-    ))?;
-    if report.store == StoreHealth::Failing {
-        say(
-            "the board's flash keeps nothing: it runs from RAM, and forgets what it learnt at power-off",
-        )?;
+
+    fn add(&mut self, record: &TickRecord<N>, board: &mut Client<N>) -> Result<(), Failure> {
+        self.seen.add(record);
+        let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
+        let answer = answer.chain([f64::from(record.flags)]).collect();
+        self.motion.add(record, record.measured, answer)?;
+        if let Some(recorder) = &mut self.telemetry {
+            recorder.take(&board.take_telemetry())?;
+        }
+        Ok(())
     }
-    say(arguments.out.join("report.html").display())?;
-    Ok(())
+
+    /// Gives all files their names.
+    fn finish(self, report: &ClosedLoopReport, learnt: &[u8], out: &Path) -> Result<(), Failure> {
+        let page = closed_loop::page(report, &self.seen, &terminal::command_line());
+        self.motion.finish()?;
+        if let Some(recorder) = self.telemetry {
+            recorder.finish()?;
+        }
+        write_whole(&out.join("bank.bin"), learnt)?;
+        let page = ReportFiles::create(out)?.finish(report, &page)?;
+        say(format_args!(
+            "{} ticks, tracking error {:.3} mrad RMS, {} link errors",
+            report.ticks,
+            report.tracking_rms_mrad,
+            report.link.errors()
+        ))?;
+        if report.store == StoreHealth::Failing {
+            say(
+                "the board's flash keeps nothing: it runs from RAM, and forgets what it learnt at power-off",
+            )?;
+        }
+        Ok(say(page.display())?)
+    }
 }

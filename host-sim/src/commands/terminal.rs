@@ -10,11 +10,6 @@ pub(super) fn say(line: impl Display) -> io::Result<()> {
     heard(writeln!(io::stdout(), "{line}"))
 }
 
-/// Writes one line after the other, like [`say`].
-pub(super) fn tell(lines: &[String]) -> io::Result<()> {
-    lines.iter().try_for_each(say)
-}
-
 /// Writes the line that a command failed with to stderr, as far as somebody listens.
 pub(crate) fn complain(failure: impl Display) {
     // There is no one left to tell that telling failed.

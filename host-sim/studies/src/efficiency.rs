@@ -1,5 +1,6 @@
-//! How near the robust fit comes to what noise allows: its error over many draws against the Cramér–Rao bound.
+//! Error of the robust fit over many noise draws, against the Cramér–Rao bound.
 
+use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::ur5::JOINTS;
 use foretorque::dynamics::SIGN_WIDTH;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
@@ -7,7 +8,7 @@ use foretorque_workbench::excitation::{SearchConfig, optimise};
 use foretorque_workbench::identification::{
     ColumnSet, IdentifyConfig, MethodName, PrepareConfig, identify,
 };
-use foretorque_workbench::report::page::{Section, Tile, html, table};
+use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
 use foretorque_workbench::trajectory::Trajectory;
@@ -15,7 +16,6 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::Serialize;
-use std::error::Error;
 use std::path::Path;
 
 /// Period of the rows, s.
@@ -29,12 +29,12 @@ const OUTLIER_SIZE: f64 = 20.0;
 /// One kind of noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CaseRecord {
-    /// What it is.
+    /// Name of the noise.
     pub noise: String,
     /// RMS over the draws of the error against the true torque of the unseen path, moving rows, joints as in
     /// `joints_nrmse_moving_ratio` of `identify`.
     pub irls_nrmse_moving_ratio: f64,
-    /// The same of weighted least squares.
+    /// NRMSE of weighted least squares over moving rows.
     pub wls_nrmse_moving_ratio: f64,
     /// RMS error of the robust fit over the bound.
     pub irls_over_cramer_rao_ratio: f64,
@@ -67,8 +67,8 @@ pub fn run(
     directory: &Path,
     seed: u64,
     draws: usize,
-    progress: &dyn Fn(&'static str, usize, usize),
-) -> Result<(EfficiencyReport, String), Box<dyn Error>> {
+    progress: Progress<'_>,
+) -> Result<Outcome<EfficiencyReport>, StudyError> {
     let robot = Robot::load("ur5")?;
     let mut truth = robot.perturbed(seed, &Perturbation::PLANT);
     for joint in &mut truth.joints {
@@ -109,13 +109,11 @@ pub fn run(
         let outcome = identify::<JOINTS>(&robot, &logs.0, &logs.1, &config, &|_| ())?;
         let figures = methods.iter().map(|method| {
             let record = &outcome.report.methods[&method.to_string()].validation["unseen.csv.gz"];
-            let error = record.truth_nrmse_moving_ratio.unwrap_or(f64::NAN);
-            (
-                error,
-                record.cramer_rao_nrmse_moving_ratio.unwrap_or(f64::NAN),
-            )
+            let error = record.truth_nrmse_moving_ratio;
+            let bound = record.cramer_rao_nrmse_moving_ratio;
+            (error.unwrap_or(f64::NAN), bound.unwrap_or(f64::NAN))
         });
-        Ok::<Vec<(f64, f64)>, Box<dyn Error>>(figures.collect())
+        Ok::<Vec<(f64, f64)>, StudyError>(figures.collect())
     };
     let filtered = PrepareConfig {
         motion_hz: 40.0,
@@ -171,8 +169,7 @@ pub fn run(
         cramer_rao_nrmse_moving_ratio: bound,
         cases,
     };
-    let page = page(&report);
-    Ok((report, page))
+    Ok(outcome(report))
 }
 
 /// Writes a log of exact motion and true torque, with noise where a generator and a share of outliers are given.
@@ -182,8 +179,8 @@ fn write(
     duration_s: f64,
     motion: &dyn Fn(f64) -> State<JOINTS>,
     mut noise: Option<(ChaCha8Rng, f64)>,
-) -> Result<(), Box<dyn Error>> {
-    let model = ReferenceModel::<JOINTS>::new(truth).ok_or("six joints")?;
+) -> Result<(), StudyError> {
+    let model = ReferenceModel::<JOINTS>::new(truth).ok_or(StudyError::Joints(JOINTS))?;
     let mut header = vec!["t_s".to_owned()];
     header.extend(state_columns(JOINTS));
     header.extend(joint_columns("tau", "nm", JOINTS));
@@ -213,37 +210,39 @@ fn write(
     Ok(table.finish()?)
 }
 
-fn page(report: &EfficiencyReport) -> String {
-    let rows: Vec<Vec<String>> = report
-        .cases
-        .iter()
-        .map(|case| {
-            vec![
-                case.noise.clone(),
-                format!("{:.3} %", 100.0 * case.irls_nrmse_moving_ratio),
-                format!("{:.3}", case.irls_over_cramer_rao_ratio),
-                format!("{:.3} %", 100.0 * case.wls_nrmse_moving_ratio),
-                format!("{:.3}", case.wls_over_cramer_rao_ratio),
-            ]
-        })
-        .collect();
-    html(
-        "How near identification comes to its bound",
-        &format!(
-            "UR5, 10 s of optimal excitation, {} noise draws a case; torque error on an unseen path, moving rows.",
-            report.draws
-        ),
-        &[Tile {
-            value: format!("{:.3} %", 100.0 * report.cramer_rao_nrmse_moving_ratio),
-            label: "Cramér–Rao bound of the torque error".to_owned(),
-        }],
-        &[Section {
-            heading: "Error over the bound".to_owned(),
-            caption:
-                "RMS over the draws. A single draw may lie below the bound, their RMS does not."
-                    .to_owned(),
-            legend: Vec::new(),
-            body: table(&["noise", "irls", "over bound", "wls", "over bound"], &rows),
-        }],
-    )
+fn outcome(report: EfficiencyReport) -> Outcome<EfficiencyReport> {
+    let rows = report.cases.iter().map(|case| {
+        [
+            case.noise.clone(),
+            format!("{:.3} %", 100.0 * case.irls_nrmse_moving_ratio),
+            format!("{:.3}", case.irls_over_cramer_rao_ratio),
+            format!("{:.3} %", 100.0 * case.wls_nrmse_moving_ratio),
+            format!("{:.3}", case.wls_over_cramer_rao_ratio),
+        ]
+    });
+    let lead = format!(
+        "UR5, 10 s of optimal excitation, {} noise draws a case; torque error on an unseen path, moving rows.",
+        report.draws
+    );
+    let section = Section::new(
+        "Error over the bound",
+        "RMS over the draws. A single draw may lie below the bound, their RMS does not.",
+    );
+    let page = Page::new("Identification against its Cramér–Rao bound", lead)
+        .card(
+            format!("{:.3} %", 100.0 * report.cramer_rao_nrmse_moving_ratio),
+            "Cramér–Rao bound of the torque error",
+        )
+        .sections([section.table("noise | irls | over bound | wls | over bound", rows)]);
+    let lines = report.cases.iter().map(|case| {
+        format!(
+            "{:<36} irls {:.3} x Cramér–Rao, wls {:.3} x\n",
+            case.noise, case.irls_over_cramer_rao_ratio, case.wls_over_cramer_rao_ratio
+        )
+    });
+    Outcome {
+        text: lines.collect(),
+        page,
+        report,
+    }
 }

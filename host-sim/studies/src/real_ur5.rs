@@ -1,12 +1,12 @@
 //! A real UR5: every path held out in turn, the recommended method against plain weighted least squares.
 
+use crate::{Outcome, Progress, StudyError};
 use foretorque_workbench::identification::{
     ColumnSet, IdentifyConfig, MethodName, PrepareConfig, identify,
 };
-use foretorque_workbench::report::page::{Section, Tile, html, ratio};
+use foretorque_workbench::report::page::{Page, Section, ratio};
 use foretorque_workbench::robot::Robot;
 use serde::Serialize;
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
 const JOINTS: usize = 6;
@@ -62,7 +62,7 @@ pub struct RealReport {
     pub version: String,
     /// The recommended method and its columns.
     pub recommended: String,
-    /// What it is compared with.
+    /// Method and columns of the reference.
     pub reference: String,
     /// Cut-off on torque and regressor, Hz.
     pub torque_cutoff_hz: f64,
@@ -84,12 +84,12 @@ pub struct RealReport {
 pub fn run(
     directory: &Path,
     seed: u64,
-    progress: &dyn Fn(usize, usize),
-) -> Result<(RealReport, String), Box<dyn Error>> {
+    progress: Progress<'_>,
+) -> Result<Outcome<RealReport>, StudyError> {
     let robot = Robot::load("ur5")?;
     let mut paths = Vec::new();
     for (number, (path, files)) in PATHS.iter().enumerate() {
-        progress(number, PATHS.len());
+        progress("path held out", number, PATHS.len());
         let place = |file: &&str| directory.join(file);
         let held_out: Vec<PathBuf> = files.iter().map(place).collect();
         let others = PATHS.iter().filter(|(other, _)| other != path);
@@ -121,10 +121,10 @@ pub fn run(
             let joints = squares.iter().zip(&counts);
             let rmse =
                 joints.map(|(square, count)| (*count > 0.0).then(|| (square / count).sqrt()));
-            Ok::<Vec<Option<f64>>, Box<dyn Error>>(rmse.collect())
+            Ok::<Vec<Option<f64>>, StudyError>(rmse.collect())
         };
         let wls = rmse(MethodName::Wls, ColumnSet::plain())?;
-        let recommended = rmse(MethodName::Consistent, RECOMMENDED.parse::<ColumnSet>()?)?;
+        let recommended = rmse(MethodName::Consistent, columns(RECOMMENDED)?)?;
         let ratio: Vec<Option<f64>> = wls
             .iter()
             .zip(&recommended)
@@ -156,11 +156,19 @@ pub fn run(
             .fold(0.0, f64::max),
         paths,
     };
-    let page = page(&report);
-    Ok((report, page))
+    Ok(outcome(report))
 }
 
-/// Geometric mean; 1 of nothing, as of ratios that all say "the same".
+/// The column set of a text of this program.
+pub(super) fn columns(text: &str) -> Result<ColumnSet, StudyError> {
+    text.parse().map_err(
+        |unknown: foretorque_workbench::identification::UnknownName| {
+            StudyError::Unusable(unknown.to_string())
+        },
+    )
+}
+
+/// Geometric mean; 1 of no values.
 pub(super) fn geometric_mean<'a>(values: impl IntoIterator<Item = &'a f64>) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for value in values {
@@ -170,52 +178,64 @@ pub(super) fn geometric_mean<'a>(values: impl IntoIterator<Item = &'a f64>) -> f
     f64::exp(sum / f64::max(count, 1.0))
 }
 
-fn page(report: &RealReport) -> String {
-    let rows = |pick: &dyn Fn(&PathRecord) -> Vec<Option<f64>>| -> Vec<Vec<String>> {
-        let paths = report.paths.iter();
-        paths
-            .map(|path| {
-                let mut row = vec![path.path.clone()];
-                row.extend(pick(path).into_iter().map(ratio));
-                row
-            })
+/// Rows of a table with one row a path and one column a joint.
+pub(super) fn joint_rows<P>(
+    paths: &[P],
+    name: fn(&P) -> &str,
+    pick: fn(&P) -> &[Option<f64>],
+) -> Vec<Vec<String>> {
+    let row = |path| {
+        let cells = pick(path).iter().copied().map(ratio);
+        std::iter::once(name(path).to_owned())
+            .chain(cells)
             .collect()
     };
-    let joints = ["path held out", "J1", "J2", "J3", "J4", "J5", "J6"];
-    let with_mean = [&joints[..], &["all"]].concat();
-    html(
+    paths.iter().map(row).collect()
+}
+
+fn outcome(report: RealReport) -> Outcome<RealReport> {
+    let rows = |pick| joint_rows(&report.paths, |path| &path.path, pick);
+    let mut ratios = rows(|path: &PathRecord| &path.vs_wls_ratio);
+    for (row, path) in ratios.iter_mut().zip(&report.paths) {
+        row.push(ratio(Some(path.geometric_mean_vs_wls)));
+    }
+    let joints = "path held out | J1 | J2 | J3 | J4 | J5 | J6";
+    let page = Page::new(
         "A real UR5, every path held out in turn",
         "Torque is drive gain × motor current, filtered; rows in which the joint moves.",
-        &[
-            Tile::ratio(
-                report.geometric_mean_vs_wls,
-                "error over that of plain weighted least squares, geometric mean",
-            ),
-            Tile::ratio(report.worst_path_vs_wls, "worst path"),
-        ],
-        &[
-            Section::of_table(
-                "Error over that of plain weighted least squares",
-                &format!("{} against {}.", report.recommended, report.reference),
-                &with_mean,
-                &rows(&|path| {
-                    let mut row = path.vs_wls_ratio.clone();
-                    row.push(Some(path.geometric_mean_vs_wls));
-                    row
-                }),
-            ),
-            Section::of_table(
-                &format!("RMS error of {} / N·m", report.recommended),
-                "On the path that was not trained on.",
-                &joints,
-                &rows(&|path| path.recommended_rmse_moving_nm.clone()),
-            ),
-            Section::of_table(
-                &format!("RMS error of {} / N·m", report.reference),
-                "On the path that was not trained on.",
-                &joints,
-                &rows(&|path| path.wls_rmse_moving_nm.clone()),
-            ),
-        ],
     )
+    .card(
+        ratio(Some(report.geometric_mean_vs_wls)),
+        "error over that of plain weighted least squares, geometric mean",
+    )
+    .card(ratio(Some(report.worst_path_vs_wls)), "worst path")
+    .sections([
+        Section::new(
+            "Error over that of plain weighted least squares",
+            format!("{} against {}.", report.recommended, report.reference),
+        )
+        .table(format!("{joints} | all"), ratios),
+        Section::new(
+            format!("RMS error of {} / N·m", report.recommended),
+            "On the path that was not trained on.",
+        )
+        .table(joints, rows(|path| &path.recommended_rmse_moving_nm)),
+        Section::new(
+            format!("RMS error of {} / N·m", report.reference),
+            "On the path that was not trained on.",
+        )
+        .table(joints, rows(|path| &path.wls_rmse_moving_nm)),
+    ]);
+    let paths = report.paths.iter();
+    let mut text: String = paths
+        .map(|path| format!("{:<12} {:.3}\n", path.path, path.geometric_mean_vs_wls))
+        .collect();
+    text += &format!(
+        "{} over {}: {:.3}, worst path {:.3}\n",
+        report.recommended,
+        report.reference,
+        report.geometric_mean_vs_wls,
+        report.worst_path_vs_wls
+    );
+    Outcome { report, page, text }
 }

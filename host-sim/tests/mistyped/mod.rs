@@ -172,8 +172,8 @@ pub(crate) fn mistyped() -> Vec<(String, &'static [&'static str])> {
             &["'frobnicate'", "--list"],
         ),
         (
-            "experiment learning --board native --table file --out out".to_owned(),
-            &["file", "marks"],
+            "experiment learning --board native --snapshot none.txt --out out".to_owned(),
+            &["none.txt"],
         ),
         (
             "experiment replay-real --logs nowhere --out out".to_owned(),

@@ -13,6 +13,7 @@ pub mod parallel;
 pub mod plant;
 pub mod report;
 pub mod robot;
+pub mod snapshot;
 pub mod table;
 pub mod telemetry;
 pub mod training;

@@ -2,6 +2,7 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
@@ -30,7 +31,8 @@ fn sample(k: u32) -> JointSample<N> {
     let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
     truth.rigid *= 1.1;
     for friction in &mut truth.friction {
-        (friction.viscous, friction.coulomb) = (2.0, 1.0);
+        friction[FrictionColumn::Viscous] = 2.0;
+        friction[FrictionColumn::Coulomb] = 1.0;
     }
     let t = k as f32 * 1e-3;
     let desired = JointMotion {
@@ -136,7 +138,7 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
         bare.step(&heard);
         // A disarmed board holds the torque back.
         bare.applied(&JointVector::zeros());
-        learner.learn(&bare.lesson(heard.measured), &mut exchange);
+        learner.learn(&bare.learning_sample(heard.measured), &mut exchange);
     }
     bare.set_learning(true);
     for k in 0..4000 {
@@ -145,7 +147,7 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
         let heard = frame.sample(&[0.0; N]);
         bare.adopt(&mut exchange);
         let torque = bare.step(&heard);
-        learner.learn(&bare.lesson(heard.measured), &mut exchange);
+        learner.learn(&bare.learning_sample(heard.measured), &mut exchange);
         let reply = client.sample_frame(&frame).unwrap();
         assert_eq!(reply.tick, torque.tick);
         assert_eq!(reply.flags, torque.flags);
@@ -197,7 +199,7 @@ fn a_bank_goes_up_is_in_force_and_comes_back() {
     bank.columns[0].deviation = 0.25;
     bank.drive_gains_nm_a.fill(12.5);
     let id = ColumnId {
-        kind: ColumnKind::Fc,
+        kind: ColumnKind::friction(FrictionColumn::Coulomb),
         joint: 2,
     };
     bank.columns.iter_mut().find(|c| c.id == id).unwrap().value = 5.5;

@@ -23,7 +23,7 @@ use foretorque_link::store::Store;
 use foretorque_link::telemetry::CostMeter;
 use foretorque_link::wire::size::LinkCapacity;
 use foretorque_link::wire::{Capabilities, FrameBuffer};
-use heapless::spsc::{Consumer, Producer, Queue};
+use heapless::spsc::Queue;
 use rtic::Mutex;
 use stm32f4xx_hal::pac::{self, Interrupt};
 use stm32f4xx_hal::prelude::*;
@@ -36,6 +36,7 @@ use crate::fault::{self, Reason};
 use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
 use crate::log;
 use crate::pace::{self, Pace};
+use crate::ring::{self, Receiver, Sender};
 use crate::rooms::{BoardLearner, BoardSession, furnish, open};
 use crate::secret;
 use crate::store_flash::StoreFlash;
@@ -65,6 +66,7 @@ pub struct Statics {
     learner: MaybeUninit<BoardLearner>,
     receive_ring: Queue<u8, RECEIVE_RING>,
     transmit_ring: Queue<u8, TRANSMIT_RING>,
+    out: FrameBuffer,
 }
 
 impl Statics {
@@ -76,6 +78,7 @@ impl Statics {
             learner: MaybeUninit::uninit(),
             receive_ring: Queue::new(),
             transmit_ring: Queue::new(),
+            out: FrameBuffer::new(),
         }
     }
 }
@@ -88,8 +91,6 @@ pub struct Started<B: Board> {
     pub wire: Wire,
     /// Of the tick.
     pub tick: Tick<B>,
-    /// Of the tick: the bytes of the link.
-    pub bytes: Bytes,
     /// Of the learner.
     pub learner: &'static mut BoardLearner,
     /// Of the idle loop.
@@ -178,14 +179,14 @@ pub fn start<B: Board>(
     let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
     pace.follow(session.configuration());
 
-    let (receive_in, received) = statics.receive_ring.split();
-    let (mut waiting, transmit_out) = statics.transmit_ring.split();
+    let (receive_in, received) = ring::split(&mut statics.receive_ring);
+    let (mut waiting, transmit_out) = ring::split(&mut statics.transmit_ring);
     let wire = Wire::start(chip.USART2, clocks.apb1_hz, receive_in, transmit_out);
-    let mut out = FrameBuffer::new();
+    let out = &mut statics.out;
     let boot_counts = counter::now().wrapping_sub(booting);
     session.note_boot(boot_counts);
     drive.watch(session);
-    session.send_hello(&mut out);
+    session.send_hello(out);
     link::send(&mut waiting, out.as_bytes());
     out.clear();
     defmt::info!(
@@ -203,9 +204,10 @@ pub fn start<B: Board>(
     Started {
         mailboxes,
         wire,
-        bytes: Bytes { received, waiting },
         tick: Tick {
             session,
+            received,
+            waiting,
             out,
             pace,
             drive,
@@ -237,17 +239,12 @@ pub fn timer() {
     rtic::pend(TICK);
 }
 
-/// Bytes received, and bytes to send. Apart from [`Tick`], so that the linker sees the lengths of the rings: a division
-/// by them cannot panic then.
-pub struct Bytes {
-    received: Consumer<'static, u8>,
-    waiting: Producer<'static, u8>,
-}
-
-/// The tick's task: session and drive.
+/// The tick's task: session, link and drive.
 pub struct Tick<B: Board> {
     session: &'static mut BoardSession,
-    out: FrameBuffer,
+    received: Receiver<RECEIVE_RING>,
+    waiting: Sender<TRANSMIT_RING>,
+    out: &'static mut FrameBuffer,
     pace: Pace,
     drive: B::Drive,
     kept: SafetyReason,
@@ -258,10 +255,11 @@ pub struct Tick<B: Board> {
 impl<B: Board> Tick<B> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, bytes: &mut Bytes, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
-        let Bytes { received, waiting } = bytes;
+    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
         let Self {
             session,
+            received,
+            waiting,
             out,
             pace,
             drive,
@@ -279,7 +277,7 @@ impl<B: Board> Tick<B> {
                 let mut chunk = [0; CHUNK];
                 let mut count = 0;
                 for slot in &mut chunk {
-                    let Some(byte) = received.dequeue() else {
+                    let Some(byte) = received.take() else {
                         break;
                     };
                     *slot = byte;
@@ -410,7 +408,7 @@ macro_rules! image {
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
             use $crate::app::{
-                BoardMailboxes, Bytes, Idle, Started, Statics, Tick, byte, learn, start, timer,
+                BoardMailboxes, Idle, Started, Statics, Tick, byte, learn, start, timer,
             };
             use $crate::link::Wire;
             use $crate::rooms::BoardLearner;
@@ -424,7 +422,6 @@ macro_rules! image {
             struct Local {
                 wire: Wire,
                 tick: Tick<$board>,
-                bytes: Bytes,
                 learner: &'static mut BoardLearner,
                 idle: Idle,
             }
@@ -435,14 +432,12 @@ macro_rules! image {
                     mailboxes,
                     wire,
                     tick,
-                    bytes,
                     learner,
                     idle,
                 } = start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
                     wire,
                     tick,
-                    bytes,
                     learner,
                     idle,
                 };
@@ -459,9 +454,9 @@ macro_rules! image {
                 timer();
             }
 
-            #[task(binds = EXTI1, priority = 3, local = [tick, bytes], shared = [mailboxes])]
+            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [mailboxes])]
             fn on_tick(mut cx: on_tick::Context) {
-                cx.local.tick.run(cx.local.bytes, &mut cx.shared.mailboxes);
+                cx.local.tick.run(&mut cx.shared.mailboxes);
             }
 
             #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailboxes])]

@@ -2,7 +2,7 @@ use super::Clock;
 use crate::store::StoreMailbox;
 use crate::telemetry::{Cost, CostMeter};
 use foretorque::arm::Arm;
-use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
+use foretorque::learning::{Exchange, Learner, LearnerConfig, LearningSample, ParameterSet};
 use heapless::spsc::Queue;
 
 /// Period and set from which the learner restarts.
@@ -52,7 +52,7 @@ impl<const N: usize, const P: usize> Mailboxes<N, P> {
 
 /// Mailbox between tick and learner: learning samples one way, learnt sets the other.
 pub struct LearnerMailbox<const N: usize, const P: usize> {
-    lessons: Queue<Lesson<N>, 16>,
+    lessons: Queue<LearningSample<N>, 16>,
     pub(super) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
     /// The reply of a tick waits for its learning step.
@@ -107,7 +107,10 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
     }
 
     /// The next learning sample; before it, the learner takes over a restart or request. One copy at most.
-    pub fn begin<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) -> Option<Lesson<N>> {
+    pub fn begin<A: Arm<N, P>>(
+        &mut self,
+        learner: &mut Learner<A, N, P>,
+    ) -> Option<LearningSample<N>> {
         if let Some(Restart { period_s, set }) = self.restart.take() {
             // The learner accepts the configuration of every period that the session accepts. If it refused one, it would
             // learn nothing: the samples that follow do not belong to its set.
@@ -137,7 +140,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         self.release_reply();
     }
 
-    pub(super) fn post(&mut self, lesson: Lesson<N>) {
+    pub(super) fn post(&mut self, lesson: LearningSample<N>) {
         if self.lessons.enqueue(lesson).is_err() {
             self.samples_lost = self.samples_lost.saturating_add(1);
         }

@@ -5,7 +5,7 @@ use super::shares::{Shares, select};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, cogging, friction_load, is_angle, rnea};
 use crate::joint::{JointSample, JointVector};
-use crate::learning::{Exchange, MotionRange, ParameterSet, Report};
+use crate::learning::{Exchange, LearnerReport, MotionRange, ParameterSet};
 use crate::limits::{Flags, cut, limit};
 
 /// What survives from tick to tick.
@@ -22,7 +22,7 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     /// How often a set was not there when it was to be adopted.
     pub late_sets: u32,
     /// What the guard told with the set in force.
-    pub report: Report<N>,
+    pub report: LearnerReport<N>,
     /// What the payload adds to the base parameters.
     pub payload: BaseParameters<P>,
     /// Torque of the payload in the last tick, after its bound, N × N·m; part of the rigid-body share.
@@ -61,7 +61,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             tick: 0,
             learning: false,
             late_sets: 0,
-            report: Report::new(),
+            report: LearnerReport::new(),
             payload: BaseParameters::zeros(),
             payload_torque: JointVector::zeros(),
             range: MotionRange::NONE,
@@ -88,7 +88,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.load(set);
         self.learning = false;
         self.late_sets = 0;
-        self.report = Report::new();
+        self.report = LearnerReport::new();
         self.payload_torque = JointVector::zeros();
         self.sum = JointVector::zeros();
         self.recommitted = false;
@@ -212,7 +212,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         for (speed, qd) in speeds.iter_mut().zip([qd, motion.bounded.qd[joint]]) {
             *speed = AtSpeed::new(qd, cogging, load);
         }
-        let friction = speeds[0].friction(&state.loaded.friction[joint].columns());
+        let friction = speeds[0].friction(&state.loaded.friction[joint]);
         let active = state.active_difference.shares(
             joint,
             (scratch.loaded[joint] + scratch.active[joint], friction),

@@ -1,5 +1,5 @@
 use super::activation::{Activation, Relu};
-use super::random::{RandomStart, square_root};
+use super::random::RandomStart;
 use core::hint::black_box;
 use core::marker::PhantomData;
 use nalgebra::{ArrayStorage, SMatrix, SVector};
@@ -57,7 +57,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     pub fn random(seed: u32) -> Self {
         let mut start = RandomStart::new(seed);
         let mut network = Self::silent_from(&mut start);
-        let reach = square_root(6.0 / (H + O) as f32);
+        let reach = libm::sqrtf(6.0 / (H + O) as f32);
         for weight in network.output_weights.iter_mut() {
             *weight = reach * start.symmetric();
         }
@@ -88,7 +88,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
 
     fn silent_from(start: &mut RandomStart) -> Self {
         let mut network = Self::zeros();
-        let reach = square_root(6.0 / I as f32);
+        let reach = libm::sqrtf(6.0 / I as f32);
         for weight in network.hidden_weights.as_mut_slice() {
             *weight = reach * start.symmetric();
         }

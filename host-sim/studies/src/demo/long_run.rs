@@ -1,26 +1,26 @@
 //! The long run: everything that is asked of one board, before, while and after it learns.
 
 use super::record::{LearningPoint, Tracking, ValidationPoint};
+use super::setup::Setup;
 use super::stages::{ErrorCurve, ReplyBits, error_of, learn, predictions, track};
-use super::world::World;
-use super::{DemoConfig, PAGE_POINTS, Progress};
+use super::{DemoConfig, PAGE_POINTS};
+use crate::{Progress, StudyError};
 use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::metrics::{TorqueError, TrackingError};
-use std::error::Error;
 
 /// Points of the unseen path on which the error is watched while learning goes on.
 pub(super) const WATCH_POINTS: usize = 250;
 
-/// What the long run saw.
+/// Records of the long run.
 pub(super) struct LongRun<const N: usize> {
     /// Torque error on the unseen path with the wrong prior.
     pub(super) before: TorqueError<N>,
-    /// The same with what was learnt.
+    /// Torque error after learning.
     pub(super) after: TorqueError<N>,
     /// Position error on the unseen path.
     pub(super) tracking: Tracking<TrackingError<N>>,
-    /// The same over time.
+    /// Tracking errors over time.
     pub(super) tracking_curves: Tracking<ErrorCurve<N>>,
     /// Torque error while learning goes on.
     pub(super) learning_curve: Vec<LearningPoint>,
@@ -39,21 +39,21 @@ pub(super) struct LongRun<const N: usize> {
 /// Errors: the board's.
 pub(super) fn long_run<const N: usize>(
     bulk: &mut Client<N>,
-    world: &World<N>,
+    setup: &Setup<N>,
     config: &DemoConfig,
     progress: Progress<'_>,
-) -> Result<LongRun<N>, Box<dyn Error>> {
-    let path = world.grid(config.ticks(config.validation_s), config.validation_s);
+) -> Result<LongRun<N>, StudyError> {
+    let path = setup.grid(config.ticks(config.validation_s), config.validation_s);
     bulk.reset()?;
-    bulk.upload_bank(&world.prior)?;
+    bulk.upload_bank(&setup.prior)?;
     let before = predictions(bulk, &path, "torque before", progress)?;
     // Both kinds of control meet the arm as it is when learning begins: same age, same noise.
-    let mut fresh = world.plant.clone();
-    let pd_only = track(&mut fresh, world, path.len(), None, "PD alone", progress)?;
-    let mut fresh = world.plant.clone();
+    let mut fresh = setup.plant.clone();
+    let pd_only = track(&mut fresh, setup, path.len(), None, "PD alone", progress)?;
+    let mut fresh = setup.plant.clone();
     let wrong = track(
         &mut fresh,
-        world,
+        setup,
         path.len(),
         Some(bulk),
         "wrong model",
@@ -61,12 +61,12 @@ pub(super) fn long_run<const N: usize>(
     )?;
     let earlier = bulk.statistics()?;
 
-    let mut plant = world.plant.clone();
-    let watched = world.grid(WATCH_POINTS, config.validation_s);
+    let mut plant = setup.plant.clone();
+    let watched = setup.grid(WATCH_POINTS, config.validation_s);
     let mut learning_curve = Vec::new();
     let replies = learn(
         bulk,
-        world,
+        setup,
         &mut plant,
         config.ticks(config.learning_s),
         |board, plant, t_s| {
@@ -97,7 +97,7 @@ pub(super) fn long_run<const N: usize>(
         .collect();
     let learnt = track(
         &mut plant,
-        world,
+        setup,
         path.len(),
         Some(bulk),
         "learnt model",

@@ -1,26 +1,24 @@
 //! The main job: start from a wrong prior, learn on the board in closed loop, freeze, play a path nobody has seen.
 
 mod long_run;
-mod machine_page;
 mod page;
 mod record;
+mod setup;
 mod stages;
 mod usart;
-mod world;
 
 pub use record::{
-    BeforeAfter, DemoReport, LearningPoint, LinkFigures, TickInstructions, TickPhases, Tracking,
-    UsartFigures,
+    BeforeAfter, DemoReport, LearningPoint, LinkFigures, TickPhases, Tracking, UsartFigures,
 };
 
+use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::Arm;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::robot::Robot;
 use record::DemoCurves;
-use std::error::Error;
-use world::World;
+use setup::Setup;
 
-/// How large the job is.
+/// Size of the job.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DemoConfig {
     /// Seed of plant, prior, paths and noise.
@@ -60,46 +58,34 @@ impl DemoConfig {
     }
 }
 
-/// A stage of the job, as the progress bar shows it: name, ticks done, ticks in all.
-pub type Progress<'p> = &'p dyn Fn(&'static str, usize, usize);
-
-/// What the job leaves: figures, and the page that shows them.
-#[derive(Clone, Debug, PartialEq)]
-pub struct DemoOutcome {
-    /// Figures.
-    pub report: DemoReport,
-    /// The page.
-    pub html: String,
-}
-
 /// Points of curves that the page shows.
 const PAGE_POINTS: usize = 3000;
 
-/// Runs the job on `bulk`, and its shorter part on the flashable firmware that `usart` connects to.
+/// Runs the job on the first board, and its shorter part on the flashable firmware that the second connects to.
+///
+/// * `board`, `toolchain` names of the board and of the compiler of its code
 ///
 /// Errors: the boards', and those of an excitation that the limits do not allow.
 pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
     robot: &Robot,
     config: &DemoConfig,
-    board: &str,
-    toolchain: &str,
-    bulk: &mut Client<N>,
-    usart: Option<&mut Client<N>>,
+    (board, toolchain): (String, String),
+    (bulk, usart): (&mut Client<N>, Option<&mut Client<N>>),
     progress: Progress<'_>,
-) -> Result<DemoOutcome, Box<dyn Error>> {
-    let world = World::<N>::new::<A, P>(robot, config, progress)?;
-    let long = long_run::long_run(bulk, &world, config, progress)?;
+) -> Result<Outcome<DemoReport>, StudyError> {
+    let setup = Setup::<N>::new::<A, P>(robot, config, progress)?;
+    let long = long_run::long_run(bulk, &setup, config, progress)?;
     let usart = usart
-        .map(|board| usart::run(board, &world, config, &long.replies, progress))
+        .map(|board| usart::run(board, &setup, config, &long.replies, progress))
         .transpose()?;
     let [frozen, statistics] = &long.statistics;
     let report = DemoReport {
         robot: robot.name.clone(),
-        board: board.to_owned(),
+        board,
         seed: config.seed,
         ticks: config.ticks(config.learning_s),
         period_s: config.period_s,
-        toolchain: toolchain.to_owned(),
+        toolchain,
         torque_nrmse_before: long.before.nrmse(),
         torque_nrmse_after: long.after.nrmse(),
         torque_nrmse_moving_before: long.before.nrmse_moving(),
@@ -122,13 +108,15 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         usart,
     };
     let curves = DemoCurves {
-        excitation: world.one_period(),
         validation_samples: config.ticks(config.validation_s),
         validation: long.validation,
         tracking: long.tracking_curves,
     };
-    let html = page::html(&report, &curves)?;
-    Ok(DemoOutcome { report, html })
+    Ok(Outcome {
+        page: page::page(&report, &curves, &setup.series),
+        text: report.summary(),
+        report,
+    })
 }
 
 #[cfg(test)]
@@ -143,7 +131,7 @@ mod tests {
         Client::connect::<Ur5, PARAMETERS>(Box::new(native), Duration::from_secs(1)).expect("hello")
     }
 
-    fn in_small() -> DemoOutcome {
+    fn in_small() -> Outcome<DemoReport> {
         let config = DemoConfig {
             learning_s: 6.0,
             usart_learning_s: 1.0,
@@ -155,10 +143,8 @@ mod tests {
         run::<Ur5, JOINTS, PARAMETERS>(
             &robot,
             &config,
-            "native",
-            "test",
-            &mut board(),
-            Some(&mut board()),
+            ("native".to_owned(), "test".to_owned()),
+            (&mut board(), Some(&mut board())),
             &|_, _, _| {},
         )
         .expect("runs")
@@ -180,7 +166,7 @@ mod tests {
         let usart = report.usart.as_ref().expect("a second board was given");
         assert_eq!(usart.ticks_with_equal_bits, usart.ticks);
         assert!(usart.torque_nrmse_after < usart.torque_nrmse_before);
-        assert!(outcome.html.len() < 3_000_000);
+        assert!(outcome.page.html().expect("plots").len() < 3_000_000);
         assert_eq!(outcome, in_small());
     }
 }

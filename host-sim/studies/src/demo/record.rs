@@ -1,7 +1,9 @@
-//! What the main job finds out: the figures of `report.json`, and the curves of the page.
+//! The figures of `report.json`, and the curves of the page.
 
-use foretorque_link::telemetry::{Cost, Statistics};
-use foretorque_workbench::dynamics::{Joints, State};
+use foretorque_link::telemetry::Statistics;
+use foretorque_workbench::dynamics::Joints;
+use foretorque_workbench::report::closed_loop::BoardCost;
+use foretorque_workbench::report::page::percent;
 use serde::Serialize;
 
 /// The figures of `report.json`. Nothing in it depends on the clock on the wall: equal runs give equal files.
@@ -21,32 +23,72 @@ pub struct DemoReport {
     pub toolchain: String,
     /// NRMSE of the torque on the unseen path before learning, all samples, a ratio.
     pub torque_nrmse_before: f64,
-    /// The same after learning.
+    /// NRMSE of the torque after learning.
     pub torque_nrmse_after: f64,
-    /// The same, only samples in which the joint moves, before learning.
+    /// NRMSE before learning, only samples in which the joint moves.
     pub torque_nrmse_moving_before: f64,
-    /// The same after learning.
+    /// NRMSE after learning, only samples in which the joint moves.
     pub torque_nrmse_moving_after: f64,
     /// RMS torque error of every joint on the unseen path, N·m.
     pub torque_rmse_nm: BeforeAfter<Vec<f64>>,
     /// RMS position error on the unseen path, mean of the joints, mrad.
     pub tracking_rms_mrad: Tracking<f64>,
-    /// The same joint by joint.
+    /// RMS tracking error of each joint, mrad.
     pub tracking_rms_joint_mrad: Tracking<Vec<f64>>,
     /// Bandwidth of the PD controller, Hz.
     pub pd_bandwidth_hz: f64,
     /// Torque error on the unseen path while learning goes on.
     pub learning_curve: Vec<LearningPoint>,
     /// Instructions of a tick, from the request's last byte to the reply.
-    pub tick_instructions: TickInstructions,
-    /// The same by what the board was doing.
+    pub tick_instructions: BoardCost,
+    /// Instructions of a tick by phase of the board.
     pub tick_instructions_by_phase: TickPhases,
     /// Instructions of learning from one tick.
-    pub learning_instructions: TickInstructions,
+    pub learning_instructions: BoardCost,
     /// Frames of the long run's link.
     pub link: LinkFigures,
-    /// The same job, shorter, on the flashable firmware over its USART.
+    /// Figures of the shorter run on the flashable firmware over its USART.
     pub usart: Option<UsartFigures>,
+}
+
+impl DemoReport {
+    /// Arm time with learning on, long run, s.
+    pub(super) fn learning_s(&self) -> f64 {
+        self.ticks as f64 * self.period_s
+    }
+
+    /// The main figures as lines of text.
+    pub(super) fn summary(&self) -> String {
+        let (tracking, tick) = (&self.tracking_rms_mrad, &self.tick_instructions);
+        let (before, after) = (self.torque_nrmse_before, self.torque_nrmse_after);
+        let mut text = format!(
+            "torque error     {} → {} NRMSE on the unseen path ({:.2} of before), {} ticks of learning\n\
+             tracking error   {:.2} mrad PD alone, {:.2} with the wrong model, {:.2} with the learnt one\n\
+             cost of a tick   {} instructions mean, {} largest\n\
+             link             {} frames, {} errors\n",
+            percent(before),
+            percent(after),
+            after / before,
+            self.ticks,
+            tracking.pd_only,
+            tracking.before,
+            tracking.after,
+            tick.mean,
+            tick.max,
+            self.link.frames,
+            self.link.errors
+        );
+        if let Some(usart) = &self.usart {
+            text += &format!(
+                "flashable ELF    {} → {} in {} ticks over its USART, {} of them with the same bits\n",
+                percent(usart.torque_nrmse_before),
+                percent(usart.torque_nrmse_after),
+                usart.ticks,
+                usart.ticks_with_equal_bits
+            );
+        }
+        text
+    }
 }
 
 /// A figure before and after learning.
@@ -70,7 +112,7 @@ pub struct Tracking<T> {
 }
 
 impl<T> Tracking<T> {
-    /// The same figure of all three.
+    /// Maps the figure of all three runs.
     pub(super) fn map<U>(&self, figure: impl Fn(&T) -> U) -> Tracking<U> {
         Tracking {
             pd_only: figure(&self.pd_only),
@@ -89,31 +131,13 @@ pub struct LearningPoint {
     pub torque_nrmse: f64,
 }
 
-/// Instructions, counted on the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct TickInstructions {
-    /// Mean over all ticks.
-    pub mean: u32,
-    /// Largest.
-    pub max: u32,
-}
-
 /// Instructions of a tick by what the board was doing in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct TickPhases {
     /// Learning off.
-    pub frozen: TickInstructions,
+    pub frozen: BoardCost,
     /// Learning on: the tick also hands its lesson over and adopts learnt sets.
-    pub learning: TickInstructions,
-}
-
-impl From<Cost> for TickInstructions {
-    fn from(cost: Cost) -> Self {
-        Self {
-            mean: cost.mean,
-            max: cost.max,
-        }
-    }
+    pub learning: BoardCost,
 }
 
 /// Frames of a link, counted on the board.
@@ -156,16 +180,16 @@ pub struct UsartFigures {
     pub ticks: usize,
     /// NRMSE on a grid of the unseen path before learning, a ratio.
     pub torque_nrmse_before: f64,
-    /// The same after these ticks.
+    /// NRMSE of the torque after these ticks.
     pub torque_nrmse_after: f64,
     /// Points of that grid.
     pub grid_points: usize,
     /// Ticks whose reply has the very bits of the long run's.
     pub ticks_with_equal_bits: usize,
     /// Instructions of a tick.
-    pub tick_instructions: TickInstructions,
+    pub tick_instructions: BoardCost,
     /// Instructions of learning from one tick.
-    pub learning_instructions: TickInstructions,
+    pub learning_instructions: BoardCost,
     /// Frames of its link.
     pub link: LinkFigures,
 }
@@ -173,8 +197,6 @@ pub struct UsartFigures {
 /// Curves of the page.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DemoCurves<const N: usize> {
-    /// One period of the excitation: time, s, and motion.
-    pub(super) excitation: Vec<(f64, State<N>)>,
     /// Samples of the unseen path that the figures count; the curves show some of them.
     pub(super) validation_samples: usize,
     /// The unseen path.

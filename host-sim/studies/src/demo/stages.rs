@@ -1,14 +1,14 @@
 //! The stages that a board goes through: it is asked along a path, it tracks, it learns.
 
-use super::world::World;
-use super::{PAGE_POINTS, Progress};
+use super::PAGE_POINTS;
+use super::setup::Setup;
+use crate::{Progress, StudyError};
 use foretorque::feedforward::Torque;
 use foretorque_workbench::board::{BoardError, Client};
 use foretorque_workbench::closed_loop::{ClosedLoop, motion_f32};
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::metrics::{TorqueError, TrackingError};
 use foretorque_workbench::plant::Plant;
-use std::error::Error;
 
 /// Time between two looks at the error while learning goes on, s.
 const WATCH_EVERY_S: f64 = 1.0;
@@ -19,7 +19,7 @@ pub(super) type ErrorCurve<const N: usize> = Vec<(f64, Joints<N>)>;
 /// Plays the unseen path in closed loop; the error in figures, and as a thinned curve.
 pub(super) fn track<const N: usize>(
     plant: &mut Plant<N>,
-    world: &World<N>,
+    setup: &Setup<N>,
     ticks: usize,
     mut board: Option<&mut Client<N>>,
     stage: &'static str,
@@ -29,9 +29,9 @@ pub(super) fn track<const N: usize>(
     let every = (ticks / PAGE_POINTS).max(1);
     let mut run = ClosedLoop::new(
         plant,
-        &world.pd,
-        &world.validation,
-        world.period_s,
+        &setup.pd,
+        &setup.validation,
+        setup.period_s,
         board.as_deref_mut(),
     )?;
     for tick in 0..ticks {
@@ -58,28 +58,28 @@ pub(super) type ReplyBits<const N: usize> = ([u32; N], u16);
 /// of the arm's time, and at the end.
 pub(super) fn learn<const N: usize>(
     board: &mut Client<N>,
-    world: &World<N>,
+    setup: &Setup<N>,
     plant: &mut Plant<N>,
     ticks: usize,
-    mut watch: impl FnMut(&mut Client<N>, &Plant<N>, f64) -> Result<(), Box<dyn Error>>,
+    mut watch: impl FnMut(&mut Client<N>, &Plant<N>, f64) -> Result<(), StudyError>,
     stage: &'static str,
     progress: Progress<'_>,
-) -> Result<Vec<ReplyBits<N>>, Box<dyn Error>> {
+) -> Result<Vec<ReplyBits<N>>, StudyError> {
     board.reset()?;
-    board.upload_bank(&world.prior)?;
+    board.upload_bank(&setup.prior)?;
     let mut replies = Vec::with_capacity(ticks);
     let mut run = ClosedLoop::new(
         plant,
-        &world.pd,
-        &world.excitation,
-        world.period_s,
+        &setup.pd,
+        &setup.excitation,
+        setup.period_s,
         Some(&mut *board),
     )?;
     board.learning(true)?;
-    let watch_every = ((WATCH_EVERY_S / world.period_s).round() as usize).max(1);
+    let watch_every = ((WATCH_EVERY_S / setup.period_s).round() as usize).max(1);
     for tick in 0..ticks {
         if tick % watch_every == 0 {
-            watch(board, plant, tick as f64 * world.period_s)?;
+            watch(board, plant, tick as f64 * setup.period_s)?;
         }
         let seen = run.tick(plant, Some(&mut *board))?;
         let bits: [f32; N] = seen.feed_forward.into();
@@ -88,11 +88,11 @@ pub(super) fn learn<const N: usize>(
     }
     board.learning(false)?;
     board.disarm()?;
-    watch(board, plant, ticks as f64 * world.period_s)?;
+    watch(board, plant, ticks as f64 * setup.period_s)?;
     Ok(replies)
 }
 
-/// What the board would answer along `path`.
+/// Torques that the board predicts along `path`.
 pub(super) fn predictions<const N: usize>(
     board: &mut Client<N>,
     path: &[(f64, State<N>)],

@@ -1,10 +1,10 @@
 //! The part on the flashable firmware, over its USART.
 
+use super::setup::Setup;
 use super::stages::{ReplyBits, error_of, learn, predictions};
-use super::world::World;
-use super::{DemoConfig, LinkFigures, Progress, UsartFigures};
+use super::{DemoConfig, LinkFigures, UsartFigures};
+use crate::{Progress, StudyError};
 use foretorque_workbench::board::Client;
-use std::error::Error;
 
 /// Points of the unseen path for the USART, whose link carries a few hundred frames a second.
 const USART_POINTS: usize = 300;
@@ -12,22 +12,22 @@ const USART_POINTS: usize = 300;
 /// The shorter job on the flashable firmware: the first seconds of the long run again, bit for bit.
 pub(super) fn run<const N: usize>(
     board: &mut Client<N>,
-    world: &World<N>,
+    setup: &Setup<N>,
     config: &DemoConfig,
     long_run: &[ReplyBits<N>],
     progress: Progress<'_>,
-) -> Result<UsartFigures, Box<dyn Error>> {
+) -> Result<UsartFigures, StudyError> {
     let ticks = config.ticks(config.usart_learning_s);
-    let grid = world.grid(USART_POINTS, config.validation_s);
-    let mut plant = world.plant.clone();
+    let grid = setup.grid(USART_POINTS, config.validation_s);
+    let mut plant = setup.plant.clone();
     // Counters from here on: how often a booting board was greeted is a matter of the clock on the wall.
     board.reset()?;
-    board.upload_bank(&world.prior)?;
+    board.upload_bank(&setup.prior)?;
     let before = predictions(board, &grid, "USART: torque before", progress)?;
     let earlier = board.statistics()?;
     let replies = learn(
         board,
-        world,
+        setup,
         &mut plant,
         ticks,
         |_, _, _| Ok(()),

@@ -1,26 +1,27 @@
-//! The excitation campaign: one search for every seed, every limit recounted on many points by code of its own.
+//! The excitation campaign: one search for every seed, every limit counted again on many points by independent code.
 
-mod page;
 mod recount;
 
 pub use recount::{Recount, recount};
 
-use super::campaign::{Campaign, JobError};
+use crate::records::Records;
+use crate::{Outcome, Progress, StudyError};
 use foretorque_workbench::excitation::{Excitation, SearchConfig, optimise};
-use foretorque_workbench::files::write_whole;
+use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::robot::Robot;
 use serde::{Deserialize, Serialize};
-use std::error::Error;
-use std::path::Path;
+use std::fmt::Write;
 
-/// What the records depend on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Settings of the campaign.
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExcitationConfig {
     /// Robot: a built-in name or a description file.
     pub robot: String,
-    /// Seeds 1 to this.
+    /// First seed.
+    pub seed: u64,
+    /// Number of seeds.
     pub seeds: u64,
-    /// Points of a period on which limits are recounted.
+    /// Points of a period on which limits are counted again.
     pub points: u32,
     /// Starts of each search.
     pub starts: usize,
@@ -32,10 +33,11 @@ pub struct ExcitationConfig {
 
 impl ExcitationConfig {
     /// The full campaign for a robot.
-    pub fn full(robot: &str, seeds: u64) -> Self {
+    pub fn full(robot: &str, seed: u64, seeds: u64) -> Self {
         let search = SearchConfig::default();
         Self {
             robot: robot.to_owned(),
+            seed,
             seeds,
             points: 100_000,
             starts: search.starts,
@@ -45,18 +47,18 @@ impl ExcitationConfig {
     }
 
     /// Short searches on few points, for tests: they do not reach the lowest condition numbers.
-    pub fn quick(robot: &str, seeds: u64) -> Self {
+    pub fn quick(robot: &str, seed: u64, seeds: u64) -> Self {
         Self {
             points: 2000,
             starts: 4,
             iterations: 40,
             condition_limit: 200.0,
-            ..Self::full(robot, seeds)
+            ..Self::full(robot, seed, seeds)
         }
     }
 }
 
-/// What the search of one seed found.
+/// Result of the search of one seed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SeedRecord {
     /// Seed.
@@ -65,143 +67,166 @@ pub struct SeedRecord {
     pub predicted_nrmse_percent: f64,
     /// Condition number of the links' base regressor, standard DH frames, raw SI.
     pub condition_number_dh: f64,
-    /// The same in the board's frames.
+    /// Condition number in the board's frames.
     pub condition_number_board: f64,
-    /// What was recounted.
+    /// Limits counted again.
     pub recount: Recount,
     /// The coefficients.
     pub excitation: Excitation,
 }
 
-/// The whole report.
+/// `report.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ExcitationReport<'a> {
+pub struct ExcitationReport {
     /// Version of this program.
     pub version: &'static str,
-    /// What it was made from.
-    pub config: &'a ExcitationConfig,
+    /// Settings.
+    pub config: ExcitationConfig,
     /// Largest predicted torque error of all seeds, %.
     pub worst_predicted_nrmse_percent: f64,
     /// Largest condition number, standard DH frames.
     pub worst_condition_number_dh: f64,
     /// Limits missed, over all seeds and points.
     pub violations: u64,
-    /// Values beyond what the certificates say is the worst.
+    /// Values beyond the worst of the certificates.
     pub beyond_certificate: u64,
     /// Seed by seed.
-    pub seeds: &'a [SeedRecord],
+    pub seeds: Vec<SeedRecord>,
 }
 
-/// The campaign.
-#[derive(Clone, Debug)]
-pub struct ExcitationCampaign {
+/// Runs the campaign; `None` if the records are only written.
+///
+/// Errors: a robot without six or seven joints; a search that finds nothing; the records'.
+pub fn run(
     config: ExcitationConfig,
-    robot: Robot,
+    records: &Records,
+    progress: Progress<'_>,
+) -> Result<Option<Outcome<ExcitationReport>>, StudyError> {
+    let robot = Robot::load(&config.robot)?;
+    let search: fn(&Robot, &ExcitationConfig, u64) -> _ = match robot.joint_count() {
+        6 => search::<6>,
+        7 => search::<7>,
+        joints => return Err(StudyError::Joints(joints)),
+    };
+    let made_of = ExcitationConfig {
+        seed: 0,
+        seeds: 0,
+        ..config.clone()
+    };
+    let seeds: Vec<u64> = (config.seed..config.seed + config.seeds).collect();
+    let found = records.of(
+        &made_of,
+        (&seeds, |record: &SeedRecord| record.seed),
+        // One search at a time: it takes all cores itself.
+        1,
+        |seed| search(&robot, &config, *seed),
+        progress,
+    )?;
+    Ok(found.map(|seeds| outcome(config, seeds)))
 }
 
-impl ExcitationCampaign {
-    /// The campaign of a configuration.
-    ///
-    /// Errors: a robot that is none, or has neither six nor seven joints.
-    pub fn new(config: ExcitationConfig) -> Result<Self, Box<dyn Error>> {
-        let robot = Robot::load(&config.robot)?;
-        match robot.joint_count() {
-            6 | 7 => Ok(Self { config, robot }),
-            joints => Err(format!("robots of {joints} joints are not supported").into()),
-        }
-    }
+fn search<const N: usize>(
+    robot: &Robot,
+    config: &ExcitationConfig,
+    seed: u64,
+) -> Result<SeedRecord, StudyError> {
+    let search = SearchConfig {
+        seed,
+        starts: config.starts,
+        iterations: config.iterations,
+        condition_limit: config.condition_limit,
+        ..SearchConfig::default()
+    };
+    let mut excitation = optimise::<N>(robot, &search, None, |_, _| ())?;
+    let uncertified = || StudyError::Unusable("the excitation has no certificate".to_owned());
+    let recount = recount::<N>(robot, &excitation, search.range_rad, config.points)
+        .ok_or_else(uncertified)?;
+    let certificate = excitation.certificate.take().ok_or_else(uncertified)?;
+    Ok(SeedRecord {
+        seed,
+        predicted_nrmse_percent: certificate.predicted_nrmse_percent,
+        condition_number_dh: certificate.condition_number_dh,
+        condition_number_board: certificate.condition_number_board,
+        recount,
+        excitation,
+    })
+}
 
-    fn searched<const N: usize>(&self, seed: u64) -> Result<SeedRecord, JobError> {
-        let search = SearchConfig {
-            seed,
-            starts: self.config.starts,
-            iterations: self.config.iterations,
-            condition_limit: self.config.condition_limit,
-            ..SearchConfig::default()
-        };
-        let excitation = optimise::<N>(&self.robot, &search, None, |_, _| ())?;
-        let recount = recount::<N>(
-            &self.robot,
-            &excitation,
-            search.range_rad,
-            self.config.points,
+fn outcome(config: ExcitationConfig, seeds: Vec<SeedRecord>) -> Outcome<ExcitationReport> {
+    let worst = |pick: fn(&SeedRecord) -> f64| seeds.iter().map(pick).fold(0.0, f64::max);
+    let report = ExcitationReport {
+        version: env!("CARGO_PKG_VERSION"),
+        worst_predicted_nrmse_percent: worst(|r| r.predicted_nrmse_percent),
+        worst_condition_number_dh: worst(|r| r.condition_number_dh),
+        violations: seeds.iter().map(|r| r.recount.violations).sum(),
+        beyond_certificate: seeds.iter().map(|r| r.recount.beyond_certificate).sum(),
+        config,
+        seeds,
+    };
+    let mut text = String::new();
+    for r in &report.seeds {
+        let _ = writeln!(
+            text,
+            "seed {:<3} {:.4} %  condition number {:.2}  {} violations",
+            r.seed, r.predicted_nrmse_percent, r.condition_number_dh, r.recount.violations
+        );
+    }
+    let _ = writeln!(
+        text,
+        "worst    {:.4} %  condition number {:.2}  {} violations on {} points each",
+        report.worst_predicted_nrmse_percent,
+        report.worst_condition_number_dh,
+        report.violations,
+        report.config.points
+    );
+    Outcome {
+        page: page(&report),
+        report,
+        text,
+    }
+}
+
+fn page(report: &ExcitationReport) -> Page {
+    let config = &report.config;
+    let seeds = report.seeds.iter().map(|seed| {
+        [
+            seed.seed.to_string(),
+            format!("{:.4}", seed.predicted_nrmse_percent),
+            format!("{:.2}", seed.condition_number_dh),
+            format!("{:.2}", seed.condition_number_board),
+            seed.recount.violations.to_string(),
+            seed.recount.beyond_certificate.to_string(),
+        ]
+    });
+    let lead = format!(
+        "Robot {}, seeds {} to {}: one search each ({} starts, {} iterations), condition number at most {}.",
+        config.robot,
+        config.seed,
+        config.seed + config.seeds - 1,
+        config.starts,
+        config.iterations,
+        config.condition_limit
+    );
+    let caption = format!(
+        "Violations: position, velocity, acceleration, torque, table and distance of links, counted again at {} instants of the \
+         period by independent code. Beyond certificate: values above the certificate's worst.",
+        config.points
+    );
+    Page::new("Excitation campaign", lead)
+        .card(
+            format!("{:.3} %", report.worst_predicted_nrmse_percent),
+            "largest predicted torque error (10 s, 1 % noise)",
         )
-        .ok_or("the excitation has no certificate")?;
-        let certificate = excitation
-            .certificate
-            .as_deref()
-            .ok_or("the excitation has no certificate")?;
-        Ok(SeedRecord {
-            seed,
-            predicted_nrmse_percent: certificate.predicted_nrmse_percent,
-            condition_number_dh: certificate.condition_number_dh,
-            condition_number_board: certificate.condition_number_board,
-            recount,
-            excitation: Excitation {
-                certificate: None,
-                ..excitation
-            },
-        })
-    }
-}
-
-impl Campaign for ExcitationCampaign {
-    const NAME: &'static str = "excitation";
-    type Config = ExcitationConfig;
-    type Record = SeedRecord;
-
-    fn config(&self) -> &ExcitationConfig {
-        &self.config
-    }
-
-    fn jobs(&self) -> usize {
-        self.config.seeds as usize
-    }
-
-    /// One search at a time: it takes all cores itself.
-    fn threads(&self) -> usize {
-        1
-    }
-
-    fn run(&self, job: usize) -> Result<SeedRecord, JobError> {
-        let seed = 1 + job as u64;
-        match self.robot.joint_count() {
-            6 => self.searched::<6>(seed),
-            _ => self.searched::<7>(seed),
-        }
-    }
-
-    fn finish(&self, records: &[SeedRecord], out: &Path) -> Result<Vec<String>, Box<dyn Error>> {
-        let worst = |pick: fn(&SeedRecord) -> f64| records.iter().map(pick).fold(0.0, f64::max);
-        let report = ExcitationReport {
-            version: env!("CARGO_PKG_VERSION"),
-            config: &self.config,
-            worst_predicted_nrmse_percent: worst(|r| r.predicted_nrmse_percent),
-            worst_condition_number_dh: worst(|r| r.condition_number_dh),
-            violations: records.iter().map(|r| r.recount.violations).sum(),
-            beyond_certificate: records.iter().map(|r| r.recount.beyond_certificate).sum(),
-            seeds: records,
-        };
-        write_whole(&out.join("report.html"), page::page(&report).as_bytes())?;
-        let json = serde_json::to_string_pretty(&report)? + "\n";
-        write_whole(&out.join("report.json"), json.as_bytes())?;
-        let mut lines: Vec<String> = records
-            .iter()
-            .map(|r| {
-                format!(
-                    "seed {:<3} {:.4} %  condition number {:.2}  {} violations",
-                    r.seed, r.predicted_nrmse_percent, r.condition_number_dh, r.recount.violations
-                )
-            })
-            .collect();
-        lines.push(format!(
-            "worst    {:.4} %  condition number {:.2}  {} violations on {} points each",
-            report.worst_predicted_nrmse_percent,
-            report.worst_condition_number_dh,
+        .card(
+            format!("{:.1}", report.worst_condition_number_dh),
+            "largest condition number (links, standard DH frames, raw SI)",
+        )
+        .card(
             report.violations,
-            self.config.points
-        ));
-        lines.push(out.join("report.html").display().to_string());
-        Ok(lines)
-    }
+            format!("limits missed on {} points of each seed", config.points),
+        )
+        .sections([Section::new("Seed by seed", caption).table(
+            "seed | predicted error / % | condition number, DH | condition number, board | violations | beyond certificate",
+            seeds,
+        )])
 }

@@ -1,10 +1,12 @@
 //! The board's tick and its learning, in the order in which the board does them.
 
-use super::world::{N, P, PERIOD_S, Set};
+use super::setup::{N, P, PERIOD_S, Set};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
-use foretorque::learning::{ConfigError, Exchange, Learner, LearnerConfig, LearnerState, Report};
+use foretorque::learning::{
+    ConfigError, Exchange, Learner, LearnerConfig, LearnerReport, LearnerState,
+};
 use foretorque_link::bank::NETWORK_SEED;
 use foretorque_link::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason, SafetyStatus};
 use foretorque_link::wire::SampleFrame;
@@ -50,7 +52,7 @@ impl Controller {
         })
     }
 
-    /// What arms the board at rest in `desired`: a sample that is shown until the board believes it.
+    /// The sample that arms the board at rest in `desired`: shown until the board accepts it.
     pub(super) fn arming_sample(&self, desired: JointMotion<N>) -> JointSample<N> {
         let tau = evaluate::<Ur5, N, P>(&self.active(), &desired).total;
         JointSample {
@@ -83,7 +85,7 @@ impl Controller {
         self.feedforward.applied(&torque.total);
         if self.learning {
             let measured = sample.and_then(|sample| sample.measured);
-            let lesson = self.feedforward.lesson(measured);
+            let lesson = self.feedforward.learning_sample(measured);
             self.learner.learn(&lesson, &mut self.exchange);
         }
         torque
@@ -99,13 +101,13 @@ impl Controller {
         self.feedforward.in_force()
     }
 
-    /// What the learner knows.
+    /// State of the learner.
     pub(super) fn learner(&self) -> &LearnerState<N, P> {
         self.learner.state()
     }
 
-    /// What the guard tells: model quality and decisions.
-    pub(super) fn report(&self) -> &Report<N> {
+    /// Report of the supervisor: model quality and decisions.
+    pub(super) fn report(&self) -> &LearnerReport<N> {
         &self.feedforward.state().report
     }
 

@@ -1,7 +1,7 @@
-//! The same samples through the firmware's session, over a real link: are the torques the same bits?
+//! The samples of a native run through the firmware's session, over a real link: bits compared.
 
-use super::drive::Trace;
-use super::world::{N, P, Set};
+use super::setup::{N, P, Set};
+use super::trace::Trace;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::board::{BoardError, Client};
@@ -17,7 +17,7 @@ pub(super) const REPLAYED: [&str; 6] = [
     "not-a-number-pd6",
 ];
 
-/// How far native run and board agree.
+/// Agreement of native run and board.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EmulatedReport {
     /// Ticks replayed, those not counted in which no sample arrived: a board that the link paces answers none.
@@ -26,7 +26,7 @@ pub struct EmulatedReport {
     pub ticks_with_other_bits_count: usize,
 }
 
-/// Replays what went into a native run.
+/// Replays the samples of a native run.
 ///
 /// Errors: the board's.
 pub(super) fn replay(
@@ -42,7 +42,7 @@ pub(super) fn replay(
         board.arm(arming)?;
     }
     let (mut ticks, mut other) = (0, 0);
-    for (sample, torque) in &native.tape {
+    for (sample, torque) in &native.recording {
         let Some(sample) = sample else {
             board.skip_period();
             continue;

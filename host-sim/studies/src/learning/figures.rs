@@ -1,9 +1,9 @@
-//! From traces to figures, each with its unit in the key.
+//! Figures of traces, each with its unit in the key.
 
-use super::drive::{Look, Second, Trace};
+use super::recorder::PAYLOAD_GRACE_S;
 use super::scenario::Scenario;
-use super::watch::PAYLOAD_GRACE_S;
-use super::world::N;
+use super::setup::N;
+use super::trace::{Evaluation, Second, Trace};
 use foretorque_link::safety::SafetyState;
 use foretorque_workbench::metrics::TrackingError;
 use foretorque_workbench::plant::Events;
@@ -41,8 +41,16 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
     let mut put = |name: &str, value: f64| {
         out.insert(name.to_owned(), value);
     };
-    let last = |trace: &Trace| trace.looks.last().map_or(f64::NAN, |look| look.nrmse);
-    put("first_nrmse_moving_percent", 100.0 * first(&learning.looks));
+    let last = |trace: &Trace| {
+        trace
+            .evaluations
+            .last()
+            .map_or(f64::NAN, |evaluation| evaluation.nrmse)
+    };
+    put(
+        "first_nrmse_moving_percent",
+        100.0 * first(&learning.evaluations),
+    );
     put("last_nrmse_moving_percent", 100.0 * last(learning));
     put("last_frozen_nrmse_moving_percent", 100.0 * last(frozen));
     // Short runs have no window that counts.
@@ -82,10 +90,10 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
     match scenario.name {
         "convergence" => {
             for (bound, name) in [(0.02, "below_2_percent_s"), (0.01, "below_1_percent_s")] {
-                put(name, first_below(&learning.looks, bound));
+                put(name, first_below(&learning.evaluations, bound));
                 put(
                     &format!("stays_{name}"),
-                    stays_below(&learning.looks, bound),
+                    stays_below(&learning.evaluations, bound),
                 );
             }
         }
@@ -99,7 +107,7 @@ pub(super) fn figures(scenario: &Scenario, events: &Events<N>, traces: &Traces) 
         collisions(events, learning, &mut put);
     }
     if let Some(without) = no_network {
-        let late = |trace: &Trace| trace.looks[trace.looks.len() / 2..].to_vec();
+        let late = |trace: &Trace| trace.evaluations[trace.evaluations.len() / 2..].to_vec();
         let ratios: Vec<f64> = late(learning)
             .iter()
             .zip(late(without))
@@ -147,21 +155,29 @@ fn snake(name: &str) -> String {
     out
 }
 
-fn first(looks: &[Look]) -> f64 {
-    looks.first().map_or(f64::NAN, |look| look.nrmse)
+fn first(evaluations: &[Evaluation]) -> f64 {
+    evaluations
+        .first()
+        .map_or(f64::NAN, |evaluation| evaluation.nrmse)
 }
 
-/// When the error is first below `bound`, s; not a number if never.
-fn first_below(looks: &[Look], bound: f64) -> f64 {
-    let found = looks.iter().find(|look| look.nrmse < bound);
-    found.map_or(f64::NAN, |look| look.t_s)
+/// Time at which the error is first below `bound`, s; NaN if never.
+fn first_below(evaluations: &[Evaluation], bound: f64) -> f64 {
+    let found = evaluations
+        .iter()
+        .find(|evaluation| evaluation.nrmse < bound);
+    found.map_or(f64::NAN, |evaluation| evaluation.t_s)
 }
 
 /// From when on the error stays below `bound`, s; not a number if never.
-fn stays_below(looks: &[Look], bound: f64) -> f64 {
-    let above = looks.iter().rposition(|look| look.nrmse >= bound);
+fn stays_below(evaluations: &[Evaluation], bound: f64) -> f64 {
+    let above = evaluations
+        .iter()
+        .rposition(|evaluation| evaluation.nrmse >= bound);
     let first = above.map_or(0, |above| above + 1);
-    looks.get(first).map_or(f64::NAN, |look| look.t_s)
+    evaluations
+        .get(first)
+        .map_or(f64::NAN, |evaluation| evaluation.t_s)
 }
 
 /// The worst ratio of learned over frozen error on any window that counts and has motion, and where that begins, s.
@@ -212,7 +228,7 @@ fn payloads(events: &Events<N>, trace: &Trace, put: &mut impl FnMut(&str, f64)) 
             .payloads
             .iter()
             .map(|p| if picked { p.from_s } else { p.to_s })
-            .map(|change_s| learnt_after(&trace.looks, change_s))
+            .map(|change_s| learnt_after(&trace.evaluations, change_s))
             .collect();
         let never = times.iter().filter(|time| time.is_infinite()).count();
         put(&format!("{name}_count"), times.len() as f64);
@@ -255,24 +271,24 @@ fn payloads(events: &Events<N>, trace: &Trace, put: &mut impl FnMut(&str, f64)) 
 }
 
 /// Time from a change until the error is below a tenth of what it changed, s; infinite if not in the time of grace.
-fn learnt_after(looks: &[Look], change_s: f64) -> f64 {
-    let mut soon = looks
-        .iter()
-        .filter(|look| look.t_s > change_s && look.t_s <= change_s + PAYLOAD_GRACE_S);
-    let learnt = soon.find(|look| look.of_step.is_some_and(|part| part < LEARNT));
-    learnt.map_or(f64::INFINITY, |look| look.t_s - change_s)
+fn learnt_after(evaluations: &[Evaluation], change_s: f64) -> f64 {
+    let mut soon = evaluations.iter().filter(|evaluation| {
+        evaluation.t_s > change_s && evaluation.t_s <= change_s + PAYLOAD_GRACE_S
+    });
+    let learnt = soon.find(|evaluation| evaluation.of_step.is_some_and(|part| part < LEARNT));
+    learnt.map_or(f64::INFINITY, |evaluation| evaluation.t_s - change_s)
 }
 
-/// How many collisions spoil the feed-forward, while they last and one second later.
+/// Number of collisions that spoil the feed-forward, while they last and one second later.
 fn collisions(events: &Events<N>, trace: &Trace, put: &mut impl FnMut(&str, f64)) {
     let mut peaks = Vec::new();
     let (mut during, mut after) = (0, 0);
     for push in &events.pushes {
         let near = |from_s: f64, to_s: f64| {
-            let looks = trace.looks.iter();
-            looks
-                .filter(|look| (from_s..=to_s).contains(&look.t_s))
-                .map(|look| look.nrmse)
+            let evaluations = trace.evaluations.iter();
+            evaluations
+                .filter(|evaluation| (from_s..=to_s).contains(&evaluation.t_s))
+                .map(|evaluation| evaluation.nrmse)
                 .fold(0.0, f64::max)
         };
         let peak = near(push.from_s, push.to_s + 1.0);

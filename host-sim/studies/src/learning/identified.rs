@@ -1,19 +1,23 @@
-//! The parameters that a careful engineer would load: least squares over the board's own rows.
+//! Starting parameters by least squares over the board's own rows.
 
-use super::baselines::prior_covariance;
-use super::comparison::heard_row;
 use super::controller::Controller;
 use super::scenario::Start;
-use super::world::{N, P, PERIOD_S, Set, World};
-use foretorque::arm::ur5::{JOINTS, Ur5};
+use super::setup::{N, P, PERIOD_S, Set, Setup};
+use super::twin::prior_covariance;
+use crate::StudyError;
+use foretorque::arm::Arm;
+use foretorque::arm::ur5::Ur5;
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::evaluate;
-use foretorque::learning::{Conditioned, LearnerConfig, MeasurementWindow, Stacked};
+use foretorque::learning::{
+    ConditionedSample, LearnerConfig, LinearParameters, MeasurementWindow, cogging_attenuation,
+    torque_row,
+};
 use foretorque_workbench::closed_loop::{Answer, ClosedLoop};
 use foretorque_workbench::plant::PlantConfig;
 use foretorque_workbench::trajectory::Trajectory;
 use nalgebra::{DMatrix, DVector};
 use std::convert::Infallible;
-use std::error::Error;
 
 /// Length of the path that is identified on, s.
 const IDENTIFICATION_S: f64 = 40.0;
@@ -30,14 +34,14 @@ pub(super) struct Starts {
 }
 
 impl Starts {
-    /// Identifies the arm of `world` at the age of zero, without drift.
-    pub(super) fn new(world: &World) -> Result<Self, Box<dyn Error>> {
-        let rows = conditioned_rows(world)?;
+    /// Identifies the arm of `setup` at the age of zero, without drift.
+    pub(super) fn new(setup: &Setup) -> Result<Self, StudyError> {
+        let rows = conditioned_rows(setup)?;
         let full = Controller::config();
         Ok(Self {
-            wrong: world.wrong,
-            identified: least_squares(&rows, &world.wrong, &full),
-            plain: least_squares(&rows, &world.wrong, &Start::PlainFriction.config()),
+            wrong: setup.wrong,
+            identified: least_squares(&rows, &setup.wrong, &full),
+            plain: least_squares(&rows, &setup.wrong, &Start::PlainFriction.config()),
         })
     }
 
@@ -57,24 +61,28 @@ impl Start {
         let mut config = Controller::config();
         if self == Self::PlainFriction {
             for sigma in &mut config.friction_sigma {
-                sigma.stribeck *= UNUSED;
-                sigma.bend *= UNUSED;
-                sigma.load *= UNUSED;
+                for column in [
+                    FrictionColumn::Stribeck,
+                    FrictionColumn::ShearThinning,
+                    FrictionColumn::Load,
+                ] {
+                    sigma[column] *= UNUSED;
+                }
             }
         }
         config
     }
 }
 
-/// What the board would have learnt from: the filtered motion and the torque of the same instant.
-fn conditioned_rows(world: &World) -> Result<Vec<Conditioned<N>>, Box<dyn Error>> {
+/// The board's training rows: the filtered motion and the torque of the same instant.
+fn conditioned_rows(setup: &Setup) -> Result<Vec<ConditionedSample<N>>, StudyError> {
     let quiet = PlantConfig {
         viscous_drift: 0.0,
         ..PlantConfig::default()
     };
-    let mut plant = world.plant(quiet, 1.0, 999)?;
-    let pd = world.pd(6.0);
-    let path = Trajectory::Via(world.task(IDENTIFICATION_S, 0));
+    let mut plant = setup.plant(quiet, 1.0, 999)?;
+    let pd = setup.pd(6.0);
+    let path = Trajectory::Via(setup.task(IDENTIFICATION_S, 0));
     let mut run = ClosedLoop::new(&mut plant, &pd, &path, PERIOD_S, None)?;
     let mut window = MeasurementWindow::<N>::new();
     let mut rows = Vec::new();
@@ -85,7 +93,7 @@ fn conditioned_rows(world: &World) -> Result<Vec<Conditioned<N>>, Box<dyn Error>
             };
             window.push(sample.measured.as_ref());
             Ok(Some(Answer {
-                total: evaluate::<Ur5, N, P>(&world.wrong, &sample.desired).total,
+                total: evaluate::<Ur5, N, P>(&setup.wrong, &sample.desired).total,
                 shares: None,
                 flags: 0,
             }))
@@ -97,21 +105,30 @@ fn conditioned_rows(world: &World) -> Result<Vec<Conditioned<N>>, Box<dyn Error>
     Ok(rows)
 }
 
-/// Weighted least squares with the doubts of `config` around `prior`.
-fn least_squares(rows: &[Conditioned<N>], prior: &Set, config: &LearnerConfig<N, P>) -> Set {
-    let start = Stacked::of(prior);
-    let sigma = Stacked::sigma(config);
+/// The torque row of `joint` after the filter of the motion, for a torque without compensation of cogging.
+fn filtered_row(joint: usize, seen: &ConditionedSample<N>) -> LinearParameters<N, P> {
+    let mut row = torque_row::<Ur5, N, P>(joint, seen);
+    let cycles = <Ur5 as Arm<N, P>>::COGGING_CYCLES[joint];
+    let share = cogging_attenuation(cycles * seen.motion.qd[joint] * PERIOD_S as f32);
+    row.attenuate_cogging(joint, share, &LinearParameters::filled(0.0));
+    row
+}
+
+/// Weighted least squares with the prior covariance of `config` around `prior`.
+fn least_squares(rows: &[ConditionedSample<N>], prior: &Set, config: &LearnerConfig<N, P>) -> Set {
+    let start = LinearParameters::of(prior);
+    let sigma = config.sigma();
     let n = start.iter().count();
     let prior_information = prior_covariance().try_inverse();
     let mut normal = prior_information.unwrap_or_else(|| DMatrix::identity(n, n));
     let mut right = DVector::<f64>::zeros(n);
     for seen in rows {
-        for joint in 0..JOINTS {
+        for joint in 0..N {
             if seen.motion.qd[joint].abs() < config.velocity_gate {
                 continue;
             }
-            let row = heard_row(joint, seen);
-            let limit = <Ur5 as foretorque::arm::Arm<N, P>>::LIMITS[joint].torque;
+            let row = filtered_row(joint, seen);
+            let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
             let inv_noise = f64::from(1.0 / (config.noise * limit));
             let phi = DVector::from_iterator(
                 n,

@@ -2,44 +2,42 @@
 //! everything that may go wrong.
 
 mod bars;
-mod baselines;
-mod bound;
-mod comparison;
 mod controller;
+mod cramer_rao;
 mod drive;
 mod emulated;
 mod figures;
 mod identified;
 mod page;
+mod recorder;
 mod scenario;
+mod setup;
 pub mod soak;
-pub mod table;
+mod trace;
 mod twin;
-mod watch;
-mod world;
 
-pub use bars::Outcome;
-pub use comparison::MethodReport;
+pub use bars::Comparison;
 pub use emulated::EmulatedReport;
 
-use drive::{Board, Run, Trace};
+use crate::{Outcome, Progress, StudyError};
+use drive::{Board, Run};
 use figures::{Figures, Traces, figures};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::parallel::{cores, in_parallel};
 use identified::Starts;
-use scenario::{SCENARIOS, Scenario};
+use scenario::Scenario;
 use serde::Serialize;
+use setup::Setup;
 use std::cell::Cell;
 use std::collections::BTreeMap;
-use std::error::Error;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use world::World;
+use trace::Trace;
 
 /// Bandwidths of the PD loop in which every scenario is run, Hz.
 const BANDWIDTHS_HZ: [(f64, &str); 2] = [(6.0, "pd6"), (3.0, "pd3")];
 
-/// What is to be run.
+/// Settings of the study.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LearningConfig {
     /// Seed of arm, prior, paths, noise and events.
@@ -59,7 +57,7 @@ pub struct ScenarioReport {
     pub ticks: usize,
     /// Time, s, and error of the active set on the unseen path, moving rows, %.
     pub nrmse_moving_percent: Vec<(f64, f64)>,
-    /// The same of the board that never learns.
+    /// NRMSE over moving rows of the board that never learns.
     pub frozen_nrmse_moving_percent: Vec<(f64, f64)>,
     /// Figures, units in the keys; `null` where there is none.
     pub figures: Figures,
@@ -76,86 +74,71 @@ pub struct LearningReport {
     pub seed: u64,
     /// Scenarios by name.
     pub scenarios: BTreeMap<String, ScenarioReport>,
-    /// Estimators side by side on the same rows, by name; empty where only some scenarios were asked for.
-    pub comparison: BTreeMap<String, MethodReport>,
     /// Scenarios replayed on the board, by name; empty without a board.
     pub emulated: BTreeMap<String, EmulatedReport>,
     /// Figures against their bars.
-    pub outcomes: Vec<Outcome>,
+    pub outcomes: Vec<Comparison>,
 }
 
-/// Told how far it is: seconds of arm time done, and in all.
-pub type Progress<'p> = &'p (dyn Fn(&'static str, usize, usize) + Sync);
+/// A scenario in a loop of one bandwidth.
+struct Case {
+    name: String,
+    scenario: Scenario,
+    bandwidth_hz: f64,
+}
 
-/// Names of all scenarios, each with one line on what it shows.
-pub fn scenarios() -> impl Iterator<Item = (String, &'static str)> {
-    SCENARIOS.iter().flat_map(|scenario| {
-        BANDWIDTHS_HZ
-            .iter()
-            .map(|(_, loops)| (format!("{}-{loops}", scenario.name), scenario.shows))
+fn cases() -> impl Iterator<Item = Case> {
+    Scenario::all().flat_map(|scenario| {
+        BANDWIDTHS_HZ.map(|(bandwidth_hz, loops)| Case {
+            name: format!("{}-{loops}", scenario.name),
+            scenario,
+            bandwidth_hz,
+        })
     })
 }
 
-/// Runs the scenarios on all cores, then some of them again on `board`. Returns the figures and the page.
+/// Names of all scenarios, each with one line on what it shows.
+pub fn scenarios() -> impl Iterator<Item = (String, &'static str)> {
+    cases().map(|case| (case.name, case.scenario.shows))
+}
+
+/// Runs the scenarios on all cores, then some of them again on `board`.
 ///
 /// Errors: no scenario has that name; the board's.
 pub fn run(
     config: &LearningConfig,
     mut board: Option<&mut Client<JOINTS>>,
     progress: Progress<'_>,
-) -> Result<(LearningReport, String), Box<dyn Error>> {
-    let wanted: Vec<(String, &Scenario, f64)> = SCENARIOS
-        .iter()
-        .flat_map(|scenario| {
-            BANDWIDTHS_HZ.map(|(hz, loops)| (format!("{}-{loops}", scenario.name), scenario, hz))
-        })
-        .filter(|(name, ..)| {
-            config
-                .only
-                .as_ref()
-                .is_none_or(|only| name.starts_with(only))
-        })
-        .collect();
-    let comparison_alone = config.only.as_deref() == Some("comparison");
-    if wanted.is_empty() && !comparison_alone {
-        let only = config.only.as_deref().unwrap_or_default();
-        return Err(format!("no scenario begins with '{only}': --list shows them").into());
+) -> Result<Outcome<LearningReport>, StudyError> {
+    let only = config.only.as_deref().unwrap_or_default();
+    let cases: Vec<Case> = cases().filter(|case| case.name.starts_with(only)).collect();
+    if cases.is_empty() {
+        let reason = format!("no scenario begins with '{only}': --list shows them");
+        return Err(StudyError::Unusable(reason));
     }
-    let world = World::new(config.seed)?;
-    let starts = Starts::new(&world)?;
+    let setup = Setup::new(config.seed)?;
+    let starts = Starts::new(&setup)?;
     let mut runs = Vec::new();
-    for (place, (name, scenario, bandwidth_hz)) in wanted.iter().enumerate() {
-        let mut boards = vec![Board::Learning, Board::Frozen];
-        boards.extend(scenario.against_pd.then_some(Board::None));
-        boards.extend(scenario.without_network.then_some(Board::NoNetwork));
-        runs.extend(boards.iter().map(|board_kind| {
-            let run = Run {
-                world: &world,
-                starts: &starts,
-                scenario,
-                bandwidth_hz: *bandwidth_hz,
-                board: *board_kind,
-                quick: config.quick,
-                tape: board.is_some()
-                    && *board_kind == Board::Learning
-                    && emulated::REPLAYED.contains(&name.as_str()),
-            };
-            (place, run)
+    for case in &cases {
+        let replayed = board.is_some() && emulated::REPLAYED.contains(&case.name.as_str());
+        runs.extend(case.boards().map(|board| Run {
+            setup: &setup,
+            starts: &starts,
+            scenario: &case.scenario,
+            bandwidth_hz: case.bandwidth_hz,
+            board,
+            quick: config.quick,
+            recording: replayed && board == Board::Learning,
         }));
     }
-    let traces = run_all(&runs, progress)?;
-    let mut by_place: BTreeMap<usize, Vec<(Board, Trace)>> = BTreeMap::new();
-    for ((place, run), trace) in runs.iter().zip(traces) {
-        by_place.entry(*place).or_default().push((run.board, trace));
-    }
+    let mut traces = run_all(&runs, progress)?.into_iter();
     let (mut scenarios, mut emulated) = (BTreeMap::new(), BTreeMap::new());
-    for (place, traces) in by_place {
-        let (name, scenario, _) = &wanted[place];
-        let mut traces: BTreeMap<u8, Trace> = traces
-            .into_iter()
-            .map(|(board, trace)| (board as u8, trace))
-            .collect();
-        let mut take = |board: Board| traces.remove(&(board as u8));
+    for case in &cases {
+        let mut own: Vec<(Board, Trace)> = case.boards().zip(traces.by_ref()).collect();
+        let mut take = |board| {
+            let place = own.iter().position(|(of, _)| *of == board)?;
+            Some(own.swap_remove(place).1)
+        };
         let (Some(learning), Some(frozen)) = (take(Board::Learning), take(Board::Frozen)) else {
             continue;
         };
@@ -165,80 +148,70 @@ pub fn run(
             pd: take(Board::None),
             no_network: take(Board::NoNetwork),
         };
-        if let Some(board) = board
-            .as_deref_mut()
-            .filter(|_| !traces.learning.tape.is_empty())
-        {
-            let (start, all) = (starts.set(scenario.start), traces.learning.tape.len());
+        let all = traces.learning.recording.len();
+        if let Some(board) = board.as_deref_mut().filter(|_| all > 0) {
+            let start = starts.set(case.scenario.start);
             let done = Cell::new(0);
             let replayed = emulated::replay(board, start, &traces.learning, &|ticks| {
                 done.set(done.get() + ticks);
                 progress("ticks on the board", done.get(), all);
             })?;
-            emulated.insert(name.clone(), replayed);
+            emulated.insert(case.name.clone(), replayed);
         }
-        let events = scenario.events(&world, config.quick);
-        let figures = figures(scenario, &events, &traces);
-        scenarios.insert(
-            name.clone(),
-            ScenarioReport {
-                seed: config.seed,
-                ticks: traces.learning.ticks,
-                nrmse_moving_percent: curve(&traces.learning),
-                frozen_nrmse_moving_percent: curve(&traces.frozen),
-                figures,
-                torque_checksum: format!("{:016x}", traces.learning.checksum),
-            },
-        );
+        let events = case.scenario.events(&setup, config.quick);
+        let report = ScenarioReport {
+            seed: config.seed,
+            ticks: traces.learning.ticks,
+            nrmse_moving_percent: curve(&traces.learning),
+            frozen_nrmse_moving_percent: curve(&traces.frozen),
+            figures: figures(&case.scenario, &events, &traces),
+            torque_checksum: format!("{:016x}", traces.learning.checksum),
+        };
+        scenarios.insert(case.name.clone(), report);
     }
-    let comparison = match config.only {
-        Some(_) if !comparison_alone => BTreeMap::new(),
-        _ => comparison::compare(&world, config.quick, &|done, all| {
-            progress("estimators compared", done, all);
-        })?,
-    };
-    let outcomes = bars::outcomes(scenarios.iter().map(|(name, s)| (name, &s.figures)));
-    let report = LearningReport {
+    let outcomes = bars::comparisons(scenarios.iter().map(|(name, s)| (name, &s.figures)));
+    Ok(page::outcome(LearningReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: config.seed,
         scenarios,
-        comparison,
         emulated,
         outcomes,
-    };
-    let page = page::page(&report)?;
-    Ok((report, page))
+    }))
+}
+
+impl Case {
+    /// The boards that the scenario is run with.
+    fn boards(&self) -> impl Iterator<Item = Board> {
+        let (pd, network) = (self.scenario.against_pd, self.scenario.without_network);
+        let beside = [
+            pd.then_some(Board::None),
+            network.then_some(Board::NoNetwork),
+        ];
+        let both = [Board::Learning, Board::Frozen];
+        both.into_iter().chain(beside.into_iter().flatten())
+    }
 }
 
 /// Error over time, %.
 fn curve(trace: &Trace) -> Vec<(f64, f64)> {
-    let looks = trace.looks.iter();
-    looks.map(|look| (look.t_s, 100.0 * look.nrmse)).collect()
+    let evaluations = trace.evaluations.iter();
+    evaluations.map(|e| (e.t_s, 100.0 * e.nrmse)).collect()
 }
 
 /// Runs everything on all cores, the longest first; traces in the order of `runs`.
-fn run_all(
-    runs: &[(usize, Run<'_>)],
-    progress: Progress<'_>,
-) -> Result<Vec<Trace>, Box<dyn Error>> {
+fn run_all(runs: &[Run<'_>], progress: Progress<'_>) -> Result<Vec<Trace>, StudyError> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
-    order.sort_by_key(|&k| std::cmp::Reverse(runs[k].1.ticks()));
-    let all: usize = runs.iter().map(|(_, run)| run.ticks() / 1000).sum();
+    order.sort_by_key(|&k| std::cmp::Reverse(runs[k].ticks()));
+    let all: usize = runs.iter().map(|run| run.ticks() / 1000).sum();
     let done = AtomicUsize::new(0);
     let advance = |ticks: usize| {
         let before = done.fetch_add(ticks / 1000, Ordering::Relaxed);
         progress("seconds of arm time", before + ticks / 1000, all);
     };
-    let work = |&k: &usize| {
-        (
-            k,
-            runs[k].1.trace(&advance).map_err(|error| error.to_string()),
-        )
-    };
+    let work = |&k: &usize| (k, runs[k].trace(&advance));
     let mut found = in_parallel(cores(), &order, work, || {});
     found.sort_by_key(|(k, _)| *k);
-    let traces = found.into_iter().map(|(_, trace)| Ok(trace?));
-    traces.collect()
+    found.into_iter().map(|(_, trace)| trace).collect()
 }
 
 #[cfg(test)]
@@ -260,7 +233,7 @@ mod tests {
         };
         run(&config, Some(&mut board), &|_, _, _| {})
             .expect("runs")
-            .0
+            .report
     }
 
     #[test]

@@ -1,129 +1,117 @@
-//! `report.html`: what was reached, and the curves behind it.
+//! `report.html` and text: figures against their bars, and the curves behind them.
 
 use super::LearningReport;
-use foretorque_workbench::report::page::{Section, Tile, command, html, table};
-use foretorque_workbench::report::plot::{Curve, Ink, Panel, grid};
-use std::error::Error;
+use crate::Outcome;
+use foretorque_workbench::report::page::{Page, Section};
+use foretorque_workbench::report::plot::{Curve, Panel, PlotColor};
+use foretorque_workbench::snapshot::{aligned, significant};
 
-/// The page of a report.
-pub(super) fn page(report: &LearningReport) -> Result<String, Box<dyn Error>> {
+pub(super) fn outcome(report: LearningReport) -> Outcome<LearningReport> {
+    Outcome {
+        page: page(&report),
+        text: text(&report),
+        report,
+    }
+}
+
+fn page(report: &LearningReport) -> Page {
     let met = report.outcomes.iter().filter(|outcome| outcome.met).count();
-    let rows: Vec<Vec<String>> = report
-        .outcomes
-        .iter()
-        .map(|outcome| {
-            vec![
-                outcome.scenario.clone(),
-                outcome.figure.clone(),
-                number(outcome.measured),
-                format!("{} {}", outcome.side, outcome.bar),
-                if outcome.met { "met" } else { "missed" }.to_owned(),
-            ]
-        })
-        .collect();
+    let outcomes = report.outcomes.iter().map(|outcome| {
+        [
+            outcome.scenario.clone(),
+            outcome.figure.clone(),
+            number(outcome.measured),
+            format!("{} {}", outcome.side, outcome.bar),
+            if outcome.met { "met" } else { "missed" }.to_owned(),
+        ]
+    });
     let panels: Vec<Panel> = report
         .scenarios
         .iter()
-        .map(|(name, scenario)| Panel {
-            title: name.clone(),
-            x_label: "t / s".to_owned(),
-            y_label: "NRMSE / %".to_owned(),
-            curves: vec![
-                Curve {
-                    ink: Ink::Before,
-                    points: scenario.frozen_nrmse_moving_percent.clone(),
-                },
-                Curve {
-                    ink: Ink::After,
-                    points: scenario.nrmse_moving_percent.clone(),
-                },
-            ],
-            from_zero: true,
+        .map(|(name, scenario)| {
+            let frozen = &scenario.frozen_nrmse_moving_percent;
+            let curves = vec![
+                Curve::new(PlotColor::Before, frozen, |point| *point),
+                Curve::new(PlotColor::After, &scenario.nrmse_moving_percent, |point| {
+                    *point
+                }),
+            ];
+            Panel::new(name, "t / s", "NRMSE / %", curves).from_zero()
         })
         .collect();
-    let mut names: Vec<&String> = report
-        .scenarios
-        .values()
-        .flat_map(|scenario| scenario.figures.keys())
-        .collect();
+    let scenarios = || report.scenarios.values();
+    let mut names: Vec<&String> = scenarios().flat_map(|s| s.figures.keys()).collect();
     names.sort();
     names.dedup();
-    let mut header = vec!["figure"];
-    header.extend(report.scenarios.keys().map(String::as_str));
-    let figures: Vec<Vec<String>> = names
-        .iter()
-        .map(|name| {
-            let mut row = vec![(*name).clone()];
-            let scenarios = report.scenarios.values();
-            row.extend(
-                scenarios.map(|s| s.figures.get(*name).map_or(String::new(), |v| number(*v))),
-            );
-            row
-        })
+    let header: String = report
+        .scenarios
+        .keys()
+        .map(|name| format!(" | {name}"))
         .collect();
-    let section =
-        |heading: &str, caption: &str, legend: Vec<(Ink, String)>, body: String| Section {
-            heading: heading.to_owned(),
-            caption: caption.to_owned(),
-            legend,
-            body,
-        };
-    Ok(html(
-        "Learning on the board, over everything that may go wrong",
+    let figures = names.into_iter().map(|name| {
+        let figure = scenarios().map(|s| s.figures.get(name).map_or(String::new(), |v| number(*v)));
+        std::iter::once(name.clone()).chain(figure)
+    });
+    Page::new(
+        "Learning on the board under disturbances",
         "A simulated UR5 under PD control; the firmware's own code learns in one configuration, everything switched on.",
-        &[
-            Tile {
-                value: format!("{met} of {}", report.outcomes.len()),
-                label: "figures reach their bar".to_owned(),
-            },
-            Tile {
-                value: report.seed.to_string(),
-                label: "seed".to_owned(),
-            },
-        ],
-        &[
-            section(
-                "Measured against the bars",
-                "Every figure that has a bar.",
-                Vec::new(),
-                table(&["scenario", "figure", "measured", "bar", ""], &rows),
+    )
+    .card(
+        format!("{met} of {}", report.outcomes.len()),
+        "figures reach their bar",
+    )
+    .card(report.seed, "seed")
+    .sections([
+        Section::new("Measured against the bars", "Every figure that has a bar.")
+            .table("scenario | figure | measured | bar | ", outcomes),
+        Section::new(
+            "Torque error on a path that is never played",
+            "NRMSE of the active parameters, moving rows; pd3 and pd6 are loops of 3 and 6 Hz.",
+        )
+        .legend([(PlotColor::Before, "frozen"), (PlotColor::After, "learning")])
+        .plots(panels, 3),
+        Section::new("All figures", "The unit is the end of the name.")
+            .table(format!("figure{header}"), figures),
+        Section::new("How this was made", "The same command gives the same digits.").command(
+            format!(
+                "cargo run --release -p host-sim -- experiment learning --seed {} --out DIR",
+                report.seed
             ),
-            section(
-                "Torque error on a path that is never played",
-                "NRMSE of the parameters in force, moving rows; pd3 and pd6 are loops of 3 and 6 Hz.",
-                vec![
-                    (Ink::Before, "frozen".to_owned()),
-                    (Ink::After, "learning".to_owned()),
-                ],
-                grid(&panels, 3, 360, 240)?,
-            ),
-            section(
-                "All figures",
-                "The unit is the end of the name.",
-                Vec::new(),
-                table(&header, &figures),
-            ),
-            section(
-                "How this was made",
-                "The same command gives the same digits.",
-                Vec::new(),
-                command(&format!(
-                    "cargo run --release -p host-sim -- experiment learning --seed {} --out DIR",
-                    report.seed
-                )),
-            ),
-        ],
-    ))
+        ),
+    ])
+}
+
+fn text(report: &LearningReport) -> String {
+    let met = report.outcomes.iter().filter(|outcome| outcome.met).count();
+    let outcomes = report.outcomes.iter().map(|outcome| {
+        [
+            outcome.scenario.clone(),
+            outcome.figure.clone(),
+            number(outcome.measured),
+            format!("{} {}", outcome.side, outcome.bar),
+            if outcome.met { "" } else { "missed" }.to_owned(),
+        ]
+    });
+    let replayed = report.emulated.iter().map(|(name, replayed)| {
+        [
+            name.clone(),
+            replayed.ticks_count.to_string(),
+            replayed.ticks_with_other_bits_count.to_string(),
+        ]
+    });
+    format!(
+        "host-sim experiment learning, seed {}\n\n{met} of {} reached.\n\n{}\n{}",
+        report.seed,
+        report.outcomes.len(),
+        aligned("scenario | figure | measured | reach | ", outcomes),
+        aligned(
+            "scenario | ticks on the board | ticks with other bits",
+            replayed
+        )
+    )
 }
 
 /// Four significant digits.
-pub(super) fn number(value: f64) -> String {
-    if !value.is_finite() {
-        return "never".to_owned();
-    }
-    if value == value.round() && value.abs() < 1e7 {
-        return format!("{value:.0}");
-    }
-    let decimals = (3.0 - value.abs().log10().floor()).clamp(0.0, 6.0) as usize;
-    format!("{value:.decimals$}")
+fn number(value: f64) -> String {
+    significant(value, 4)
 }

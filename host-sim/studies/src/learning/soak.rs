@@ -1,9 +1,11 @@
 //! Ten million ticks of learning: nothing overflows, nothing drifts away, and the board gives the same bits.
 
 use super::controller::Controller;
+use super::drive::unarmed;
 use super::scenario::PAYLOAD_COM_M;
+use super::setup::{N, P, PERIOD_S, Setup};
 use super::twin::Twin;
-use super::world::{N, P, PERIOD_S, World};
+use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::ur5::{JOINTS, Ur5};
 use foretorque::joint::{JointMeasurement, JointSample};
 use foretorque::learning::{Estimator, MeasurementWindow, torque_row};
@@ -13,17 +15,17 @@ use foretorque_workbench::board::Client;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::parallel::roam;
 use foretorque_workbench::plant::{Events, Payload, Plant, PlantConfig};
+use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::trajectory::Trajectory;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::error::Error;
 use std::f64::consts::TAU;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// How long.
+/// Lengths of the soak.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SoakConfig {
     /// Seed of arm, prior, path and noise.
@@ -68,12 +70,12 @@ const PATH_S: f64 = 590.0;
 const ROUND_S: f64 = 600.0;
 /// In every so many seconds a payload of 2 kg is held for the last ten.
 const PAYLOAD_EVERY_S: f64 = 40.0;
-/// Ticks between two looks at what is large.
-const LOOK: usize = 1000;
+/// Ticks between two evaluations at what is large.
+const CHUNK: usize = 1000;
 
 /// An arm that does exactly what it should, and reports it with noise.
 struct Source<'w> {
-    world: &'w World,
+    setup: &'w Setup,
     path: Trajectory<N>,
     arms: [Plant<N>; 2],
     random: ChaCha8Rng,
@@ -83,18 +85,18 @@ struct Source<'w> {
 }
 
 impl<'w> Source<'w> {
-    fn new(world: &'w World) -> Result<Self, Box<dyn Error>> {
-        let plant = world.plant(PlantConfig::default(), 1.0, 0)?;
+    fn new(setup: &'w Setup) -> Result<Self, StudyError> {
+        let plant = setup.plant(PlantConfig::default(), 1.0, 0)?;
         let payload = Payload::cube(2.0, PAYLOAD_COM_M, 0.0, f64::INFINITY);
         let loaded = plant.clone().with_events(Events {
             payloads: vec![payload],
             pushes: Vec::new(),
         });
         Ok(Self {
-            world,
-            path: Trajectory::Via(world.task(PATH_S, 200)),
+            setup,
+            path: Trajectory::Via(setup.task(PATH_S, 200)),
             arms: [plant, loaded],
-            random: ChaCha8Rng::seed_from_u64(world.seed),
+            random: ChaCha8Rng::seed_from_u64(setup.seed),
             tick: 0,
             arm: 0,
         })
@@ -107,7 +109,7 @@ impl<'w> Source<'w> {
         let held = t_s % PAYLOAD_EVERY_S > PAYLOAD_EVERY_S - 10.0;
         self.arm = usize::from(held);
         let torque = self.arms[self.arm].true_torque(&wanted);
-        let joints = &self.world.described.joints;
+        let joints = &self.setup.described.joints;
         let measured = JointMeasurement {
             q: wanted.q.map(|q| {
                 let count = TAU / 131_072.0;
@@ -135,9 +137,9 @@ impl<'w> Source<'w> {
 pub fn run(
     config: &SoakConfig,
     board: Option<&mut Client<JOINTS>>,
-    progress: &(dyn Fn(&'static str, usize, usize) + Sync),
-) -> Result<SoakReport, Box<dyn Error>> {
-    let world = World::new(config.seed)?;
+    progress: Progress<'_>,
+) -> Result<Outcome<SoakReport>, StudyError> {
+    let setup = Setup::new(config.seed)?;
     let board_ticks = match board {
         Some(_) => config.board_ticks,
         None => 0,
@@ -145,41 +147,64 @@ pub fn run(
     let all = 2 * config.ticks + board_ticks;
     let done = AtomicUsize::new(0);
     let advance = || {
-        let before = done.fetch_add(LOOK, Ordering::Relaxed);
-        progress("ticks", (before + LOOK).min(all), all);
+        let before = done.fetch_add(CHUNK, Ordering::Relaxed);
+        progress("ticks", (before + CHUNK).min(all), all);
     };
-    // Errors as text: they come from other threads.
-    let text = |error: Box<dyn Error>| error.to_string();
     let (native, twin, other_bits) = std::thread::scope(|scope| {
         let native = scope.spawn(|| {
             roam();
-            native(&world, config.ticks, &advance).map_err(text)
+            native(&setup, config.ticks, &advance)
         });
         let twin = scope.spawn(|| {
             roam();
-            twin(&world, config.ticks, &advance).map_err(text)
+            twin(&setup, config.ticks, &advance)
         });
         let other_bits = match board {
-            Some(board) => on_board(&world, board, board_ticks, &advance).map_err(text),
+            Some(board) => on_board(&setup, board, board_ticks, &advance),
             None => Ok(0),
         };
         (native.join(), twin.join(), other_bits)
     });
-    let (twin_distance, twin_rows) = twin.map_err(|_| "the twin stopped")??;
-    let mut report = native.map_err(|_| "the native run stopped")??;
+    let (twin_distance, twin_rows) = twin.map_err(|_| stopped("the twin"))??;
+    let mut report = native.map_err(|_| stopped("the native run"))??;
     report.twin_distance_worst_prior_sigmas = twin_distance;
     report.twin_rows_count = twin_rows;
     report.board_ticks_count = board_ticks;
     report.board_ticks_with_other_bits_count = other_bits?;
-    Ok(report)
+    outcome(report)
+}
+
+fn stopped(what: &str) -> StudyError {
+    StudyError::Unusable(format!("{what} stopped"))
+}
+
+fn outcome(report: SoakReport) -> Result<Outcome<SoakReport>, StudyError> {
+    let values = serde_json::to_value(&report)?;
+    let rows = values.as_object().into_iter().flatten();
+    let rows: Vec<[String; 2]> = rows
+        .map(|(name, value)| [name.clone(), value.to_string()])
+        .collect();
+    let text = rows
+        .iter()
+        .map(|[name, value]| format!("{name:<34} {value}\n"));
+    Ok(Outcome {
+        text: text.collect(),
+        page: Page::new(
+            "Soak",
+            "Long learning without overflow, drift or a difference in bits.",
+        )
+        .sections([Section::new("Figures", "The unit is the end of the name.")
+            .table("figure | value", rows)]),
+        report,
+    })
 }
 
 /// The board's code in this process.
-fn native(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport, Box<dyn Error>> {
-    let mut source = Source::new(world)?;
-    let mut board = Controller::new(&world.wrong, Controller::config(), true)?;
+fn native(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport, StudyError> {
+    let mut source = Source::new(setup)?;
+    let mut board = Controller::new(&setup.wrong, Controller::config(), true)?;
     let arming = board.arming_sample(motion_f32(&source.path.at(0.0)));
-    board.arm(&arming).map_err(|reason| format!("{reason:?}"))?;
+    board.arm(&arming).map_err(unarmed)?;
     let (mut not_finite, mut least) = (0, f64::INFINITY);
     let (mut decided, mut decisions) = (0, BTreeMap::<String, u32>::new());
     for tick in 0..ticks {
@@ -192,7 +217,7 @@ fn native(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
             *decisions.entry(reason).or_default() += 1;
         }
         decided = log.count();
-        if tick % LOOK == LOOK - 1 {
+        if tick % CHUNK == CHUNK - 1 {
             let diagonal = board.learner().estimate.filter().diagonal();
             // Not a number would get lost in a minimum.
             least = diagonal
@@ -202,11 +227,11 @@ fn native(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
             advance();
         }
     }
-    let needed = world.needed(&source.arms[source.arm]);
-    let error = world.error(&world.said(&board.active()), &needed);
+    let needed = setup.needed(&source.arms[source.arm]);
+    let error = setup.error(&setup.predicted(&board.active()), &needed);
     Ok(SoakReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        seed: world.seed,
+        seed: setup.seed,
         ticks_count: ticks,
         not_finite_ticks_count: not_finite,
         least_diagonal_ratio: least,
@@ -222,10 +247,10 @@ fn native(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
 
 /// The firmware's estimator beside exact arithmetic, on the rows of the same samples. Returns the largest distance, prior
 /// standard deviations, and the number of rows.
-fn twin(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize), Box<dyn Error>> {
-    let mut source = Source::new(world)?;
+fn twin(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize), StudyError> {
+    let mut source = Source::new(setup)?;
     let config = Controller::config();
-    let prior = &world.wrong;
+    let prior = &setup.wrong;
     let mut estimator = Box::new(Estimator::<N, P>::new::<Ur5>(prior));
     let mut twin = Twin::new(config, prior);
     let mut window = MeasurementWindow::<N>::new();
@@ -245,7 +270,7 @@ fn twin(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize),
                 rows += 1;
             }
         }
-        if tick % LOOK == LOOK - 1 {
+        if tick % CHUNK == CHUNK - 1 {
             worst = worst.max(twin.distance(estimator.parameters()));
             advance();
         }
@@ -253,29 +278,27 @@ fn twin(world: &World, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize),
     Ok((worst, rows))
 }
 
-/// The same samples through `board`. Returns in how many ticks a torque had other bits than the native one.
+/// Plays the samples through `board`. Returns the ticks in which a torque had other bits than the native one.
 fn on_board(
-    world: &World,
+    setup: &Setup,
     board: &mut Client<JOINTS>,
     ticks: usize,
     advance: &dyn Fn(),
-) -> Result<usize, Box<dyn Error>> {
-    let mut source = Source::new(world)?;
-    let mut native = Controller::new(&world.wrong, Controller::config(), true)?;
+) -> Result<usize, StudyError> {
+    let mut source = Source::new(setup)?;
+    let mut native = Controller::new(&setup.wrong, Controller::config(), true)?;
     board.reset()?;
-    board.upload_bank(&ParameterBank::from_set::<Ur5, N, P>(&world.wrong))?;
+    board.upload_bank(&ParameterBank::from_set::<Ur5, N, P>(&setup.wrong))?;
     board.learning(true)?;
     let arming = native.arming_sample(motion_f32(&source.path.at(0.0)));
-    native
-        .arm(&arming)
-        .map_err(|reason| format!("{reason:?}"))?;
+    native.arm(&arming).map_err(unarmed)?;
     board.arm(&arming)?;
     let mut other = 0;
     for tick in 0..ticks {
         let sample = source.next();
         let (here, there) = (native.tick(Some(&sample)), board.sample(&sample)?);
         other += usize::from(here.total.map(f32::to_bits) != there.total.map(f32::to_bits));
-        if tick % LOOK == LOOK - 1 {
+        if tick % CHUNK == CHUNK - 1 {
             advance();
         }
     }
@@ -301,7 +324,9 @@ mod tests {
             ticks: 100_000,
             board_ticks: 5000,
         };
-        let report = run(&config, Some(&mut board), &|_, _, _| {}).expect("runs");
+        let report = run(&config, Some(&mut board), &|_, _, _| {})
+            .expect("runs")
+            .report;
         assert_eq!(report.not_finite_ticks_count, 0);
         assert!(report.least_diagonal_ratio > 0.0, "{report:?}");
         // Rounding adds up: with a diagonal that leaks, 1.1e-3 by now and four times the bar in ten million ticks.

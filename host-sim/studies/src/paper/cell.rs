@@ -1,11 +1,11 @@
 //! One draw of the robustness study: an arm, its noisy torques on the excitation, every method, an unseen path.
 
 use super::JOINTS;
-use crate::campaign::JobError;
+use crate::StudyError;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{
-    ColumnSet, Layout, MethodName, SampleRow, Trial, despiked, fit_rows,
+    ColumnSet, Layout, MethodName, MethodResult, SampleRow, despiked, fit_rows,
 };
 use foretorque_workbench::metrics::{MOVING_RAD_S, TorqueError};
 use foretorque_workbench::plant::{Plant, PlantConfig};
@@ -45,7 +45,7 @@ const PLAIN: [MethodName; 7] = [
 pub enum FrictionKind {
     /// None at all.
     None,
-    /// What every linear model here can say.
+    /// Friction that every linear model here can represent.
     CoulombViscous,
     /// A Stribeck peak on top, which the plain columns cannot say.
     Stribeck,
@@ -69,7 +69,7 @@ impl FrictionKind {
     }
 }
 
-/// What is drawn.
+/// Conditions of a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Standard deviation of the torque noise, % of the torque limit.
@@ -84,12 +84,12 @@ pub struct Cell {
     pub seed: u64,
 }
 
-/// What one method made of a draw.
+/// Result of one method on a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MethodDraw {
     /// Torque error on the unseen path against the noise-free torque, moving rows, a ratio.
     pub path_nrmse_ratio: f64,
-    /// The same on the 20 % of the excitation's rows that were held out.
+    /// NRMSE on the 20 % of the excitation's rows that were held out.
     pub split_nrmse_ratio: f64,
     /// Epochs or iterations.
     pub epochs: usize,
@@ -100,7 +100,7 @@ pub struct MethodDraw {
 /// One draw.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CellRecord {
-    /// What was drawn.
+    /// Conditions of the draw.
     pub cell: Cell,
     /// Methods by name.
     pub methods: BTreeMap<String, MethodDraw>,
@@ -117,7 +117,7 @@ struct Model {
     suffix: &'static str,
 }
 
-/// What all draws share.
+/// Inputs that all draws share.
 #[derive(Clone, Debug)]
 pub(super) struct Bench {
     /// The description: what the methods know of the arm.
@@ -154,14 +154,15 @@ impl Bench {
     /// Draws, trains, judges.
     ///
     /// Errors: none but a description that is not the UR5. A method that finds no model is told in the record.
-    pub(super) fn draw(&self, cell: &Cell) -> Result<CellRecord, JobError> {
+    pub(super) fn draw(&self, cell: &Cell) -> Result<CellRecord, StudyError> {
         let quiet = PlantConfig {
             torque_noise: 0.0,
             viscous_drift: 0.0,
             ..PlantConfig::default()
         };
         let truth = arm(&self.robot, cell);
-        let plant = Plant::<JOINTS>::new(&truth, quiet, cell.seed).ok_or("six joints")?;
+        let plant =
+            Plant::<JOINTS>::new(&truth, quiet, cell.seed).ok_or(StudyError::Joints(JOINTS))?;
         let torques = |states: &[State<JOINTS>]| -> Vec<Joints<JOINTS>> {
             states
                 .iter()
@@ -194,7 +195,7 @@ impl Bench {
                 let name = format!("{method}{}", model.suffix);
                 // Both sets of columns are on the board.
                 let layout = &model.layout;
-                let trials = fit_rows(&self.robot, layout, layout, &[*method], &rows, cell.seed);
+                let trials = fit_rows(&self.robot, (layout, layout), &[*method], &rows, cell.seed);
                 let trial = match trials.map(|mut trials| trials.pop()) {
                     Ok(Some(trial)) => trial,
                     Ok(None) => continue,
@@ -287,13 +288,13 @@ fn row(
         moving: std::array::from_fn(|joint| state.qd[joint].abs() > MOVING_RAD_S),
         panel: panel.into(),
         // The arms of this study have no cogging.
-        waves: [[0.0; 2]; JOINTS],
+        cogging_basis: [[0.0; 2]; JOINTS],
     }
 }
 
 /// NRMSE over the moving rows, a ratio.
 fn score(
-    trial: &Trial<JOINTS>,
+    trial: &MethodResult<JOINTS>,
     layout: &Layout<JOINTS>,
     states: &[State<JOINTS>],
     wanted: &[Joints<JOINTS>],
@@ -302,7 +303,7 @@ fn score(
     let mut error = TorqueError::<JOINTS>::default();
     for ((state, panel), wanted) in states.iter().zip(panels(layout, states)).zip(wanted) {
         let row = row(state, &panel, &nothing, &nothing, 0);
-        error.add(wanted, &trial.torque(layout, &row), &state.qd);
+        error.add(wanted, &trial.candidate.torque(layout, &row), &state.qd);
     }
     error.nrmse_moving()
 }

@@ -1,4 +1,4 @@
-//! What the figures say, in sentences made from them.
+//! The figures as sentences.
 
 use super::cell::FrictionKind;
 use super::steps::Steps;
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// A method that is this near to another, on the geometric mean, does as well.
 const EQUAL: f64 = 0.02;
 
-/// What steps and conditions say; whether or not it favours the BP network.
+/// Findings of steps and conditions, whether or not they favour the BP network.
 pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     let mut out = Vec::new();
     let physical = &steps.trained[2];
@@ -115,14 +115,9 @@ fn failures(conditions: &[Condition]) -> Option<String> {
     (!told.is_empty()).then(|| format!("Found no model: {}.", told.join(", ")))
 }
 
-/// How many rows the methods need: the fewest with which the error is at most twice that with all rows.
+/// Rows that the methods need: the fewest with which the error is at most twice that with all rows.
 fn samples(conditions: &[Condition], full: usize) -> Option<String> {
-    let plain = |c: &&Condition| {
-        c.noise_percent == 1.0
-            && c.outlier_percent == 0.0
-            && c.friction == FrictionKind::CoulombViscous
-    };
-    let mut curve: Vec<&Condition> = conditions.iter().filter(plain).collect();
+    let mut curve: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
     curve.sort_by_key(|c| c.rows);
     let last = curve.iter().find(|c| c.rows == full)?;
     let needed: Vec<String> = ["wls", "irls", "consistent", "bp_physical", "bp_residual"]
@@ -145,7 +140,7 @@ fn samples(conditions: &[Condition], full: usize) -> Option<String> {
     })
 }
 
-/// What the times say of efficiency.
+/// Findings of the times.
 pub(super) fn of_times(times: &Times) -> Option<String> {
     let last = |name: &str| times.least_seconds.get(name)?.last().copied();
     let (rows, reference) = last("wls")?;

@@ -2,11 +2,10 @@
 //!
 //! `steps` (1) excitation and joint sequence through inverse kinematics, (2) torques of known parameters, (3) the BP network
 //! on 80 % of them, (4) an arbitrary path. `cell` one draw of the robustness study: every method on the same rows.
-//! `summary` what the draws add up to; `figures` and `page` show it, `findings` says it.
+//! `summary` adds the draws up; `page` shows them, `findings` states them.
 
 mod cell;
 mod curves;
-mod figures;
 mod findings;
 mod page;
 mod rigid;
@@ -17,15 +16,15 @@ pub use cell::{Cell, CellRecord, FRICTIONS, FrictionKind, MethodDraw};
 pub use steps::{JointTorque, ParameterRow, Steps, Trained};
 pub use summary::{Condition, MethodSummary, Times};
 
-use super::campaign::{Campaign, JobError};
+use crate::records::Records;
+use crate::{Outcome, Progress, StudyError};
 use cell::Bench;
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::parallel::cores;
 use foretorque_workbench::robot::Robot;
-use serde::{Deserialize, Serialize};
-use std::error::Error;
+use serde::Serialize;
 use std::path::Path;
 
 /// The excitation that `host-sim excite --robot ur5` finds.
@@ -34,8 +33,8 @@ const PRECOMPUTED: &str = include_str!("../../../paths/ur5-excitation.json");
 /// Rows of one period of the excitation, of which 80 % are drawn for training.
 const ROWS: usize = 2500;
 
-/// What the records depend on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Settings of the study.
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PaperConfig {
     /// Seed of the steps; the study uses this and the following ones.
     pub seed: u64,
@@ -56,8 +55,8 @@ pub struct PaperConfig {
 impl PaperConfig {
     /// The whole study.
     ///
-    /// Errors: none but a damaged program.
-    pub fn full(seed: u64, seeds: u64) -> Result<Self, Box<dyn Error>> {
+    /// Errors: none in an undamaged program.
+    pub fn full(seed: u64, seeds: u64) -> Result<Self, StudyError> {
         Ok(Self {
             seed,
             seeds,
@@ -71,8 +70,8 @@ impl PaperConfig {
 
     /// Few levels and draws, for tests.
     ///
-    /// Errors: none but a damaged program.
-    pub fn quick(seed: u64, seeds: u64) -> Result<Self, Box<dyn Error>> {
+    /// Errors: none in an undamaged program.
+    pub fn quick(seed: u64, seeds: u64) -> Result<Self, StudyError> {
         Ok(Self {
             noise_percent: vec![1.0],
             outlier_percent: vec![0.0, 1.0],
@@ -111,92 +110,67 @@ impl PaperConfig {
     }
 }
 
-/// All figures but the times, which no run repeats.
+/// `report.json`: all figures but the times, which no run repeats.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PaperReport<'a> {
+pub struct PaperReport {
     /// Version of this program.
     pub version: &'static str,
-    /// What it was made from.
-    pub config: &'a PaperConfig,
-    /// What the figures say.
-    pub findings: &'a [String],
+    /// Settings.
+    pub config: PaperConfig,
+    /// The figures as sentences.
+    pub findings: Vec<String>,
     /// Steps (1) to (4) of the paper.
-    pub steps: &'a Steps,
+    pub steps: Steps,
     /// Conditions of the robustness study, then numbers of rows, each with all methods.
-    pub conditions: &'a [Condition],
+    pub conditions: Vec<Condition>,
 }
 
-/// The study.
-#[derive(Clone, Debug)]
-pub struct PaperCampaign {
+/// Runs the study; its tables, pictures and times go to `out`. `None` if the records are only written.
+///
+/// Errors: an excitation for another robot, or one that shows too little; the records'; files that cannot be written.
+pub fn run(
     config: PaperConfig,
-    cells: Vec<Cell>,
-    bench: Bench,
-}
-
-impl PaperCampaign {
-    /// The study of a configuration.
-    ///
-    /// Errors: an excitation for another robot.
-    pub fn new(config: PaperConfig) -> Result<Self, Box<dyn Error>> {
-        let robot = Robot::load("ur5")?;
-        config.excitation.check(&robot)?;
-        let bench = Bench::new(robot, &config.excitation, ROWS).ok_or("the UR5 has six joints")?;
-        Ok(Self {
-            cells: config.cells(),
-            bench,
-            config,
-        })
+    records: &Records,
+    out: &Path,
+    progress: Progress<'_>,
+) -> Result<Option<Outcome<PaperReport>>, StudyError> {
+    let robot = Robot::load("ur5")?;
+    config.excitation.check(&robot)?;
+    let bench = Bench::new(robot, &config.excitation, ROWS).ok_or(StudyError::Joints(JOINTS))?;
+    let made_of = PaperConfig {
+        seed: 0,
+        seeds: 0,
+        ..config.clone()
+    };
+    let records = records.of(
+        &made_of,
+        (&config.cells(), |record: &CellRecord| record.cell),
+        cores(),
+        |cell| bench.draw(cell),
+        progress,
+    )?;
+    let Some(records) = records else {
+        return Ok(None);
+    };
+    let (steps, curves) = steps::run(&bench.robot, &config.excitation, config.seed)?;
+    let conditions = summary::summarise(&records);
+    let report = PaperReport {
+        version: env!("CARGO_PKG_VERSION"),
+        findings: findings::findings(&steps, &conditions),
+        steps,
+        conditions,
+        config,
+    };
+    let times = summary::times(&records);
+    curves.write(out)?;
+    for (name, picture) in page::pictures(&report, &curves)? {
+        write_whole(&out.join(name), picture.as_bytes())?;
     }
-}
-
-impl Campaign for PaperCampaign {
-    const NAME: &'static str = "paper";
-    type Config = PaperConfig;
-    type Record = CellRecord;
-
-    fn config(&self) -> &PaperConfig {
-        &self.config
-    }
-
-    fn jobs(&self) -> usize {
-        self.cells.len()
-    }
-
-    fn threads(&self) -> usize {
-        cores()
-    }
-
-    fn run(&self, job: usize) -> Result<CellRecord, JobError> {
-        self.bench.draw(&self.cells[job])
-    }
-
-    fn finish(&self, records: &[CellRecord], out: &Path) -> Result<Vec<String>, Box<dyn Error>> {
-        let (robot, excitation) = (&self.bench.robot, &self.config.excitation);
-        let (steps, curves) = steps::run(robot, excitation, self.config.seed)?;
-        curves.write(out)?;
-        let conditions = summary::summarise(records);
-        let findings = findings::findings(&steps, &conditions);
-        let report = PaperReport {
-            version: env!("CARGO_PKG_VERSION"),
-            config: &self.config,
-            findings: &findings,
-            steps: &steps,
-            conditions: &conditions,
-        };
-        for (name, picture) in figures::pictures(excitation, &curves, &conditions)? {
-            write_whole(&out.join(name), picture.as_bytes())?;
-        }
-        let times = summary::times(records);
-        let page = page::page(&report, &curves, &times)?;
-        write_whole(&out.join("report.html"), page.as_bytes())?;
-        let json = serde_json::to_string_pretty(&times)? + "\n";
-        write_whole(&out.join("timing.json"), json.as_bytes())?;
-        let json = serde_json::to_string_pretty(&report)? + "\n";
-        write_whole(&out.join("report.json"), json.as_bytes())?;
-        let mut lines = findings.clone();
-        lines.extend(findings::of_times(&times));
-        lines.push(out.join("report.html").display().to_string());
-        Ok(lines)
-    }
+    let json = serde_json::to_string_pretty(&times)? + "\n";
+    write_whole(&out.join("timing.json"), json.as_bytes())?;
+    Ok(Some(Outcome {
+        page: page::page(&report, &curves, &times),
+        text: page::text(&report),
+        report,
+    }))
 }

@@ -1,248 +1,379 @@
-//! The study as a page.
+//! The study as a page and as pictures: the paper's Fig. 3 and Fig. 6, the losses, robustness and efficiency.
 
-use super::PaperReport;
+use super::cell::{FRICTIONS, FrictionKind};
 use super::curves::Curves;
-use super::figures::{
-    METHODS, efficiency_panel, loss_legend, loss_panels, method_legend, path_legend, path_panels,
-    robustness_panels,
-};
 use super::findings::{of_times, percent};
-use super::summary::Times;
-use foretorque_workbench::excitation::page::{figure, legend};
-use foretorque_workbench::report::page::{Section, Tile, html, table};
-use foretorque_workbench::report::plot::grid;
-use std::error::Error;
+use super::summary::{Condition, Times};
+use super::{JOINTS, PaperReport};
+use foretorque_workbench::excitation::page::{legend, panels, picture as excitation_picture};
+use foretorque_workbench::report::page::{Legend, Page, Section, or_dash};
+use foretorque_workbench::report::plot::{Curve, Panel, PlotColor, PlotError, picture};
+use foretorque_workbench::snapshot::{aligned, significant};
 
-const NEEDED: &str =
-    "The data sheet's UR5 as the known arm, links alone: no friction, no rotors, no noise.";
+/// Methods and their colours, in the order of legends and tables.
+const METHODS: [(&str, PlotColor); 8] = [
+    ("ols", PlotColor::Joint(7)),
+    ("wls", PlotColor::Joint(0)),
+    ("irls", PlotColor::Joint(2)),
+    ("irls_stribeck", PlotColor::Joint(6)),
+    ("consistent", PlotColor::Joint(5)),
+    ("bp_physical", PlotColor::Joint(1)),
+    ("bp_residual", PlotColor::Joint(3)),
+    ("bp_black_box", PlotColor::Joint(4)),
+];
+const PATH_LEGEND: [(PlotColor, &str); 3] = [
+    (PlotColor::Truth, "true torque"),
+    (PlotColor::Before, "BP network, hidden layer 18-32-6"),
+    (PlotColor::After, "BP network, physical weights"),
+];
+const LOSS_LEGEND: [(PlotColor, &str); 5] = [
+    (PlotColor::Truth, "eq. 21, training 80 %"),
+    (PlotColor::Other, "eq. 21, held-out 20 %"),
+    (PlotColor::After, "accelerated, training 80 %"),
+    (PlotColor::Before, "accelerated, held-out 20 %"),
+    (PlotColor::Joint(4), "hidden layer 18-32-6, training 80 %"),
+];
 
-pub(super) fn page(
-    report: &PaperReport<'_>,
+/// Name and content of every picture.
+///
+/// Errors: those of the plot library.
+pub(super) fn pictures(
+    report: &PaperReport,
     curves: &Curves,
-    times: &Times,
-) -> Result<String, Box<dyn Error>> {
-    let steps = report.steps;
-    let text = |text: &str| text.to_owned();
+) -> Result<[(&'static str, String); 5], PlotError> {
+    let draw = |title, legend: &[(PlotColor, &str)], panels: &[Panel], columns, size| {
+        let legend: Legend = legend
+            .iter()
+            .map(|(c, name)| (*c, (*name).to_owned()))
+            .collect();
+        picture(title, &legend, panels, columns, size)
+    };
+    let methods = METHODS.map(|(name, color)| (color, name));
+    Ok([
+        (
+            "fig3-excitation.svg",
+            excitation_picture::<JOINTS>(&report.config.excitation)?,
+        ),
+        (
+            "fig6-predicted-torques.svg",
+            draw(
+                "Predicted moments for each joint at the validation trajectory (Fig. 6)",
+                &PATH_LEGEND,
+                &path_panels(curves),
+                2,
+                (640, 290),
+            )?,
+        ),
+        (
+            "training-loss.svg",
+            draw(
+                "Loss (RMSE, eq. 20) while the networks train",
+                &LOSS_LEGEND,
+                &[loss_panel(curves)],
+                1,
+                (900, 300),
+            )?,
+        ),
+        (
+            "robustness.svg",
+            draw(
+                "Torque error on unseen paths over noise, friction and outliers",
+                &methods,
+                &robustness_panels(&report.conditions),
+                3,
+                (420, 290),
+            )?,
+        ),
+        (
+            "efficiency.svg",
+            draw(
+                "Torque error on unseen paths over training rows (1 % noise, Coulomb + viscous)",
+                &methods,
+                &[efficiency_panel(&report.conditions)],
+                1,
+                (900, 300),
+            )?,
+        ),
+    ])
+}
+
+pub(super) fn page(report: &PaperReport, curves: &Curves, times: &Times) -> Page {
+    let steps = &report.steps;
     let physical = &steps.trained[2];
-    let tile = |value: String, label: &str| Tile {
-        value,
-        label: label.to_owned(),
-    };
-    let tiles = [
-        tile(
-            percent(physical.path_nrmse_ratio),
-            "torque error on the arbitrary path, BP network with physical weights, no noise",
-        ),
-        tile(
-            percent(physical.base_parameter_error_ratio.unwrap_or(0.0)),
-            "error of the base parameters, over their norm",
-        ),
-        tile(
-            percent(steps.trained[3].path_nrmse_ratio),
-            "the same path by a BP network with a hidden layer",
-        ),
-        tile(
-            format!("{:.0e} rad", steps.inverse_kinematics_error_rad),
-            "joint sequence through inverse kinematics, largest error",
-        ),
-    ];
-    let section = |heading: &str, caption: String, legend, body| Section {
-        heading: heading.to_owned(),
-        caption,
-        legend,
-        body,
-    };
-    let mut told: Vec<String> = report.findings.to_vec();
-    told.extend(of_times(times));
-    let told: Vec<Vec<String>> = told.into_iter().map(|finding| vec![finding]).collect();
-    let findings = table(&["what the figures say"], &told);
-    let sections = [
-        section(
-            "Findings",
-            text("Sentences made from the figures below, whichever way they go."),
-            Vec::new(),
-            findings,
-        ),
-        section(
-            "Fig. 3: excitation trajectories",
-            format!(
-                "Step (1). {} poses of the flange along it, turned into joint positions by the closed-form inverse kinematics, branch by \
-                 continuation.",
-                steps.inverse_kinematics_poses
-            ),
-            legend::<6>(),
-            figure::<6>(&report.config.excitation)?,
-        ),
-        section(
-            "Training",
-            format!(
-                "Steps (2) and (3). {NEEDED} {} instants trained on, {} held out; {} base parameters. Loss: RMSE (eq. 20), every \
-                 joint over its RMS torque.",
-                steps.training_rows, steps.validation_rows, steps.base_parameters
-            ),
-            loss_legend(),
-            grid(&loss_panels(curves), 1, 900, 280)? + &trained_table(report),
-        ),
-        section(
-            "Fig. 6: predicted moments on the arbitrary path",
-            text("Step (4). Quintics through via points that none of the models has seen."),
-            path_legend(),
-            grid(&path_panels(curves), 2, 560, 250)? + &joints_table(report),
-        ),
-        section(
-            "Robustness",
-            format!(
-                "{} draws of each condition: arm (masses up to 20 % off), noise, outliers of 20 % of the torque limit, 80/20 split and \
-                 unseen path. Error against the noise-free torque, moving rows, root mean square over the draws; logarithmic: 1 is \
-                 10 %, 0 is 1 %, −1 is 0.1 %.",
-                report.config.seeds
-            ),
-            method_legend(),
-            grid(&robustness_panels(report.conditions), 3, 370, 270)? + &robustness_table(report),
-        ),
-        section(
-            "Efficiency",
-            text("Error by number of training rows, and seconds of training (least of the draws)."),
-            method_legend(),
-            grid(&efficiency_panel(report.conditions), 1, 900, 280)? + &times_table(times),
-        ),
-        section(
-            "Base parameters",
-            text(
-                "BP network with physical weights, accelerated, against the truth. First independent columns from left to right, \
-                  Craig link frames, about the link origin.",
-            ),
-            Vec::new(),
-            parameters_table(report),
-        ),
-    ];
-    Ok(html(
+    Page::new(
         "The paper's experiment on the UR5",
         "Y. Zhong, Identification of Robot Dynamic Parameters Based on BP Neural Network, section 4.1, step by step; then the \
          robustness and efficiency it asserts, measured.",
-        &tiles,
-        &sections,
-    ))
-}
-
-fn trained_table(report: &PaperReport<'_>) -> String {
-    let rows: Vec<Vec<String>> = report
-        .steps
-        .trained
-        .iter()
-        .map(|trained| {
-            vec![
-                trained.name.to_owned(),
-                trained.epochs.to_string(),
-                percent(trained.training_loss_ratio),
-                percent(trained.validation_loss_ratio),
-                trained
-                    .base_parameter_error_ratio
-                    .map_or("–".to_owned(), percent),
-                percent(trained.path_nrmse_ratio),
-            ]
-        })
-        .collect();
-    table(
-        &[
-            "method",
-            "epochs",
-            "loss, 80 %",
-            "loss, 20 %",
-            "parameter error",
-            "error on the path",
-        ],
-        &rows,
     )
-}
-
-fn joints_table(report: &PaperReport<'_>) -> String {
-    let rows: Vec<Vec<String>> = (1..)
-        .zip(&report.steps.joints)
-        .map(|(joint, torque)| {
-            vec![
-                format!("joint {joint}"),
-                format!("{:.3}", torque.torque_rms_nm),
-                format!("{:.2e}", torque.bp_physical_rmse_nm),
-                format!("{:.2e}", torque.bp_physical_peak_nm),
-                format!("{:.3}", torque.bp_black_box_rmse_nm),
-                format!("{:.3}", torque.bp_black_box_peak_nm),
-            ]
-        })
-        .collect();
-    table(
-        &[
-            "N·m",
-            "torque RMS",
-            "physical weights, RMSE",
-            "peak error",
-            "hidden layer, RMSE",
-            "peak error",
-        ],
-        &rows,
+    .card(
+        percent(physical.path_nrmse_ratio),
+        "torque error on the arbitrary path, BP network with physical weights, no noise",
     )
+    .card(
+        percent(physical.base_parameter_error_ratio.unwrap_or(0.0)),
+        "error of the base parameters, over their norm",
+    )
+    .card(
+        percent(steps.trained[3].path_nrmse_ratio),
+        "the same path by a BP network with a hidden layer",
+    )
+    .card(
+        format!("{:.0e} rad", steps.inverse_kinematics_error_rad),
+        "joint sequence through inverse kinematics, largest error",
+    )
+    .sections(of_steps(report, curves, times))
+    .sections(of_conditions(report, times))
 }
 
-fn robustness_table(report: &PaperReport<'_>) -> String {
+/// Findings and the paper's four steps.
+fn of_steps(report: &PaperReport, curves: &Curves, times: &Times) -> [Section; 4] {
+    let steps = &report.steps;
+    let findings = report.findings.iter().cloned().chain(of_times(times));
+    let trained = steps.trained.iter().map(|trained| {
+        [
+            trained.name.to_owned(),
+            trained.epochs.to_string(),
+            percent(trained.training_loss_ratio),
+            percent(trained.validation_loss_ratio),
+            or_dash(trained.base_parameter_error_ratio, percent),
+            percent(trained.path_nrmse_ratio),
+        ]
+    });
+    let joints = (1..).zip(&steps.joints).map(|(joint, torque)| {
+        [
+            format!("joint {joint}"),
+            format!("{:.3}", torque.torque_rms_nm),
+            format!("{:.2e}", torque.bp_physical_rmse_nm),
+            format!("{:.2e}", torque.bp_physical_peak_nm),
+            format!("{:.3}", torque.bp_black_box_rmse_nm),
+            format!("{:.3}", torque.bp_black_box_peak_nm),
+        ]
+    });
+    [
+        Section::new(
+            "Findings",
+            "Sentences made from the figures below, whichever way they go.",
+        )
+        .table("finding", findings.map(|finding| [finding])),
+        Section::new(
+            "Fig. 3: excitation trajectories",
+            format!(
+                "Step (1). {} poses of the flange along it, turned into joint positions by the closed-form inverse kinematics, \
+                 branch by continuation.",
+                steps.inverse_kinematics_poses
+            ),
+        )
+        .legend(legend::<JOINTS>())
+        .plots(panels::<JOINTS>(&report.config.excitation), 1),
+        Section::new(
+            "Training",
+            format!(
+                "Steps (2) and (3). The data sheet's UR5 as the known arm, links alone: no friction, no rotors, no noise. {} \
+                 instants trained on, {} held out; {} base parameters. Loss: RMSE (eq. 20), every joint over its RMS torque.",
+                steps.training_rows, steps.validation_rows, steps.base_parameters
+            ),
+        )
+        .legend(LOSS_LEGEND)
+        .plots([loss_panel(curves)], 1)
+        .table(
+            "method | epochs | loss, 80 % | loss, 20 % | parameter error | error on the path",
+            trained,
+        ),
+        Section::new(
+            "Fig. 6: predicted moments on the arbitrary path",
+            "Step (4). Quintics through via points that none of the models has seen.",
+        )
+        .legend(PATH_LEGEND)
+        .plots(path_panels(curves), 2)
+        .table(
+            "N·m | torque RMS | physical weights, RMSE | peak error | hidden layer, RMSE | peak error",
+            joints,
+        ),
+    ]
+}
+
+/// Robustness, efficiency, parameters.
+fn of_conditions(report: &PaperReport, times: &Times) -> [Section; 3] {
     let full = report.conditions.iter().map(|c| c.rows).max().unwrap_or(0);
-    let rows: Vec<Vec<String>> = report
-        .conditions
+    let conditions = report.conditions.iter().filter(|c| c.rows == full);
+    let robustness = conditions.map(|c| {
+        let mut row = vec![format!(
+            "{}, {} % noise, {} % outliers",
+            c.friction.name(),
+            c.noise_percent,
+            c.outlier_percent
+        )];
+        let methods = METHODS.iter().map(|(name, _)| c.methods.get(*name));
+        row.extend(
+            methods.map(|method| or_dash(method, |method| percent(method.path_nrmse_ratio))),
+        );
+        row
+    });
+    let names: String = METHODS
         .iter()
-        .filter(|c| c.rows == full)
-        .map(|c| {
-            let mut row = vec![format!(
-                "{}, {} % noise, {} % outliers",
-                c.friction.name(),
-                c.noise_percent,
-                c.outlier_percent
-            )];
-            row.extend(METHODS.iter().map(|(name, _)| {
-                let method = c.methods.get(*name);
-                method.map_or("–".to_owned(), |method| percent(method.path_nrmse_ratio))
-            }));
-            row
-        })
+        .map(|(name, _)| format!(" | {name}"))
         .collect();
-    let mut header = vec!["NRMSE on unseen paths"];
-    header.extend(METHODS.iter().map(|(name, _)| *name));
-    table(&header, &rows)
+    let counts = times.least_seconds.values().next().into_iter().flatten();
+    let counts: String = counts.map(|(rows, _)| format!(" | {rows} rows")).collect();
+    let seconds = METHODS.iter().filter_map(|(name, _)| {
+        let own = times.least_seconds.get(*name)?.iter();
+        let seconds = own.map(|(_, seconds)| format!("{seconds:.4}"));
+        Some(std::iter::once((*name).to_owned()).chain(seconds))
+    });
+    let parameters = report.steps.parameters.iter().map(|parameter| {
+        [
+            format!("{} / {}", parameter.name, parameter.unit),
+            format!("{:.6}", parameter.truth),
+            format!("{:.6}", parameter.value),
+            format!("{:.1e}", parameter.value - parameter.truth),
+        ]
+    });
+    [
+        Section::new(
+            "Robustness",
+            format!(
+                "{} draws of each condition: arm (masses up to 20 % off), noise, outliers of 20 % of the torque limit, 80/20 split \
+                 and unseen path. Error against the noise-free torque, moving rows, root mean square over the draws; \
+                 logarithmic: 1 is 10 %, 0 is 1 %, −1 is 0.1 %.",
+                report.config.seeds
+            ),
+        )
+        .legend(METHODS.map(|(name, color)| (color, name)))
+        .plots(robustness_panels(&report.conditions), 3)
+        .table(format!("NRMSE on unseen paths{names}"), robustness),
+        Section::new(
+            "Efficiency",
+            "Error by number of training rows, and seconds of training (least of the draws).",
+        )
+        .legend(METHODS.map(|(name, color)| (color, name)))
+        .plots([efficiency_panel(&report.conditions)], 1)
+        .table(format!("seconds of training{counts}"), seconds),
+        Section::new(
+            "Base parameters",
+            "BP network with physical weights, accelerated, against the truth. First independent columns from left to right, \
+             Craig link frames, about the link origin.",
+        )
+        .table("parameter | truth | identified | error", parameters),
+    ]
 }
 
-fn times_table(times: &Times) -> String {
-    let counts: Vec<usize> = times
-        .least_seconds
-        .values()
-        .next()
-        .map(|own| own.iter().map(|(rows, _)| *rows).collect())
-        .unwrap_or_default();
-    let rows: Vec<Vec<String>> = METHODS
+/// Findings, and the errors of every condition, %.
+pub(super) fn text(report: &PaperReport) -> String {
+    let full = report.conditions.iter().map(|c| c.rows).max().unwrap_or(0);
+    let errors = |c: &Condition| {
+        let errors = METHODS.map(|(name, _)| c.methods.get(name).map(|m| m.path_nrmse_ratio));
+        errors.map(|error| or_dash(error, |error| significant(100.0 * error, 3)))
+    };
+    let grid = report.conditions.iter().filter(|c| c.rows == full);
+    let grid = grid.map(|c| {
+        let condition = [
+            c.friction.name().to_owned(),
+            c.outlier_percent.to_string(),
+            c.noise_percent.to_string(),
+        ];
+        condition.into_iter().chain(errors(c))
+    });
+    let mut plain: Vec<&Condition> = report.conditions.iter().filter(|c| c.is_plain()).collect();
+    plain.sort_by_key(|c| c.rows);
+    let plain = plain
+        .into_iter()
+        .map(|c| std::iter::once(c.rows.to_string()).chain(errors(c)));
+    let names: String = METHODS
         .iter()
-        .filter_map(|(name, _)| {
-            let own = times.least_seconds.get(*name)?;
-            let mut row = vec![(*name).to_owned()];
-            row.extend(own.iter().map(|(_, seconds)| format!("{seconds:.4}")));
-            Some(row)
-        })
+        .map(|(name, _)| format!(" | {name}"))
         .collect();
-    let labels: Vec<String> = counts.iter().map(|rows| format!("{rows} rows")).collect();
-    let mut header = vec!["seconds of training"];
-    header.extend(labels.iter().map(String::as_str));
-    table(&header, &rows)
+    let findings: String = report.findings.iter().map(|f| format!("- {f}\n")).collect();
+    format!(
+        "host-sim experiment paper, {} draws of each condition\n\nFindings\n{findings}\n\
+         Torque error on unseen paths, %\n{}\n\
+         Torque error by training rows (1 % noise, Coulomb + viscous), %\n{}",
+        report.config.seeds,
+        aligned(&format!("friction | outliers % | noise %{names}"), grid),
+        aligned(&format!("rows{names}"), plain)
+    )
 }
 
-fn parameters_table(report: &PaperReport<'_>) -> String {
-    let rows: Vec<Vec<String>> = report
-        .steps
-        .parameters
+fn path_panels(curves: &Curves) -> Vec<Panel> {
+    Panel::of_joints::<JOINTS>("tau / N·m", |j| {
+        let of = |color, model: usize| {
+            Curve::new(color, &curves.path, |(t_s, _, tau)| (*t_s, tau[model][j]))
+        };
+        vec![
+            of(PlotColor::Truth, 0),
+            of(PlotColor::Before, 2),
+            of(PlotColor::After, 1),
+        ]
+    })
+}
+
+fn loss_panel(curves: &Curves) -> Panel {
+    let log = |epoch: usize, loss: f64| ((epoch.max(1) as f64).log10(), loss.log10());
+    let training = |color, of: &[_]| Curve::new(color, of, |p: &(_, _, _)| log(p.0, p.1));
+    let held_out = |color, of: &[_]| Curve::new(color, of, |p: &(_, _, _)| log(p.0, p.2));
+    let [plain, fast] = &curves.losses;
+    Panel::new(
+        "loss by epoch, no noise",
+        "log10 epoch",
+        "log10 RMSE / RMS torque",
+        vec![
+            training(PlotColor::Truth, plain),
+            held_out(PlotColor::Other, plain),
+            training(PlotColor::After, fast),
+            held_out(PlotColor::Before, fast),
+            Curve::new(PlotColor::Joint(4), &curves.black_box, |p| log(p.0, p.1)),
+        ],
+    )
+}
+
+/// A panel for each friction and share of outliers, noise along x.
+fn robustness_panels(conditions: &[Condition]) -> Vec<Panel> {
+    let full = conditions.iter().map(|c| c.rows).max().unwrap_or(0);
+    let mut outliers: Vec<f64> = conditions.iter().map(|c| c.outlier_percent).collect();
+    outliers.sort_by(f64::total_cmp);
+    outliers.dedup();
+    let kinds = outliers
         .iter()
-        .map(|parameter| {
-            vec![
-                format!("{} / {}", parameter.name, parameter.unit),
-                format!("{:.6}", parameter.truth),
-                format!("{:.6}", parameter.value),
-                format!("{:.1e}", parameter.value - parameter.truth),
-            ]
-        })
-        .collect();
-    table(&["parameter", "truth", "identified", "error"], &rows)
+        .flat_map(|outlier| FRICTIONS.map(|friction| (*outlier, friction)));
+    let panel = |(outlier_percent, friction): (f64, FrictionKind)| {
+        let own = |c: &&Condition| {
+            c.rows == full && c.friction == friction && c.outlier_percent == outlier_percent
+        };
+        let own: Vec<&Condition> = conditions.iter().filter(own).collect();
+        let panel = Panel::new(
+            format!("{}, {outlier_percent} % outliers", friction.name()),
+            "noise / % of torque limit",
+            "log10 NRMSE / %",
+            method_curves(&own, |c| c.noise_percent),
+        );
+        (!own.is_empty()).then_some(panel)
+    };
+    kinds.filter_map(panel).collect()
+}
+
+/// Error over the number of training rows.
+fn efficiency_panel(conditions: &[Condition]) -> Panel {
+    let mut own: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
+    own.sort_by_key(|c| c.rows);
+    Panel::new(
+        "1 % noise, Coulomb + viscous",
+        "log10 training rows (six torques each)",
+        "log10 NRMSE / %",
+        method_curves(&own, |c| (c.rows as f64).log10()),
+    )
+}
+
+fn method_curves(conditions: &[&Condition], x: impl Fn(&Condition) -> f64) -> Vec<Curve> {
+    let points = |name: &str| {
+        let errors = conditions.iter().filter_map(|c| {
+            let error = c.methods.get(name)?.path_nrmse_ratio;
+            // Exact to rounding: below the resolution of the plot.
+            Some((x(c), (100.0 * error).max(1e-4).log10()))
+        });
+        errors.collect()
+    };
+    let curves = METHODS.iter().map(|(name, color)| Curve {
+        color: *color,
+        points: points(name),
+    });
+    curves.collect()
 }

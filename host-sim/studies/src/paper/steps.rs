@@ -1,8 +1,9 @@
 //! The paper's steps (1) to (4): known parameters, no friction, no rotors, no noise, 36 base parameters.
 
 use super::curves::Curves;
-use super::rigid::{RigidBody, Sample};
+use super::rigid::{RigidBody, Rows, Sample};
 use super::{JOINTS, ROWS};
+use crate::StudyError;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{ColumnSet, Layout};
@@ -16,7 +17,6 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
-use std::error::Error;
 
 /// Step of the joint sequence, s.
 const TICK_S: f64 = 1e-3;
@@ -29,7 +29,7 @@ const EPOCHS: [usize; 14] = [
     1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000,
 ];
 
-/// What the four steps found.
+/// Results of the four steps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Steps {
     /// (1) Poses of the flange along the excitation that inverse kinematics turned into joint positions.
@@ -53,13 +53,13 @@ pub struct Steps {
 /// One way to find the model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Trained {
-    /// What it is.
+    /// Its name.
     pub name: &'static str,
     /// Epochs.
     pub epochs: usize,
     /// RMSE (eq. 20) on the training rows, every joint over its RMS torque, a ratio.
     pub training_loss_ratio: f64,
-    /// The same on the held-out rows.
+    /// Loss ratio on the held-out rows.
     pub validation_loss_ratio: f64,
     /// Norm of the error of the base parameters over their norm; `null` where there are none.
     pub base_parameter_error_ratio: Option<f64>,
@@ -102,123 +102,43 @@ pub(super) fn run(
     robot: &Robot,
     excitation: &Excitation,
     seed: u64,
-) -> Result<(Steps, Curves), Box<dyn Error>> {
-    let model = RigidBody::new(robot).ok_or("the UR5 has six joints")?;
+) -> Result<(Steps, Curves), StudyError> {
+    let model = RigidBody::new(robot).ok_or(StudyError::Joints(JOINTS))?;
     let (data, poses, ik_error) = joint_sequence(robot, excitation, &model)?;
-    let mut order: Vec<usize> = (0..data.len()).collect();
-    order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
-    let (training, validation) = order.split_at(order.len() * 4 / 5);
-    let pick = |rows: &[usize]| -> Vec<_> { rows.iter().map(|&k| data[k]).collect() };
-    let (training, validation) = (pick(training), pick(validation));
-    let scale = Joints::from_fn(|j, _| {
-        let power: f64 = training.iter().map(|(_, _, tau)| tau[j] * tau[j]).sum();
-        (power / training.len() as f64).sqrt()
-    });
-    let (rows, held) = (
-        model.rows(&training, &scale),
-        model.rows(&validation, &scale),
-    );
-
-    let gram = rows.y.tr_mul(&rows.y);
-    let moment = rows.y.tr_mul(&rows.tau);
-    let power = rows.tau.norm_squared();
-    let layer = LinearLayer::new(&gram, &moment, power, rows.tau.len() as f64);
-    let train = |descent, max_epochs: Option<usize>| {
-        let mut config = PhysicalConfig {
-            starts: 1,
-            ..PhysicalConfig::new(descent, seed)
-        };
-        config.max_epochs = max_epochs.unwrap_or(config.max_epochs);
-        layer.train(&config, &mut |_, _| ())
-    };
-    let path = arbitrary_path(robot, seed);
-    let truth: Vec<Joints<JOINTS>> = path
-        .iter()
-        .map(|(_, state)| model.dynamics.inverse_dynamics(state))
-        .collect();
-    let on_path = |predict: &dyn Fn(&State<JOINTS>) -> Joints<JOINTS>| {
-        let mut error = TorqueError::<JOINTS>::default();
-        for ((_, state), truth) in path.iter().zip(&truth) {
-            error.add(truth, &predict(state), &state.qd);
-        }
-        error.nrmse()
-    };
-    let linear = |name, epochs, theta: &DVector<f64>| Trained {
-        name,
-        epochs,
-        training_loss_ratio: rows.loss(theta),
-        validation_loss_ratio: held.loss(theta),
-        base_parameter_error_ratio: Some(model.error_ratio(theta)),
-        path_nrmse_ratio: on_path(&|state| model.torque(state, theta)),
-    };
-    let qr = rows.y.clone().qr();
-    let solution = qr
-        .r()
-        .solve_upper_triangular(&qr.q().tr_mul(&rows.tau))
-        .ok_or("the excitation does not show all base parameters")?;
-    let curve = |descent, epochs: usize| -> Vec<(usize, f64, f64)> {
-        let told = EPOCHS.iter().copied().filter(|epoch| *epoch < epochs);
-        told.chain([epochs])
-            .map(|epoch| {
-                let theta = train(descent, Some(epoch)).theta;
-                (epoch, rows.loss(&theta), held.loss(&theta))
-            })
-            .collect()
-    };
-    let [plain, fast] = [Descent::Plain, Descent::Accelerated].map(|descent| {
-        let trained = train(descent, None);
-        let epochs = trained.losses.len().saturating_sub(1);
-        (trained.theta, epochs, curve(descent, epochs))
-    });
-
-    let samples: Vec<_> = training
-        .iter()
-        .map(|(_, state, tau)| (*state, (*tau).into(), [true; JOINTS]))
-        .collect();
-    let network = BlackBox::<JOINTS>::train(&samples, seed, &mut |_, _| ());
-    let box_torque = |state: &State<JOINTS>| Joints::from(network.torque(state));
-    let box_loss = |data: &[Sample]| {
-        let square = |(_, state, tau): &Sample| {
-            (box_torque(state) - tau)
-                .component_div(&scale)
-                .norm_squared()
-        };
-        (data.iter().map(square).sum::<f64>() / (data.len() * JOINTS) as f64).sqrt()
-    };
+    let known = Known::new(&model, &data, arbitrary_path(robot, seed), seed);
+    let [plain, fast] = [Descent::Plain, Descent::Accelerated].map(|way| known.physical(way, seed));
+    let network = BlackBox::<JOINTS>::train(&known.samples(), seed, &mut |_, _| ());
     let trained = vec![
-        linear("least squares", 1, &solution),
-        linear("bp_physical, gradient descent (eq. 21)", plain.1, &plain.0),
-        linear("bp_physical, accelerated", fast.1, &fast.0),
-        Trained {
-            name: "bp_black_box, 18-32-6 ReLU",
-            epochs: network.losses.len(),
-            training_loss_ratio: box_loss(&training),
-            validation_loss_ratio: box_loss(&validation),
-            base_parameter_error_ratio: None,
-            path_nrmse_ratio: on_path(&box_torque),
-        },
+        known.linear("least squares", 1, &known.least_squares()?),
+        known.linear("bp_physical, gradient descent (eq. 21)", plain.1, &plain.0),
+        known.linear("bp_physical, accelerated", fast.1, &fast.0),
+        known.black_box("bp_black_box, 18-32-6 ReLU", &network),
     ];
+    let path = known.path.iter().zip(&known.path_truth);
     let path: Vec<_> = path
-        .iter()
-        .zip(&truth)
         .map(|((t_s, state), truth)| {
-            let torques = [*truth, model.torque(state, &fast.0), box_torque(state)];
-            (*t_s, *state, torques)
+            let box_torque = Joints::from(network.torque(state));
+            (
+                *t_s,
+                *state,
+                [*truth, model.torque(state, &fast.0), box_torque],
+            )
         })
         .collect();
-    let layout = Layout::<JOINTS>::new(robot, &ColumnSet::plain()).ok_or("six joints")?;
-    let parameters = layout
-        .parameters
-        .iter()
-        .zip(model.truth.iter().zip(&fast.0));
+    let layout = Layout::<JOINTS>::new(robot, &ColumnSet::plain());
+    let layout = layout.ok_or(StudyError::Joints(JOINTS))?;
+    let values = model.truth.iter().zip(&fast.0);
     let steps = Steps {
         inverse_kinematics_poses: poses,
         inverse_kinematics_error_rad: ik_error,
-        training_rows: training.len(),
-        validation_rows: validation.len(),
+        training_rows: known.training.len(),
+        validation_rows: known.validation.len(),
         base_parameters: model.columns.len(),
         trained,
-        parameters: parameters
+        parameters: layout
+            .parameters
+            .iter()
+            .zip(values)
             .map(|(parameter, (truth, value))| ParameterRow {
                 name: parameter.name.clone(),
                 unit: parameter.unit,
@@ -237,14 +157,140 @@ pub(super) fn run(
     Ok((steps, curves))
 }
 
+/// Epoch, loss on training and on held-out rows.
+type LossCurve = Vec<(usize, f64, f64)>;
+
+/// The known arm, its training and validation rows, and the arbitrary path.
+struct Known<'m> {
+    model: &'m RigidBody,
+    training: Vec<Sample>,
+    validation: Vec<Sample>,
+    /// RMS torque of every joint, N·m.
+    scale: Joints<JOINTS>,
+    rows: Rows,
+    held: Rows,
+    path: Vec<(f64, State<JOINTS>)>,
+    path_truth: Vec<Joints<JOINTS>>,
+}
+
+impl<'m> Known<'m> {
+    fn new(
+        model: &'m RigidBody,
+        data: &[Sample],
+        path: Vec<(f64, State<JOINTS>)>,
+        seed: u64,
+    ) -> Self {
+        let mut order: Vec<usize> = (0..data.len()).collect();
+        order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        let (training, validation) = order.split_at(order.len() * 4 / 5);
+        let pick = |rows: &[usize]| -> Vec<_> { rows.iter().map(|&k| data[k]).collect() };
+        let (training, validation) = (pick(training), pick(validation));
+        let scale = Joints::from_fn(|j, _| {
+            let power: f64 = training.iter().map(|(_, _, tau)| tau[j] * tau[j]).sum();
+            (power / training.len() as f64).sqrt()
+        });
+        let torque = |(_, state): &(f64, State<JOINTS>)| model.dynamics.inverse_dynamics(state);
+        Self {
+            rows: model.rows(&training, &scale),
+            held: model.rows(&validation, &scale),
+            path_truth: path.iter().map(torque).collect(),
+            model,
+            training,
+            validation,
+            scale,
+            path,
+        }
+    }
+
+    /// The training rows as the black box takes them.
+    fn samples(&self) -> Vec<(State<JOINTS>, [f64; JOINTS], [bool; JOINTS])> {
+        let rows = self.training.iter();
+        rows.map(|(_, state, tau)| (*state, (*tau).into(), [true; JOINTS]))
+            .collect()
+    }
+
+    fn least_squares(&self) -> Result<DVector<f64>, StudyError> {
+        let qr = self.rows.y.clone().qr();
+        let moment = qr.q().tr_mul(&self.rows.tau);
+        qr.r().solve_upper_triangular(&moment).ok_or_else(|| {
+            let reason = "the excitation does not show all base parameters";
+            StudyError::Unusable(reason.to_owned())
+        })
+    }
+
+    /// The network with physical weights: weights, epochs, losses while it trains.
+    fn physical(&self, descent: Descent, seed: u64) -> (DVector<f64>, usize, LossCurve) {
+        let (rows, held) = (&self.rows, &self.held);
+        let gram = rows.y.tr_mul(&rows.y);
+        let moment = rows.y.tr_mul(&rows.tau);
+        let power = rows.tau.norm_squared();
+        let layer = LinearLayer::new(&gram, &moment, power, rows.tau.len() as f64);
+        let config = PhysicalConfig {
+            starts: 1,
+            ..PhysicalConfig::new(descent, seed)
+        };
+        let trained = layer.train(&config, &mut |_, _| ());
+        let epochs = trained.losses.len().saturating_sub(1);
+        let shown = EPOCHS.iter().copied().filter(|epoch| *epoch < epochs);
+        let curve = shown.chain([epochs]).map(|max_epochs| {
+            let config = PhysicalConfig {
+                max_epochs,
+                ..config
+            };
+            let theta = layer.train(&config, &mut |_, _| ()).theta;
+            (max_epochs, rows.loss(&theta), held.loss(&theta))
+        });
+        (trained.theta, epochs, curve.collect())
+    }
+
+    fn linear(&self, name: &'static str, epochs: usize, theta: &DVector<f64>) -> Trained {
+        Trained {
+            name,
+            epochs,
+            training_loss_ratio: self.rows.loss(theta),
+            validation_loss_ratio: self.held.loss(theta),
+            base_parameter_error_ratio: Some(self.model.error_ratio(theta)),
+            path_nrmse_ratio: self.error_on_path(|state| self.model.torque(state, theta)),
+        }
+    }
+
+    fn black_box(&self, name: &'static str, network: &BlackBox<JOINTS>) -> Trained {
+        let torque = |state: &State<JOINTS>| Joints::from(network.torque(state));
+        let loss = |data: &[Sample]| {
+            let square = |(_, state, tau): &Sample| {
+                let error = torque(state) - tau;
+                error.component_div(&self.scale).norm_squared()
+            };
+            (data.iter().map(square).sum::<f64>() / (data.len() * JOINTS) as f64).sqrt()
+        };
+        Trained {
+            name,
+            epochs: network.losses.len(),
+            training_loss_ratio: loss(&self.training),
+            validation_loss_ratio: loss(&self.validation),
+            base_parameter_error_ratio: None,
+            path_nrmse_ratio: self.error_on_path(torque),
+        }
+    }
+
+    fn error_on_path(&self, predict: impl Fn(&State<JOINTS>) -> Joints<JOINTS>) -> f64 {
+        let mut error = TorqueError::<JOINTS>::default();
+        for ((_, state), truth) in self.path.iter().zip(&self.path_truth) {
+            error.add(truth, &predict(state), &state.qd);
+        }
+        error.nrmse()
+    }
+}
+
 /// Step (1) and (2): the joint sequence that puts the flange where the excitation puts it, found by inverse kinematics, and
 /// its torques. Also the number of poses, and how far the positions are from the series', rad.
 fn joint_sequence(
     robot: &Robot,
     excitation: &Excitation,
     model: &RigidBody,
-) -> Result<(Vec<Sample>, usize, f64), Box<dyn Error>> {
-    let inverse = Inverse::<JOINTS>::new(robot, &Placement::identity()).ok_or("six joints")?;
+) -> Result<(Vec<Sample>, usize, f64), StudyError> {
+    let inverse =
+        Inverse::<JOINTS>::new(robot, &Placement::identity()).ok_or(StudyError::Joints(JOINTS))?;
     let ticks = (excitation.period_s / TICK_S).round() as usize;
     let every = (ticks / ROWS).max(1);
     let mut data = Vec::with_capacity(ROWS);
@@ -255,7 +301,7 @@ fn joint_sequence(
         let pose = inverse.chain().forward(&series.q);
         let q = inverse
             .onwards(&pose, &predicted, JUMP_RAD)
-            .map_err(|error| format!("excitation at {t_s:.3} s: {error}"))?;
+            .map_err(|error| StudyError::Unusable(format!("excitation at {t_s:.3} s: {error}")))?;
         worst = worst.max((q - series.q).amax());
         predicted = q + (series.qd + series.qdd * (0.5 * TICK_S)) * TICK_S;
         if tick % every == 0 {

@@ -1,4 +1,4 @@
-//! What the draws of the robustness study add up to.
+//! Sums over the draws of the robustness study.
 
 use super::cell::{CellRecord, FrictionKind, MethodDraw};
 use serde::Serialize;
@@ -23,6 +23,15 @@ pub struct Condition {
     pub failed: BTreeMap<String, usize>,
 }
 
+impl Condition {
+    /// The condition of the efficiency study: 1 % noise, Coulomb and viscous friction, no outliers.
+    pub(super) fn is_plain(&self) -> bool {
+        self.noise_percent == 1.0
+            && self.outlier_percent == 0.0
+            && self.friction == FrictionKind::CoulombViscous
+    }
+}
+
 /// One method in one condition.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MethodSummary {
@@ -41,7 +50,7 @@ pub struct MethodSummary {
 /// Seconds of training of every method: least of the draws, by number of training rows. No run repeats them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Times {
-    /// What they are.
+    /// Meaning of the rows.
     pub note: &'static str,
     /// Method, then rows and seconds.
     pub least_seconds: BTreeMap<String, Vec<(usize, f64)>>,

@@ -1,15 +1,15 @@
 //! The logs as the board meets them, row by row, and what batch least squares on the other paths says of them.
 
 use super::{GATE_RAD_S, N};
-use crate::real_ur5::PATHS;
+use crate::real_ur5::{PATHS, columns};
+use crate::{Progress, StudyError};
 use foretorque::joint::JointMeasurement;
 use foretorque_workbench::dynamics::State;
 use foretorque_workbench::identification::{
-    ColumnSet, IdentifyConfig, Layout, MethodName, Preparation, PrepareConfig, Prepared, WholeLog,
-    for_each_prepared, identify,
+    ColumnSet, IdentifyConfig, IdentifyError, Layout, MethodName, Preparation, PrepareConfig,
+    Prepared, WholeLog, for_each_prepared, identify,
 };
 use foretorque_workbench::robot::Robot;
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
 /// The friction columns of the reference.
@@ -30,7 +30,7 @@ pub(super) struct Row {
     pub(super) state: State<N>,
     /// Torque through the same filter, N·m.
     pub(super) tau: [f64; N],
-    /// What plain and rich batch least squares on the other paths say, N·m, through the same filter.
+    /// Torques of plain and rich batch least squares on the other paths, N·m, through the same filter.
     pub(super) batch: [[f64; N]; 2],
 }
 
@@ -49,8 +49,8 @@ pub(super) fn read(
     directory: &Path,
     robot: &Robot,
     seed: u64,
-    progress: &dyn Fn(&'static str, usize, usize),
-) -> Result<Vec<Stretch>, Box<dyn Error>> {
+    progress: Progress<'_>,
+) -> Result<Vec<Stretch>, StudyError> {
     let mut stretches = Vec::new();
     for (number, (name, files)) in PATHS.iter().enumerate() {
         progress("path held out", number, PATHS.len());
@@ -61,9 +61,9 @@ pub(super) fn read(
         let held_out: Vec<PathBuf> = files.iter().map(|file| directory.join(file)).collect();
         let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
         let mut prepared = Vec::new();
-        for (columns, found) in ["coulomb-viscous", RICH].iter().zip(&mut found) {
-            let columns = columns.parse::<ColumnSet>()?;
-            let layout = Layout::<N>::new(robot, &columns).ok_or("the UR5 has six joints")?;
+        for (text, found) in ["coulomb-viscous", RICH].iter().zip(&mut found) {
+            let columns = columns(text)?;
+            let layout = Layout::<N>::new(robot, &columns).ok_or(StudyError::Joints(N))?;
             let theta = batch(robot, &training, &held_out[..1], columns, seed)?;
             prepared.clear();
             for file in &held_out {
@@ -110,7 +110,7 @@ fn batch(
     held_out: &[PathBuf],
     columns: ColumnSet,
     seed: u64,
-) -> Result<Vec<f64>, Box<dyn Error>> {
+) -> Result<Vec<f64>, StudyError> {
     let config = IdentifyConfig {
         methods: vec![MethodName::Wls],
         columns,
@@ -122,7 +122,7 @@ fn batch(
     };
     let outcome = identify::<N>(robot, training, held_out, &config, &|_| ())?;
     let record = outcome.report.methods.get(&MethodName::Wls.to_string());
-    let parameters = record.ok_or("no fit")?.parameters.iter();
+    let parameters = record.ok_or(IdentifyError::Unsolvable)?.parameters.iter();
     Ok(parameters.map(|parameter| parameter.value).collect())
 }
 
@@ -143,7 +143,7 @@ fn predictions(layout: &Layout<N>, theta: &[f64], stretch: &Prepared<N>) -> Vec<
 }
 
 /// Time and measurement of every row.
-fn raw_rows(file: &Path, robot: &Robot) -> Result<Vec<(f64, JointMeasurement<N>)>, Box<dyn Error>> {
+fn raw_rows(file: &Path, robot: &Robot) -> Result<Vec<(f64, JointMeasurement<N>)>, StudyError> {
     let mut log = WholeLog::<N>::open(file, robot)?;
     let mut rows = Vec::new();
     while let Some(row) = log.next_row()? {

@@ -4,7 +4,8 @@ mod logs;
 mod page;
 mod scores;
 
-use super::real_ur5::{PATHS, geometric_mean};
+use crate::real_ur5::{PATHS, geometric_mean};
+use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet, evaluate};
@@ -17,7 +18,6 @@ use logs::Stretch;
 use scores::Scores;
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
-use std::error::Error;
 use std::path::Path;
 
 const N: usize = JOINTS;
@@ -66,7 +66,7 @@ pub struct ReplayReport {
     pub newest_vs_rich_wls_ratio: f64,
     /// See above. The first 10 s of the first log have no such parameters and are left out.
     pub aged_10_s_vs_rich_wls_ratio: f64,
-    /// The same for boards that have learnt all other paths before each path, as the reference has.
+    /// Ratio of 10-s-old parameters for boards that have learnt all other paths before each path, as the reference has.
     pub aged_10_s_after_other_paths_vs_rich_wls_ratio: f64,
     /// See above.
     pub frozen_vs_rich_wls_ratio: f64,
@@ -104,7 +104,7 @@ struct Board {
 }
 
 impl Board {
-    fn new() -> Result<Self, Box<dyn Error>> {
+    fn new() -> Result<Self, StudyError> {
         let period_s = (PERIOD_S / f64::from(TICKS_A_ROW)) as f32;
         let set = Set::nominal::<Ur5>(1);
         let mut feedforward =
@@ -132,7 +132,7 @@ impl Board {
             None => self.feedforward.step_stale(),
         };
         let measured = sample.and_then(|sample| sample.measured);
-        let lesson = self.feedforward.lesson(measured);
+        let lesson = self.feedforward.learning_sample(measured);
         self.learner.learn(&lesson, &mut self.exchange);
         self.ticks += 1;
         self.clipped += u32::from(torque.flags.contains(Flags::LEARNED_CLIPPED));
@@ -172,16 +172,16 @@ impl Board {
 
 /// Torques of the parameters as they were before each row, of older ones, and of the data sheet, through the filter of
 /// the figures.
-struct Said {
+struct Predictions {
     newest: Vec<f64>,
     aged: Vec<f64>,
     frozen: Vec<f64>,
 }
 
 /// Plays a stretch to the board. `history` holds the sets of the last ten seconds.
-fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Said {
+fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Predictions {
     let nominal = Set::nominal::<Ur5>(1);
-    let mut said = Said {
+    let mut predicted = Predictions {
         newest: Vec::new(),
         aged: Vec::new(),
         frozen: Vec::new(),
@@ -192,13 +192,14 @@ fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Sa
     for row in &stretch.rows {
         let desired = motion_f32(&row.state);
         let torques = |set: &Set| evaluate::<Ur5, N, P>(set, &desired).total.cast::<f64>();
-        said.newest.extend(torques(board.active()).iter());
-        said.frozen.extend(torques(&nominal).iter());
+        predicted.newest.extend(torques(board.active()).iter());
+        predicted.frozen.extend(torques(&nominal).iter());
         if history.len() as f64 * PERIOD_S >= AGE_S {
             history.pop_front();
         }
         history.push_back(*board.active());
-        said.aged
+        predicted
+            .aged
             .extend(torques(history.front().unwrap_or(&nominal)).iter());
         let from = before.unwrap_or(row.measured);
         for k in 1..=TICKS_A_ROW {
@@ -213,10 +214,14 @@ fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Sa
         }
         before = Some(row.measured);
     }
-    for torques in [&mut said.newest, &mut said.aged, &mut said.frozen] {
+    for torques in [
+        &mut predicted.newest,
+        &mut predicted.aged,
+        &mut predicted.frozen,
+    ] {
         stretch.preparation.smooth_torque(torques, N);
     }
-    said
+    predicted
 }
 
 /// Runs the study on the logs in `directory`. Returns the figures and the page.
@@ -225,8 +230,8 @@ fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Sa
 pub fn run(
     directory: &Path,
     seed: u64,
-    progress: &dyn Fn(&'static str, usize, usize),
-) -> Result<(ReplayReport, String), Box<dyn Error>> {
+    progress: Progress<'_>,
+) -> Result<Outcome<ReplayReport>, StudyError> {
     let robot = Robot::load("ur5")?;
     let stretches = logs::read(directory, &robot, seed, progress)?;
     let mut board = Board::new()?;
@@ -235,13 +240,13 @@ pub fn run(
     for (number, stretch) in stretches.iter().enumerate() {
         progress("log replayed", number, stretches.len());
         let fresh = history.is_empty();
-        let said = play(&mut board, &mut history, stretch);
+        let predicted = play(&mut board, &mut history, stretch);
         let skipped = if fresh {
             (AGE_S / PERIOD_S) as usize
         } else {
             0
         };
-        scores[stretch.path].add(stretch, &said, skipped);
+        scores[stretch.path].add(stretch, &predicted, skipped);
     }
     let within = within_1_1(&stretches, progress)?;
     let after_others = after_others(&stretches, progress)?;
@@ -279,15 +284,14 @@ pub fn run(
         rows_accepted_count: rows_accepted,
         paths,
     };
-    let page = page::page(&report);
-    Ok((report, page))
+    Ok(page::outcome(report))
 }
 
 /// Motion that a board fresh from the data sheet needs on each path to come within 1.1 of the reference, s.
 fn within_1_1(
     stretches: &[Stretch],
-    progress: &dyn Fn(&'static str, usize, usize),
-) -> Result<Vec<Option<f64>>, Box<dyn Error>> {
+    progress: Progress<'_>,
+) -> Result<Vec<Option<f64>>, StudyError> {
     let mut times = Vec::new();
     for path in 0..PATHS.len() {
         progress("fresh on each path", path, PATHS.len());
@@ -295,8 +299,8 @@ fn within_1_1(
         let first = stretches.iter().find(|stretch| stretch.path == path);
         times.push(match first {
             Some(stretch) => {
-                let said = play(&mut board, &mut VecDeque::new(), stretch);
-                scores::motion_until_close(stretch, &said.newest, WINDOW_S / PERIOD_S, CLOSE)
+                let predicted = play(&mut board, &mut VecDeque::new(), stretch);
+                scores::motion_until_close(stretch, &predicted.newest, WINDOW_S / PERIOD_S, CLOSE)
                     .map(|rows| rows as f64 * PERIOD_S)
             }
             None => None,
@@ -306,10 +310,7 @@ fn within_1_1(
 }
 
 /// Error of parameters 10 s old over the reference's, geometric mean, of boards that have learnt all other paths before.
-fn after_others(
-    stretches: &[Stretch],
-    progress: &dyn Fn(&'static str, usize, usize),
-) -> Result<f64, Box<dyn Error>> {
+fn after_others(stretches: &[Stretch], progress: Progress<'_>) -> Result<f64, StudyError> {
     let mut ratios = Vec::new();
     for path in 0..PATHS.len() {
         progress("after the other paths", path, PATHS.len());

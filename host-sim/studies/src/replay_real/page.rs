@@ -1,83 +1,67 @@
-//! `report.html` of the replay.
+//! `report.html` and text of the replay.
 
 use super::{PathScores, ReplayReport};
-use foretorque_workbench::report::page::{Section, Tile, html, ratio};
+use crate::Outcome;
+use crate::real_ur5::joint_rows;
+use foretorque_workbench::report::page::{Page, Section, ratio};
 
-pub(super) fn page(report: &ReplayReport) -> String {
-    let rows = |pick: &dyn Fn(&PathScores) -> &Vec<Option<f64>>| -> Vec<Vec<String>> {
-        let paths = report.paths.iter();
-        paths
-            .map(|path| {
-                let mut row = vec![path.path.clone()];
-                row.extend(pick(path).iter().copied().map(ratio));
-                row
-            })
-            .collect()
-    };
-    let joints = ["path", "J1", "J2", "J3", "J4", "J5", "J6"];
-    let decisions: Vec<Vec<String>> = report
-        .decisions_count
-        .iter()
-        .map(|(reason, count)| vec![reason.clone(), count.to_string()])
-        .collect();
-    let within: Vec<Vec<String>> = report
-        .paths
-        .iter()
-        .map(|path| vec![path.path.clone(), ratio(path.within_1_1_after_s)])
-        .collect();
-    html(
-        "A real UR5, learnt from its logs as if the board had been there",
-        &format!(
-            "Error over that of batch least squares ({}), joints that move faster than 0.05 rad/s, filtered torque.",
-            report.reference
+pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
+    let cards = [
+        (
+            report.aged_10_s_vs_rich_wls_ratio,
+            "parameters 10 s old, geometric mean of joints and paths",
         ),
-        &[
-            Tile::ratio(
-                report.aged_10_s_vs_rich_wls_ratio,
-                "parameters 10 s old, geometric mean of joints and paths",
-            ),
-            Tile::ratio(report.newest_vs_rich_wls_ratio, "parameters as they are"),
-            Tile::ratio(
-                report.aged_10_s_after_other_paths_vs_rich_wls_ratio,
-                "10 s old, all other paths learnt before",
-            ),
-            Tile::ratio(report.frozen_vs_rich_wls_ratio, "data sheet, frozen"),
-            Tile::ratio(
-                report.plain_wls_vs_rich_wls_ratio,
-                "batch least squares, Coulomb and viscous friction only",
-            ),
-        ],
-        &[
-            Section::of_table(
-                "Parameters 10 s old",
-                "Error over the reference's.",
-                &joints,
-                &rows(&|path| &path.aged_ratio),
-            ),
-            Section::of_table(
-                "Parameters as they were before each row",
-                "Error over the reference's.",
-                &joints,
-                &rows(&|path| &path.newest_ratio),
-            ),
-            Section::of_table(
-                "Data sheet, frozen",
-                "Error over the reference's.",
-                &joints,
-                &rows(&|path| &path.frozen_ratio),
-            ),
-            Section::of_table(
-                "Motion until the error over 2 s is within 1.1 of the reference",
-                "A board fresh from the data sheet on every path, s.",
-                &["path", "s"],
-                &within,
-            ),
-            Section::of_table(
-                "Decisions of the guard",
-                "Over all logs, none of which has a disturbance.",
-                &["reason", "count"],
-                &decisions,
-            ),
-        ],
-    )
+        (report.newest_vs_rich_wls_ratio, "newest parameters"),
+        (
+            report.aged_10_s_after_other_paths_vs_rich_wls_ratio,
+            "10 s old, all other paths learnt before",
+        ),
+        (report.frozen_vs_rich_wls_ratio, "data sheet, frozen"),
+        (
+            report.plain_wls_vs_rich_wls_ratio,
+            "batch least squares, Coulomb and viscous friction only",
+        ),
+    ];
+    let lead = format!(
+        "Error over that of batch least squares ({}), joints that move faster than 0.05 rad/s, filtered torque.",
+        report.reference
+    );
+    let page = Page::new("A real UR5, learnt row by row from its logs", lead);
+    let page = cards.iter().fold(page, |page, (value, label)| {
+        page.card(ratio(Some(*value)), *label)
+    });
+    let of_joints = |heading: &str, pick: fn(&PathScores) -> &[Option<f64>]| {
+        Section::new(heading, "Error over the reference's.").table(
+            "path | J1 | J2 | J3 | J4 | J5 | J6",
+            joint_rows(&report.paths, |path| &path.path, pick),
+        )
+    };
+    let within = report.paths.iter();
+    let within = within.map(|path| [path.path.clone(), ratio(path.within_1_1_after_s)]);
+    let decisions = report.decisions_count.iter();
+    let decisions = decisions.map(|(reason, count)| [reason.clone(), count.to_string()]);
+    let page = page.sections([
+        of_joints("Parameters 10 s old", |path| &path.aged_ratio),
+        of_joints("Parameters before each row", |path| &path.newest_ratio),
+        of_joints("Data sheet, frozen", |path| &path.frozen_ratio),
+        Section::new(
+            "Motion until the error over 2 s is within 1.1 of the reference",
+            "A board fresh from the data sheet on every path, s.",
+        )
+        .table("path | s", within),
+        Section::new(
+            "Decisions of the supervisor",
+            "Over all logs, none of which has a disturbance.",
+        )
+        .table("reason | count", decisions),
+    ]);
+    let lines = cards
+        .iter()
+        .map(|(value, label)| format!("{label:<56} {value:.3} × {}\n", report.reference));
+    let decisions = format!("decisions of the supervisor {:?}\n", report.decisions_count);
+    Outcome {
+        text: lines.chain([decisions]).collect(),
+        page,
+        report,
+    }
 }

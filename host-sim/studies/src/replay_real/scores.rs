@@ -1,7 +1,7 @@
 //! Squared errors of the moving rows, joint by joint, and their quotients.
 
 use super::logs::{Row, Stretch};
-use super::{GATE_RAD_S, N, PathScores, Said};
+use super::{GATE_RAD_S, N, PathScores, Predictions};
 use crate::real_ur5::geometric_mean;
 
 /// Squared errors of one kind of prediction.
@@ -46,17 +46,17 @@ pub(super) struct Scores {
 
 impl Scores {
     /// Adds a stretch; its first `skipped` rows have no old parameters.
-    pub(super) fn add(&mut self, stretch: &Stretch, said: &Said, skipped: usize) {
+    pub(super) fn add(&mut self, stretch: &Stretch, predicted: &Predictions, skipped: usize) {
         for (k, row) in stretch.rows.iter().enumerate() {
             for joint in moving(row) {
                 let error = |torques: &[f64]| torques[k * N + joint] - row.tau[joint];
                 let [plain, rich] = row.batch.map(|batch| batch[joint] - row.tau[joint]);
-                self.newest.add(joint, error(&said.newest));
-                self.frozen.add(joint, error(&said.frozen));
+                self.newest.add(joint, error(&predicted.newest));
+                self.frozen.add(joint, error(&predicted.frozen));
                 self.plain.add(joint, plain);
                 self.rich.add(joint, rich);
                 if k >= skipped {
-                    self.aged.add(joint, error(&said.aged));
+                    self.aged.add(joint, error(&predicted.aged));
                     self.plain_aged.add(joint, plain);
                     self.rich_aged.add(joint, rich);
                 }

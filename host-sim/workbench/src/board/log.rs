@@ -9,36 +9,24 @@ use elf::ElfBytes;
 use elf::endian::LittleEndian;
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::fmt;
 use std::fmt::Write as _;
 
 /// Why a log cannot be read.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LogError {
     /// The file is no ELF, or has no table of messages.
+    #[error("the firmware has no table of log messages")]
     NoMessages,
     /// A frame that is none; its place in the stream, counted from 0.
+    #[error("frame {0} of the log is damaged")]
     Frame(usize),
     /// A frame with an index that no message has.
+    #[error("the log is of another firmware: no message {0}")]
     UnknownMessage(u16),
     /// A message whose values are cut short or of a kind that is not read here.
+    #[error("the log gives no values for \"{0}\"")]
     Values(String),
 }
-
-impl fmt::Display for LogError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NoMessages => f.write_str("the firmware has no table of log messages"),
-            Self::Frame(place) => write!(f, "frame {place} of the log is damaged"),
-            Self::UnknownMessage(index) => {
-                write!(f, "the log is of another firmware: no message {index}")
-            }
-            Self::Values(message) => write!(f, "the log gives no values for \"{message}\""),
-        }
-    }
-}
-
-impl std::error::Error for LogError {}
 
 /// The messages that a firmware may log.
 #[derive(Clone, Debug)]

@@ -16,7 +16,6 @@ pub use native::Native;
 
 use foretorque_link::bank::BankError;
 use foretorque_link::wire::{NackReason, PROTOCOL_VERSION, ResetReason};
-use std::fmt;
 use std::io;
 use std::time::Duration;
 
@@ -43,55 +42,38 @@ pub trait Transport {
 }
 
 /// Why a conversation with a board failed.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub enum BoardError {
     /// The link is gone, or the board behind it.
+    #[error("link to board {0} is gone: {1}")]
     Closed(String, io::Error),
     /// No answer in time.
+    #[error("board {0} does not answer")]
     Timeout(String),
     /// The board speaks another version of the protocol.
+    #[error("the board speaks protocol version {0}, this program version {PROTOCOL_VERSION}")]
     WrongProtocol(u8),
     /// The board drives another robot.
+    #[error("the board drives {found}, not {wanted}: is its firmware that of `cargo firmware`?")]
     WrongRobot {
         /// The robot wanted.
         wanted: String,
-        /// What the board says it is.
+        /// Identity that the board reports.
         found: String,
     },
     /// The board started over in the middle of the conversation.
+    #[error("the board has started over ({0:?})")]
     Restarted(ResetReason),
     /// The board refused.
+    #[error("the board refused: {0}")]
     Refused(NackReason),
     /// The answer is not one to the question.
+    #[error("the board gave an answer to another question")]
     UnexpectedAnswer,
     /// The board has a write key, and this program was given none.
+    #[error("the board has a write key: an upload needs --key-file")]
     NoKey,
     /// The bank cannot be sent, or what was read is none.
+    #[error("{0}")]
     Bank(BankError),
 }
-
-impl fmt::Display for BoardError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Closed(board, error) => write!(f, "link to board {board} is gone: {error}"),
-            Self::Timeout(board) => write!(f, "board {board} does not answer"),
-            Self::WrongProtocol(version) => write!(
-                f,
-                "the board speaks protocol version {version}, this program version {PROTOCOL_VERSION}"
-            ),
-            Self::WrongRobot { wanted, found } => {
-                write!(
-                    f,
-                    "the board drives {found}, not {wanted}: is its firmware that of `cargo firmware`?"
-                )
-            }
-            Self::Restarted(reason) => write!(f, "the board has started over ({reason:?})"),
-            Self::Refused(reason) => write!(f, "the board refused: {reason}"),
-            Self::UnexpectedAnswer => f.write_str("the board gave an answer to another question"),
-            Self::NoKey => f.write_str("the board has a write key: an upload needs --key-file"),
-            Self::Bank(error) => write!(f, "{error}"),
-        }
-    }
-}
-
-impl std::error::Error for BoardError {}

@@ -1,6 +1,5 @@
 //! The firmware in the emulator: the flashable ELF over its USART, or the bulk ELF over two pipes.
 
-use std::fmt;
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::path::{Path, PathBuf};
@@ -31,7 +30,7 @@ pub const PATIENCE: Duration = Duration::from_secs(10);
 pub enum Image {
     /// The flashable firmware, over USART2.
     Joint,
-    /// The same tick around two pipes (semihosting), for long runs.
+    /// The tick between two pipes (semihosting), for long runs.
     Bulk,
 }
 
@@ -97,60 +96,31 @@ impl QemuOptions {
     }
 }
 
-/// What can go wrong with an emulated board.
-#[derive(Debug)]
+/// Errors of an emulated board.
+#[derive(Debug, thiserror::Error)]
 pub enum EmulatorError {
     /// There is no such program.
+    #[error("{0} is not installed: run `cargo xtask setup`")]
     NotInstalled(PathBuf),
     /// The firmware is not built.
+    #[error("no firmware at {0}: build it with `cargo firmware`")]
     NoFirmware(PathBuf),
     /// It could not be started.
+    #[error("the emulator did not start: {0}")]
     Start(io::Error),
     /// It ended while it was needed: how, and its last words.
+    #[error("the emulator died: {0}")]
     Died(String),
     /// It said no hello after start-up.
+    #[error("the emulated board said no hello within {:.1} s: is the ELF a firmware of this project?", .0.as_secs_f64())]
     NoHello(Duration),
     /// It takes no bytes.
+    #[error("the emulated board took no bytes for {:.1} s", .0.as_secs_f64())]
     Silent(Duration),
     /// The link to it broke.
+    #[error("link to the emulator: {0}")]
     Link(io::Error),
 }
-
-impl fmt::Display for EmulatorError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NotInstalled(program) => {
-                write!(
-                    f,
-                    "{} is not installed: run `cargo xtask setup`",
-                    program.display()
-                )
-            }
-            Self::NoFirmware(elf) => write!(
-                f,
-                "no firmware at {}: build it with `cargo firmware`",
-                elf.display()
-            ),
-            Self::Start(error) => write!(f, "the emulator did not start: {error}"),
-            Self::Died(how) => write!(f, "the emulator died: {how}"),
-            Self::NoHello(waited) => write!(
-                f,
-                "the emulated board said no hello within {:.1} s: is the ELF a firmware of this project?",
-                waited.as_secs_f64()
-            ),
-            Self::Silent(waited) => {
-                write!(
-                    f,
-                    "the emulated board took no bytes for {:.1} s",
-                    waited.as_secs_f64()
-                )
-            }
-            Self::Link(error) => write!(f, "link to the emulator: {error}"),
-        }
-    }
-}
-
-impl std::error::Error for EmulatorError {}
 
 /// A board in the emulator. Going out of scope ends the emulator.
 #[derive(Debug)]
@@ -161,7 +131,7 @@ pub struct Emulator {
     /// Bytes from the board; `None` when the link is one socket for both directions.
     from_board: Option<OwnedFd>,
     image: Image,
-    /// What the board said while it was waited for, not yet read.
+    /// Bytes received while waiting for the board, not yet read.
     greeting: Vec<u8>,
 }
 

@@ -1,6 +1,5 @@
 //! A real board on a serial port.
 
-use std::fmt;
 use std::io::{self, Read, Write};
 use std::time::Duration;
 
@@ -14,44 +13,28 @@ pub use foretorque_f405::chip::LINK_BAUD as BAUD;
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Why a port could not be opened.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SerialError {
     /// There is no such port; the ports there are.
+    #[error("there is no serial port {}{}", .0, others(.1))]
     Missing(String, Vec<String>),
     /// Somebody else has it.
+    #[error("serial port {0} is in use by another program")]
     Busy(String),
     /// Opening it is not allowed.
+    #[error("serial port {0} may not be opened: join the group that owns it")]
     Denied(String),
     /// Anything else, in the system's words.
+    #[error("serial port {0}: {1}")]
     Other(String, String),
 }
 
-impl fmt::Display for SerialError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Missing(port, known) if known.is_empty() => {
-                write!(f, "there is no serial port {port}, nor any other")
-            }
-            Self::Missing(port, known) => {
-                write!(
-                    f,
-                    "there is no serial port {port}; there is {}",
-                    known.join(", ")
-                )
-            }
-            Self::Busy(port) => write!(f, "serial port {port} is in use by another program"),
-            Self::Denied(port) => {
-                write!(
-                    f,
-                    "serial port {port} may not be opened: join the group that owns it"
-                )
-            }
-            Self::Other(port, reason) => write!(f, "serial port {port}: {reason}"),
-        }
+fn others(known: &[String]) -> String {
+    match known {
+        [] => ", nor any other".to_owned(),
+        known => format!("; there is {}", known.join(", ")),
     }
 }
-
-impl std::error::Error for SerialError {}
 
 /// The link to a board on a serial port: 8 data bits, no parity, one stop bit, no flow control.
 pub struct Serial {
@@ -106,7 +89,7 @@ impl Transport for Serial {
     }
 }
 
-/// What the system meant.
+/// Meaning of the system's error.
 fn refusal(path: &str, error: &serialport::Error) -> SerialError {
     let path = path.to_owned();
     if !std::path::Path::new(&path).exists() {

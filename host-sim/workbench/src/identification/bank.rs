@@ -1,8 +1,8 @@
 //! Identified parameters as a bank the board loads.
 
+use super::cogging::CoggingAmplitudes;
 use super::columns::Layout;
 use super::methods::Fit;
-use super::ripple::Ripple;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
 use foretorque::feedforward::JointNetwork;
@@ -11,17 +11,17 @@ use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 
 /// The bank of a fit over columns the board has; `None` when the layout is not that of `A`.
 ///
-/// Columns that were not fitted are zero and keep the doubt of a bank nobody has identified.
+/// Columns without a fit are zero and keep the deviation of an unidentified bank.
 ///
 /// * `layout` the columns of `fit`
-/// * `networks` one a joint, or none: then they say nothing
-/// * `ripple` direct connections of the networks from the cogging phase, N·m: what the board's cogging columns are for
+/// * `networks` one a joint; zero without
+/// * `cogging` direct connections of the networks from the cogging phase, N·m: they go to the board's cogging columns
 pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
     robot: &Robot,
     layout: &Layout<N>,
     fit: &Fit<N>,
     networks: Option<&[JointNetwork; N]>,
-    ripple: Option<&Ripple<N>>,
+    cogging: Option<&CoggingAmplitudes<N>>,
 ) -> Option<ParameterBank> {
     if layout.base != P {
         return None;
@@ -38,7 +38,7 @@ pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
         column.value = fit.theta[place] as f32;
         column.deviation = deviations[place] as f32;
     }
-    for (joint, amplitudes) in ripple.into_iter().flatten().enumerate() {
+    for (joint, amplitudes) in cogging.into_iter().flatten().enumerate() {
         for (symbol, amplitude) in ["Gs", "Gc"].iter().zip(amplitudes) {
             let name = format!("{symbol}{}", joint + 1);
             let mut columns = bank.columns.iter_mut();

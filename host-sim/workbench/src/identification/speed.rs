@@ -1,7 +1,7 @@
-//! What a joint's raw torque says at each speed: sums from which the mean residual of any linear model follows.
+//! Sums over a joint's raw torque by speed, from which the mean residual of any linear model follows.
 //!
 //! A filter wide enough to make torques readable is wider than the passage of a joint through its Stribeck peak. The mean
-//! over all rows of one speed needs no filter, forgets ripple and noise, and streams.
+//! over all rows of one speed needs no filter, averages cogging and noise out, and streams.
 
 use super::columns::Layout;
 use super::normal::JointSums;
@@ -20,8 +20,7 @@ struct Bin {
     count: f64,
     qd: f64,
     tau: f64,
-    /// Sine and cosine of the cogging phase.
-    waves: [f64; 2],
+    /// Sine and cosine of the cogging phase, then the active columns.
     x: Vec<f64>,
 }
 
@@ -32,75 +31,61 @@ pub struct SpeedSums<const N: usize> {
     bins: Vec<Vec<Option<Box<Bin>>>>,
 }
 
+impl Bin {
+    fn add(&mut self, other: &Self) {
+        self.count += other.count;
+        self.qd += other.qd;
+        self.tau += other.tau;
+        for (sum, x) in self.x.iter_mut().zip(&other.x) {
+            *sum += x;
+        }
+    }
+}
+
 impl<const N: usize> SpeedSums<N> {
-    /// No rows yet.
-    pub fn new(_layout: &Layout<N>) -> Self {
+    /// Sums over no rows.
+    pub(super) fn new() -> Self {
         Self {
             bins: vec![vec![None; BINS]; 2 * N],
         }
     }
 
-    /// Adds one row of one joint, N·m.
+    fn put(&mut self, row: usize, place: usize, new: Bin) {
+        match &mut self.bins[row][place] {
+            Some(bin) => bin.add(&new),
+            empty => *empty = Some(Box::new(new)),
+        }
+    }
+
+    /// Adds one row of one joint in one half of the log.
     ///
-    /// * `panel` active columns of all joints; `waves` sine and cosine of the joint's cogging phase
-    #[expect(clippy::too_many_arguments, reason = "one row has this many parts")]
+    /// * `basis` sine and cosine of the cogging phase; `columns` active columns of the joint; `tau` N·m
     pub(super) fn add(
         &mut self,
-        layout: &Layout<N>,
-        joint: usize,
-        half: usize,
+        (joint, half): (usize, usize),
         qd: f64,
-        panel: &[f64],
-        waves: &[f64],
+        basis: &[f64; 2],
+        columns: &[f64],
         tau: f64,
     ) {
         let share = (qd / FINE_RAD_S).asinh() / (FASTEST_RAD_S / FINE_RAD_S).asinh();
         let place = ((0.5 * (share + 1.0) * BINS as f64).max(0.0) as usize).min(BINS - 1);
-        let columns = &panel[layout.offset[joint]..][..layout.active[joint].len()];
-        let bin = self.bins[2 * joint + half][place].get_or_insert_with(|| {
-            Box::new(Bin {
-                count: 0.0,
-                qd: 0.0,
-                tau: 0.0,
-                waves: [0.0; 2],
-                x: vec![0.0; columns.len()],
-            })
-        });
-        bin.count += 1.0;
-        bin.qd += qd;
-        bin.tau += tau;
-        for (sum, wave) in bin.waves.iter_mut().zip(waves) {
-            *sum += wave;
-        }
-        for (sum, x) in bin.x.iter_mut().zip(columns) {
-            *sum += x;
-        }
+        let (count, x) = (1.0, [basis, columns].concat());
+        self.put(2 * joint + half, place, Bin { count, qd, tau, x });
     }
 
     /// Adds all rows of another part of the log.
-    pub fn merge(&mut self, other: &Self) {
-        for (own, other) in self.bins.iter_mut().zip(&other.bins) {
-            for (own, other) in own.iter_mut().zip(other) {
-                match (own.as_mut(), other) {
-                    (Some(own), Some(other)) => {
-                        own.count += other.count;
-                        own.qd += other.qd;
-                        own.tau += other.tau;
-                        for (sum, wave) in own.waves.iter_mut().zip(&other.waves) {
-                            *sum += wave;
-                        }
-                        for (sum, x) in own.x.iter_mut().zip(&other.x) {
-                            *sum += x;
-                        }
-                    }
-                    (None, Some(other)) => *own = Some(other.clone()),
-                    (_, None) => (),
+    pub(super) fn merge(&mut self, other: &Self) {
+        for (row, bins) in other.bins.iter().enumerate() {
+            for (place, bin) in bins.iter().enumerate() {
+                if let Some(bin) = bin {
+                    self.put(row, place, Bin::clone(bin));
                 }
             }
         }
     }
 
-    /// Takes a torque that depends on the speed alone (N·m) from the equations of a joint.
+    /// Subtracts a torque that depends on the speed alone (N·m) from the equations of a joint.
     ///
     /// The equations come from filtered and thinned rows, these sums from raw ones: inner products with the slow columns of
     /// a motion are the same but for the number of rows.
@@ -112,7 +97,7 @@ impl<const N: usize> SpeedSums<N> {
         for bin in bins() {
             let torque = torque(bin.qd / bin.count);
             sums.power -= share * torque * (2.0 * bin.tau - torque * bin.count);
-            for (moment, x) in sums.moment.iter_mut().zip(&bin.x) {
+            for (moment, x) in sums.moment.iter_mut().zip(&bin.x[2..]) {
                 *moment -= share * torque * x;
             }
         }
@@ -123,21 +108,14 @@ impl<const N: usize> SpeedSums<N> {
         &self,
         layout: &Layout<N>,
         theta: &DVector<f64>,
-        ripple: [f64; 2],
-        joint: usize,
-        half: usize,
+        cogging: [f64; 2],
+        (joint, half): (usize, usize),
         unit: f64,
     ) -> Vec<SpeedPoint> {
         let bins = self.bins[2 * joint + half].iter().flatten();
         bins.map(|bin| {
-            let active = layout.active[joint].iter();
-            let linear: f64 = bin
-                .x
-                .iter()
-                .zip(active)
-                .map(|(x, &place)| x * theta[place])
-                .sum();
-            let cogging = ripple[0] * bin.waves[0] + ripple[1] * bin.waves[1];
+            let linear = layout.torque(joint, &bin.x[2..], theta);
+            let cogging = cogging[0] * bin.x[0] + cogging[1] * bin.x[1];
             SpeedPoint {
                 qd: bin.qd / bin.count,
                 residual: (bin.tau - linear - cogging) / bin.count / unit,

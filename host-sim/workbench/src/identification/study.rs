@@ -1,33 +1,32 @@
 //! All methods side by side on the same logs.
 
 use super::bootstrap::parameter_intervals;
+use super::cogging::CoggingAmplitudes;
 use super::columns::{ColumnSet, Layout};
 use super::consistent::consistent;
+use super::dataset::Dataset;
+use super::error::IdentifyError;
 use super::evidence::evidence;
 use super::filter::Butterworth;
 use super::fourier::folded;
-use super::gains::standstill_gains;
-use super::gathered::Gathered;
-use super::learning_curve::learning_curves;
+use super::gains::with_gains;
+use super::holdout::{learning_curves, split};
 use super::methods::{Fit, MethodName, wls};
-use super::normal::IdentificationError;
 use super::prepare::PrepareConfig;
+use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
 use super::record::{MethodRecord, Report};
-use super::ripple::Ripple;
-use super::solve::{Material, Problem, Solved, solve_all, unsolvable};
-use super::split::split;
+use super::solve::solve_all;
 use super::stream::for_each_prepared;
 use super::truth::{error_curve, truths};
-use super::validation::{Candidate, FileScores};
+use super::validation::{FileScores, Trace};
 use super::whole_log::WholeLog;
 use crate::robot::Robot;
 use foretorque::feedforward::JointNetwork;
 use nalgebra::DVector;
 use std::collections::BTreeMap;
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
-/// What is to be done.
+/// Settings of an identification.
 #[derive(Clone, Debug)]
 pub struct IdentifyConfig {
     /// Methods.
@@ -36,20 +35,17 @@ pub struct IdentifyConfig {
     pub columns: ColumnSet,
     /// Filters and standstill.
     pub prepare: PrepareConfig,
-    /// Training logs repeat with this period, s: fold them and project on its harmonics instead of filtering.
+    /// Period on which training logs are folded and projected on its harmonics instead of filtered, s.
     pub fold_period_s: Option<f64>,
     /// Find the drive gains from standstill first.
     pub gains_from_standstill: bool,
     /// Seed of random starts, of the split and of resampling.
     pub seed: u64,
-    /// The robot whose parameters are the truth, if somebody knows it.
+    /// The robot whose parameters are the truth, if it is known.
     pub truth: Option<Robot>,
 }
 
-/// Told what goes on: stage, and the loss while a network trains.
-pub type Progress<'a> = &'a dyn Fn(&str);
-
-/// What came out.
+/// Result of an identification.
 #[derive(Clone, Debug)]
 pub struct Outcome<const N: usize> {
     /// All figures.
@@ -61,208 +57,146 @@ pub struct Outcome<const N: usize> {
     /// The recommended residual networks, if it has any.
     pub networks: Option<Box<[JointNetwork; N]>>,
     /// Their direct connections from the cogging phase, N·m.
-    pub ripple: Option<Ripple<N>>,
+    pub cogging: Option<CoggingAmplitudes<N>>,
     /// The description with the consistent parameters, if they were asked for.
     pub robot: Option<Robot>,
     /// Time, measured and predicted torque on the first validation log: of the recommended method.
     pub trace: Vec<(f64, [f64; N], [f64; N])>,
 }
 
-/// Identifies, validates, reports.
+/// Parameters of a robot by all methods, validated on unseen logs.
 ///
-/// Errors: of the logs ([`crate::table::TableError`]), or [`IdentificationError`].
+/// Errors: [`IdentifyError`].
 pub fn identify<const N: usize>(
     robot: &Robot,
     logs: &[PathBuf],
     validate: &[PathBuf],
     config: &IdentifyConfig,
     progress: Progress<'_>,
-) -> Result<Outcome<N>, Box<dyn Error>> {
+) -> Result<Outcome<N>, IdentifyError> {
     for path in logs.iter().chain(validate) {
-        show_cut_offs::<N>(path, robot, &config.prepare)?;
+        check_cut_offs::<N>(path, robot, &config.prepare)?;
     }
-    let mut robot = robot.clone();
-    let mut drive_gains = Vec::new();
-    if config.gains_from_standstill {
+    let (robot, drive_gains) = if config.gains_from_standstill {
         progress("drive gains");
-        drive_gains = standstill_gains::<N>(&robot, logs, config.prepare.still_rad_s)?;
-        for (joint, record) in robot.joints.iter_mut().zip(&drive_gains) {
-            joint.drive.gain = record.gain_nm_a;
-        }
-    }
-    let robot = &robot;
-    let other_size = || format!("robot '{}' has not {N} joints", robot.name);
-    let layout = Layout::<N>::new(robot, &config.columns).ok_or_else(other_size)?;
+        with_gains::<N>(robot, logs, config.prepare.still_rad_s)?
+    } else {
+        (robot.clone(), Vec::new())
+    };
     let (on_board, left_out) = config.columns.on_board();
-    let board = Layout::<N>::new(robot, &on_board).ok_or_else(other_size)?;
+    let layout = |columns| Layout::<N>::new(&robot, columns);
+    let layouts = layout(&config.columns).zip(layout(&on_board));
+    let (layout, board) = layouts.ok_or_else(|| IdentifyError::Joints(robot.name.clone(), N))?;
     let mut notes = Vec::new();
-    let gathered = gather(robot, &layout, logs, config, &mut notes, progress)?;
+    let dataset = gather(&robot, &layout, logs, config, &mut notes, progress)?;
+    let data = TrainingData::all(&dataset);
     let problem = Problem {
-        robot,
+        robot: &robot,
         layout: &layout,
         board: &board,
         methods: &config.methods,
         seed: config.seed,
     };
-    let all = Material::all(&gathered);
-    let solved = solve_all(&problem, &all, progress)?;
-    progress("80/20 split");
-    let splits = split(&problem, &gathered)?;
-    let bound = wls(&gathered.sums, &layout).ok_or_else(unsolvable)?;
-    let truth = config.truth.as_ref().map(|truth| truths(truth, &layout));
-    let mut methods: BTreeMap<String, MethodRecord> = BTreeMap::new();
-    for (solved, split) in solved.iter().zip(splits) {
-        methods.insert(
-            solved.name.to_string(),
-            solved.record(&layout, truth.as_deref(), split),
-        );
-    }
-    for solved in &solved {
-        let intervals = parameter_intervals(&layout, &all, solved, config.seed);
-        if let (Some(intervals), Some(method)) =
-            (intervals, methods.get_mut(&solved.name.to_string()))
-        {
-            for (parameter, interval) in method.parameters.iter_mut().zip(intervals) {
-                parameter.ci95 = Some(interval);
-            }
-        }
-    }
-    if let Some(trained) = methods.get_mut("bp_physical") {
-        trained.base_parameter_error_ratio_by_epoch =
-            error_curve(&all, &layout, &bound, truth.as_deref(), config.seed);
-    }
-    let candidates: Vec<&Candidate<N>> = solved.iter().map(|solved| &solved.candidate).collect();
-    let mut trace = Vec::new();
-    for path in validate {
-        progress(&format!("validating {}", path.display()));
-        let mut scores = FileScores::new(&layout, candidates.len());
-        for_each_prepared(
-            path,
-            robot,
-            &layout,
-            &config.prepare,
-            &mut notes,
-            &mut |preparation, prepared| {
-                scores.add(&layout, preparation, &prepared, &candidates);
-            },
-        )?;
-        let key = key_of(path, validate);
-        let limit = scores.propagated(&layout, &bound.covariance);
-        for (place, solved) in solved.iter().enumerate() {
-            let mut record = scores.record(place);
-            scores.intervals(place, config.seed, &mut record);
-            record.cramer_rao_nrmse_moving_ratio = Some(limit);
-            if let (Some(truth), Candidate::Linear(theta)) = (&truth, &solved.candidate)
-                && truth.iter().all(Option::is_some)
-            {
-                let truth = DVector::from_iterator(
-                    truth.len(),
-                    truth.iter().map(|value| value.unwrap_or(0.0)),
-                );
-                record.truth_nrmse_moving_ratio =
-                    Some(scores.propagated_error(&layout, &(theta - truth)));
-            }
-            if let Some(method) = methods.get_mut(&solved.name.to_string()) {
-                method.validation.insert(key.clone(), record);
-            }
-        }
-        if trace.is_empty() {
-            progress("growing shares of the logs");
-            for (name, curve) in learning_curves(&problem, &gathered, &scores.sample) {
-                if let Some(method) = methods.get_mut(&name.to_string()) {
-                    method.learning_curve = curve;
-                }
-            }
-            trace = scores.trace;
-        }
-    }
-    let recommended = recommended(&solved, &methods);
-    let bank_fit = for_bank(
-        &problem,
-        &gathered,
-        &solved[recommended],
-        left_out.is_empty(),
-    )?;
+    let study = Study {
+        problem,
+        dataset: &dataset,
+        bound: wls(&data.sums.all, &layout).ok_or(IdentifyError::Unsolvable)?,
+        results: solve_all(&problem, &data, progress)?,
+        truth: config.truth.as_ref().map(|truth| truths(truth, &layout)),
+        progress,
+    };
+    let mut methods = study.records(&data)?;
+    let trace = study.validate(validate, &config.prepare, &mut methods, &mut notes)?;
+    let recommended = recommended(&study.results, &methods);
+    let best = &study.results[recommended];
+    let bank_fit = study.bank_fit(best, left_out.is_empty())?;
     if !left_out.is_empty() {
+        let columns = left_out.join(", ");
         notes.push(format!(
-            "the board has no column {}: the bank holds a fit without",
-            left_out.join(", ")
+            "the board has no column {columns}: the bank holds a fit without"
         ));
     }
-    let (condition_number, condition_number_equilibrated) =
-        gathered.sums.condition_numbers(&layout);
     let report = Report {
         robot: robot.name.clone(),
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        seed: config.seed,
-        columns: config.columns.to_string(),
         drive_gains,
         logs: logs.iter().map(|path| key_of(path, logs)).collect(),
         notes,
+        recommended: best.name.to_string(),
+        methods,
+        ..figures(config, &dataset, &layout)
+    };
+    let (networks, cogging) = match &best.candidate {
+        Candidate::Residual {
+            networks, cogging, ..
+        } => (Some(networks.clone()), Some(*cogging)),
+        _ => (None, None),
+    };
+    let consistent = study.results.iter().find_map(|result| result.robot.clone());
+    let trace = trace.into_iter();
+    Ok(Outcome {
+        report,
+        bank_fit,
+        networks,
+        cogging,
+        robot: consistent,
+        trace: trace
+            .map(|(t_s, tau, predicted)| (t_s, tau, predicted[recommended]))
+            .collect(),
+        bank_layout: board.clone(),
+    })
+}
+
+/// Figures of settings and dataset.
+fn figures<const N: usize>(
+    config: &IdentifyConfig,
+    dataset: &Dataset<N>,
+    layout: &Layout<N>,
+) -> Report {
+    let (condition_number, equilibrated) = dataset.sums.all.condition_numbers(layout);
+    let share = |still: usize| still as f64 / dataset.rows_read.max(1) as f64;
+    Report {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        seed: config.seed,
+        columns: config.columns.to_string(),
         fold_period_s: config.fold_period_s,
         motion_cutoff_hz: config.prepare.motion_hz,
         torque_cutoff_hz: config.prepare.torque_hz,
         still_rad_s: config.prepare.still_rad_s,
-        rows_read: gathered.rows_read,
-        rows_used: gathered.rows,
-        still_share_ratio: gathered
-            .still
-            .iter()
-            .map(|&still| still as f64 / gathered.rows_read.max(1) as f64)
-            .collect(),
-        spikes: gathered.spikes,
+        rows_read: dataset.rows_read,
+        rows_used: dataset.sums.rows,
+        still_share_ratio: dataset.still.map(share).to_vec(),
+        spikes: dataset.spikes,
         rank: layout.parameters.len(),
         condition_number,
         condition_number_of: "raw SI regressor of the base parameters, moving rows, Craig link frames, first independent columns from left to right".to_owned(),
-        condition_number_equilibrated,
-        recommended: solved[recommended].name.to_string(),
-        methods,
-    };
-    Ok(Outcome {
-        report,
-        bank_layout: board.clone(),
-        bank_fit,
-        networks: match &solved[recommended].candidate {
-            Candidate::Residual { networks, .. } => Some(networks.clone()),
-            _ => None,
-        },
-        ripple: match &solved[recommended].candidate {
-            Candidate::Residual { ripple, .. } => Some(*ripple),
-            _ => None,
-        },
-        robot: solved.iter().find_map(|solved| solved.robot.clone()),
-        trace: trace
-            .into_iter()
-            .map(|(t_s, tau, predicted)| (t_s, tau, predicted[recommended]))
-            .collect(),
-    })
+        condition_number_equilibrated: equilibrated,
+        ..Report::default()
+    }
 }
 
-/// Errors: the log's; its rows are too far apart for one of the filters.
-fn show_cut_offs<const N: usize>(
+/// Check that the rows of a log are near enough for the filters.
+///
+/// Errors: the log's; [`IdentifyError::CutOff`].
+fn check_cut_offs<const N: usize>(
     path: &Path,
     robot: &Robot,
     config: &PrepareConfig,
-) -> Result<(), Box<dyn Error>> {
+) -> Result<(), IdentifyError> {
     let period_s = WholeLog::<N>::open(path, robot)?.period_s();
-    let asked = [
-        ("--motion-hz", Some(config.motion_hz)),
-        ("--torque-hz", config.torque_hz),
-    ];
-    for (option, hz) in asked {
-        if let Some(asked_hz) = hz.filter(|hz| Butterworth::new(*hz, period_s).is_none()) {
-            return Err(Box::new(IdentificationError::CutOff {
-                log: path.display().to_string(),
-                option,
-                asked_hz,
-                rate_hz: 1.0 / period_s,
-            }));
+    let torque = config.torque_hz.map(|hz| ("--torque-hz", hz));
+    for (option, hz) in [("--motion-hz", config.motion_hz)]
+        .into_iter()
+        .chain(torque)
+    {
+        if Butterworth::new(hz, period_s).is_none() {
+            let (path, rate_hz) = (path.to_owned(), 1.0 / period_s);
+            return Err(IdentifyError::CutOff(path, option, hz, rate_hz));
         }
     }
     Ok(())
 }
 
-/// One pass over the training logs.
+/// Dataset of the training logs, in one pass.
 fn gather<const N: usize>(
     robot: &Robot,
     layout: &Layout<N>,
@@ -270,118 +204,188 @@ fn gather<const N: usize>(
     config: &IdentifyConfig,
     notes: &mut Vec<String>,
     progress: Progress<'_>,
-) -> Result<Gathered<N>, Box<dyn Error>> {
-    let mut gathered = Gathered::new(layout);
+) -> Result<Dataset<N>, IdentifyError> {
+    let (mut dataset, prepare) = (Dataset::new(layout), &config.prepare);
     for path in logs {
         progress(&format!("reading {}", path.display()));
         if let Some(period_s) = config.fold_period_s {
-            let (preparation, prepared) =
-                folded(path, robot, layout, &config.prepare, period_s, notes)?;
-            gathered.add(layout, &preparation, &prepared);
-            continue;
+            let (own, prepared) = folded(path, robot, layout, prepare, period_s, notes)?;
+            dataset.add(layout, &own, &prepared);
+        } else {
+            for_each_prepared(path, robot, layout, prepare, notes, &mut |own, prepared| {
+                dataset.add(layout, own, &prepared);
+            })?;
         }
-        for_each_prepared(
-            path,
-            robot,
-            layout,
-            &config.prepare,
-            notes,
-            &mut |preparation, prepared| {
-                gathered.add(layout, preparation, &prepared);
-            },
-        )?;
     }
-    if gathered.sums.count() == 0.0 {
+    if dataset.sums.all.count() == 0.0 {
         let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
-        return Err(Box::new(IdentificationError::NoMotion {
-            logs: names.join(", "),
-        }));
+        return Err(IdentifyError::NoMotion(names.join(", ")));
     }
-    gathered.sums.check_rank(layout)?;
-    if gathered.thinning > 1 {
+    dataset.sums.all.check_rank(layout)?;
+    if dataset.thinning > 1 {
         notes.push(format!(
             "irls, consistent, bp_black_box and bp_residual used every {}th of the rows in the sums; the other methods all of them",
-            gathered.thinning
+            dataset.thinning
         ));
     }
-    Ok(gathered)
+    Ok(dataset)
 }
 
-/// The method with the least error on moving rows it was not trained on, of those the board can run: mean over the
-/// validation logs, or without any the rows that the split held out.
-fn recommended<const N: usize>(
-    solved: &[Solved<N>],
-    methods: &BTreeMap<String, MethodRecord>,
-) -> usize {
-    let error = |solved: &Solved<N>| {
-        let record = methods.get(&solved.name.to_string())?;
-        let logs = record.validation.len();
-        let sum: f64 = record
-            .validation
-            .values()
-            .map(|log| log.joints_nrmse_moving_ratio)
-            .sum();
-        Some(if logs > 0 {
-            sum / logs as f64
-        } else {
-            let ratios = record.split_80_20.nrmse_moving_ratio.iter().flatten();
-            ratios.map(|ratio| ratio * ratio).sum::<f64>()
-        })
+/// Records by name of the method.
+type Methods = BTreeMap<String, MethodRecord>;
+
+/// All methods on one dataset.
+struct Study<'a, const N: usize> {
+    problem: Problem<'a, N>,
+    dataset: &'a Dataset<N>,
+    /// Weighted least squares, whose covariance is the Cramér–Rao bound.
+    bound: Fit<N>,
+    results: Vec<MethodResult<N>>,
+    truth: Option<Vec<Option<f64>>>,
+    progress: Progress<'a>,
+}
+
+impl<const N: usize> Study<'_, N> {
+    /// Records of all methods, without validation logs.
+    fn records(&self, data: &TrainingData<'_, N>) -> Result<Methods, IdentifyError> {
+        (self.progress)("80/20 split");
+        let (layout, seed, truth) = (
+            self.problem.layout,
+            self.problem.seed,
+            self.truth.as_deref(),
+        );
+        let splits = split(&self.problem, &self.dataset.sample)?;
+        let mut methods = Methods::new();
+        for (result, split) in self.results.iter().zip(splits) {
+            let mut record = MethodRecord::of(result, layout, truth, split);
+            let intervals = parameter_intervals(layout, data, result, seed);
+            let intervals = intervals.into_iter().flatten();
+            for (parameter, interval) in record.parameters.iter_mut().zip(intervals) {
+                parameter.ci95 = Some(interval);
+            }
+            if result.name == MethodName::BpPhysical {
+                record.base_parameter_error_ratio_by_epoch =
+                    error_curve(data, layout, &self.bound, truth, seed);
+            }
+            methods.insert(result.name.to_string(), record);
+        }
+        Ok(methods)
+    }
+
+    /// Adds the errors on unseen logs to `methods`; returns the torques on the first of them.
+    fn validate(
+        &self,
+        logs: &[PathBuf],
+        prepare: &PrepareConfig,
+        methods: &mut Methods,
+        notes: &mut Vec<String>,
+    ) -> Result<Trace<N>, IdentifyError> {
+        let Problem { robot, layout, .. } = self.problem;
+        let results = self.results.iter();
+        let candidates: Vec<&Candidate<N>> = results.map(|result| &result.candidate).collect();
+        let mut trace = Vec::new();
+        for path in logs {
+            (self.progress)(&format!("validating {}", path.display()));
+            let mut scores = FileScores::new(layout, candidates.len());
+            for_each_prepared(path, robot, layout, prepare, notes, &mut |own, prepared| {
+                scores.add(layout, own, &prepared, &candidates);
+            })?;
+            let limit = scores.propagated(layout, &self.bound.covariance);
+            for (place, result) in self.results.iter().enumerate() {
+                let mut record = scores.record(place, self.problem.seed);
+                record.cramer_rao_nrmse_moving_ratio = Some(limit);
+                record.truth_nrmse_moving_ratio = self
+                    .error(result)
+                    .map(|error| scores.propagated(layout, &(&error * error.transpose())));
+                if let Some(method) = methods.get_mut(&result.name.to_string()) {
+                    method.validation.insert(key_of(path, logs), record);
+                }
+            }
+            if trace.is_empty() {
+                (self.progress)("growing shares of the logs");
+                let sample = &self.dataset.sample;
+                for (name, curve) in learning_curves(&self.problem, sample, &scores.sample) {
+                    if let Some(method) = methods.get_mut(&name.to_string()) {
+                        method.learning_curve = curve;
+                    }
+                }
+                trace = scores.trace;
+            }
+        }
+        Ok(trace)
+    }
+
+    /// Parameter error of a linear model; `None` when a true parameter is unknown.
+    fn error(&self, result: &MethodResult<N>) -> Option<DVector<f64>> {
+        let Candidate::Linear(theta) = &result.candidate else {
+            return None;
+        };
+        let truth = self.truth.as_ref()?.iter().copied();
+        Some(theta - DVector::from_vec(truth.collect::<Option<Vec<f64>>>()?))
+    }
+
+    /// The recommended parameters over the columns that the board has.
+    ///
+    /// * `complete` the board has all columns
+    fn bank_fit(&self, result: &MethodResult<N>, complete: bool) -> Result<Fit<N>, IdentifyError> {
+        let Problem {
+            robot,
+            layout,
+            board,
+            ..
+        } = self.problem;
+        if let (true, Some(fit)) = (complete, &result.fit) {
+            return Ok(fit.clone());
+        }
+        if let (Candidate::Residual { .. }, Some(fit)) = (&result.candidate, &result.fit) {
+            let places = layout.places_of(board);
+            return Ok(Fit {
+                theta: fit.theta.select_rows(&places),
+                covariance: fit.covariance.select_rows(&places).select_columns(&places),
+                ..*fit
+            });
+        }
+        let sums = self.dataset.sums.clean.subset(layout, board);
+        let free = wls(&sums, board).ok_or(IdentifyError::Unsolvable)?;
+        let fit = match result.name {
+            MethodName::Consistent => consistent(robot, board, &free).map(|found| found.fit),
+            MethodName::Evidence => evidence(robot, board, &sums, &free.sigma),
+            _ => Some(free),
+        };
+        fit.ok_or(IdentifyError::Unsolvable)
+    }
+}
+
+/// Place of the method with the least error on moving rows it was not trained on, of those the board can run: mean over
+/// the validation logs, or without any the rows that the split held out.
+fn recommended<const N: usize>(results: &[MethodResult<N>], methods: &Methods) -> usize {
+    let error = |result: &MethodResult<N>| {
+        let record = &methods[&result.name.to_string()];
+        let logs = record.validation.values();
+        let errors = logs.map(|log| log.joints_nrmse_moving_ratio);
+        let split = record.split_80_20.nrmse_moving_ratio.iter().flatten();
+        match record.validation.len() {
+            0 => split.map(|ratio| ratio * ratio).sum::<f64>(),
+            logs => errors.sum::<f64>() / logs as f64,
+        }
     };
     let mut best = (0, f64::INFINITY);
-    for (place, solved) in solved.iter().enumerate() {
-        let on_board = !matches!(solved.candidate, Candidate::BlackBox(_));
-        if let Some(error) = error(solved).filter(|error| on_board && *error < best.1) {
-            best = (place, error);
+    for (place, result) in results.iter().enumerate() {
+        let on_board = !matches!(result.candidate, Candidate::BlackBox(_));
+        if on_board && error(result) < best.1 {
+            best = (place, error(result));
         }
     }
     best.0
 }
 
-/// The recommended parameters over the columns that the board has.
-///
-/// * `complete` the board has all columns
-fn for_bank<const N: usize>(
-    problem: &Problem<'_, N>,
-    gathered: &Gathered<N>,
-    solved: &Solved<N>,
-    complete: bool,
-) -> Result<Fit<N>, Box<dyn Error>> {
-    if let (true, Some(fit)) = (complete, &solved.fit) {
-        return Ok(fit.clone());
-    }
-    if let (Candidate::Residual { .. }, Some(fit)) = (&solved.candidate, &solved.fit) {
-        let places = problem.layout.places_of(problem.board);
-        return Ok(Fit {
-            theta: fit.theta.select_rows(&places),
-            covariance: fit.covariance.select_rows(&places).select_columns(&places),
-            ..fit.clone()
-        });
-    }
-    let sums = gathered.clean_sums.subset(problem.layout, problem.board);
-    let free = wls(&sums, problem.board).ok_or_else(unsolvable)?;
-    Ok(match solved.name {
-        MethodName::Consistent => {
-            let found = consistent(problem.robot, problem.board, &free);
-            found.ok_or_else(unsolvable)?.fit
-        }
-        MethodName::Evidence => {
-            let found = evidence(problem.robot, problem.board, &sums, &free.sigma);
-            found.ok_or_else(unsolvable)?
-        }
-        _ => free,
-    })
-}
-
 /// The file's name, or its path where two files share a name.
 fn key_of(path: &Path, all: &[PathBuf]) -> String {
-    let name = path
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned());
-    let twins = all
-        .iter()
-        .filter(|other| other.file_name() == path.file_name())
-        .count();
-    name.filter(|_| twins <= 1)
-        .unwrap_or_else(|| path.display().to_string())
+    let name = path.file_name();
+    let others = all.iter().filter(|other| other.file_name() == name);
+    let name = name.filter(|_| others.count() <= 1);
+    name.map_or_else(
+        || path.display().to_string(),
+        |name| name.to_string_lossy().into_owned(),
+    )
 }

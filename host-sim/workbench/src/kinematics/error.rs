@@ -1,11 +1,12 @@
 //! Why no joint positions put the tool where it is wanted.
 
-use std::fmt;
-
 /// Why a pose has no joint positions, or none to go on with.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum InverseError {
     /// The wrist would be farther from the shoulder than both links together are long.
+    #[error(
+        "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 2, the arm is {reach_m:.3} m long"
+    )]
     TooFar {
         /// Distance of the wrist from the axis of joint 2, m.
         distance_m: f64,
@@ -13,6 +14,9 @@ pub enum InverseError {
         reach_m: f64,
     },
     /// The wrist would be nearer to the shoulder than the difference of both links.
+    #[error(
+        "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 2, folded it is {least_m:.3} m"
+    )]
     TooNear {
         /// Distance of the wrist from the axis of joint 2, m.
         distance_m: f64,
@@ -20,6 +24,9 @@ pub enum InverseError {
         least_m: f64,
     },
     /// The wrist would be nearer to the axis of joint 1 than the arm's sideways offset.
+    #[error(
+        "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 1, the arm passes it at {least_m:.3} m"
+    )]
     InColumn {
         /// Distance of the wrist from the axis of joint 1, m.
         distance_m: f64,
@@ -27,59 +34,23 @@ pub enum InverseError {
         least_m: f64,
     },
     /// The numeric search ended elsewhere.
+    #[error("out of reach: the nearest pose found is {left_m:.3} m and {left_rad:.3} rad away")]
     Missed {
-        /// What is left of the position, m.
+        /// Remaining error of the position, m.
         left_m: f64,
-        /// What is left of the orientation, rad.
+        /// Remaining error of the orientation, rad.
         left_rad: f64,
     },
     /// There are solutions, all of them outside the joints' ranges.
+    #[error("out of reach: all {solutions} solutions are outside the joints' ranges")]
     OutsideRanges {
-        /// How many there are.
+        /// Number of solutions.
         solutions: usize,
     },
     /// The arm cannot move the tool in every direction there: the way on is not determined.
+    #[error("singular: {posture}")]
     Singular {
-        /// What is in line.
+        /// Parts that are in line.
         posture: &'static str,
     },
 }
-
-impl fmt::Display for InverseError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TooFar {
-                distance_m,
-                reach_m,
-            } => write!(
-                f,
-                "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 2, the arm is {reach_m:.3} m long"
-            ),
-            Self::TooNear {
-                distance_m,
-                least_m,
-            } => write!(
-                f,
-                "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 2, folded it is {least_m:.3} m"
-            ),
-            Self::InColumn {
-                distance_m,
-                least_m,
-            } => write!(
-                f,
-                "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 1, the arm passes it at {least_m:.3} m"
-            ),
-            Self::Missed { left_m, left_rad } => write!(
-                f,
-                "out of reach: the nearest pose found is {left_m:.3} m and {left_rad:.3} rad away"
-            ),
-            Self::OutsideRanges { solutions } => write!(
-                f,
-                "out of reach: all {solutions} solutions are outside the joints' ranges"
-            ),
-            Self::Singular { posture } => write!(f, "singular: {posture}"),
-        }
-    }
-}
-
-impl std::error::Error for InverseError {}

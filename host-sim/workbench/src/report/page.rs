@@ -1,137 +1,207 @@
-//! The page around the plots: one file, no script, nothing fetched.
+//! The report template: one HTML file, no script, nothing fetched.
 
-use super::ink::{Ink, style_sheet, variables};
-use super::markup::escaped;
+use super::color::{PlotColor, style_sheet, variables};
+use super::escape;
+use super::plot::{Panel, PlotError, grid};
+use std::fmt::Display;
 
-/// A figure in large type at the top of the page.
+/// A report as a page: title, lead, figures in large type, sections.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tile {
-    /// The number with its unit.
-    pub value: String,
-    /// What it is.
-    pub label: String,
+pub struct Page {
+    title: String,
+    lead: String,
+    cards: Vec<(String, String)>,
+    sections: Vec<Section>,
 }
 
-/// A part of the page: heading, one sentence on what is seen, legend, body.
+/// Colours of curves with their names.
+pub type Legend = Vec<(PlotColor, String)>;
+
+/// A section of a page: heading, one sentence, legend, then plots, tables and commands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Section {
-    /// Heading.
-    pub heading: String,
-    /// What is seen, in one sentence.
-    pub caption: String,
-    /// Colours and what they stand for.
-    pub legend: Vec<(Ink, String)>,
-    /// SVG or a table, as HTML.
-    pub body: String,
+    heading: String,
+    caption: String,
+    legend: Legend,
+    parts: Vec<Part>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Part {
+    Plots(Vec<Panel>, u32),
+    Table(String, Vec<Vec<String>>),
+    Command(String),
+}
+
+impl Page {
+    /// A page without content.
+    pub fn new(title: impl Into<String>, lead: impl Into<String>) -> Self {
+        Self {
+            title: title.into(),
+            lead: lead.into(),
+            cards: Vec::new(),
+            sections: Vec::new(),
+        }
+    }
+
+    /// Adds a figure in large type, with its unit, and its label.
+    pub fn card(mut self, value: impl Display, label: impl Into<String>) -> Self {
+        self.cards.push((value.to_string(), label.into()));
+        self
+    }
+
+    /// Adds sections.
+    pub fn sections(mut self, sections: impl IntoIterator<Item = Section>) -> Self {
+        self.sections.extend(sections);
+        self
+    }
+
+    /// The page as HTML.
+    ///
+    /// Errors: those of the plot library.
+    pub fn html(&self) -> Result<String, PlotError> {
+        let cards = self.cards.iter().map(|(value, label)| {
+            let (value, label) = (escape(value), escape(label));
+            format!("<div class=\"card\"><b>{value}</b><span>{label}</span></div>\n")
+        });
+        let sections: Result<String, PlotError> = self.sections.iter().map(Section::html).collect();
+        Ok(format!(
+            "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
+             <meta name=\"color-scheme\" content=\"light dark\">\
+             <title>{title}</title>\n<style>\n{variables}{STYLE}{colors}</style></head>\n<body><main>\n\
+             <h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n<div class=\"cards\">\n{cards}</div>\n{sections}\
+             </main></body></html>\n",
+            title = escape(&self.title),
+            lead = escape(&self.lead),
+            variables = variables(),
+            colors = style_sheet(),
+            cards = cards.collect::<String>(),
+            sections = sections?,
+        ))
+    }
 }
 
 impl Section {
-    /// A part that is a table.
-    pub fn of_table(heading: &str, caption: &str, header: &[&str], rows: &[Vec<String>]) -> Self {
+    /// A section without content.
+    pub fn new(heading: impl Into<String>, caption: impl Into<String>) -> Self {
         Self {
-            heading: heading.to_owned(),
-            caption: caption.to_owned(),
+            heading: heading.into(),
+            caption: caption.into(),
             legend: Vec::new(),
-            body: table(header, rows),
+            parts: Vec::new(),
         }
+    }
+
+    /// Sets the legend.
+    pub fn legend<T: Into<String>>(
+        mut self,
+        legend: impl IntoIterator<Item = (PlotColor, T)>,
+    ) -> Self {
+        let named = legend.into_iter().map(|(color, name)| (color, name.into()));
+        self.legend = named.collect();
+        self
+    }
+
+    /// Adds panels in rows of at most `columns`.
+    pub fn plots(mut self, panels: impl Into<Vec<Panel>>, columns: u32) -> Self {
+        self.parts.push(Part::Plots(panels.into(), columns));
+        self
+    }
+
+    /// Adds a table. Headings are separated by ` | `; the first column is text, the others are numbers.
+    pub fn table<R: IntoIterator<Item = String>>(
+        mut self,
+        header: impl Into<String>,
+        rows: impl IntoIterator<Item = R>,
+    ) -> Self {
+        let rows = rows.into_iter().map(|row| row.into_iter().collect());
+        self.parts.push(Part::Table(header.into(), rows.collect()));
+        self
+    }
+
+    /// Adds a table with one row a joint and one column a heading after the first.
+    pub fn joint_table(self, header: &str, columns: &[&[f64]]) -> Self {
+        let joints = columns.first().map_or(0, |column| column.len());
+        self.table(
+            header,
+            (0..joints).map(|j| {
+                let values = columns
+                    .iter()
+                    .map(move |column| format!("{:.3}", column[j]));
+                std::iter::once(format!("joint {}", j + 1)).chain(values)
+            }),
+        )
+    }
+
+    /// Adds a shell command.
+    pub fn command(mut self, line: impl Into<String>) -> Self {
+        self.parts.push(Part::Command(line.into()));
+        self
+    }
+
+    fn html(&self) -> Result<String, PlotError> {
+        let legend = self.legend.iter().map(|(color, name)| {
+            let (variable, name) = (color.variable(), escape(name));
+            format!("<span><i style=\"background:var({variable})\"></i>{name}</span>")
+        });
+        let parts: Result<String, PlotError> = self.parts.iter().map(Part::html).collect();
+        Ok(format!(
+            "<section><h2>{}</h2>\n<p>{}</p>\n<div class=\"legend\">{}</div>\n{}\n</section>\n",
+            escape(&self.heading),
+            escape(&self.caption),
+            legend.collect::<String>(),
+            parts?
+        ))
     }
 }
 
-impl Tile {
-    /// A ratio.
-    pub fn ratio(value: f64, label: &str) -> Self {
-        Self {
-            value: ratio(Some(value)),
-            label: label.to_owned(),
-        }
+impl Part {
+    fn html(&self) -> Result<String, PlotError> {
+        let cells = |tag: &str, row: &mut dyn Iterator<Item = &str>| -> String {
+            row.map(|cell| format!("<{tag}>{}</{tag}>", escape(cell)))
+                .collect()
+        };
+        Ok(match self {
+            Self::Plots(panels, columns) => grid(panels, *columns)?,
+            Self::Command(line) => format!("<pre>{}</pre>\n", escape(line)),
+            Self::Table(header, rows) => {
+                let head = cells("th", &mut header.split(" | "));
+                let rows = rows.iter().map(|row| {
+                    let row = cells("td", &mut row.iter().map(String::as_str));
+                    format!("<tr>{row}</tr>\n")
+                });
+                let body: String = rows.collect();
+                format!(
+                    "<div class=\"wide\"><table><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>"
+                )
+            }
+        })
     }
 }
 
-/// A ratio as tables show it; a dash where there is none.
+/// A ratio in percent, one decimal.
+pub fn percent(ratio: f64) -> String {
+    format!("{:.1} %", 100.0 * ratio)
+}
+
+/// `value` as `written`, or a dash if there is none.
+pub fn or_dash<T>(value: Option<T>, written: impl FnOnce(T) -> String) -> String {
+    value.map_or("–".to_owned(), written)
+}
+
+/// A ratio with three decimals, or a dash if there is none.
 pub fn ratio(value: Option<f64>) -> String {
-    value.map_or("–".to_owned(), |value| format!("{value:.3}"))
-}
-
-/// A table with a header row; the first column is text, the others are numbers.
-pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
-    let cells = |tag: &str, row: &mut dyn Iterator<Item = &str>| -> String {
-        row.map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell)))
-            .collect()
-    };
-    let body: String = rows
-        .iter()
-        .map(|row| {
-            format!(
-                "<tr>{}</tr>\n",
-                cells("td", &mut row.iter().map(String::as_str))
-            )
-        })
-        .collect();
-    format!(
-        "<div class=\"wide\"><table><thead><tr>{}</tr></thead><tbody>\n{body}</tbody></table></div>",
-        cells("th", &mut header.iter().copied())
-    )
-}
-
-/// A line to type into a shell.
-pub fn command(line: &str) -> String {
-    format!("<pre>{}</pre>\n", escaped(line))
-}
-
-/// The whole page.
-pub fn html(title: &str, lead: &str, tiles: &[Tile], sections: &[Section]) -> String {
-    let tiles: String = tiles
-        .iter()
-        .map(|tile| {
-            format!(
-                "<div class=\"tile\"><b>{}</b><span>{}</span></div>\n",
-                escaped(&tile.value),
-                escaped(&tile.label)
-            )
-        })
-        .collect();
-    let sections: String = sections.iter().map(section).collect();
-    format!(
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
-         <meta name=\"color-scheme\" content=\"light dark\">\
-         <title>{title}</title>\n<style>\n{colours}{STYLE}{inks}</style></head>\n<body><main>\n\
-         <h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n<div class=\"tiles\">\n{tiles}</div>\n{sections}\
-         </main></body></html>\n",
-        title = escaped(title),
-        lead = escaped(lead),
-        colours = variables(),
-        inks = style_sheet(),
-    )
-}
-
-fn section(section: &Section) -> String {
-    let legend: String = section
-        .legend
-        .iter()
-        .map(|(ink, name)| {
-            format!(
-                "<span><i style=\"background:var({})\"></i>{}</span>",
-                ink.variable(),
-                escaped(name)
-            )
-        })
-        .collect();
-    format!(
-        "<section><h2>{}</h2>\n<p>{}</p>\n<div class=\"legend\">{legend}</div>\n{}\n</section>\n",
-        escaped(&section.heading),
-        escaped(&section.caption),
-        section.body
-    )
+    or_dash(value, |value| format!("{value:.3}"))
 }
 
 const STYLE: &str = "\
 *{box-sizing:border-box}body{margin:0;background:var(--page);color:var(--text);font:16px/1.5 system-ui,-apple-system,\"Segoe UI\",Roboto,sans-serif}
 main{max-width:1160px;margin:0 auto;padding:32px 20px 64px}h1{font-size:1.9rem;margin:0 0 4px;letter-spacing:-.01em}
 h2{font-size:1.2rem;margin:0 0 4px}p{margin:0 0 10px;max-width:80ch;color:var(--quiet)}.lead{font-size:1.05rem;margin-bottom:20px}
-.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(190px,1fr));gap:12px;margin-bottom:20px}
-.tile,section{background:var(--card);border:1px solid var(--line);border-radius:10px}.tile{padding:14px 16px}
-.tile b{display:block;font-size:1.2rem;font-variant-numeric:tabular-nums}.tile span{color:var(--quiet);font-size:.86rem}
+.cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(190px,1fr));gap:12px;margin-bottom:20px}
+.card,section{background:var(--card);border:1px solid var(--line);border-radius:10px}.card{padding:14px 16px}
+.card b{display:block;font-size:1.2rem;font-variant-numeric:tabular-nums}.card span{color:var(--quiet);font-size:.86rem}
 section{padding:20px 20px 14px;margin-bottom:18px}.legend{display:flex;flex-wrap:wrap;gap:4px 18px;font-size:.88rem;margin-bottom:4px}
 .legend i{display:inline-block;width:18px;height:4px;border-radius:2px;margin-right:6px;vertical-align:middle}
 .panels{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,var(--least)),1fr));gap:4px 10px;margin-bottom:10px}svg{display:block;width:100%;height:auto}.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
@@ -146,23 +216,14 @@ mod tests {
 
     #[test]
     fn a_page_fetches_nothing_and_escapes_its_text() {
-        let page = html(
-            "a < b",
-            "lead & more",
-            &[Tile {
-                value: "1".to_owned(),
-                label: "<one>".to_owned(),
-            }],
-            &[Section {
-                heading: "h".to_owned(),
-                caption: "c".to_owned(),
-                legend: vec![(Ink::After, "\"after\"".to_owned())],
-                body: table(&["name", "x"], &[vec!["<row>".to_owned(), "2".to_owned()]]),
-            }],
-        );
+        let section = Section::new("h", "c").legend([(PlotColor::After, "\"after\"")]);
+        let page = Page::new("a < b", "lead & more")
+            .card(1, "<one>")
+            .sections([section.table("name | x", [["<row>".to_owned(), "2".to_owned()]])]);
+        let page = page.html().expect("no plots");
         for fetched in ["http", "src=", "@import", "url(", "<script"] {
             assert!(!page.contains(fetched), "{fetched}");
         }
-        assert!(page.contains("&lt;row&gt;") && page.contains("&lt;one&gt;"));
+        assert!(page.contains("<td>&lt;row&gt;</td><td>2</td>") && page.contains("&lt;one&gt;"));
     }
 }

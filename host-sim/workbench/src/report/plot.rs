@@ -1,18 +1,28 @@
 //! Line plots as SVG that takes its colours from the page, so that it reads in light and in dark.
 
-pub use super::ink::Ink;
+pub use super::color::PlotColor;
 
-use super::ink::{AXIS, GRID, TEXT, coloured, light};
-use super::markup::escaped;
+use super::color::{AXIS, GRID, TEXT, coloured, light};
+use super::escape;
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use std::error::Error;
+
+/// Failure of the plot library.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("plot: {0}")]
+pub struct PlotError(String);
+
+impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for PlotError {
+    fn from(error: DrawingAreaErrorKind<E>) -> Self {
+        Self(error.to_string())
+    }
+}
 
 /// A curve of a panel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
     /// Its colour.
-    pub ink: Ink,
+    pub color: PlotColor,
     /// Points, x ascending.
     pub points: Vec<(f64, f64)>,
 }
@@ -32,21 +42,57 @@ pub struct Panel {
     pub from_zero: bool,
 }
 
+impl Curve {
+    /// Curve through `pick` of every point.
+    pub fn new<T>(color: PlotColor, points: &[T], pick: impl Fn(&T) -> (f64, f64)) -> Self {
+        Self {
+            color,
+            points: points.iter().map(pick).collect(),
+        }
+    }
+}
+
+impl Panel {
+    /// Panel with the given heading, axis labels and curves.
+    pub fn new(title: impl Into<String>, x_label: &str, y_label: &str, curves: Vec<Curve>) -> Self {
+        Self {
+            title: title.into(),
+            x_label: x_label.to_owned(),
+            y_label: y_label.to_owned(),
+            curves,
+            from_zero: false,
+        }
+    }
+
+    /// Starts the y axis at zero.
+    pub fn from_zero(mut self) -> Self {
+        self.from_zero = true;
+        self
+    }
+
+    /// One panel over time for each of `N` joints.
+    pub fn of_joints<const N: usize>(
+        y_label: &str,
+        curves: impl Fn(usize) -> Vec<Curve>,
+    ) -> Vec<Self> {
+        (0..N)
+            .map(|j| Self::new(format!("joint {}", j + 1), "t / s", y_label, curves(j)))
+            .collect()
+    }
+}
+
 /// SVG units a CSS pixel: plotters rounds coordinates to whole units.
 const FINE: u32 = 3;
 /// Points a curve keeps for each panel.
 const BUCKETS: usize = 260;
 
-/// Panels, one SVG each, that the page lays out in rows of at most `columns`, fewer where the window is narrow; the
-/// drawing is `width` × `height` CSS pixels before the page scales it.
-///
-/// Errors: what the plot library says.
-pub fn grid(
-    panels: &[Panel],
-    columns: u32,
-    width: u32,
-    height: u32,
-) -> Result<String, Box<dyn Error>> {
+/// Panels of a page, one SVG each, in rows of at most `columns`, fewer in a narrow window.
+pub(super) fn grid(panels: &[Panel], columns: u32) -> Result<String, PlotError> {
+    let (width, height) = match columns {
+        1 => (900, 280),
+        2 => (560, 250),
+        _ => (370, 250),
+    };
     // The page is 1078 pixels wide inside: this fits `columns` times and not once more.
     let least = 900 / columns.max(1);
     let mut html = format!("<div class=\"panels\" style=\"--least:{least}px\">\n");
@@ -58,21 +104,21 @@ pub fn grid(
 
 /// Panels in rows of `columns`, each `width` × `height` pixels, under a title and a legend: one SVG for a file of its own.
 ///
-/// Errors: what the plot library says.
+/// Errors: those of the plot library.
 pub fn picture(
     title: &str,
-    legend: &[(Ink, String)],
+    legend: &[(PlotColor, String)],
     panels: &[Panel],
     columns: u32,
     (width, height): (u32, u32),
-) -> Result<String, Box<dyn Error>> {
+) -> Result<String, PlotError> {
     const HEAD: u32 = 64;
     let columns = columns.max(1);
     let rows = (panels.len() as u32).div_ceil(columns);
     let (all_width, all_height) = (columns * width, HEAD + rows * height);
     let text = |x: u32, y: u32, size: u32, words: &str| {
         let colour = light("--text");
-        let words = escaped(words);
+        let words = escape(words);
         format!("<text x=\"{x}\" y=\"{y}\" font-size=\"{size}\" fill=\"{colour}\">{words}</text>\n")
     };
     let mut svg = format!(
@@ -83,8 +129,8 @@ pub fn picture(
     );
     svg += &text(14, 24, 16, title);
     let mut x = 14;
-    for (ink, name) in legend {
-        let colour = light(&ink.variable());
+    for (color, name) in legend {
+        let colour = light(&color.variable());
         svg += &format!("<rect x=\"{x}\" y=\"44\" width=\"18\" height=\"4\" fill=\"{colour}\"/>\n");
         svg += &text(x + 24, 50, 12, name);
         // Sans-serif letters of 12 pixels are about 7 wide.
@@ -99,7 +145,7 @@ pub fn picture(
     Ok(svg + "</svg>\n")
 }
 
-fn single(panel: &Panel, size: (u32, u32)) -> Result<String, Box<dyn Error>> {
+fn single(panel: &Panel, size: (u32, u32)) -> Result<String, PlotError> {
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
@@ -108,7 +154,7 @@ fn single(panel: &Panel, size: (u32, u32)) -> Result<String, Box<dyn Error>> {
     }
     // The page scales the drawing to its own width.
     let shown = format!("<svg width=\"{}\" height=\"{}\"", size.0, size.1);
-    let label = escaped(&format!(
+    let label = escape(&format!(
         "{}: {} over {}",
         panel.title, panel.y_label, panel.x_label
     ));
@@ -116,7 +162,7 @@ fn single(panel: &Panel, size: (u32, u32)) -> Result<String, Box<dyn Error>> {
     Ok(svg.replacen(&shown, &scaled, 1))
 }
 
-fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), Box<dyn Error>> {
+fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), PlotError> {
     let font = |size: u32| ("sans-serif", size * FINE).into_font().color(&TEXT);
     let ((x0, x1), (y0, y1)) = ranges(panel);
     let mut chart = ChartBuilder::on(area)
@@ -140,14 +186,14 @@ fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), 
         .y_desc(&panel.y_label)
         .draw()?;
     for curve in &panel.curves {
-        let width = if curve.ink == Ink::Truth {
+        let width = if curve.color == PlotColor::Truth {
             2 * FINE + 2
         } else {
             FINE + 1
         };
         chart.draw_series(LineSeries::new(
             thinned(&curve.points),
-            curve.ink.stand_in().stroke_width(width),
+            curve.color.placeholder().stroke_width(width),
         ))?;
     }
     Ok(())
@@ -229,21 +275,20 @@ mod tests {
         assert!(kept.windows(2).all(|pair| pair[0].0 <= pair[1].0));
     }
 
+    fn panel(title: &str, color: PlotColor) -> Panel {
+        let points = [(0.0, 1.0), (1.0, 2.0)];
+        let curve = Curve::new(color, &points, |point| *point);
+        Panel::new(title, "t / s", "tau / N·m", vec![curve])
+    }
+
     #[test]
-    fn a_drawing_has_no_colour_that_the_style_sheet_does_not_translate() {
-        let curve = |ink| Curve {
-            ink,
-            points: vec![(0.0, 1.0), (1.0, 2.0)],
-        };
-        let panel = Panel {
-            title: "<tau & more>".to_owned(),
-            x_label: "t / s".to_owned(),
-            y_label: "tau / N·m".to_owned(),
-            curves: vec![curve(Ink::Truth), curve(Ink::Joint(7))],
-            from_zero: false,
-        };
-        let svg = grid(&[panel], 1, 300, 200).expect("draws");
-        let sheet = crate::report::ink::style_sheet();
+    fn the_style_sheet_translates_every_colour_of_a_drawing() {
+        let panels = [
+            panel("<tau & more>", PlotColor::Truth),
+            panel("b", PlotColor::Joint(7)),
+        ];
+        let svg = grid(&panels, 1).expect("draws");
+        let sheet = crate::report::color::style_sheet();
         for piece in svg.split("=\"#").skip(1) {
             let hex = piece.split('"').next().unwrap_or_default();
             assert!(sheet.contains(hex), "{hex}");
@@ -253,30 +298,14 @@ mod tests {
 
     #[test]
     fn a_picture_needs_no_style_sheet_and_names_its_curves() {
-        let panel = |title: &str| Panel {
-            title: title.to_owned(),
-            x_label: "t / s".to_owned(),
-            y_label: "q / rad".to_owned(),
-            curves: vec![Curve {
-                ink: Ink::Joint(1),
-                points: vec![(0.0, 1.0), (1.0, 2.0)],
-            }],
-            from_zero: false,
-        };
-        let legend = [(Ink::Joint(1), "joint <2>".to_owned())];
-        let svg = picture(
-            "all",
-            &legend,
-            &[panel("a"), panel("b"), panel("c")],
-            2,
-            (300, 200),
-        )
-        .expect("draws");
+        let panels = ["a", "b", "c"].map(|title| panel(title, PlotColor::Joint(1)));
+        let legend = [(PlotColor::Joint(1), "joint <2>".to_owned())];
+        let svg = picture("all", &legend, &panels, 2, (300, 200)).expect("draws");
         roxmltree::Document::parse(&svg).expect("is XML");
         assert!(svg.contains("viewBox=\"0 0 600 464\"") && svg.contains("joint &lt;2&gt;"));
-        assert!(svg.contains("t / s") && svg.contains("q / rad"));
-        for stand_in in ["#010101", "#020202", "#030303", "#212121", "var("] {
-            assert!(!svg.contains(stand_in), "{stand_in}");
+        assert!(svg.contains("t / s") && svg.contains("tau / N·m"));
+        for placeholder in ["#010101", "#020202", "#030303", "#212121", "var("] {
+            assert!(!svg.contains(placeholder), "{placeholder}");
         }
     }
 }

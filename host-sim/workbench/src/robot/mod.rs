@@ -25,11 +25,12 @@ pub const LINK_PARAMETERS: usize = 10;
 pub const MAX_JOINTS: usize = foretorque_link::bank::MAX_JOINTS;
 
 /// Why a robot description was refused.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RobotError {
     /// Neither a built-in name nor a readable file.
+    #[error("unknown robot '{name}': not one of [{known}], and as a file: {reason}")]
     NotFound {
-        /// What was asked for.
+        /// Name that was given.
         name: String,
         /// The built-in names, joined by commas.
         known: String,
@@ -37,6 +38,7 @@ pub enum RobotError {
         reason: String,
     },
     /// The file is not a robot description at all.
+    #[error("{file}: {reason}")]
     Syntax {
         /// File or built-in name.
         file: String,
@@ -44,44 +46,22 @@ pub enum RobotError {
         reason: String,
     },
     /// A value is missing or makes no sense.
+    #[error("{file}: {field}: {problem}")]
     Field {
         /// File or built-in name.
         file: String,
         /// Path of the field, for example `joints[2].link.mass_kg`.
         field: String,
-        /// What is wrong with it.
+        /// Reason.
         problem: String,
     },
     /// The file is a URDF that does not describe one arm.
+    #[error("{problem}")]
     Urdf {
-        /// What is wrong, with the file and the element.
+        /// Reason, with the file and the element.
         problem: String,
     },
 }
-
-impl std::fmt::Display for RobotError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::NotFound {
-                name,
-                known,
-                reason,
-            } => write!(
-                f,
-                "unknown robot '{name}': not one of [{known}], and as a file: {reason}"
-            ),
-            Self::Syntax { file, reason } => write!(f, "{file}: {reason}"),
-            Self::Field {
-                file,
-                field,
-                problem,
-            } => write!(f, "{file}: {field}: {problem}"),
-            Self::Urdf { problem } => f.write_str(problem),
-        }
-    }
-}
-
-impl std::error::Error for RobotError {}
 
 /// Constant placement of a frame in the frame before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -159,7 +139,7 @@ pub struct Joint {
     pub friction: Friction,
     /// Limits.
     pub limits: Limits,
-    /// What the link takes up in space, in the joint frame.
+    /// Volume of the link, in the joint frame.
     pub capsules: Vec<Capsule>,
     /// The standard DH frame of the link, at its far end, in the joint frame; `None` where the description gives no DH row.
     pub dh_frame: Option<Placement>,
@@ -196,7 +176,7 @@ pub struct Robot {
     pub flange: Placement,
     /// Column names of foreign logs, if the description gives any.
     pub log_columns: Option<LogColumns>,
-    /// What the arm must keep clear of.
+    /// Obstacles of the arm.
     pub workspace: Workspace,
 }
 

@@ -2,40 +2,24 @@
 
 use crate::dynamics::State;
 use crate::robot::Robot;
-use std::fmt;
 
 /// A motion that asks a joint for more than it can do.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
+)]
 pub struct BeyondLimits {
     /// The joint, from 1.
     pub joint: usize,
-    /// When, s after the trajectory's start.
+    /// Time after the trajectory's start, s.
     pub t_s: f64,
-    /// What is asked, in `unit`.
+    /// Value of the trajectory, in `unit`.
     pub asked: f64,
     /// The limit, in `unit`.
     pub limit: f64,
     /// `rad`, `rad/s` or `rad/s²`.
     pub unit: &'static str,
 }
-
-impl fmt::Display for BeyondLimits {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            joint,
-            t_s,
-            asked,
-            limit,
-            unit,
-        } = self;
-        write!(
-            f,
-            "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
-        )
-    }
-}
-
-impl std::error::Error for BeyondLimits {}
 
 /// One motion keeps the limits, up to a rounding in a file of six digits.
 pub(super) fn within<const N: usize>(

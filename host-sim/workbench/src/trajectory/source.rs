@@ -7,25 +7,28 @@ use crate::excitation::{Excitation, ExcitationError};
 use crate::files::at;
 use crate::robot::Robot;
 use crate::table::{StateReader, TableError, TimeColumn};
-use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// Why a trajectory cannot be played.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
     /// The file cannot be read.
+    #[error("{0}")]
     File(io::Error),
     /// The table is damaged.
+    #[error("{0}")]
     Table(TableError),
     /// The file is no excitation.
+    #[error("{path}: {reason}")]
     Syntax {
         /// The file.
         path: PathBuf,
-        /// What the parser said.
+        /// Message of the parser.
         reason: String,
     },
     /// The excitation is for another robot.
+    #[error("{path}: {error}")]
     Excitation {
         /// The file.
         path: PathBuf,
@@ -33,6 +36,7 @@ pub enum TrajectoryError {
         error: ExcitationError,
     },
     /// The path of the tool is damaged, or the arm cannot follow it.
+    #[error("{path}: {error}")]
     Cartesian {
         /// The file.
         path: PathBuf,
@@ -40,6 +44,7 @@ pub enum TrajectoryError {
         error: Box<CartesianError>,
     },
     /// A joint is asked for more than it can do.
+    #[error("{path}: {error}")]
     Limits {
         /// The file.
         path: PathBuf,
@@ -48,23 +53,8 @@ pub enum TrajectoryError {
     },
 }
 
-impl fmt::Display for TrajectoryError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::File(error) => write!(f, "{error}"),
-            Self::Table(error) => write!(f, "{error}"),
-            Self::Syntax { path, reason } => write!(f, "{}: {reason}", path.display()),
-            Self::Excitation { path, error } => write!(f, "{}: {error}", path.display()),
-            Self::Cartesian { path, error } => write!(f, "{}: {error}", path.display()),
-            Self::Limits { path, error } => write!(f, "{}: {error}", path.display()),
-        }
-    }
-}
-
-impl std::error::Error for TrajectoryError {}
-
 impl<const N: usize> Trajectory<N> {
-    /// What `--trajectory` names: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
+    /// Loads the argument of `--trajectory`: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with time, q,
     /// time, q, qd and qdd. Limits are checked.
     ///
     /// * `seed` of the validation path

@@ -1,33 +1,37 @@
 //! Why a URDF was refused.
 
-use std::fmt::{Display, Formatter, Result};
-
 /// A URDF was refused.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{file}: {problem}")]
 pub struct UrdfError {
     /// The file.
     pub file: String,
-    /// What is wrong with it.
+    /// Defect.
     pub problem: UrdfProblem,
 }
 
-/// What is wrong with a URDF.
-#[derive(Clone, Debug, PartialEq)]
+/// Defect of a URDF.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UrdfProblem {
     /// The file cannot be read.
+    #[error("cannot be read: {0}")]
     Unreadable(String),
     /// Not XML, or not a robot.
+    #[error("not a URDF: {0}")]
     Syntax(String),
     /// Macros that have not been expanded.
+    #[error("contains xacro macros: expand them first (xacro FILE)")]
     Xacro,
     /// An element lacks something or a number is none.
+    #[error("line {line}: {problem}")]
     Element {
         /// Line of the element.
         line: u32,
-        /// What is wrong, beginning with the name of the element.
+        /// Reason, beginning with the name of the element.
         problem: String,
     },
     /// A link is named that does not exist.
+    #[error("{named_by} names link '{link}', which does not exist")]
     UnknownLink {
         /// The name.
         link: String,
@@ -35,12 +39,16 @@ pub enum UrdfProblem {
         named_by: String,
     },
     /// Two links or joints have the same name.
+    #[error("the name '{0}' is used twice")]
     Duplicate(String),
     /// A link is the child of two joints, or of itself.
+    #[error("link '{0}' closes a loop or has two parents, only a tree is an arm")]
     NotATree(String),
     /// More than one link could be the base.
+    #[error("links '{}' have no parent: choose one with --base", .0.join("', '"))]
     Roots(Vec<String>),
     /// The tip cannot be reached from the base.
+    #[error("link '{tip}' is not carried by link '{base}'")]
     NotBelow {
         /// Base link.
         base: String,
@@ -48,6 +56,7 @@ pub enum UrdfProblem {
         tip: String,
     },
     /// More than one moving joint leaves a link, and no tip is given.
+    #[error("the tree branches at link '{link}' (joints '{}'): choose the arm's end with --tip", .joints.join("', '"))]
     Branch {
         /// The link.
         link: String,
@@ -55,8 +64,10 @@ pub enum UrdfProblem {
         joints: Vec<String>,
     },
     /// The arm has no joint, or more than the board supports.
+    #[error("{}", joint_count(*.0))]
     JointCount(usize),
     /// A joint of the arm cannot be used.
+    #[error("joint '{joint}' {problem}")]
     Joint {
         /// The joint.
         joint: String,
@@ -64,6 +75,7 @@ pub enum UrdfProblem {
         problem: JointProblem,
     },
     /// A moving link has neither mass nor anything with mass bolted to it.
+    #[error("link '{link}' is moved by joint '{joint}' but has no inertial data")]
     NoInertia {
         /// The link.
         link: String,
@@ -71,6 +83,7 @@ pub enum UrdfProblem {
         joint: String,
     },
     /// No body has this mass distribution.
+    #[error("link '{link}': {reason}")]
     NotABody {
         /// The link.
         link: String,
@@ -80,78 +93,25 @@ pub enum UrdfProblem {
 }
 
 /// Why a joint cannot be part of an arm.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointProblem {
     /// It is not revolute; the type as written.
+    #[error("is {0}: only revolute, continuous and fixed joints are supported")]
     Type(String),
     /// It follows another joint.
+    #[error("mimics another joint: an arm's joints move on their own")]
     Mimic,
     /// A limit is missing or makes no sense.
+    #[error("{0}")]
     Limit(String),
     /// Its axis has no direction.
+    #[error("has an axis of length zero")]
     Axis,
 }
 
-impl Display for UrdfProblem {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        match self {
-            Self::Unreadable(reason) => write!(f, "cannot be read: {reason}"),
-            Self::Syntax(reason) => write!(f, "not a URDF: {reason}"),
-            Self::Xacro => write!(f, "contains xacro macros: expand them first (xacro FILE)"),
-            Self::Element { line, problem } => write!(f, "line {line}: {problem}"),
-            Self::UnknownLink { link, named_by } => {
-                write!(f, "{named_by} names link '{link}', which does not exist")
-            }
-            Self::Duplicate(name) => write!(f, "the name '{name}' is used twice"),
-            Self::NotATree(link) => {
-                write!(
-                    f,
-                    "link '{link}' closes a loop or has two parents, only a tree is an arm"
-                )
-            }
-            Self::Roots(links) => write!(
-                f,
-                "links '{}' have no parent: choose one with --base",
-                links.join("', '")
-            ),
-            Self::NotBelow { base, tip } => {
-                write!(f, "link '{tip}' is not carried by link '{base}'")
-            }
-            Self::Branch { link, joints } => write!(
-                f,
-                "the tree branches at link '{link}' (joints '{}'): choose the arm's end with --tip",
-                joints.join("', '")
-            ),
-            Self::JointCount(0) => write!(f, "no moving joint between base and tip"),
-            Self::JointCount(count) => write!(f, "{count} moving joints, an arm has at most 8"),
-            Self::Joint { joint, problem } => write!(f, "joint '{joint}' {problem}"),
-            Self::NoInertia { link, joint } => write!(
-                f,
-                "link '{link}' is moved by joint '{joint}' but has no inertial data"
-            ),
-            Self::NotABody { link, reason } => write!(f, "link '{link}': {reason}"),
-        }
+fn joint_count(count: usize) -> String {
+    match count {
+        0 => "no moving joint between base and tip".to_owned(),
+        _ => format!("{count} moving joints, an arm has at most 8"),
     }
 }
-
-impl Display for JointProblem {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        match self {
-            Self::Type(kind) => write!(
-                f,
-                "is {kind}: only revolute, continuous and fixed joints are supported"
-            ),
-            Self::Mimic => write!(f, "mimics another joint: an arm's joints move on their own"),
-            Self::Limit(problem) => write!(f, "{problem}"),
-            Self::Axis => write!(f, "has an axis of length zero"),
-        }
-    }
-}
-
-impl Display for UrdfError {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        write!(f, "{}: {}", self.file, self.problem)
-    }
-}
-
-impl std::error::Error for UrdfError {}

@@ -1,6 +1,7 @@
-//! What is said to a board, as raw bytes: samples, and a conversation whose every answer is kept.
+//! Requests to a board as raw bytes: samples, and a conversation whose every answer is kept.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_link::bank::NETWORK_SEED;
@@ -34,12 +35,13 @@ pub(crate) fn sample(k: u32) -> JointSample<JOINTS> {
     }
 }
 
-/// The same motion with the torques of an arm a tenth heavier than its description and with friction.
+/// The motion with the torques of an arm a tenth heavier than its description and with friction.
 pub(crate) fn credible(k: u32) -> JointSample<JOINTS> {
     let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
     truth.rigid *= 1.1;
     for friction in &mut truth.friction {
-        (friction.viscous, friction.coulomb) = (2.0, 1.0);
+        friction[FrictionColumn::Viscous] = 2.0;
+        friction[FrictionColumn::Coulomb] = 1.0;
     }
     let mut sample = sample(k);
     let tau = evaluate::<Ur5, JOINTS, PARAMETERS>(&truth, &sample.desired).total;

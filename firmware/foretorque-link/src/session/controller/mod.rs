@@ -201,7 +201,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         for _ in 0..lost {
             self.feed_forward.adopt(&mut mailbox.exchange);
             self.feed_forward.step_stale();
-            mailbox.post(self.feed_forward.lesson(None));
+            mailbox.post(self.feed_forward.learning_sample(None));
             self.counters.ticks = self.counters.ticks.wrapping_add(1);
             self.counters.stale = self.counters.stale.saturating_add(1);
         }
@@ -248,7 +248,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.counters.cost.note(cost);
         self.counters.ticks = self.counters.ticks.wrapping_add(1);
         let measured = sample.and_then(|sample| sample.measured);
-        mailbox.post(self.feed_forward.lesson(measured));
+        mailbox.post(self.feed_forward.learning_sample(measured));
         if reply_waits {
             mailbox.hold_reply();
         }

@@ -1,11 +1,11 @@
 //! Samples that never arrived, where samples pace the board and no tick runs without one.
 
 use crate::wire::SampleFlags;
-use foretorque::learning::BRIDGED;
+use foretorque::learning::MAX_BRIDGED;
 
 /// Largest number of ticks that are filled in: after as many without a measurement the learner's window is empty, so a
 /// longer gap has no other effect. It also bounds the time of a tick, whatever the host sends.
-pub(super) const MAX_FILLED: u32 = BRIDGED as u32 + 1;
+pub(super) const MAX_FILLED: u32 = MAX_BRIDGED as u32 + 1;
 
 /// Gaps in the host's numbers of its periods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

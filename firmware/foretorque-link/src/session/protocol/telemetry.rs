@@ -5,7 +5,7 @@ use crate::wire::{
     BoardMessage, Field, FrameBuffer, NackReason, TELEMETRY_BYTES, TelemetryFrame, size,
 };
 use foretorque::joint::JointVector;
-use foretorque::learning::Report;
+use foretorque::learning::LearnerReport;
 use heapless::Vec;
 
 /// Bytes of all fields of eight joints, rounded up.
@@ -14,7 +14,7 @@ const RECORD_BYTES: usize = 352;
 /// Sources of one record.
 pub(in crate::session) struct Instant<'t, const N: usize> {
     pub(in crate::session) tick: &'t TickResult<N>,
-    pub(in crate::session) report: &'t Report<N>,
+    pub(in crate::session) report: &'t LearnerReport<N>,
     /// Mean cost of a learning step, counts of the board's counter.
     pub(in crate::session) learn_cost: u32,
     pub(in crate::session) losses: [u16; 4],

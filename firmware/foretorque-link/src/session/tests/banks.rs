@@ -13,7 +13,7 @@ fn an_upload_is_in_force_for_tick_fallback_and_learner() {
     assert_eq!(state.committed, state.active);
     board.sample(0);
     board.learn();
-    assert_eq!(board.learner.state().prior, state.active);
+    assert_eq!(board.learner.state().active, state.active);
     assert_eq!(*board.session.controller.gains(), [10.0; N]);
     assert_eq!(board.read(), bank);
 }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::wire::SampleFlags;
 use foretorque::feedforward::Torque;
-use foretorque::learning::{BRIDGED, Exchange, TAPS};
+use foretorque::learning::{Exchange, MAX_BRIDGED, TAPS};
 use proptest::prelude::*;
 
 /// The ticks of an armed board that its timer paces, made of its parts without link and session.
@@ -44,7 +44,7 @@ impl Timed {
         torque.total = self.safety.release(&torque.total);
         self.feed_forward.applied(&torque.total);
         let measured = sample.and_then(|sample| sample.measured);
-        let lesson = self.feed_forward.lesson(measured);
+        let lesson = self.feed_forward.learning_sample(measured);
         self.learner.learn(&lesson, &mut self.exchange);
         torque
     }
@@ -153,7 +153,7 @@ fn a_lost_sample_acts_as_a_tick_without_sample() {
 fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
     // The set of a round that closes in such a gap can be a round late, so the torques may differ; the learners do not.
     for first in 200..206 {
-        let lost: Vec<u32> = (first..=first + BRIDGED as u32).collect();
+        let lost: Vec<u32> = (first..=first + MAX_BRIDGED as u32).collect();
         let (timed, linked, _) = together(&lost);
         assert!(timed.learner.state() == linked.board.learner.state());
     }
@@ -217,8 +217,8 @@ proptest! {
             let before = board.statistics().ticks;
             board.receive(&frame(sequence, &HostMessage::Sample(sample)));
             let ran = board.statistics().ticks - before;
-            prop_assert!(ran <= BRIDGED as u32 + 2, "{} ticks", ran);
-            prop_assert!(board.mailboxes.learner.waiting() <= BRIDGED + 2);
+            prop_assert!(ran <= MAX_BRIDGED as u32 + 2, "{} ticks", ran);
+            prop_assert!(board.mailboxes.learner.waiting() <= MAX_BRIDGED + 2);
             board.learn();
         }
     }

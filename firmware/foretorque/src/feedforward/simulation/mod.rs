@@ -6,9 +6,9 @@
 use super::{FeedForward, FeedForwardConfig, ParameterSet, Torque, evaluate};
 use crate::arm::Arm;
 use crate::arm::ur5::Ur5;
-use crate::dynamics::{BaseParameters, FrictionParameters, rnea};
+use crate::dynamics::{BaseParameters, FrictionColumn, FrictionParameters, rnea};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use crate::learning::{Exchange, Learner, LearnerConfig, Lesson};
+use crate::learning::{Exchange, Learner, LearnerConfig, LearningSample};
 use crate::limits::Flags;
 use std::collections::VecDeque;
 
@@ -156,10 +156,10 @@ fn wrong_prior(seed: u64) -> Set {
             1.2
         };
     }
-    set.friction = core::array::from_fn(|j| FrictionParameters {
-        viscous: (0.6 * VISCOUS[j]) as f32,
-        coulomb: (0.6 * COULOMB[j]) as f32,
-        ..FrictionParameters::NONE
+    set.friction = core::array::from_fn(|j| {
+        FrictionParameters::NONE
+            .with(FrictionColumn::Viscous, (0.6 * VISCOUS[j]) as f32)
+            .with(FrictionColumn::Coulomb, (0.6 * COULOMB[j]) as f32)
     });
     set
 }
@@ -212,7 +212,7 @@ struct Board {
     feedforward: FeedForward<Ur5, N, P>,
     learner: Learner<Ur5, N, P>,
     exchange: Exchange<N, P>,
-    queue: VecDeque<Lesson<N>>,
+    queue: VecDeque<LearningSample<N>>,
     delay: usize,
 }
 
@@ -233,7 +233,7 @@ impl Board {
         self.feedforward.adopt(&mut self.exchange);
         let torque = self.feedforward.step(sample);
         self.queue
-            .push_back(self.feedforward.lesson(sample.measured));
+            .push_back(self.feedforward.learning_sample(sample.measured));
         while self.queue.len() > self.delay {
             let lesson = self.queue.pop_front().unwrap();
             self.learner.learn(&lesson, &mut self.exchange);

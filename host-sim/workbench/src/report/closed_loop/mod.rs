@@ -1,8 +1,8 @@
-//! What a closed-loop run found out: figures, curves, and the page that shows them.
+//! A closed-loop run: figures, curves, and the page that shows them.
 
 mod page;
 
-pub use page::html;
+pub use page::page;
 
 use crate::board::BoardShares;
 use crate::closed_loop::TickRecord;
@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 /// Points a curve keeps.
 const PAGE_POINTS: usize = 4000;
 
-/// Flags of the torque that say that something was limited or went wrong, and what.
+/// Flags of the torque that report a limit or a fault, with their meanings.
 const FLAGS: [(Flags, &str); 11] = [
     (Flags::SATURATED, "torque cut to its limit"),
     (Flags::SLEWED, "torque held back by its slew limit"),
@@ -54,7 +54,7 @@ pub struct ClosedLoopReport {
     pub learning: bool,
     /// RMS position error, mean of the joints, mrad.
     pub tracking_rms_mrad: f64,
-    /// The same joint by joint.
+    /// RMS tracking error of each joint, mrad.
     pub tracking_rms_joint_mrad: Vec<f64>,
     /// Largest position error of every joint, mrad.
     pub tracking_peak_joint_mrad: Vec<f64>,
@@ -70,16 +70,35 @@ pub struct ClosedLoopReport {
     pub link: LinkReport,
     /// Learnt sets that came late.
     pub late_sets: u32,
-    /// Lessons that found no room.
-    pub lessons_lost: u32,
-    /// From the board's first instructions to its hello, µs; nothing where its counter tells no time.
+    /// Learning samples that found no room.
+    pub learning_samples_lost: u32,
+    /// From the board's first instructions to its hello, µs; nothing where its counter is no clock.
     pub boot_us: Option<u32>,
-    /// How the board's store stands.
+    /// State of the board's store.
     pub store: StoreHealth,
     /// Cost of a tick, counts of the board's counter; 0 where it has none.
     pub tick_cost: BoardCost,
     /// Cost of learning from one tick, likewise.
     pub learning_cost: BoardCost,
+}
+
+/// Description of a closed-loop run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunDescription {
+    /// Name of the robot.
+    pub robot: String,
+    /// The board.
+    pub board: String,
+    /// Seed of plant, noise and validation path.
+    pub seed: u64,
+    /// Period of the tick, s.
+    pub period_s: f64,
+    /// Compiler of the board's code.
+    pub toolchain: String,
+    /// The board learnt while it ran.
+    pub learning: bool,
+    /// From the board's first instructions to its hello, µs; nothing where its counter is no clock.
+    pub boot_us: Option<u32>,
 }
 
 /// Mean and largest cost, counts of the board's counter.
@@ -213,7 +232,7 @@ impl<const N: usize> ClosedLoopLog<N> {
                 feed_forward,
             });
         }
-        // A reply tells the shares of one joint, the next one's in the next tick: whole rounds are kept, or dropped.
+        // A reply carries the shares of one joint, the next one's in the next tick: whole rounds are kept, or dropped.
         if (self.seen / N).is_multiple_of(self.rounds) {
             match &record.shares {
                 Some(BoardShares::Joint(joint, shares)) => {
@@ -233,44 +252,35 @@ impl<const N: usize> ClosedLoopLog<N> {
         self.seen += 1;
     }
 
-    /// Position error, mean of the joints' RMS, mrad.
-    pub fn tracking_rms_mrad(&self) -> f64 {
-        self.tracking.mean_rms_mrad()
-    }
-
-    /// Position error, RMS of every joint, mrad.
-    pub fn tracking_rms_joint_mrad(&self) -> Vec<f64> {
-        self.tracking.rms_mrad()
-    }
-
-    /// Position error, peak of every joint, mrad.
-    pub fn tracking_peak_joint_mrad(&self) -> Vec<f64> {
-        self.peak_mrad.iter().copied().collect()
-    }
-
-    /// Torque asked of the drives, RMS of every joint, N·m.
-    pub fn torque_rms_nm(&self) -> Vec<f64> {
-        self.root_mean(&self.square_tau)
-    }
-
-    /// Torque asked of the drives, peak of every joint, N·m.
-    pub fn torque_peak_nm(&self) -> Vec<f64> {
-        self.peak_tau.iter().copied().collect()
-    }
-
-    /// Feed-forward torque, RMS of every joint, N·m.
-    pub fn feed_forward_rms_nm(&self) -> Vec<f64> {
-        self.root_mean(&self.square_feed)
-    }
-
-    /// Ticks that carried each flag, of those that rose.
-    pub fn flag_ticks(&self) -> BTreeMap<&'static str, usize> {
-        FLAGS
-            .iter()
-            .zip(self.flags)
-            .filter(|(_, count)| *count > 0)
-            .map(|((flag, _), count)| (flag.name(), count))
-            .collect()
+    /// The figures of the run, with the statistics of its board at the end.
+    pub fn report(&self, run: RunDescription, statistics: &Statistics) -> ClosedLoopReport {
+        let joints = |values: &Joints<N>| values.iter().copied().collect();
+        let flags = FLAGS.iter().zip(self.flags).filter(|(_, count)| *count > 0);
+        ClosedLoopReport {
+            robot: run.robot,
+            board: run.board,
+            seed: run.seed,
+            ticks: self.seen,
+            period_s: run.period_s,
+            toolchain: run.toolchain,
+            learning: run.learning,
+            tracking_rms_mrad: self.tracking.mean_rms_mrad(),
+            tracking_rms_joint_mrad: self.tracking.rms_mrad(),
+            tracking_peak_joint_mrad: joints(&self.peak_mrad),
+            torque_rms_nm: self.root_mean(&self.square_tau),
+            torque_peak_nm: joints(&self.peak_tau),
+            feed_forward_rms_nm: self.root_mean(&self.square_feed),
+            flag_ticks: flags
+                .map(|((flag, _), count)| (flag.name(), count))
+                .collect(),
+            link: LinkReport::from(statistics),
+            late_sets: statistics.late_sets,
+            learning_samples_lost: statistics.learning_samples_lost,
+            boot_us: run.boot_us,
+            store: statistics.store,
+            tick_cost: statistics.tick_cost.into(),
+            learning_cost: statistics.learn_cost.into(),
+        }
     }
 
     fn root_mean(&self, squares: &Joints<N>) -> Vec<f64> {

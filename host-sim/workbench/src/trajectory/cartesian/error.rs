@@ -28,9 +28,10 @@ impl fmt::Display for Spot {
 }
 
 /// Why a path of the tool cannot be played.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CartesianError {
     /// The file is no path.
+    #[error("line {line}: {reason}")]
     Syntax {
         /// Line, from 1.
         line: usize,
@@ -38,18 +39,21 @@ pub enum CartesianError {
         reason: String,
     },
     /// A value is missing or makes no sense.
+    #[error("{field}: {problem}")]
     Field {
         /// The field, for example `move[2].duration_s`, moves from 1.
         field: String,
-        /// What is wrong with it.
+        /// Reason.
         problem: String,
     },
     /// The robot has another number of joints than expected.
+    #[error("the robot has not {expected} joints")]
     Joints {
         /// Joints expected.
         expected: usize,
     },
     /// No joint positions put the tool there.
+    #[error("{spot}: {error}")]
     Kinematics {
         /// Where.
         spot: Spot,
@@ -57,6 +61,7 @@ pub enum CartesianError {
         error: InverseError,
     },
     /// The joints could, but not within their limits.
+    #[error("{spot}: {error}")]
     Limits {
         /// Where.
         spot: Spot,
@@ -64,17 +69,3 @@ pub enum CartesianError {
         error: BeyondLimits,
     },
 }
-
-impl fmt::Display for CartesianError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Syntax { line, reason } => write!(f, "line {line}: {reason}"),
-            Self::Field { field, problem } => write!(f, "{field}: {problem}"),
-            Self::Joints { expected } => write!(f, "the robot has not {expected} joints"),
-            Self::Kinematics { spot, error } => write!(f, "{spot}: {error}"),
-            Self::Limits { spot, error } => write!(f, "{spot}: {error}"),
-        }
-    }
-}
-
-impl std::error::Error for CartesianError {}

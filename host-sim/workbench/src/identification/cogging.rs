@@ -1,0 +1,129 @@
+//! Cogging, the torque that repeats with a joint's position: an input of the residual networks beside the speed.
+//!
+//! Their direct connections from sin(z q) and cos(z q) to the output are linear, so they follow from sums over rows, and
+//! the board has a place for them: the cogging columns of its friction.
+
+use super::columns::Layout;
+use super::normal::JointSums;
+use nalgebra::{DMatrix, DMatrixView, DVector, Matrix2, Vector2};
+
+/// Amplitudes of sine and cosine of every joint, N·m.
+pub type CoggingAmplitudes<const N: usize> = [[f64; 2]; N];
+
+/// Gain in squared residuals over their variance from which a joint keeps its connections: two of them reach that by
+/// chance in one case of a hundred [chi-squared, 2 degrees of freedom].
+const CERTAIN: f64 = 9.21;
+
+/// Sums that border one joint's equations by its sine and cosine, filtered as the equations were.
+#[derive(Clone, Debug, PartialEq)]
+struct Border {
+    /// XᵀS.
+    cross: DMatrix<f64>,
+    /// SᵀS.
+    gram: Matrix2<f64>,
+    /// Sᵀτ.
+    moment: Vector2<f64>,
+}
+
+/// The borders of all joints' equations.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct CoggingSums<const N: usize> {
+    joints: Vec<Border>,
+}
+
+impl<const N: usize> CoggingSums<N> {
+    /// Sums over no rows.
+    pub(super) fn new(layout: &Layout<N>) -> Self {
+        let joints = layout.active.iter().map(|active| Border {
+            cross: DMatrix::zeros(active.len(), 2),
+            gram: Matrix2::zeros(),
+            moment: Vector2::zeros(),
+        });
+        Self {
+            joints: joints.collect(),
+        }
+    }
+
+    /// Adds rows of one joint: `x` row after row, `basis` sine and cosine a row, `tau` one a row.
+    pub(super) fn add(&mut self, joint: usize, x: &[f64], basis: &[f64], tau: &[f64]) {
+        if tau.is_empty() {
+            return;
+        }
+        let border = &mut self.joints[joint];
+        let columns = DMatrixView::from_slice(x, border.cross.nrows(), tau.len());
+        let basis = DMatrixView::from_slice(basis, 2, tau.len());
+        border.cross += columns * basis.transpose();
+        border.gram += basis * basis.transpose();
+        border.moment += basis * DVector::from_column_slice(tau);
+    }
+
+    /// Subtracts the torque of these amplitudes (N·m) from the equations of a joint.
+    pub(super) fn subtract(&self, joint: usize, amplitude: [f64; 2], sums: &mut JointSums) {
+        let (border, amplitude) = (&self.joints[joint], Vector2::from(amplitude));
+        sums.moment -= &border.cross * amplitude;
+        sums.power -=
+            2.0 * border.moment.dot(&amplitude) - amplitude.dot(&(border.gram * amplitude));
+    }
+
+    /// Least-squares amplitudes for the residuals of `theta`, N·m; zero where noise of `sigma`, N·m, explains them.
+    pub(super) fn best(&self, joint: usize, theta: &DVector<f64>, sigma: f64) -> [f64; 2] {
+        let border = &self.joints[joint];
+        let left = border.moment - border.cross.tr_mul(theta);
+        let Some(inverse) = border.gram.try_inverse() else {
+            return [0.0; 2];
+        };
+        let amplitude = inverse * left;
+        if left.dot(&amplitude) > CERTAIN * sigma * sigma {
+            amplitude.into()
+        } else {
+            [0.0; 2]
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::dataset::{SampleRow, random_rows};
+    use crate::dynamics::ReferenceModel;
+    use crate::identification::{ColumnSet, Layout, MethodName, fit_rows};
+    use crate::robot::Robot;
+
+    /// Rows of an arm with viscous and Coulomb friction, a Stribeck peak and cogging, 1 mN·m of noise.
+    fn rows(robot: &Robot, layout: &Layout<6>, seed: u64) -> Vec<SampleRow<6>> {
+        let model = ReferenceModel::<6>::new(robot).expect("six joints");
+        random_rows(layout, 4000, seed, [2.0, 1.0, 3.0], 1e-3, |row, j| {
+            let (friction, qd) = (&robot.joints[j].friction, row.state.qd[j]);
+            let peak = friction.stribeck_ratio * (-(qd / 0.1).powi(2)).exp();
+            model.inverse_dynamics(&row.state)[j]
+                + friction.viscous * qd
+                + friction.coulomb * (1.0 + peak) * qd.signum()
+                + friction.cogging * (202.0 * row.state.q[j]).cos()
+        })
+    }
+
+    #[test]
+    fn networks_leave_less_than_0_4_of_what_least_squares_leaves() {
+        let robot = Robot::load("ur5").expect("built in");
+        let layout = Layout::<6>::new(&robot, &ColumnSet::plain()).expect("six joints");
+        let (training, unseen) = (rows(&robot, &layout, 1), rows(&robot, &layout, 2));
+        let training: Vec<&SampleRow<6>> = training.iter().collect();
+        let methods = [MethodName::Wls, MethodName::BpResidual];
+        let results = fit_rows(&robot, (&layout, &layout), &methods, &training, 1);
+        let errors: Vec<f64> = results
+            .expect("well shown")
+            .iter()
+            .map(|result| {
+                let square = |row: &SampleRow<6>| {
+                    let predicted = result.candidate.torque(&layout, row);
+                    let moving = (0..6).filter(|&j| row.moving[j]);
+                    let limit = |j: usize| robot.joints[j].limits.torque;
+                    moving
+                        .map(|j| ((predicted[j] - row.tau[j]) / limit(j)).powi(2))
+                        .sum::<f64>()
+                };
+                unseen.iter().map(square).sum::<f64>().sqrt()
+            })
+            .collect();
+        assert!(errors[1] < 0.4 * errors[0], "{errors:?}");
+    }
+}

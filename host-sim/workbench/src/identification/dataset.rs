@@ -1,0 +1,215 @@
+//! The dataset of the training logs: sums over all rows, and a bounded sample of them.
+
+use super::cogging::CoggingSums;
+use super::columns::Layout;
+use super::normal::NormalEquations;
+use super::prepare::{Preparation, Prepared};
+use super::speed::SpeedSums;
+use crate::dynamics::State;
+use nalgebra::DVector;
+
+/// One row of the bounded sample.
+#[derive(Clone, Debug)]
+pub struct SampleRow<const N: usize> {
+    /// Motion.
+    pub state: State<N>,
+    /// Filtered torque, N·m.
+    pub tau: [f64; N],
+    /// Filtered torque without spikes, N·m.
+    pub clean: [f64; N],
+    /// Joints that move.
+    pub moving: [bool; N],
+    /// Active columns of all joints.
+    pub panel: Box<[f64]>,
+    /// Sine and cosine of every joint's cogging phase, filtered as the columns are.
+    pub cogging_basis: [[f64; 2]; N],
+}
+
+impl<const N: usize> SampleRow<N> {
+    /// One row of a prepared stretch.
+    pub(super) fn of(
+        layout: &Layout<N>,
+        preparation: &Preparation,
+        prepared: &Prepared<N>,
+        row: usize,
+    ) -> Self {
+        let state = prepared.states[row];
+        let values = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
+        Self {
+            state,
+            tau: values(&prepared.tau),
+            clean: values(&prepared.clean),
+            moving: std::array::from_fn(|joint| state.qd[joint].abs() > preparation.still_rad_s),
+            panel: prepared.panel[row * layout.width..][..layout.width].into(),
+            cogging_basis: std::array::from_fn(|joint| prepared.cogging_basis[row * N + joint]),
+        }
+    }
+
+    /// Active columns of one joint.
+    pub(super) fn columns(&self, layout: &Layout<N>, joint: usize) -> &[f64] {
+        layout.columns(joint, &self.panel)
+    }
+
+    /// Torque of the linear model at one joint, N·m.
+    pub(super) fn linear(&self, layout: &Layout<N>, theta: &DVector<f64>, joint: usize) -> f64 {
+        layout.torque(joint, self.columns(layout, joint), theta)
+    }
+}
+
+/// Sums over filtered rows.
+#[derive(Clone, Debug)]
+pub(super) struct RowSums<const N: usize> {
+    /// Sums over all moving rows.
+    pub(super) all: NormalEquations<N>,
+    /// Sums over the same rows without spikes.
+    pub(super) clean: NormalEquations<N>,
+    /// Border of the clean sums by sine and cosine of cogging.
+    pub(super) cogging: CoggingSums<N>,
+    /// Number of rows.
+    pub(super) rows: usize,
+}
+
+impl<const N: usize> RowSums<N> {
+    /// Sums over no rows.
+    pub(super) fn new(layout: &Layout<N>) -> Self {
+        Self {
+            all: NormalEquations::new(layout),
+            clean: NormalEquations::new(layout),
+            cogging: CoggingSums::new(layout),
+            rows: 0,
+        }
+    }
+
+    /// Adds rows.
+    pub(super) fn add(&mut self, layout: &Layout<N>, rows: &[&SampleRow<N>]) {
+        for joint in 0..N {
+            let (mut x, mut basis) = (Vec::new(), Vec::new());
+            let (mut tau, mut clean) = (Vec::new(), Vec::new());
+            for row in rows.iter().filter(|row| row.moving[joint]) {
+                x.extend_from_slice(row.columns(layout, joint));
+                basis.extend(row.cogging_basis[joint]);
+                tau.push(row.tau[joint]);
+                clean.push(row.clean[joint]);
+            }
+            self.all.joints[joint].add(&x, &tau);
+            self.clean.joints[joint].add(&x, &clean);
+            self.cogging.add(joint, &x, &basis, &clean);
+        }
+        self.rows += rows.len();
+    }
+}
+
+/// Most rows of the sample.
+const SAMPLE: usize = 60_000;
+
+/// Result of one pass over the training logs: sums over all rows, and an evenly thinned sample for methods that iterate
+/// over rows.
+#[derive(Clone, Debug)]
+pub(super) struct Dataset<const N: usize> {
+    /// Sums over filtered rows.
+    pub(super) sums: RowSums<N>,
+    /// Every `thinning`-th of the rows that went into the sums.
+    pub(super) sample: Vec<SampleRow<N>>,
+    /// See `sample`.
+    pub(super) thinning: usize,
+    /// Sums over raw torques by speed.
+    pub(super) speeds: SpeedSums<N>,
+    /// Rows read, edges left out.
+    pub(super) rows_read: usize,
+    /// Of these, those in which each joint stands still.
+    pub(super) still: [usize; N],
+    /// Spikes found.
+    pub(super) spikes: usize,
+}
+
+impl<const N: usize> Dataset<N> {
+    /// An empty dataset.
+    pub(super) fn new(layout: &Layout<N>) -> Self {
+        Self {
+            sums: RowSums::new(layout),
+            sample: Vec::new(),
+            thinning: 1,
+            speeds: SpeedSums::new(),
+            rows_read: 0,
+            still: [0; N],
+            spikes: 0,
+        }
+    }
+
+    /// Adds a stretch.
+    pub(super) fn add(
+        &mut self,
+        layout: &Layout<N>,
+        preparation: &Preparation,
+        prepared: &Prepared<N>,
+    ) {
+        self.spikes += prepared.spikes;
+        self.speeds.merge(&prepared.speeds);
+        self.rows_read += prepared.core.len();
+        for state in &prepared.states[prepared.core.clone()] {
+            for (still, qd) in self.still.iter_mut().zip(state.qd.iter()) {
+                *still += usize::from(qd.abs() <= preparation.still_rad_s);
+            }
+        }
+        let rows = prepared.core.clone().step_by(preparation.stride());
+        let rows: Vec<SampleRow<N>> = rows
+            .map(|row| SampleRow::of(layout, preparation, prepared, row))
+            .collect();
+        let before = self.sums.rows;
+        self.sums.add(layout, &rows.iter().collect::<Vec<_>>());
+        for (place, row) in (before..).zip(rows) {
+            if place.is_multiple_of(self.thinning) {
+                self.sample.push(row);
+            }
+            if self.sample.len() > SAMPLE {
+                // Even thinning: the rows that stay are those a doubled stride would have taken.
+                let mut position = 0;
+                self.sample.retain(|_| {
+                    position += 1;
+                    position % 2 == 1
+                });
+                self.thinning *= 2;
+            }
+        }
+    }
+}
+
+/// Rows of random motion that all joints take part in when faster than 0.05 rad/s.
+///
+/// * `reach` of positions, velocities and accelerations; `noise` of the torques, N·m
+/// * `torque` N·m of a joint at a row without torques
+#[cfg(test)]
+pub(super) fn random_rows(
+    layout: &Layout<6>,
+    count: usize,
+    seed: u64,
+    reach: [f64; 3],
+    noise: f64,
+    torque: impl Fn(&SampleRow<6>, usize) -> f64,
+) -> Vec<SampleRow<6>> {
+    use crate::dynamics::Joints;
+    use rand::{Rng, SeedableRng};
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut scratch = nalgebra::DMatrix::zeros(6, (crate::robot::LINK_PARAMETERS + 1) * 6);
+    let mut draw = |reach: f64| Joints::<6>::from_fn(|_, _| random.random_range(-reach..reach));
+    (0..count)
+        .map(|row| {
+            let [q, qd, qdd] = reach.map(&mut draw);
+            let state = State { q, qd, qdd };
+            let mut panel = Vec::new();
+            layout.append_row(&state, 0.01 * row as f64, &mut scratch, &mut panel);
+            let mut row = SampleRow {
+                state,
+                tau: [0.0; 6],
+                clean: [0.0; 6],
+                moving: std::array::from_fn(|joint| qd[joint].abs() > 0.05),
+                panel: panel.into(),
+                cogging_basis: layout.cogging_basis(&q),
+            };
+            let noise = draw(noise);
+            row.tau = std::array::from_fn(|joint| torque(&row, joint) + noise[joint]);
+            row.clean = row.tau;
+            row
+        })
+        .collect()
+}

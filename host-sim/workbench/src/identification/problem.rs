@@ -1,0 +1,214 @@
+//! Nouns of an identification: problem, training data, candidate model, result of a method.
+
+use super::cogging::CoggingAmplitudes;
+use super::columns::Layout;
+use super::dataset::{Dataset, RowSums, SampleRow};
+use super::methods::{Fit, MethodName, huber};
+use super::normal::NormalEquations;
+use super::speed::SpeedSums;
+use crate::dynamics::{Joints, State};
+use crate::robot::Robot;
+use crate::training::{BlackBox, LinearLayer};
+use foretorque::feedforward::{JointNetwork, NETWORK_BOUND};
+use foretorque::learning::network_inputs;
+use nalgebra::DVector;
+
+/// Progress of an identification: stage, and the loss while a network trains.
+pub type Progress<'a> = &'a dyn Fn(&str);
+
+/// A problem to be solved on any rows.
+#[derive(Clone, Copy)]
+pub(super) struct Problem<'a, const N: usize> {
+    /// The description.
+    pub(super) robot: &'a Robot,
+    /// All columns.
+    pub(super) layout: &'a Layout<N>,
+    /// The columns among them that the board has.
+    pub(super) board: &'a Layout<N>,
+    /// Methods.
+    pub(super) methods: &'a [MethodName],
+    /// Seed of random starts.
+    pub(super) seed: u64,
+}
+
+/// Rows that a method is trained on, and sums over them.
+pub(super) struct TrainingData<'a, const N: usize> {
+    /// Sums over filtered rows.
+    pub(super) sums: RowSums<N>,
+    /// Rows for methods that iterate over them.
+    pub(super) sample: Vec<&'a SampleRow<N>>,
+    /// Sums over raw torques by speed.
+    pub(super) speeds: SpeedSums<N>,
+}
+
+impl<'a, const N: usize> TrainingData<'a, N> {
+    /// Training data of a whole dataset.
+    pub(super) fn all(dataset: &'a Dataset<N>) -> Self {
+        Self {
+            sums: dataset.sums.clone(),
+            sample: dataset.sample.iter().collect(),
+            speeds: dataset.speeds.clone(),
+        }
+    }
+
+    /// Training data of some sampled rows only.
+    pub(super) fn of(layout: &Layout<N>, sample: Vec<&'a SampleRow<N>>) -> Self {
+        let mut sums = RowSums::new(layout);
+        sums.add(layout, &sample);
+        let mut speeds = SpeedSums::new();
+        for (place, row) in sample.iter().enumerate() {
+            let half = 10 * place / sample.len() % 2;
+            for joint in (0..N).filter(|&joint| row.moving[joint]) {
+                let (qd, columns) = (row.state.qd[joint], row.columns(layout, joint));
+                let basis = &row.cogging_basis[joint];
+                speeds.add((joint, half), qd, basis, columns, row.clean[joint]);
+            }
+        }
+        Self {
+            sums,
+            sample,
+            speeds,
+        }
+    }
+
+    /// Sums over the sample with Huber's weights for the residuals of `theta`.
+    pub(super) fn robust_sums(
+        &self,
+        layout: &Layout<N>,
+        theta: &DVector<f64>,
+        sigma: &[f64; N],
+    ) -> NormalEquations<N> {
+        let joints = sigma.iter().enumerate();
+        let joints = joints.map(|(joint, &sigma)| huber(joint, &self.sample, layout, theta, sigma));
+        NormalEquations {
+            joints: joints.collect(),
+        }
+    }
+
+    /// The linear layer whose loss is the weighted one: every joint's rows divided by the noise of `fit`.
+    pub(super) fn layer(&self, layout: &Layout<N>, fit: &Fit<N>) -> LinearLayer {
+        let sums = &self.sums.all;
+        let (gram, moment) = sums.weighted(layout, &fit.sigma);
+        let joints = sums.joints.iter().zip(&fit.sigma);
+        let power = joints.map(|(joint, sigma)| joint.power / (sigma * sigma));
+        LinearLayer::new(&gram, &moment, power.sum(), sums.count())
+    }
+}
+
+/// A model to be validated.
+#[derive(Clone, Debug)]
+pub enum Candidate<const N: usize> {
+    /// The linear model.
+    Linear(DVector<f64>),
+    /// The black-box network.
+    BlackBox(Box<BlackBox<N>>),
+    /// The linear model and the board's networks, in f32 and with the board's bound.
+    Residual {
+        /// Parameters of the linear part, zero for columns the board does not have.
+        theta: DVector<f64>,
+        /// Direct connections of the networks from sine and cosine of the cogging phase, N·m.
+        cogging: CoggingAmplitudes<N>,
+        /// One network a joint.
+        networks: Box<[JointNetwork; N]>,
+        /// Torque limit of every joint, N·m.
+        limits: [f64; N],
+    },
+}
+
+impl<const N: usize> Candidate<N> {
+    /// Torque at a joint without networks, N·m, from its active columns and the sine and cosine of its cogging phase.
+    pub(super) fn linear(
+        &self,
+        layout: &Layout<N>,
+        joint: usize,
+        columns: &[f64],
+        basis: &[f64; 2],
+    ) -> f64 {
+        match self {
+            Self::Linear(theta) => layout.torque(joint, columns, theta),
+            Self::BlackBox(_) => 0.0,
+            Self::Residual { theta, cogging, .. } => {
+                let [sine, cosine] = cogging[joint];
+                layout.torque(joint, columns, theta) + (sine * basis[0] + cosine * basis[1])
+            }
+        }
+    }
+
+    /// Torques of the networks at the speeds of `state`, N·m; `None` without networks.
+    pub(super) fn network(&self, state: &State<N>) -> Option<[f64; N]> {
+        match self {
+            Self::Linear(_) => None,
+            Self::BlackBox(network) => Some(network.torque(state)),
+            Self::Residual {
+                networks, limits, ..
+            } => Some(std::array::from_fn(|joint| {
+                let inputs = network_inputs(state.qd[joint] as f32);
+                let [[output]] = networks[joint].forward(&inputs).data.0;
+                f64::from(output.clamp(-NETWORK_BOUND, NETWORK_BOUND)) * limits[joint]
+            })),
+        }
+    }
+
+    /// Torque of the model at the state of `row`, N·m.
+    pub fn torque(&self, layout: &Layout<N>, row: &SampleRow<N>) -> Joints<N> {
+        let network = self.network(&row.state).unwrap_or([0.0; N]);
+        Joints::from_fn(|joint, _| {
+            let columns = row.columns(layout, joint);
+            self.linear(layout, joint, columns, &row.cogging_basis[joint]) + network[joint]
+        })
+    }
+}
+
+/// Result of one method.
+#[derive(Clone, Debug)]
+pub struct MethodResult<const N: usize> {
+    /// The method.
+    pub name: MethodName,
+    /// The model.
+    pub candidate: Candidate<N>,
+    /// Its linear part with covariance, if it has one.
+    pub fit: Option<Fit<N>>,
+    /// The robot it describes, if it describes one.
+    pub robot: Option<Robot>,
+    /// Rows it was trained on.
+    pub rows: usize,
+    /// Epochs or iterations.
+    pub epochs: usize,
+    /// Time of the fit, the sums over the rows apart, s.
+    pub seconds: f64,
+    /// Epoch and loss, thinned.
+    pub losses: Vec<(usize, f64)>,
+    /// Epochs of `bp_physical` to 1.05 times the loss of weighted least squares, accelerated and plain.
+    pub epochs_to_wls: Option<[Option<usize>; 2]>,
+    /// Cost of physical consistency, nats.
+    pub distance_nats: Option<f64>,
+}
+
+impl<const N: usize> MethodResult<N> {
+    /// A result of nothing but a model and its rows.
+    pub(super) fn plain(name: MethodName, candidate: Candidate<N>, rows: usize) -> Self {
+        Self {
+            name,
+            candidate,
+            fit: None,
+            robot: None,
+            rows,
+            epochs: 0,
+            seconds: 0.0,
+            losses: Vec::new(),
+            epochs_to_wls: None,
+            distance_nats: None,
+        }
+    }
+}
+
+/// Epoch and loss, at most 200 points, first and last kept.
+pub(super) fn thinned(losses: &[f64]) -> Vec<(usize, f64)> {
+    const CURVE: usize = 200;
+    let stride = losses.len().div_ceil(CURVE).max(1);
+    let last = losses.len().saturating_sub(1);
+    let points = losses.iter().copied().enumerate();
+    points
+        .filter(|(epoch, _)| epoch % stride == 0 || *epoch == last)
+        .collect()
+}
