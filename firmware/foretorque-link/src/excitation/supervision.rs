@@ -2,20 +2,20 @@ use super::path_speed::STOP_SHARE;
 use super::program::{AbortReason, PlayLimits};
 use foretorque::joint::{JointMotion, JointVector};
 
-/// Measured speed that is too fast, in units of the joint's limit: encoder noise sits on top of it.
+/// Measured speed that aborts, parts of the joint's limit: encoder noise adds to the speed.
 const OVERSPEED: f32 = 1.2;
 
-/// Watches the arm, and what is asked of it, while an excitation is played.
+/// Supervision of the measured and desired motion while an excitation plays.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Watch<const N: usize> {
+pub(super) struct Supervision<const N: usize> {
     /// Ticks in a row without a measurement.
     blind: u32,
-    /// What was measured in the tick before.
+    /// Measured position of the tick before.
     before: Option<JointVector<N>>,
 }
 
-impl<const N: usize> Watch<N> {
-    /// Has seen nothing.
+impl<const N: usize> Supervision<N> {
+    /// Before the first measurement.
     pub(super) const fn new() -> Self {
         Self {
             blind: 0,
@@ -23,24 +23,24 @@ impl<const N: usize> Watch<N> {
         }
     }
 
-    /// A new excitation has had no tick without a measurement.
+    /// Restarts the count of ticks without a measurement.
     pub(super) fn restart(&mut self) {
         self.blind = 0;
     }
 
-    /// Remembers what was measured in this tick for the next one.
-    pub(super) fn note(&mut self, measured: Option<JointVector<N>>) {
+    /// Keeps the measured position for the next tick.
+    pub(super) fn record(&mut self, measured: Option<JointVector<N>>) {
         self.before = measured;
     }
 
-    /// The first limit that measurement or motion breaks.
+    /// The first limit that measured or desired motion exceeds.
     ///
-    /// * `asked` what was asked of the arm for the tick that is measured
+    /// * `desired` desired motion of the tick that is measured
     /// * `tracking` largest tracking error, rad      * `tick_us` period of the tick, µs
-    pub(super) fn broken(
+    pub(super) fn exceeded(
         &mut self,
         limits: &PlayLimits<N>,
-        asked: &JointMotion<N>,
+        desired: &JointMotion<N>,
         measured: Option<&JointVector<N>>,
         tracking: f32,
         tick_us: u32,
@@ -52,19 +52,23 @@ impl<const N: usize> Watch<N> {
         self.blind = 0;
         let tick_s = tick_us as f32 * 1e-6;
         let before = self.before.as_ref();
-        let motion = asked.q.iter().zip(asked.qd.iter()).zip(asked.qdd.iter());
+        let motion = desired
+            .q
+            .iter()
+            .zip(desired.qd.iter())
+            .zip(desired.qdd.iter());
         let joints = measured.iter().zip(motion).zip(&limits.motion);
-        for (joint, ((q, ((asked, qd), qdd)), bounds)) in joints.enumerate() {
+        for (joint, ((q, ((desired, qd), qdd)), bounds)) in joints.enumerate() {
             let index = joint as u8;
             let (low, high) = bounds.position_rad;
             let inside = |q: f32| q >= low - tracking && q <= high + tracking;
-            if !q.is_finite() || !asked.is_finite() {
+            if !q.is_finite() || !desired.is_finite() {
                 return Some(AbortReason::NotFinite(index));
             }
-            if !(inside(*q) && inside(*asked)) {
+            if !(inside(*q) && inside(*desired)) {
                 return Some(AbortReason::Position(index));
             }
-            if (q - asked).abs() > tracking {
+            if (q - desired).abs() > tracking {
                 return Some(AbortReason::Tracking(index));
             }
             let moved = before.and_then(|before| before.get(joint));
