@@ -19,11 +19,14 @@ impl Capsule {
 }
 
 /// Obstacles of the arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Workspace {
     /// Height of the table the base stands on, along the base's z, m.
+    #[serde(rename = "table_height_m")]
     pub table_height: Option<f64>,
     /// Distance that links keep from the table and from each other, m.
+    #[serde(rename = "clearance_m", default)]
     pub clearance: f64,
 }
 

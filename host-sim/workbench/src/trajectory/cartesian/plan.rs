@@ -212,66 +212,30 @@ mod tests {
 
     #[test]
     fn what_cannot_be_followed_is_named_with_waypoint_and_reason() {
-        let cases = [
-            (
-                "[-0.5, -0.05, 0.3]",
-                "[-1.5, -0.05, 0.3]",
-                "move 3 (via), point 2, tool at (-1.500, -0.050, 0.300) m: out of reach: the wrist would be",
-            ),
-            (
-                "start = { xyz_m = [-0.4, -0.15",
-                "start = { xyz_m = [-0.01, -0.05",
-                "start, tool at (-0.010, -0.050, 0.250) m: out of reach: the wrist would be 0.051 m from the axis of joint 1",
-            ),
-            (
-                "duration_s = 1.5",
-                "duration_s = 0.2",
-                "move 1 (line), tool at (",
-            ),
-            (
-                "duration_s = 1.5",
-                "duration_s = -1",
-                "move[1].duration_s: is -1, must be above 0",
-            ),
-            (
-                "normal = [0, 0, 2]",
-                "normal = [0, 0, 0]",
-                "move[2].circle.normal: has no direction",
-            ),
-            (
-                "centre_m = [-0.45, 0.15",
-                "centre_m = [-0.4, 0.15",
-                "move[2].circle: the move starts on the axis",
-            ),
-            (
-                "rpy_rad = [2.8, 0.3, 0.5]",
-                "rpy_rad = [0.0, 0.0, 0.0]",
-                "move[1].line: turns the tool by more than 3 rad",
-            ),
-            (
-                "[[move]]\nduration_s = 1.5",
-                "[[moves]]\nduration_s = 1.5",
-                "line 6: unknown field `moves`",
-            ),
-            (
-                "0.25], rpy_rad = [3.141592653589793, 0.0, 0.0] }\n\n[[",
-                "0.25] }\n\n[[",
-                "start.rpy_rad: is missing",
-            ),
-            ("-1.57, 0.0]", "-1.57]", "near_q_rad: 5 values for 6 joints"),
-            (
-                "xyz_m = [0.0, 0.0, 0.1]",
-                "xyz_m = [0.0, 0.0, nan]",
-                "tool.xyz_m: is not a finite number",
-            ),
-        ];
-        for (good, bad, message) in cases {
-            assert!(PATH.contains(good), "{good}");
-            let error = plan::<6>(&ur5(), &PATH.replacen(good, bad, 1), PERIOD_S)
-                .map(|samples| samples.len());
-            let said = error.expect_err(message).to_string();
-            assert!(said.starts_with(message), "{said}");
-            assert_eq!(said.lines().count(), 1);
+        // Text of the path's file, its replacement, start of the message.
+        let cases = "
+            [-0.5, -0.05, 0.3] | [-1.5, -0.05, 0.3] | move 3 (via), point 2, tool at (-1.500, -0.050, 0.300) m: out of reach: the wrist would be
+            start = { xyz_m = [-0.4, -0.15 | start = { xyz_m = [-0.01, -0.05 | start, tool at (-0.010, -0.050, 0.250) m: out of reach: the wrist would be 0.051 m from the axis of joint 1
+            duration_s = 1.5 | duration_s = 0.2 | move 1 (line), tool at (
+            duration_s = 1.5 | duration_s = -1 | move[1].duration_s: is -1, must be above 0
+            normal = [0, 0, 2] | normal = [0, 0, 0] | move[2].circle.normal: has no direction
+            centre_m = [-0.45, 0.15 | centre_m = [-0.4, 0.15 | move[2].circle: the move starts on the axis
+            rpy_rad = [2.8, 0.3, 0.5] | rpy_rad = [0.0, 0.0, 0.0] | move[1].line: turns the tool by more than 3 rad
+            [[move]]\\nduration_s = 1.5 | [[moves]]\\nduration_s = 1.5 | line 6: unknown field `moves`
+            0.25], rpy_rad = [3.141592653589793, 0.0, 0.0] }\\n\\n[[ | 0.25] }\\n\\n[[ | start.rpy_rad: is missing
+            -1.57, 0.0] | -1.57] | near_q_rad: 5 values for 6 joints
+            xyz_m = [0.0, 0.0, 0.1] | xyz_m = [0.0, 0.0, nan] | tool.xyz_m: is not a finite number";
+        for case in cases.trim().lines() {
+            let [good, bad, message] = case.split('|').map(str::trim).collect::<Vec<_>>()[..]
+            else {
+                panic!("three columns: {case}");
+            };
+            let [good, bad] = [good, bad].map(|text| text.replace("\\n", "\n"));
+            assert!(PATH.contains(&good), "{good}");
+            let error = plan::<6>(&ur5(), &PATH.replacen(&good, &bad, 1), PERIOD_S);
+            let text = error.expect_err(message).to_string();
+            assert!(text.starts_with(message), "{text}");
+            assert_eq!(text.lines().count(), 1);
         }
     }
 
