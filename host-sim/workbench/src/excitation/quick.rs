@@ -1,8 +1,9 @@
 //! A quick excitation: the best of many random series, for jobs that must not wait for a search.
 
+use super::error::ExcitationError;
+use super::path::Excitation;
 use super::rows::{Frames, Rows};
-use super::series::Extremes;
-use super::{Excitation, ExcitationError, JointSeries, ORDER};
+use super::series::{Extremes, JointSeries, ORDER};
 use crate::robot::Robot;
 use nalgebra::DMatrix;
 use rand::SeedableRng;

@@ -1,6 +1,6 @@
 //! The finite Fourier series of one joint (eq. 17), and how it is brought inside limits.
 
-use super::ExcitationError;
+use super::error::ExcitationError;
 use crate::robot::Robot;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;

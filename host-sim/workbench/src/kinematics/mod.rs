@@ -4,12 +4,11 @@
 //! of the last link (its DH frame); of a URDF the tip link. All poses are expressed in the base frame. Twists are six
 //! numbers: velocity of the flange's origin, m/s, then angular velocity, rad/s, both along the axes of the base.
 //!
-//! `chain` (any arm: forward, Jacobian) → `ur` (closed form) or `numeric` (damped least squares) → [`Inverse`].
+//! `chain` (any arm: forward, Jacobian) → `ur` (closed form) or damped least squares → [`Inverse`].
 
 mod chain;
 mod error;
 mod inverse;
-mod numeric;
 mod ur;
 
 pub use chain::{Chain, Twist, rotation_vector};

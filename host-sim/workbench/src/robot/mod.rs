@@ -7,13 +7,11 @@
 mod body;
 mod description;
 mod file;
-mod perturbation;
-mod placement;
-mod shape;
+mod geometry;
 mod write;
 
-pub use perturbation::Perturbation;
-pub use shape::{Capsule, Workspace, segment_distance};
+pub use body::Perturbation;
+pub use geometry::{Capsule, Placement, Workspace, segment_distance};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -61,15 +59,6 @@ pub enum RobotError {
         /// Reason, with the file and the element.
         problem: String,
     },
-}
-
-/// Constant placement of a frame in the frame before it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placement {
-    /// Rotation that maps child coordinates (at q = 0) into the parent frame.
-    pub rot_parent_child: Matrix3<f64>,
-    /// Origin of the child frame, expressed in the parent frame, m.
-    pub origin: Vector3<f64>,
 }
 
 /// Mass distribution of one link.

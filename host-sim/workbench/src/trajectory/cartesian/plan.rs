@@ -1,8 +1,7 @@
 //! From moves of the tool to motion of the joints, tick by tick.
 
-use super::curve::Point;
-use super::error::{CartesianError, Spot};
-use super::file::{self, Path, Way};
+use super::curve::{Point, Way};
+use super::file::{self, CartesianError, Path, Spot};
 use crate::dynamics::{Joints, State};
 use crate::kinematics::{Inverse, InverseError, Twist};
 use crate::robot::{Placement, Robot};
