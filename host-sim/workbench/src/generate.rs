@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// Source text of the firmware module for a robot: geometry, base-parameter map, limits, nominal parameters.
 ///
-/// The text is data; nobody has to read it. It is left unformatted on purpose (`rustfmt::skip`), a row a line.
+/// The text is data, left unformatted on purpose (`rustfmt::skip`), a row a line.
 pub fn arm_module(robot: &Robot) -> String {
     let map = robot.base_map();
     let type_name = camel_case(&robot.name);

@@ -1,4 +1,4 @@
-//! The base parameters: which standard parameters torque can see, and how the others hide in them.
+//! Base parameters: the identifiable combinations of the standard parameters.
 
 use super::{Joints, ReferenceModel, State};
 use crate::robot::{LINK_PARAMETERS, Robot};

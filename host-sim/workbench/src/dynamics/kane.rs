@@ -175,7 +175,7 @@ impl<const N: usize> ReferenceModel<N> {
     /// `regressor · robot.standard_parameters() = inverse_dynamics`.
     ///
     /// Link wrench about its origin o, in the link frame, with `U = [α]× + [ω]×²`:
-    /// `F = m a + U (m c)`, `n_o = (m c) × a + I α + ω × I ω`; joint j feels `z_j · (n_o + (o − o_j) × F)`.
+    /// `F = m a + U (m c)`, `n_o = (m c) × a + I α + ω × I ω`; the torque of joint j is `z_j · (n_o + (o − o_j) × F)`.
     pub fn regressor(&self, state: &State<N>) -> DMatrix<f64> {
         let mut rows = DMatrix::zeros(N, (LINK_PARAMETERS + 1) * N);
         self.regressor_into(state, &mut rows, 0);
@@ -220,7 +220,7 @@ impl<const N: usize> ReferenceModel<N> {
         let mut origin = Vector3::zeros();
         let mut omega = Vector3::zeros();
         let mut alpha = Vector3::zeros();
-        // An arm at rest on a base that accelerates with −g feels the same forces as one in the field g.
+        // An arm at rest on a base that accelerates with −g has the same forces as one in the field g.
         let mut acceleration = -self.gravity;
         for (k, body) in self.bodies.iter().enumerate() {
             let step = rot * body.placement.origin;

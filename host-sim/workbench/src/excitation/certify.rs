@@ -33,7 +33,7 @@ link frames and columns: compare with the same frames and columns only";
 
 /// Checks `excitation` against the limits of `robot`, its ranges no wider than ±`range_rad`.
 ///
-/// Errors: a robot that has not `N` joints, an empty range, parameters that the path cannot tell apart.
+/// Errors: a robot that has not `N` joints, an empty range, parameters that the path cannot distinguish.
 pub(super) fn certify<const N: usize>(
     robot: &Robot,
     excitation: &Excitation,
@@ -101,11 +101,11 @@ fn joint_limits(
     points: usize,
     range_rad: f64,
 ) -> Result<Vec<LimitCheck>, ExcitationError> {
-    let rooms = Extremes::of_limits(robot, range_rad, 1.0)?;
+    let allowed = Extremes::of_limits(robot, range_rad, 1.0)?;
     let omega = TAU / excitation.period_s;
     let mut checks = Vec::new();
-    for ((joint, series), room) in robot.joints.iter().zip(&excitation.joints).zip(&rooms) {
-        let seen = series.extremes(omega, points);
+    for ((joint, series), limits) in robot.joints.iter().zip(&excitation.joints).zip(&allowed) {
+        let extremes = series.extremes(omega, points);
         let mut push = |limit, unit, worst: f64, allowed: f64, margin| {
             checks.push(LimitCheck {
                 limit,
@@ -116,19 +116,25 @@ fn joint_limits(
                 margin,
             });
         };
-        let (below, above) = (seen.q.0 - room.q.0, room.q.1 - seen.q.1);
+        let (below, above) = (extremes.q.0 - limits.q.0, limits.q.1 - extremes.q.1);
         if below < above {
-            push("position", "rad", seen.q.0, room.q.0, below);
+            push("position", "rad", extremes.q.0, limits.q.0, below);
         } else {
-            push("position", "rad", seen.q.1, room.q.1, above);
+            push("position", "rad", extremes.q.1, limits.q.1, above);
         }
-        push("velocity", "rad/s", seen.qd, room.qd, room.qd - seen.qd);
+        push(
+            "velocity",
+            "rad/s",
+            extremes.qd,
+            limits.qd,
+            limits.qd - extremes.qd,
+        );
         push(
             "acceleration",
             "rad/s^2",
-            seen.qdd,
-            room.qdd,
-            room.qdd - seen.qdd,
+            extremes.qdd,
+            limits.qdd,
+            limits.qdd - extremes.qdd,
         );
     }
     Ok(checks)
@@ -208,8 +214,8 @@ fn clearance_limits<const N: usize>(
             of: clearances.name(index),
             unit: "m",
             worst,
-            allowed: clearances.asked,
-            margin: worst - clearances.asked,
+            allowed: clearances.required,
+            margin: worst - clearances.required,
         })
         .collect()
 }

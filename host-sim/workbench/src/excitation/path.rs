@@ -114,11 +114,11 @@ impl Excitation {
                 b_rad_s: series.b_rad_s.map(|b| b as f32),
             }),
             certificate: joints.map(|series| {
-                let seen = series.extremes(omega, POINTS);
+                let extremes = series.extremes(omega, POINTS);
                 MotionBounds {
-                    position_rad: (seen.q.0 as f32, seen.q.1 as f32),
-                    velocity_rad_s: seen.qd as f32,
-                    acceleration_rad_s2: seen.qdd as f32,
+                    position_rad: (extremes.q.0 as f32, extremes.q.1 as f32),
+                    velocity_rad_s: extremes.qd as f32,
+                    acceleration_rad_s2: extremes.qdd as f32,
                 }
             }),
         })

@@ -15,7 +15,7 @@ pub(super) enum Frames {
     Board,
 }
 
-/// Regressor of rigid body and friction over the columns that torque can tell apart.
+/// Regressor of rigid body and friction over the independent columns.
 ///
 /// Columns: base parameters of the links, base rotor inertias, then a viscous and a Coulomb column a joint.
 #[derive(Clone, Debug)]
@@ -166,8 +166,8 @@ impl<const N: usize> Rows<N> {
         stacked
     }
 
-    /// Values of all columns' parameters for this robot: rigid ones by least squares from its exact torques (there is
-    /// nothing else they could be), friction from the description.
+    /// Values of all columns' parameters for this robot: rigid ones by least squares from its exact torques,
+    /// friction from the description.
     pub(super) fn parameters(&self, robot: &Robot) -> Option<DVector<f64>> {
         let model = ReferenceModel::<N>::new(robot)?;
         let rigid = self.link_columns.len() + self.rotor_columns.len();
@@ -210,7 +210,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ur5_has_36_link_columns_in_both_frames_and_they_give_its_torques() {
+    fn ur5_has_36_link_columns_in_both_frames() {
         let robot = Robot::load("ur5").expect("built in");
         let model = ReferenceModel::<6>::new(&robot).expect("six joints");
         for frames in [Frames::Dh, Frames::Board] {

@@ -140,8 +140,8 @@ impl<const N: usize> Inverse<N> {
             if first > last {
                 return None;
             }
-            let wanted = ((near[j] - q[j]) / TAU).round();
-            out[j] = q[j] + wanted.clamp(first, last) * TAU;
+            let turns = ((near[j] - q[j]) / TAU).round();
+            out[j] = q[j] + turns.clamp(first, last) * TAU;
         }
         Some(out)
     }
@@ -170,7 +170,7 @@ impl<const N: usize> Inverse<N> {
             match solve_from(&self.chain, target, &from) {
                 Ok(q) if self.inside(&q, near).is_some() => {
                     found.push(q);
-                    // What is near is what is wanted; the random starts are for when it leads nowhere.
+                    // The near solution suffices; random starts follow only when it fails.
                     if start == 0 {
                         break;
                     }
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn the_closed_form_does_not_depend_on_where_a_description_puts_its_frames() {
+    fn the_closed_form_does_not_depend_on_the_frames() {
         let robot = reframed(&ur5());
         let tool = Placement::identity();
         let (own, other) = (
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn the_branch_of_an_excitation_is_followed_through_its_singularities() {
+    fn an_excitation_is_followed_through_its_singularities() {
         let robot = ur5();
         let inverse = Inverse::<6>::new(&robot, &Placement::identity()).expect("six joints");
         let series =
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_reached_is_said_with_its_reason() {
+    fn an_unreachable_pose_is_refused_with_its_reason() {
         let inverse = Inverse::<6>::new(&ur5(), &Placement::identity()).expect("six joints");
         let at = |x: f64, y: f64, z: f64| {
             Placement::from_xyz_rpy(

@@ -6,7 +6,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 impl Link {
-    /// Why no body has this inertia tensor (kg·m², about the centre of mass), if so.
+    /// Defect of an inertia tensor (kg·m², about the centre of mass) that no body has; `None` for a possible one.
     ///
     /// The principal moments of a body are positive, and none exceeds the sum of the others.
     pub fn inertia_problem(inertia: &Matrix3<f64>) -> Option<&'static str> {

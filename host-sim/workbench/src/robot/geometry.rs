@@ -50,7 +50,7 @@ impl Placement {
         }
     }
 
-    /// This placement with what rounding left of exact zeros and ones removed.
+    /// This placement with near-exact zeros and ones rounded.
     pub fn snapped(&self) -> Self {
         Self {
             rot_parent_child: self.rot_parent_child.map(|entry| {
@@ -123,7 +123,7 @@ mod tests {
     use rand::{Rng, SeedableRng};
 
     #[test]
-    fn no_pair_of_points_of_two_segments_is_closer_than_their_distance() {
+    fn no_two_points_are_closer_than_the_distance_of_segments() {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         let mut point = || Vector3::from_fn(|_, _| random.random_range(-1.0..1.0));
         for case in 0..500 {

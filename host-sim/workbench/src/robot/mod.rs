@@ -22,7 +22,7 @@ pub const LINK_PARAMETERS: usize = 10;
 /// Most joints an arm may have: as many as a bank of the board holds.
 pub const MAX_JOINTS: usize = foretorque_link::bank::MAX_JOINTS;
 
-/// Why a robot description was refused.
+/// Reason for which a robot description is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RobotError {
     /// Neither a built-in name nor a readable file.
@@ -32,10 +32,10 @@ pub enum RobotError {
         name: String,
         /// The built-in names, joined by commas.
         known: String,
-        /// Why it could not be read as a file.
+        /// Reason for which the file cannot be read.
         reason: String,
     },
-    /// The file is not a robot description at all.
+    /// The file is not a robot description.
     #[error("{file}: {reason}")]
     Syntax {
         /// File or built-in name.
@@ -120,7 +120,7 @@ pub struct Limits {
     /// Largest speed, rad/s.
     #[serde(rename = "velocity_rad_s")]
     pub velocity: f64,
-    /// Largest acceleration asked for by trajectories, rad/s².
+    /// Largest acceleration of trajectories, rad/s².
     #[serde(rename = "acceleration_rad_s2")]
     pub acceleration: f64,
     /// Largest torque, N·m.
@@ -149,7 +149,7 @@ pub struct Joint {
     pub dh_frame: Option<Placement>,
 }
 
-/// How columns of a foreign log are called; `{}` stands for the joint number, counted from 1.
+/// Column names of a foreign log; `{}` stands for the joint number, counted from 1.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogColumns {

@@ -3,7 +3,7 @@ use super::*;
 const UR5: &str = include_str!("../../../robots/ur5.toml");
 
 #[test]
-fn ur5_reaches_where_its_data_sheet_says_when_stretched_out() {
+fn stretched_ur5_reaches_as_its_data_sheet_states() {
     // All joints at zero: x = a2 + a3, y = −d4 − d6, z = d1 − d5 (standard DH table of the UR5).
     let robot = Robot::load("ur5").unwrap();
     let flange = robot

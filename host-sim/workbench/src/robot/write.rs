@@ -5,10 +5,10 @@ use super::{Joint, Link, Placement, Robot};
 use nalgebra::{Rotation3, Vector3};
 
 impl Robot {
-    /// The description file of this robot: what [`Robot::parse`] reads back, to rounding. Joints that came with a
+    /// The description file of this robot, which [`Robot::parse`] reads back to rounding. Joints that came with a
     /// Denavit–Hartenberg row keep it, and their links stand in its frame; all others are given by their joint frames.
     ///
-    /// Errors: what the serialiser says.
+    /// Errors: those of the serialiser.
     ///
     /// ```
     /// use foretorque_workbench::robot::Robot;

@@ -1,6 +1,6 @@
 //! Motions to play: the excitation, a via-point validation path, a path of the tool, or samples from a table.
 //!
-//! [`Trajectory`] is what is played; `source` reads it from a file; `limits` judges it.
+//! [`Trajectory`] is what is played; `source` reads it from a file; `limits` checks it.
 
 pub mod cartesian;
 mod limits;
@@ -21,7 +21,8 @@ use via::ViaPath;
 pub const VALIDATION_S: f64 = 30.0;
 /// Fastest joint of the validation path, rad/s.
 pub const VALIDATION_PEAK_RAD_S: f64 = 2.7;
-/// Something to play, with its own clock.
+
+/// A motion to play, with its own clock.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Trajectory<const N: usize> {
     /// Fourier series, repeated for as long as asked.
@@ -99,7 +100,7 @@ impl<const N: usize> Trajectory<N> {
 
     /// Every motion keeps the joints' limits of position, speed and acceleration.
     ///
-    /// * `period_s` step in which a series or a path is looked at; of a table every row is
+    /// * `period_s` sampling step of a series or a path; of a table every row is checked
     ///
     /// Errors: the first motion that does not.
     pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), BeyondLimits> {

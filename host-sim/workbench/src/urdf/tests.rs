@@ -66,7 +66,7 @@ fn bolted_links_become_part_of_the_link_that_moves_them() {
 
 #[test]
 fn axes_other_than_z_are_turned_onto_z_without_moving_the_zero() {
-    // A door whose hinge points along each axis in turn must feel M and G of a body turning about that axis.
+    // A door whose hinge points along each axis in turn must have M and G of a body turning about that axis.
     for axis in [
         Vector3::x(),
         -Vector3::x(),
@@ -136,7 +136,7 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
 }
 
 #[test]
-fn a_tip_cuts_off_what_it_carries_and_says_so() {
+fn a_tip_cuts_off_its_children_with_a_note() {
     let selection = Selection {
         base: Some("base"),
         tip: Some("fore"),
@@ -161,7 +161,7 @@ fn a_tip_cuts_off_what_it_carries_and_says_so() {
 }
 
 #[test]
-fn what_the_file_does_not_say_is_assumed_in_the_open() {
+fn assumptions_are_listed_in_the_notes() {
     let import = parse("t", ARM, &TO_HAND).unwrap();
     let elbow = &import.robot.joints[1];
     assert_eq!(elbow.limits.position, (-4.0 * FRAC_PI_2, 4.0 * FRAC_PI_2));
@@ -183,7 +183,7 @@ fn what_the_file_does_not_say_is_assumed_in_the_open() {
 }
 
 #[test]
-fn panda_reaches_where_its_manufacturer_says() {
+fn panda_reaches_as_its_manufacturer_states() {
     // All joints at zero: x = a7, z = d1 + d3 + d5 − flange (table of the manufacturer).
     let robot = Robot::load("panda").unwrap();
     let joints = robot.joints.iter();

@@ -1,4 +1,4 @@
-//! The file of a path: TOML, units in the names of the fields. `docs/trajectories.md` tells the format.
+//! The file of a path: TOML, units in the names of the fields. `docs/trajectories.md` describes the format.
 
 use super::curve::{Curve, Way};
 use crate::kinematics::InverseError;
@@ -45,12 +45,12 @@ struct CircleFile {
     carry: bool,
 }
 
-/// A path as the file tells it.
+/// A path in the file's terms.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Path {
     /// The tool's tip in the flange.
     pub(super) tool: Placement,
-    /// Joint positions, rad, near which the start's solution is wanted.
+    /// Joint positions, rad, near the solution of the start.
     pub(super) near_q: Option<Vec<f64>>,
     pub(super) start: Placement,
     pub(super) moves: Vec<Move>,
@@ -175,14 +175,14 @@ fn finite(name: &str, values: &[f64]) -> Result<(), CartesianError> {
     }
 }
 
-/// Where on the path something is wrong.
+/// Position of an error on the path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spot {
     /// The waypoint or move, as the file counts: `start`, `move 2 (circle)`, `move 3 (via), point 2`.
     pub waypoint: String,
     /// Time on the path, s; `None` for the waypoint itself.
     pub t_s: Option<f64>,
-    /// Where the tool should be there, base frame, m.
+    /// Target of the tool there, base frame, m.
     pub target: Vector3<f64>,
 }
 
@@ -197,7 +197,7 @@ impl fmt::Display for Spot {
     }
 }
 
-/// Why a path of the tool cannot be played.
+/// Reason for which a path of the tool cannot be played.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CartesianError {
     /// The file is no path.

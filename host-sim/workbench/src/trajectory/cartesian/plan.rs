@@ -167,11 +167,11 @@ mod tests {
                 left -= path.moves[number].curve.duration_s;
                 number += 1;
             }
-            let wanted = path.moves[number].curve.at(left).pose;
+            let target = path.moves[number].curve.at(left).pose;
             let there = chain.forward(&now.q);
             worst = worst
-                .max((there.origin - wanted.origin).amax())
-                .max((there.rot_parent_child - wanted.rot_parent_child).amax());
+                .max((there.origin - target.origin).amax())
+                .max((there.rot_parent_child - target.rot_parent_child).amax());
         }
         assert!(worst < 2e-9, "{worst}");
         let (first, last) = (samples[0].1, samples[samples.len() - 1].1);
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tool_follows_lines_circles_and_via_points_and_velocities_are_derivatives() {
+    fn the_tool_follows_lines_circles_and_via_points() {
         let path = file::parse(PATH).expect("parses");
         is_followed::<6>(&ur5(), PATH, &path);
     }
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_followed_is_named_with_waypoint_and_reason() {
+    fn a_bad_path_is_refused_with_waypoint_and_reason() {
         // Text of the path's file, its replacement, start of the message.
         let cases = "
             [-0.5, -0.05, 0.3] | [-1.5, -0.05, 0.3] | move 3 (via), point 2, tool at (-1.500, -0.050, 0.300) m: out of reach: the wrist would be
@@ -248,9 +248,9 @@ mod tests {
             line = { xyz_m = [-0.4, -0.25, 0.3] }
         ";
         let error = plan::<6>(&ur5(), text, PERIOD_S).map(|samples| samples.len());
-        let said = error.expect_err("singular").to_string();
+        let text = error.expect_err("singular").to_string();
         assert_eq!(
-            said,
+            text,
             "move 1 (line) at 0.000 s, tool at (-0.400, -0.191, 0.300) m: singular: axes 4 and 6 are parallel (wrist)"
         );
     }
