@@ -17,13 +17,19 @@ pub struct State<const N: usize> {
     pub qdd: Joints<N>,
 }
 
+impl<const N: usize> State<N> {
+    /// Rest at `q`, rad.
+    pub fn rest(q: Joints<N>) -> Self {
+        let (qd, qdd) = (Joints::zeros(), Joints::zeros());
+        Self { q, qd, qdd }
+    }
+}
+
 /// One link: where its joint sits and how its mass is distributed.
 #[derive(Clone, Copy, Debug)]
 struct Body {
     placement: Placement,
-    mass: f64,
-    com: Vector3<f64>,
-    inertia_com: Matrix3<f64>,
+    link: Link,
     rotor_inertia: f64,
 }
 
@@ -53,9 +59,7 @@ impl<const N: usize> ReferenceModel<N> {
             .iter()
             .map(|joint| Body {
                 placement: joint.placement,
-                mass: joint.link.mass,
-                com: joint.link.com,
-                inertia_com: joint.link.inertia_com,
+                link: joint.link,
                 rotor_inertia: joint.drive.rotor_inertia,
             })
             .collect();
@@ -69,15 +73,7 @@ impl<const N: usize> ReferenceModel<N> {
     pub fn with_payload(&self, payload: &Link) -> Self {
         let mut loaded = self.clone();
         if let Some(last) = loaded.bodies.last_mut() {
-            let hand = Link {
-                mass: last.mass,
-                com: last.com,
-                inertia_com: last.inertia_com,
-            };
-            let both = Link::lumped(&[hand, *payload]).unwrap_or(hand);
-            last.mass = both.mass;
-            last.com = both.com;
-            last.inertia_com = both.inertia_com;
+            last.link = Link::lumped(&[last.link, *payload]).unwrap_or(last.link);
         }
         loaded
     }
@@ -123,13 +119,13 @@ impl<const N: usize> ReferenceModel<N> {
         let mut mass = SMatrix::<f64, N, N>::zeros();
         for (k, body) in self.bodies.iter().enumerate() {
             let rot = &kinematics.rot[k];
-            let com = kinematics.origin[k] + rot * body.com;
-            let inertia = rot * body.inertia_com * rot.transpose();
+            let com = kinematics.origin[k] + rot * body.link.com;
+            let inertia = rot * body.link.inertia_com * rot.transpose();
             let mut partial = [Vector3::zeros(); N];
             for j in 0..=k {
                 let axis = &kinematics.axis[j];
                 partial[j] = axis.cross(&(com - kinematics.origin[j]));
-                let momentum = body.mass * partial[j];
+                let momentum = body.link.mass * partial[j];
                 let spin = inertia * axis;
                 for i in 0..=j {
                     mass[(i, j)] += partial[i].dot(&momentum) + kinematics.axis[i].dot(&spin);
@@ -160,13 +156,13 @@ impl<const N: usize> ReferenceModel<N> {
                 velocity += kinematics.omega[k - 1].cross(&lever);
             }
             let (rot, omega) = (&kinematics.rot[k], &kinematics.omega[k]);
-            let lever = rot * body.com;
+            let lever = rot * body.link.com;
             let speed = velocity + omega.cross(&lever);
             let spin = rot.transpose() * omega;
-            energy += 0.5 * body.mass * speed.norm_squared()
-                + 0.5 * spin.dot(&(body.inertia_com * spin))
+            energy += 0.5 * body.link.mass * speed.norm_squared()
+                + 0.5 * spin.dot(&(body.link.inertia_com * spin))
                 + 0.5 * body.rotor_inertia * qd[k] * qd[k]
-                - body.mass * self.gravity.dot(&(kinematics.origin[k] + lever));
+                - body.link.mass * self.gravity.dot(&(kinematics.origin[k] + lever));
         }
         energy
     }
@@ -247,15 +243,15 @@ impl<const N: usize> ReferenceModel<N> {
         for (k, body) in self.bodies.iter().enumerate() {
             let rot = &kinematics.rot[k];
             let (omega, alpha) = (&kinematics.omega[k], &kinematics.alpha[k]);
-            let lever = rot * body.com;
+            let lever = rot * body.link.com;
             let acceleration = kinematics.acceleration[k]
                 + alpha.cross(&lever)
                 + omega.cross(&omega.cross(&lever));
-            let force = body.mass * acceleration;
+            let force = body.link.mass * acceleration;
             let spin = rot.transpose() * omega;
             let moment = rot
-                * (body.inertia_com * (rot.transpose() * alpha)
-                    + spin.cross(&(body.inertia_com * spin)));
+                * (body.link.inertia_com * (rot.transpose() * alpha)
+                    + spin.cross(&(body.link.inertia_com * spin)));
             let com = kinematics.origin[k] + lever;
             for j in 0..=k {
                 let axis = &kinematics.axis[j];

@@ -88,16 +88,15 @@ impl<const N: usize> Objective<N> {
     }
 
     fn state(&self, instant: usize, variables: &[f64]) -> State<N> {
-        let zero = Joints::zeros();
-        let (mut q, mut qd, mut qdd) = (zero, zero, zero);
+        let mut state = State::rest(Joints::zeros());
         for (j, own) in variables.chunks_exact(VARIABLES).enumerate() {
             for (x, [of_q, of_qd, of_qdd]) in own.iter().zip(&self.basis[instant]) {
-                q[j] += x * of_q;
-                qd[j] += x * of_qd;
-                qdd[j] += x * of_qdd;
+                state.q[j] += x * of_q;
+                state.qd[j] += x * of_qd;
+                state.qdd[j] += x * of_qdd;
             }
         }
-        State { q, qd, qdd }
+        state
     }
 
     /// Value at `variables` (9 a joint), and its gradient where `gradient` is given.

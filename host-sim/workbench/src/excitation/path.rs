@@ -31,12 +31,7 @@ impl Excitation {
     /// The motion at `t_s`, which may lie beyond the first period.
     pub fn at<const N: usize>(&self, t_s: f64) -> State<N> {
         let omega = TAU / self.period_s;
-        let zero = Joints::zeros();
-        let mut state = State {
-            q: zero,
-            qd: zero,
-            qdd: zero,
-        };
+        let mut state = State::rest(Joints::zeros());
         for (j, series) in self.joints.iter().take(N).enumerate() {
             (state.q[j], state.qd[j], state.qdd[j]) = series.at(t_s, omega);
         }

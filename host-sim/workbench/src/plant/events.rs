@@ -105,11 +105,7 @@ mod tests {
             payloads: vec![body],
             pushes: Vec::new(),
         });
-        let still = State {
-            q: Joints::<6>::zeros(),
-            qd: Joints::zeros(),
-            qdd: Joints::zeros(),
-        };
+        let still = State::rest(Joints::<6>::zeros());
         let before = plant.true_torque(&still);
         let mut loads = Vec::new();
         for _ in 0..30 {
@@ -148,11 +144,7 @@ mod tests {
         );
         assert_eq!(events.push_at(0.1), torque);
         let (mut pushed, mut left) = (arm(events), arm(Events::default()));
-        let hold = left.true_torque(&State {
-            q: Joints::zeros(),
-            qd: Joints::zeros(),
-            qdd: Joints::zeros(),
-        });
+        let hold = left.true_torque(&State::rest(Joints::zeros()));
         for _ in 0..150 {
             pushed.advance(&hold, 1e-3);
             left.advance(&hold, 1e-3);

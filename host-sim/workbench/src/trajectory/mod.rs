@@ -81,19 +81,13 @@ impl<const N: usize> Trajectory<N> {
             Self::Sampled(samples) => {
                 // Half a microsecond of slack: a sample due now must not be missed by rounding.
                 let next = samples.partition_point(|(due_s, _)| *due_s <= t_s + 5e-7);
-                let zero = State {
-                    q: Joints::zeros(),
-                    qd: Joints::zeros(),
-                    qdd: Joints::zeros(),
-                };
                 samples
                     .get(next.saturating_sub(1))
-                    .map_or(zero, |(_, state)| *state)
+                    .map_or(State::rest(Joints::zeros()), |(_, state)| *state)
             }
         };
         if t_s > end_s + 5e-7 {
-            state.qd = Joints::zeros();
-            state.qdd = Joints::zeros();
+            state = State::rest(state.q);
         }
         state
     }
@@ -152,11 +146,7 @@ mod tests {
     #[test]
     fn a_motion_beyond_a_limit_is_named_with_joint_and_time() {
         let robot = Robot::load("ur5").expect("built in");
-        let still = State {
-            q: Joints::<6>::zeros(),
-            qd: Joints::zeros(),
-            qdd: Joints::zeros(),
-        };
+        let still = State::rest(Joints::<6>::zeros());
         let (mut far, mut fast, mut hard) = (still, still, still);
         far.q[1] = -6.4;
         fast.qd[2] = -3.2;
