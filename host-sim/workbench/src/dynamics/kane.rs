@@ -54,17 +54,12 @@ struct Kinematics<const N: usize> {
 impl<const N: usize> ReferenceModel<N> {
     /// The model of a robot; `None` when it has not `N` joints.
     pub fn new(robot: &Robot) -> Option<Self> {
-        let bodies: Vec<Body> = robot
-            .joints
-            .iter()
-            .map(|joint| Body {
+        Some(Self {
+            bodies: robot.each(|joint| Body {
                 placement: joint.placement,
                 link: joint.link,
                 rotor_inertia: joint.drive.rotor_inertia,
-            })
-            .collect();
-        Some(Self {
-            bodies: bodies.try_into().ok()?,
+            })?,
             gravity: robot.gravity,
         })
     }

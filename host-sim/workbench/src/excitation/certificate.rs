@@ -20,6 +20,46 @@ pub struct LimitCheck {
     pub margin: f64,
 }
 
+impl LimitCheck {
+    /// A value that must not exceed its limit.
+    pub(super) fn at_most(
+        limit: &'static str,
+        of: &str,
+        unit: &'static str,
+        value: (f64, f64),
+    ) -> Self {
+        let (worst, allowed) = value;
+        let margin = allowed - worst;
+        Self {
+            limit,
+            of: of.to_owned(),
+            unit,
+            worst,
+            allowed,
+            margin,
+        }
+    }
+
+    /// A value that must not fall below its limit.
+    pub(super) fn at_least(
+        limit: &'static str,
+        of: &str,
+        unit: &'static str,
+        value: (f64, f64),
+    ) -> Self {
+        let (worst, allowed) = value;
+        let margin = worst - allowed;
+        Self {
+            limit,
+            of: of.to_owned(),
+            unit,
+            worst,
+            allowed,
+            margin,
+        }
+    }
+}
+
 /// Limits that were checked before an excitation was handed out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Certificate {

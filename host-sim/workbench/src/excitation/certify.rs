@@ -40,9 +40,7 @@ pub(super) fn certify<const N: usize>(
     objective: &Objective<N>,
     origin: &Provenance,
 ) -> Result<Certificate, ExcitationError> {
-    let other_size = || ExcitationError::Shape {
-        problem: format!("{} joints where {N} are expected", robot.joint_count()),
-    };
+    let other_size = || ExcitationError::joint_count(robot.joint_count(), N);
     let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
     let step = excitation.period_s / points as f64;
     let states: Vec<State<N>> = (0..points)
@@ -61,14 +59,12 @@ pub(super) fn certify<const N: usize>(
         .ok_or(ExcitationError::Unseen)?;
     let condition_board = condition_number(&board, &sparse);
     if origin.criterion == Criterion::Constrained {
-        limits.push(LimitCheck {
-            limit: "condition number",
-            of: "base regressor of the links, standard DH frames".to_owned(),
-            unit: "1",
-            worst: condition_dh,
-            allowed: origin.condition_limit,
-            margin: origin.condition_limit - condition_dh,
-        });
+        limits.push(LimitCheck::at_most(
+            "condition number",
+            "base regressor of the links, standard DH frames",
+            "1",
+            (condition_dh, origin.condition_limit),
+        ));
     }
     Ok(Certificate {
         holds: limits.iter().all(|check| check.margin >= 0.0),
@@ -105,37 +101,15 @@ fn joint_limits(
     let omega = TAU / excitation.period_s;
     let mut checks = Vec::new();
     for ((joint, series), limits) in robot.joints.iter().zip(&excitation.joints).zip(&allowed) {
-        let extremes = series.extremes(omega, points);
-        let mut push = |limit, unit, worst: f64, allowed: f64, margin| {
-            checks.push(LimitCheck {
-                limit,
-                of: joint.name.clone(),
-                unit,
-                worst,
-                allowed,
-                margin,
-            });
-        };
-        let (below, above) = (extremes.q.0 - limits.q.0, limits.q.1 - extremes.q.1);
-        if below < above {
-            push("position", "rad", extremes.q.0, limits.q.0, below);
+        let (extremes, of) = (series.extremes(omega, points), &joint.name);
+        checks.push(if extremes.q.0 - limits.q.0 < limits.q.1 - extremes.q.1 {
+            LimitCheck::at_least("position", of, "rad", (extremes.q.0, limits.q.0))
         } else {
-            push("position", "rad", extremes.q.1, limits.q.1, above);
-        }
-        push(
-            "velocity",
-            "rad/s",
-            extremes.qd,
-            limits.qd,
-            limits.qd - extremes.qd,
-        );
-        push(
-            "acceleration",
-            "rad/s^2",
-            extremes.qdd,
-            limits.qdd,
-            limits.qdd - extremes.qdd,
-        );
+            LimitCheck::at_most("position", of, "rad", (extremes.q.1, limits.q.1))
+        });
+        let (qd, qdd) = ((extremes.qd, limits.qd), (extremes.qdd, limits.qdd));
+        checks.push(LimitCheck::at_most("velocity", of, "rad/s", qd));
+        checks.push(LimitCheck::at_most("acceleration", of, "rad/s^2", qdd));
     }
     Ok(checks)
 }
@@ -177,13 +151,13 @@ fn torque_limits<const N: usize>(
             worst[j] = worst[j].max(rigid[j] + drag);
         }
     }
-    let check = |(j, joint): (usize, &crate::robot::Joint)| LimitCheck {
-        limit: "torque",
-        of: joint.name.clone(),
-        unit: "N*m",
-        worst: worst[j],
-        allowed: joint.limits.torque,
-        margin: joint.limits.torque - worst[j],
+    let check = |(j, joint): (usize, &crate::robot::Joint)| {
+        LimitCheck::at_most(
+            "torque",
+            &joint.name,
+            "N*m",
+            (worst[j], joint.limits.torque),
+        )
     };
     Some(robot.joints.iter().enumerate().map(check).collect())
 }
@@ -209,13 +183,9 @@ fn clearance_limits<const N: usize>(
     worst
         .into_iter()
         .enumerate()
-        .map(|(index, worst)| LimitCheck {
-            limit: "clearance",
-            of: clearances.name(index),
-            unit: "m",
-            worst,
-            allowed: clearances.required,
-            margin: worst - clearances.required,
+        .map(|(index, worst)| {
+            let value = (worst, clearances.required);
+            LimitCheck::at_least("clearance", &clearances.name(index), "m", value)
         })
         .collect()
 }

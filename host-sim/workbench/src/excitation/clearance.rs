@@ -29,7 +29,7 @@ impl<const N: usize> Clearances<N> {
     /// Links two or more apart keep clear of each other (neighbours share a joint housing), all but the first of the
     /// table (it carries the arm and keeps its height). `None` when the robot has not `N` joints.
     pub(super) fn new(robot: &Robot) -> Option<Self> {
-        let placements: Vec<Placement> = robot.joints.iter().map(|j| j.placement).collect();
+        let placements: [Placement; N] = robot.each(|joint| joint.placement)?;
         let capsules: Vec<Vec<Capsule>> = robot.joints.iter().map(|j| j.capsules.clone()).collect();
         let solid = |k: &usize| !capsules[*k].is_empty();
         let mut pairs = Vec::new();
@@ -40,7 +40,6 @@ impl<const N: usize> Clearances<N> {
             let outer = (inner + 2..N).filter(solid);
             pairs.extend(outer.map(|outer| Pair::Links { inner, outer }));
         }
-        let placements: [Placement; N] = placements.try_into().ok()?;
         let levers = pairs
             .iter()
             .map(|pair| {

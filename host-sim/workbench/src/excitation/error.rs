@@ -51,3 +51,12 @@ pub enum ExcitationError {
     #[error("excitation: within these limits torque cannot see all base parameters")]
     Unseen,
 }
+
+impl ExcitationError {
+    /// The error of a robot that has not `expected` joints.
+    pub(super) fn joint_count(found: usize, expected: usize) -> Self {
+        Self::Shape {
+            problem: format!("{found} joints where {expected} are expected"),
+        }
+    }
+}

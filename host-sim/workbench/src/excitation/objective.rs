@@ -37,7 +37,21 @@ pub(super) struct Objective<const N: usize> {
     pub(super) criterion: Criterion,
     pub(super) ln_condition_limit: f64,
     /// q, qd, qdd of each variable at each instant.
-    basis: Vec<[[f64; 3]; VARIABLES]>,
+    pub(super) basis: Vec<[[f64; 3]; VARIABLES]>,
+}
+
+/// q, qd, qdd of each variable at each instant of a period.
+pub(super) fn basis(bases: &Bases, period_s: f64) -> Vec<[[f64; 3]; VARIABLES]> {
+    let at = |k: usize, variable: usize| {
+        let mut one = [0.0; VARIABLES];
+        one[variable] = 1.0;
+        let t_s = period_s * k as f64 / INSTANTS as f64;
+        let (q, qd, qdd) = bases.series(&one).at(t_s, TAU / period_s);
+        [q, qd, qdd]
+    };
+    (0..INSTANTS)
+        .map(|k| std::array::from_fn(|variable| at(k, variable)))
+        .collect()
 }
 
 /// Weights and clearances of the penalties.
@@ -50,43 +64,6 @@ pub(super) struct PenaltyWeights {
 }
 
 impl<const N: usize> Objective<N> {
-    #[expect(clippy::too_many_arguments, reason = "one call, one constant model")]
-    pub(super) fn new(
-        rows: Rows<N>,
-        experiment: Experiment<N>,
-        clearances: Clearances<N>,
-        limits: Vec<Extremes>,
-        torque: [f64; N],
-        parameters: DVector<f64>,
-        criterion: Criterion,
-        condition_limit: f64,
-        period_s: f64,
-    ) -> Self {
-        let (bases, omega) = (Bases::new(), TAU / period_s);
-        let basis = (0..INSTANTS)
-            .map(|k| {
-                std::array::from_fn(|variable| {
-                    let mut one = [0.0; VARIABLES];
-                    one[variable] = 1.0;
-                    let t_s = period_s * k as f64 / INSTANTS as f64;
-                    let (q, qd, qdd) = bases.series(&one).at(t_s, omega);
-                    [q, qd, qdd]
-                })
-            })
-            .collect();
-        Self {
-            rows,
-            experiment,
-            clearances,
-            limits,
-            torque,
-            parameters,
-            criterion,
-            ln_condition_limit: condition_limit.ln(),
-            basis,
-        }
-    }
-
     fn state(&self, instant: usize, variables: &[f64]) -> State<N> {
         let mut state = State::rest(Joints::zeros());
         for (j, own) in variables.chunks_exact(VARIABLES).enumerate() {

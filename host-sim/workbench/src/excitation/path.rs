@@ -53,11 +53,8 @@ impl Excitation {
             return shape(format!("order {} where {ORDER} is expected", self.order));
         }
         if self.joints.len() != robot.joint_count() {
-            return shape(format!(
-                "{} joints where {} are expected",
-                self.joints.len(),
-                robot.joint_count()
-            ));
+            let (found, expected) = (self.joints.len(), robot.joint_count());
+            return Err(ExcitationError::joint_count(found, expected));
         }
         if !(self.period_s.is_finite() && self.period_s > 0.0) {
             return shape(format!("period of {} s", self.period_s));
@@ -84,13 +81,11 @@ impl Excitation {
         periods: u16,
         tracking_rad: f32,
     ) -> Result<ExcitationProgram<N>, ExcitationError> {
-        let joints: &[JointSeries; N] =
-            self.joints
-                .as_slice()
-                .try_into()
-                .map_err(|_| ExcitationError::Shape {
-                    problem: format!("{} joints where {N} are expected", self.joints.len()),
-                })?;
+        let joints: &[JointSeries; N] = self
+            .joints
+            .as_slice()
+            .try_into()
+            .map_err(|_| ExcitationError::joint_count(self.joints.len(), N))?;
         let period_us = (self.period_s * 1e6).round();
         if !(1.0..=f64::from(u32::MAX)).contains(&period_us) {
             return Err(ExcitationError::Shape {

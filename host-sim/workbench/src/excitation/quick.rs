@@ -5,7 +5,6 @@ use super::path::Excitation;
 use super::rows::{Frames, Rows};
 use super::series::{Extremes, JointSeries, ORDER};
 use crate::robot::Robot;
-use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
@@ -51,9 +50,8 @@ impl Excitation {
         config: &QuickConfig,
         mut progress: impl FnMut(),
     ) -> Result<Self, ExcitationError> {
-        let rows = Rows::<N>::new(robot, Frames::Board).ok_or_else(|| ExcitationError::Shape {
-            problem: format!("{} joints where {N} are expected", robot.joint_count()),
-        })?;
+        let rows = Rows::<N>::new(robot, Frames::Board)
+            .ok_or_else(|| ExcitationError::joint_count(robot.joint_count(), N))?;
         let limits = Extremes::of_limits(robot, config.range_rad, config.limit_share)?;
         let omega = TAU / config.period_s;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -85,17 +83,9 @@ impl Excitation {
     fn condition_number<const N: usize>(&self, rows: &Rows<N>) -> f64 {
         const INSTANTS: usize = 100;
         let rigid = rows.count() - 2 * N;
-        let mut block = vec![0.0; N * rows.count()];
-        let mut stacked = DMatrix::zeros(INSTANTS * N, rigid);
-        for k in 0..INSTANTS {
-            let state = self.at::<N>(self.period_s * k as f64 / INSTANTS as f64);
-            rows.write(&state, 1.0, &mut block);
-            for j in 0..N {
-                for c in 0..rigid {
-                    stacked[(k * N + j, c)] = block[j * rows.count() + c];
-                }
-            }
-        }
+        let instants = (0..INSTANTS).map(|k| self.at(self.period_s * k as f64 / INSTANTS as f64));
+        let stacked = rows.stacked(&instants.collect::<Vec<_>>());
+        let stacked = stacked.columns(0, rigid).into_owned();
         let values = stacked.tr_mul(&stacked).symmetric_eigenvalues();
         (values.max() / values.min().max(f64::MIN_POSITIVE)).sqrt()
     }

@@ -5,7 +5,7 @@ use super::certify::{Provenance, certify};
 use super::clearance::Clearances;
 use super::error::ExcitationError;
 use super::information::{Criterion, Experiment};
-use super::objective::{INSTANTS, Objective, PenaltyWeights, descend};
+use super::objective::{INSTANTS, Objective, PenaltyWeights, basis, descend};
 use super::path::Excitation;
 use super::rows::{Frames, Rows};
 use super::series::{Extremes, JointSeries, ORDER};
@@ -139,9 +139,7 @@ struct Search<'a, const N: usize> {
 
 impl<'a, const N: usize> Search<'a, N> {
     fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, ExcitationError> {
-        let other_size = || ExcitationError::Shape {
-            problem: format!("{} joints where {N} are expected", robot.joint_count()),
-        };
+        let other_size = || ExcitationError::joint_count(robot.joint_count(), N);
         let rows = Rows::<N>::new(robot, Frames::Dh).ok_or_else(other_size)?;
         let limits = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
         let clearances = Clearances::<N>::new(robot).ok_or_else(other_size)?;
@@ -169,21 +167,22 @@ impl<'a, const N: usize> Search<'a, N> {
         });
         let experiment = Experiment::new(robot, &rows).ok_or_else(other_size)?;
         let parameters = rows.parameters(robot).ok_or_else(other_size)?;
+        let bases = Bases::new();
         Ok(Self {
-            objective: Objective::new(
-                rows,
+            objective: Objective {
                 experiment,
                 clearances,
                 limits,
                 torque,
                 parameters,
-                config.criterion,
-                config.condition_limit * CONDITION_SHARE,
-                config.period_s,
-            ),
+                criterion: config.criterion,
+                ln_condition_limit: (config.condition_limit * CONDITION_SHARE).ln(),
+                basis: basis(&bases, config.period_s),
+                rows,
+            },
             robot,
             config,
-            bases: Bases::new(),
+            bases,
             origin: Provenance {
                 criterion: config.criterion,
                 starts: config.starts,

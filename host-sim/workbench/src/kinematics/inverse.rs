@@ -27,10 +27,9 @@ impl<const N: usize> Inverse<N> {
     /// The inverse of a robot with `tool` on its flange; `None` when it has not `N` joints.
     pub fn new(robot: &Robot, tool: &Placement) -> Option<Self> {
         let chain = Chain::<N>::new(robot, tool)?;
-        let ranges: Vec<(f64, f64)> = robot.joints.iter().map(|j| j.limits.position).collect();
         Some(Self {
             closed: UrArm::of(&chain.placements, &chain.tip),
-            ranges: ranges.try_into().ok()?,
+            ranges: robot.each(|joint| joint.limits.position)?,
             chain,
         })
     }

@@ -25,9 +25,8 @@ pub(super) struct FrictionModel<const N: usize> {
 
 impl<const N: usize> FrictionModel<N> {
     pub(super) fn new(robot: &Robot, viscous_drift: f64, load: f64) -> Option<Self> {
-        let joints: Vec<Friction> = robot.joints.iter().map(|joint| joint.friction).collect();
         Some(Self {
-            joints: joints.try_into().ok()?,
+            joints: robot.each(|joint| joint.friction)?,
             viscous_drift,
             load,
         })

@@ -194,6 +194,12 @@ impl Robot {
         self.joints.len()
     }
 
+    /// One value for each joint; `None` when the robot has not `N` joints.
+    pub fn each<T, const N: usize>(&self, of: impl FnMut(&Joint) -> T) -> Option<[T; N]> {
+        let values: Vec<T> = self.joints.iter().map(of).collect();
+        values.try_into().ok()
+    }
+
     /// Standard parameters of every link, then the rotor inertia of every joint: 10 N + N values, SI.
     pub fn standard_parameters(&self) -> Vec<f64> {
         let links = self
