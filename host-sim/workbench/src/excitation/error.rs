@@ -14,7 +14,7 @@ pub enum ExcitationError {
     /// Another number of joints or harmonics than expected, or a coefficient or period that makes no sense.
     #[error("excitation: {problem}")]
     Shape {
-        /// What is wrong.
+        /// Reason.
         problem: String,
     },
     /// The range of a joint is empty.
@@ -28,11 +28,11 @@ pub enum ExcitationError {
         "excitation: no path keeps all limits; in no pose is {of} clear by more than {most_m:.3} m, asked for {asked_m} m"
     )]
     OutOfReach {
-        /// What is to be kept clear of what.
+        /// Names of the two bodies.
         of: String,
         /// More than can be had, m.
         most_m: f64,
-        /// What is asked for, m.
+        /// Distance that is required, m.
         asked_m: f64,
     },
     /// No start of the search ended inside all limits.
@@ -42,9 +42,9 @@ pub enum ExcitationError {
     Unkept {
         /// The limit that was missed by the best start.
         limit: String,
-        /// What was reached, with its unit.
+        /// Value that was reached, with its unit.
         reached: String,
-        /// What is asked for, with its unit.
+        /// Value that is required, with its unit.
         asked: String,
     },
     /// Torque does not tell all parameters apart on any path that was tried.

@@ -15,7 +15,7 @@ pub(super) const INSTANTS: usize = 250;
 const SIGN_WIDTH_RAD_S: f64 = 0.05;
 /// A clearance missed by this much weighs like a limit exceeded by its own size, m.
 const CLEARANCE_SCALE_M: f64 = 0.1;
-/// What a path is given on which parameters cannot be told apart.
+/// Figure of a path on which parameters cannot be distinguished.
 const UNSEEN: f64 = 1e3;
 
 /// Criterion and limits of one robot.

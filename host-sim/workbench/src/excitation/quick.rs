@@ -12,7 +12,7 @@ use std::f64::consts::{PI, TAU};
 /// Points of one period on which the limits are checked.
 const CHECK_POINTS: usize = 4000;
 
-/// What a quick search needs to know.
+/// Configuration of a quick search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QuickConfig {
     /// Period of the fundamental, s.

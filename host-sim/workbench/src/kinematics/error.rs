@@ -36,21 +36,21 @@ pub enum InverseError {
     /// The numeric search ended elsewhere.
     #[error("out of reach: the nearest pose found is {left_m:.3} m and {left_rad:.3} rad away")]
     Missed {
-        /// What is left of the position, m.
+        /// Remaining error of the position, m.
         left_m: f64,
-        /// What is left of the orientation, rad.
+        /// Remaining error of the orientation, rad.
         left_rad: f64,
     },
     /// There are solutions, all of them outside the joints' ranges.
     #[error("out of reach: all {solutions} solutions are outside the joints' ranges")]
     OutsideRanges {
-        /// How many there are.
+        /// Number of solutions.
         solutions: usize,
     },
     /// The arm cannot move the tool in every direction there: the way on is not determined.
     #[error("singular: {posture}")]
     Singular {
-        /// What is in line.
+        /// Parts that are in line.
         posture: &'static str,
     },
 }

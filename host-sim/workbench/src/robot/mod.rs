@@ -30,7 +30,7 @@ pub enum RobotError {
     /// Neither a built-in name nor a readable file.
     #[error("unknown robot '{name}': not one of [{known}], and as a file: {reason}")]
     NotFound {
-        /// What was asked for.
+        /// Name that was given.
         name: String,
         /// The built-in names, joined by commas.
         known: String,
@@ -52,13 +52,13 @@ pub enum RobotError {
         file: String,
         /// Path of the field, for example `joints[2].link.mass_kg`.
         field: String,
-        /// What is wrong with it.
+        /// Reason.
         problem: String,
     },
     /// The file is a URDF that does not describe one arm.
     #[error("{problem}")]
     Urdf {
-        /// What is wrong, with the file and the element.
+        /// Reason, with the file and the element.
         problem: String,
     },
 }
@@ -139,7 +139,7 @@ pub struct Joint {
     pub friction: Friction,
     /// Limits.
     pub limits: Limits,
-    /// What the link takes up in space, in the joint frame.
+    /// Volume of the link, in the joint frame.
     pub capsules: Vec<Capsule>,
     /// The standard DH frame of the link, at its far end, in the joint frame; `None` where the description gives no DH row.
     pub dh_frame: Option<Placement>,
@@ -176,7 +176,7 @@ pub struct Robot {
     pub flange: Placement,
     /// Column names of foreign logs, if the description gives any.
     pub log_columns: Option<LogColumns>,
-    /// What the arm must keep clear of.
+    /// Obstacles of the arm.
     pub workspace: Workspace,
 }
 

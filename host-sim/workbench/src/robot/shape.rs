@@ -1,4 +1,4 @@
-//! What an arm takes up in space, and what it must keep clear of.
+//! Volume of an arm, and its obstacles.
 
 use nalgebra::Vector3;
 
@@ -18,7 +18,7 @@ impl Capsule {
     }
 }
 
-/// What the arm must keep clear of.
+/// Obstacles of the arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Workspace {
     /// Height of the table the base stands on, along the base's z, m.

@@ -24,7 +24,7 @@ pub enum TrajectoryError {
     Syntax {
         /// The file.
         path: PathBuf,
-        /// What the parser said.
+        /// Message of the parser.
         reason: String,
     },
     /// The excitation is for another robot.
@@ -54,7 +54,7 @@ pub enum TrajectoryError {
 }
 
 impl<const N: usize> Trajectory<N> {
-    /// What `--trajectory` names: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
+    /// Loads the argument of `--trajectory`: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with time, q,
     /// time, q, qd and qdd. Limits are checked.
     ///
     /// * `seed` of the validation path

@@ -6,11 +6,11 @@
 pub struct UrdfError {
     /// The file.
     pub file: String,
-    /// What is wrong with it.
+    /// Defect.
     pub problem: UrdfProblem,
 }
 
-/// What is wrong with a URDF.
+/// Defect of a URDF.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UrdfProblem {
     /// The file cannot be read.
@@ -27,7 +27,7 @@ pub enum UrdfProblem {
     Element {
         /// Line of the element.
         line: u32,
-        /// What is wrong, beginning with the name of the element.
+        /// Reason, beginning with the name of the element.
         problem: String,
     },
     /// A link is named that does not exist.

@@ -153,6 +153,19 @@ macro_rules! friction_columns {
             }
         }
 
+        impl FrictionParameters {
+            /// Friction torque Σ parameter × column, N·m, added in the order of the columns.
+            ///
+            /// * `columns` [`FrictionPoint::columns`]
+            ///
+            /// Cost: one multiply-add for each column.
+            #[inline(always)]
+            pub const fn torque(&self, columns: &[f32; FRICTION_COLUMNS]) -> f32 {
+                // Written out for the tick. The sum begins at −0: −0 + x is x.
+                -0.0 $(+ self.term(FrictionColumn::$column, columns))*
+            }
+        }
+
         impl<T: Real> FrictionPoint<T> {
             /// Value of every basis function: the torque for each unit of its parameter.
             ///
@@ -299,18 +312,15 @@ impl FrictionParameters {
         self
     }
 
-    /// Friction torque Σ column × parameter, N·m, in the order of the columns.
-    ///
-    /// * `columns` [`FrictionPoint::columns`]
-    ///
-    /// Cost: one multiply-add for each column.
+    /// Torque of one column, N·m.
     #[inline(always)]
-    pub fn torque(&self, columns: &[f32; FRICTION_COLUMNS]) -> f32 {
-        let mut sum = self.0[0] * columns[0];
-        for k in 1..FRICTION_COLUMNS {
-            sum += self.0[k] * columns[k];
+    const fn term(&self, column: FrictionColumn, columns: &[f32; FRICTION_COLUMNS]) -> f32 {
+        let parameter = self.0[column as usize];
+        match column {
+            // Its column is 1.
+            FrictionColumn::Offset => parameter,
+            _ => parameter * columns[column as usize],
         }
-        sum
     }
 }
 

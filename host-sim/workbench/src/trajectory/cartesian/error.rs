@@ -43,7 +43,7 @@ pub enum CartesianError {
     Field {
         /// The field, for example `move[2].duration_s`, moves from 1.
         field: String,
-        /// What is wrong with it.
+        /// Reason.
         problem: String,
     },
     /// The robot has another number of joints than expected.

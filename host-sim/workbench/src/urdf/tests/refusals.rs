@@ -1,4 +1,4 @@
-//! What is no arm, and what is damaged.
+//! Refused files: damaged ones, and those that describe no arm.
 
 use super::*;
 
