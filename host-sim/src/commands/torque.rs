@@ -7,7 +7,7 @@ use foretorque::arm::Arm;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{
-    StateReader, StateRow, TableProblem, TableWriter, TimeColumn, joint_columns,
+    StateReader, StateRow, TableError, TableProblem, TableWriter, TimeColumn, joint_columns,
 };
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};

@@ -1,9 +1,8 @@
-//! Writes the constants of an arm as a module of the firmware.
+//! The constants of an arm as a module of the firmware.
 
 use crate::files::{at, write_whole};
-use crate::robot::{LINK_PARAMETERS, Robot};
+use crate::robot::{LINK_PARAMETERS, Limits, Robot};
 use foretorque::arm::{LinkColumns, Placement, identity};
-use std::fmt::Write;
 use std::path::Path;
 
 /// Source text of the firmware module for a robot: geometry, base-parameter map, limits, nominal parameters.
@@ -11,135 +10,106 @@ use std::path::Path;
 /// The text is data; nobody has to read it. It is left unformatted on purpose (`rustfmt::skip`), a row a line.
 pub fn arm_module(robot: &Robot) -> String {
     let map = robot.base_map();
-    let type_name = camel_case(&robot.name);
-    let mut out = String::new();
-    // Writing into a String cannot fail.
-    let mut line = |text: &str| {
-        let _ = writeln!(out, "{text}");
+    let (name, type_name) = (&robot.name, camel_case(&robot.name));
+    let rows = |items: &mut dyn Iterator<Item = String>| -> String {
+        items.map(|item| format!("        {item},\n")).collect()
     };
-    line(&format!(
-        "//! Constants of `{}`, written by `host-sim generate` from its description. Change that, not this.",
-        robot.name
-    ));
-    line("");
-    line("use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};");
-    line("");
-    line("/// Number of joints.");
-    line(&format!(
-        "pub const JOINTS: usize = {};",
-        robot.joint_count()
-    ));
-    line("/// Number of base parameters: inertial ones, then rotor inertias.");
-    line(&format!("pub const PARAMETERS: usize = {};", map.rank()));
-    line("");
-    line(&format!("/// The arm `{}`.", robot.name));
-    line("#[derive(Clone, Copy, Debug, PartialEq, Eq)]");
-    line(&format!("pub struct {type_name};"));
-    line("");
-    for (quantity, path, parameters) in [
-        (
-            "Feed-forward",
-            "feedforward::FeedForward",
-            format!("{type_name}, JOINTS, PARAMETERS"),
-        ),
-        (
-            "Learner",
-            "learning::Learner",
-            format!("{type_name}, JOINTS, PARAMETERS"),
-        ),
-        (
-            "Learner configuration",
-            "learning::LearnerConfig",
-            "JOINTS, PARAMETERS".into(),
-        ),
-        (
-            "Parameter set",
-            "learning::ParameterSet",
-            "JOINTS, PARAMETERS".into(),
-        ),
+    let (learner, set) = (
+        format!("{type_name}, JOINTS, PARAMETERS"),
+        "JOINTS, PARAMETERS",
+    );
+    let aliases = [
+        ("Feed-forward", "feedforward::FeedForward", learner.as_str()),
+        ("Learner", "learning::Learner", &learner),
+        ("Learner configuration", "learning::LearnerConfig", set),
+        ("Parameter set", "learning::ParameterSet", set),
         (
             "Exchange between feed-forward and learner",
             "learning::Exchange",
-            "JOINTS, PARAMETERS".into(),
+            set,
         ),
-    ] {
-        let name = path.rsplit("::").next().unwrap_or(path);
-        line(&format!("/// {quantity} of this arm."));
-        line(&format!(
-            "pub type {name} = foretorque::{path}<{parameters}>;"
-        ));
-    }
-    line("");
-    line("#[rustfmt::skip]");
-    line(&format!("impl Arm<JOINTS, PARAMETERS> for {type_name} {{"));
-    line(&format!("    const NAME: &'static str = {:?};", robot.name));
-    line(&format!(
-        "    const GRAVITY: [f32; 3] = {:?};",
-        gravity(robot)
-    ));
-    line("    const PLACEMENTS: [Placement; JOINTS] = [");
-    for placement in placements(robot) {
-        line(&format!("        {placement:?},"));
-    }
-    line("    ];");
-    line("    const COLUMNS: [LinkColumns; JOINTS] = [");
-    for columns in link_columns(robot, &map.columns) {
-        line(&format!("        {columns:?},"));
-    }
-    line("    ];");
-    line("    const BASE_MAP: &'static [BaseTerm] = &[");
-    for term in &map.terms {
-        let weight = term.weight as f32;
-        line(&format!(
-            "        BaseTerm::new({}, {}, {weight:?}),",
-            term.base, term.standard
-        ));
-    }
-    line("    ];");
-    line("    const LIMITS: [JointLimits; JOINTS] = [");
-    for joint in &robot.joints {
-        let (lower, upper) = joint.limits.position;
-        line(&format!(
-            "        JointLimits {{ position: ({}, {}), velocity: {}, torque: {} }},",
-            number(lower),
-            number(upper),
-            number(joint.limits.velocity),
-            number(joint.limits.torque)
-        ));
-    }
-    line("    ];");
-    let cycles = robot
+    ];
+    let aliases = aliases.map(|(quantity, path, parameters)| {
+        let alias = path.rsplit("::").next().unwrap_or(path);
+        format!(
+            "/// {quantity} of this arm.\npub type {alias} = foretorque::{path}<{parameters}>;\n"
+        )
+    });
+    let cogging: Vec<f32> = robot
         .joints
         .iter()
-        .map(|joint| joint.friction.cogging_cycles_rev as f32);
-    if cycles.clone().any(|cycles| cycles != 0.0) {
-        let cycles: Vec<f32> = cycles.collect();
-        line(&format!(
-            "    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};"
-        ));
-    }
-    line("    const NOMINAL: [f32; PARAMETERS] = [");
-    for value in map.base_parameters(robot) {
-        line(&format!("        {:?},", value as f32));
-    }
-    line("    ];");
-    line(&format!(
-        "    const LINKS: [[f32; {LINK_PARAMETERS}]; JOINTS] = ["
-    ));
-    for joint in &robot.joints {
-        let link = joint.link.standard_parameters();
-        // As of the placements: −0 is 0.
-        line(&format!(
-            "        {:?},",
-            link.map(|value| value as f32 + 0.0)
-        ));
-    }
-    line("    ];");
+        .map(|joint| joint.friction.cogging_cycles_rev as f32)
+        .collect();
+    let cogging = match cogging.iter().any(|cycles| *cycles != 0.0) {
+        true => format!("    const COGGING_CYCLES: [f32; JOINTS] = {cogging:?};\n"),
+        false => String::new(),
+    };
     let rotors = robot.joints.iter().map(|joint| joint.drive.rotor_inertia);
     let rotors: Vec<f32> = rotors.map(|inertia| inertia as f32).collect();
-    line(&format!("    const ROTORS: [f32; JOINTS] = {rotors:?};"));
-    line("}");
-    out
+    let joints = || robot.joints.iter();
+    format!(
+        "//! Constants of `{name}`, written by `host-sim generate` from its description. Change that, not this.\n\n\
+         use foretorque::arm::{{Arm, BaseTerm, JointLimits, LinkColumns, Placement}};\n\n\
+         /// Number of joints.\n\
+         pub const JOINTS: usize = {};\n\
+         /// Number of base parameters: inertial ones, then rotor inertias.\n\
+         pub const PARAMETERS: usize = {};\n\n\
+         /// The arm `{name}`.\n\
+         #[derive(Clone, Copy, Debug, PartialEq, Eq)]\n\
+         pub struct {type_name};\n\n\
+         {}\n\
+         #[rustfmt::skip]\n\
+         impl Arm<JOINTS, PARAMETERS> for {type_name} {{\n    \
+             const NAME: &'static str = {name:?};\n    \
+             const GRAVITY: [f32; 3] = {:?};\n    \
+             const PLACEMENTS: [Placement; JOINTS] = [\n{}    ];\n    \
+             const COLUMNS: [LinkColumns; JOINTS] = [\n{}    ];\n    \
+             const BASE_MAP: &'static [BaseTerm] = &[\n{}    ];\n    \
+             const LIMITS: [JointLimits; JOINTS] = [\n{}    ];\n{cogging}    \
+             const NOMINAL: [f32; PARAMETERS] = [\n{}    ];\n    \
+             const LINKS: [[f32; {LINK_PARAMETERS}]; JOINTS] = [\n{}    ];\n    \
+             const ROTORS: [f32; JOINTS] = {rotors:?};\n}}\n",
+        robot.joint_count(),
+        map.rank(),
+        aliases.concat(),
+        gravity(robot),
+        rows(&mut placements(robot).iter().map(|frame| format!("{frame:?}"))),
+        rows(
+            &mut link_columns(robot, &map.columns)
+                .iter()
+                .map(|link| format!("{link:?}"))
+        ),
+        rows(&mut map.terms.iter().map(|term| {
+            let weight = term.weight as f32;
+            format!(
+                "BaseTerm::new({}, {}, {weight:?})",
+                term.base, term.standard
+            )
+        })),
+        rows(&mut joints().map(|joint| joint_limits(&joint.limits))),
+        rows(
+            &mut map
+                .base_parameters(robot)
+                .iter()
+                .map(|value| format!("{:?}", *value as f32))
+        ),
+        // As of the placements: −0 is 0.
+        rows(&mut joints().map(|joint| {
+            let link = joint.link.standard_parameters();
+            format!("{:?}", link.map(|value| value as f32 + 0.0))
+        })),
+    )
+}
+
+fn joint_limits(limits: &Limits) -> String {
+    let (lower, upper) = limits.position;
+    format!(
+        "JointLimits {{ position: ({}, {}), velocity: {}, torque: {} }}",
+        number(lower),
+        number(upper),
+        number(limits.velocity),
+        number(limits.torque)
+    )
 }
 
 /// Writes the module of a robot to `file` and declares it in the `mod.rs` beside it, if there is one.
@@ -180,7 +150,7 @@ pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
     write_whole(&parent, (lines.join("\n") + "\n").as_bytes())
 }
 
-/// Identity of a robot's arm, as the firmware built from [`arm_module`] will state it.
+/// Identity of a robot's arm, as the firmware built from [`arm_module`] has it.
 pub fn arm_hash(robot: &Robot) -> u32 {
     let columns = link_columns(robot, &robot.base_map().columns);
     let placements = placements(robot);
@@ -240,26 +210,10 @@ fn number(value: f64) -> String {
         let sign = if value < 0.0 { "-" } else { "" };
         return format!("{sign}core::f32::consts::{name}");
     }
+    #[rustfmt::skip]
     let known = [
-        E,
-        FRAC_1_PI,
-        FRAC_1_SQRT_2,
-        FRAC_2_PI,
-        FRAC_2_SQRT_PI,
-        FRAC_PI_2,
-        FRAC_PI_3,
-        FRAC_PI_4,
-        FRAC_PI_6,
-        FRAC_PI_8,
-        LN_2,
-        LN_10,
-        LOG2_10,
-        LOG2_E,
-        LOG10_2,
-        LOG10_E,
-        PI,
-        SQRT_2,
-        TAU,
+        E, FRAC_1_PI, FRAC_1_SQRT_2, FRAC_2_PI, FRAC_2_SQRT_PI, FRAC_PI_2, FRAC_PI_3, FRAC_PI_4, FRAC_PI_6, FRAC_PI_8,
+        LN_2, LN_10, LOG2_10, LOG2_E, LOG10_2, LOG10_E, PI, SQRT_2, TAU,
     ];
     if known.iter().any(|named| (named - value.abs()).abs() < 5e-3) {
         format!("f32::from_bits({:#010x} /* {value} */)", value.to_bits())

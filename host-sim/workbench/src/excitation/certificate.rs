@@ -91,9 +91,7 @@ pub(super) fn certify<const N: usize>(
     objective: &Objective<N>,
     origin: &Provenance,
 ) -> Result<Certificate, ExcitationError> {
-    let other_size = || ExcitationError::Shape {
-        problem: format!("{} joints where {N} are expected", robot.joint_count()),
-    };
+    let other_size = || ExcitationError::joints(robot, N);
     let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
     let step = excitation.period_s / points as f64;
     let states: Vec<State<N>> = (0..points)
@@ -152,10 +150,15 @@ fn joint_limits(
     points: usize,
     range_rad: f64,
 ) -> Result<Vec<LimitCheck>, ExcitationError> {
-    let rooms = Extremes::of_limits(robot, range_rad, 1.0)?;
+    let limits_in_use = Extremes::of_limits(robot, range_rad, 1.0)?;
     let omega = TAU / excitation.period_s;
     let mut checks = Vec::new();
-    for ((joint, series), room) in robot.joints.iter().zip(&excitation.joints).zip(&rooms) {
+    for ((joint, series), limit) in robot
+        .joints
+        .iter()
+        .zip(&excitation.joints)
+        .zip(&limits_in_use)
+    {
         let seen = series.extremes(omega, points);
         let mut push = |limit, unit, worst: f64, allowed: f64, margin| {
             checks.push(LimitCheck {
@@ -167,19 +170,19 @@ fn joint_limits(
                 margin,
             });
         };
-        let (below, above) = (seen.q.0 - room.q.0, room.q.1 - seen.q.1);
+        let (below, above) = (seen.q.0 - limit.q.0, limit.q.1 - seen.q.1);
         if below < above {
-            push("position", "rad", seen.q.0, room.q.0, below);
+            push("position", "rad", seen.q.0, limit.q.0, below);
         } else {
-            push("position", "rad", seen.q.1, room.q.1, above);
+            push("position", "rad", seen.q.1, limit.q.1, above);
         }
-        push("velocity", "rad/s", seen.qd, room.qd, room.qd - seen.qd);
+        push("velocity", "rad/s", seen.qd, limit.qd, limit.qd - seen.qd);
         push(
             "acceleration",
             "rad/s^2",
             seen.qdd,
-            room.qdd,
-            room.qdd - seen.qdd,
+            limit.qdd,
+            limit.qdd - seen.qdd,
         );
     }
     Ok(checks)

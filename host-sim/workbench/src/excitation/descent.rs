@@ -1,6 +1,6 @@
 //! One round of the search: L-BFGS on the objective.
 
-use super::objective::{Objective, Pressure};
+use super::objective::{Objective, PenaltyWeights};
 use argmin::core::{CostFunction, Error, Executor, Gradient};
 use argmin::solver::linesearch::MoreThuenteLineSearch;
 use argmin::solver::quasinewton::LBFGS;
@@ -12,13 +12,13 @@ const MEMORY: usize = 20;
 /// The best point seen in at most `iterations` from `variables` on.
 pub(super) fn descend<const N: usize>(
     objective: &Objective<N>,
-    pressure: &Pressure,
+    penalties: &PenaltyWeights,
     variables: Vec<f64>,
     iterations: usize,
 ) -> Vec<f64> {
     let problem = Problem {
         objective,
-        pressure,
+        penalties,
         last: RefCell::new(None),
         best: RefCell::new((f64::INFINITY, variables.clone())),
     };
@@ -37,7 +37,7 @@ type Evaluation = (Vec<f64>, f64, Vec<f64>);
 /// The objective as the solver sees it. Value and gradient come from one evaluation, asked for one after the other.
 struct Problem<'a, const N: usize> {
     objective: &'a Objective<N>,
-    pressure: &'a Pressure,
+    penalties: &'a PenaltyWeights,
     last: RefCell<Option<Evaluation>>,
     best: RefCell<(f64, Vec<f64>)>,
 }
@@ -52,7 +52,7 @@ impl<const N: usize> Problem<'_, N> {
         let mut gradient = vec![0.0; variables.len()];
         let value = self
             .objective
-            .value(variables, self.pressure, Some(&mut gradient));
+            .value(variables, self.penalties, Some(&mut gradient));
         let picked = pick(value, &gradient);
         let mut best = self.best.borrow_mut();
         if value < best.0 {

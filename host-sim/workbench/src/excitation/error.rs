@@ -1,6 +1,8 @@
-//! Why there is no excitation.
+//! Failures of an excitation.
 
-/// Why an excitation was refused, or not found.
+use crate::robot::Robot;
+
+/// An excitation that was refused, or not found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ExcitationError {
     /// It belongs to another robot.
@@ -18,7 +20,7 @@ pub enum ExcitationError {
         problem: String,
     },
     /// The range of a joint is empty.
-    #[error("excitation: limits of joint {joint} leave no room to move")]
+    #[error("excitation: limits of joint {joint} leave no limit to move")]
     Infeasible {
         /// The joint, from 1.
         joint: usize,
@@ -50,4 +52,16 @@ pub enum ExcitationError {
     /// Torque does not tell all parameters apart on any path that was tried.
     #[error("excitation: within these limits torque cannot see all base parameters")]
     Unseen,
+}
+
+impl ExcitationError {
+    /// A robot that has not `expected` joints.
+    pub(super) fn joints(robot: &Robot, expected: usize) -> Self {
+        Self::Shape {
+            problem: format!(
+                "{} joints where {expected} are expected",
+                robot.joint_count()
+            ),
+        }
+    }
 }

@@ -25,7 +25,7 @@ pub(super) struct Objective<const N: usize> {
     pub(super) experiment: Experiment<N>,
     pub(super) clearances: Clearances<N>,
     /// Limits of the joints, as the search keeps them.
-    pub(super) rooms: Vec<Extremes>,
+    pub(super) limits: Vec<Extremes>,
     /// Torque limits less what friction beyond the columns may add, N·m.
     pub(super) torque: [f64; N],
     /// Nominal parameters of all columns.
@@ -38,7 +38,7 @@ pub(super) struct Objective<const N: usize> {
 
 /// How hard limits are pressed.
 #[derive(Clone, Debug)]
-pub(super) struct Pressure {
+pub(super) struct PenaltyWeights {
     /// Weight of the penalties.
     pub(super) weight: f64,
     /// Distance asked for in each clearance, m: more than the limit, for what lies between the instants.
@@ -51,7 +51,7 @@ impl<const N: usize> Objective<N> {
         rows: Rows<N>,
         experiment: Experiment<N>,
         clearances: Clearances<N>,
-        rooms: Vec<Extremes>,
+        limits: Vec<Extremes>,
         torque: [f64; N],
         parameters: DVector<f64>,
         criterion: Criterion,
@@ -74,7 +74,7 @@ impl<const N: usize> Objective<N> {
             rows,
             experiment,
             clearances,
-            rooms,
+            limits,
             torque,
             parameters,
             criterion,
@@ -100,7 +100,7 @@ impl<const N: usize> Objective<N> {
     pub(super) fn value(
         &self,
         variables: &[f64],
-        pressure: &Pressure,
+        penalties: &PenaltyWeights,
         gradient: Option<&mut [f64]>,
     ) -> f64 {
         let width = self.rows.count();
@@ -114,7 +114,7 @@ impl<const N: usize> Objective<N> {
         }
         let wanted = gradient.is_some();
         let mut adjoint = DMatrix::zeros(width, if wanted { INSTANTS * N } else { 0 });
-        let shares = |worth: &Worth| self.shares(worth, pressure.weight).1;
+        let shares = |worth: &Worth| self.shares(worth, penalties.weight).1;
         let worth = self
             .experiment
             .worth(&transposed, shares, wanted.then_some(&mut adjoint));
@@ -124,15 +124,15 @@ impl<const N: usize> Objective<N> {
             }
             return UNSEEN;
         };
-        let mut value = self.shares(&worth, pressure.weight).0;
+        let mut value = self.shares(&worth, penalties.weight).0;
         // Derivatives of the penalties with respect to q, qd, qdd at every instant.
         let mut slopes = vec![[[0.0; 3]; N]; INSTANTS];
-        let each = pressure.weight / INSTANTS as f64;
+        let each = penalties.weight / INSTANTS as f64;
         let mut distances = vec![0.0; self.clearances.count()];
         for (k, state) in states.iter().enumerate() {
             value += each * self.joint_penalty(state, each, &mut slopes[k]);
             value += each
-                * self.clearance_penalty(state, pressure, &mut distances, |j, slope| {
+                * self.clearance_penalty(state, penalties, &mut distances, |j, slope| {
                     slopes[k][j][0] += each * slope;
                 });
             for j in 0..N {
@@ -196,13 +196,13 @@ impl<const N: usize> Objective<N> {
     /// Squares of what exceeds the joints' limits, relative to them; `each` times the slopes is added to `slopes`.
     fn joint_penalty(&self, state: &State<N>, each: f64, slopes: &mut [[f64; 3]; N]) -> f64 {
         let mut penalty = 0.0;
-        for (j, room) in self.rooms.iter().enumerate() {
-            let half = 0.5 * (room.q.1 - room.q.0);
-            let from_middle = state.q[j] - 0.5 * (room.q.0 + room.q.1);
+        for (j, limit) in self.limits.iter().enumerate() {
+            let half = 0.5 * (limit.q.1 - limit.q.0);
+            let from_middle = state.q[j] - 0.5 * (limit.q.0 + limit.q.1);
             let limited = [
                 (from_middle, half),
-                (state.qd[j], room.qd),
-                (state.qdd[j], room.qdd),
+                (state.qd[j], limit.qd),
+                (state.qdd[j], limit.qdd),
             ];
             for (d, (value, limit)) in limited.into_iter().enumerate() {
                 let over = value.abs() / limit - 1.0;
@@ -219,14 +219,14 @@ impl<const N: usize> Objective<N> {
     fn clearance_penalty(
         &self,
         state: &State<N>,
-        pressure: &Pressure,
+        penalties: &PenaltyWeights,
         distances: &mut [f64],
         mut slope: impl FnMut(usize, f64),
     ) -> f64 {
         const STEP_RAD: f64 = 1e-6;
         let mut penalty = |q: &Joints<N>| -> f64 {
             self.clearances.write(q, distances);
-            let missing = distances.iter().zip(&pressure.clearance);
+            let missing = distances.iter().zip(&penalties.clearance);
             missing
                 .map(|(d, asked)| ((asked - d) / CLEARANCE_SCALE_M).max(0.0).powi(2))
                 .sum()

@@ -12,7 +12,7 @@ use std::f64::consts::{PI, TAU};
 /// Points of one period on which the limits are checked.
 const CHECK_POINTS: usize = 4000;
 
-/// What a quick search needs to know.
+/// Settings of a quick search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QuickConfig {
     /// Period of the fundamental, s.
@@ -38,7 +38,7 @@ impl Default for QuickConfig {
 
 impl Excitation {
     /// Best of many random candidates: the one whose stacked base regressor, in the frames of the board, has the smallest
-    /// condition number. Keeps limits of position, speed and acceleration; knows nothing of table and links.
+    /// condition number. Keeps limits of position, speed and acceleration; ignores table and links.
     ///
     /// Every candidate starts and ends at rest and is scaled radially into the limits, so that all are feasible.
     /// `progress` is called after every candidate.
@@ -50,17 +50,16 @@ impl Excitation {
         config: &QuickConfig,
         mut progress: impl FnMut(),
     ) -> Result<Self, ExcitationError> {
-        let rows = Rows::<N>::new(robot, Frames::Board).ok_or_else(|| ExcitationError::Shape {
-            problem: format!("{} joints where {N} are expected", robot.joint_count()),
-        })?;
-        let rooms = Extremes::of_limits(robot, config.range_rad, config.limit_share)?;
+        let rows = Rows::<N>::new(robot, Frames::Board)
+            .ok_or_else(|| ExcitationError::joints(robot, N))?;
+        let limits = Extremes::of_limits(robot, config.range_rad, config.limit_share)?;
         let omega = TAU / config.period_s;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut best: Option<(f64, Self)> = None;
         for _ in 0..config.candidates.max(1) {
-            let joints: Vec<JointSeries> = rooms
+            let joints: Vec<JointSeries> = limits
                 .iter()
-                .map(|room| JointSeries::random(room, omega, CHECK_POINTS, 1.0, &mut random))
+                .map(|limit| JointSeries::random(limit, omega, CHECK_POINTS, 1.0, &mut random))
                 .collect();
             let candidate = Self {
                 robot: robot.name.clone(),

@@ -1,10 +1,10 @@
-//! The search: seeded starts, a quasi-Newton method under growing pressure on the limits, a certificate for each result.
+//! The search: seeded starts, a quasi-Newton method under growing penalties on the limits, a certificate for each result.
 
 use super::certificate::{Certificate, Provenance, certify};
 use super::clearance::Clearances;
 use super::descent::descend;
 use super::information::{Criterion, Experiment};
-use super::objective::{INSTANTS, Objective, Pressure};
+use super::objective::{INSTANTS, Objective, PenaltyWeights};
 use super::rows::{Frames, Rows};
 use super::series::Extremes;
 use super::variables::{Bases, VARIABLES};
@@ -21,12 +21,12 @@ use std::num::NonZeroUsize;
 const LIMIT_SHARE: f64 = 0.995;
 /// Share of the condition number's limit that a search uses.
 const CONDITION_SHARE: f64 = 0.998;
-/// Room for what lies between the points of the certificate: half its step at most, s.
+/// Margin for the motion between the points of the certificate: half its step at most, s.
 const HALF_STEP_S: f64 = 0.5e-3;
 /// Weights of the penalties in the rounds that every start runs.
-const HEAT_WEIGHTS: [f64; 3] = [3.0, 30.0, 300.0];
+const COARSE_WEIGHTS: [f64; 3] = [3.0, 30.0, 300.0];
 /// A round of those takes this fraction of the iterations.
-const HEAT_SHARE: usize = 8;
+const COARSE_SHARE: usize = 8;
 /// One in so many starts goes on.
 const FINALIST_EVERY: usize = 4;
 /// Weights in the rounds of those that do. With the last, a limit that binds on one instant in fifty is exceeded by about
@@ -99,11 +99,21 @@ pub fn optimise<const N: usize>(
         done += 1;
         progress(done, all);
     };
-    let mut heats = in_parallel(threads, &starts, |start| search.heat(start), &mut count);
+    let mut coarse = in_parallel(
+        threads,
+        &starts,
+        |start| search.coarse_search(start),
+        &mut count,
+    );
     // Stable: equal values keep the order of their starts.
-    heats.sort_by(|a, b| a.0.total_cmp(&b.0));
-    heats.truncate(finalists);
-    let mut results = in_parallel(threads, &heats, |heat| search.finish(&heat.1), &mut count);
+    coarse.sort_by(|a, b| a.0.total_cmp(&b.0));
+    coarse.truncate(finalists);
+    let mut results = in_parallel(
+        threads,
+        &coarse,
+        |coarse| search.finish(&coarse.1),
+        &mut count,
+    );
     if let Some(excitation) = given {
         let kept = Excitation {
             seed: config.seed,
@@ -122,17 +132,15 @@ struct Search<'a, const N: usize> {
     objective: Objective<N>,
     bases: Bases,
     origin: Provenance,
-    /// Clearance asked for, with room for what lies between the certificate's points, m.
+    /// Clearance asked for, with a margin for the motion between the certificate's points, m.
     clearance: Vec<f64>,
 }
 
 impl<'a, const N: usize> Search<'a, N> {
     fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, ExcitationError> {
-        let other_size = || ExcitationError::Shape {
-            problem: format!("{} joints where {N} are expected", robot.joint_count()),
-        };
+        let other_size = || ExcitationError::joints(robot, N);
         let rows = Rows::<N>::new(robot, Frames::Dh).ok_or_else(other_size)?;
-        let rooms = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
+        let limits = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
         let clearances = Clearances::<N>::new(robot).ok_or_else(other_size)?;
         for index in 0..clearances.count() {
             let (most_m, asked_m) = (clearances.most(index), clearances.asked);
@@ -144,7 +152,7 @@ impl<'a, const N: usize> Search<'a, N> {
                 });
             }
         }
-        let fastest = Joints::<N>::from_fn(|j, _| rooms[j].qd);
+        let fastest = Joints::<N>::from_fn(|j, _| limits[j].qd);
         let clearance = (0..clearances.count())
             .map(|index| clearances.asked + 0.001 + clearances.rate(index, &fastest) * HALF_STEP_S)
             .collect();
@@ -161,7 +169,7 @@ impl<'a, const N: usize> Search<'a, N> {
                 rows,
                 experiment,
                 clearances,
-                rooms,
+                limits,
                 torque,
                 parameters,
                 config.criterion,
@@ -184,22 +192,26 @@ impl<'a, const N: usize> Search<'a, N> {
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
     fn starts(&self) -> Result<Vec<Vec<f64>>, ExcitationError> {
         let omega = TAU / self.config.period_s;
-        let pressure = self.pressure(HEAT_WEIGHTS[0], 0.0);
+        let penalties = self.penalties(COARSE_WEIGHTS[0], 0.0);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
             .map(|stream| {
                 let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
                 random.set_stream(stream as u64);
                 let variables: Vec<f64> = self
                     .objective
-                    .rooms
+                    .limits
                     .iter()
-                    .flat_map(|room| {
+                    .flat_map(|limit| {
                         let share = random.random_range(0.4..1.0);
-                        let series = JointSeries::random(room, omega, INSTANTS, share, &mut random);
+                        let series =
+                            JointSeries::random(limit, omega, INSTANTS, share, &mut random);
                         self.bases.variables(&series)
                     })
                     .collect();
-                (self.objective.value(&variables, &pressure, None), variables)
+                (
+                    self.objective.value(&variables, &penalties, None),
+                    variables,
+                )
             })
             .collect();
         // Stable: equal values keep the order of their streams.
@@ -215,31 +227,31 @@ impl<'a, const N: usize> Search<'a, N> {
             .collect()
     }
 
-    fn pressure(&self, weight: f64, more_clearance: f64) -> Pressure {
-        Pressure {
+    fn penalties(&self, weight: f64, more_clearance: f64) -> PenaltyWeights {
+        PenaltyWeights {
             weight,
             clearance: self.clearance.iter().map(|c| c + more_clearance).collect(),
         }
     }
 
     /// The first, soft rounds of a start: its value afterwards, and where it got to.
-    fn heat(&self, start: &[f64]) -> (f64, Vec<f64>) {
+    fn coarse_search(&self, start: &[f64]) -> (f64, Vec<f64>) {
         let mut variables = start.to_vec();
-        for weight in HEAT_WEIGHTS {
-            let iterations = self.config.iterations.div_ceil(HEAT_SHARE);
-            variables = self.descend(variables, &self.pressure(weight, 0.0), iterations);
+        for weight in COARSE_WEIGHTS {
+            let iterations = self.config.iterations.div_ceil(COARSE_SHARE);
+            variables = self.descend(variables, &self.penalties(weight, 0.0), iterations);
         }
-        let last = self.pressure(HEAT_WEIGHTS[HEAT_WEIGHTS.len() - 1], 0.0);
+        let last = self.penalties(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1], 0.0);
         (self.objective.value(&variables, &last, None), variables)
     }
 
     /// The last, hard rounds, to the certificate; pressed harder while a limit is missed.
-    fn finish(&self, heat: &[f64]) -> Result<Excitation, ExcitationError> {
-        let mut variables = heat.to_vec();
+    fn finish(&self, coarse: &[f64]) -> Result<Excitation, ExcitationError> {
+        let mut variables = coarse.to_vec();
         for weight in FINAL_WEIGHTS {
             variables = self.descend(
                 variables,
-                &self.pressure(weight, 0.0),
+                &self.penalties(weight, 0.0),
                 self.config.iterations,
             );
         }
@@ -249,30 +261,36 @@ impl<'a, const N: usize> Search<'a, N> {
             if holds(&excitation) {
                 break;
             }
-            let pressure = self.pressure(last * 4.0_f64.powi(repair as i32), 0.001 * repair as f64);
-            variables = self.descend(variables, &pressure, self.config.iterations);
+            let penalties =
+                self.penalties(last * 4.0_f64.powi(repair as i32), 0.001 * repair as f64);
+            variables = self.descend(variables, &penalties, self.config.iterations);
             excitation = self.certified(self.fitted(&variables))?;
         }
         Ok(excitation)
     }
 
-    fn descend(&self, variables: Vec<f64>, pressure: &Pressure, iterations: usize) -> Vec<f64> {
-        descend(&self.objective, pressure, variables, iterations)
+    fn descend(
+        &self,
+        variables: Vec<f64>,
+        penalties: &PenaltyWeights,
+        iterations: usize,
+    ) -> Vec<f64> {
+        descend(&self.objective, penalties, variables, iterations)
     }
 
     /// The variables as a trajectory, what exceeds the joints' limits between the instants taken back.
     fn fitted(&self, variables: &[f64]) -> Excitation {
         let omega = TAU / self.config.period_s;
-        let room = |room: &Extremes| Extremes {
+        let limit = |limit: &Extremes| Extremes {
             // From the search's share back to nearly the whole limit.
-            q: room.q,
-            qd: room.qd * (1.0 - 1e-6) / LIMIT_SHARE,
-            qdd: room.qdd * (1.0 - 1e-6) / LIMIT_SHARE,
+            q: limit.q,
+            qd: limit.qd * (1.0 - 1e-6) / LIMIT_SHARE,
+            qdd: limit.qdd * (1.0 - 1e-6) / LIMIT_SHARE,
         };
         let joints = variables
             .chunks_exact(VARIABLES)
-            .zip(&self.objective.rooms)
-            .map(|(own, limits)| self.bases.series(own).fitted(&room(limits), omega, 10_000))
+            .zip(&self.objective.limits)
+            .map(|(own, limits)| self.bases.series(own).fitted(&limit(limits), omega, 10_000))
             .collect();
         Excitation {
             robot: self.robot.name.clone(),

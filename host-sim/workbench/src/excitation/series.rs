@@ -39,7 +39,7 @@ impl Extremes {
         range_rad: f64,
         share: f64,
     ) -> Result<Vec<Self>, ExcitationError> {
-        let room = |(index, joint): (usize, &crate::robot::Joint)| {
+        let limit = |(index, joint): (usize, &crate::robot::Joint)| {
             let limits = &joint.limits;
             let low = limits.position.0.max(-range_rad);
             let high = limits.position.1.min(range_rad);
@@ -54,7 +54,7 @@ impl Extremes {
                 qdd: limits.acceleration * share,
             })
         };
-        robot.joints.iter().enumerate().map(room).collect()
+        robot.joints.iter().enumerate().map(limit).collect()
     }
 }
 
@@ -114,7 +114,7 @@ impl JointSeries {
     ///
     /// Rest at t = 0, and so at the period's end: Σ a_l = 0 and Σ l b_l = 0.
     pub(super) fn random(
-        room: &Extremes,
+        limit: &Extremes,
         omega: f64,
         points: usize,
         share: f64,
@@ -137,22 +137,22 @@ impl JointSeries {
             b_rad_s: b,
         };
         let seen = shape.extremes(omega, points);
-        let scale = share * room.scale(&seen);
-        // The offset is drawn from the room that the swing leaves.
+        let scale = share * limit.scale(&seen);
+        // The offset is drawn from the range that the swing leaves.
         let swing = (seen.q.1 - seen.q.0) * scale;
-        let left = ((room.q.1 - room.q.0) - swing).max(0.0);
+        let left = ((limit.q.1 - limit.q.0) - swing).max(0.0);
         Self {
-            q0_rad: room.q.0 - seen.q.0 * scale + left * random.random::<f64>(),
+            q0_rad: limit.q.0 - seen.q.0 * scale + left * random.random::<f64>(),
             ..shape.scaled(scale)
         }
     }
 
-    /// This series inside `room`, its swing shrunk and its offset moved no more than needed.
-    pub(super) fn fitted(&self, room: &Extremes, omega: f64, points: usize) -> Self {
+    /// This series inside `limit`, its swing shrunk and its offset moved no more than needed.
+    pub(super) fn fitted(&self, limit: &Extremes, omega: f64, points: usize) -> Self {
         let seen = self.extremes(omega, points);
-        let scale = room.scale(&seen).min(1.0);
+        let scale = limit.scale(&seen).min(1.0);
         let swing = |end: f64| (end - self.q0_rad) * scale;
-        let (low, high) = (room.q.0 - swing(seen.q.0), room.q.1 - swing(seen.q.1));
+        let (low, high) = (limit.q.0 - swing(seen.q.0), limit.q.1 - swing(seen.q.1));
         Self {
             q0_rad: self.q0_rad.max(low).min(high),
             ..self.scaled(scale)
@@ -172,7 +172,7 @@ impl JointSeries {
 impl Extremes {
     /// By how much a swing with the extremes `seen` may be multiplied.
     fn scale(&self, seen: &Self) -> f64 {
-        let span = |room: &Self| room.q.1 - room.q.0;
+        let span = |limit: &Self| limit.q.1 - limit.q.0;
         (self.qd / seen.qd)
             .min(self.qdd / seen.qdd)
             .min(span(self) / span(seen))

@@ -1,13 +1,7 @@
 //! The description file: TOML, units in the names of the fields.
 
-use super::schema::{
-    CapsuleFile, DhFile, DriveFile, FrameFile, FrictionFile, LimitsFile, LinkFile, RobotFile,
-    WorkspaceFile,
-};
-use super::{
-    Capsule, Drive, Friction, Joint, Limits, Link, MAX_JOINTS, Placement, Robot, RobotError,
-    Workspace,
-};
+use super::schema::{CapsuleFile, DhFile, FrameFile, JointFile, LinkFile, RobotFile};
+use super::{Capsule, Joint, Link, MAX_JOINTS, Placement, Robot, RobotError};
 use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
 
@@ -58,13 +52,14 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
                 return Err(check.error(&at("dh"), "give exactly one of 'dh' and 'frame'"));
             }
         };
+        check_values(joint, &check, &at)?;
         joints.push(Joint {
             name: joint.name.clone(),
             placement,
             link: link_in_craig_frame(&joint.link, &end, &check, &at)?,
-            drive: drive(&joint.drive, &check, &at)?,
-            friction: friction(&joint.friction, &check, &at)?,
-            limits: limits(&joint.limits, &check, &at)?,
+            drive: joint.drive,
+            friction: joint.friction,
+            limits: joint.limits,
             capsules: capsules(&joint.capsules, &end, &check, &at)?,
             dh_frame: joint.dh.is_some().then_some(end),
         });
@@ -83,9 +78,15 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
         last.capsules
             .extend(capsules(&tool.capsules, &flange, &check, &at)?);
     }
-    let workspace = workspace(&raw.workspace, &check)?;
+    let height = raw.workspace.table_height;
+    check.that(
+        height.is_none_or(f64::is_finite),
+        "workspace.table_height_m",
+        "is not a finite number",
+    )?;
+    check.not_negative("workspace.clearance_m", raw.workspace.clearance)?;
     Ok(Robot {
-        workspace,
+        workspace: raw.workspace,
         name: raw.name,
         gravity: Vector3::from(raw.gravity_m_s2),
         joints,
@@ -140,76 +141,47 @@ fn link_in_craig_frame(
     Ok(in_dh_frame.placed(end))
 }
 
-fn drive(
-    drive: &DriveFile,
+/// Checks drive, friction and limits of a joint.
+fn check_values(
+    joint: &JointFile,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
-) -> Result<Drive, RobotError> {
-    check.not_negative(&at("drive.rotor_inertia_kg_m2"), drive.rotor_inertia_kg_m2)?;
-    check.positive(&at("drive.gain_nm_a"), drive.gain_nm_a)?;
+) -> Result<(), RobotError> {
+    let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
+    for (field, value) in [
+        ("drive.rotor_inertia_kg_m2", drive.rotor_inertia),
+        ("friction.viscous_nm_s_rad", friction.viscous),
+        ("friction.coulomb_nm", friction.coulomb),
+        ("friction.stribeck_ratio", friction.stribeck_ratio),
+        ("friction.cogging_nm", friction.cogging),
+        ("friction.cogging_cycles_rev", friction.cogging_cycles_rev),
+    ] {
+        check.not_negative(&at(field), value)?;
+    }
+    for (field, value) in [
+        ("drive.gain_nm_a", drive.gain),
+        (
+            "friction.stribeck_velocity_rad_s",
+            friction.stribeck_velocity,
+        ),
+        ("limits.velocity_rad_s", limits.velocity),
+        ("limits.acceleration_rad_s2", limits.acceleration),
+        ("limits.torque_nm", limits.torque),
+    ] {
+        check.positive(&at(field), value)?;
+    }
     check.that(
         (8..=32).contains(&drive.encoder_bits),
         &at("drive.encoder_bits"),
         "must be 8 to 32",
     )?;
-    Ok(Drive {
-        rotor_inertia: drive.rotor_inertia_kg_m2,
-        gain: drive.gain_nm_a,
-        encoder_bits: drive.encoder_bits,
-    })
-}
-
-fn friction(
-    friction: &FrictionFile,
-    check: &Check<'_>,
-    at: &dyn Fn(&str) -> String,
-) -> Result<Friction, RobotError> {
-    check.not_negative(&at("friction.viscous_nm_s_rad"), friction.viscous_nm_s_rad)?;
-    check.not_negative(&at("friction.coulomb_nm"), friction.coulomb_nm)?;
-    check.not_negative(&at("friction.stribeck_ratio"), friction.stribeck_ratio)?;
-    check.positive(
-        &at("friction.stribeck_velocity_rad_s"),
-        friction.stribeck_velocity_rad_s,
-    )?;
-    check.not_negative(&at("friction.cogging_nm"), friction.cogging_nm)?;
-    check.not_negative(
-        &at("friction.cogging_cycles_rev"),
-        friction.cogging_cycles_rev,
-    )?;
-    Ok(Friction {
-        viscous: friction.viscous_nm_s_rad,
-        coulomb: friction.coulomb_nm,
-        stribeck_ratio: friction.stribeck_ratio,
-        stribeck_velocity: friction.stribeck_velocity_rad_s,
-        cogging: friction.cogging_nm,
-        cogging_cycles_rev: friction.cogging_cycles_rev,
-    })
-}
-
-fn limits(
-    limits: &LimitsFile,
-    check: &Check<'_>,
-    at: &dyn Fn(&str) -> String,
-) -> Result<Limits, RobotError> {
-    let [lower, upper] = limits.position_rad;
-    check.finite(&at("limits.position_rad"), &limits.position_rad)?;
+    let (lower, upper) = limits.position;
+    check.finite(&at("limits.position_rad"), &[lower, upper])?;
     check.that(
         lower < upper,
         &at("limits.position_rad"),
         "lower end must be below upper end",
-    )?;
-    check.positive(&at("limits.velocity_rad_s"), limits.velocity_rad_s)?;
-    check.positive(
-        &at("limits.acceleration_rad_s2"),
-        limits.acceleration_rad_s2,
-    )?;
-    check.positive(&at("limits.torque_nm"), limits.torque_nm)?;
-    Ok(Limits {
-        position: (lower, upper),
-        velocity: limits.velocity_rad_s,
-        acceleration: limits.acceleration_rad_s2,
-        torque: limits.torque_nm,
-    })
+    )
 }
 
 fn capsules(
@@ -231,20 +203,6 @@ fn capsules(
             })
         })
         .collect()
-}
-
-fn workspace(workspace: &WorkspaceFile, check: &Check<'_>) -> Result<Workspace, RobotError> {
-    let height = workspace.table_height_m;
-    check.that(
-        height.is_none_or(f64::is_finite),
-        "workspace.table_height_m",
-        "is not a finite number",
-    )?;
-    check.not_negative("workspace.clearance_m", workspace.clearance_m)?;
-    Ok(Workspace {
-        table_height: height,
-        clearance: workspace.clearance_m,
-    })
 }
 
 /// Turns a violated condition into an error that names file and field.

@@ -17,6 +17,7 @@ pub use perturbation::Perturbation;
 pub use shape::{Capsule, Workspace, segment_distance};
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Number of standard inertial parameters of a link, in the order of eq. 14.
 pub const LINK_PARAMETERS: usize = 10;
@@ -84,43 +85,62 @@ pub struct Link {
 }
 
 /// The drive of one joint.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Drive {
     /// Rotor inertia reflected to the link side, kg·m².
+    #[serde(rename = "rotor_inertia_kg_m2", default)]
     pub rotor_inertia: f64,
-    /// Joint torque a motor current makes, N·m/A.
+    /// Joint torque per motor current, N·m/A.
+    #[serde(rename = "gain_nm_a", default = "one")]
     pub gain: f64,
     /// Resolution of the joint encoder, bits a revolution.
     pub encoder_bits: u32,
 }
 
+fn one() -> f64 {
+    1.0
+}
+
 /// True friction of one joint, as the simulated plant has it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Friction {
     /// Viscous coefficient, N·m·s/rad.
+    #[serde(rename = "viscous_nm_s_rad")]
     pub viscous: f64,
     /// Coulomb torque, N·m.
+    #[serde(rename = "coulomb_nm")]
     pub coulomb: f64,
     /// Stribeck peak above Coulomb, as a share of it.
+    #[serde(default)]
     pub stribeck_ratio: f64,
     /// Velocity at which the Stribeck peak has decayed to 1/e, rad/s.
+    #[serde(rename = "stribeck_velocity_rad_s", default = "one")]
     pub stribeck_velocity: f64,
     /// Amplitude of the cogging torque, N·m.
+    #[serde(rename = "cogging_nm", default)]
     pub cogging: f64,
     /// Cogging periods in one turn of the joint.
+    #[serde(default)]
     pub cogging_cycles_rev: f64,
 }
 
 /// Limits of one joint.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Limits {
     /// Lower and upper end of the range, rad.
+    #[serde(rename = "position_rad")]
     pub position: (f64, f64),
     /// Largest speed, rad/s.
+    #[serde(rename = "velocity_rad_s")]
     pub velocity: f64,
-    /// Largest acceleration asked for by trajectories, rad/s².
+    /// Largest acceleration of trajectories, rad/s².
+    #[serde(rename = "acceleration_rad_s2")]
     pub acceleration: f64,
     /// Largest torque, N·m.
+    #[serde(rename = "torque_nm")]
     pub torque: f64,
 }
 
@@ -146,7 +166,7 @@ pub struct Joint {
 }
 
 /// How columns of a foreign log are called; `{}` stands for the joint number, counted from 1.
-#[derive(Clone, Debug, Default, PartialEq, serde::Deserialize, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogColumns {
     /// Time, s.

@@ -1,6 +1,6 @@
 //! The description file as TOML: what is read and what is written, units in the names of the fields.
 
-use super::LogColumns;
+use super::{Drive, Friction, Limits, LogColumns, Workspace};
 use serde::{Deserialize, Serialize};
 
 #[derive(Deserialize, Serialize)]
@@ -15,15 +15,7 @@ pub(super) struct RobotFile {
     pub(super) tool: Option<ToolFile>,
     pub(super) log_columns: Option<LogColumns>,
     #[serde(default)]
-    pub(super) workspace: WorkspaceFile,
-}
-
-#[derive(Default, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct WorkspaceFile {
-    pub(super) table_height_m: Option<f64>,
-    #[serde(default)]
-    pub(super) clearance_m: f64,
+    pub(super) workspace: Workspace,
 }
 
 /// Ends and radius in the frame of the link's mass distribution.
@@ -57,9 +49,9 @@ pub(super) struct JointFile {
     pub(super) dh: Option<DhFile>,
     pub(super) frame: Option<FrameFile>,
     pub(super) link: LinkFile,
-    pub(super) drive: DriveFile,
-    pub(super) friction: FrictionFile,
-    pub(super) limits: LimitsFile,
+    pub(super) drive: Drive,
+    pub(super) friction: Friction,
+    pub(super) limits: Limits,
     #[serde(default)]
     pub(super) capsules: Vec<CapsuleFile>,
 }
@@ -102,42 +94,4 @@ pub(super) struct InertiaFile {
     pub(super) xz: f64,
     #[serde(default)]
     pub(super) yz: f64,
-}
-
-#[derive(Clone, Copy, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct DriveFile {
-    #[serde(default)]
-    pub(super) rotor_inertia_kg_m2: f64,
-    #[serde(default = "one")]
-    pub(super) gain_nm_a: f64,
-    pub(super) encoder_bits: u32,
-}
-
-fn one() -> f64 {
-    1.0
-}
-
-#[derive(Clone, Copy, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct FrictionFile {
-    pub(super) viscous_nm_s_rad: f64,
-    pub(super) coulomb_nm: f64,
-    #[serde(default)]
-    pub(super) stribeck_ratio: f64,
-    #[serde(default = "one")]
-    pub(super) stribeck_velocity_rad_s: f64,
-    #[serde(default)]
-    pub(super) cogging_nm: f64,
-    #[serde(default)]
-    pub(super) cogging_cycles_rev: f64,
-}
-
-#[derive(Clone, Copy, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct LimitsFile {
-    pub(super) position_rad: [f64; 2],
-    pub(super) velocity_rad_s: f64,
-    pub(super) acceleration_rad_s2: f64,
-    pub(super) torque_nm: f64,
 }

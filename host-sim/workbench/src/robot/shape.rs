@@ -1,6 +1,7 @@
 //! What an arm takes up in space, and what it must keep clear of.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 /// A segment with a radius: all points within `radius` of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,11 +20,14 @@ impl Capsule {
 }
 
 /// What the arm must keep clear of.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Workspace {
     /// Height of the table the base stands on, along the base's z, m.
+    #[serde(rename = "table_height_m")]
     pub table_height: Option<f64>,
     /// Distance that links keep from the table and from each other, m.
+    #[serde(rename = "clearance_m", default)]
     pub clearance: f64,
 }
 

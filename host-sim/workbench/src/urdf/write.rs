@@ -1,69 +1,53 @@
 //! An arm as a URDF file.
 
-use crate::robot::{Placement, Robot};
+use crate::robot::{Limits, Placement, Robot};
 use nalgebra::Rotation3;
-use std::fmt::Write;
 
 /// The URDF of an arm: joint frames are Craig's link frames, axes their z, link inertias about the centres of mass.
 ///
-/// A URDF has no place for rotor inertias, drive gains, Stribeck friction and ripple: the TOML description
+/// A URDF has no place for rotor inertias, drive gains, Stribeck friction and cogging: the TOML description
 /// ([`Robot::to_toml`]) keeps them.
 pub fn write(robot: &Robot) -> String {
-    let mut out = String::new();
-    let mut line = |text: std::fmt::Arguments<'_>| {
-        // Writing to a string cannot fail.
-        let _ = writeln!(out, "{text}");
-    };
-    line(format_args!("<?xml version=\"1.0\"?>"));
-    line(format_args!("<robot name=\"{}\">", escaped(&robot.name)));
-    line(format_args!("  <link name=\"base\"/>"));
+    let name = escaped(&robot.name);
+    let mut out =
+        format!("<?xml version=\"1.0\"?>\n<robot name=\"{name}\">\n  <link name=\"base\"/>\n");
     let mut parent = "base".to_owned();
-    for (index, joint) in robot.joints.iter().enumerate() {
-        let child = format!("link{}", index + 1);
-        let limits = &joint.limits;
-        line(format_args!(
-            "  <joint name=\"{}\" type=\"revolute\">",
-            escaped(&joint.name)
-        ));
-        line(format_args!(
-            "    <parent link=\"{parent}\"/> <child link=\"{child}\"/> <axis xyz=\"0 0 1\"/>"
-        ));
-        line(format_args!("    {}", origin(&joint.placement)));
-        line(format_args!(
-            "    <limit lower=\"{}\" upper=\"{}\" velocity=\"{}\" effort=\"{}\" acceleration=\"{}\"/>",
-            limits.position.0,
-            limits.position.1,
-            limits.velocity,
-            limits.torque,
-            limits.acceleration
-        ));
-        line(format_args!(
-            "    <dynamics damping=\"{}\" friction=\"{}\"/>",
-            joint.friction.viscous, joint.friction.coulomb
-        ));
-        line(format_args!("  </joint>"));
-        let (com, i) = (&joint.link.com, &joint.link.inertia_com);
-        line(format_args!("  <link name=\"{child}\"><inertial>"));
-        line(format_args!(
-            "    <origin xyz=\"{} {} {}\" rpy=\"0 0 0\"/> <mass value=\"{}\"/>",
-            com.x, com.y, com.z, joint.link.mass
-        ));
-        line(format_args!(
-            "    <inertia ixx=\"{}\" iyy=\"{}\" izz=\"{}\" ixy=\"{}\" ixz=\"{}\" iyz=\"{}\"/>",
-            i.m11, i.m22, i.m33, i.m12, i.m13, i.m23
-        ));
-        line(format_args!("  </inertial></link>"));
-        parent = child;
+    for (number, joint) in (1..).zip(&robot.joints) {
+        let (name, origin) = (escaped(&joint.name), origin(&joint.placement));
+        let Limits {
+            position: (lower, upper),
+            velocity,
+            acceleration,
+            torque,
+        } = joint.limits;
+        let (damping, friction) = (joint.friction.viscous, joint.friction.coulomb);
+        let (com, i, mass) = (&joint.link.com, &joint.link.inertia_com, joint.link.mass);
+        out += &format!(
+            r#"  <joint name="{name}" type="revolute">
+    <parent link="{parent}"/> <child link="link{number}"/> <axis xyz="0 0 1"/>
+    {origin}
+    <limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="{torque}" acceleration="{acceleration}"/>
+    <dynamics damping="{damping}" friction="{friction}"/>
+  </joint>
+  <link name="link{number}"><inertial>
+    <origin xyz="{} {} {}" rpy="0 0 0"/> <mass value="{mass}"/>
+    <inertia ixx="{}" iyy="{}" izz="{}" ixy="{}" ixz="{}" iyz="{}"/>
+  </inertial></link>
+"#,
+            com.x, com.y, com.z, i.m11, i.m22, i.m33, i.m12, i.m13, i.m23
+        );
+        parent = format!("link{number}");
     }
-    line(format_args!("  <joint name=\"flange\" type=\"fixed\">"));
-    line(format_args!(
-        "    <parent link=\"{parent}\"/> <child link=\"flange\"/>"
-    ));
-    line(format_args!("    {}", origin(&robot.flange)));
-    line(format_args!("  </joint>"));
-    line(format_args!("  <link name=\"flange\"/>"));
-    line(format_args!("</robot>"));
-    out
+    let origin = origin(&robot.flange);
+    out + &format!(
+        r#"  <joint name="flange" type="fixed">
+    <parent link="{parent}"/> <child link="flange"/>
+    {origin}
+  </joint>
+  <link name="flange"/>
+</robot>
+"#
+    )
 }
 
 fn origin(frame: &Placement) -> String {

@@ -18,18 +18,18 @@ fn the_gradient_agrees_with_central_differences() {
         let start = search.starts().expect("feasible").remove(0);
         // Beyond the limits, so that every penalty takes part.
         let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
-        let pressure = search.pressure(10.0, 0.0);
+        let penalties = search.penalties(10.0, 0.0);
         let mut gradient = vec![0.0; start.len()];
         search
             .objective
-            .value(&start, &pressure, Some(&mut gradient));
+            .value(&start, &penalties, Some(&mut gradient));
         let size = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         for v in 0..start.len() {
             let h = 1e-5;
             let at = |step: f64| {
                 let mut moved = start.clone();
                 moved[v] += step;
-                search.objective.value(&moved, &pressure, None)
+                search.objective.value(&moved, &penalties, None)
             };
             let expected = (at(h) - at(-h)) / (2.0 * h);
             assert!(
