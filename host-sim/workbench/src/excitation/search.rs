@@ -243,7 +243,12 @@ impl<'a, const N: usize> Search<'a, N> {
         let mut variables = start.to_vec();
         for weight in COARSE_WEIGHTS {
             let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
-            variables = self.descend(variables, &self.penalties(weight, 0.0), iterations);
+            variables = descend(
+                &self.objective,
+                &self.penalties(weight, 0.0),
+                variables,
+                iterations,
+            );
         }
         let last = self.penalties(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1], 0.0);
         (self.objective.value(&variables, &last, None), variables)
@@ -253,33 +258,31 @@ impl<'a, const N: usize> Search<'a, N> {
     fn finish(&self, start: &[f64]) -> Result<Excitation, ExcitationError> {
         let mut variables = start.to_vec();
         for weight in FINAL_WEIGHTS {
-            variables = self.descend(
-                variables,
+            variables = descend(
+                &self.objective,
                 &self.penalties(weight, 0.0),
+                variables,
                 self.config.iterations,
             );
         }
         let mut excitation = self.certified(self.fitted(&variables))?;
-        let last = FINAL_WEIGHTS[FINAL_WEIGHTS.len() - 1];
         for repair in 1..=REPAIRS {
-            if holds(&excitation) {
+            if excitation.certificate.as_ref().is_some_and(|c| c.holds) {
                 break;
             }
-            let penalties =
-                self.penalties(last * 4.0_f64.powi(repair as i32), 0.001 * repair as f64);
-            variables = self.descend(variables, &penalties, self.config.iterations);
+            let penalties = self.penalties(
+                FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32),
+                0.001 * repair as f64,
+            );
+            variables = descend(
+                &self.objective,
+                &penalties,
+                variables,
+                self.config.iterations,
+            );
             excitation = self.certified(self.fitted(&variables))?;
         }
         Ok(excitation)
-    }
-
-    fn descend(
-        &self,
-        variables: Vec<f64>,
-        penalties: &PenaltyWeights,
-        iterations: usize,
-    ) -> Vec<f64> {
-        descend(&self.objective, penalties, variables, iterations)
     }
 
     /// The variables as a trajectory, shrunk where it exceeds the joints' limits between the instants.
@@ -344,14 +347,9 @@ impl<'a, const N: usize> Search<'a, N> {
                     best = Some((score, excitation));
                 }
             } else if let Some(check) = certificate.worst_limit() {
-                let short = -check.margin / check.allowed.abs().max(0.1);
+                let short = -check.relative_margin();
                 if missed.as_ref().is_none_or(|(least, _)| short < *least) {
-                    let error = ExcitationError::Unkept {
-                        limit: format!("{} of {}", check.limit, check.of),
-                        reached: quantity(check.worst, check.unit),
-                        required: quantity(check.allowed, check.unit),
-                    };
-                    missed = Some((short, error));
+                    missed = Some((short, check.violation()));
                 }
             }
         }
@@ -363,19 +361,6 @@ impl<'a, const N: usize> Search<'a, N> {
     }
 }
 
-/// A value with its unit; numbers without one stand alone.
-fn quantity(value: f64, unit: &str) -> String {
-    match unit {
-        "1" => format!("{value:.4}"),
-        unit => format!("{value:.4} {unit}"),
-    }
-}
-
-fn holds(excitation: &Excitation) -> bool {
-    let certificate = excitation.certificate.as_ref();
-    certificate.is_some_and(|certificate| certificate.holds)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -383,12 +368,8 @@ mod tests {
     #[test]
     fn the_gradient_agrees_with_central_differences() {
         let robot = Robot::load("ur5").expect("built in");
-        for criterion in [
-            Criterion::Condition,
-            Criterion::DOptimal,
-            Criterion::VOptimal,
-            Criterion::Constrained,
-        ] {
+        use Criterion::{Condition, Constrained, DOptimal, VOptimal};
+        for criterion in [Condition, DOptimal, VOptimal, Constrained] {
             let config = SearchConfig {
                 criterion,
                 starts: 1,
