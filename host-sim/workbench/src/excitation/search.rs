@@ -90,7 +90,7 @@ pub fn optimise<const N: usize>(
     let threads = config.threads.map_or_else(cores, NonZeroUsize::get);
     let starts = match given {
         Some(excitation) => vec![search.variables(excitation)],
-        None => search.starts()?,
+        None => search.starts(),
     };
     let finalists = starts.len().div_ceil(FINALIST_EVERY);
     let all = starts.len() + finalists;
@@ -154,10 +154,9 @@ impl<'a, const N: usize> Search<'a, N> {
             }
         }
         let fastest = Joints::<N>::from_fn(|j, _| limits[j].qd);
+        let base = clearances.required + 0.001;
         let clearance = (0..clearances.count())
-            .map(|index| {
-                clearances.required + 0.001 + clearances.rate(index, &fastest) * HALF_STEP_S
-            })
+            .map(|index| base + clearances.rate(index, &fastest) * HALF_STEP_S)
             .collect();
         let torque = std::array::from_fn(|j| {
             let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
@@ -194,7 +193,7 @@ impl<'a, const N: usize> Search<'a, N> {
     }
 
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
-    fn starts(&self) -> Result<Vec<Vec<f64>>, ExcitationError> {
+    fn starts(&self) -> Vec<Vec<f64>> {
         let omega = TAU / self.config.period_s;
         let penalties = self.penalties(COARSE_WEIGHTS[0], 0.0);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
@@ -212,23 +211,19 @@ impl<'a, const N: usize> Search<'a, N> {
                         self.bases.variables(&series)
                     })
                     .collect();
-                (
-                    self.objective.value(&variables, &penalties, None),
-                    variables,
-                )
+                let value = self.objective.value(&variables, &penalties, None);
+                (value, variables)
             })
             .collect();
         // Stable: equal values keep the order of their streams.
         pool.sort_by(|a, b| a.0.total_cmp(&b.0));
         pool.truncate(self.config.starts.max(1));
-        Ok(pool.into_iter().map(|(_, variables)| variables).collect())
+        pool.into_iter().map(|(_, variables)| variables).collect()
     }
 
     fn variables(&self, excitation: &Excitation) -> Vec<f64> {
-        let series = excitation.joints.iter();
-        series
-            .flat_map(|joint| self.bases.variables(joint))
-            .collect()
+        let variables = |joint| self.bases.variables(joint);
+        excitation.joints.iter().flat_map(variables).collect()
     }
 
     fn penalties(&self, weight: f64, extra_clearance: f64) -> PenaltyWeights {
@@ -376,7 +371,7 @@ mod tests {
                 ..SearchConfig::default()
             };
             let search = Search::<6>::new(&robot, &config).expect("six joints");
-            let start = search.starts().expect("feasible").remove(0);
+            let start = search.starts().remove(0);
             // Beyond the limits, so that every penalty takes part.
             let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
             let penalties = search.penalties(10.0, 0.0);
