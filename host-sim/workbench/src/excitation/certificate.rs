@@ -1,5 +1,6 @@
 //! The certificate of an excitation: every limit with its worst value.
 
+use super::error::ExcitationError;
 use super::information::Criterion;
 use serde::Serialize;
 
@@ -47,16 +48,33 @@ impl LimitCheck {
         unit: &'static str,
         value: (f64, f64),
     ) -> Self {
-        let (worst, allowed) = value;
-        let margin = worst - allowed;
+        let margin = value.0 - value.1;
         Self {
-            limit,
-            of: of.to_owned(),
-            unit,
-            worst,
-            allowed,
             margin,
+            ..Self::at_most(limit, of, unit, value)
         }
+    }
+
+    /// Margin over the limit. Metres of clearance have no size of their own: against a tenth of a metre.
+    pub(super) fn relative_margin(&self) -> f64 {
+        self.margin / self.allowed.abs().max(0.1)
+    }
+
+    /// The error of a limit that is not kept.
+    pub(super) fn violation(&self) -> ExcitationError {
+        ExcitationError::Unkept {
+            limit: format!("{} of {}", self.limit, self.of),
+            reached: quantity(self.worst, self.unit),
+            required: quantity(self.allowed, self.unit),
+        }
+    }
+}
+
+/// A value with its unit; numbers without one stand alone.
+fn quantity(value: f64, unit: &str) -> String {
+    match unit {
+        "1" => format!("{value:.4}"),
+        unit => format!("{value:.4} {unit}"),
     }
 }
 
@@ -67,7 +85,7 @@ pub struct Certificate {
     pub holds: bool,
     /// Points of one period that were checked.
     pub points: usize,
-    /// How values between the points are covered.
+    /// Bounds used between the points.
     pub between_points: &'static str,
     /// Every limit with its worst value.
     pub limits: Vec<LimitCheck>,
@@ -98,8 +116,7 @@ pub struct Certificate {
 impl Certificate {
     /// The limit that is missed most, relative to its size.
     pub fn worst_limit(&self) -> Option<&LimitCheck> {
-        // Metres of clearance have no size of their own: against a tenth of a metre.
-        let relative = |check: &LimitCheck| check.margin / check.allowed.abs().max(0.1);
+        let relative = LimitCheck::relative_margin;
         self.limits
             .iter()
             .min_by(|a, b| relative(a).total_cmp(&relative(b)))

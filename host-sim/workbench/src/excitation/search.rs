@@ -90,7 +90,7 @@ pub fn optimise<const N: usize>(
     let threads = config.threads.map_or_else(cores, NonZeroUsize::get);
     let starts = match given {
         Some(excitation) => vec![search.variables(excitation)],
-        None => search.starts()?,
+        None => search.starts(),
     };
     let finalists = starts.len().div_ceil(FINALIST_EVERY);
     let all = starts.len() + finalists;
@@ -154,10 +154,9 @@ impl<'a, const N: usize> Search<'a, N> {
             }
         }
         let fastest = Joints::<N>::from_fn(|j, _| limits[j].qd);
+        let base = clearances.required + 0.001;
         let clearance = (0..clearances.count())
-            .map(|index| {
-                clearances.required + 0.001 + clearances.rate(index, &fastest) * HALF_STEP_S
-            })
+            .map(|index| base + clearances.rate(index, &fastest) * HALF_STEP_S)
             .collect();
         let torque = std::array::from_fn(|j| {
             let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
@@ -194,7 +193,7 @@ impl<'a, const N: usize> Search<'a, N> {
     }
 
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
-    fn starts(&self) -> Result<Vec<Vec<f64>>, ExcitationError> {
+    fn starts(&self) -> Vec<Vec<f64>> {
         let omega = TAU / self.config.period_s;
         let penalties = self.penalties(COARSE_WEIGHTS[0], 0.0);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
@@ -212,23 +211,19 @@ impl<'a, const N: usize> Search<'a, N> {
                         self.bases.variables(&series)
                     })
                     .collect();
-                (
-                    self.objective.value(&variables, &penalties, None),
-                    variables,
-                )
+                let value = self.objective.value(&variables, &penalties, None);
+                (value, variables)
             })
             .collect();
         // Stable: equal values keep the order of their streams.
         pool.sort_by(|a, b| a.0.total_cmp(&b.0));
         pool.truncate(self.config.starts.max(1));
-        Ok(pool.into_iter().map(|(_, variables)| variables).collect())
+        pool.into_iter().map(|(_, variables)| variables).collect()
     }
 
     fn variables(&self, excitation: &Excitation) -> Vec<f64> {
-        let series = excitation.joints.iter();
-        series
-            .flat_map(|joint| self.bases.variables(joint))
-            .collect()
+        let variables = |joint| self.bases.variables(joint);
+        excitation.joints.iter().flat_map(variables).collect()
     }
 
     fn penalties(&self, weight: f64, extra_clearance: f64) -> PenaltyWeights {
@@ -243,7 +238,12 @@ impl<'a, const N: usize> Search<'a, N> {
         let mut variables = start.to_vec();
         for weight in COARSE_WEIGHTS {
             let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
-            variables = self.descend(variables, &self.penalties(weight, 0.0), iterations);
+            variables = descend(
+                &self.objective,
+                &self.penalties(weight, 0.0),
+                variables,
+                iterations,
+            );
         }
         let last = self.penalties(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1], 0.0);
         (self.objective.value(&variables, &last, None), variables)
@@ -253,33 +253,31 @@ impl<'a, const N: usize> Search<'a, N> {
     fn finish(&self, start: &[f64]) -> Result<Excitation, ExcitationError> {
         let mut variables = start.to_vec();
         for weight in FINAL_WEIGHTS {
-            variables = self.descend(
-                variables,
+            variables = descend(
+                &self.objective,
                 &self.penalties(weight, 0.0),
+                variables,
                 self.config.iterations,
             );
         }
         let mut excitation = self.certified(self.fitted(&variables))?;
-        let last = FINAL_WEIGHTS[FINAL_WEIGHTS.len() - 1];
         for repair in 1..=REPAIRS {
-            if holds(&excitation) {
+            if excitation.certificate.as_ref().is_some_and(|c| c.holds) {
                 break;
             }
-            let penalties =
-                self.penalties(last * 4.0_f64.powi(repair as i32), 0.001 * repair as f64);
-            variables = self.descend(variables, &penalties, self.config.iterations);
+            let penalties = self.penalties(
+                FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32),
+                0.001 * repair as f64,
+            );
+            variables = descend(
+                &self.objective,
+                &penalties,
+                variables,
+                self.config.iterations,
+            );
             excitation = self.certified(self.fitted(&variables))?;
         }
         Ok(excitation)
-    }
-
-    fn descend(
-        &self,
-        variables: Vec<f64>,
-        penalties: &PenaltyWeights,
-        iterations: usize,
-    ) -> Vec<f64> {
-        descend(&self.objective, penalties, variables, iterations)
     }
 
     /// The variables as a trajectory, shrunk where it exceeds the joints' limits between the instants.
@@ -344,14 +342,9 @@ impl<'a, const N: usize> Search<'a, N> {
                     best = Some((score, excitation));
                 }
             } else if let Some(check) = certificate.worst_limit() {
-                let short = -check.margin / check.allowed.abs().max(0.1);
+                let short = -check.relative_margin();
                 if missed.as_ref().is_none_or(|(least, _)| short < *least) {
-                    let error = ExcitationError::Unkept {
-                        limit: format!("{} of {}", check.limit, check.of),
-                        reached: quantity(check.worst, check.unit),
-                        required: quantity(check.allowed, check.unit),
-                    };
-                    missed = Some((short, error));
+                    missed = Some((short, check.violation()));
                 }
             }
         }
@@ -363,19 +356,6 @@ impl<'a, const N: usize> Search<'a, N> {
     }
 }
 
-/// A value with its unit; numbers without one stand alone.
-fn quantity(value: f64, unit: &str) -> String {
-    match unit {
-        "1" => format!("{value:.4}"),
-        unit => format!("{value:.4} {unit}"),
-    }
-}
-
-fn holds(excitation: &Excitation) -> bool {
-    let certificate = excitation.certificate.as_ref();
-    certificate.is_some_and(|certificate| certificate.holds)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -383,19 +363,15 @@ mod tests {
     #[test]
     fn the_gradient_agrees_with_central_differences() {
         let robot = Robot::load("ur5").expect("built in");
-        for criterion in [
-            Criterion::Condition,
-            Criterion::DOptimal,
-            Criterion::VOptimal,
-            Criterion::Constrained,
-        ] {
+        use Criterion::{Condition, Constrained, DOptimal, VOptimal};
+        for criterion in [Condition, DOptimal, VOptimal, Constrained] {
             let config = SearchConfig {
                 criterion,
                 starts: 1,
                 ..SearchConfig::default()
             };
             let search = Search::<6>::new(&robot, &config).expect("six joints");
-            let start = search.starts().expect("feasible").remove(0);
+            let start = search.starts().remove(0);
             // Beyond the limits, so that every penalty takes part.
             let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
             let penalties = search.penalties(10.0, 0.0);

@@ -29,7 +29,7 @@ pub enum Trajectory<const N: usize> {
     Excitation {
         /// The series.
         series: Excitation,
-        /// How long it is played, s.
+        /// Playing time, s.
         duration_s: f64,
     },
     /// Quintics through via points.
@@ -63,7 +63,7 @@ impl<const N: usize> Trajectory<N> {
         )
     }
 
-    /// How long it lasts, s.
+    /// Duration, s.
     pub fn duration_s(&self) -> f64 {
         match self {
             Self::Excitation { duration_s, .. } => *duration_s,
@@ -113,7 +113,7 @@ impl<const N: usize> Trajectory<N> {
         }
     }
 
-    /// Number of ticks of `period_s` it lasts.
+    /// Duration in ticks of `period_s`.
     pub fn ticks(&self, period_s: f64) -> usize {
         (self.duration_s() / period_s).round() as usize
     }
