@@ -1,4 +1,4 @@
-//! The file of a path: TOML, units in the names of the fields. `docs/trajectories.md` describes the format.
+//! The file of a path: TOML, units in the names of the fields. `docs/identification.md` describes the format.
 
 use super::curve::{Curve, Way};
 use crate::kinematics::InverseError;
