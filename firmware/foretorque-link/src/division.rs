@@ -1,4 +1,4 @@
-//! Division of 64 by 32 bits, which the core cannot and the compiler's routine for 64 by 64 does with 0.9 kB of flash.
+//! Division of 64 by 32 bits. The compiler's routine for 64 by 64 bits takes 0.9 kB of flash.
 
 use core::hint::black_box;
 
@@ -14,7 +14,7 @@ pub(crate) const fn div_u64_by_u32(numerator: u64, divisor: u32) -> u32 {
     if rest == 0 {
         return low / divisor;
     }
-    // Of their number the compiler knows nothing: it would write all rounds out.
+    // Hides the number of rounds from the compiler, which would unroll them.
     let mut rounds = black_box(u32::BITS);
     while rounds > 0 {
         rounds -= 1;
@@ -36,7 +36,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_quotient_is_that_of_the_language(
+        fn it_equals_the_division_of_the_language(
             numerator: u64,
             divisor: u32,
             bits in 0..64_u32,

@@ -3,11 +3,12 @@
 //! | module | contents |
 //! |---|---|
 //! | [`wire`] | frames and messages of the link |
-//! | [`bank`], [`store`] | parameter bank, and its place in flash |
+//! | [`bank`], [`store`] | parameter bank, and its storage in flash |
 //! | [`safety`] | state machine of the torque enable, limits |
-//! | [`excitation`] | the Fourier series of eq. 17, checked and played by the board |
-//! | [`session`], [`telemetry`] | one conversation with a host |
-//! | [`hal`], [`drive`] | adapters of motor stage and encoder; the joint they make |
+//! | [`excitation`] | Fourier series of eq. 17, checked and played by the board |
+//! | [`session`], [`telemetry`] | one connection to a host: protocol, controller, counters |
+//! | [`hal`], [`drive`] | adapters of motor stage and encoder; the drive of one joint |
+//! | [`write_key`] | authentication of uploads |
 //!
 //! Nothing allocates, nothing blocks, and no input makes a session panic.
 #![cfg_attr(not(test), no_std)]

@@ -1,4 +1,4 @@
-//! Counters that say how the board is doing.
+//! Counters of the board.
 
 use crate::division::div_u64_by_u32;
 use crate::store::StoreHealth;
@@ -19,63 +19,63 @@ pub struct Statistics {
     /// Sound frames of another protocol version.
     #[serde(with = "postcard::fixint::le")]
     pub foreign_version: u32,
-    /// Sound frames with no message that is known here.
+    /// Sound frames with an unknown message.
     #[serde(with = "postcard::fixint::le")]
     pub unknown: u32,
-    /// Sequence numbers that never came.
+    /// Sequence numbers that never arrived.
     #[serde(with = "postcard::fixint::le")]
     pub missed: u32,
-    /// Frames that came twice or late, and were not acted on.
+    /// Frames that arrived twice or late, without effect.
     #[serde(with = "postcard::fixint::le")]
     pub repeated: u32,
-    /// Bytes that belonged to no good frame.
+    /// Bytes outside good frames.
     #[serde(with = "postcard::fixint::le")]
     pub bytes_lost: u32,
-    /// Samples that a newer one overtook before the timer ran a tick.
+    /// Samples replaced by a newer one before the timer ran a tick.
     #[serde(with = "postcard::fixint::le")]
     pub overtaken: u32,
-    /// Ticks without a sample: of the timer, and those made up for when samples were lost.
+    /// Ticks without a sample: of the timer, and those filled in for lost samples.
     #[serde(with = "postcard::fixint::le")]
     pub stale_ticks: u32,
-    /// Ticks that missed their deadline, and receive overruns of the line.
+    /// Ticks that missed their deadline, and receive overruns of the link.
     #[serde(with = "postcard::fixint::le")]
     pub overruns: u32,
-    /// Replies that found no room.
+    /// Replies without space in the buffer.
     #[serde(with = "postcard::fixint::le")]
     pub replies_lost: u32,
     /// Ticks run, with a sample or without.
     #[serde(with = "postcard::fixint::le")]
     pub ticks: u32,
-    /// Learnt sets that came late.
+    /// Learnt sets that arrived late.
     #[serde(with = "postcard::fixint::le")]
     pub late_sets: u32,
-    /// Lessons that found no room.
+    /// Learning samples without space in the mailbox.
     #[serde(with = "postcard::fixint::le")]
     pub learning_samples_lost: u32,
     /// Cost of a tick, in counts of the board's counter.
     pub tick_cost: Cost,
-    /// Cost of learning from one lesson, in counts of the board's counter.
+    /// Cost of a learning step, in counts of the board's counter.
     pub learn_cost: Cost,
-    /// Cost of receiving one byte of the line, in counts of the board's counter.
+    /// Cost of receiving one byte, in counts of the board's counter.
     pub receive_cost: Cost,
-    /// Hottest motor reported in the last round of samples, °C; -128 where not known.
+    /// Hottest motor of the last round of samples, °C; -128 is unknown.
     pub hottest_c: i8,
-    /// Time from the end of a frame to its answer being queued, or kept until its lesson is learnt, in counts of the board's counter.
+    /// Time from the end of a frame until its reply is queued or held for the learner, in counts of the board's counter.
     pub reply_latency: Cost,
-    /// Samples of which a part was not plausible.
+    /// Samples of which a part was implausible.
     #[serde(with = "postcard::fixint::le")]
     pub implausible: u32,
-    /// Times that the watchdog was fed since boot.
+    /// Watchdog feeds since boot.
     #[serde(with = "postcard::fixint::le")]
     pub watchdog_feeds: u32,
     /// Telemetry records of which a part was not sent.
     #[serde(with = "postcard::fixint::le")]
     pub records_lost: u32,
-    /// How the store stands.
+    /// State of the store.
     pub store: StoreHealth,
 }
 
-/// Mean and largest cost.
+/// Mean and largest cost, in counts of the board's counter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cost {
     /// Mean.
@@ -86,7 +86,7 @@ pub struct Cost {
     pub max: u32,
 }
 
-/// Gathers costs.
+/// Mean and maximum of a series of costs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CostMeter {
     sum: u64,
@@ -95,7 +95,7 @@ pub struct CostMeter {
 }
 
 impl CostMeter {
-    /// Nothing gathered.
+    /// Before the first cost.
     pub const fn new() -> Self {
         Self {
             sum: 0,

@@ -1,10 +1,10 @@
-//! The write key: who may change the parameters of a board.
+//! Write key: authentication of uploads.
 //!
-//! A board with a key takes an upload only with a code over what is uploaded and over a challenge of its own, which is good
-//! for one upload: what was overheard on the bus cannot be sent again. A board without a key takes every upload.
+//! A board with a key accepts an upload only with a signature over its bytes and over a challenge, which is valid for one
+//! upload: a recorded upload cannot be replayed. A board without a key accepts every upload.
 //!
-//! The code is SipHash-2-4 with 128 bits (Aumasson and Bernstein 2012), a keyed function made to be one: 3 kB of flash.
-//! HMAC-SHA-256 takes 10 kB, and BLAKE2s in its small form has an index that can panic.
+//! The signature is SipHash-2-4 with 128 bits (Aumasson and Bernstein 2012), in 3 kB of flash. HMAC-SHA-256 takes 10 kB,
+//! and BLAKE2s in its small form has an index that can panic.
 
 use crate::wire::MAC_BYTES;
 use core::hash::Hasher as _;
@@ -13,16 +13,16 @@ use siphasher::sip128::{Hasher128 as _, SipHasher24};
 /// Bytes of a key.
 pub const KEY_BYTES: usize = 16;
 
-/// Domain of an upload: the first bytes of signed data differ, so that no signature can be passed off as another.
+/// First bytes of signed data, so that no signature serves another purpose.
 const UPLOAD: &[u8] = b"foretorque upload 1";
 const CHALLENGE: &[u8] = b"foretorque challenge 1";
 
-/// A secret that host and board share.
+/// Symmetric key of host and board.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct WriteKey([u8; KEY_BYTES]);
 
 impl WriteKey {
-    /// The key in a slot of memory; `None` for a slot that nobody has written: all ones, as erased flash is, or all zeros.
+    /// The key in a slot of memory; `None` for a blank slot: all ones, as erased flash, or all zeros.
     ///
     /// ```
     /// use foretorque_link::write_key::WriteKey;
@@ -38,8 +38,8 @@ impl WriteKey {
         (!blank).then_some(Self(slot))
     }
 
-    /// The signature of an upload, bank or excitation: over challenge, arm, length and bytes. By their first bytes neither
-    /// can be taken for the other.
+    /// The signature of a bank or excitation: over challenge, arm, length and bytes. Their first bytes differ, so neither
+    /// signature serves the other.
     pub fn sign_upload(
         &self,
         nonce: &[u8; MAC_BYTES],
@@ -55,7 +55,7 @@ impl WriteKey {
         code.finish128().as_bytes()
     }
 
-    /// The signature is that of the upload. Takes the same time whatever is wrong with it.
+    /// Verifies the signature of an upload, in constant time.
     pub fn verifies(
         &self,
         signature: &[u8; MAC_BYTES],
@@ -69,9 +69,9 @@ impl WriteKey {
         different == 0
     }
 
-    /// Challenge number `count` of a board, which nobody without the key can foretell.
+    /// Challenge number `count` of a board, unpredictable without the key.
     ///
-    /// * `seed` differs from start to start of the board, and need not be secret
+    /// * `seed` differs from start to start of the board, and may be public
     pub fn challenge(&self, seed: &[u8; MAC_BYTES], count: u32) -> [u8; MAC_BYTES] {
         let mut code = self.code();
         code.write(CHALLENGE);
@@ -85,7 +85,7 @@ impl WriteKey {
     }
 }
 
-/// The key is not for logs.
+/// Hides the key from logs.
 impl core::fmt::Debug for WriteKey {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str("WriteKey(…)")
@@ -101,16 +101,11 @@ mod tests {
         WriteKey::from_slot([0x5A; KEY_BYTES]).unwrap()
     }
 
-    /// The first of the reference's vectors (vectors_sip128 of its authors), and one by a program of a few lines of
-    /// Python that gives it, over b"foretorque upload 1" + bytes(range(16)) + bytes([4,3,2,1,4,0,0,0]) + b"bank".
+    /// The first reference vector (vectors_sip128 of the authors), and one of a Python program that reproduces it, over
+    /// b"foretorque upload 1" + bytes(range(16)) + bytes([4,3,2,1,4,0,0,0]) + b"bank".
     #[test]
     fn signatures_are_those_of_another_implementation() {
-        let hex = |bytes: [u8; MAC_BYTES]| -> std::string::String {
-            bytes
-                .iter()
-                .map(|byte| std::format!("{byte:02x}"))
-                .collect()
-        };
+        let hex = |bytes: [u8; MAC_BYTES]| std::format!("{:032x}", u128::from_be_bytes(bytes));
         let counted = WriteKey(core::array::from_fn(|place| place as u8));
         let of_nothing = counted.code().finish128().as_bytes();
         assert_eq!(hex(of_nothing), "a3817f04ba25a8e66df67214c7550293");
@@ -120,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn challenges_differ_from_count_to_count_and_from_start_to_start() {
+    fn challenges_differ_in_count_and_seed() {
         let mut seen = std::vec::Vec::new();
         for seed in 0..20 {
             for count in 0..20 {
@@ -134,7 +129,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_is_changed_the_signature_no_longer_fits(
+        fn any_change_invalidates_the_signature(
             bank in prop::collection::vec(any::<u8>(), 1..200),
             nonce: [u8; MAC_BYTES],
             arm: u32,
@@ -150,8 +145,8 @@ mod tests {
             let mut forged = signature;
             forged[place.index(MAC_BYTES)] ^= 1 << bit;
             prop_assert!(!key().verifies(&forged, &nonce, arm, &bank));
-            let stranger = WriteKey::from_slot([0x5B; KEY_BYTES]).unwrap();
-            prop_assert!(!stranger.verifies(&signature, &nonce, arm, &bank));
+            let foreign = WriteKey::from_slot([0x5B; KEY_BYTES]).unwrap();
+            prop_assert!(!foreign.verifies(&signature, &nonce, arm, &bank));
         }
     }
 }

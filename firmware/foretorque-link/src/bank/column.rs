@@ -15,7 +15,7 @@ const LINK_SYMBOLS: [&str; LINK_PARAMETERS] = [
     "m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz",
 ];
 const ROTOR: u8 = LINK_PARAMETERS as u8;
-/// Stribeck peaks of 0.07 and 0.14 rad/s: read, but in no model any more.
+/// Stribeck peaks of 0.07 and 0.14 rad/s: decoded, but no longer in the model.
 const RETIRED: [(u8, &str); 2] = [(13, "Fsn"), (14, "Fsw")];
 
 const _: () = {

@@ -1,19 +1,19 @@
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
-/// Why a parameter bank was refused.
+/// Reason why a parameter bank is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BankError {
-    /// The bytes are no parameter bank at all.
+    /// Not a parameter bank.
     NotABank,
     /// A bank of another format version.
     Version(u8),
     /// The checksum does not fit the bytes.
     Checksum,
-    /// The checksum is right, the content is not: made by a program that knows more columns, or longer than the room.
+    /// The content cannot be decoded although its checksum is right: unknown columns, or too many.
     Malformed,
-    /// More entries than the format holds, or bytes than the room.
+    /// More entries than the format holds, or bytes than the buffer.
     TooLong,
     /// Made for the arm with this identity.
     WrongArm {
@@ -23,7 +23,7 @@ pub enum BankError {
     },
     /// A column of the arm is missing; its place in the base set.
     MissingColumn(u8),
-    /// The column at this place is not one of the arm's, or is there twice.
+    /// The column at this place is not one of the arm's, or is repeated.
     UnknownColumn(u8),
     /// Value or deviation of the column at this place is not a finite number, or the deviation is negative.
     Column(u8),

@@ -1,5 +1,4 @@
-//! The bytes of a bank. They are read into a room that is there already: a bank is 2.4 kB, too much for a few copies of it
-//! to lie on the stack of the tick.
+//! Bytes of a bank. They are decoded in place: a bank of 2.4 kB is too large for copies on the stack of the tick.
 
 use super::{BankError, Column, JointBounds, MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS};
 use super::{NetworkShape, ParameterBank};
@@ -27,17 +26,17 @@ impl ParameterBank {
         + (1 + 12 * MAX_JOINTS)
         + CRC_BYTES;
 
-    /// The serialised bank, at the front of `room`.
+    /// The serialised bank, at the front of `buffer`.
     ///
-    /// Errors: [`BankError::TooLong`]; cannot fail with [`MAX_BYTES`](Self::MAX_BYTES) of room.
-    pub fn encode<'r>(&self, room: &'r mut [u8]) -> Result<&'r [u8], BankError> {
-        let flavor = CrcModifier::new(Slice::new(room), CRC.digest());
+    /// Errors: [`BankError::TooLong`]; cannot fail with [`MAX_BYTES`](Self::MAX_BYTES) of buffer.
+    pub fn encode<'r>(&self, buffer: &'r mut [u8]) -> Result<&'r [u8], BankError> {
+        let flavor = CrcModifier::new(Slice::new(buffer), CRC.digest());
         postcard::serialize_with_flavor(&(MAGIC, VERSION, self), flavor)
             .map(|bytes: &mut [u8]| &*bytes)
             .map_err(|_| BankError::TooLong)
     }
 
-    /// The bank in `bytes`, which must be all of it and nothing else. Does not judge its content.
+    /// Decodes the bank that is all of `bytes`. Its values are checked by [`set`](Self::set).
     ///
     /// Errors: in this order, [`NotABank`](BankError::NotABank), [`Version`](BankError::Version),
     /// [`Checksum`](BankError::Checksum), [`Malformed`](BankError::Malformed).
@@ -47,7 +46,7 @@ impl ParameterBank {
         Ok(bank)
     }
 
-    /// [`decode`](Self::decode) into a bank that is there already; after an error its content means nothing.
+    /// Decodes in place as [`decode`](Self::decode); after an error the content is undefined.
     pub fn decode_into(&mut self, bytes: &[u8]) -> Result<(), BankError> {
         let rest = bytes.strip_prefix(&MAGIC).ok_or(BankError::NotABank)?;
         let &version = rest.first().ok_or(BankError::NotABank)?;
@@ -73,7 +72,7 @@ impl ParameterBank {
         rest.is_empty().then_some(()).ok_or(BankError::Malformed)
     }
 
-    /// A bank of nothing, for no arm.
+    /// An empty bank, for no arm.
     pub const fn empty() -> Self {
         Self {
             arm_hash: 0,
@@ -91,16 +90,16 @@ fn next<'b, T: Deserialize<'b>>(bytes: &'b [u8]) -> Result<(T, &'b [u8]), BankEr
     postcard::take_from_bytes(bytes).map_err(|_| BankError::Malformed)
 }
 
-/// Reads a list item by item; returns what follows it.
+/// Reads a list item by item; returns the bytes that follow it.
 fn list<'b, T: Deserialize<'b>, const M: usize>(
-    room: &mut Vec<T, M>,
+    vector: &mut Vec<T, M>,
     bytes: &'b [u8],
 ) -> Result<&'b [u8], BankError> {
-    room.clear();
+    vector.clear();
     let (length, mut rest) = next::<u32>(bytes)?;
     for _ in 0..length {
         let (item, behind) = next(rest)?;
-        room.push(item).map_err(|_| BankError::Malformed)?;
+        vector.push(item).map_err(|_| BankError::Malformed)?;
         rest = behind;
     }
     Ok(rest)

@@ -1,7 +1,7 @@
-//! The parameter bank: one versioned, checksummed format for file, wire and store.
+//! Parameter bank: one versioned, checksummed format for file, wire and store.
 //!
-//! `"FTPB"`, format version, postcard of [`ParameterBank`], CRC-32. Columns are listed by identity, so a bank says what
-//! it holds, and friction columns that come later read as zero from a bank that does not have them.
+//! `"FTPB"`, format version, postcard of [`ParameterBank`], CRC-32. A bank lists its columns by identity. Friction columns
+//! that it lacks are zero.
 
 mod column;
 mod error;
@@ -27,11 +27,11 @@ pub const MAX_WEIGHTS: usize = 256;
 /// One linear parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Column {
-    /// Kind and joint.
+    /// Quantity and joint.
     pub id: ColumnId,
-    /// Its value, in the unit of its kind.
+    /// Value, in the unit of its kind.
     pub value: f32,
-    /// Its standard deviation, in the same unit.
+    /// Standard deviation, in the same unit.
     pub deviation: f32,
 }
 
@@ -72,7 +72,7 @@ impl NetworkShape {
     };
 }
 
-/// Limits of one joint that the bank may set, inside those of the arm.
+/// Limits of one joint, inside those of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JointBounds {
     /// Largest torque, N·m.
@@ -83,7 +83,7 @@ pub struct JointBounds {
     pub network_share: f32,
 }
 
-/// All parameters of one arm: what is loaded, learnt, stored and sent.
+/// All parameters of one arm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ParameterBank {
     /// Identity of the arm.
@@ -93,7 +93,7 @@ pub struct ParameterBank {
     pub arm: Name,
     /// Linear parameters: rigid body, then friction.
     pub columns: Vec<Column, MAX_COLUMNS>,
-    /// Drive gain of every joint, N·m/A; 0 where it is not known.
+    /// Drive gain of every joint, N·m/A; 0 is unknown.
     pub drive_gains_nm_a: Vec<f32, MAX_JOINTS>,
     /// Shape of the networks.
     pub network: NetworkShape,

@@ -17,8 +17,8 @@ fn nominal() -> ParameterBank {
 }
 
 fn bytes(bank: &ParameterBank) -> List<u8> {
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    bank.encode(&mut room).unwrap().to_vec()
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    bank.encode(&mut buffer).unwrap().to_vec()
 }
 
 fn verdict(change: impl FnOnce(&mut ParameterBank)) -> Option<BankError> {
@@ -31,7 +31,7 @@ fn verdict(change: impl FnOnce(&mut ParameterBank)) -> Option<BankError> {
 }
 
 #[test]
-fn columns_are_named_link_by_link_then_rotors_then_friction() {
+fn columns_are_links_then_rotors_then_friction() {
     let names: List<_> = nominal().columns.iter().map(|c| c.id.to_string()).collect();
     assert_eq!(names.len(), P + FRICTION_COLUMNS * N);
     let front = [
@@ -105,7 +105,7 @@ fn a_bank_without_friction_columns_has_no_friction() {
 }
 
 #[test]
-fn a_bank_from_before_load_offset_and_cogging_reads_them_as_zero() {
+fn missing_friction_columns_are_zero_and_can_be_learnt() {
     let mut set = ParameterSet::<N, P>::nominal::<Ur5>(3);
     for friction in &mut set.friction {
         *friction = FrictionParameters([1.0; FRICTION_COLUMNS]);
@@ -127,7 +127,7 @@ fn a_bank_from_before_load_offset_and_cogging_reads_them_as_zero() {
             assert_eq!(friction[column], wanted, "{column:?}");
         }
     }
-    // What is learnt in them since does not get lost.
+    // Values learnt in them are kept.
     let mut learnt = set;
     learnt.friction[2][FrictionColumn::CoggingSine] = 0.4;
     bank.refresh::<Ur5, N, P>(&learnt);
@@ -136,79 +136,50 @@ fn a_bank_from_before_load_offset_and_cogging_reads_them_as_zero() {
 }
 
 #[test]
-fn a_bank_that_does_not_fit_the_arm_is_refused_with_the_place() {
-    let foreign = BankError::WrongArm { found: !Ur5::HASH };
-    assert_eq!(verdict(|_| {}), None);
-    assert_eq!(verdict(|b| b.arm_hash = !b.arm_hash), Some(foreign));
-    assert_eq!(
-        verdict(|b| b.columns[3].value = f32::NAN),
-        Some(BankError::Column(3))
-    );
-    assert_eq!(
-        verdict(|b| b.columns[4].deviation = -1.0),
-        Some(BankError::Column(4))
-    );
-    assert_eq!(
-        verdict(|b| _ = b.columns.remove(5)),
-        Some(BankError::MissingColumn(5))
-    );
-    assert_eq!(
-        verdict(|b| b.columns[6].id.kind = ColumnKind::try_from(0).unwrap()),
-        Some(BankError::UnknownColumn(6))
-    );
-    assert_eq!(
-        verdict(|b| b.columns[7].id = b.columns[1].id),
-        Some(BankError::UnknownColumn(7))
-    );
-    assert_eq!(
-        verdict(|b| b.columns[41].id.joint = 6),
-        Some(BankError::UnknownColumn(41))
-    );
-    assert_eq!(
-        verdict(|b| b.network.hidden = 7),
-        Some(BankError::NetworkShape)
-    );
-    assert_eq!(
-        verdict(|b| b.network.activation = ActivationKind::Tanh),
-        Some(BankError::NetworkShape)
-    );
-    assert_eq!(
-        verdict(|b| _ = b.weights.pop()),
-        Some(BankError::NetworkShape)
-    );
-    assert_eq!(
-        verdict(|b| b.weights[100] = f32::INFINITY),
-        Some(BankError::Weight(100))
-    );
-    assert_eq!(
-        verdict(|b| b.drive_gains_nm_a[2] = -1.0),
-        Some(BankError::DriveGain(2))
-    );
-    assert_eq!(
-        verdict(|b| _ = b.drive_gains_nm_a.pop()),
-        Some(BankError::DriveGain(5))
-    );
-    assert_eq!(
-        verdict(|b| b.limits[1].torque_nm = 151.0),
-        Some(BankError::Limit(1))
-    );
-    assert_eq!(
-        verdict(|b| b.limits[0].slew_nm_s = 0.0),
-        Some(BankError::Limit(0))
-    );
-    let widest = nominal().limits[3].slew_nm_s;
-    assert_eq!(verdict(|b| b.limits[3].slew_nm_s = 0.5 * widest), None);
-    for wider in [widest.next_up(), f32::INFINITY, f32::NAN] {
-        assert_eq!(
-            verdict(|b| b.limits[3].slew_nm_s = wider),
-            Some(BankError::Limit(3))
-        );
+fn a_bank_that_does_not_fit_is_refused_with_the_place() {
+    use BankError::*;
+    type Change = fn(&mut ParameterBank);
+    let refusals: [(Change, BankError); 16] = [
+        (|b| b.arm_hash = !b.arm_hash, WrongArm { found: !Ur5::HASH }),
+        (|b| b.columns[3].value = f32::NAN, Column(3)),
+        (|b| b.columns[4].deviation = -1.0, Column(4)),
+        (|b| _ = b.columns.remove(5), MissingColumn(5)),
+        (
+            |b| b.columns[6].id.kind = ColumnKind::try_from(0).unwrap(),
+            UnknownColumn(6),
+        ),
+        (|b| b.columns[7].id = b.columns[1].id, UnknownColumn(7)),
+        (|b| b.columns[41].id.joint = 6, UnknownColumn(41)),
+        (|b| b.network.hidden = 7, NetworkShape),
+        (
+            |b| b.network.activation = ActivationKind::Tanh,
+            NetworkShape,
+        ),
+        (|b| _ = b.weights.pop(), NetworkShape),
+        (|b| b.weights[100] = f32::INFINITY, Weight(100)),
+        (|b| b.drive_gains_nm_a[2] = -1.0, DriveGain(2)),
+        (|b| _ = b.drive_gains_nm_a.pop(), DriveGain(5)),
+        (|b| b.limits[1].torque_nm = 151.0, Limit(1)),
+        (|b| b.limits[0].slew_nm_s = 0.0, Limit(0)),
+        (|b| _ = b.limits.pop(), Limit(5)),
+    ];
+    for (change, error) in refusals {
+        assert_eq!(verdict(change), Some(error));
     }
-    assert_eq!(verdict(|b| _ = b.limits.pop()), Some(BankError::Limit(5)));
+    let widest = nominal().limits[3].slew_nm_s;
+    for (slew, error) in [
+        (widest, None),
+        (0.5 * widest, None),
+        (widest.next_up(), Some(Limit(3))),
+        (f32::INFINITY, Some(Limit(3))),
+        (f32::NAN, Some(Limit(3))),
+    ] {
+        assert_eq!(verdict(|b| b.limits[3].slew_nm_s = slew), error);
+    }
 }
 
 #[test]
-fn the_largest_bank_fits_the_room() {
+fn the_largest_bank_fits_the_buffer() {
     let mut bank = nominal();
     let column = bank.columns[0];
     while bank.columns.push(column).is_ok() {}
@@ -222,7 +193,7 @@ fn the_largest_bank_fits_the_room() {
 }
 
 #[test]
-fn another_format_version_and_other_bytes_are_told_apart() {
+fn another_version_and_other_bytes_differ_in_error() {
     let mut foreign = bytes(&nominal());
     foreign[4] = 2;
     assert_eq!(ParameterBank::decode(&foreign), Err(BankError::Version(2)));
@@ -259,7 +230,7 @@ proptest! {
     }
 
     #[test]
-    fn any_content_under_a_right_checksum_is_judged_without_panic(
+    fn any_content_with_a_right_checksum_is_refused(
         body in prop::collection::vec(any::<u8>(), 0..3000),
     ) {
         let mut sealed = b"FTPB\x01".to_vec();

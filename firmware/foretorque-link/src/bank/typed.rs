@@ -1,4 +1,4 @@
-//! Between the self-describing bank and the typed set of one arm.
+//! Conversion between the self-describing bank and the typed set of one arm.
 
 use super::column::{ColumnId, ColumnKind, id, rigid_columns};
 use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
@@ -12,17 +12,17 @@ use foretorque::learning::{
 };
 use heapless::Vec;
 
-/// Seed of the random hidden layers of a bank nobody has trained yet.
+/// Seed of the random hidden layers of an untrained bank.
 pub const NETWORK_SEED: u32 = 1;
 
 impl ParameterBank {
-    /// The bank of an arm nobody has identified yet: the description's rigid body, no friction, silent networks, drive
-    /// gains not known, the arm's limits. Standard deviations are those of [`LearnerConfig::for_arm`].
+    /// The bank before any identification: rigid body of the description, no friction, networks with zero output, unknown
+    /// drive gains, limits of the arm, standard deviations of [`LearnerConfig::for_arm`].
     pub fn nominal<A: Arm<N, P>, const N: usize, const P: usize>() -> Self {
         Self::from_set::<A, N, P>(&ParameterSet::nominal::<A>(NETWORK_SEED))
     }
 
-    /// The bank of `set`, everything else as in [`nominal`](Self::nominal).
+    /// The bank of `set`, with all else as in [`nominal`](Self::nominal).
     pub fn from_set<A: Arm<N, P>, const N: usize, const P: usize>(
         set: &ParameterSet<N, P>,
     ) -> Self {
@@ -32,7 +32,7 @@ impl ParameterBank {
         bank
     }
 
-    /// Becomes the bank of an arm nobody has identified yet, all values zero.
+    /// Sets everything as in [`nominal`](Self::nominal), with all values zero.
     #[inline(never)]
     pub(crate) fn describe<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
         const {
@@ -40,9 +40,9 @@ impl ParameterBank {
             assert!(P + FRICTION_COLUMNS * N <= MAX_COLUMNS);
             assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS);
         }
-        let doubts = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
-        let rigid = rigid_columns::<A, N, P>().zip(doubts.rigid_sigma);
-        let friction = friction_columns(&doubts.friction_sigma);
+        let config = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
+        let rigid = rigid_columns::<A, N, P>().zip(config.rigid_sigma);
+        let friction = friction_columns(&config.friction_sigma);
         let columns = rigid.chain(friction).map(|(id, deviation)| Column {
             id,
             value: 0.0,
@@ -63,24 +63,24 @@ impl ParameterBank {
         fill(&mut self.limits, bounds);
     }
 
-    /// Puts the values of `set` into the bank and leaves all else as it is. Columns that the bank did not have are added,
-    /// with the doubt of a bank nobody has identified: what was learnt in them must not be lost.
+    /// Writes the values of `set` into the bank and leaves all else unchanged. Columns that the bank lacks are added, with
+    /// the standard deviations of [`nominal`](Self::nominal), so that nothing learnt is lost.
     #[inline(never)]
     pub fn refresh<A: Arm<N, P>, const N: usize, const P: usize>(
         &mut self,
         set: &ParameterSet<N, P>,
     ) {
-        let doubts = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
+        let config = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
         let rigid = rigid_columns::<A, N, P>().zip(set.rigid.as_slice().iter().copied());
         let friction = friction_columns(&set.friction);
-        let deviations = doubts.rigid_sigma.into_iter();
-        let deviations =
-            deviations.chain(friction_columns(&doubts.friction_sigma).map(|(_, doubt)| doubt));
+        let deviations = config.rigid_sigma.into_iter();
+        let deviations = deviations
+            .chain(friction_columns(&config.friction_sigma).map(|(_, deviation)| deviation));
         for ((id, value), deviation) in rigid.chain(friction).zip(deviations) {
             match self.columns.iter_mut().find(|column| column.id == id) {
                 Some(column) => column.value = value,
                 None => {
-                    // There is room for every column of the arm, each once.
+                    // The capacity suffices for every column of the arm, each once.
                     let _ = self.columns.push(Column {
                         id,
                         value,
@@ -91,14 +91,14 @@ impl ParameterBank {
         }
         self.weights.clear();
         for layer in set.network.iter().flat_map(JointNetwork::layers) {
-            // There is room for every network of the arm.
+            // The capacity suffices for every network of the arm.
             let _ = self.weights.extend_from_slice(layer);
         }
     }
 
-    /// The typed set of the bank. Friction columns that are not there are zero.
+    /// The typed set of the bank. Friction columns that it lacks are zero.
     ///
-    /// Errors: the first thing that makes the bank no bank for `A`.
+    /// Errors: the first reason why the bank does not fit `A`.
     pub fn set<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> Result<ParameterSet<N, P>, BankError> {
@@ -137,7 +137,7 @@ impl ParameterBank {
         Ok(set)
     }
 
-    /// Drive gain of every joint, N·m/A; 0 where it is not known. Errors: [`BankError::DriveGain`].
+    /// Drive gain of every joint, N·m/A; 0 is unknown. Errors: [`BankError::DriveGain`].
     pub fn drive_gains<const N: usize>(&self) -> Result<[f32; N], BankError> {
         let mut gains = [0.0; N];
         for (joint, gain) in gains.iter_mut().enumerate() {
@@ -149,12 +149,10 @@ impl ParameterBank {
         Ok(gains)
     }
 
-    /// How the tick shall behave at `period_s`: the arm's limits, tightened by those of the bank.
+    /// Configuration of ticks of `period_s`, s: the arm's limits, tightened by those of the bank.
     ///
-    /// Torque and rate of the torque can only be tightened: neither may exceed what [`FeedForwardConfig::for_arm`] allows.
-    ///
-    /// Errors: [`BankError::Limit`] when a limit is not positive, or wider than the firmware's, or the network's bound is
-    /// not the one this firmware is built with.
+    /// Errors: [`BankError::Limit`] where torque or slew limit is not positive or exceeds [`FeedForwardConfig::for_arm`], or
+    /// the bound of the network differs from that of this firmware.
     pub fn feed_forward_config<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
         period_s: f32,
@@ -181,7 +179,7 @@ impl ParameterBank {
         self.column(id).map_or(0.0, |column| column.value)
     }
 
-    /// Every column is known, there once, and a number.
+    /// Checks that every column is known, finite and not repeated.
     fn check_columns<A: Arm<N, P>, const N: usize, const P: usize>(&self) -> Result<(), BankError> {
         for (place, column) in self.columns.iter().enumerate() {
             let friction =
@@ -200,13 +198,13 @@ impl ParameterBank {
     }
 }
 
-/// Largest rate of the torque this firmware is built with, N × N·m/s.
+/// Largest rate of the torque of this firmware, N × N·m/s.
 fn slew_nm_s<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; N] {
     // The largest change in a tick of one second.
     FeedForwardConfig::for_arm::<A, P>(1.0).slew_per_tick
 }
 
-/// The friction columns of all joints with their numbers.
+/// Friction columns of all joints with their values.
 fn friction_columns<const N: usize>(
     friction: &[FrictionParameters; N],
 ) -> impl Iterator<Item = (ColumnId, f32)> {
@@ -217,7 +215,7 @@ fn friction_columns<const N: usize>(
     })
 }
 
-/// The shape this firmware is built with.
+/// Network shape of this firmware.
 fn shape<const N: usize>() -> NetworkShape {
     NetworkShape {
         activation: ActivationKind::Relu,
@@ -239,11 +237,11 @@ pub(crate) fn name(text: &str) -> Name {
     name
 }
 
-/// Replaces the content of `room` by the first `M` items. Collecting into a `heapless::Vec` would panic on one more.
-fn fill<T, const M: usize>(room: &mut Vec<T, M>, items: impl Iterator<Item = T>) {
-    room.clear();
+/// Replaces the content of `vector` by the first `M` items. Collecting into a `heapless::Vec` would panic on one more.
+fn fill<T, const M: usize>(vector: &mut Vec<T, M>, items: impl Iterator<Item = T>) {
+    vector.clear();
     for item in items {
-        if room.push(item).is_err() {
+        if vector.push(item).is_err() {
             break;
         }
     }

@@ -4,18 +4,18 @@ use crate::session::LocalSensor;
 use embedded_hal::spi::SpiDevice;
 use foretorque::joint::JointSample;
 
-/// Where the turn comes from in which a single-turn encoder stands.
+/// Source of the turn of a single-turn encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TurnReference {
-    /// At start, and wherever the count is lost, the joint is less than half a turn of the encoder from here, rad. For
-    /// encoders on the link's side, one turn of which is the joint's range.
+    /// Position within half a turn of the encoder, rad, at start and wherever the count is lost. For encoders on the link
+    /// side, one turn of which is the range of the joint.
     Near(f32),
-    /// The host's measured position of the joint tells it, once. For encoders behind a gear: the host must know the joint
-    /// to half a turn of the encoder.
+    /// Measured position in the sample of the host, once. For encoders behind a gear: the host must measure the joint to
+    /// half a turn of the encoder.
     FromSample,
 }
 
-/// The encoder of a board's own joint, as the session reads it: once a tick.
+/// Encoder of a board's own joint, read once a tick.
 #[derive(Debug)]
 pub struct JointEncoder<Spi> {
     encoder: AbsoluteEncoder<Spi>,
@@ -25,7 +25,7 @@ pub struct JointEncoder<Spi> {
 }
 
 impl<Spi: SpiDevice> JointEncoder<Spi> {
-    /// The encoder of `joint`, counted from 0. Says nothing to it.
+    /// The encoder of `joint`, counted from 0, without access to it.
     pub const fn new(encoder: AbsoluteEncoder<Spi>, joint: usize, turn: TurnReference) -> Self {
         Self {
             encoder,
@@ -35,21 +35,20 @@ impl<Spi: SpiDevice> JointEncoder<Spi> {
         }
     }
 
-    /// Error of the last tick's reading.
+    /// Error of the reading of the last tick.
     pub const fn last_error(&self) -> Option<EncoderError> {
         self.last_error
     }
 
-    /// Where a lost turn is found again, at rest only: a reference taken while torque flows could put the joint a whole
-    /// turn away from where the controller holds it.
-    fn read(&mut self, told: Option<f32>, at_rest: bool) -> Result<f32, EncoderError> {
+    /// Reads the position; restores a lost turn at rest only, because a wrong turn moves the joint while torque flows.
+    fn read(&mut self, sampled: Option<f32>, at_rest: bool) -> Result<f32, EncoderError> {
         if self.encoder.state().position.is_some() || !at_rest {
             return self.encoder.position();
         }
         self.encoder.reference(match self.turn {
             TurnReference::Near(q) => q,
-            // A position that is none is refused, after the reading: the questions to the chip go on.
-            TurnReference::FromSample => told.unwrap_or(f32::NAN),
+            // NaN is refused after the reading, so that the sequence of frames continues.
+            TurnReference::FromSample => sampled.unwrap_or(f32::NAN),
         })
     }
 }

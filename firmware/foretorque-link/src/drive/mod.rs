@@ -1,13 +1,12 @@
-//! A board that drives its own joint: encoder in, torque out, around the ticks of a session.
+//! Drive of a board's own joint: encoder in, torque out, around the ticks of a session.
 //!
 //! ```text
-//! watch ──► session: sample ─► encoder's position in ─► step ─► safety ──► follow ──► enable, torque command
-//!   ▲                                                                        │
-//!   └──────────────────── fault input of the stage ◄─────────────────────────┘
+//! check ──► session: sample ─► encoder's position in ─► step ─► safety ──► apply ──► enable, torque command
+//!   ▲                                                                       │
+//!   └──────────────────── fault input of the stage ◄────────────────────────┘
 //! ```
-//! Whatever goes wrong with the stage switches it off first; then the session is told, which latches the reason and answers
-//! zero torque from then on. What goes wrong with the encoder is a matter of the tick's input: a measurement is dropped, and
-//! a torque that flows ends when that lasts.
+//! An error of the stage switches it off first; then the session latches the reason and replies with zero torque. An error
+//! of the encoder is a fault of the tick's input: the measurement is dropped, and lasting errors end the torque.
 
 mod encoder;
 
@@ -19,13 +18,13 @@ use crate::session::{Clock, Session};
 use embedded_hal::digital::{InputPin, OutputPin};
 use foretorque::arm::Arm;
 
-/// The motor stage of a board's own joint, which goes where the session's safety goes.
+/// Motor stage of a board's own joint, which follows the safety of the session.
 #[derive(Debug)]
 pub struct JointStage<Output, Enable, Fault> {
     stage: MotorStage<Output, Enable, Fault>,
     joint: usize,
-    /// Bits of the torque that was put out last, so that a command goes out once a tick.
-    told: Option<u32>,
+    /// Bits of the last torque command, so that only a change is sent.
+    commanded: Option<u32>,
     last_error: Option<StageError>,
 }
 
@@ -40,17 +39,17 @@ where
         Self {
             stage,
             joint,
-            told: None,
+            commanded: None,
             last_error: None,
         }
     }
 
-    /// Last error of the stage. It stays until the stage is switched on again.
+    /// Last error of the stage; stays until the stage is switched on again.
     pub const fn last_error(&self) -> Option<StageError> {
         self.last_error
     }
 
-    /// Before a tick: a stage with a fault is off, and the session knows.
+    /// Before a tick: switches a stage with a fault off and reports it to the session.
     ///
     /// Cost: one read of a pin.
     pub fn check<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
@@ -58,10 +57,10 @@ where
         session: &mut Session<A, N, P, C>,
     ) {
         let checked = self.stage.check();
-        self.tell(checked, session);
+        self.report(checked, session);
     }
 
-    /// After a tick: enable and torque command are what the session's safety says.
+    /// After a tick: sets enable and torque command to those of the session's safety.
     ///
     /// Cost: one read of a pin and one command; nothing where neither enable nor torque have changed.
     pub fn apply<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
@@ -76,19 +75,19 @@ where
         } else {
             self.end()
         };
-        self.tell(done, session);
+        self.report(done, session);
     }
 
     fn put_out(&mut self, tau_nm: f32) -> Result<(), StageError> {
         if !self.stage.is_enabled() {
             self.stage.enable()?;
-            self.told = None;
+            self.commanded = None;
             self.last_error = None;
         }
-        if self.told != Some(tau_nm.to_bits()) {
-            self.told = None;
+        if self.commanded != Some(tau_nm.to_bits()) {
+            self.commanded = None;
             self.stage.drive(tau_nm)?;
-            self.told = Some(tau_nm.to_bits());
+            self.commanded = Some(tau_nm.to_bits());
         }
         Ok(())
     }
@@ -100,7 +99,7 @@ where
         Ok(())
     }
 
-    fn tell<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
+    fn report<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
         &mut self,
         done: Result<(), StageError>,
         session: &mut Session<A, N, P, C>,
@@ -112,7 +111,7 @@ where
     }
 }
 
-/// Reason that the host gets.
+/// Reason that the host receives.
 fn reason(error: StageError) -> SafetyReason {
     match error {
         StageError::Fault | StageError::FaultInput => SafetyReason::Drive,

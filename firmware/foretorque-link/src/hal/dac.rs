@@ -1,19 +1,19 @@
 use super::output::{OutputError, TorqueOutput, bounded};
 use embedded_hal::spi::{Error as _, SpiDevice};
 
-/// A converter whose frame is known here. SPI mode 0, most significant bit first.
+/// Supported converters. SPI mode 0, most significant bit first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DacModel {
     /// 12 bits, 16-bit frames (Microchip DS21897, register 5-1): channel A, unbuffered reference, gain 1, active.
     Mcp4921,
     /// 16 bits, 24-bit frames (Texas Instruments SLAS430, table 1): written to and put out on channel A.
     Dac8552A,
-    /// Channel B of the DAC8552.
+    /// As [`Dac8552A`](Self::Dac8552A), on channel B.
     Dac8552B,
 }
 
 impl DacModel {
-    /// Codes from mid-scale, which is no torque, to the end of the range that both signs reach.
+    /// Codes from mid-scale, which is zero torque, to the end of the range of both signs.
     const fn half(self) -> u16 {
         match self {
             Self::Mcp4921 => 2047,
@@ -21,7 +21,7 @@ impl DacModel {
         }
     }
 
-    /// The frame of `code`, and how many of its bytes are sent.
+    /// Frame of `code`, and number of its bytes.
     const fn frame(self, code: u16) -> ([u8; 3], usize) {
         let [high, low] = code.to_be_bytes();
         match self {
@@ -32,11 +32,11 @@ impl DacModel {
     }
 }
 
-/// The analogue command input of a servo drive, behind a converter whose mid-scale is no torque.
+/// Analogue command of a servo drive, through a converter whose mid-scale is zero torque.
 ///
-/// Code = mid-scale + round(level · half-scale): with a reference of V_ref, the output is V_ref / 2 · (1 + level), which
-/// the analogue stage of the board brings to the drive's ±10 V (or whatever it takes). One least significant bit is 1/2047
-/// of the largest current with 12 bits, 1/32767 with 16.
+/// Code = mid-scale + round(level · half-scale): with a reference of V_ref, the output is V_ref / 2 · (1 + level). The
+/// analogue stage of the board scales it to the drive's input, such as ±10 V. One least significant bit is 1/2047 of the
+/// largest current with 12 bits, 1/32767 with 16.
 ///
 /// ```
 /// # use embedded_hal_mock::eh1::spi::{Mock, Transaction};
@@ -69,7 +69,7 @@ impl<Spi: SpiDevice> TorqueOutput for SpiDac<Spi> {
     fn command(&mut self, level: f32) -> Result<(), OutputError> {
         let half = i32::from(self.model.half());
         let swing = bounded(level) * half as f32;
-        // Away from zero by a half, then cut: the nearest integer, and the same for both signs.
+        // Half away from zero, then truncated: the nearest integer, symmetric in sign.
         let swing = if swing < 0.0 {
             (swing - 0.5) as i32
         } else {
@@ -117,7 +117,7 @@ mod tests {
         }
     }
 
-    /// A bus that is gone. The mock of the crate cannot fail.
+    /// A bus that fails; the mock of the crate cannot.
     struct Gone;
 
     impl ErrorType for Gone {
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bus_that_is_gone_is_reported() {
+    fn a_failing_bus_is_reported() {
         let mut output = SpiDac::new(Gone, DacModel::Dac8552A);
         assert_eq!(
             output.command(0.1),

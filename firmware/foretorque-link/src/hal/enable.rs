@@ -27,14 +27,14 @@ impl<Pin: OutputPin> TorqueEnable<Pin> {
         Ok(Self { pin, on: false })
     }
 
-    /// Lets torque through. Errors: those of the pin; torque counts as off until it answers.
+    /// Lets torque through. Errors: those of the pin; torque then counts as off.
     pub fn on(&mut self) -> Result<(), Pin::Error> {
         self.pin.set_high()?;
         self.on = true;
         Ok(())
     }
 
-    /// Switches torque off. Errors: those of the pin; torque still counts as on, so that the caller tries again.
+    /// Switches torque off. Errors: those of the pin; torque then counts as on, so that the caller tries again.
     pub fn off(&mut self) -> Result<(), Pin::Error> {
         self.pin.set_low()?;
         self.on = false;
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pin_that_refuses_to_go_low_leaves_torque_on_record() {
+    fn a_pin_that_stays_high_counts_as_on() {
         let broken = Transaction::set(State::Low).with_error(MockError::Io(ErrorKind::BrokenPipe));
         let pin = Mock::new(&[
             Transaction::set(State::Low),
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pin_that_refuses_to_go_high_leaves_torque_off_record() {
+    fn a_pin_that_stays_low_counts_as_off() {
         let broken = Transaction::set(State::High).with_error(MockError::Io(ErrorKind::BrokenPipe));
         let mut enable =
             TorqueEnable::new(Mock::new(&[Transaction::set(State::Low), broken])).unwrap();

@@ -1,12 +1,11 @@
-//! Hardware at the edge of the board, generic over embedded-hal 1.0: where a joint's position comes from, where its
-//! torque goes, and the pin that lets it through.
+//! Hardware adapters, generic over embedded-hal 1.0: encoder, torque output and enable pin of a joint.
 //!
 //! ```text
 //! encoder (SPI) ──► q                      tau ──► MotorStage ──► TorqueOutput: PWM and direction, or SPI DAC
 //!                                                     │  ▲
 //!                                       enable output ┘  └ fault input
 //! ```
-//! Every call is bounded: at most three bus transfers and a few pin accesses, none of them in a loop.
+//! Every call is bounded: at most three bus transfers and a few pin accesses, without loops.
 
 mod dac;
 mod enable;

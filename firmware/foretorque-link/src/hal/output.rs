@@ -1,20 +1,20 @@
 use core::fmt;
 use embedded_hal::{digital, pwm, spi};
 
-/// Where a torque command leaves the board: the input of a current controller, signed and scaled to ±1.
+/// Output of the torque command to a current controller, signed and scaled to ±1.
 ///
 /// Implemented by [`PwmWithDirection`](super::PwmWithDirection) and [`SpiDac`](super::SpiDac).
 pub trait TorqueOutput {
     /// Puts out `level`, as a part of the largest command; −1 to 1, positive accelerates +q.
     ///
-    /// The caller has bounded it and made sure that it is a number; an adapter bounds it once more, because a duty or
-    /// code that wraps is full torque in the wrong direction.
+    /// The caller passes a finite, bounded value. An adapter bounds it again, because a duty or code that wraps is full
+    /// torque in the wrong direction.
     ///
-    /// Errors: those of the pin, timer or bus; what is put out is then unknown.
+    /// Errors: those of the pin, timer or bus; the output is then unknown.
     fn command(&mut self, level: f32) -> Result<(), OutputError>;
 }
 
-/// Why a command did not get out.
+/// Failure of an output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OutputError {
     /// The SPI bus of the converter.
@@ -37,7 +37,7 @@ impl fmt::Display for OutputError {
 
 impl core::error::Error for OutputError {}
 
-/// `level` inside ±1; what is not a number is no command.
+/// `level` inside ±1; 0 for NaN.
 pub(super) fn bounded(level: f32) -> f32 {
     if level >= 1.0 {
         1.0

@@ -2,10 +2,10 @@ use super::output::{OutputError, TorqueOutput, bounded};
 use embedded_hal::digital::{Error as _, OutputPin};
 use embedded_hal::pwm::{Error as _, SetDutyCycle};
 
-/// Sign and magnitude: a pulse width for how much, a pin for which way; the input of most brushed and many servo stages.
+/// Sign and magnitude: pulse width and direction pin, the input of most brushed and many servo stages.
 ///
-/// Duty = round(|level| · largest duty). The largest duty is the largest current of the stage, and so belongs to
-/// `TorqueScale::full_scale_a`. The direction pin is high for a positive level.
+/// Duty = round(|level| · largest duty). The largest duty is the largest current of the stage, `TorqueScale::full_scale_a`.
+/// The direction pin is high for a positive level.
 ///
 /// ```
 /// # use embedded_hal_mock::eh1::{digital, pwm};
@@ -23,7 +23,7 @@ use embedded_hal::pwm::{Error as _, SetDutyCycle};
 pub struct PwmWithDirection<Pulse, Pin> {
     pulse: Pulse,
     direction: Pin,
-    /// Last level of the direction pin; `None` before the first command, and after a refused one.
+    /// Last direction; `None` before the first command, and after one that the pin refused.
     positive: Option<bool>,
 }
 
@@ -47,15 +47,15 @@ impl<Pulse: SetDutyCycle, Pin: OutputPin> PwmWithDirection<Pulse, Pin> {
             return Ok(());
         }
         if self.positive.take().is_some() {
-            // A stage that turns under pulses gets one of the old width in the new direction.
+            // A stage that reverses under pulses would put out one of the old width in the new direction.
             self.duty(0)?;
         }
-        let told = if positive {
+        let set = if positive {
             self.direction.set_high()
         } else {
             self.direction.set_low()
         };
-        told.map_err(|error| OutputError::Direction(error.kind()))?;
+        set.map_err(|error| OutputError::Direction(error.kind()))?;
         self.positive = Some(positive);
         Ok(())
     }
@@ -73,7 +73,7 @@ impl<Pulse: SetDutyCycle, Pin: OutputPin> TorqueOutput for PwmWithDirection<Puls
         // Rounded to nearest: at most the largest duty, because |level| is at most 1.
         let duty = (level.abs() * f32::from(largest) + 0.5) as u16;
         if duty == 0 {
-            // No width has no direction: the pin stays, so that noise around zero does not toggle it.
+            // The pin stays, so that noise around zero does not toggle it.
             return self.duty(0);
         }
         self.turn(level > 0.0)?;
@@ -91,15 +91,15 @@ mod tests {
 
     fn commanded(levels: &[f32], duties: &[Duty], pins: &[Set]) -> Vec<Result<(), OutputError>> {
         let mut output = PwmWithDirection::new(Pulse::new(duties), Pin::new(pins));
-        let said = levels.iter().map(|&level| output.command(level)).collect();
+        let results = levels.iter().map(|&level| output.command(level)).collect();
         let (mut pulse, mut pin) = output.release();
         pulse.done();
         pin.done();
-        said
+        results
     }
 
     #[test]
-    fn the_duty_is_the_level_rounded_and_never_beyond_the_largest() {
+    fn the_duty_is_the_rounded_and_bounded_level() {
         for (level, duty) in [
             (1.0, 999),
             (0.5, 500),
@@ -108,19 +108,19 @@ mod tests {
             (f32::INFINITY, 999),
         ] {
             let duties = [Duty::max_duty_cycle(999), Duty::set_duty_cycle(duty)];
-            let said = commanded(&[level], &duties, &[Set::set(State::High)]);
-            assert_eq!(said, [Ok(())], "{level}");
+            let results = commanded(&[level], &duties, &[Set::set(State::High)]);
+            assert_eq!(results, [Ok(())], "{level}");
         }
     }
 
     #[test]
-    fn what_is_not_a_number_puts_nothing_out() {
+    fn nan_puts_nothing_out() {
         let duties = [Duty::max_duty_cycle(999), Duty::set_duty_cycle(0)];
         assert_eq!(commanded(&[f32::NAN], &duties, &[]), [Ok(())]);
     }
 
     #[test]
-    fn the_width_is_zero_while_the_direction_turns() {
+    fn the_width_is_zero_while_the_direction_changes() {
         let duties = [
             Duty::max_duty_cycle(100),
             Duty::set_duty_cycle(50),
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_direction_that_cannot_be_told_leaves_the_width_at_zero() {
+    fn a_failing_direction_pin_leaves_the_width_at_zero() {
         let broken = MockError::Io(ErrorKind::BrokenPipe);
         let duties = [
             Duty::max_duty_cycle(100),
@@ -145,18 +145,18 @@ mod tests {
             Set::set(State::High),
             Set::set(State::Low).with_error(broken),
         ];
-        let said = commanded(&[0.5, -0.5], &duties, &pins);
-        assert!(matches!(said[1], Err(OutputError::Direction(_))));
+        let results = commanded(&[0.5, -0.5], &duties, &pins);
+        assert!(matches!(results[1], Err(OutputError::Direction(_))));
     }
 
     #[test]
-    fn a_timer_that_refuses_is_reported() {
+    fn a_failing_timer_is_reported() {
         let broken = MockError::Io(ErrorKind::BrokenPipe);
         let duties = [
             Duty::max_duty_cycle(100),
             Duty::set_duty_cycle(50).with_error(broken),
         ];
-        let said = commanded(&[0.5], &duties, &[Set::set(State::High)]);
-        assert!(matches!(said[0], Err(OutputError::Pulse(_))));
+        let results = commanded(&[0.5], &duties, &[Set::set(State::High)]);
+        assert!(matches!(results[0], Err(OutputError::Pulse(_))));
     }
 }

@@ -3,7 +3,7 @@ use core::fmt;
 use embedded_hal::digital::{InputPin, OutputPin};
 use foretorque::limits::cut;
 
-/// From torque to what the stage is told.
+/// Scale from torque to the command of the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TorqueScale {
     /// Drive gain κ: link-side torque per motor current, N·m/A (torque constant × gear ratio × efficiency). Negative where
@@ -11,22 +11,22 @@ pub struct TorqueScale {
     pub gain_nm_per_a: f32,
     /// Motor current at the largest command, A.
     pub full_scale_a: f32,
-    /// Largest torque that is put out, N·m, whatever is asked.
+    /// Largest torque that is put out, N·m.
     pub limit_nm: f32,
 }
 
 impl TorqueScale {
-    /// All three can work, and the limit lies inside what the stage can give.
+    /// All three are valid, and the limit lies within the full scale.
     fn usable(&self) -> bool {
         let full_scale_nm = self.gain_nm_per_a.abs() * self.full_scale_a;
         full_scale_nm.is_finite() && self.limit_nm > 0.0 && self.limit_nm <= full_scale_nm
     }
 }
 
-/// Why no torque is put out.
+/// Reason why no torque is put out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StageError {
-    /// The scale cannot work: a number that is not positive, or a limit beyond the stage's full scale.
+    /// Invalid scale: a value that is not positive, or a limit beyond the stage's full scale.
     Scale,
     /// The stage is switched off.
     Disabled,
@@ -34,25 +34,25 @@ pub enum StageError {
     Fault,
     /// The fault input could not be read, which counts as a fault.
     FaultInput,
-    /// The torque is not a number.
+    /// The torque is not finite.
     NotFinite,
-    /// The command did not get out.
+    /// The output failed.
     Output(OutputError),
-    /// The enable output refuses: torque may still flow. Cut the supply.
+    /// The enable output does not switch off: torque may still flow. Cut the supply.
     Enable,
 }
 
 impl StageError {
-    /// Name of the error, without its payload.
+    /// Description without the payload.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Scale => "gain, full scale and limit of the stage do not fit",
             Self::Disabled => "the motor stage is switched off",
             Self::Fault => "the motor stage reports a fault",
             Self::FaultInput => "the fault input cannot be read",
-            Self::NotFinite => "the torque is not a number",
-            Self::Output(_) => "the torque command did not get out",
-            Self::Enable => "the enable output refuses; torque may still flow",
+            Self::NotFinite => "the torque is not finite",
+            Self::Output(_) => "the torque command failed",
+            Self::Enable => "the enable output does not switch off; torque may still flow",
         }
     }
 }
@@ -69,10 +69,10 @@ impl fmt::Display for StageError {
 
 impl core::error::Error for StageError {}
 
-/// Output of the stage.
+/// Command that was put out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Driven {
-    /// Motor current asked of the stage, A.
+    /// Commanded motor current, A.
     pub current_a: f32,
     /// The torque was cut to the limit of the scale.
     pub saturated: bool,
@@ -80,9 +80,8 @@ pub struct Driven {
 
 /// A motor stage: torque command, enable output, fault input (active low, as an open drain pulls it).
 ///
-/// Current = τ / κ, level = current / full scale. Torque is put out while the stage is enabled and reports no fault, and
-/// at no other time. Whatever goes wrong in [`drive`](Self::drive) switches the enable off first and asks questions
-/// later; only [`enable`](Self::enable) switches it on.
+/// Current = τ / κ, level = current / full scale. Torque is put out only while the stage is enabled and reports no fault.
+/// Any error in [`drive`](Self::drive) switches the enable off first; only [`enable`](Self::enable) switches it on.
 #[derive(Debug)]
 pub struct MotorStage<Output, Enable, Fault> {
     output: Output,
@@ -124,7 +123,7 @@ where
 
     /// Switches the stage on, with the command at zero.
     ///
-    /// Errors: any but `Scale`, `Disabled` and `NotFinite`; the stage is then off, unless it says [`StageError::Enable`].
+    /// Errors: any but `Scale`, `Disabled` and `NotFinite`; the stage is then off, except for [`StageError::Enable`].
     pub fn enable(&mut self) -> Result<(), StageError> {
         let ready = self.healthy();
         let zeroed = ready.and_then(|()| self.output.command(0.0).map_err(StageError::Output));
@@ -163,8 +162,7 @@ where
 
     /// Puts out `tau_nm`, N·m, positive accelerates +q; cut to the limit of the scale.
     ///
-    /// Errors: every one but [`StageError::Disabled`] has switched the stage off; [`StageError::Enable`] says that this
-    /// failed too.
+    /// Errors: all but [`StageError::Disabled`] have switched the stage off; with [`StageError::Enable`] this failed too.
     ///
     /// Cost: one read of a pin, one command.
     pub fn drive(&mut self, tau_nm: f32) -> Result<Driven, StageError> {
@@ -204,7 +202,7 @@ where
         }
     }
 
-    /// Off. The reason, unless there is something worse to say.
+    /// Switches off; returns the reason, or [`StageError::Enable`] where that failed.
     fn trip(&mut self, reason: StageError) -> StageError {
         match self.disable() {
             Err(StageError::Enable) => StageError::Enable,
@@ -225,20 +223,20 @@ mod tests {
         full_scale_a: 20.0,
         limit_nm: 150.0,
     };
-    const GONE: OutputError = OutputError::Bus(ErrorKind::Other);
+    const FAILED: OutputError = OutputError::Bus(ErrorKind::Other);
 
-    /// Writes down what it is told; the command at `fails` does not get out.
+    /// Records the commands; the one at `fails` fails.
     #[derive(Default)]
     struct Recorder {
-        told: Vec<f32>,
+        levels: Vec<f32>,
         fails: Option<usize>,
     }
 
     impl TorqueOutput for Recorder {
         fn command(&mut self, level: f32) -> Result<(), OutputError> {
-            self.told.push(level);
-            if self.fails == Some(self.told.len() - 1) {
-                return Err(GONE);
+            self.levels.push(level);
+            if self.fails == Some(self.levels.len() - 1) {
+                return Err(FAILED);
             }
             Ok(())
         }
@@ -260,7 +258,7 @@ mod tests {
         transaction.with_error(MockError::Io(std::io::ErrorKind::BrokenPipe))
     }
 
-    /// A stage whose pins expect just this.
+    /// A stage whose pins expect exactly these transactions.
     fn stage(
         scale: TorqueScale,
         fails: Option<usize>,
@@ -268,21 +266,21 @@ mod tests {
         faults: &[Transaction],
     ) -> MotorStage<Recorder, Mock, Mock> {
         let recorder = Recorder {
-            told: Vec::new(),
+            levels: Vec::new(),
             fails,
         };
         MotorStage::new(recorder, Mock::new(enables), Mock::new(faults), scale).unwrap()
     }
 
-    fn told(stage: MotorStage<Recorder, Mock, Mock>) -> Vec<f32> {
+    fn levels(stage: MotorStage<Recorder, Mock, Mock>) -> Vec<f32> {
         let (output, mut enable, mut fault) = stage.release();
         enable.done();
         fault.done();
-        output.told
+        output.levels
     }
 
     #[test]
-    fn torque_becomes_current_over_gain_and_full_scale_and_is_cut_at_the_limit() {
+    fn torque_is_scaled_and_limited() {
         for (gain, asked, current, level, saturated) in [
             (10.0, 50.0, 5.0, 0.25, false),
             (-10.0, 50.0, -5.0, -0.25, false),
@@ -299,27 +297,27 @@ mod tests {
             let driven = stage.drive(asked).unwrap();
             assert!((driven.current_a - current).abs() < 1e-5, "{asked}");
             assert_eq!(driven.saturated, saturated, "{asked}");
-            let told = told(stage);
-            assert_eq!(told[..2], [0.0, 0.0]);
-            assert!((told[2] - level).abs() < 1e-6, "{asked}: {}", told[2]);
+            let levels = levels(stage);
+            assert_eq!(levels[..2], [0.0, 0.0]);
+            assert!((levels[2] - level).abs() < 1e-6, "{asked}: {}", levels[2]);
         }
     }
 
     #[test]
-    fn nothing_is_put_out_before_the_stage_is_enabled_or_after_it_is_disabled() {
+    fn nothing_is_put_out_while_disabled() {
         let mut stage = stage(SCALE, None, &[low(), high(), low()], &[fault(false)]);
         assert_eq!(stage.drive(10.0), Err(StageError::Disabled));
         stage.enable().unwrap();
         assert!(stage.is_enabled());
         stage.disable().unwrap();
         assert_eq!(stage.drive(10.0), Err(StageError::Disabled));
-        assert_eq!(told(stage), [0.0; 3]);
+        assert_eq!(levels(stage), [0.0; 3]);
     }
 
     #[test]
-    fn a_bus_error_a_fault_and_a_torque_that_is_no_number_switch_the_enable_off() {
+    fn errors_switch_the_enable_off() {
         let cases = [
-            (Some(2), fault(false), 10.0, StageError::Output(GONE)),
+            (Some(2), fault(false), 10.0, StageError::Output(FAILED)),
             (None, fault(true), 10.0, StageError::Fault),
             (None, broken(fault(false)), 10.0, StageError::FaultInput),
             (None, fault(false), f32::NAN, StageError::NotFinite),
@@ -331,12 +329,12 @@ mod tests {
             assert_eq!(stage.drive(asked), Err(error));
             assert!(!stage.is_enabled());
             assert_eq!(stage.drive(1.0), Err(StageError::Disabled));
-            assert_eq!(told(stage).last(), Some(&0.0), "{error}");
+            assert_eq!(levels(stage).last(), Some(&0.0), "{error}");
         }
     }
 
     #[test]
-    fn an_enable_that_stays_on_is_worse_than_what_tripped_it_and_is_tried_again() {
+    fn an_enable_that_stays_on_is_reported_and_tried_again() {
         let enables = [low(), high(), broken(low()), low()];
         let faults = [fault(false), fault(true), fault(true)];
         let mut stage = stage(SCALE, None, &enables, &faults);
@@ -345,7 +343,7 @@ mod tests {
         assert!(stage.is_enabled());
         assert_eq!(stage.drive(1.0), Err(StageError::Fault));
         assert!(!stage.is_enabled());
-        told(stage);
+        levels(stage);
     }
 
     #[test]
@@ -353,19 +351,19 @@ mod tests {
         let mut stage = stage(SCALE, None, &[low(), low()], &[fault(true)]);
         assert_eq!(stage.enable(), Err(StageError::Fault));
         assert!(!stage.is_enabled());
-        told(stage);
+        levels(stage);
     }
 
     #[test]
     fn an_output_that_cannot_be_zeroed_is_not_enabled() {
         let mut stage = stage(SCALE, Some(1), &[low(), low()], &[fault(false)]);
-        assert_eq!(stage.enable(), Err(StageError::Output(GONE)));
+        assert_eq!(stage.enable(), Err(StageError::Output(FAILED)));
         assert!(!stage.is_enabled());
-        told(stage);
+        levels(stage);
     }
 
     #[test]
-    fn a_scale_that_cannot_work_is_refused_with_the_enable_off() {
+    fn an_invalid_scale_is_refused_with_the_enable_off() {
         for (gain_nm_per_a, full_scale_a, limit_nm) in [
             (0.0, 20.0, 1.0),
             (10.0, 0.0, 1.0),

@@ -166,8 +166,8 @@ mod tests {
         for (code, reason) in SafetyReason::ALL.into_iter().enumerate() {
             assert_eq!(usize::from(reason.code()), code);
             assert_eq!(SafetyReason::from_code(code as u8), reason);
-            let mut room = [0; 4];
-            let sent = postcard::to_slice(&reason, &mut room).unwrap();
+            let mut buffer = [0; 4];
+            let sent = postcard::to_slice(&reason, &mut buffer).unwrap();
             assert_eq!(sent, [code as u8]);
             assert_eq!(postcard::from_bytes(sent), Ok(reason));
         }

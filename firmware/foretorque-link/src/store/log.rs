@@ -7,10 +7,10 @@ use crate::wire::CRC;
 
 /// Bytes read or written at once. A header is one piece, and a slot is whole pieces.
 const PIECE: usize = HEADER_BYTES;
-/// Slots that one save tries in a sector before it gives that sector up.
+/// Slots that one save tries in a sector.
 const ATTEMPTS: usize = 4;
 
-/// A set on record: where it lies, and what its header says.
+/// A set: its place and header.
 #[derive(Clone, Copy, Debug)]
 struct Record {
     /// Slot, counted over both sectors.
@@ -19,7 +19,7 @@ struct Record {
 }
 
 impl Record {
-    /// Age of a record: a larger one is newer.
+    /// Order of records by age.
     fn age(&self) -> (u32, u32) {
         (self.header.sequence, self.slot)
     }
@@ -27,15 +27,15 @@ impl Record {
 
 /// Parameter banks in two sectors of flash.
 ///
-/// Blocking; see the [module](super) for what stalls. Cost: a load reads every header, and the bank it loads, a few times;
-/// a save reads the sector of the newest set besides.
+/// Blocking; the [module](super) lists what stalls. Cost: a load reads every header, and the bank it loads, a few times; a
+/// save also reads the sector of the newest set.
 #[derive(Debug)]
 pub struct Store<F> {
     flash: F,
 }
 
 impl<F: NorFlash> Store<F> {
-    /// The store in `flash`, whose capacity is two sectors and nothing else. Touches nothing.
+    /// The store in `flash`, whose capacity is exactly two sectors. Accesses nothing yet.
     pub const fn new(flash: F) -> Self {
         const {
             assert!(F::ERASE_SIZE.is_multiple_of(SLOT_BYTES as usize));
@@ -50,46 +50,50 @@ impl<F: NorFlash> Store<F> {
         &self.flash
     }
 
-    /// The flash inside, to be broken in a simulation.
+    /// The flash inside, for simulated defects.
     pub const fn flash_mut(&mut self) -> &mut F {
         &mut self.flash
     }
 
-    /// The newest whole set of the arm, at the front of `room`: the bytes of a bank that nobody has judged yet.
+    /// Loads the newest whole set of the arm to the front of `buffer`: bytes of a bank, not checked yet.
     ///
     /// Errors: [`Empty`](StoreError::Empty), [`WrongArm`](StoreError::WrongArm), [`Version`](StoreError::Version),
-    /// [`Damaged`](StoreError::Damaged) when there is no such set, by what there is instead;
-    /// [`TooLong`](StoreError::TooLong) when the room is too small; [`Flash`](StoreError::Flash).
-    pub fn load<'r>(&mut self, arm_hash: u32, room: &'r mut [u8]) -> Result<&'r [u8], StoreError> {
+    /// [`Damaged`](StoreError::Damaged) for a store without such a set; [`TooLong`](StoreError::TooLong) for a short
+    /// buffer; [`Flash`](StoreError::Flash).
+    pub fn load<'r>(
+        &mut self,
+        arm_hash: u32,
+        buffer: &'r mut [u8],
+    ) -> Result<&'r [u8], StoreError> {
         let mut newer = None;
         while let Some(record) = self.newest(newer, |header| header.is_for(arm_hash))? {
             newer = Some(record);
             let length = record.header.length as usize;
-            if length > room.len() {
+            if length > buffer.len() {
                 return Err(StoreError::TooLong);
             }
-            self.read(record, room)?;
-            let bytes = room.get(..length).unwrap_or_default();
+            self.read(record, buffer)?;
+            let bytes = buffer.get(..length).unwrap_or_default();
             if CRC.checksum(bytes) == record.header.crc {
-                return Ok(room.get(..length).unwrap_or_default());
+                return Ok(buffer.get(..length).unwrap_or_default());
             }
         }
         Err(self.absence(arm_hash)?)
     }
 
-    /// Stores `bank`, the bytes of one that is for `arm_hash`, and returns its number, counted from 1.
+    /// Stores the bytes of a bank and returns its number, counted from 1.
     ///
-    /// What was the newest set before stays loadable until this one reads back as written.
+    /// The set before stays loadable until this one reads back as written.
     ///
-    /// Errors: [`TooLong`](StoreError::TooLong); [`NotKept`](StoreError::NotKept), [`Flash`](StoreError::Flash) when the
-    /// flash is not fit to keep it. Either way the sets that were loadable before still are.
+    /// Errors: [`TooLong`](StoreError::TooLong), [`NotKept`](StoreError::NotKept), [`Flash`](StoreError::Flash). Sets that
+    /// were loadable before still are.
     pub fn save(&mut self, arm_hash: u32, bank: &[u8]) -> Result<u32, StoreError> {
         if bank.len() > SLOT_BYTES as usize - HEADER_BYTES {
             return Err(StoreError::TooLong);
         }
         let newest = self.newest(None, |_| true)?;
         let sequence = newest.map_or(0, |record| record.header.sequence);
-        // A counter at its end has been damaged in a way no checksum finds: no flash lasts that long.
+        // No flash lasts for so many saves: the counter is damaged.
         let sequence = sequence.checked_add(1).ok_or(StoreError::NotKept)?;
         let header = Header::of(bank, arm_hash, sequence);
 
@@ -107,7 +111,7 @@ impl<F: NorFlash> Store<F> {
         Err(StoreError::NotKept)
     }
 
-    /// The sector that must not be erased: that of the newest whole set, of this arm if there is one.
+    /// The sector that must not be erased: that of the newest whole set, preferably of this arm.
     fn keep(&mut self, arm_hash: u32) -> Result<Option<u32>, StoreError> {
         for own in [true, false] {
             let mut newer = None;
@@ -121,7 +125,7 @@ impl<F: NorFlash> Store<F> {
         Ok(None)
     }
 
-    /// Tries the first blank slots of `sector` in turn. True when one of them keeps the set.
+    /// Tries the first blank slots of `sector` in turn; true if one of them keeps the set.
     fn save_in(&mut self, sector: u32, header: Header, bank: &[u8]) -> Result<bool, StoreError> {
         let first = sector * Self::slots();
         let mut attempts = 0;
@@ -129,7 +133,7 @@ impl<F: NorFlash> Store<F> {
             if !self.is_blank(slot)? {
                 continue;
             }
-            // A driver that reports an error leaves a slot that is not whole, as one does that keeps silent.
+            // After an error the slot is not whole, reported or not.
             let written = self.write(slot, header, bank);
             if written.is_ok() && self.is_kept(slot, header, bank)? {
                 return Ok(true);
@@ -142,7 +146,7 @@ impl<F: NorFlash> Store<F> {
         Ok(false)
     }
 
-    /// Writes one slot, the header last: before it is there, there is no record.
+    /// Writes one slot, the header last: without it there is no record.
     fn write(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<(), StoreError> {
         let mut place = slot * SLOT_BYTES + HEADER_BYTES as u32;
         for piece in bank.chunks(PIECE) {
@@ -169,7 +173,7 @@ impl<F: NorFlash> Store<F> {
             .map_err(|_| StoreError::Flash)
     }
 
-    /// Does the slot read as it was written?
+    /// True if the slot reads back as written.
     fn is_kept(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<bool, StoreError> {
         let mut kept = self.piece(slot * SLOT_BYTES)? == header.to_bytes();
         let mut place = slot * SLOT_BYTES + HEADER_BYTES as u32;
@@ -181,7 +185,7 @@ impl<F: NorFlash> Store<F> {
         Ok(kept)
     }
 
-    /// Does the checksum fit the set?
+    /// True if the checksum fits the set.
     fn is_whole(&mut self, record: Record) -> Result<bool, StoreError> {
         let mut crc = CRC.digest();
         let mut left = record.header.length as usize;
@@ -196,11 +200,15 @@ impl<F: NorFlash> Store<F> {
         Ok(crc.finalize() == record.header.crc)
     }
 
-    /// Reads the set into the front of `room`, which is long enough.
-    fn read(&mut self, record: Record, room: &mut [u8]) -> Result<(), StoreError> {
+    /// Reads the set into the front of `buffer`, which is long enough.
+    fn read(&mut self, record: Record, buffer: &mut [u8]) -> Result<(), StoreError> {
         let length = record.header.length as usize;
         let mut place = record.slot * SLOT_BYTES + HEADER_BYTES as u32;
-        for part in room.get_mut(..length).unwrap_or_default().chunks_mut(PIECE) {
+        for part in buffer
+            .get_mut(..length)
+            .unwrap_or_default()
+            .chunks_mut(PIECE)
+        {
             let bytes = self.piece(place)?;
             for (to, from) in part.iter_mut().zip(&bytes) {
                 *to = *from;
@@ -210,7 +218,7 @@ impl<F: NorFlash> Store<F> {
         Ok(())
     }
 
-    /// The newest record that is `wanted` and older than `newer`, by its header alone.
+    /// The newest record that `wanted` accepts and that is older than `newer`, by its header alone.
     fn newest(
         &mut self,
         newer: Option<Record>,
@@ -231,7 +239,7 @@ impl<F: NorFlash> Store<F> {
         Ok(newest)
     }
 
-    /// Why there is no set of this arm.
+    /// Reason why there is no set of this arm.
     fn absence(&mut self, arm_hash: u32) -> Result<StoreError, StoreError> {
         let mut newer = None;
         while let Some(record) = self.newest(newer, |header| !header.is_for(arm_hash))? {
@@ -258,7 +266,7 @@ impl<F: NorFlash> Store<F> {
         Ok(StoreError::Empty)
     }
 
-    /// Is every byte of the slot blank?
+    /// True if every byte of the slot is blank.
     fn is_blank(&mut self, slot: u32) -> Result<bool, StoreError> {
         let mut place = slot * SLOT_BYTES;
         while place < (slot + 1) * SLOT_BYTES {

@@ -4,50 +4,50 @@ use super::{Store, StoreError};
 use crate::bank::ParameterBank;
 use serde::{Deserialize, Serialize};
 
-/// Orders to the store.
+/// Order to the store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StoreOrder {
-    /// Keep a set.
+    /// Store a set.
     Save,
-    /// Bring back the newest one.
+    /// Return the newest one.
     Restore,
 }
 
-/// How the store stands.
+/// State of the store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StoreState {
-    /// The board has none, or nobody has asked it yet.
+    /// The board has none, or it has not been used yet.
     #[default]
     Unused,
-    /// The set in force at boot, or the last one asked for, came from it.
+    /// The set in force at boot, or the last one requested, came from it.
     Loaded,
-    /// It kept the last set it was given.
+    /// The last save succeeded.
     Saved,
-    /// It did not do what was asked last; the board runs on from RAM.
+    /// The last order failed; the board runs on from RAM.
     Failed(StoreError),
 }
 
-/// How the store stands, as the link tells it.
+/// State of the store, as the link reports it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StoreHealth {
-    /// The board has none, or nobody has asked it yet.
+    /// The board has none, or it has not been used yet.
     #[default]
     Unused,
-    /// It has kept, or brought back, what it was asked to.
+    /// The last order succeeded.
     Sound,
-    /// There is no set in it.
+    /// It holds no set.
     Empty,
-    /// The stored set is unusable for this firmware or does not fit it.
+    /// Its content does not fit this firmware, or the store.
     Refused,
-    /// The flash is worn out, write-protected or not there: the board runs from RAM, and forgets at power-off what it was
-    /// told to keep. Stays until something is kept.
+    /// The flash is worn out, write-protected or absent: the board runs from RAM and loses its set at power-off. Stays
+    /// until a save succeeds.
     Failing,
 }
 
 impl StoreState {
-    /// Health of the store as the link reports it.
+    /// The state as the link reports it.
     pub const fn health(self) -> StoreHealth {
         match self {
             Self::Unused => StoreHealth::Unused,
@@ -60,7 +60,7 @@ impl StoreState {
 }
 
 impl StoreHealth {
-    /// How it stands after one more order: a flash that has failed to keep is not sound because it could be read.
+    /// The state after one more order: a flash that failed to store is not sound because it can be read.
     pub(crate) const fn after(self, order: StoreOrder, state: StoreState) -> Self {
         match (self, order) {
             (Self::Failing, StoreOrder::Restore) => Self::Failing,
@@ -69,7 +69,7 @@ impl StoreHealth {
     }
 }
 
-/// One order in the hands of the housekeeping.
+/// An order that the housekeeping executes.
 pub struct StoreJob {
     order: StoreOrder,
     bytes: [u8; ParameterBank::MAX_BYTES],
@@ -77,7 +77,7 @@ pub struct StoreJob {
 }
 
 impl StoreJob {
-    /// Does what was ordered. Blocking, and on one bank of flash stalling: for a disarmed board and its lowest priority.
+    /// Executes the order. Blocking, and stalling on a single flash bank: for a disarmed board and its lowest priority.
     pub fn execute<F: NorFlash>(
         &mut self,
         store: &mut Store<F>,
@@ -95,7 +95,7 @@ impl StoreJob {
         }
     }
 
-    /// Order of the job.
+    /// The order.
     pub fn order(&self) -> StoreOrder {
         self.order
     }
@@ -105,31 +105,25 @@ impl StoreJob {
 enum Phase {
     Free,
     Waiting,
-    /// With the housekeeping.
-    Away,
+    /// The housekeeping executes it.
+    Running,
     Done(Result<(), StoreError>),
 }
 
 /// Result of an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StoreReply<'b> {
-    /// Sequence number of the host's frame that asked.
+    /// Sequence number of the requesting frame.
     pub requester: u16,
-    /// Order that was given.
+    /// The order.
     pub order: StoreOrder,
-    /// The bytes that were kept or brought back, not judged yet, or why not.
+    /// The bytes stored or loaded, not checked yet, or the error.
     pub outcome: Result<&'b [u8], StoreError>,
 }
 
-/// The door between the session, which takes orders in the tick, and the housekeeping, which alone touches the flash.
+/// Mailbox between the session, which takes orders in the tick, and the housekeeping, which alone accesses the flash.
 ///
-/// ```text
-/// tick:          mailbox.save(sequence, &bank)  …  if let Some(answer) = mailbox.collect() { … }
-/// housekeeping:  if let Some(mut job) = lock(|mailbox| mailbox.begin()) {
-///                    let outcome = job.execute(&mut store, arm_hash);      // the tick may run in the middle of it
-///                    lock(|mailbox| mailbox.finish(&job, outcome));
-///                }
-/// ```
+/// [`Mailboxes`](crate::session::Mailboxes) shows the task of the housekeeping.
 pub struct StoreMailbox {
     phase: Phase,
     order: StoreOrder,
@@ -139,7 +133,7 @@ pub struct StoreMailbox {
 }
 
 impl StoreMailbox {
-    /// Nothing ordered.
+    /// Without an order.
     pub const fn new() -> Self {
         Self {
             phase: Phase::Free,
@@ -150,12 +144,12 @@ impl StoreMailbox {
         }
     }
 
-    /// An order is on its way, or its answer waits to be collected: no other one is taken.
+    /// An order waits or runs, or its result waits to be collected: no other one is accepted.
     pub fn is_busy(&self) -> bool {
         self.phase != Phase::Free
     }
 
-    /// Orders `bank` to be kept. False, and nothing changes, while busy or when the bank has no bytes.
+    /// Orders a save of `bank`. False, and nothing changes, while busy or for a bank that cannot be encoded.
     pub fn save(&mut self, requester: u16, bank: &ParameterBank) -> bool {
         if self.is_busy() {
             return false;
@@ -167,7 +161,7 @@ impl StoreMailbox {
         self.post(requester, StoreOrder::Save)
     }
 
-    /// Orders the newest set to be brought back. False, and nothing changes, while busy.
+    /// Orders the newest set. False, and nothing changes, while busy.
     pub fn restore(&mut self, requester: u16) -> bool {
         !self.is_busy() && self.post(requester, StoreOrder::Restore)
     }
@@ -177,12 +171,12 @@ impl StoreMailbox {
         true
     }
 
-    /// The order that waits, for the housekeeping to carry out. A copy, so that the flash is written without a lock.
+    /// The order that waits. A copy, so that the flash is written without a lock.
     pub fn begin(&mut self) -> Option<StoreJob> {
         if self.phase != Phase::Waiting {
             return None;
         }
-        self.phase = Phase::Away;
+        self.phase = Phase::Running;
         Some(StoreJob {
             order: self.order,
             bytes: self.bytes,
@@ -190,7 +184,7 @@ impl StoreMailbox {
         })
     }
 
-    /// Hands an order back with what came of it.
+    /// Returns an order with its result.
     pub fn finish(&mut self, job: &StoreJob, outcome: Result<(), StoreError>) {
         if job.order == StoreOrder::Restore {
             (self.bytes, self.length) = (job.bytes, job.length);
@@ -198,7 +192,7 @@ impl StoreMailbox {
         self.phase = Phase::Done(outcome);
     }
 
-    /// Result of an order, returned once.
+    /// Result of an order, once.
     pub fn collect(&mut self) -> Option<StoreReply<'_>> {
         let Phase::Done(outcome) = self.phase else {
             return None;

@@ -1,21 +1,19 @@
-//! The store: parameter banks kept over power-off, in two sectors of flash.
+//! Store of parameter banks over power-off, in two sectors of flash.
 //!
-//! A log of fixed slots. A slot holds one bank behind a header; a save writes the first blank slot of the sector that holds
-//! the newest set, and only when that sector has none left does it erase the other one. So no erase ever touches the sector
-//! of the last good set, and no write touches a slot that is not blank. Whatever a power cut leaves in the slot or the
-//! sector under way (partial words, half an erase), the newest set that is whole stays where it is and is found by its
-//! checksum, robot and sequence number. A save is believed only when everything reads back as written: a worn or
-//! write-protected flash that answers "done" is noticed, the next slots are tried, and in the end the board runs on from
-//! RAM and says so.
+//! A log of fixed slots, each a header and one bank. A save writes the first blank slot of the sector of the newest set. Only
+//! when that sector is full does it erase the other one. So no erase touches the sector of the last good set, and no write
+//! touches a slot that is not blank. A power cut leaves partial words or half an erase; the newest whole set is still found
+//! by its checksum, arm and sequence number.
 //!
-//! Why not the map of `sequential-storage` 8.0: it judges a sector by its first and last word, so half an erase can make
-//! the old sector look like the one in use, and the repair that follows costs the only copy. It does not read back either,
-//! so flash that silently keeps nothing is erased all the same. On the simulated flash that proves this room it lost sets
-//! both ways.
+//! A save succeeds only when everything reads back as written. On a worn or write-protected flash it tries the next slots;
+//! then it fails, and the board runs on from RAM.
 //!
-//! Cost: erasing stalls the one bank of an STM32F405, and with it every interrupt, for 1 s, at most 2 s (DS8626 table 48,
-//! 32-bit parallelism); a save without erase programs 16 µs a word. So the store is for a disarmed board and for its
-//! lowest priority.
+//! The map of `sequential-storage` 8.0 lost sets on the simulated flash: after half an erase, and because it does not read
+//! back.
+//!
+//! Cost: erasing stalls the flash bank of an STM32F405, and with it every interrupt, for 1 s, at most 2 s (DS8626 table 48,
+//! 32-bit parallelism); a save without erase programs 16 µs a word. So the store needs a disarmed board and the lowest
+//! priority.
 //!
 //! Wear: a sector lasts [`ERASE_CYCLES`] erases and takes [`slots`] saves between two of them; see [`saves`].
 
@@ -37,12 +35,12 @@ pub const SECTORS: u32 = 2;
 /// Erases that a sector survives at least (STM32F405, -40 to 105 °C: DS8626 table 49).
 pub const ERASE_CYCLES: u32 = 10_000;
 
-/// Sets that a sector of `sector_bytes` holds.
+/// Sets in a sector of `sector_bytes`.
 pub const fn slots(sector_bytes: u32) -> u32 {
     sector_bytes / SLOT_BYTES
 }
 
-/// Saves that two sectors of `sector_bytes` survive at least: every one of their slots once for every erase.
+/// Saves that two sectors of `sector_bytes` survive at least: every slot once an erase.
 ///
 /// ```
 /// // Two sectors of 128 KiB: one save a minute, day and night, for more than a year.
@@ -52,27 +50,27 @@ pub const fn saves(sector_bytes: u32) -> u32 {
     SECTORS * slots(sector_bytes) * ERASE_CYCLES
 }
 
-/// Why a set was not stored, or none was loaded. Whatever it is, the board runs on from RAM.
+/// Reason why a set was not stored or loaded. The board then runs on from RAM.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StoreError {
-    /// There is no set.
+    /// The store is empty.
     Empty,
-    /// There are sets, but for the arm with this identity.
+    /// All sets belong to another arm.
     WrongArm {
         /// Identity of the newest one.
         #[serde(with = "postcard::fixint::le")]
         found: u32,
     },
-    /// There are sets of this arm, but in a bank format of another version.
+    /// All sets of this arm have a bank format of another version.
     Version(u8),
-    /// Something is written, but no set is whole.
+    /// No set is whole.
     Damaged,
-    /// The set is whole and for this arm, and yet no bank that this firmware takes.
+    /// The firmware refuses the bank of the set.
     Bank(BankError),
-    /// The bank is longer than a slot.
+    /// The bank exceeds a slot.
     TooLong,
-    /// Bytes read back differ from those written: the flash is worn out, write-protected, or not there.
+    /// The flash does not read back as written: worn out, write-protected or absent.
     NotKept,
     /// The flash reported an error.
     Flash,

@@ -1,9 +1,9 @@
-//! One slot of the log: a header, then the bytes of a bank. What is not used stays blank.
+//! One slot of the log: a header, then the bytes of a bank. Unused bytes stay blank.
 
 use crate::bank::ParameterBank;
 use crate::wire::CRC;
 
-/// Bytes of a slot, part of the format: sets stay readable when a later firmware makes room for longer banks.
+/// Bytes of a slot, part of the format: sets stay readable when a later firmware has longer banks.
 pub const SLOT_BYTES: u32 = 4096;
 /// Bytes of a header: eight words.
 pub const HEADER_BYTES: usize = 32;
@@ -15,7 +15,7 @@ const LAYOUT: u16 = 1;
 /// Header of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Header {
-    /// Saves before this one, and one.
+    /// Number of the save, from 1.
     pub(super) sequence: u32,
     /// Identity of the arm.
     pub(super) arm_hash: u32,
@@ -28,7 +28,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// The header of `bank`, the bytes of one that is for `arm_hash`.
+    /// Header of the bytes of a bank.
     pub(super) fn of(bank: &[u8], arm_hash: u32, sequence: u32) -> Self {
         Self {
             sequence,
@@ -39,7 +39,7 @@ impl Header {
         }
     }
 
-    /// Is this a set that this firmware can read, of this arm?
+    /// True if this firmware can read the set, and it belongs to this arm.
     pub(super) fn is_for(&self, arm_hash: u32) -> bool {
         self.arm_hash == arm_hash && self.bank_version == ParameterBank::FORMAT_VERSION
     }
@@ -66,7 +66,7 @@ impl Header {
         bytes
     }
 
-    /// The header in `bytes`; `None` when they are none, or damaged.
+    /// Decodes a header; `None` for a damaged or missing one.
     pub(super) fn from_bytes(bytes: &[u8; HEADER_BYTES]) -> Option<Self> {
         let (words, _) = bytes.as_chunks::<4>();
         let [
@@ -110,7 +110,7 @@ mod tests {
     };
 
     #[test]
-    fn a_header_comes_back_and_one_wrong_bit_is_noticed() {
+    fn a_header_survives_and_one_wrong_bit_is_detected() {
         let bytes = HEADER.to_bytes();
         assert_eq!(Header::from_bytes(&bytes), Some(HEADER));
         for bit in 0..8 * HEADER_BYTES {

@@ -1,6 +1,6 @@
-//! Arrays of any length on the wire: serde itself knows those up to 32 entries, but not `[T; N]`.
+//! Arrays of any length on the wire, entry by entry, without a length; serde supports `[T; N]` only up to 32 entries.
 //!
-//! Written and read number by number, without a length. Nothing here can panic, whatever the compiler inlines.
+//! Nothing here can panic, whatever the compiler inlines.
 
 use core::fmt;
 use core::marker::PhantomData;

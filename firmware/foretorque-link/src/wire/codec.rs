@@ -1,4 +1,4 @@
-//! Message to bytes.
+//! Encoder of frames.
 
 use super::{MAX_FRAME, PROTOCOL_VERSION};
 use core::fmt;
@@ -17,51 +17,51 @@ struct Frame<'a, M> {
     message: &'a M,
 }
 
-/// The message does not fit the room it was given.
+/// The frame exceeds the buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EncodeError;
 
 impl fmt::Display for EncodeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("no room for the frame")
+        f.write_str("the frame exceeds the buffer")
     }
 }
 
 impl core::error::Error for EncodeError {}
 
-/// The bytes of one frame, delimiter included, at the front of `room`.
+/// Bytes of one frame, delimiter included, at the front of `buffer`.
 ///
-/// Errors: [`EncodeError`] when the frame is longer than `room`.
+/// Errors: [`EncodeError`] where the frame is longer than `buffer`.
 pub fn encode<'r, M: Serialize>(
     sequence: u16,
     message: &M,
-    room: &'r mut [u8],
+    buffer: &'r mut [u8],
 ) -> Result<&'r [u8], EncodeError> {
-    encode_as(PROTOCOL_VERSION, sequence, message, room)
+    encode_as(PROTOCOL_VERSION, sequence, message, buffer)
 }
 
-/// [`encode`] with the version spoken freely: what a board of another generation would send.
+/// [`encode`] with another protocol version.
 pub(crate) fn encode_as<'r, M: Serialize>(
     version: u8,
     sequence: u16,
     message: &M,
-    room: &'r mut [u8],
+    buffer: &'r mut [u8],
 ) -> Result<&'r [u8], EncodeError> {
     let frame = Frame {
         version,
         sequence,
         message,
     };
-    let cobs = Cobs::new(room);
+    let cobs = Cobs::new(buffer);
     postcard::serialize_with_flavor(&frame, CrcModifier::new(cobs, CRC.digest()))
         .map(|frame: &mut [u8]| &*frame)
         .map_err(|_| EncodeError)
 }
 
-/// COBS on the way into the room. The flavor of postcard does the same with indices that can panic.
+/// COBS encoder into a buffer. The flavor of postcard does the same with indices that can panic.
 struct Cobs<'r> {
-    room: &'r mut [u8],
+    buffer: &'r mut [u8],
     /// Bytes used.
     length: usize,
     /// Place of the length byte of the block under way.
@@ -71,9 +71,9 @@ struct Cobs<'r> {
 }
 
 impl<'r> Cobs<'r> {
-    fn new(room: &'r mut [u8]) -> Self {
+    fn new(buffer: &'r mut [u8]) -> Self {
         Self {
-            room,
+            buffer,
             length: 1,
             code: 0,
             run: 1,
@@ -81,7 +81,7 @@ impl<'r> Cobs<'r> {
     }
 
     fn put(&mut self, place: usize, byte: u8) -> postcard::Result<()> {
-        let slot = self.room.get_mut(place);
+        let slot = self.buffer.get_mut(place);
         *slot.ok_or(postcard::Error::SerializeBufferFull)? = byte;
         Ok(())
     }
@@ -115,7 +115,7 @@ impl<'r> Flavor for Cobs<'r> {
         self.close_block()?;
         // The delimiter takes the place that the next block would have begun with.
         self.put(self.code, 0)?;
-        let frame = self.room.get_mut(..self.length);
+        let frame = self.buffer.get_mut(..self.length);
         frame.ok_or(postcard::Error::SerializeBufferFull)
     }
 }
@@ -128,7 +128,7 @@ pub struct FrameBuffer {
 }
 
 impl FrameBuffer {
-    /// Room in bytes: four of the largest frames.
+    /// Capacity in bytes: four of the largest frames.
     pub const CAPACITY: usize = 4 * MAX_FRAME;
 
     /// An empty buffer.
@@ -149,15 +149,15 @@ impl FrameBuffer {
         self.length == 0
     }
 
-    /// Forgets what was sent.
+    /// Empties it.
     pub fn clear(&mut self) {
         self.length = 0;
     }
 
     /// Appends one frame. Errors: [`EncodeError`] when it does not fit; the frames before it stay.
     pub fn push<M: Serialize>(&mut self, sequence: u16, message: &M) -> Result<(), EncodeError> {
-        let room = self.bytes.get_mut(self.length..).unwrap_or_default();
-        self.length += encode(sequence, message, room)?.len();
+        let rest = self.bytes.get_mut(self.length..).unwrap_or_default();
+        self.length += encode(sequence, message, rest)?.len();
         Ok(())
     }
 }

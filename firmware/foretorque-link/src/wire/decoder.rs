@@ -1,4 +1,4 @@
-//! Bytes to messages.
+//! Decoder of frames.
 
 use super::codec::CRC;
 use super::{MAX_PAYLOAD, PROTOCOL_VERSION};
@@ -9,7 +9,7 @@ use serde::Deserialize;
 const CRC_BYTES: usize = 4;
 const HEADER_BYTES: usize = 3;
 
-/// Why a frame was refused.
+/// Reason why a frame was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum DecodeError {
@@ -19,7 +19,7 @@ pub enum DecodeError {
     Checksum,
     /// Sound, but of another protocol version.
     ForeignVersion(u8),
-    /// Sound and of this version, but no message of this direction and number of joints.
+    /// Sound and of this version, but not a message of this direction and number of joints.
     Unknown,
 }
 
@@ -71,7 +71,7 @@ impl<'a> FrameView<'a> {
 
     /// The message of the frame.
     ///
-    /// Errors: [`DecodeError::Unknown`] when the bytes are no `M`, or more than one.
+    /// Errors: [`DecodeError::Unknown`] where the bytes are not exactly one `M`.
     pub fn message<M: Deserialize<'a>>(&self) -> Result<M, DecodeError> {
         match postcard::take_from_bytes(self.body) {
             Ok((message, [])) => Ok(message),
@@ -80,7 +80,7 @@ impl<'a> FrameView<'a> {
     }
 }
 
-/// Finds frames in a stream of bytes.
+/// Decoder that finds the frames in a stream of bytes.
 ///
 /// Cost: a few instructions a byte; a delimiter adds the checksum over the frame it ends, at most [`MAX_PAYLOAD`] bytes.
 #[derive(Debug)]
@@ -95,7 +95,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder in front of the first byte of a frame.
+    /// A decoder before the first byte of a frame.
     pub const fn new() -> Self {
         Self {
             state: DecoderState::Idle,
@@ -118,7 +118,7 @@ impl Decoder {
         match self.state.feed(byte) {
             Ok(DecodeResult::NoData) => {
                 if byte == 0 {
-                    // A delimiter after a delimiter: the polite way to flush a line.
+                    // A delimiter after a delimiter is harmless.
                     self.waiting = 0;
                 }
                 None

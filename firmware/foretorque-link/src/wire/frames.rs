@@ -1,4 +1,4 @@
-//! Contents of the messages of a tick.
+//! Content of the messages of a tick.
 
 use super::{Acceleration, Effort, Position, Velocity};
 use crate::excitation::ExcitationState;
@@ -9,35 +9,34 @@ use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector}
 use foretorque::limits::Flags;
 use serde::{Deserialize, Serialize};
 
-/// Contents of a sample besides the desired motion.
+/// Flags of a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SampleFlags(pub u8);
 
 impl SampleFlags {
     /// Position and effort were measured in this cycle.
     pub const MEASURED: Self = Self(1 << 0);
-    /// The effort is motor current in A; the board multiplies by the drive gain of its bank.
+    /// The effort is motor current in A; the board multiplies it by the drive gain of its bank.
     pub const CURRENT: Self = Self(1 << 1);
-    /// The answer shall wait until the lesson of this tick is learnt: for a host that keeps no time, whose next sample
-    /// would else come as soon as this one is answered, and before the learner is done.
+    /// The reply waits for the learning step of this tick: for a host without a clock, which sends the next sample as soon
+    /// as it has the reply.
     pub const AFTER_LEARNING: Self = Self(1 << 2);
-    /// The highest bits are the [`period`](Self::period).
+    /// Shift of the [`period`](Self::period) in the highest bits.
     const PERIOD_SHIFT: u32 = 3;
-    /// Periods are numbered modulo this.
+    /// Modulus of the period numbers.
     pub const PERIODS: u8 = 1 << (u8::BITS - Self::PERIOD_SHIFT);
 
-    /// Every flag of `other` is set.
+    /// True if every flag of `other` is set.
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
 
-    /// Number of the host's period, modulo [`PERIODS`](Self::PERIODS); the same in every sample of a host that does not
-    /// count.
+    /// Number of the host's period, modulo [`PERIODS`](Self::PERIODS); constant where the host does not count.
     pub const fn period(self) -> u8 {
         self.0 >> Self::PERIOD_SHIFT
     }
 
-    /// These and the ones of `other`.
+    /// Union with the flags of `other`.
     const fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
@@ -46,9 +45,9 @@ impl SampleFlags {
 /// Input of one tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleFrame<const N: usize> {
-    /// Contents besides the desired motion.
+    /// Flags and period number.
     pub flags: SampleFlags,
-    /// Motor temperature of joint `sequence % N`, °C; [`NO_TEMPERATURE`](Self::NO_TEMPERATURE) where not known.
+    /// Motor temperature of joint `sequence % N`, °C, or [`NO_TEMPERATURE`](Self::NO_TEMPERATURE).
     pub temperature_c: i8,
     /// Desired positions for the tick in which the torque takes effect.
     #[serde(with = "super::array")]
@@ -68,60 +67,58 @@ pub struct SampleFrame<const N: usize> {
 }
 
 impl<const N: usize> SampleFrame<N> {
-    /// Temperature that says "not known".
+    /// Code of an unknown temperature.
     pub const NO_TEMPERATURE: i8 = i8::MIN;
 
     /// The frame of a sample whose effort is a torque. Values out of range saturate, NaN stays NaN.
     pub fn new(sample: &JointSample<N>) -> Self {
-        let still = JointMeasurement {
-            q: JointVector::zeros(),
-            tau: JointVector::zeros(),
-        };
-        let measured = sample.measured.unwrap_or(still);
-        let desired = &sample.desired;
-        Self {
-            flags: match sample.measured {
-                Some(_) => SampleFlags::MEASURED,
-                None => SampleFlags::default(),
-            },
+        let JointSample { desired, measured } = sample;
+        let mut frame = Self {
+            flags: SampleFlags::default(),
             temperature_c: Self::NO_TEMPERATURE,
             desired_q: encoded(desired.q.as_slice(), Position::encode),
             desired_qd: encoded(desired.qd.as_slice(), Velocity::encode),
             desired_qdd: encoded(desired.qdd.as_slice(), Acceleration::encode),
-            q: encoded(measured.q.as_slice(), Position::encode),
-            effort: encoded(measured.tau.as_slice(), Effort::encode),
+            q: [Position::default(); N],
+            effort: [Effort::default(); N],
+        };
+        if let Some(measured) = measured {
+            frame.flags = SampleFlags::MEASURED;
+            frame.q = encoded(measured.q.as_slice(), Position::encode);
+            frame.effort = encoded(measured.tau.as_slice(), Effort::encode);
         }
+        frame
     }
 
-    /// This frame with motor currents, A, in place of the measured torques.
+    /// Replaces the measured torques by motor currents, A.
     pub fn with_current(mut self, current: &JointVector<N>) -> Self {
         self.flags = self.flags.with(SampleFlags::CURRENT);
         self.effort = encoded(current.as_slice(), Effort::encode);
         self
     }
 
-    /// This frame as the sample of the host's period `number`, or of any that differs by a multiple of [`SampleFlags::PERIODS`].
+    /// Sets the number of the host's period, modulo [`SampleFlags::PERIODS`].
     pub fn in_period(mut self, number: u8) -> Self {
         let others = self.flags.0 & ((1 << SampleFlags::PERIOD_SHIFT) - 1);
         self.flags = SampleFlags(others | number << SampleFlags::PERIOD_SHIFT);
         self
     }
 
-    /// This frame from a host that wants the answer [after the learning step](SampleFlags::AFTER_LEARNING).
+    /// Requests the reply [after the learning step](SampleFlags::AFTER_LEARNING).
     pub fn answered_after_learning(mut self) -> Self {
         self.flags = self.flags.with(SampleFlags::AFTER_LEARNING);
         self
     }
 
-    /// This frame with the motor temperature of joint `sequence % N`, °C.
+    /// Sets the motor temperature of joint `sequence % N`, °C.
     pub fn with_temperature(mut self, temperature_c: i8) -> Self {
         self.temperature_c = temperature_c;
         self
     }
 
-    /// The sample as the tick wants it.
+    /// The sample in the units of the tick.
     ///
-    /// * `gains` drive gains, N × N·m/A; where one that is needed is not positive, nothing counts as measured
+    /// * `gains` drive gains, N × N·m/A; where a required one is not positive, nothing counts as measured
     pub fn sample(&self, gains: &[f32; N]) -> JointSample<N> {
         let current = self.flags.contains(SampleFlags::CURRENT);
         let known = !current || gains.iter().all(|&gain| gain > 0.0);
@@ -189,9 +186,9 @@ pub struct TorqueFrame<const N: usize> {
     /// [`Flags`] of the tick.
     #[serde(with = "postcard::fixint::le")]
     pub flags: u16,
-    /// Whether torque leaves, and why not.
+    /// Safety state and reason.
     pub safety: SafetyStatus,
-    /// The torque, N·m, every bit of it.
+    /// The torque within the hard limits, N·m.
     #[serde(with = "super::array")]
     pub total: [f32; N],
     /// Rigid-body, friction and network share of joint `tick % N`, N·m.
@@ -199,7 +196,7 @@ pub struct TorqueFrame<const N: usize> {
 }
 
 impl<const N: usize> TorqueFrame<N> {
-    /// The frame of a torque that left with this status.
+    /// The frame of a torque with its status.
     pub fn new(torque: &Torque<N>, safety: SafetyStatus) -> Self {
         let joint = torque.tick as usize % N;
         let Shares {
@@ -218,12 +215,12 @@ impl<const N: usize> TorqueFrame<N> {
     }
 }
 
-/// Torque of one tick whose desired motion was the board's own, with that motion.
+/// Torque of one tick of an excitation, with its desired motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExcitedFrame<const N: usize> {
     /// The torque, and the shares of one joint.
     pub torque: TorqueFrame<N>,
-    /// Where the excitation stands.
+    /// State of the excitation.
     pub state: ExcitationState,
     /// Desired positions of the tick in which the torque takes effect.
     #[serde(with = "super::array")]
@@ -237,7 +234,7 @@ pub struct ExcitedFrame<const N: usize> {
 }
 
 impl<const N: usize> ExcitedFrame<N> {
-    /// The frame of `torque`, which belongs to `desired`.
+    /// The frame of `torque` and its desired motion.
     pub fn new(torque: TorqueFrame<N>, state: ExcitationState, desired: &JointMotion<N>) -> Self {
         Self {
             torque,
@@ -248,7 +245,7 @@ impl<const N: usize> ExcitedFrame<N> {
         }
     }
 
-    /// The desired motion, as near as the frame carries it.
+    /// The desired motion, at the resolution of the frame.
     pub fn desired(&self) -> JointMotion<N> {
         JointMotion {
             q: decoded(&self.q, Position::decode),
@@ -264,14 +261,14 @@ pub struct FullTorqueFrame<const N: usize> {
     /// Counter of the tick.
     #[serde(with = "postcard::fixint::le")]
     pub tick: u32,
-    /// Whether torque leaves, and why not.
+    /// Safety state and reason.
     pub safety: SafetyStatus,
     /// The torque and its shares.
     pub torque: EvaluatedFrame<N>,
 }
 
 impl<const N: usize> FullTorqueFrame<N> {
-    /// The frame of a torque that left with this status.
+    /// The frame of a torque with its status.
     pub fn new(torque: &Torque<N>, safety: SafetyStatus) -> Self {
         Self {
             tick: torque.tick,
@@ -341,7 +338,7 @@ fn array<const N: usize>(vector: &JointVector<N>) -> [f32; N] {
     (*vector).into()
 }
 
-/// Every number of a vector as it is sent. One loop in a function of its own: `array::map` is written out everywhere.
+/// Codes of a vector. A function of its own, because `array::map` is inlined everywhere.
 #[inline(never)]
 fn encoded<T: Copy + Default, const N: usize>(values: &[f32], encode: impl Fn(f32) -> T) -> [T; N] {
     let mut codes = [T::default(); N];
@@ -351,11 +348,11 @@ fn encoded<T: Copy + Default, const N: usize>(values: &[f32], encode: impl Fn(f3
     codes
 }
 
-/// Every number of a vector as it was sent.
+/// Values of a vector.
 #[inline(never)]
 fn decoded<T: Copy, const N: usize>(codes: &[T; N], decode: impl Fn(T) -> f32) -> JointVector<N> {
     let mut values = JointVector::<N>::zeros();
-    // Of their number the compiler knows nothing: written out for every joint it would be 1 kB of flash.
+    // Hides the length from the compiler, which would unroll the loop into 1 kB of flash.
     for (value, &code) in values
         .as_mut_slice()
         .iter_mut()

@@ -1,20 +1,20 @@
-//! Who a board is and how it runs.
+//! Identity and configuration of a board.
 
 use super::Name;
 use crate::safety::SafetyStatus;
 use serde::{Deserialize, Serialize};
 
-/// Source of the tick.
+/// Trigger of a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Pacing {
-    /// A sample runs a tick and is answered at once.
+    /// A sample: it runs a tick, and the reply follows at once.
     Link,
-    /// The board's timer runs the tick on the newest sample.
+    /// The board's timer, with the newest sample.
     SysTick,
 }
 
-/// How much of the torque is answered.
+/// Content of a torque reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ReplyMode {
@@ -24,16 +24,16 @@ pub enum ReplyMode {
     Full,
 }
 
-/// How the board runs.
+/// Configuration of the ticks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Configuration {
     /// Period of the tick, µs.
     #[serde(with = "postcard::fixint::le")]
     pub period_us: u32,
-    /// Source of the tick.
+    /// Trigger of a tick.
     pub pacing: Pacing,
-    /// How much is answered.
+    /// Content of a torque reply.
     pub reply: ReplyMode,
 }
 
@@ -53,7 +53,7 @@ impl Default for Configuration {
     }
 }
 
-/// Unit of a board's cost counter.
+/// Unit of the cost counter of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CounterKind {
@@ -65,11 +65,11 @@ pub enum CounterKind {
     Instructions,
 }
 
-/// Why the board started.
+/// Cause of a start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetReason {
-    /// Not known.
+    /// Unknown.
     Unknown,
     /// Power came on.
     PowerOn,
@@ -90,20 +90,20 @@ pub enum ResetReason {
 pub struct Capabilities(#[serde(with = "postcard::fixint::le")] pub u16);
 
 impl Capabilities {
-    /// The board has a timer of its own: [`Pacing::SysTick`] works.
+    /// A timer: [`Pacing::SysTick`] works.
     pub const TIMER: Self = Self(1 << 0);
-    /// The board learns.
+    /// Learning.
     pub const LEARNING: Self = Self(1 << 1);
-    /// The board keeps parameters over power-off.
+    /// A store for parameters over power-off.
     pub const STORE: Self = Self(1 << 2);
-    /// The board has a write key: an upload has to be signed.
+    /// A write key: uploads have to be signed.
     pub const WRITE_KEY: Self = Self(1 << 3);
-    /// A watchdog restarts the board when one of its tasks hangs.
+    /// A watchdog that restarts the board when a task hangs.
     pub const WATCHDOG: Self = Self(1 << 4);
-    /// The board can start its processor anew.
+    /// Restart of the processor by command.
     pub const REBOOT: Self = Self(1 << 5);
 
-    /// Every capability of `other` is there.
+    /// True if it has every capability of `other`.
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
@@ -116,7 +116,7 @@ impl core::ops::BitOr for Capabilities {
     }
 }
 
-/// Who a board is.
+/// Identity and state of a board.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BoardHello {
     /// Identity of the arm the firmware was built for.

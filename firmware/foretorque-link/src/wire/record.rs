@@ -1,17 +1,18 @@
-//! Telemetry: which fields a record may have, and the frame that carries some of them.
+//! Telemetry: fields of a record, and the frame that carries some of them.
 
 use serde::{Deserialize, Serialize};
 
 /// Bytes of fields that one frame carries at most.
 pub const TELEMETRY_BYTES: usize = 160;
 
-/// Telemetry fields of a tick. The bit of a field is `1 << field as u16`; fields stand in a frame in this order, little endian, without padding.
+/// Field of a telemetry record. Its bit is `1 << field as u16`; a frame has the fields in this order, little endian,
+/// without padding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Field {
     /// Flags (u16), safety state (u8), safety reason (u8).
     State = 0,
-    /// Torque that left, N × f32, N·m.
+    /// Torque within the hard limits, N × f32, N·m.
     Total = 1,
     /// Rigid-body share, N × f32, N·m.
     Rigid = 2,
@@ -23,21 +24,21 @@ pub enum Field {
     DesiredPosition = 5,
     /// Desired velocity, N × f32, rad/s.
     DesiredVelocity = 6,
-    /// Measured position, N × f32, rad; NaN where it was not measured or not believed.
+    /// Measured position, N × f32, rad; NaN where there is none, or an implausible one.
     MeasuredPosition = 7,
     /// Measured torque, N × f32, N·m; NaN likewise.
     MeasuredTorque = 8,
     /// RMS residual of every joint over the last seconds, N × f32, parts of the torque limit.
     Residual = 9,
-    /// Trust (f32, 0 to 1), information (f32, 0 to 1), payload (f32, kg), phase of the guard (u8).
+    /// Trust (f32, 0 to 1), information (f32, 0 to 1), payload (f32, kg), phase of the supervisor (u8).
     Quality = 10,
     /// Number of decisions (u32), then of the newest: reason (u8), joint (u8, 255 = the arm), figure (f32).
     Decision = 11,
-    /// Cost of the last tick and mean cost of a lesson (2 × u32), counts of the board's counter.
+    /// Cost of the last tick and mean cost of a learning step (2 × u32), counts of the board's counter.
     Cost = 12,
     /// Lost: frames missed, frames refused, replies, overruns (4 × u16, of counters that wrap).
     Loss = 13,
-    /// Motor temperatures, N × i8, °C; -128 where not known.
+    /// Motor temperatures, N × i8, °C; -128 is unknown.
     Temperature = 14,
 }
 
@@ -66,7 +67,7 @@ impl Field {
         1 << self as u16
     }
 
-    /// Its bytes for `joints` joints.
+    /// Size for `joints` joints, bytes.
     pub const fn bytes(self, joints: usize) -> usize {
         match self {
             Self::State => 4,
@@ -85,7 +86,7 @@ pub struct TelemetryFrame {
     /// Counter of the tick.
     #[serde(with = "postcard::fixint::le")]
     pub tick: u32,
-    /// Which fields.
+    /// Sum of field bits.
     #[serde(with = "postcard::fixint::le")]
     pub fields: u16,
     /// Their bytes.

@@ -15,13 +15,13 @@ pub type Position = I24<20>;
 
 /// Joint velocity, resolution 2^-18 rad/s (3.8 µrad/s), range ±32 rad/s.
 ///
-/// Sixteen bits over ±16 rad/s would step by 0.5 mrad/s. At standstill the smoothed Coulomb torque has a slope of
-/// F_c / 0.03 rad/s; with F_c = 8 N·m that step would be 0.13 N·m of torque noise. With 24 bits it is 1 mN·m.
+/// Sixteen bits over ±16 rad/s would step by 0.5 mrad/s. At standstill the smoothed Coulomb torque has the slope
+/// F_c / 0.01 rad/s; with F_c = 8 N·m that step would be 0.4 N·m of torque noise. With 24 bits it is 3 mN·m.
 pub type Velocity = I24<18>;
 
 /// Joint acceleration, resolution 2^-9 rad/s² (2 mrad/s²), range ±64 rad/s².
 ///
-/// Half a step at the 3 kg·m² of a stretched UR5's first joint is 3 mN·m, 2e-5 of that joint's torque limit.
+/// Half a step at the 3 kg·m² of a stretched UR5's first joint is 3 mN·m, 2e-5 of the torque limit of this joint.
 pub type Acceleration = I16<9>;
 
 /// Joint torque in N·m or motor current in A, resolution 2^-14 (61 µN·m, 61 µA), range ±512.
@@ -40,18 +40,18 @@ fn nearest(x: f32) -> i32 {
 }
 
 impl<const BITS: u32> I24<BITS> {
-    /// Largest magnitude that can be sent; the code below `-MAX_CODE` says "not a number".
+    /// Largest magnitude; the code below `-MAX_CODE` means "not a number".
     const MAX_CODE: i32 = (1 << 23) - 1;
     const NAN_CODE: i32 = -(1 << 23);
     const UNITS: f32 = (1u32 << BITS) as f32;
 
     /// Step between neighbouring values.
     pub const RESOLUTION: f32 = 1.0 / Self::UNITS;
-    /// Largest value that can be sent.
+    /// Largest value.
     pub const MAX: f32 = Self::MAX_CODE as f32 / Self::UNITS;
 
-    /// The nearest value that can be sent. Saturates at ±[`MAX`](Self::MAX); NaN stays NaN.
-    // A board encodes while it plays an excitation and at no other time: once for each joint would be 1 kB of flash.
+    /// The nearest code. Saturates at ±[`MAX`](Self::MAX); NaN stays NaN.
+    // A board encodes only while it plays an excitation; inlined for each joint this takes 1 kB of flash.
     #[inline(never)]
     pub fn encode(x: f32) -> Self {
         let code = if x.is_nan() {
@@ -82,10 +82,10 @@ impl<const BITS: u32> I16<BITS> {
 
     /// Step between neighbouring values.
     pub const RESOLUTION: f32 = 1.0 / Self::UNITS;
-    /// Largest value that can be sent.
+    /// Largest value.
     pub const MAX: f32 = Self::MAX_CODE as f32 / Self::UNITS;
 
-    /// The nearest value that can be sent. Saturates at ±[`MAX`](Self::MAX); NaN stays NaN.
+    /// The nearest code. Saturates at ±[`MAX`](Self::MAX); NaN stays NaN.
     #[inline(never)]
     pub fn encode(x: f32) -> Self {
         let code = if x.is_nan() {
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn nan_is_not_taken_for_a_number() {
+    fn nan_stays_nan() {
         assert!(Position::encode(f32::NAN).decode().is_nan());
         assert!(Acceleration::encode(f32::NAN).decode().is_nan());
     }

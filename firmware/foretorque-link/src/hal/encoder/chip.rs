@@ -1,9 +1,9 @@
-//! The encoder as the tests have it.
+//! Model of the encoder chip for tests.
 
 use super::{ERROR_FLAG, VALUE};
 use embedded_hal::spi::{ErrorKind, ErrorType, Operation, SpiDevice};
 
-/// The chip: answers in the next frame, with parity, and flags what it does not understand.
+/// The chip: answers in the next frame, with parity, and flags invalid commands.
 #[derive(Default)]
 pub(crate) struct Chip {
     pub(crate) angle: u16,
@@ -13,7 +13,7 @@ pub(crate) struct Chip {
     pub(crate) frames: usize,
     /// Bits flipped on the way to the chip, and on the way back, in the frame after this many.
     pub(crate) flips: (usize, u16, u16),
-    /// Level of a line that nobody drives.
+    /// Level of a line without a driver.
     pub(crate) level: Option<u16>,
     pub(crate) gone: bool,
 }
@@ -27,7 +27,7 @@ impl Chip {
         }
     }
 
-    fn hear(&mut self, command: u16) {
+    fn receive(&mut self, command: u16) {
         if command.count_ones() & 1 != 0 {
             self.errors |= 1 << 2;
         }
@@ -71,7 +71,7 @@ impl SpiDevice for Chip {
         let command = u16::from_be_bytes([bytes[0], bytes[1]]) ^ to;
         let answer = self.level.unwrap_or(self.pending ^ from);
         bytes.copy_from_slice(&answer.to_be_bytes());
-        self.hear(command);
+        self.receive(command);
         Ok(())
     }
 }

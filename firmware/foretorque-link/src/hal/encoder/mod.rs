@@ -10,10 +10,10 @@ use embedded_hal::spi::{Error as _, SpiDevice};
 /// Counts of one turn: 14 bits.
 const TURN: i32 = 1 << 14;
 const VALUE: u16 = 0x3fff;
-/// Bit 14 of an answer: the command before was not understood.
+/// Bit 14 of an answer: the command before was invalid.
 const ERROR_FLAG: u16 = 1 << 14;
 
-/// Which way the encoder counts.
+/// Direction of counting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// Counts grow with +q.
@@ -22,62 +22,60 @@ pub enum Direction {
     Opposite,
 }
 
-/// How counts become the joint's position.
+/// Conversion of counts to the position of the joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderConfig {
     /// Reading at q = 0, counts.
     pub zero_counts: u16,
-    /// Which way it counts.
+    /// Direction of counting.
     pub direction: Direction,
     /// Turns of the encoder per turn of the joint: 1 on the link side, the gear ratio on the motor's shaft.
     pub ratio: f32,
-    /// Largest change between two readings that is believed, counts; below half a turn, beyond which the way round cannot
-    /// be told.
+    /// Largest plausible change between two readings, counts; below half a turn, beyond which the direction is ambiguous.
     pub largest_step: u16,
 }
 
-/// State of an encoder between readings.
+/// State of an encoder from reading to reading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EncoderState {
-    /// Position in counts over all turns since the reference, zero offset taken out; `None` while the turn is not known.
-    /// Wraps after 131 072 turns.
+    /// Position in counts over all turns, without the zero offset; `None` while the turn is unknown. Wraps after 131 072
+    /// turns.
     pub position: Option<i32>,
     /// Readings that failed since the last good one. Saturates.
     pub failed: u16,
-    /// Register that the next frame answers.
-    asked: Option<Register>,
+    /// Register whose value the next frame returns.
+    requested: Option<Register>,
 }
 
-/// Registers of the chip that are read here (AS5047P data sheet v1-06, table 21).
+/// Registers of the chip (AS5047P data sheet v1-06, table 21).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Register {
     Errors = 0x0001,
     Diagnostics = 0x3ffc,
-    /// With the dynamic angle error compensation, which takes the latency of the chip out.
+    /// With dynamic angle error compensation, which removes the latency of the chip.
     Angle = 0x3fff,
 }
 
 impl Register {
-    /// The 16 bits that ask for it: bit 14 reads, bit 15 makes the number of ones even.
+    /// Read command: bit 14 reads, bit 15 makes the parity even.
     const fn read(self) -> u16 {
         let command = self as u16 | 1 << 14;
         command | ((command.count_ones() as u16 & 1) << 15)
     }
 }
 
-/// A magnetic absolute encoder of the AS5047 class on an SPI bus of its own chip select: mode 1, at most 10 MHz.
+/// Magnetic absolute encoder of the AS5047 class on an SPI device: mode 1, at most 10 MHz.
 ///
-/// The chip answers a question in the next frame. A reading is two frames: the first brings the diagnostics that were
-/// asked for by the reading before and asks for the angle, the second brings the angle, asked for microseconds ago, and asks
-/// for the diagnostics. The position counts on over turns, starting from a [`reference`](Self::reference).
+/// The chip answers a read command in the next frame. A reading is two frames: the first returns the diagnostics that the
+/// reading before has requested and requests the angle; the second returns the angle and requests the diagnostics. The
+/// position counts over turns, from a [`reference`](Self::reference) on.
 ///
 /// ```text
 /// q = direction · 2π / (16384 · ratio) · (counts over all turns − zero)
 /// ```
 ///
-/// A line without a chip is no position, whichever way it is pulled: all ones carry the error flag, and all zeros are
-/// diagnostics without "ready". One count is 0.383 mrad / ratio. The f32 is exact to a count within 1024 turns of the
-/// encoder.
+/// A line without a chip gives an error: all ones carry the error flag, and all zeros are diagnostics without "ready". One
+/// count is 0.383 mrad / ratio. The f32 is exact to a count within 1024 turns of the encoder.
 ///
 /// ```
 /// # use embedded_hal_mock::eh1::spi::{Mock, Transaction};
@@ -112,7 +110,7 @@ pub struct AbsoluteEncoder<Spi> {
 }
 
 impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
-    /// Takes the device and says nothing to it.
+    /// Takes the device without access to it.
     ///
     /// Errors: [`EncoderError::Configuration`].
     pub fn new(spi: Spi, config: EncoderConfig) -> Result<Self, EncoderError> {
@@ -133,16 +131,15 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         })
     }
 
-    /// Takes the turn in which the joint is nearest to `q`, rad: how a single-turn encoder behind a gear learns where it
-    /// is.
+    /// Sets the turn in which the joint is nearest to `q`, rad, for a single-turn encoder behind a gear.
     ///
-    /// Errors: those of a reading; `NoReference` where `q` is no position. The turn is then not known.
+    /// Errors: those of a reading; `NoReference` where `q` is not a position. The turn is then unknown.
     pub fn reference(&mut self, q: f32) -> Result<f32, EncoderError> {
         self.state.position = None;
         let within = self.read()?;
         let wanted = q / self.rad_per_count;
         let turns = (wanted - within as f32) / TURN as f32;
-        // Half of what an i32 counts.
+        // Half of the range of i32.
         if turns.is_nan() || turns.abs() > 65_536.0 {
             return Err(EncoderError::NoReference);
         }
@@ -152,14 +149,14 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         Ok(self.rad(position))
     }
 
-    /// The joint's position, rad.
+    /// Position of the joint, rad.
     ///
-    /// Errors: those of a reading; `NoReference`; `Jump`, after which the turn is not known. Others leave the count of turns
-    /// as it was: it goes on if the joint has moved less than `largest_step` when the next reading is good.
+    /// Errors: those of a reading; `NoReference`; `Jump`, after which the turn is unknown. Others keep the count of turns,
+    /// which continues if the joint has moved less than `largest_step` at the next good reading.
     pub fn position(&mut self) -> Result<f32, EncoderError> {
         let within = self.read()?;
         let last = self.state.position.ok_or(EncoderError::NoReference)?;
-        // The shortest way round, from −half a turn to half a turn.
+        // The shorter direction, from −half a turn to half a turn.
         let apart = within.wrapping_sub(last).wrapping_add(TURN / 2);
         let step = (apart & (TURN - 1)) - TURN / 2;
         if step.abs() > i32::from(self.config.largest_step) {
@@ -171,7 +168,7 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         Ok(self.rad(position))
     }
 
-    /// State between readings.
+    /// State from reading to reading.
     pub const fn state(&self) -> &EncoderState {
         &self.state
     }
@@ -198,13 +195,13 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
 
     /// One reading: two frames; one after a start, a bus error or a flagged error, and three when the chip flags one.
     fn angle(&mut self) -> Result<u16, EncoderError> {
-        match self.state.asked {
+        match self.state.requested {
             Some(Register::Diagnostics) => {
                 let diagnostics = self.exchange(Register::Angle)?;
                 let angle = self.exchange(Register::Diagnostics)?;
                 let checked = sound(diagnostics).and_then(|seen| Ok((seen, sound(angle)?)));
                 if checked == Err(EncoderError::Flagged) {
-                    // Asked at once, in a frame of its own: no position is worth more than knowing why.
+                    // Requested at once, in a frame of its own.
                     self.exchange(Register::Errors)?;
                 }
                 let (diagnostics, angle) = checked?;
@@ -224,13 +221,13 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
     }
 
     /// One frame of 16 bits each way.
-    fn exchange(&mut self, question: Register) -> Result<u16, EncoderError> {
-        let mut frame = question.read().to_be_bytes();
-        // Whether the chip heard a frame that failed is not known: then the next answer is nobody's.
-        self.state.asked = None;
+    fn exchange(&mut self, request: Register) -> Result<u16, EncoderError> {
+        let mut frame = request.read().to_be_bytes();
+        // The chip may not have received a frame that failed: then the next answer is not valid.
+        self.state.requested = None;
         let sent = self.spi.transfer_in_place(&mut frame);
         sent.map_err(|error| EncoderError::Bus(error.kind()))?;
-        self.state.asked = Some(question);
+        self.state.requested = Some(request);
         Ok(u16::from_be_bytes(frame))
     }
 }

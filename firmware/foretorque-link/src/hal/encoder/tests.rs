@@ -53,7 +53,7 @@ fn counts_become_radians_by_zero_direction_and_ratio() {
 }
 
 #[test]
-fn the_count_goes_on_over_turns_in_both_directions() {
+fn the_count_continues_over_turns_in_both_directions() {
     let mut encoder = encoder(CONFIG, 16_000, 6.0);
     for (angle, counts) in [
         (16_383, 16_383.0),
@@ -86,7 +86,7 @@ fn two_frames_a_reading() {
 }
 
 #[test]
-fn the_chips_own_troubles_are_told_in_the_reading_after_they_came() {
+fn diagnostics_are_reported_in_the_next_reading() {
     for (diagnostics, error) in [
         (0, EncoderError::NotReady),
         (0x300, EncoderError::Overflow),
@@ -104,7 +104,7 @@ fn the_chips_own_troubles_are_told_in_the_reading_after_they_came() {
 }
 
 #[test]
-fn a_flipped_bit_of_an_answer_is_seen_whichever_it_is() {
+fn every_flipped_bit_of_an_answer_is_detected() {
     for (frame, bit) in (0..32).map(|k| (k / 16, k % 16)) {
         let mut encoder = encoder(CONFIG, 1234, 0.5);
         encoder.spi.flips = (frame, 0, 1 << bit);
@@ -116,7 +116,7 @@ fn a_flipped_bit_of_an_answer_is_seen_whichever_it_is() {
 }
 
 #[test]
-fn a_flipped_bit_of_a_command_is_flagged_explained_and_over() {
+fn every_flipped_bit_of_a_command_is_flagged_once() {
     for (frame, bit) in (0..32).map(|k| (k / 16, k % 16)) {
         let mut encoder = encoder(CONFIG, 1234, 0.5);
         encoder.spi.flips = (frame, 1 << bit, 0);
@@ -124,17 +124,17 @@ fn a_flipped_bit_of_a_command_is_flagged_explained_and_over() {
             assert_eq!(encoder.position(), Ok(1234.0 * COUNT));
         }
         assert_eq!(encoder.position(), Err(EncoderError::Flagged), "bit {bit}");
-        let told = encoder.position();
+        let refused = encoder.position();
         assert!(
-            matches!(told, Err(EncoderError::Refused(bits)) if bits & 4 != 0),
-            "bit {bit}: {told:?}"
+            matches!(refused, Err(EncoderError::Refused(bits)) if bits & 4 != 0),
+            "bit {bit}: {refused:?}"
         );
         assert_eq!(encoder.position(), Ok(1234.0 * COUNT));
     }
 }
 
 #[test]
-fn after_a_bus_error_the_next_answer_is_nobodys_and_the_turn_is_kept() {
+fn a_bus_error_invalidates_one_answer_and_keeps_the_turn() {
     let mut encoder = encoder(CONFIG, 100, TAU);
     encoder.spi.gone = true;
     let overrun = Err(EncoderError::Bus(ErrorKind::Overrun));
@@ -147,12 +147,12 @@ fn after_a_bus_error_the_next_answer_is_nobodys_and_the_turn_is_kept() {
 }
 
 #[test]
-fn nobody_on_the_line_is_not_a_position_from_the_next_reading_on() {
+fn a_line_without_a_chip_gives_no_position() {
     for (level, error) in [
         (0x0000, EncoderError::NotReady),
         (0xffff, EncoderError::Flagged),
     ] {
-        // At a position that the level could be taken for, where no jump tells.
+        // At the position of the level, where no jump shows the error.
         let mut encoder = encoder(CONFIG, level & VALUE, 0.0);
         encoder.spi.level = Some(level);
         assert_eq!(encoder.position(), Err(error));
@@ -166,7 +166,7 @@ fn nobody_on_the_line_is_not_a_position_from_the_next_reading_on() {
 }
 
 #[test]
-fn a_jump_is_not_believed_and_asks_for_a_new_reference() {
+fn a_jump_is_dropped_and_needs_a_new_reference() {
     let mut encoder = encoder(CONFIG, 100, 0.0);
     assert_eq!(moved(&mut encoder, 2101), Err(EncoderError::Jump));
     assert_eq!(encoder.position(), Err(EncoderError::NoReference));
@@ -176,7 +176,7 @@ fn a_jump_is_not_believed_and_asks_for_a_new_reference() {
 }
 
 #[test]
-fn a_reference_that_is_no_position_is_refused() {
+fn a_reference_that_is_not_finite_is_refused() {
     let mut encoder = encoder(CONFIG, 100, 0.0);
     for q in [f32::NAN, f32::INFINITY, 1e30] {
         assert_eq!(encoder.reference(q), Err(EncoderError::NoReference));
@@ -185,7 +185,7 @@ fn a_reference_that_is_no_position_is_refused() {
 }
 
 #[test]
-fn a_configuration_that_cannot_work_is_refused() {
+fn an_invalid_configuration_is_refused() {
     let cases = [
         (0, 0.0, 100),
         (0, f32::NAN, 100),

@@ -77,8 +77,8 @@ proptest! {
     fn a_foreign_version_is_named(ahead in 1..=255u8, message in host_message()) {
         // Any but its own, older ones too.
         let version = PROTOCOL_VERSION.wrapping_add(ahead);
-        let mut room = [0; MAX_FRAME];
-        let frame = encode_as(version, 1, &message, &mut room).unwrap();
+        let mut buffer = [0; MAX_FRAME];
+        let frame = encode_as(version, 1, &message, &mut buffer).unwrap();
         let (good, bad) = hear::<HostMessage<N>>(frame);
         prop_assert!(good.is_empty());
         prop_assert_eq!(bad, [DecodeError::ForeignVersion(version)]);

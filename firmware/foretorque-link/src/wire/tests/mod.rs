@@ -13,8 +13,8 @@ use std::vec::Vec;
 const N: usize = 6;
 
 fn wire<M: Serialize>(sequence: u16, message: &M) -> Vec<u8> {
-    let mut room = [0; MAX_FRAME];
-    encode(sequence, message, &mut room).unwrap().to_vec()
+    let mut buffer = [0; MAX_FRAME];
+    encode(sequence, message, &mut buffer).unwrap().to_vec()
 }
 
 /// Everything a receiver makes of `bytes`: what came whole, and what was refused.
