@@ -238,8 +238,11 @@ fn columns_without_a_place_on_the_board_are_named_and_the_others_reach_the_bank(
         "--methods",
         methods,
     ]);
-    let said = String::from_utf8_lossy(&done.stdout).into_owned();
-    assert!(said.contains("the board has no column cubic"), "{said}");
+    let message = String::from_utf8_lossy(&done.stdout).into_owned();
+    assert!(
+        message.contains("the board has no column cubic"),
+        "{message}"
+    );
     let bank = Command::new(env!("CARGO_BIN_EXE_host-sim"))
         .args(["bank", text(&out.join("parameters.bank"))])
         .output()
@@ -277,7 +280,7 @@ fn a_gap_splits_the_log_and_the_reader_is_told() {
         .filter(|(row, _)| !(1500..1600).contains(row));
     let kept: Vec<&str> = kept.map(|(_, line)| line).collect();
     fs::write(&cut, kept.join("\n")).expect("writes");
-    let said = identified(&[
+    let message = identified(&[
         "--log",
         text(&cut),
         "--validate",
@@ -288,8 +291,8 @@ fn a_gap_splits_the_log_and_the_reader_is_told() {
         "wls",
     ]);
     assert!(
-        said.contains("cut.csv:1501: column t_s: gap of 0.5"),
-        "{said}"
+        message.contains("cut.csv:1501: column t_s: gap of 0.5"),
+        "{message}"
     );
     let report = report(&out);
     let error = &report["methods"]["wls"]["validation"]["whole.csv"]["joints_nrmse_moving_ratio"];

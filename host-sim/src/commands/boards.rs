@@ -1,4 +1,4 @@
-//! Which board, and how it is reached.
+//! Boards by name, and the connection to each.
 
 use super::{Failure, unusable};
 use foretorque::arm::Arm;
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
-/// How long a board may take to say its first hello.
+/// Time limit of a board's first hello.
 const BOOT: Duration = Duration::from_secs(10);
 
 /// Boards that a command may name.
@@ -140,7 +140,7 @@ fn compiler_of(elf: &Path) -> Option<String> {
 
 /// Work for a robot that the firmware has an arm for.
 pub(super) trait OnArm {
-    /// What comes out.
+    /// Output of the work.
     type Output;
 
     /// Does the work with the firmware's arm `A` of `robot`.

@@ -66,7 +66,7 @@ impl OnArm for &Arguments {
 type States<const N: usize> = Box<dyn Iterator<Item = Result<StateRow<N>, TableError>>>;
 
 impl Arguments {
-    /// Whether the states have times, and the states.
+    /// The states, and true if they have times.
     fn states<const N: usize>(&self, robot: &Robot) -> Result<(bool, States<N>), Failure> {
         if let Some(path) = &self.input {
             let states = StateReader::<N>::open(path, TimeColumn::Optional)?;

@@ -1,4 +1,4 @@
-//! What the board knows before it learns.
+//! The prior of the board.
 
 use foretorque::arm::Arm;
 use foretorque::learning::ParameterSet;

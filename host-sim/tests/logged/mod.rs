@@ -88,7 +88,7 @@ pub(crate) fn identify(arguments: &[&str]) -> Output {
         .expect("runs")
 }
 
-/// What it says when it goes well.
+/// Standard output of a command that succeeds.
 pub(crate) fn identified(arguments: &[&str]) -> String {
     let output = identify(arguments);
     succeeded(&output);
@@ -96,8 +96,8 @@ pub(crate) fn identified(arguments: &[&str]) -> String {
 }
 
 pub(crate) fn succeeded(output: &Output) {
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{message}");
 }
 
 /// The report that `identify` wrote.

@@ -23,12 +23,12 @@ pub use watchdog::watchdog_bites;
 use rig::Round;
 use serde::Serialize;
 
-/// What one kind of fault came to.
+/// Counts of one kind of fault.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Campaign {
-    /// What was broken.
+    /// The fault.
     pub name: String,
-    /// Where: `native`, `qemu (bulk)`, `qemu (joint)`, `simulated flash`.
+    /// The board: `native`, `qemu (bulk)`, `qemu (joint)`, `simulated flash`.
     pub board: String,
     /// Faults.
     pub injected: u64,

@@ -13,7 +13,7 @@ use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// How an upload fails.
+/// A way in which an upload fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BadUpload {
     /// It stops before its end, with or without a commit.
@@ -41,7 +41,7 @@ impl BadUpload {
         Self::StrangeNumber,
     ];
 
-    /// What it is called in a report.
+    /// Name in a report.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Interrupted => "interrupted uploads",
@@ -182,8 +182,8 @@ fn spoilt_bank(bad: BadUpload, number: u32, random: &mut ChaCha8Rng) -> Vec<u8> 
         }
         BadUpload::Interrupted | BadUpload::Reset => return bytes,
     }
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    bank.encode(&mut room).map_or(bytes, <[u8]>::to_vec)
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    bank.encode(&mut buffer).map_or(bytes, <[u8]>::to_vec)
 }
 
 #[cfg(test)]

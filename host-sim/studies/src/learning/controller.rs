@@ -73,8 +73,8 @@ impl Controller {
     /// rounds it.
     pub(super) fn tick(&mut self, sample: Option<&JointSample<N>>) -> Torque<N> {
         self.feedforward.adopt(&mut self.exchange);
-        let heard = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
-        let sample = self.safety.admit(heard, 1);
+        let received = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
+        let sample = self.safety.admit(received, 1);
         let mut torque = match &sample {
             Some(sample) => self.feedforward.step(sample),
             None => self.feedforward.step_stale(),
@@ -89,7 +89,7 @@ impl Controller {
         torque
     }
 
-    /// Whether torque leaves the board, and why not.
+    /// Safety state of the board, with its reason.
     pub(super) fn safety(&self) -> SafetyStatus {
         self.safety.status()
     }

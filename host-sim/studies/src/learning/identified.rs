@@ -53,7 +53,7 @@ impl Starts {
 }
 
 impl Start {
-    /// How the learner goes on from there: as the firmware has it; a plain friction model has viscous and
+    /// Configuration of the learner: as the firmware has it; a plain friction model has viscous and
     /// Coulomb columns, offset and cogging, and gets no others.
     pub(super) fn config(self) -> LearnerConfig<N, P> {
         let mut config = Controller::config();

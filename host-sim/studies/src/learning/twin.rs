@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector, SVector};
 
 /// Friction columns of a joint that wander, one a row in turn with the noise of all: viscous, Coulomb, Stribeck and bend.
 const WANDERING: usize = 4;
-/// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
+/// Median of the |z| of a normal z, growth of the variance beyond it, and its range.
 const MEDIAN: f64 = 0.6745;
 const VARIANCE_STEP: f64 = 1.005;
 const VARIANCE_RANGE: (f64, f64) = (0.02, 400.0);

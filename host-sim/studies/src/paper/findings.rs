@@ -101,21 +101,21 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     out
 }
 
-/// Which methods found no model now and then.
+/// Methods that found no model in some draws.
 fn failures(conditions: &[Condition]) -> Option<String> {
     let mut failed: BTreeMap<&str, usize> = BTreeMap::new();
     for (name, count) in conditions.iter().flat_map(|c| &c.failed) {
         *failed.entry(name).or_default() += count;
     }
     let draws: usize = conditions.iter().map(|c| c.draws).sum();
-    let told: Vec<String> = failed
+    let reported: Vec<String> = failed
         .iter()
         .map(|(name, count)| format!("{name} in {count} of {draws} draws"))
         .collect();
-    (!told.is_empty()).then(|| format!("Found no model: {}.", told.join(", ")))
+    (!reported.is_empty()).then(|| format!("Found no model: {}.", reported.join(", ")))
 }
 
-/// How many rows the methods need: the fewest with which the error is at most twice that with all rows.
+/// Rows that the methods need: the fewest with which the error is at most twice that with all rows.
 fn samples(conditions: &[Condition], full: usize) -> Option<String> {
     let mut curve: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
     curve.sort_by_key(|c| c.rows);

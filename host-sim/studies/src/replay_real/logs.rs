@@ -30,13 +30,13 @@ pub(super) struct Row {
     pub(super) state: State<N>,
     /// Torque through the same filter, N·m.
     pub(super) tau: [f64; N],
-    /// What plain and rich batch least squares on the other paths say, N·m, through the same filter.
+    /// Torques of plain and rich batch least squares on the other paths, N·m, through the same filter.
     pub(super) batch: [[f64; N]; 2],
 }
 
 /// A stretch of a log without a gap.
 pub(super) struct Stretch {
-    /// Which path it is of.
+    /// Index of its path.
     pub(super) path: usize,
     pub(super) rows: Vec<Row>,
     pub(super) preparation: Preparation,

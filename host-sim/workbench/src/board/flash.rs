@@ -17,7 +17,7 @@ const EDGE: usize = 64;
 /// Sectors.
 const SECTORS: usize = 2;
 
-/// Why an operation did not happen.
+/// Failure of an operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashError {
     /// The power went, now or before.
@@ -37,7 +37,7 @@ impl NorFlashError for FlashError {
     }
 }
 
-/// What is left of the step in which the power goes.
+/// Result of the step in which the power fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Torn {
     /// The step has not begun.
@@ -77,7 +77,7 @@ impl Torn {
     ];
 }
 
-/// How a write-protected flash takes what it does not keep.
+/// Answer of a write-protected flash to an operation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Protection {
     /// It is not protected.
@@ -124,7 +124,7 @@ impl<const SECTOR: usize> SimulatedFlash<SECTOR> {
         }
     }
 
-    /// What is in it, as a perfect reader would see it.
+    /// Its content, read without error.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }

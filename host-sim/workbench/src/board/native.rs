@@ -70,9 +70,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
         Ok(())
     }
 
-    fn receive(&mut self, room: &mut [u8], _timeout: Duration) -> io::Result<usize> {
-        let count = room.len().min(self.waiting.len());
-        for (slot, byte) in room.iter_mut().zip(self.waiting.drain(..count)) {
+    fn receive(&mut self, buffer: &mut [u8], _timeout: Duration) -> io::Result<usize> {
+        let count = buffer.len().min(self.waiting.len());
+        for (slot, byte) in buffer.iter_mut().zip(self.waiting.drain(..count)) {
             *slot = byte;
         }
         Ok(count)

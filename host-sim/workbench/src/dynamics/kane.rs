@@ -65,7 +65,7 @@ impl<const N: usize> ReferenceModel<N> {
         })
     }
 
-    /// The same arm with `payload` fixed to its last link, given in that link's frame.
+    /// This arm with `payload` fixed to its last link, given in that link's frame.
     pub fn with_payload(&self, payload: &Link) -> Self {
         let mut loaded = self.clone();
         if let Some(last) = loaded.bodies.last_mut() {

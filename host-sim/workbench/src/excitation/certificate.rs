@@ -33,14 +33,14 @@ pub struct LimitCheck {
     pub margin: f64,
 }
 
-/// What was checked before an excitation was handed out.
+/// The checks of an excitation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Certificate {
     /// All limits are kept.
     pub holds: bool,
     /// Points of one period that were checked.
     pub points: usize,
-    /// How values between the points are covered.
+    /// Treatment of values between the points.
     pub between_points: &'static str,
     /// Every limit with its worst value.
     pub limits: Vec<LimitCheck>,
@@ -48,17 +48,17 @@ pub struct Certificate {
     pub condition_number_columns: usize,
     /// Condition number of the raw stacked regressor (SI) in standard DH link frames.
     pub condition_number_dh: f64,
-    /// The same path in the board's link frames (Craig).
+    /// Condition number in the board's link frames (Craig).
     pub condition_number_board: f64,
-    /// What the condition numbers mean.
+    /// Definition of the condition numbers.
     pub condition_number_note: &'static str,
     /// Predicted torque error on task motion: RMS over joints of error RMS / torque RMS.
     pub predicted_nrmse_percent: f64,
-    /// What the prediction assumes.
+    /// Assumptions of the prediction.
     pub predicted_nrmse_note: String,
     /// Half −ln det of the information, per parameter, SI: what D-optimality makes small. Only differences mean something.
     pub ln_spread: f64,
-    /// What the search made small.
+    /// Objective of the search.
     pub criterion: Criterion,
     /// Seed of the search.
     pub seed: u64,
@@ -68,7 +68,7 @@ pub struct Certificate {
     pub version: &'static str,
 }
 
-/// What a certificate says about the search.
+/// Search behind a certificate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Provenance {
     pub(super) criterion: Criterion,

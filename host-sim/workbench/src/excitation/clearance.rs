@@ -4,7 +4,7 @@ use crate::dynamics::Joints;
 use crate::robot::{Capsule, Placement, Robot, segment_distance};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-/// What keeps its distance from what.
+/// Two bodies that keep their distance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pair {
     Table { link: usize },
@@ -78,7 +78,7 @@ impl<const N: usize> Clearances<N> {
         self.pairs.len()
     }
 
-    /// What the distance `index` is between.
+    /// Names of the bodies of distance `index`.
     pub(super) fn name(&self, index: usize) -> String {
         match self.pairs[index] {
             Pair::Table { link } => format!("{} to table", self.names[link]),

@@ -16,7 +16,7 @@ pub enum ExcitationError {
     /// Another number of joints or harmonics than expected, or a coefficient or period that makes no sense.
     #[error("excitation: {problem}")]
     Shape {
-        /// What is wrong.
+        /// The problem.
         problem: String,
     },
     /// The range of a joint is empty.
@@ -30,11 +30,11 @@ pub enum ExcitationError {
         "excitation: no path keeps all limits; in no pose is {of} clear by more than {most_m:.3} m, asked for {asked_m} m"
     )]
     OutOfReach {
-        /// What is to be kept clear of what.
+        /// The two bodies.
         of: String,
         /// More than can be had, m.
         most_m: f64,
-        /// What is asked for, m.
+        /// Distance asked for, m.
         asked_m: f64,
     },
     /// No start of the search ended inside all limits.
@@ -44,9 +44,9 @@ pub enum ExcitationError {
     Unkept {
         /// The limit that was missed by the best start.
         limit: String,
-        /// What was reached, with its unit.
+        /// Value reached, with its unit.
         reached: String,
-        /// What is asked for, with its unit.
+        /// Value asked for, with its unit.
         asked: String,
     },
     /// Torque does not tell all parameters apart on any path that was tried.

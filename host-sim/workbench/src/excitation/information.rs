@@ -1,4 +1,4 @@
-//! What a path tells about the parameters, and how that changes with its regressor.
+//! Information of a path about the parameters, and its derivative with respect to the regressor.
 
 use super::rows::Rows;
 use crate::dynamics::{ReferenceModel, State};
@@ -7,7 +7,7 @@ use crate::robot::Robot;
 use crate::trajectory::via::ViaPath;
 use nalgebra::{Cholesky, DMatrix};
 
-/// What a search makes small.
+/// Objective of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Criterion {
@@ -48,7 +48,7 @@ pub(super) struct Experiment<const N: usize> {
     links: usize,
 }
 
-/// What a path is worth.
+/// Figures of merit of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Worth {
     /// ln of the condition number (smooth upper bound of it).
@@ -101,7 +101,7 @@ impl<const N: usize> Experiment<N> {
         })
     }
 
-    /// What the path with the regressor rows `transposed` (one row a column, joints fastest) is worth; with `adjoint`,
+    /// Figures of merit of the path with the regressor rows `transposed` (one row a column, joints fastest); with `adjoint`,
     /// also d(shares · worth) / d(rows), added to it. `None` where parameters cannot be told apart.
     ///
     /// With C the covariance, T the task and M = n/K Σ w wᵀ/σ²: error² = tr(C T), so

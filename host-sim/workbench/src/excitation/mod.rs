@@ -50,7 +50,7 @@ pub struct Excitation {
     pub seed: u64,
     /// Coefficients, one entry a joint.
     pub joints: Vec<JointSeries>,
-    /// What was checked. Never read back: a certificate holds only for the coefficients it was computed from.
+    /// The checks. Never read back: a certificate holds only for the coefficients it was computed from.
     #[serde(skip_deserializing, skip_serializing_if = "Option::is_none")]
     pub certificate: Option<Box<Certificate>>,
 }

@@ -15,7 +15,7 @@ pub(super) const INSTANTS: usize = 250;
 const SIGN_WIDTH_RAD_S: f64 = 0.05;
 /// A clearance missed by this much weighs like a limit exceeded by its own size, m.
 const CLEARANCE_SCALE_M: f64 = 0.1;
-/// What a path is given on which parameters cannot be told apart.
+/// Value of a path on which parameters cannot be told apart.
 const UNSEEN: f64 = 1e3;
 
 /// Criterion and limits of one robot.
@@ -36,7 +36,7 @@ pub(super) struct Objective<const N: usize> {
     basis: Vec<[[f64; 3]; VARIABLES]>,
 }
 
-/// How hard limits are pressed.
+/// Weights of the limits.
 #[derive(Clone, Debug)]
 pub(super) struct PenaltyWeights {
     /// Weight of the penalties.

@@ -1,4 +1,4 @@
-//! How fast the drive torques can change: what lies between two instants of a certificate.
+//! Bounds of the rate of change of the drive torques, for the time between two instants of a certificate.
 
 use crate::dynamics::Joints;
 use crate::robot::{Placement, Robot};

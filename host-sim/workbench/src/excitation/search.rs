@@ -37,12 +37,12 @@ const REPAIRS: usize = 4;
 /// Random candidates looked at for each start.
 const POOL: usize = 8;
 
-/// What a search needs to know.
+/// Settings of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SearchConfig {
     /// Period of the fundamental, s.
     pub period_s: f64,
-    /// What is made small.
+    /// Objective.
     pub criterion: Criterion,
     /// Limit of the condition number under [`Criterion::Constrained`].
     pub condition_limit: f64,

@@ -22,7 +22,7 @@ pub struct JointSeries {
     pub b_rad_s: [f64; ORDER],
 }
 
-/// What a series keeps or must keep: range of the position, rad, peaks of speed, rad/s, and acceleration, rad/s².
+/// Extremes or limits of a series: range of the position, rad, peaks of speed, rad/s, and acceleration, rad/s².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Extremes {
     pub(super) q: (f64, f64),
@@ -159,7 +159,7 @@ impl JointSeries {
         }
     }
 
-    /// The same offset, `scale` times the amplitudes.
+    /// This offset with `scale` times the amplitudes.
     pub(super) fn scaled(&self, scale: f64) -> Self {
         Self {
             q0_rad: self.q0_rad,

@@ -170,7 +170,7 @@ pub struct Parameter {
     pub friction: Option<(FrictionColumn, usize)>,
 }
 
-/// Where every column of the model stands, and which of them each joint's torque can see.
+/// Place of every column of the model, and the columns that each joint's torque depends on.
 #[derive(Clone, Debug)]
 pub struct Layout<const N: usize> {
     /// All parameters: base set, then friction joint by joint.
@@ -191,7 +191,7 @@ pub struct Layout<const N: usize> {
     cogging: [f64; N],
 }
 
-/// Which joints feel gravity in some position: not one whose axis stands upright, nor one that turns a link about its
+/// True for joints that feel gravity in some position: not one whose axis stands upright, nor one that turns a link about its
 /// centre of mass.
 fn feels_gravity<const N: usize>(model: &ReferenceModel<N>) -> [bool; N] {
     const LEAST_NM: f64 = 1e-9;
@@ -281,7 +281,7 @@ impl<const N: usize> Layout<N> {
         })
     }
 
-    /// Which parameters a poorer layout of the same robot has.
+    /// Places of the parameters that a poorer layout of the same robot has.
     pub fn places_of(&self, poorer: &Self) -> Vec<usize> {
         let names = poorer.parameters.iter();
         names

@@ -27,7 +27,7 @@ pub(super) struct ConsistentFit<const N: usize> {
     pub fit: Fit<N>,
     /// The description with the identified links, rotors and friction.
     pub robot: Robot,
-    /// What consistency costs: `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)`. Noise alone makes half the number of parameters of it.
+    /// Cost of consistency: `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)`. Noise alone makes half the number of parameters of it.
     pub distance_nats: f64,
 }
 
@@ -145,7 +145,7 @@ fn parameter_map<const N: usize>(base: &BaseMap, layout: &Layout<N>) -> DMatrix<
     map
 }
 
-/// Where parameters are possible: pseudo-inertias and some scalars positive, each with its value in the description.
+/// The cone of possible parameters: pseudo-inertias and some scalars positive, each with its value in the description.
 struct Cone {
     /// Inverse pseudo-inertia of each link of the description; link k has parameters from 10 k.
     links: Vec<Matrix4<f64>>,

@@ -16,7 +16,7 @@ pub struct SampleRow<const N: usize> {
     pub tau: [f64; N],
     /// Filtered torque without spikes, N·m.
     pub clean: [f64; N],
-    /// Which joints move.
+    /// True for joints that move.
     pub moving: [bool; N],
     /// Active columns of all joints.
     pub panel: Box<[f64]>,

@@ -1,4 +1,4 @@
-//! How many rows, and how much time, each method needs.
+//! Error of each method by number of rows.
 
 use super::dataset::{Dataset, SampleRow};
 use super::methods::MethodName;

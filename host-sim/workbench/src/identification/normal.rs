@@ -84,7 +84,7 @@ impl<const N: usize> NormalEquations<N> {
         }
     }
 
-    /// The same equations with the columns of a poorer layout only.
+    /// These equations with the columns of a poorer layout only.
     pub fn subset(&self, layout: &Layout<N>, poorer: &Layout<N>) -> Self {
         let places = layout.places_of(poorer);
         let joints = (0..N).map(|joint| {

@@ -8,7 +8,7 @@ use crate::dynamics::{Joints, State};
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// Where velocities and accelerations come from.
+/// Source of velocities or accelerations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MotionSource {
     /// The log's own columns.
@@ -17,7 +17,7 @@ pub enum MotionSource {
     Derived,
 }
 
-/// How a log is prepared.
+/// Settings of the filters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PrepareConfig {
     /// Cut-off of the filter on the motion, Hz.
@@ -28,7 +28,7 @@ pub struct PrepareConfig {
     pub still_rad_s: f64,
 }
 
-/// What one log is prepared with.
+/// Filters and sources of one log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preparation {
     /// Time of the first row, s.
@@ -172,7 +172,7 @@ pub struct Prepared<const N: usize> {
     pub cogging_basis: Vec<f64>,
     /// Torques, N a row, filtered, N·m.
     pub tau: Vec<f64>,
-    /// The same with spikes taken out before filtering, N·m.
+    /// Torques with spikes taken out before filtering, N·m.
     pub clean: Vec<f64>,
     /// Spikes taken out.
     pub spikes: usize,
@@ -264,7 +264,7 @@ impl<const N: usize> Prepared<N> {
     }
 }
 
-/// What a stretch says before its regressor is made.
+/// A stretch before its regressor is made.
 pub(super) struct Raw<const N: usize> {
     /// Number of the stretch.
     pub(super) index: usize,
@@ -272,7 +272,7 @@ pub(super) struct Raw<const N: usize> {
     pub(super) states: Vec<State<N>>,
     /// Torques, N a row, N·m.
     pub(super) tau: Vec<f64>,
-    /// The same without spikes.
+    /// Torques without spikes.
     pub(super) clean: Vec<f64>,
     /// Spikes taken out.
     pub(super) spikes: usize,

@@ -23,9 +23,9 @@ pub struct ValidationRecord {
     pub torque_rms_moving_nm: Vec<Option<f64>>,
     /// Root of the mean over the joints of `nrmse_moving_ratio` squared.
     pub joints_nrmse_moving_ratio: f64,
-    /// Where `joints_nrmse_moving_ratio` lies with 95 % confidence: bootstrap over blocks of one second of this log.
+    /// Interval of `joints_nrmse_moving_ratio` with 95 % confidence: bootstrap over blocks of one second of this log.
     pub joints_nrmse_moving_ratio_ci95: Option<[f64; 2]>,
-    /// The same of `rmse_moving_nm`.
+    /// Intervals of `rmse_moving_nm`.
     pub rmse_moving_nm_ci95: Vec<Option<[f64; 2]>>,
     /// Moving rows of every joint.
     pub rows_moving: Vec<u64>,
@@ -60,7 +60,7 @@ pub struct ParameterRecord {
 pub struct SplitRecord {
     /// RMS error of every joint on the 20 % held out, moving rows, N·m.
     pub rmse_moving_nm: Vec<Option<f64>>,
-    /// The same over RMS torque.
+    /// RMS error over RMS torque.
     pub nrmse_moving_ratio: Vec<Option<f64>>,
 }
 
@@ -97,13 +97,13 @@ pub struct MethodRecord {
     pub epochs: usize,
     /// Time of the fit, without reading the logs, s.
     pub seconds: f64,
-    /// What it makes of growing shares of at most 4000 rows; shares that do not show every parameter are left out.
+    /// Errors with growing shares of at most 4000 rows; shares that do not show every parameter are left out.
     /// `bp_residual` is given filtered rows here, which serve it worse than the raw ones of the whole log.
     pub learning_curve: Vec<LearningPoint>,
     /// Loss by epoch, thinned: epoch, RMSE as a ratio of the noise (`bp_physical`), of the spread of the torques
     /// (`bp_black_box`), of the torque limit (`bp_residual`, mean of the joints).
     pub loss_ratio: Vec<(usize, f64)>,
-    /// What physical consistency costs: half the squared Mahalanobis distance from the free fit, nats. Noise alone makes
+    /// Cost of physical consistency: half the squared Mahalanobis distance from the free fit, nats. Noise alone makes
     /// about half the number of parameters of it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_from_free_nats: Option<f64>,
@@ -144,7 +144,7 @@ pub struct Report {
     pub drive_gains: Vec<GainRecord>,
     /// Training logs.
     pub logs: Vec<String>,
-    /// What was derived, cut, or thinned.
+    /// Notes on what was derived, cut, or thinned.
     pub notes: Vec<String>,
     /// Period on which training logs were folded, s.
     pub fold_period_s: Option<f64>,
@@ -167,7 +167,7 @@ pub struct Report {
     /// Condition number of the raw SI regressor of the base parameters: moving rows, Craig link frames, first
     /// independent columns from left to right. It does not compare with figures for other frames.
     pub condition_number: f64,
-    /// What the condition number refers to.
+    /// Definition of the condition number.
     pub condition_number_of: String,
     /// Condition number of all columns at unit length.
     pub condition_number_equilibrated: f64,

@@ -98,11 +98,11 @@ fn train<const N: usize>(
     limits: &[f64; N],
     progress: Progress<'_>,
 ) -> Vec<Trained> {
-    let (told, news) = channel();
+    let (reported, news) = channel();
     std::thread::scope(|scope| {
         let joints: Vec<_> = (0..N)
             .map(|joint| {
-                let told = told.clone();
+                let reported = reported.clone();
                 scope.spawn(move || {
                     let of = |half| {
                         let speeds = &data.speeds;
@@ -116,12 +116,12 @@ fn train<const N: usize>(
                     let fastest = problem.robot.joints[joint].limits.velocity;
                     train_residual(&[of(0), of(1)], fastest, &config, &mut |step, loss| {
                         // Nobody listens only when the command is already failing.
-                        let _ = told.send((joint, step, loss));
+                        let _ = reported.send((joint, step, loss));
                     })
                 })
             })
             .collect();
-        drop(told);
+        drop(reported);
         for (joint, step, loss) in news {
             progress(&format!(
                 "bp_residual  joint {}  step {step}  loss {:.4} % of the torque limit",

@@ -1,4 +1,4 @@
-//! Which columns of a log its motion is taken from.
+//! Columns of a log that its motion is taken from.
 
 use super::prepare::{MotionSource, Preparation, PrepareConfig};
 use super::whole_log::{GAP_PERIODS, WholeLog};
@@ -9,7 +9,7 @@ use std::path::Path;
 const MOTION_ROWS: f64 = 8.0;
 /// Logged velocities farther than this share of their RMS from the derivative of the positions are set-points.
 const VELOCITY_TRUST: f64 = 0.01;
-/// The same for accelerations, which differentiation knows less well.
+/// Share for accelerations, which differentiation knows less well.
 const ACCELERATION_TRUST: f64 = 0.03;
 
 /// Period and sources of motion of a log, from its first rows.

@@ -259,7 +259,7 @@ impl<const N: usize> FileScores<N> {
         })
     }
 
-    /// The same for one known error of the parameters.
+    /// RMS over the joints for one known error of the parameters.
     pub fn propagated_error(&self, layout: &Layout<N>, error: &DVector<f64>) -> f64 {
         self.propagated(layout, &(error * error.transpose()))
     }

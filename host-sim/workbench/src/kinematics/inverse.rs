@@ -200,7 +200,7 @@ mod tests {
         Robot::load("ur5").expect("built in")
     }
 
-    /// The same arm in frames turned about and moved along the joint axes, as a URDF might have them.
+    /// This arm in frames turned about and moved along the joint axes, as a URDF might have them.
     fn reframed(robot: &Robot) -> Robot {
         let mut other = robot.clone();
         let along = |angle: f64, shift: f64| {

@@ -1,4 +1,4 @@
-//! Where the tool is, how it moves with the joints, and which joint positions put it somewhere.
+//! Kinematics: pose of the tool, its Jacobian, and joint positions for a pose.
 //!
 //! The tool flange is the tip of the description: the frame `flange` of a TOML file where it gives one, else the far end
 //! of the last link (its DH frame); of a URDF the tip link. All poses are expressed in the base frame. Twists are six

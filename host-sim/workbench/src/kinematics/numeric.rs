@@ -8,7 +8,7 @@ use nalgebra::SMatrix;
 
 /// Most steps from one start. Starts that arrive take about ten.
 const STEPS: usize = 120;
-/// What may be left of the pose, m and rad.
+/// Tolerance of the pose, m and rad.
 const ARRIVED: f64 = 1e-10;
 
 /// Joint positions near `start` that put the tip of `chain` at `target`.

@@ -1,4 +1,4 @@
-//! What happens to the arm: payloads that come and go, pushes from outside.
+//! Disturbances of the arm: payloads that come and go, pushes from outside.
 
 use crate::dynamics::Joints;
 use crate::robot::Link;

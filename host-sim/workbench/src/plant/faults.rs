@@ -1,4 +1,4 @@
-//! What may be wrong with what the drives report.
+//! Faults of the drives' reports.
 
 use super::Measurement;
 use crate::dynamics::Joints;
@@ -74,7 +74,7 @@ impl ReportFaults {
         seen
     }
 
-    /// What arrives: the `fresh` report, the one `before`, or nothing.
+    /// The report that arrives: the `fresh` one, the one `before`, or none.
     pub(super) fn delivered<const N: usize>(
         &self,
         fresh: Measurement<N>,
@@ -104,7 +104,7 @@ mod tests {
 
     const REPORTS: usize = 4000;
 
-    /// What is measured and what is reported, of an arm that stands still.
+    /// Measurement and report of an arm that stands still.
     fn reports(faults: ReportFaults) -> Vec<(Measurement<6>, Option<Measurement<6>>)> {
         let robot = Robot::load("ur5").expect("built in");
         let plant = Plant::<6>::new(&robot, PlantConfig::default(), 3).expect("six joints");

@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use std::f64::consts::TAU;
 
-/// What is not in the robot's description.
+/// Settings of the plant beyond the robot's description.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlantConfig {
     /// Steps of the integrator in one second, Hz.
@@ -44,7 +44,7 @@ impl Default for PlantConfig {
     }
 }
 
-/// What the sensors of the arm say at one instant.
+/// Readings of the arm's sensors at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement<const N: usize> {
     /// Encoder positions, rad.
@@ -110,14 +110,14 @@ impl<const N: usize> Plant<N> {
         })
     }
 
-    /// The same arm, to which `events` will happen. Their times are those of [`t_s`](Self::t_s).
+    /// This arm with the disturbances `events`. Their times are those of [`t_s`](Self::t_s).
     pub fn with_events(mut self, events: Events<N>) -> Self {
         self.events = events;
         self.pick_or_release();
         self
     }
 
-    /// The same arm, whose reports suffer `faults`.
+    /// This arm with the report faults `faults`.
     pub fn with_faults(mut self, faults: ReportFaults) -> Self {
         self.faults = faults;
         self
@@ -189,7 +189,7 @@ impl<const N: usize> Plant<N> {
         }
     }
 
-    /// What arrives of a measurement beyond the drives: damaged, an old one, or none. In `q` and `tau` as
+    /// The part of a measurement that arrives beyond the drives: damaged, an old one, or none. In `q` and `tau` as
     /// [`measure`](Self::measure) gave them.
     pub fn report(&mut self, measured: &Measurement<N>) -> Option<Measurement<N>> {
         let fresh = self
@@ -209,7 +209,7 @@ impl<const N: usize> Plant<N> {
         (self.model.inverse_dynamics(motion) + friction) / self.config.drive_gain
     }
 
-    /// What the arm carries now.
+    /// The payload in the hand.
     pub fn carried(&self) -> Option<&Payload> {
         self.carried.and_then(|k| self.events.payloads.get(k))
     }

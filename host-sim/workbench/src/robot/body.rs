@@ -4,7 +4,7 @@ use super::{LINK_PARAMETERS, Link, Placement};
 use nalgebra::{Matrix3, Vector3};
 
 impl Link {
-    /// Why no body has this inertia tensor (kg·m², about the centre of mass), if so.
+    /// The reason why no body has this inertia tensor (kg·m², about the centre of mass), if so.
     ///
     /// The principal moments of a body are positive, and none exceeds the sum of the others.
     pub fn inertia_problem(inertia: &Matrix3<f64>) -> Option<&'static str> {

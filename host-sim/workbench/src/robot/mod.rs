@@ -25,17 +25,17 @@ pub const LINK_PARAMETERS: usize = 10;
 /// Most joints an arm may have: as many as a bank of the board holds.
 pub const MAX_JOINTS: usize = foretorque_link::bank::MAX_JOINTS;
 
-/// Why a robot description was refused.
+/// A robot description that was refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RobotError {
     /// Neither a built-in name nor a readable file.
     #[error("unknown robot '{name}': not one of [{known}], and as a file: {reason}")]
     NotFound {
-        /// What was asked for.
+        /// The name asked for.
         name: String,
         /// The built-in names, joined by commas.
         known: String,
-        /// Why it could not be read as a file.
+        /// The error of reading it as a file.
         reason: String,
     },
     /// The file is not a robot description at all.
@@ -53,13 +53,13 @@ pub enum RobotError {
         file: String,
         /// Path of the field, for example `joints[2].link.mass_kg`.
         field: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
     /// The file is a URDF that does not describe one arm.
     #[error("{problem}")]
     Urdf {
-        /// What is wrong, with the file and the element.
+        /// The problem, with the file and the element.
         problem: String,
     },
 }
@@ -159,13 +159,13 @@ pub struct Joint {
     pub friction: Friction,
     /// Limits.
     pub limits: Limits,
-    /// What the link takes up in space, in the joint frame.
+    /// Space that the link takes up, in the joint frame.
     pub capsules: Vec<Capsule>,
     /// The standard DH frame of the link, at its far end, in the joint frame; `None` where the description gives no DH row.
     pub dh_frame: Option<Placement>,
 }
 
-/// How columns of a foreign log are called; `{}` stands for the joint number, counted from 1.
+/// Names of the columns of a foreign log; `{}` stands for the joint number, counted from 1.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogColumns {
@@ -196,7 +196,7 @@ pub struct Robot {
     pub flange: Placement,
     /// Column names of foreign logs, if the description gives any.
     pub log_columns: Option<LogColumns>,
-    /// What the arm must keep clear of.
+    /// Obstacles of the arm.
     pub workspace: Workspace,
 }
 

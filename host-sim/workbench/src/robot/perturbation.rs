@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// How far a robot is taken from its description.
+/// Distance of a robot from its description.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Perturbation {
     /// Largest relative change of masses, centres of mass and inertias.

@@ -27,7 +27,7 @@ pub(super) struct CapsuleFile {
     pub(super) radius_m: f64,
 }
 
-/// What is bolted to the flange, in the flange's frame. Becomes part of the last link.
+/// Tool bolted to the flange, in the flange's frame. Becomes part of the last link.
 #[derive(Clone, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ToolFile {

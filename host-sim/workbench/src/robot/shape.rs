@@ -1,4 +1,4 @@
-//! What an arm takes up in space, and what it must keep clear of.
+//! Space that an arm takes up, and its obstacles.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -19,7 +19,7 @@ impl Capsule {
     }
 }
 
-/// What the arm must keep clear of.
+/// Obstacles of the arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Workspace {

@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// How the gradient is followed.
+/// Method of descent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Descent {
     /// eq. 21 as it stands.
@@ -23,7 +23,7 @@ pub enum Descent {
     Accelerated,
 }
 
-/// How the layer is trained.
+/// Settings of the training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhysicalConfig {
     /// Seed of the random starts.
@@ -36,7 +36,7 @@ pub struct PhysicalConfig {
     pub tolerance: f64,
     /// See `tolerance`.
     pub patience: usize,
-    /// How the gradient is followed.
+    /// Method of descent.
     pub descent: Descent,
 }
 
@@ -66,7 +66,7 @@ pub struct LinearLayer {
     gram: DMatrix<f64>,
     moment: DVector<f64>,
     power: f64,
-    /// What turns a weight of the normalised layer into a parameter.
+    /// Factor from a weight of the normalised layer to a parameter.
     scale: DVector<f64>,
     /// Learning rate over the loss: the reciprocal of the largest curvature of J²/2.
     rate: f64,

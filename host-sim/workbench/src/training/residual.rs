@@ -7,7 +7,7 @@ use foretorque::feedforward::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS};
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
 
-/// What a joint's torque leaves at one speed.
+/// Residual of a joint's torque at one speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedPoint {
     /// Speed, rad/s.
@@ -18,7 +18,7 @@ pub struct SpeedPoint {
     pub weight: f64,
 }
 
-/// How a residual network is trained.
+/// Settings of the training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResidualConfig {
     /// Seed of the random starts.
@@ -62,10 +62,10 @@ pub fn train_residual(
         let (probe, _) = fit(&halves[own], fastest, config, &mut |_, _| ());
         let noise = noise(&halves[other]);
         for point in &halves[other] {
-            let said = f64::from(probe.forward(&network_inputs(point.qd as f32))[0]);
-            gain += point.weight * (2.0 * point.residual - said) * said;
+            let message = f64::from(probe.forward(&network_inputs(point.qd as f32))[0]);
+            gain += point.weight * (2.0 * point.residual - message) * message;
             // Variance of the term before: the residual of n rows has noise² / n.
-            doubt += 4.0 * noise * point.weight * said * said;
+            doubt += 4.0 * noise * point.weight * message * message;
         }
     }
     if gain > CERTAIN * doubt.sqrt() {
@@ -301,8 +301,8 @@ mod tests {
         let (network, losses) =
             train_residual(&halves, 3.0, &ResidualConfig::default(), &mut |_, _| ());
         let error = points.iter().map(|point| {
-            let said = f64::from(network.forward(&network_inputs(point.qd as f32))[0]);
-            (said - point.residual).powi(2)
+            let message = f64::from(network.forward(&network_inputs(point.qd as f32))[0]);
+            (message - point.residual).powi(2)
         });
         let power: f64 = points.iter().map(|point| point.residual.powi(2)).sum();
         let ratio = (error.sum::<f64>() / power).sqrt();

@@ -11,9 +11,9 @@ use crate::robot::Robot;
 pub struct BeyondLimits {
     /// The joint, from 1.
     pub joint: usize,
-    /// When, s after the trajectory's start.
+    /// Time after the trajectory's start, s.
     pub t_s: f64,
-    /// What is asked, in `unit`.
+    /// Value asked for, in `unit`.
     pub asked: f64,
     /// The limit, in `unit`.
     pub limit: f64,

@@ -28,7 +28,7 @@ pub enum Trajectory<const N: usize> {
     Excitation {
         /// The series.
         series: Excitation,
-        /// How long it is played, s.
+        /// Playing time, s.
         duration_s: f64,
     },
     /// Quintics through via points.
@@ -62,7 +62,7 @@ impl<const N: usize> Trajectory<N> {
         )
     }
 
-    /// How long it lasts, s.
+    /// Duration, s.
     pub fn duration_s(&self) -> f64 {
         match self {
             Self::Excitation { duration_s, .. } => *duration_s,

@@ -1,4 +1,4 @@
-//! Where a trajectory comes from: what the commands accept as `--trajectory`.
+//! Sources of a trajectory: values of `--trajectory`.
 
 use super::Trajectory;
 use super::cartesian::{self, CartesianError};
@@ -10,7 +10,7 @@ use crate::table::{StateReader, TableError, TimeColumn};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a trajectory cannot be played.
+/// A trajectory that cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
     /// The file cannot be read.
@@ -24,7 +24,7 @@ pub enum TrajectoryError {
     Syntax {
         /// The file.
         path: PathBuf,
-        /// What the parser said.
+        /// Message of the parser.
         reason: String,
     },
     /// The excitation is for another robot.
@@ -32,7 +32,7 @@ pub enum TrajectoryError {
     Excitation {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         error: ExcitationError,
     },
     /// The path of the tool is damaged, or the arm cannot follow it.
@@ -40,7 +40,7 @@ pub enum TrajectoryError {
     Cartesian {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         error: Box<CartesianError>,
     },
     /// A joint is asked for more than it can do.
@@ -48,13 +48,13 @@ pub enum TrajectoryError {
     Limits {
         /// The file.
         path: PathBuf,
-        /// Which one, and when.
+        /// The joint and the time.
         error: BeyondLimits,
     },
 }
 
 impl<const N: usize> Trajectory<N> {
-    /// What `--trajectory` names: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
+    /// The trajectory of `--trajectory`: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
     /// time, q, qd and qdd. Limits are checked.
     ///
     /// * `seed` of the validation path

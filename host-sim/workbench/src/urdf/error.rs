@@ -1,4 +1,4 @@
-//! Why a URDF was refused.
+//! URDFs that are refused.
 
 /// A URDF was refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -6,11 +6,11 @@
 pub struct UrdfError {
     /// The file.
     pub file: String,
-    /// What is wrong with it.
+    /// The problem.
     pub problem: UrdfProblem,
 }
 
-/// What is wrong with a URDF.
+/// A problem of a URDF.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UrdfProblem {
     /// The file cannot be read.
@@ -27,7 +27,7 @@ pub enum UrdfProblem {
     Element {
         /// Line of the element.
         line: u32,
-        /// What is wrong, beginning with the name of the element.
+        /// The problem, beginning with the name of the element.
         problem: String,
     },
     /// A link is named that does not exist.
@@ -35,7 +35,7 @@ pub enum UrdfProblem {
     UnknownLink {
         /// The name.
         link: String,
-        /// Who names it: a joint or an option.
+        /// The joint or option that names it.
         named_by: String,
     },
     /// Two links or joints have the same name.
@@ -71,7 +71,7 @@ pub enum UrdfProblem {
     Joint {
         /// The joint.
         joint: String,
-        /// Why.
+        /// The problem.
         problem: JointProblem,
     },
     /// A moving link has neither mass nor anything with mass bolted to it.
@@ -87,12 +87,12 @@ pub enum UrdfProblem {
     NotABody {
         /// The link.
         link: String,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
 }
 
-/// Why a joint cannot be part of an arm.
+/// A joint that cannot be part of an arm.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointProblem {
     /// It is not revolute; the type as written.

@@ -20,7 +20,7 @@ pub use write::write;
 use crate::robot::Robot;
 use std::path::Path;
 
-/// Which path of the tree is the arm.
+/// Path of the tree that is the arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Selection<'a> {
     /// Link the arm stands on; the root of the tree when not given.

@@ -211,7 +211,7 @@ impl<'a> Tree<'a> {
         }
     }
 
-    /// What is not part of the arm, in words.
+    /// Parts that do not belong to the arm, as words.
     pub(super) fn left_out(&self, base: usize, path: &[usize], end: Option<usize>) -> Vec<String> {
         let moved = path
             .iter()

@@ -7,9 +7,9 @@ use foretorque_link::wire::{
 };
 use std::time::{Duration, Instant};
 
-/// How often a question that may be asked twice without harm is asked.
+/// Attempts of a question that may be asked twice without harm.
 const ATTEMPTS: usize = 3;
-/// How long one hello is waited for while a board may still be booting.
+/// Time limit of one hello while a board may still be booting.
 const HELLO_TIMEOUT: Duration = Duration::from_millis(300);
 
 impl<const N: usize> Client<N> {

@@ -33,19 +33,19 @@ pub enum BoardShares<const N: usize> {
 pub struct TickReply<const N: usize> {
     /// Counter of the tick.
     pub tick: u32,
-    /// What happened.
+    /// Flags of the tick.
     pub flags: Flags,
-    /// Whether torque leaves the board, and why not.
+    /// Safety state, with its reason.
     pub safety: SafetyStatus,
     /// The torque, N × N·m, bit for bit; zero unless the board is armed.
     pub total: JointVector<N>,
-    /// What it is made of.
+    /// Shares of the torque.
     pub shares: BoardShares<N>,
-    /// Where the excitation stands and what it asks of the arm, if the board plays one.
+    /// State and desired motion of the excitation, if the board plays one.
     pub excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
-/// What the host saw of the link.
+/// Frames of the link, counted by the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCount {
     /// Frames sent.
@@ -80,7 +80,7 @@ pub struct Client<const N: usize> {
     safety: SafetyStatus,
     /// The desired motion that the board knows, without a measurement.
     presented: Option<SampleFrame<N>>,
-    /// What it told unasked.
+    /// Telemetry received and not yet taken.
     telemetry: Vec<TelemetryFrame>,
     key: Option<WriteKey>,
 }
@@ -143,12 +143,12 @@ impl<const N: usize> Client<N> {
         self.key = Some(key);
     }
 
-    /// How long an answer is waited for.
+    /// Sets the time limit of an answer.
     pub fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;
     }
 
-    /// Whether the torque of a sample is answered only when its lesson is learnt, so that what the board learns does not depend
+    /// Sets that the torque of a sample is answered only after the learning step, so that what the board learns does not depend
     /// on when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
     pub fn wait_for_lessons(&mut self, patient: bool) {
         self.patient = patient;
@@ -159,12 +159,12 @@ impl<const N: usize> Client<N> {
         self.period = self.period.wrapping_add(1);
     }
 
-    /// Who the board said it is.
+    /// The board's hello.
     pub fn hello(&self) -> &BoardHello {
         &self.hello
     }
 
-    /// What the host saw of the link so far.
+    /// Frames of the link so far, counted by the host.
     pub fn link_count(&self) -> LinkCount {
         self.count
     }

@@ -69,7 +69,7 @@ impl<const N: usize> Client<N> {
         Ok(reply)
     }
 
-    /// Whether torque leaves the board, and why not, as it last said.
+    /// Safety state of the last reply.
     pub fn safety(&self) -> SafetyStatus {
         self.safety
     }

@@ -10,7 +10,7 @@ use nalgebra::{Rotation3, Unit, Vector3, Vector6};
 /// A move may turn the tool this far from where it started, rad: half a turn has two ways round.
 const MOST_TURN: f64 = 3.0;
 
-/// Where the tool is at an instant, and how it moves.
+/// Pose and motion of the tool at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Point {
     pub(super) pose: Placement,

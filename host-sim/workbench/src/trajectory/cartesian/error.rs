@@ -1,18 +1,18 @@
-//! Why a path of the tool cannot be played.
+//! Paths of the tool that cannot be played.
 
 use crate::kinematics::InverseError;
 use crate::trajectory::BeyondLimits;
 use nalgebra::Vector3;
 use std::fmt;
 
-/// Where on the path something is wrong.
+/// Place on the path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spot {
     /// The waypoint or move, as the file counts: `start`, `move 2 (circle)`, `move 3 (via), point 2`.
     pub waypoint: String,
     /// Time on the path, s; `None` for the waypoint itself.
     pub t_s: Option<f64>,
-    /// Where the tool should be there, base frame, m.
+    /// Target of the tool there, base frame, m.
     pub target: Vector3<f64>,
 }
 
@@ -27,7 +27,7 @@ impl fmt::Display for Spot {
     }
 }
 
-/// Why a path of the tool cannot be played.
+/// A path of the tool that cannot be played.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CartesianError {
     /// The file is no path.
@@ -43,7 +43,7 @@ pub enum CartesianError {
     Field {
         /// The field, for example `move[2].duration_s`, moves from 1.
         field: String,
-        /// What is wrong with it.
+        /// The problem.
         problem: String,
     },
     /// The robot has another number of joints than expected.
@@ -55,17 +55,17 @@ pub enum CartesianError {
     /// No joint positions put the tool there.
     #[error("{spot}: {error}")]
     Kinematics {
-        /// Where.
+        /// The place.
         spot: Spot,
-        /// Why.
+        /// The reason.
         error: InverseError,
     },
     /// The joints could, but not within their limits.
     #[error("{spot}: {error}")]
     Limits {
-        /// Where.
+        /// The place.
         spot: Spot,
-        /// Which joint.
+        /// The joint.
         error: BeyondLimits,
     },
 }

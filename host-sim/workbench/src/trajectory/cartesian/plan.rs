@@ -265,13 +265,13 @@ mod tests {
                 "tool.xyz_m: is not a finite number",
             ),
         ];
-        for (good, bad, message) in cases {
+        for (good, bad, expected) in cases {
             assert!(PATH.contains(good), "{good}");
             let error = plan::<6>(&ur5(), &PATH.replacen(good, bad, 1), PERIOD_S)
                 .map(|samples| samples.len());
-            let said = error.expect_err(message).to_string();
-            assert!(said.starts_with(message), "{said}");
-            assert_eq!(said.lines().count(), 1);
+            let message = error.expect_err(expected).to_string();
+            assert!(message.starts_with(expected), "{message}");
+            assert_eq!(message.lines().count(), 1);
         }
     }
 
@@ -285,9 +285,9 @@ mod tests {
             line = { xyz_m = [-0.4, -0.25, 0.3] }
         ";
         let error = plan::<6>(&ur5(), text, PERIOD_S).map(|samples| samples.len());
-        let said = error.expect_err("singular").to_string();
+        let message = error.expect_err("singular").to_string();
         assert_eq!(
-            said,
+            message,
             "move 1 (line) at 0.000 s, tool at (-0.400, -0.191, 0.300) m: singular: axes 4 and 6 are parallel (wrist)"
         );
     }

@@ -1,4 +1,4 @@
-//! What is no arm, and what is damaged.
+//! URDFs without an arm, and damaged ones.
 
 use super::*;
 
