@@ -11,32 +11,15 @@
 mod chain;
 mod document;
 mod error;
+mod import;
 mod tree;
 mod write;
 
 pub use error::{JointProblem, UrdfError, UrdfProblem};
+pub use import::{Import, Selection};
 pub use write::write;
 
-use crate::robot::Robot;
 use std::path::Path;
-
-/// Path of the tree that is the arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Selection<'a> {
-    /// Link the arm stands on; the root of the tree when not given.
-    pub base: Option<&'a str>,
-    /// Link the arm ends at; needed where more than one moving joint leaves a link.
-    pub tip: Option<&'a str>,
-}
-
-/// An arm, and what the file did not say about it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Import {
-    /// The arm.
-    pub robot: Robot,
-    /// One sentence for each assumption made and each part left out.
-    pub notes: Vec<String>,
-}
 
 /// Reads an arm from a URDF file.
 ///

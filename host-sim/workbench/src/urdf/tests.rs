@@ -1,3 +1,4 @@
+use crate::robot::Robot;
 use super::*;
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::Placement;

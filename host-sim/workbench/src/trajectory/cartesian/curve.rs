@@ -1,6 +1,5 @@
 //! One move as a curve in time: pose, twist and its derivative.
 
-use super::file::Way;
 use super::rotation::{rates, rotation};
 use crate::kinematics::{Twist, rotation_vector};
 use crate::robot::Placement;
@@ -9,6 +8,22 @@ use nalgebra::{Rotation3, Unit, Vector3, Vector6};
 
 /// A move may turn the tool this far from where it started, rad: half a turn has two ways round.
 const MOST_TURN: f64 = 3.0;
+
+/// The way of a move.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Way {
+    /// Straight, turning about one axis.
+    Line(Placement),
+    /// About an axis through `centre` along `normal` (length 1), by `turn` rad; `carry` turns the tool along.
+    Circle {
+        centre: Vector3<f64>,
+        normal: Vector3<f64>,
+        turn: f64,
+        carry: bool,
+    },
+    /// Through points at even times without stopping.
+    Via(Vec<Placement>),
+}
 
 /// Pose and motion of the tool at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]

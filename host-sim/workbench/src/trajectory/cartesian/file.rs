@@ -1,6 +1,6 @@
 //! The file of a path: TOML, units in the names of the fields. `docs/trajectories.md` tells the format.
 
-use super::curve::Curve;
+use super::curve::{Curve, Way};
 use super::error::CartesianError;
 use crate::robot::Placement;
 use nalgebra::Vector3;
@@ -61,21 +61,6 @@ pub(super) struct Move {
     pub(super) curve: Curve,
 }
 
-/// The way of a move.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Way {
-    /// Straight, turning about one axis.
-    Line(Placement),
-    /// About an axis through `centre` along `normal` (length 1), by `turn` rad; `carry` turns the tool along.
-    Circle {
-        centre: Vector3<f64>,
-        normal: Vector3<f64>,
-        turn: f64,
-        carry: bool,
-    },
-    /// Through points at even times without stopping.
-    Via(Vec<Placement>),
-}
 
 impl Way {
     /// Its name in the file.

@@ -2,7 +2,8 @@
 
 use super::curve::Point;
 use super::error::{CartesianError, Spot};
-use super::file::{self, Path, Way};
+use super::curve::Way;
+use super::file::{self, Path};
 use crate::dynamics::{Joints, State};
 use crate::kinematics::{Inverse, InverseError, Twist};
 use crate::robot::{Placement, Robot};
