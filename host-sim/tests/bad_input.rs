@@ -1,5 +1,4 @@
-//! Messages for unusable input, for a terminal that hangs up, and for a board that dies: one line, no
-//! panic, nothing half written.
+//! Messages about unusable input, a terminal that hangs up, and a board that dies: one line, no panic, nothing half written.
 
 mod mistyped;
 
@@ -12,27 +11,27 @@ use std::time::{Duration, Instant};
 
 const COLUMNS: [(&str, &str); 3] = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2")];
 
-fn command(directory: &Path, arguments: &str) -> Command {
+fn command(room: &Path, arguments: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
     command
-        .current_dir(directory)
+        .current_dir(room)
         .args(arguments.split_whitespace())
         .stdin(Stdio::null());
     command
 }
 
 /// An empty directory for one test.
-fn directory(name: &str) -> PathBuf {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("bad-{name}"));
-    let _ = fs::remove_dir_all(&directory);
-    fs::create_dir_all(&directory).expect("the directory of the tests can be written");
-    directory
+fn room(name: &str) -> PathBuf {
+    let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("bad-{name}"));
+    let _ = fs::remove_dir_all(&room);
+    fs::create_dir_all(&room).expect("the directory of the tests can be written");
+    room
 }
 
 /// All files below a directory, with what they hold.
-fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+fn files(room: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut found = Vec::new();
-    for entry in fs::read_dir(directory).expect("it is there") {
+    for entry in fs::read_dir(room).expect("it is there") {
         let path = entry.expect("it is there").path();
         if path.is_dir() {
             found.extend(files(&path));
@@ -47,20 +46,14 @@ fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 
 /// The one line of a program that failed.
 fn line(arguments: &str, output: &Output) -> String {
-    let message = String::from_utf8(output.stderr.clone()).expect("it speaks UTF-8");
+    let said = String::from_utf8(output.stderr.clone()).expect("it speaks UTF-8");
     assert!(!output.status.success(), "`{arguments}` went well");
     assert!(output.status.code().is_some(), "`{arguments}` was killed");
-    assert_eq!(message.lines().count(), 1, "`{arguments}` wrote {message}");
-    assert!(
-        message.starts_with("error: "),
-        "`{arguments}` wrote {message}"
-    );
-    assert!(
-        !message.contains("panicked"),
-        "`{arguments}` wrote {message}"
-    );
+    assert_eq!(said.lines().count(), 1, "`{arguments}` said {said}");
+    assert!(said.starts_with("error: "), "`{arguments}` said {said}");
+    assert!(!said.contains("panicked"), "`{arguments}` said {said}");
     assert!(output.stdout.is_empty(), "`{arguments}` wrote to stdout");
-    message
+    said
 }
 
 /// A table of two still UR5 states, 1 ms apart, with one change.
@@ -90,7 +83,7 @@ fn with_torques(rows: &mut [Vec<String>]) {
 
 #[test]
 fn bad_input_is_told_in_one_line_and_leaves_nothing() {
-    let directory = directory("input");
+    let room = room("input");
     let set = |row: usize, column: usize, text: &'static str| {
         move |rows: &mut Vec<Vec<String>>| rows[row][column] = text.to_owned()
     };
@@ -112,48 +105,43 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ("file", String::new()),
         ("bank.bin", "no bank at all".to_owned()),
     ] {
-        fs::write(directory.join(name), text).expect("it can be written");
+        fs::write(room.join(name), text).expect("it can be written");
     }
-    let before = files(&directory);
+    let before = files(&room);
     for (arguments, words) in mistyped() {
-        let output = command(&directory, &arguments).output().expect("it starts");
-        let message = line(&arguments, &output);
+        let output = command(&room, &arguments).output().expect("it starts");
+        let said = line(&arguments, &output);
         for word in words {
-            assert!(message.contains(word), "`{arguments}` wrote {message}");
+            assert!(said.contains(word), "`{arguments}` said {said}");
         }
-        assert!(files(&directory) == before, "`{arguments}` left something");
-        assert!(
-            !directory.join("out").exists(),
-            "`{arguments}` left a directory"
-        );
+        assert!(files(&room) == before, "`{arguments}` left something");
+        assert!(!room.join("out").exists(), "`{arguments}` left a directory");
     }
 }
 
 #[test]
 fn a_missing_emulator_is_told_in_one_line() {
-    let directory = directory("emulator");
-    fs::write(directory.join("good.csv"), table(|_| {})).expect("it can be written");
+    let room = room("emulator");
+    fs::write(room.join("good.csv"), table(|_| {})).expect("it can be written");
     assert!(Image::Bulk.default_elf().is_file(), "the firmware is built");
-    let before = files(&directory);
+    let before = files(&room);
     for arguments in [
         "torque --robot ur5 --board qemu --in good.csv --out tau.csv",
         "run --robot ur5 --board qemu-usart --trajectory validation --out out",
         "experiment demo --out out",
     ] {
-        let output = command(&directory, arguments)
-            .env("PATH", &directory)
-            .output();
-        let message = line(arguments, &output.expect("it starts"));
-        assert!(message.contains("qemu-system-arm"), "{message}");
-        assert!(files(&directory) == before, "`{arguments}` left something");
+        let output = command(&room, arguments).env("PATH", &room).output();
+        let said = line(arguments, &output.expect("it starts"));
+        assert!(said.contains("qemu-system-arm"), "{said}");
+        assert!(files(&room) == before, "`{arguments}` left something");
     }
 }
 
 #[test]
 fn a_terminal_that_hangs_up_is_no_failure() {
-    let directory = directory("pipe");
+    let room = room("pipe");
     let made = command(
-        &directory,
+        &room,
         "run --robot ur5 --trajectory validation --duration-s 0.1 --out out",
     );
     let hung_up = |mut command: Command| {
@@ -166,17 +154,14 @@ fn a_terminal_that_hangs_up_is_no_failure() {
             .expect("it starts")
             .wait_with_output()
             .expect("it ends");
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(
-            output.status.success() && message.is_empty(),
-            "{command:?}: {message}"
+            output.status.success() && said.is_empty(),
+            "{command:?}: {said}"
         );
     };
     hung_up(made);
-    assert!(
-        directory.join("out/report.html").is_file(),
-        "the work is done"
-    );
+    assert!(room.join("out/report.html").is_file(), "the work is done");
     for arguments in [
         "--help",
         "--version",
@@ -184,12 +169,9 @@ fn a_terminal_that_hangs_up_is_no_failure() {
         "bank out/bank.bin",
         "experiment demo --board native --learning-s 1 --usart-learning-s 1 --out demo",
     ] {
-        hung_up(command(&directory, arguments));
+        hung_up(command(&room, arguments));
     }
-    assert!(
-        directory.join("demo/report.json").is_file(),
-        "the work is done"
-    );
+    assert!(room.join("demo/report.json").is_file(), "the work is done");
 }
 
 /// Process id of an emulator that `child` started and that has run for a while (clock ticks of processor time).
@@ -217,8 +199,8 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
         ),
         ("experiment", "experiment demo --out out"),
     ] {
-        let directory = directory(&format!("dying-{name}"));
-        let mut child = command(&directory, arguments)
+        let room = room(&format!("dying-{name}"));
+        let mut child = command(&room, arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -238,11 +220,8 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
         let emulator = nix::unistd::Pid::from_raw(emulator);
         nix::sys::signal::kill(emulator, nix::sys::signal::Signal::SIGKILL).expect("it is ours");
         let output = child.wait_with_output().expect("it ends");
-        let message = line(arguments, &output);
-        assert!(
-            message.contains("qemu") && message.contains("died"),
-            "{message}"
-        );
-        assert!(files(&directory).is_empty(), "{:?}", files(&directory));
+        let said = line(arguments, &output);
+        assert!(said.contains("qemu") && said.contains("died"), "{said}");
+        assert!(files(&room).is_empty(), "{:?}", files(&room));
     }
 }

@@ -7,7 +7,7 @@ use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::wire::PROTOCOL_VERSION;
 use foretorque_workbench::board::{Native, Transport};
-use program::{directory, fails, files, states, succeeds};
+use program::{fails, files, room, states, succeeds};
 use serialport::{SerialPort, TTYPort};
 use std::fs;
 use std::io::{Read, Write};
@@ -89,12 +89,12 @@ fn of_the_next_version(frame: &[u8]) -> Vec<u8> {
 
 #[test]
 fn a_board_that_drives_another_robot_is_refused() {
-    let directory = directory("other-robot");
-    fs::write(directory.join("states.csv"), states(6)).expect("it can be written");
+    let room = room("other-robot");
+    fs::write(room.join("states.csv"), states(6)).expect("it can be written");
     let native = Native::<Panda, 7, 48>::new().expect("the arm's limits are usable");
     let board = PlayedBoard::start(native, <[u8]>::to_vec);
-    let message = fails(
-        &directory,
+    let said = fails(
+        &room,
         &format!(
             "torque --robot ur5 --board serial:{} --in states.csv --out tau.csv",
             board.port
@@ -105,77 +105,74 @@ fn a_board_that_drives_another_robot_is_refused() {
         Panda::HASH,
         Ur5::HASH
     );
-    assert!(message.contains(&wanted), "{message}");
-    assert_eq!(files(&directory), ["states.csv"]);
+    assert!(said.contains(&wanted), "{said}");
+    assert_eq!(files(&room), ["states.csv"]);
 }
 
 #[test]
 fn a_board_on_a_serial_port_computes_torque() {
-    let directory = directory("serial");
-    fs::write(directory.join("states.csv"), states(6)).expect("it can be written");
+    let room = room("serial");
+    fs::write(room.join("states.csv"), states(6)).expect("it can be written");
     let native = Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable");
     let board = PlayedBoard::start(native, <[u8]>::to_vec);
     succeeds(
-        &directory,
+        &room,
         &format!(
             "torque --robot ur5 --board serial:{} --in states.csv --out tau.csv",
             board.port
         ),
     );
-    succeeds(
-        &directory,
-        "torque --robot ur5 --in states.csv --out native.csv",
-    );
-    let [serial, native] = ["tau.csv", "native.csv"]
-        .map(|name| fs::read(directory.join(name)).expect("it was written"));
+    succeeds(&room, "torque --robot ur5 --in states.csv --out native.csv");
+    let [serial, native] =
+        ["tau.csv", "native.csv"].map(|name| fs::read(room.join(name)).expect("it was written"));
     assert!(serial == native, "the port changes nothing");
 }
 
 #[test]
 fn a_board_of_another_protocol_version_is_refused() {
-    let directory = directory("other-version");
+    let room = room("other-version");
     let native = Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable");
     let board = PlayedBoard::start(native, of_the_next_version);
-    let message = fails(
-        &directory,
+    let said = fails(
+        &room,
         &format!(
             "run --robot ur5 --board serial:{} --trajectory validation --out out",
             board.port
         ),
     );
     assert!(
-        message.contains(&format!(
+        said.contains(&format!(
             "the board speaks protocol version {}, this program version {PROTOCOL_VERSION}",
             PROTOCOL_VERSION + 1
         )),
-        "{message}"
+        "{said}"
     );
-    assert_eq!(files(&directory), Vec::<String>::new());
+    assert_eq!(files(&room), Vec::<String>::new());
 }
 
 #[test]
 fn the_emulated_board_says_that_it_drives_another_robot() {
-    let directory = directory("emulated-panda");
-    fs::write(directory.join("states.csv"), states(7)).expect("it can be written");
+    let room = room("emulated-panda");
+    fs::write(room.join("states.csv"), states(7)).expect("it can be written");
     for board in ["qemu", "qemu-usart"] {
-        let message = fails(
-            &directory,
+        let said = fails(
+            &room,
             &format!("torque --robot panda --board {board} --in states.csv --out tau.csv"),
         );
-        assert!(message.contains("the board drives ur5"), "{message}");
-        assert!(message.contains("not panda"), "{message}");
+        assert!(said.contains("the board drives ur5"), "{said}");
+        assert!(said.contains("not panda"), "{said}");
     }
-    assert_eq!(files(&directory), ["states.csv"]);
+    assert_eq!(files(&room), ["states.csv"]);
 }
 
 #[test]
 fn the_log_of_the_flashable_firmware_is_text() {
-    let directory = directory("log");
+    let room = room("log");
     succeeds(
-        &directory,
+        &room,
         "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log logs/board.log",
     );
-    let log = fs::read_to_string(directory.join("logs/board.log")).expect("it was written");
+    let log = fs::read_to_string(room.join("logs/board.log")).expect("it was written");
     let hello = format!(
         "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
         Ur5::HASH
@@ -197,16 +194,13 @@ fn the_log_of_the_flashable_firmware_is_text() {
         "{log}"
     );
     assert_eq!(lines.len(), 4);
-    let mut made = files(&directory);
+    let mut made = files(&room);
     made.sort();
     assert_eq!(made, ["logs", "out"]);
-    assert_eq!(files(&directory.join("logs")), ["board.log"]);
-    let message = fails(
-        &directory,
+    assert_eq!(files(&room.join("logs")), ["board.log"]);
+    let said = fails(
+        &room,
         "run --robot ur5 --trajectory validation --out out --log board.log",
     );
-    assert!(
-        message.contains("--log: board native has none"),
-        "{message}"
-    );
+    assert!(said.contains("--log: board native has none"), "{said}");
 }

@@ -124,7 +124,7 @@ fn what_cannot_be_done_ends_with_one_line_and_a_failure() {
         ),
         (&["--improve", "no_such_file.json"], "no_such_file.json"),
     ];
-    for (arguments, expected) in cases {
+    for (arguments, message) in cases {
         let run = Command::new(env!("CARGO_BIN_EXE_host-sim"))
             .args([
                 "excite",
@@ -141,17 +141,17 @@ fn what_cannot_be_done_ends_with_one_line_and_a_failure() {
             .output()
             .expect("runs");
         assert!(!run.status.success(), "{arguments:?}");
-        let message = String::from_utf8_lossy(&run.stderr);
-        let first = message.lines().next().unwrap_or_default();
-        assert!(first.contains(expected), "{arguments:?}: {message}");
+        let said = String::from_utf8_lossy(&run.stderr);
+        let first = said.lines().next().unwrap_or_default();
+        assert!(first.contains(message), "{arguments:?}: {said}");
         assert!(!out.exists(), "{arguments:?} leaves files");
     }
 }
 
 #[test]
 fn limits_that_no_excitation_can_keep_are_named_in_one_line() {
-    let directory = std::env::temp_dir().join(format!("foretorque-limits-{}", std::process::id()));
-    std::fs::create_dir_all(&directory).expect("can be written");
+    let room = std::env::temp_dir().join(format!("foretorque-limits-{}", std::process::id()));
+    std::fs::create_dir_all(&room).expect("can be written");
     let ur5 = include_str!("../robots/ur5.toml");
     // Of the shoulder, whose torque against gravity no path of this arm keeps below 1 N·m.
     let (before, after) = ur5
@@ -159,8 +159,8 @@ fn limits_that_no_excitation_can_keep_are_named_in_one_line() {
         .expect("the description gives a limit");
     let (middle, rest) = after.split_once("torque_nm = 150").expect("of joint 2 too");
     let weak = format!("{before}torque_nm = 150{middle}torque_nm = 1{rest}");
-    std::fs::write(directory.join("weak.toml"), weak).expect("can be written");
-    for (arguments, expected) in [
+    std::fs::write(room.join("weak.toml"), weak).expect("can be written");
+    for (arguments, message) in [
         (
             ["--robot", "weak.toml", "--range-rad", "3"],
             "no path keeps all limits; the best one has torque of ",
@@ -175,19 +175,19 @@ fn limits_that_no_excitation_can_keep_are_named_in_one_line() {
         ),
     ] {
         let run = Command::new(env!("CARGO_BIN_EXE_host-sim"))
-            .current_dir(&directory)
+            .current_dir(&room)
             .args(["excite", "--starts", "1", "--iterations", "8", "--out", "x"])
             .args(arguments)
             .output()
             .expect("runs");
-        let message = String::from_utf8_lossy(&run.stderr);
-        assert_eq!(run.status.code(), Some(1), "{arguments:?}: {message}");
-        assert_eq!(message.lines().count(), 1, "{arguments:?}: {message}");
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(1), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{arguments:?}: {said}");
         assert!(
-            message.starts_with("error: ") && message.contains(expected),
-            "{message}"
+            said.starts_with("error: ") && said.contains(message),
+            "{said}"
         );
-        assert!(!directory.join("x").exists(), "{arguments:?} leaves files");
+        assert!(!room.join("x").exists(), "{arguments:?} leaves files");
     }
-    std::fs::remove_dir_all(&directory).expect("can be taken away");
+    std::fs::remove_dir_all(&room).expect("can be taken away");
 }

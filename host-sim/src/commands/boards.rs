@@ -1,4 +1,4 @@
-//! Boards by name, and the connection to each.
+//! Which board, and how it is reached.
 
 use super::{Failure, unusable};
 use foretorque::arm::Arm;
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
-/// Time limit of a board's first hello.
+/// How long a board may take to say its first hello.
 const BOOT: Duration = Duration::from_secs(10);
 
 /// Boards that a command may name.
@@ -140,7 +140,7 @@ fn compiler_of(elf: &Path) -> Option<String> {
 
 /// Work for a robot that the firmware has an arm for.
 pub(super) trait OnArm {
-    /// Output of the work.
+    /// Result of the visit.
     type Output;
 
     /// Does the work with the firmware's arm `A` of `robot`.

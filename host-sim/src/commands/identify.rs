@@ -59,7 +59,7 @@ pub(super) struct Arguments {
     /// A joint slower than this stands still, rad/s
     #[arg(long, default_value_t = 0.05)]
     still_rad_s: f64,
-    /// Source of drive gains when the logs hold currents: the description, or the gravity torque of the description
+    /// Where drive gains come from when the logs hold currents: the description, or the gravity torque of the description
     /// over the current while the arm stands still
     #[arg(long, default_value = "description")]
     gains: Gains,

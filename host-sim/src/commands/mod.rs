@@ -29,7 +29,7 @@ use std::path::Path;
 /// Whatever stopped a command, as one line.
 pub(crate) type Failure = Box<dyn Error>;
 
-/// A command that cannot be carried out, with the reason.
+/// Why a command cannot do what its arguments ask.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Unusable(String);
 

@@ -82,7 +82,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 impl Arguments {
-    /// File of the emulator's raw log.
+    /// Where the emulator puts the raw log.
     fn stream(&self) -> Option<PathBuf> {
         self.log
             .as_ref()

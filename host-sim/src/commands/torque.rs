@@ -7,7 +7,7 @@ use foretorque::arm::Arm;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{
-    StateReader, StateRow, TableError, TableProblem, TableWriter, TimeColumn, joint_columns,
+    StateReader, StateRow, TableProblem, TableWriter, TimeColumn, joint_columns,
 };
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};
@@ -63,10 +63,11 @@ impl OnArm for &Arguments {
 }
 
 /// States one after the other, from a table or a trajectory.
-type States<const N: usize> = Box<dyn Iterator<Item = Result<StateRow<N>, TableError>>>;
+type States<const N: usize> =
+    Box<dyn Iterator<Item = Result<StateRow<N>, foretorque_workbench::table::TableError>>>;
 
 impl Arguments {
-    /// The states, and true if they have times.
+    /// Whether the states have times, and the states.
     fn states<const N: usize>(&self, robot: &Robot) -> Result<(bool, States<N>), Failure> {
         if let Some(path) = &self.input {
             let states = StateReader::<N>::open(path, TimeColumn::Optional)?;

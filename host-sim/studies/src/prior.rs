@@ -1,6 +1,7 @@
-//! The prior of the board.
+//! Parameters of the board before it learns.
 
 use foretorque::arm::Arm;
+use foretorque::dynamics::FrictionColumn;
 use foretorque::learning::ParameterSet;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_workbench::robot::Robot;
@@ -14,8 +15,8 @@ pub fn bank_of<A: Arm<N, P>, const N: usize, const P: usize>(robot: &Robot) -> P
         *place = value as f32;
     }
     for (place, joint) in set.friction.iter_mut().zip(&robot.joints) {
-        place.viscous = joint.friction.viscous as f32;
-        place.coulomb = joint.friction.coulomb as f32;
+        place[FrictionColumn::Viscous] = joint.friction.viscous as f32;
+        place[FrictionColumn::Coulomb] = joint.friction.coulomb as f32;
     }
     ParameterBank::from_set::<A, N, P>(&set)
 }
@@ -34,6 +35,6 @@ mod tests {
         for (found, nominal) in set.rigid.iter().zip(<Ur5 as Arm<6, 40>>::NOMINAL) {
             assert!((found - nominal).abs() <= 1e-6 * nominal.abs().max(1.0));
         }
-        assert_eq!(set.friction[0].coulomb, 7.0);
+        assert_eq!(set.friction[0][FrictionColumn::Coulomb], 7.0);
     }
 }

@@ -62,7 +62,7 @@ pub struct RealReport {
     pub version: String,
     /// The recommended method and its columns.
     pub recommended: String,
-    /// The reference method and its columns.
+    /// Method and columns of the reference.
     pub reference: String,
     /// Cut-off on torque and regressor, Hz.
     pub torque_cutoff_hz: f64,
@@ -161,7 +161,11 @@ pub fn run(
 
 /// The column set of a text of this program.
 pub(super) fn columns(text: &str) -> Result<ColumnSet, StudyError> {
-    text.parse().map_err(StudyError::Unusable)
+    text.parse().map_err(
+        |unknown: foretorque_workbench::identification::UnknownName| {
+            StudyError::Unusable(unknown.to_string())
+        },
+    )
 }
 
 /// Geometric mean; 1 of no values.

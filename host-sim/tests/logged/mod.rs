@@ -10,7 +10,7 @@ use std::process::{Command, Output};
 const N: usize = 6;
 const PERIOD_S: f64 = 0.005;
 
-/// A directory that goes with its test.
+/// A directory that is removed at the end of its test.
 pub(crate) struct Directory(PathBuf);
 
 impl Directory {
@@ -80,32 +80,33 @@ pub(crate) fn log(path: &Path, rows: usize, phase: f64, still: Option<usize>, no
     table.finish().expect("finishes");
 }
 
-pub(crate) fn identify(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_host-sim"))
-        .args(["identify", "--robot", "ur5"])
-        .args(arguments)
-        .output()
-        .expect("runs")
-}
+impl Directory {
+    /// Output of a command of the program, run in this directory.
+    pub(crate) fn run(&self, arguments: &str) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_host-sim"))
+            .args(arguments.split_whitespace())
+            .current_dir(&self.0)
+            .output()
+            .expect("runs")
+    }
 
-/// Standard output of a command that succeeds.
-pub(crate) fn identified(arguments: &[&str]) -> String {
-    let output = identify(arguments);
-    succeeded(&output);
-    String::from_utf8(output.stdout).expect("it speaks UTF-8")
-}
+    /// Output of `identify` on logs of this directory.
+    pub(crate) fn identify(&self, arguments: &str) -> Output {
+        self.run(&format!("identify --robot ur5 {arguments}"))
+    }
 
-pub(crate) fn succeeded(output: &Output) {
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{message}");
-}
+    /// Standard output of a command that succeeds.
+    pub(crate) fn succeeds(&self, arguments: &str) -> String {
+        let output = self.run(arguments);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{errors}");
+        String::from_utf8(output.stdout).expect("UTF-8")
+    }
 
-/// The report that `identify` wrote.
-pub(crate) fn report(out: &Path) -> serde_json::Value {
-    let text = fs::read_to_string(out.join("report.json")).expect("written");
-    serde_json::from_str(&text).expect("JSON")
-}
-
-pub(crate) fn text(path: &Path) -> &str {
-    path.to_str().expect("a plain path")
+    /// Standard output and report of a successful `identify` into `out`.
+    pub(crate) fn identified(&self, arguments: &str) -> (String, serde_json::Value) {
+        let stdout = self.succeeds(&format!("identify --robot ur5 --out out {arguments}"));
+        let text = fs::read_to_string(self.file("out/report.json")).expect("written");
+        (stdout, serde_json::from_str(&text).expect("JSON"))
+    }
 }

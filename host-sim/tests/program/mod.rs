@@ -5,45 +5,39 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// An empty directory for one test.
-pub(crate) fn directory(name: &str) -> PathBuf {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
-    let _ = fs::remove_dir_all(&directory);
-    fs::create_dir_all(&directory).expect("the directory of the tests can be written");
-    directory
+pub(crate) fn room(name: &str) -> PathBuf {
+    let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
+    let _ = fs::remove_dir_all(&room);
+    fs::create_dir_all(&room).expect("the directory of the tests can be written");
+    room
 }
 
-pub(crate) fn host_sim(directory: &Path, arguments: &str) -> Output {
+pub(crate) fn host_sim(room: &Path, arguments: &str) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
-    command
-        .current_dir(directory)
-        .args(arguments.split_whitespace());
+    command.current_dir(room).args(arguments.split_whitespace());
     command.output().expect("the program starts")
 }
 
-pub(crate) fn succeeds(directory: &Path, arguments: &str) -> String {
-    let output = host_sim(directory, arguments);
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "`{arguments}` wrote {message}");
+pub(crate) fn succeeds(room: &Path, arguments: &str) -> String {
+    let output = host_sim(room, arguments);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "`{arguments}` said {said}");
     String::from_utf8(output.stdout).expect("it speaks UTF-8")
 }
 
 /// The one line that the program fails with.
-pub(crate) fn fails(directory: &Path, arguments: &str) -> String {
-    let output = host_sim(directory, arguments);
-    let message = String::from_utf8(output.stderr).expect("it speaks UTF-8");
-    assert_eq!(
-        output.status.code(),
-        Some(1),
-        "`{arguments}` wrote {message}"
-    );
-    assert!(message.starts_with("error: "), "{message}");
-    assert_eq!(message.lines().count(), 1, "one line: {message}");
-    message
+pub(crate) fn fails(room: &Path, arguments: &str) -> String {
+    let output = host_sim(room, arguments);
+    let said = String::from_utf8(output.stderr).expect("it speaks UTF-8");
+    assert_eq!(output.status.code(), Some(1), "`{arguments}` said {said}");
+    assert!(said.starts_with("error: "), "{said}");
+    assert_eq!(said.lines().count(), 1, "one line: {said}");
+    said
 }
 
-/// Files of a directory.
-pub(crate) fn files(directory: &Path) -> Vec<String> {
-    let entries = fs::read_dir(directory).expect("it is there");
+/// Names of the files in a directory.
+pub(crate) fn files(room: &Path) -> Vec<String> {
+    let entries = fs::read_dir(room).expect("it is there");
     let name = |entry: std::io::Result<fs::DirEntry>| entry.expect("it is there").file_name();
     entries
         .map(|entry| name(entry).to_string_lossy().into_owned())

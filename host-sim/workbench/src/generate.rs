@@ -1,114 +1,120 @@
-//! The constants of an arm as a module of the firmware.
+//! Writes the constants of an arm as a module of the firmware.
 
+use crate::dynamics::BaseMapTerm;
 use crate::files::{at, write_whole};
-use crate::robot::{LINK_PARAMETERS, Limits, Robot};
+use crate::robot::{Joint, LINK_PARAMETERS, Robot};
 use foretorque::arm::{LinkColumns, Placement, identity};
 use std::path::Path;
 
 /// Source text of the firmware module for a robot: geometry, base-parameter map, limits, nominal parameters.
 ///
-/// The text is data; nobody has to read it. It is left unformatted on purpose (`rustfmt::skip`), a row a line.
+/// The text is data, left unformatted on purpose (`rustfmt::skip`), a row a line.
 pub fn arm_module(robot: &Robot) -> String {
     let map = robot.base_map();
-    let (name, type_name) = (&robot.name, camel_case(&robot.name));
-    let rows = |items: &mut dyn Iterator<Item = String>| -> String {
-        items.map(|item| format!("        {item},\n")).collect()
-    };
-    let (learner, set) = (
-        format!("{type_name}, JOINTS, PARAMETERS"),
-        "JOINTS, PARAMETERS",
-    );
+    let (name, arm) = (&robot.name, camel_case(&robot.name));
+    let (joints, parameters) = (robot.joint_count(), map.rank());
+    let sizes = "JOINTS, PARAMETERS";
+    let with_arm = format!("{arm}, {sizes}");
     let aliases = [
-        ("Feed-forward", "feedforward::FeedForward", learner.as_str()),
-        ("Learner", "learning::Learner", &learner),
-        ("Learner configuration", "learning::LearnerConfig", set),
-        ("Parameter set", "learning::ParameterSet", set),
+        ("Feed-forward", "feedforward", "FeedForward", &*with_arm),
+        ("Learner", "learning", "Learner", &with_arm),
+        ("Learner configuration", "learning", "LearnerConfig", sizes),
+        ("Parameter set", "learning", "ParameterSet", sizes),
         (
             "Exchange between feed-forward and learner",
-            "learning::Exchange",
-            set,
+            "learning",
+            "Exchange",
+            sizes,
         ),
     ];
-    let aliases = aliases.map(|(quantity, path, parameters)| {
-        let alias = path.rsplit("::").next().unwrap_or(path);
-        format!(
-            "/// {quantity} of this arm.\npub type {alias} = foretorque::{path}<{parameters}>;\n"
-        )
+    let aliases = aliases.map(|(quantity, module, alias, generics)| {
+        format!("/// {quantity} of this arm.\npub type {alias} = foretorque::{module}::{alias}<{generics}>;\n")
     });
-    let cogging: Vec<f32> = robot
-        .joints
-        .iter()
-        .map(|joint| joint.friction.cogging_cycles_rev as f32)
-        .collect();
-    let cogging = match cogging.iter().any(|cycles| *cycles != 0.0) {
-        true => format!("    const COGGING_CYCLES: [f32; JOINTS] = {cogging:?};\n"),
-        false => String::new(),
+    let rows = |rows: Vec<String>| -> String {
+        let row = |row| format!("        {row},\n");
+        rows.into_iter().map(row).collect()
     };
-    let rotors = robot.joints.iter().map(|joint| joint.drive.rotor_inertia);
-    let rotors: Vec<f32> = rotors.map(|inertia| inertia as f32).collect();
-    let joints = || robot.joints.iter();
+    let placed = rows(placements(robot).iter().map(|p| format!("{p:?}")).collect());
+    let columns = link_columns(robot, &map.columns);
+    let columns = rows(columns.iter().map(|c| format!("{c:?}")).collect());
+    let term = |t: &BaseMapTerm| {
+        format!(
+            "BaseTerm::new({}, {}, {:?})",
+            t.base, t.standard, t.weight as f32
+        )
+    };
+    let terms = rows(map.terms.iter().map(term).collect());
+    let limits = |joint: &Joint| {
+        let [lower, upper, velocity, torque] = [
+            joint.limits.position.0,
+            joint.limits.position.1,
+            joint.limits.velocity,
+            joint.limits.torque,
+        ]
+        .map(number);
+        format!(
+            "JointLimits {{ position: ({lower}, {upper}), velocity: {velocity}, torque: {torque} }}"
+        )
+    };
+    let limits = rows(robot.joints.iter().map(limits).collect());
+    let each = |of: fn(&Joint) -> f64| -> Vec<f32> {
+        robot.joints.iter().map(|joint| of(joint) as f32).collect()
+    };
+    let cycles = each(|joint| joint.friction.cogging_cycles_rev);
+    let cogging = if cycles.iter().any(|cycles| *cycles != 0.0) {
+        format!("    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};\n")
+    } else {
+        String::new()
+    };
+    let base = map.base_parameters(robot).into_iter();
+    let nominal = rows(base.map(|value| format!("{:?}", value as f32)).collect());
+    // As of the placements: −0 is 0.
+    let link = |joint: &Joint| joint.link.standard_parameters().map(|x| x as f32 + 0.0);
+    let links = rows(
+        robot
+            .joints
+            .iter()
+            .map(|joint| format!("{:?}", link(joint)))
+            .collect(),
+    );
+    let rotors = each(|joint| joint.drive.rotor_inertia);
     format!(
-        "//! Constants of `{name}`, written by `host-sim generate` from its description. Change that, not this.\n\n\
-         use foretorque::arm::{{Arm, BaseTerm, JointLimits, LinkColumns, Placement}};\n\n\
-         /// Number of joints.\n\
-         pub const JOINTS: usize = {};\n\
-         /// Number of base parameters: inertial ones, then rotor inertias.\n\
-         pub const PARAMETERS: usize = {};\n\n\
-         /// The arm `{name}`.\n\
-         #[derive(Clone, Copy, Debug, PartialEq, Eq)]\n\
-         pub struct {type_name};\n\n\
-         {}\n\
-         #[rustfmt::skip]\n\
-         impl Arm<JOINTS, PARAMETERS> for {type_name} {{\n    \
-             const NAME: &'static str = {name:?};\n    \
-             const GRAVITY: [f32; 3] = {:?};\n    \
-             const PLACEMENTS: [Placement; JOINTS] = [\n{}    ];\n    \
-             const COLUMNS: [LinkColumns; JOINTS] = [\n{}    ];\n    \
-             const BASE_MAP: &'static [BaseTerm] = &[\n{}    ];\n    \
-             const LIMITS: [JointLimits; JOINTS] = [\n{}    ];\n{cogging}    \
-             const NOMINAL: [f32; PARAMETERS] = [\n{}    ];\n    \
-             const LINKS: [[f32; {LINK_PARAMETERS}]; JOINTS] = [\n{}    ];\n    \
-             const ROTORS: [f32; JOINTS] = {rotors:?};\n}}\n",
-        robot.joint_count(),
-        map.rank(),
-        aliases.concat(),
-        gravity(robot),
-        rows(&mut placements(robot).iter().map(|frame| format!("{frame:?}"))),
-        rows(
-            &mut link_columns(robot, &map.columns)
-                .iter()
-                .map(|link| format!("{link:?}"))
-        ),
-        rows(&mut map.terms.iter().map(|term| {
-            let weight = term.weight as f32;
-            format!(
-                "BaseTerm::new({}, {}, {weight:?})",
-                term.base, term.standard
-            )
-        })),
-        rows(&mut joints().map(|joint| joint_limits(&joint.limits))),
-        rows(
-            &mut map
-                .base_parameters(robot)
-                .iter()
-                .map(|value| format!("{:?}", *value as f32))
-        ),
-        // As of the placements: −0 is 0.
-        rows(&mut joints().map(|joint| {
-            let link = joint.link.standard_parameters();
-            format!("{:?}", link.map(|value| value as f32 + 0.0))
-        })),
-    )
-}
+        "\
+//! Constants of `{name}`, written by `host-sim generate` from its description. Change that, not this.
 
-fn joint_limits(limits: &Limits) -> String {
-    let (lower, upper) = limits.position;
-    format!(
-        "JointLimits {{ position: ({}, {}), velocity: {}, torque: {} }}",
-        number(lower),
-        number(upper),
-        number(limits.velocity),
-        number(limits.torque)
+use foretorque::arm::{{Arm, BaseTerm, JointLimits, LinkColumns, Placement}};
+
+/// Number of joints.
+pub const JOINTS: usize = {joints};
+/// Number of base parameters: inertial ones, then rotor inertias.
+pub const PARAMETERS: usize = {parameters};
+
+/// The arm `{name}`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct {arm};
+
+{aliases}
+#[rustfmt::skip]
+impl Arm<JOINTS, PARAMETERS> for {arm} {{
+    const NAME: &'static str = {name:?};
+    const GRAVITY: [f32; 3] = {gravity:?};
+    const PLACEMENTS: [Placement; JOINTS] = [
+{placed}    ];
+    const COLUMNS: [LinkColumns; JOINTS] = [
+{columns}    ];
+    const BASE_MAP: &'static [BaseTerm] = &[
+{terms}    ];
+    const LIMITS: [JointLimits; JOINTS] = [
+{limits}    ];
+{cogging}    const NOMINAL: [f32; PARAMETERS] = [
+{nominal}    ];
+    const LINKS: [[f32; {LINK_PARAMETERS}]; JOINTS] = [
+{links}    ];
+    const ROTORS: [f32; JOINTS] = {rotors:?};
+}}
+",
+        aliases = aliases.concat(),
+        gravity = gravity(robot),
     )
 }
 
@@ -150,7 +156,7 @@ pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
     write_whole(&parent, (lines.join("\n") + "\n").as_bytes())
 }
 
-/// Identity of a robot's arm, as the firmware built from [`arm_module`] has it.
+/// Identity of a robot's arm, as the firmware built from [`arm_module`] will state it.
 pub fn arm_hash(robot: &Robot) -> u32 {
     let columns = link_columns(robot, &robot.base_map().columns);
     let placements = placements(robot);
@@ -179,7 +185,7 @@ fn gravity(robot: &Robot) -> [f32; 3] {
 }
 
 fn placements(robot: &Robot) -> Vec<Placement> {
-    let single = |joint: &crate::robot::Joint| {
+    let single = |joint: &Joint| {
         let rot = joint.placement.rot_parent_child.map(|entry| entry as f32);
         Placement {
             rot_parent_child: std::array::from_fn(|row| std::array::from_fn(|col| rot[(row, col)])),
@@ -211,9 +217,9 @@ fn number(value: f64) -> String {
         return format!("{sign}core::f32::consts::{name}");
     }
     #[rustfmt::skip]
-    let known = [
-        E, FRAC_1_PI, FRAC_1_SQRT_2, FRAC_2_PI, FRAC_2_SQRT_PI, FRAC_PI_2, FRAC_PI_3, FRAC_PI_4, FRAC_PI_6, FRAC_PI_8,
-        LN_2, LN_10, LOG2_10, LOG2_E, LOG10_2, LOG10_E, PI, SQRT_2, TAU,
+    let known: [f32; 19] = [
+        E, FRAC_1_PI, FRAC_1_SQRT_2, FRAC_2_PI, FRAC_2_SQRT_PI, FRAC_PI_2, FRAC_PI_3, FRAC_PI_4, FRAC_PI_6,
+        FRAC_PI_8, LN_2, LN_10, LOG2_10, LOG2_E, LOG10_2, LOG10_E, PI, SQRT_2, TAU,
     ];
     if known.iter().any(|named| (named - value.abs()).abs() < 5e-3) {
         format!("f32::from_bits({:#010x} /* {value} */)", value.to_bits())

@@ -2,54 +2,57 @@
 
 use crate::dynamics::Joints;
 
-/// Slower joints count as still: stiction is no function of the velocity, rad/s.
+/// Speed below which a joint counts as still, rad/s: stiction is no function of the velocity.
 pub const MOVING_RAD_S: f64 = 0.05;
+
+/// Root of the mean of `squares`; 0 of none.
+pub(crate) fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for square in squares {
+        sum += square;
+        count += 1.0;
+    }
+    (sum / f64::max(count, 1.0)).sqrt()
+}
+
+/// Root of the mean square of the known `values`.
+pub(crate) fn root_mean_square(values: &[Option<f64>]) -> f64 {
+    root_mean(values.iter().flatten().map(|value| value * value))
+}
 
 /// Torque error against the truth, accumulated sample by sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TorqueError<const N: usize> {
-    all: Sums<N>,
-    moving: Sums<N>,
+    all: [Sums; N],
+    moving: [Sums; N],
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Sums<const N: usize> {
-    error: Joints<N>,
-    truth: Joints<N>,
-    count: Joints<N>,
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Sums {
+    error: f64,
+    truth: f64,
+    count: f64,
 }
 
-impl<const N: usize> Sums<N> {
-    fn new() -> Self {
-        let zero = Joints::zeros();
-        Self {
-            error: zero,
-            truth: zero,
-            count: zero,
-        }
+impl Sums {
+    fn add(&mut self, truth: f64, predicted: f64) {
+        self.error += (predicted - truth).powi(2);
+        self.truth += truth * truth;
+        self.count += 1.0;
     }
+}
 
-    fn add(&mut self, joint: usize, truth: f64, predicted: f64) {
-        self.error[joint] += (predicted - truth).powi(2);
-        self.truth[joint] += truth * truth;
-        self.count[joint] += 1.0;
-    }
-
-    /// sqrt(mean_j (RMS err_j / RMS tau_j)²); joints without samples or torque are left out.
-    fn nrmse(&self) -> f64 {
-        let ratios: Vec<f64> = (0..N)
-            .filter(|&j| self.truth[j] > 0.0)
-            .map(|j| self.error[j] / self.truth[j])
-            .collect();
-        (ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt()
-    }
+/// sqrt(mean_j (RMS err_j / RMS tau_j)²); joints without samples or torque are left out.
+fn nrmse(sums: &[Sums]) -> f64 {
+    let joints = sums.iter().filter(|sums| sums.truth > 0.0);
+    root_mean(joints.map(|sums| sums.error / sums.truth))
 }
 
 impl<const N: usize> Default for TorqueError<N> {
     fn default() -> Self {
         Self {
-            all: Sums::new(),
-            moving: Sums::new(),
+            all: [Sums::default(); N],
+            moving: [Sums::default(); N],
         }
     }
 }
@@ -58,27 +61,28 @@ impl<const N: usize> TorqueError<N> {
     /// Adds one instant: true and predicted torque, N·m, and the velocity they belong to, rad/s.
     pub fn add(&mut self, truth: &Joints<N>, predicted: &Joints<N>, qd: &Joints<N>) {
         for j in 0..N {
-            self.all.add(j, truth[j], predicted[j]);
+            self.all[j].add(truth[j], predicted[j]);
             if qd[j].abs() > MOVING_RAD_S {
-                self.moving.add(j, truth[j], predicted[j]);
+                self.moving[j].add(truth[j], predicted[j]);
             }
         }
     }
 
     /// NRMSE over all samples, a ratio.
     pub fn nrmse(&self) -> f64 {
-        self.all.nrmse()
+        nrmse(&self.all)
     }
 
     /// NRMSE over the samples in which the joint moves, a ratio.
     pub fn nrmse_moving(&self) -> f64 {
-        self.moving.nrmse()
+        nrmse(&self.moving)
     }
 
     /// RMS error of every joint over all samples, N·m.
     pub fn rmse_nm(&self) -> Vec<f64> {
-        (0..N)
-            .map(|j| (self.all.error[j] / self.all.count[j].max(1.0)).sqrt())
+        let joints = self.all.iter();
+        joints
+            .map(|sums| (sums.error / sums.count.max(1.0)).sqrt())
             .collect()
     }
 }
@@ -106,7 +110,7 @@ impl<const N: usize> TrackingError<N> {
         self.count += 1.0;
     }
 
-    /// Adds what another one has seen.
+    /// Adds the ticks of another one.
     pub fn merge(&mut self, other: &Self) {
         self.sum += other.sum;
         self.count += other.count;
@@ -114,9 +118,8 @@ impl<const N: usize> TrackingError<N> {
 
     /// RMS over time of every joint, mrad.
     pub fn rms_mrad(&self) -> Vec<f64> {
-        self.sum
-            .iter()
-            .map(|sum| 1e3 * (sum / self.count.max(1.0)).sqrt())
+        let sums = self.sum.iter();
+        sums.map(|sum| 1e3 * (sum / self.count.max(1.0)).sqrt())
             .collect()
     }
 

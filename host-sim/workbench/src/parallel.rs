@@ -10,7 +10,7 @@ use nix::unistd::Pid;
 
 /// The calling thread, for the kernel.
 const THIS_THREAD: Pid = Pid::from_raw(0);
-/// Cores of this process before one of its threads stayed on one core. Threads inherit that from the one that
+/// Where this process might run before one of its threads stayed on one core. Threads inherit that from the one that
 /// starts them.
 static EVERYWHERE: OnceLock<CpuSet> = OnceLock::new();
 

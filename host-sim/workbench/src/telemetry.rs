@@ -7,7 +7,7 @@ use std::io;
 use std::path::Path;
 use std::str::FromStr;
 
-/// Fields that a board streams, and their interval.
+/// Which fields a board shall tell, and how often.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Selection {
     /// Sum of the fields' bits.

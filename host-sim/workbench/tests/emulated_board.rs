@@ -252,12 +252,12 @@ fn a_frame_of_the_board_fits_the_answer_it_is_for() {
     let mut talk = Talk::begin(emulator(Image::Joint));
     let frame = talk.ask(&HostMessage::Hello);
     let mut decoder = Decoder::new();
-    let received = frame.iter().find_map(|&byte| {
+    let heard = frame.iter().find_map(|&byte| {
         decoder
             .push(byte)
             .map(|frame| frame.map(|frame| frame.message::<BoardMessage<JOINTS>>()))
     });
-    assert!(matches!(received, Some(Ok(Ok(BoardMessage::Hello(_))))));
+    assert!(matches!(heard, Some(Ok(Ok(BoardMessage::Hello(_))))));
 }
 
 #[test]

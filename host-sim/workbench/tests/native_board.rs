@@ -2,6 +2,7 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
@@ -30,7 +31,8 @@ fn sample(k: u32) -> JointSample<N> {
     let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
     truth.rigid *= 1.1;
     for friction in &mut truth.friction {
-        (friction.viscous, friction.coulomb) = (2.0, 1.0);
+        friction[FrictionColumn::Viscous] = 2.0;
+        friction[FrictionColumn::Coulomb] = 1.0;
     }
     let t = k as f32 * 1e-3;
     let desired = JointMotion {
@@ -88,11 +90,11 @@ impl Transport for Parrot {
         }
     }
 
-    fn receive(&mut self, buffer: &mut [u8], _: Duration) -> io::Result<usize> {
-        let count = buffer.len().min(self.1.len());
+    fn receive(&mut self, room: &mut [u8], _: Duration) -> io::Result<usize> {
+        let count = room.len().min(self.1.len());
         self.1
             .drain(..count)
-            .zip(buffer)
+            .zip(room)
             .for_each(|(b, slot)| *slot = b);
         Ok(count)
     }
@@ -131,21 +133,21 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
     let mut learner = Learner::<Ur5, N, P>::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap();
     let mut exchange = foretorque::learning::Exchange::new();
     for _ in 0..ARM_SAMPLES {
-        let received = foretorque_link::wire::SampleFrame::new(&sample(0)).sample(&[0.0; N]);
+        let heard = foretorque_link::wire::SampleFrame::new(&sample(0)).sample(&[0.0; N]);
         bare.adopt(&mut exchange);
-        bare.step(&received);
+        bare.step(&heard);
         // A disarmed board holds the torque back.
         bare.applied(&JointVector::zeros());
-        learner.learn(&bare.lesson(received.measured), &mut exchange);
+        learner.learn(&bare.learning_sample(heard.measured), &mut exchange);
     }
     bare.set_learning(true);
     for k in 0..4000 {
         // What the scaled integers make of the sample is what both see.
         let frame = foretorque_link::wire::SampleFrame::new(&sample(k));
-        let received = frame.sample(&[0.0; N]);
+        let heard = frame.sample(&[0.0; N]);
         bare.adopt(&mut exchange);
-        let torque = bare.step(&received);
-        learner.learn(&bare.lesson(received.measured), &mut exchange);
+        let torque = bare.step(&heard);
+        learner.learn(&bare.learning_sample(heard.measured), &mut exchange);
         let reply = client.sample_frame(&frame).unwrap();
         assert_eq!(reply.tick, torque.tick);
         assert_eq!(reply.flags, torque.flags);
@@ -197,7 +199,7 @@ fn a_bank_goes_up_is_in_force_and_comes_back() {
     bank.columns[0].deviation = 0.25;
     bank.drive_gains_nm_a.fill(12.5);
     let id = ColumnId {
-        kind: ColumnKind::Fc,
+        kind: ColumnKind::friction(FrictionColumn::Coulomb),
         joint: 2,
     };
     bank.columns.iter_mut().find(|c| c.id == id).unwrap().value = 5.5;

@@ -18,11 +18,12 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use foretorque::arm::Arm as _;
 use foretorque_link::safety::{SafetyReason, Task};
-use foretorque_link::session::{BoardDescription, LearnerMailbox};
+use foretorque_link::session::{BoardDescription, Mailboxes};
 use foretorque_link::store::Store;
 use foretorque_link::telemetry::CostMeter;
+use foretorque_link::wire::size::LinkCapacity;
 use foretorque_link::wire::{Capabilities, FrameBuffer};
-use heapless::spsc::{Consumer, Producer, Queue};
+use heapless::spsc::Queue;
 use rtic::Mutex;
 use stm32f4xx_hal::pac::{self, Interrupt};
 use stm32f4xx_hal::prelude::*;
@@ -35,6 +36,7 @@ use crate::fault::{self, Reason};
 use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
 use crate::log;
 use crate::pace::{self, Pace};
+use crate::ring::{self, Receiver, Sender};
 use crate::rooms::{BoardLearner, BoardSession, furnish, open};
 use crate::secret;
 use crate::store_flash::StoreFlash;
@@ -55,26 +57,28 @@ static TICKS: AtomicU32 = AtomicU32::new(0);
 static TICKED: AtomicBool = AtomicBool::new(false);
 
 /// Shared by the tick and the learner: requests, lessons and parameter sets on their way.
-pub type BoardMailbox = &'static mut LearnerMailbox<JOINTS, PARAMETERS>;
+pub type BoardMailboxes = &'static mut Mailboxes<JOINTS, PARAMETERS>;
 
 /// Static memory of the large parts.
 pub struct Statics {
-    mailbox: MaybeUninit<LearnerMailbox<JOINTS, PARAMETERS>>,
+    mailboxes: MaybeUninit<Mailboxes<JOINTS, PARAMETERS>>,
     session: MaybeUninit<BoardSession>,
     learner: MaybeUninit<BoardLearner>,
     receive_ring: Queue<u8, RECEIVE_RING>,
     transmit_ring: Queue<u8, TRANSMIT_RING>,
+    out: FrameBuffer,
 }
 
 impl Statics {
     /// Nothing in it.
     pub const fn empty() -> Self {
         Self {
-            mailbox: MaybeUninit::uninit(),
+            mailboxes: MaybeUninit::uninit(),
             session: MaybeUninit::uninit(),
             learner: MaybeUninit::uninit(),
             receive_ring: Queue::new(),
             transmit_ring: Queue::new(),
+            out: FrameBuffer::new(),
         }
     }
 }
@@ -82,7 +86,7 @@ impl Statics {
 /// The parts of a started board, one for each task.
 pub struct Started<B: Board> {
     /// Shared by tick, learner and idle loop.
-    pub mailbox: BoardMailbox,
+    pub mailboxes: BoardMailboxes,
     /// Of the link's interrupt.
     pub wire: Wire,
     /// Of the tick.
@@ -152,7 +156,7 @@ pub fn start<B: Board>(
         counter_hz,
         reset_reason,
         kept_fault: kept,
-        link_bytes_s: LINK_BYTES_S,
+        link: LinkCapacity::stream(LINK_BYTES_S),
         write_key: secret::write_key(),
         seed,
         ..BoardDescription::plain(Counter)
@@ -160,9 +164,9 @@ pub fn start<B: Board>(
     let Some(session) = open(&mut statics.session, description) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
-    let mailbox = statics.mailbox.write(LearnerMailbox::new());
+    let mailboxes = statics.mailboxes.write(Mailboxes::new());
     let mut store = Store::new(StoreFlash::new(chip.FLASH));
-    let stored = session.boot_from(&mut store, mailbox);
+    let stored = session.boot_from(&mut store, &mut mailboxes.learner);
     defmt::info!("store: {}", stored);
     let period_s = session.configuration().period_us as f32 * 1e-6;
     let prior = &session.feed_forward().state().active;
@@ -175,14 +179,14 @@ pub fn start<B: Board>(
     let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
     pace.follow(session.configuration());
 
-    let (receive_in, received) = statics.receive_ring.split();
-    let (mut waiting, transmit_out) = statics.transmit_ring.split();
+    let (receive_in, received) = ring::split(&mut statics.receive_ring);
+    let (mut waiting, transmit_out) = ring::split(&mut statics.transmit_ring);
     let wire = Wire::start(chip.USART2, clocks.apb1_hz, receive_in, transmit_out);
-    let mut out = FrameBuffer::new();
+    let out = &mut statics.out;
     let boot_counts = counter::now().wrapping_sub(booting);
     session.note_boot(boot_counts);
     drive.watch(session);
-    session.send_hello(&mut out);
+    session.send_hello(out);
     link::send(&mut waiting, out.as_bytes());
     out.clear();
     defmt::info!(
@@ -198,7 +202,7 @@ pub fn start<B: Board>(
             .unwrap_or_default()
     );
     Started {
-        mailbox,
+        mailboxes,
         wire,
         tick: Tick {
             session,
@@ -238,9 +242,9 @@ pub fn timer() {
 /// The tick's task: session, link and drive.
 pub struct Tick<B: Board> {
     session: &'static mut BoardSession,
-    received: Consumer<'static, u8>,
-    waiting: Producer<'static, u8>,
-    out: FrameBuffer,
+    received: Receiver<RECEIVE_RING>,
+    waiting: Sender<TRANSMIT_RING>,
+    out: &'static mut FrameBuffer,
     pace: Pace,
     drive: B::Drive,
     kept: SafetyReason,
@@ -251,7 +255,7 @@ pub struct Tick<B: Board> {
 impl<B: Board> Tick<B> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, mailbox: &mut impl Mutex<T = BoardMailbox>) {
+    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
         let Self {
             session,
             received,
@@ -263,24 +267,24 @@ impl<B: Board> Tick<B> {
             troubles,
             latency,
         } = self;
-        mailbox.lock(|mailbox| {
+        mailboxes.lock(|mailboxes| {
             drive.watch(session);
             if pace::take_due() {
-                session.timer_tick_with(mailbox, out, drive.own());
+                session.timer_tick(mailboxes, out, drive.own());
             }
-            session.poll_store(mailbox, out);
+            session.poll_store(mailboxes, out);
             loop {
                 let mut chunk = [0; CHUNK];
                 let mut count = 0;
                 for slot in &mut chunk {
-                    let Some(byte) = received.dequeue() else {
+                    let Some(byte) = received.take() else {
                         break;
                     };
                     *slot = byte;
                     count += 1;
                 }
                 let bytes = chunk.get(..count).unwrap_or_default();
-                session.receive_with(bytes, mailbox, out, drive.own());
+                session.receive(bytes, mailboxes, out, drive.own());
                 // Before the host reads of it: what is told is done.
                 drive.follow(session);
                 let latched = session.latched_fault();
@@ -292,7 +296,7 @@ impl<B: Board> Tick<B> {
                     fault::leave::<B>(Reason::Asked, 0);
                 }
                 // An answer that waits for the learner is sent when that has woken this task again.
-                let waits = mailbox.holds_reply();
+                let waits = mailboxes.learner.holds_reply();
                 if !out.is_empty() {
                     if !waits && !link::send(waiting, out.as_bytes()) {
                         session.note_reply_lost();
@@ -330,14 +334,14 @@ impl<B: Board> Tick<B> {
 
 /// The learner's task: works the lessons off.
 #[inline(always)]
-pub fn learn(learner: &mut BoardLearner, mailbox: &mut impl Mutex<T = BoardMailbox>) {
-    while let Some(lesson) = mailbox.lock(|mailbox| mailbox.begin(learner)) {
+pub fn learn(learner: &mut BoardLearner, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
+    while let Some(lesson) = mailboxes.lock(|mailboxes| mailboxes.learner.begin(learner)) {
         let start = counter::now();
         learner.study(&lesson);
         let cost = counter::now().wrapping_sub(start);
-        mailbox.lock(|mailbox| mailbox.finish(learner, cost));
+        mailboxes.lock(|mailboxes| mailboxes.learner.finish(learner, cost));
     }
-    if mailbox.lock(|mailbox| mailbox.release_reply()) {
+    if mailboxes.lock(|mailboxes| mailboxes.learner.release_reply()) {
         rtic::pend(TICK);
     }
     TASKS.check_in(Task::Learner);
@@ -353,7 +357,7 @@ pub struct Idle {
 impl Idle {
     /// Never returns.
     #[inline(always)]
-    pub fn run<B: Board>(&mut self, mailbox: &mut impl Mutex<T = BoardMailbox>) -> ! {
+    pub fn run<B: Board>(&mut self, mailboxes: &mut impl Mutex<T = BoardMailboxes>) -> ! {
         let mut logged = 0;
         loop {
             let ticks = TICKS.load(Ordering::Relaxed);
@@ -375,10 +379,10 @@ impl Idle {
             if let Some(drain) = &self.drain {
                 drain.empty();
             }
-            if let Some(mut job) = mailbox.lock(|mailbox| mailbox.store.begin()) {
+            if let Some(mut job) = mailboxes.lock(|mailboxes| mailboxes.store.begin()) {
                 let store = &mut self.store;
                 let outcome = self.watchdog.patient(|| job.execute(store, Arm::HASH));
-                mailbox.lock(|mailbox| mailbox.store.finish(&job, outcome));
+                mailboxes.lock(|mailboxes| mailboxes.store.finish(&job, outcome));
                 // It answers the host.
                 rtic::pend(TICK);
             }
@@ -404,14 +408,14 @@ macro_rules! image {
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
             use $crate::app::{
-                BoardMailbox, Idle, Started, Statics, Tick, byte, learn, start, timer,
+                BoardMailboxes, Idle, Started, Statics, Tick, byte, learn, start, timer,
             };
             use $crate::link::Wire;
             use $crate::rooms::BoardLearner;
 
             #[shared]
             struct Shared {
-                mailbox: BoardMailbox,
+                mailboxes: BoardMailboxes,
             }
 
             #[local]
@@ -425,7 +429,7 @@ macro_rules! image {
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let Started {
-                    mailbox,
+                    mailboxes,
                     wire,
                     tick,
                     learner,
@@ -437,7 +441,7 @@ macro_rules! image {
                     learner,
                     idle,
                 };
-                (Shared { mailbox }, local)
+                (Shared { mailboxes }, local)
             }
 
             #[task(binds = USART2, priority = 4, local = [wire])]
@@ -450,19 +454,19 @@ macro_rules! image {
                 timer();
             }
 
-            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [mailbox])]
+            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [mailboxes])]
             fn on_tick(mut cx: on_tick::Context) {
-                cx.local.tick.run(&mut cx.shared.mailbox);
+                cx.local.tick.run(&mut cx.shared.mailboxes);
             }
 
-            #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailbox])]
+            #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailboxes])]
             fn on_lesson(mut cx: on_lesson::Context) {
-                learn(cx.local.learner, &mut cx.shared.mailbox);
+                learn(cx.local.learner, &mut cx.shared.mailboxes);
             }
 
-            #[idle(local = [idle], shared = [mailbox])]
+            #[idle(local = [idle], shared = [mailboxes])]
             fn on_idle(mut cx: on_idle::Context) -> ! {
-                cx.local.idle.run::<$board>(&mut cx.shared.mailbox)
+                cx.local.idle.run::<$board>(&mut cx.shared.mailboxes)
             }
         }
     };

@@ -7,6 +7,7 @@
 //! | `odrive_v3`, `pyboard`, `pyboard_drive` | the boards |
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
 //! | `fault` | fault handlers, and what is kept over a reset |
+//! | `link`, `ring` | serial link, and the queues of its bytes |
 //! | `rooms` | session and learner in static memory |
 //!
 //! Another board is a file beside these and a binary that names it.
@@ -40,6 +41,8 @@ pub mod pin;
 pub mod pyboard;
 #[cfg(target_os = "none")]
 pub mod pyboard_drive;
+#[cfg(target_os = "none")]
+pub mod ring;
 #[cfg(target_os = "none")]
 pub mod rooms;
 #[cfg(target_os = "none")]

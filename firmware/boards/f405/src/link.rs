@@ -3,9 +3,9 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use foretorque_link::telemetry::Cost;
-use heapless::spsc::{Consumer, Producer};
 use stm32f4xx_hal::pac::{Interrupt, USART2};
 
+use crate::ring::{Receiver, Sender};
 use crate::{chip, counter};
 
 /// Bytes received and not yet read: more than the longest frame, so that an upload survives a busy tick.
@@ -13,7 +13,7 @@ pub const RECEIVE_RING: usize = 1024;
 /// Bytes waiting to be sent.
 pub const TRANSMIT_RING: usize = 1024;
 
-/// What the receive interrupt saw. Written there only; everybody may read.
+/// Counters of the receive interrupt. Written there only; every task may read them.
 #[derive(Debug)]
 pub struct ReceiveCounters {
     /// Bytes moved into the ring.
@@ -43,8 +43,8 @@ pub static RECEIVED: ReceiveCounters = ReceiveCounters {
 /// The interrupt's end of the link.
 pub struct Wire {
     usart: USART2,
-    received: Producer<'static, u8>,
-    waiting: Consumer<'static, u8>,
+    received: Sender<RECEIVE_RING>,
+    waiting: Receiver<TRANSMIT_RING>,
 }
 
 impl Wire {
@@ -52,8 +52,8 @@ impl Wire {
     pub fn start(
         usart: USART2,
         apb1_hz: u32,
-        received: Producer<'static, u8>,
-        waiting: Consumer<'static, u8>,
+        received: Sender<RECEIVE_RING>,
+        waiting: Receiver<TRANSMIT_RING>,
     ) -> Self {
         // Eight-fold oversampling: USARTDIV = f / (8 · baud), mantissa in bits 4.., three bits of fraction
         // (RM0090 30.3.4).
@@ -96,10 +96,15 @@ impl Wire {
             if status.ore().bit_is_set() {
                 add(&RECEIVED.overruns, 1);
             }
-            match self.received.enqueue(byte) {
-                Ok(()) => add(&RECEIVED.bytes, 1),
-                Err(_) => add(&RECEIVED.lost, 1),
-            }
+            let taken = self.received.put(byte);
+            add(
+                if taken {
+                    &RECEIVED.bytes
+                } else {
+                    &RECEIVED.lost
+                },
+                1,
+            );
             delimiter = byte == 0;
             if delimiter {
                 ENDED_AT.store(start, Ordering::Relaxed);
@@ -120,7 +125,7 @@ impl Wire {
     fn transmit(&mut self) -> bool {
         let mut sent = false;
         while self.usart.sr().read().txe().bit_is_set() {
-            match self.waiting.dequeue() {
+            match self.waiting.take() {
                 // SAFETY: the data register takes any byte.
                 Some(byte) => self
                     .usart
@@ -140,13 +145,12 @@ impl Wire {
 
 /// Queues frames and wakes the interrupt, which does the sending. False when they found no room; then none is sent,
 /// because half a frame is worth nothing to the other side.
-// Where it is called the length of the ring is known, and with it that nothing is divided by zero.
 #[inline(always)]
-pub fn send(waiting: &mut Producer<'static, u8>, bytes: &[u8]) -> bool {
-    if bytes.len() > waiting.capacity() - waiting.len() {
+pub fn send(waiting: &mut Sender<TRANSMIT_RING>, bytes: &[u8]) -> bool {
+    if bytes.len() > waiting.room() {
         return false;
     }
-    let queued = bytes.iter().all(|&byte| waiting.enqueue(byte).is_ok());
+    let queued = bytes.iter().all(|&byte| waiting.put(byte));
     // The emulator raises no interrupt for a free transmit register: pend it by hand, on silicon a nudge too many.
     rtic::pend(Interrupt::USART2);
     queued
@@ -161,7 +165,7 @@ pub fn receive_cost() -> Cost {
     }
 }
 
-/// When the last frame ended, on the board's counter.
+/// End of the last frame, on the board's counter.
 static ENDED_AT: AtomicU32 = AtomicU32::new(0);
 
 /// Counts since the last frame ended.

@@ -1,113 +1,96 @@
 use core::fmt;
-use foretorque::arm::Arm;
-use foretorque::dynamics::FRICTION_COLUMNS;
+use foretorque::arm::{Arm, LINK_PARAMETERS};
+use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn};
 use serde::{Deserialize, Serialize};
 
-/// What a column of the linear model multiplies. Kinds are only ever appended: their index is what a bank holds.
+/// Quantity that a column of the linear model multiplies, as the number that a bank holds.
+///
+/// 0 to 9 are the standard parameters of a link (eq. 14), 10 is the reflected rotor inertia, the friction columns have
+/// [`bank_kind`](foretorque::dynamics::FrictionProperties::bank_kind). Numbers are only ever added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum ColumnKind {
-    /// Mass, kg.
-    M,
-    /// First moment about y–z, m·x, kg·m.
-    Mx,
-    /// First moment m·y, kg·m.
-    My,
-    /// First moment m·z, kg·m.
-    Mz,
-    /// Moment of inertia about x, kg·m².
-    Ixx,
-    /// Moment of inertia about y, kg·m².
-    Iyy,
-    /// Moment of inertia about z, kg·m².
-    Izz,
-    /// Tensor entry, kg·m².
-    Ixy,
-    /// Tensor entry, kg·m².
-    Ixz,
-    /// Tensor entry, kg·m².
-    Iyz,
-    /// Reflected rotor inertia, kg·m².
-    Ia,
-    /// Viscous friction, N·m·s/rad.
-    Fv,
-    /// Coulomb friction, N·m.
-    Fc,
-    /// Stribeck peak of 0.07 rad/s, N·m; no board has it any more.
-    Fsn,
-    /// Stribeck peak of 0.14 rad/s, N·m; no board has it any more.
-    Fsw,
-    /// Constant torque of the drive, N·m.
-    Fo,
-    /// Cogging in phase with the sine, N·m.
-    Gs,
-    /// Cogging in phase with the cosine, N·m.
-    Gc,
-    /// Stribeck peak, N·m.
-    Fs,
-    /// Bend of friction at low speed, N·m.
-    Fb,
-    /// Friction for each unit of load.
-    Fl,
-}
+#[serde(try_from = "u8")]
+pub struct ColumnKind(u8);
+
+const LINK_SYMBOLS: [&str; LINK_PARAMETERS] = [
+    "m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz",
+];
+const ROTOR: u8 = LINK_PARAMETERS as u8;
+/// Stribeck peaks of 0.07 and 0.14 rad/s: read, but in no model any more.
+const RETIRED: [(u8, &str); 2] = [(13, "Fsn"), (14, "Fsw")];
+
+const _: () = {
+    let mut k = 0;
+    while k < FRICTION_COLUMNS {
+        let kind = FrictionColumn::ALL[k].properties().bank_kind;
+        assert!(kind > ROTOR && kind != RETIRED[0].0 && kind != RETIRED[1].0);
+        k += 1;
+    }
+};
 
 impl ColumnKind {
-    /// The standard parameters of a link in the order of eq. 14.
-    const INERTIAL: [Self; foretorque::arm::LINK_PARAMETERS] = [
-        Self::M,
-        Self::Mx,
-        Self::My,
-        Self::Mz,
-        Self::Ixx,
-        Self::Iyy,
-        Self::Izz,
-        Self::Ixy,
-        Self::Ixz,
-        Self::Iyz,
-    ];
+    /// Reflected rotor inertia, kg·m².
+    pub const ROTOR: Self = Self(ROTOR);
 
-    /// The friction columns of a joint in the order of [`foretorque::dynamics::friction_row`].
-    pub(super) const FRICTION: [Self; FRICTION_COLUMNS] = [
-        Self::Fv,
-        Self::Fc,
-        Self::Fs,
-        Self::Fb,
-        Self::Fl,
-        Self::Fo,
-        Self::Gs,
-        Self::Gc,
-    ];
+    /// Friction columns of a joint in the order of [`FrictionColumn::ALL`].
+    pub(super) const FRICTION: [Self; FRICTION_COLUMNS] = {
+        let mut kinds = [Self::ROTOR; FRICTION_COLUMNS];
+        let mut k = 0;
+        while k < FRICTION_COLUMNS {
+            kinds[k] = Self::friction(FrictionColumn::ALL[k]);
+            k += 1;
+        }
+        kinds
+    };
 
-    const fn symbol(self) -> &'static str {
-        match self {
-            Self::M => "m",
-            Self::Mx => "mx",
-            Self::My => "my",
-            Self::Mz => "mz",
-            Self::Ixx => "Ixx",
-            Self::Iyy => "Iyy",
-            Self::Izz => "Izz",
-            Self::Ixy => "Ixy",
-            Self::Ixz => "Ixz",
-            Self::Iyz => "Iyz",
-            Self::Ia => "Ia",
-            Self::Fv => "Fv",
-            Self::Fc => "Fc",
-            Self::Fsn => "Fsn",
-            Self::Fsw => "Fsw",
-            Self::Fo => "Fo",
-            Self::Gs => "Gs",
-            Self::Gc => "Gc",
-            Self::Fs => "Fs",
-            Self::Fb => "Fb",
-            Self::Fl => "Fl",
+    /// A friction column.
+    pub const fn friction(column: FrictionColumn) -> Self {
+        Self(column.properties().bank_kind)
+    }
+
+    /// Short name; empty for a number that is no kind.
+    fn symbol(self) -> &'static str {
+        let number = usize::from(self.0);
+        let friction = || {
+            let place = Self::FRICTION.iter().position(|&kind| kind == self)?;
+            Some(FrictionColumn::ALL.get(place)?.properties().symbol)
+        };
+        let retired = || RETIRED.iter().find(|(kind, _)| *kind == self.0);
+        match LINK_SYMBOLS.get(number) {
+            Some(symbol) => symbol,
+            None if self == Self::ROTOR => "Ia",
+            None => friction()
+                .or(retired().map(|(_, symbol)| *symbol))
+                .unwrap_or(""),
         }
     }
 }
 
-/// Identity of a column: what, and of which joint (from 0). Displayed as `Izz1`, `mx2`, `Ia3`, `Fv1`: joints from 1.
+/// A number that is no kind of column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoColumnKind;
+
+impl fmt::Display for NoColumnKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("no kind of column")
+    }
+}
+
+impl TryFrom<u8> for ColumnKind {
+    type Error = NoColumnKind;
+
+    fn try_from(number: u8) -> Result<Self, NoColumnKind> {
+        let kind = Self(number);
+        let known = number <= ROTOR
+            || Self::FRICTION.contains(&kind)
+            || RETIRED.iter().any(|(retired, _)| *retired == number);
+        known.then_some(kind).ok_or(NoColumnKind)
+    }
+}
+
+/// Identity of a column: kind, and joint from 0. Displayed as `Izz1`, `mx2`, `Ia3`, `Fv1`: joints from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ColumnId {
-    /// What the column multiplies.
+    /// Quantity that the column multiplies.
     pub kind: ColumnKind,
     /// Joint or link, from 0.
     pub joint: u8,
@@ -126,11 +109,13 @@ pub fn rigid_columns<A: Arm<N, P>, const N: usize, const P: usize>()
         .into_iter()
         .enumerate()
         .flat_map(|(joint, link)| {
-            let kinds = ColumnKind::INERTIAL.into_iter().zip(link.inertial);
+            let kinds = (0..).map(ColumnKind).zip(link.inertial);
             kinds.filter_map(move |(kind, there)| there.then_some(id(kind, joint)))
         });
     let rotors = A::COLUMNS.into_iter().enumerate();
-    links.chain(rotors.filter_map(|(joint, link)| link.rotor.then_some(id(ColumnKind::Ia, joint))))
+    links.chain(
+        rotors.filter_map(|(joint, link)| link.rotor.then_some(id(ColumnKind::ROTOR, joint))),
+    )
 }
 
 pub(super) fn id(kind: ColumnKind, joint: usize) -> ColumnId {

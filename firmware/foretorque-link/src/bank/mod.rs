@@ -8,25 +8,26 @@ mod error;
 mod format;
 mod typed;
 
-pub use column::{ColumnId, ColumnKind, rigid_columns};
+pub use column::{ColumnId, ColumnKind, NoColumnKind, rigid_columns};
 pub use error::BankError;
 pub use typed::NETWORK_SEED;
 pub(crate) use typed::name;
 
 use crate::wire::Name;
+use foretorque::dynamics::FRICTION_COLUMNS;
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 pub use foretorque::dynamics::MAX_JOINTS;
-/// Most linear columns. A larger room does not change the format.
-pub const MAX_COLUMNS: usize = 112;
+/// Most linear columns: 48 base parameters, and the friction of all joints. A larger number does not change the format.
+pub const MAX_COLUMNS: usize = 48 + MAX_JOINTS * FRICTION_COLUMNS;
 /// Most network weights.
 pub const MAX_WEIGHTS: usize = 256;
 
 /// One linear parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Column {
-    /// What it is.
+    /// Kind and joint.
     pub id: ColumnId,
     /// Its value, in the unit of its kind.
     pub value: f32,

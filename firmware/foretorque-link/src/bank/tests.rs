@@ -1,11 +1,12 @@
 use super::*;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
-use foretorque::dynamics::FrictionParameters;
+use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn, FrictionParameters};
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::learning::ParameterSet;
 use proptest::prelude::*;
-use std::string::ToString;
+use std::format;
+use std::string::{String, ToString};
 use std::vec::Vec as List;
 
 const N: usize = 6;
@@ -32,18 +33,30 @@ fn verdict(change: impl FnOnce(&mut ParameterBank)) -> Option<BankError> {
 #[test]
 fn columns_are_named_link_by_link_then_rotors_then_friction() {
     let names: List<_> = nominal().columns.iter().map(|c| c.id.to_string()).collect();
-    assert_eq!(names.len(), P + 8 * N);
+    assert_eq!(names.len(), P + FRICTION_COLUMNS * N);
     let front = [
         "Izz1", "mx2", "my2", "Ixx2", "Izz2", "Ixy2", "Ixz2", "Iyz2", "mx3",
     ];
     assert_eq!(names[..9], front);
-    assert_eq!(
-        names[36..49],
-        [
-            "Ia3", "Ia4", "Ia5", "Ia6", "Fv1", "Fc1", "Fs1", "Fb1", "Fl1", "Fo1", "Gs1", "Gc1",
-            "Fv2"
-        ]
-    );
+    assert_eq!(names[36..40], ["Ia3", "Ia4", "Ia5", "Ia6"]);
+    let friction = (1..=N).flat_map(|joint| {
+        FrictionColumn::ALL.map(|column| format!("{}{joint}", column.properties().symbol))
+    });
+    assert!(friction.eq(names[40..].iter().cloned()));
+}
+
+#[test]
+fn kinds_of_columns_keep_their_numbers() {
+    let symbols = (0..=u8::MAX).filter_map(|number| {
+        let kind = ColumnKind::try_from(number).ok()?;
+        Some((number, ColumnId { kind, joint: 0 }.to_string()))
+    });
+    let wanted = [
+        "m1", "mx1", "my1", "mz1", "Ixx1", "Iyy1", "Izz1", "Ixy1", "Ixz1", "Iyz1", "Ia1", "Fv1",
+        "Fc1", "Fsn1", "Fsw1", "Fo1", "Gs1", "Gc1", "Fs1", "Fb1", "Fl1",
+    ];
+    let wanted = (0..).zip(wanted.map(String::from));
+    assert!(symbols.take(21).eq(wanted));
 }
 
 #[test]
@@ -69,14 +82,9 @@ fn every_set_survives_the_bank_in_any_order_of_columns() {
         *value = k as f32 - 7.25;
     }
     for (j, friction) in set.friction.iter_mut().enumerate() {
-        friction.viscous = 1.0 + j as f32;
-        friction.coulomb = 10.0 + j as f32;
-        friction.stribeck = 20.0 + j as f32;
-        friction.bend = -30.0 - j as f32;
-        friction.load = 0.01 + 0.01 * j as f32;
-        friction.offset = 0.25 * j as f32;
-        friction.cogging_sin = 0.5 + j as f32;
-        friction.cogging_cos = -0.5 * j as f32;
+        for (k, value) in friction.0.iter_mut().enumerate() {
+            *value = 10.0 * k as f32 - 0.5 * j as f32;
+        }
         set.network[j].output_bias[0] = 0.01 * j as f32;
         set.network[j].hidden_weights[(5, 1)] = j as f32;
     }
@@ -100,25 +108,30 @@ fn a_bank_without_friction_columns_has_no_friction() {
 fn a_bank_from_before_load_offset_and_cogging_reads_them_as_zero() {
     let mut set = ParameterSet::<N, P>::nominal::<Ur5>(3);
     for friction in &mut set.friction {
-        *friction = FrictionParameters::from_columns([1.0; 8]);
+        *friction = FrictionParameters([1.0; FRICTION_COLUMNS]);
     }
     let mut bank = ParameterBank::from_set::<Ur5, N, P>(&set);
     let new = [
-        ColumnKind::Fl,
-        ColumnKind::Fo,
-        ColumnKind::Gs,
-        ColumnKind::Gc,
+        FrictionColumn::Load,
+        FrictionColumn::Offset,
+        FrictionColumn::CoggingSine,
+        FrictionColumn::CoggingCosine,
     ];
-    bank.columns.retain(|column| !new.contains(&column.id.kind));
+    let kinds = new.map(ColumnKind::friction);
+    bank.columns
+        .retain(|column| !kinds.contains(&column.id.kind));
     let set = bank.set::<Ur5, N, P>().unwrap();
     for friction in set.friction {
-        assert_eq!(friction.columns(), [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+        for column in FrictionColumn::ALL {
+            let wanted = if new.contains(&column) { 0.0 } else { 1.0 };
+            assert_eq!(friction[column], wanted, "{column:?}");
+        }
     }
     // What is learnt in them since does not get lost.
     let mut learnt = set;
-    learnt.friction[2].cogging_sin = 0.4;
+    learnt.friction[2][FrictionColumn::CoggingSine] = 0.4;
     bank.refresh::<Ur5, N, P>(&learnt);
-    assert_eq!(bank.columns.len(), P + 8 * N);
+    assert_eq!(bank.columns.len(), P + FRICTION_COLUMNS * N);
     assert_eq!(bank.set::<Ur5, N, P>(), Ok(learnt));
 }
 
@@ -140,7 +153,7 @@ fn a_bank_that_does_not_fit_the_arm_is_refused_with_the_place() {
         Some(BankError::MissingColumn(5))
     );
     assert_eq!(
-        verdict(|b| b.columns[6].id.kind = ColumnKind::M),
+        verdict(|b| b.columns[6].id.kind = ColumnKind::try_from(0).unwrap()),
         Some(BankError::UnknownColumn(6))
     );
     assert_eq!(

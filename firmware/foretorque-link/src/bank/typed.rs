@@ -120,7 +120,7 @@ impl ParameterBank {
         }
         for (joint, friction) in set.friction.iter_mut().enumerate() {
             let columns = ColumnKind::FRICTION.map(|kind| self.value(id(kind, joint)));
-            *friction = FrictionParameters::from_columns(columns);
+            *friction = FrictionParameters(columns);
         }
         if self.network != shape::<N>() || self.weights.len() != N * JointNetwork::WEIGHTS {
             return Err(BankError::NetworkShape);
@@ -212,7 +212,7 @@ fn friction_columns<const N: usize>(
 ) -> impl Iterator<Item = (ColumnId, f32)> {
     let joints = friction.iter().enumerate();
     joints.flat_map(|(joint, friction)| {
-        let columns = ColumnKind::FRICTION.into_iter().zip(friction.columns());
+        let columns = ColumnKind::FRICTION.into_iter().zip(friction.0);
         columns.map(move |(kind, value)| (id(kind, joint), value))
     })
 }

@@ -2,88 +2,85 @@ use super::plausibility::PlausibilityState;
 use super::{SafetyLimits, SafetyReason};
 use foretorque::joint::JointSample;
 
-/// Fresh, plausible samples in a row without which a board cannot be armed.
+/// Fresh, plausible samples in a row that arming requires.
 pub const ARM_SAMPLES: u32 = 3;
-/// Largest distance between desired and measured position with which a board can be armed, rad.
+/// Largest distance between desired and measured position at arming, rad.
 pub const ARM_DISTANCE: f32 = 0.2;
-/// An implausible sample counts as many doubts as this many plausible ones take back: one in five is too many.
-const DOUBT: u32 = 4;
+/// Weight of an implausible sample; a plausible one takes back 1. So one in five is too many.
+const IMPLAUSIBLE_WEIGHT: u32 = 4;
 
-/// What the board was sent, and how far it can be believed.
+/// Plausibility and age of the samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct InputState<const N: usize> {
     plausibility: PlausibilityState<N>,
-    /// What is wrong with the input of this tick.
-    wrong: SafetyReason,
+    /// Fault of the input of this tick.
+    fault: SafetyReason,
     /// Plausible samples in a row, without a time-out between them.
     good_samples: u32,
     /// Ticks in a row without a usable sample.
-    silent_ticks: u32,
+    ticks_since_usable: u32,
     /// Ticks since the last sample, usable or not.
-    unheard_ticks: u32,
-    doubt: u32,
-    /// Samples of which a part was not plausible.
+    ticks_since_sample: u32,
+    /// Weighted count of implausible samples, less the plausible ones.
+    implausible_score: u32,
+    /// Samples of which a part was implausible.
     implausible: u32,
     /// The desired position of the last usable sample is near the one measured last.
     near: bool,
 }
 
 impl<const N: usize> InputState<N> {
-    /// Nothing was heard yet.
+    /// Before the first sample.
     pub(super) const fn new() -> Self {
         Self {
             plausibility: PlausibilityState::new(),
-            wrong: SafetyReason::None,
+            fault: SafetyReason::None,
             good_samples: 0,
-            silent_ticks: 0,
-            unheard_ticks: 0,
-            doubt: 0,
+            ticks_since_usable: 0,
+            ticks_since_sample: 0,
+            implausible_score: 0,
             implausible: 0,
             near: false,
         }
     }
 
-    /// What is wrong with the input of this tick.
-    pub(super) fn wrong(&self) -> SafetyReason {
-        self.wrong
+    /// Fault of the input of this tick.
+    pub(super) fn fault(&self) -> SafetyReason {
+        self.fault
     }
 
-    /// Samples of which a part was not plausible.
+    /// Samples of which a part was implausible.
     pub(super) fn implausible(&self) -> u32 {
         self.implausible
     }
 
-    /// No usable sample came for too long.
+    /// No usable sample arrived for too long.
     pub(super) fn timed_out(&self, limits: &SafetyLimits<N>) -> bool {
-        self.silent_ticks >= limits.timeout_ticks
+        self.ticks_since_usable >= limits.timeout_ticks
     }
 
     /// Too many samples were implausible.
-    pub(super) fn doubtful(&self, limits: &SafetyLimits<N>) -> bool {
-        self.doubt >= DOUBT * limits.timeout_ticks
+    pub(super) fn too_implausible(&self, limits: &SafetyLimits<N>) -> bool {
+        self.implausible_score >= IMPLAUSIBLE_WEIGHT * limits.timeout_ticks
     }
 
-    /// Doubts from before are over.
-    pub(super) fn trust(&mut self) {
-        self.doubt = 0;
+    /// Clears the count of implausible samples.
+    pub(super) fn clear_implausible(&mut self) {
+        self.implausible_score = 0;
     }
 
-    /// The board can be armed with what was heard.
-    ///
-    /// Errors: why not.
+    /// Errors: the reason against arming on the samples so far.
     pub(super) fn allows_arming(&self) -> Result<(), SafetyReason> {
-        if self.wrong == SafetyReason::None && self.good_samples < ARM_SAMPLES {
+        if self.fault == SafetyReason::None && self.good_samples < ARM_SAMPLES {
             return Err(SafetyReason::NoSample);
         }
         self.allows_torque()
     }
 
-    /// Torque may follow the last sample.
-    ///
-    /// Errors: why not.
+    /// Errors: the reason against torque after the last sample.
     pub(super) fn allows_torque(&self) -> Result<(), SafetyReason> {
-        if self.wrong != SafetyReason::None {
-            Err(self.wrong)
+        if self.fault != SafetyReason::None {
+            Err(self.fault)
         } else if !self.near {
             Err(SafetyReason::TooFar)
         } else {
@@ -91,14 +88,14 @@ impl<const N: usize> InputState<N> {
         }
     }
 
-    /// A sample, usable or not, came in the last tick.
-    pub(super) fn fresh(&self) -> bool {
-        self.unheard_ticks == 0
+    /// A sample, usable or not, arrived in the last tick.
+    pub(super) fn arrived(&self) -> bool {
+        self.ticks_since_sample == 0
     }
 
-    /// A period without a tick while no torque flows: what was heard grows old.
+    /// Takes a period without a tick while no torque flows: the samples age.
     pub(super) fn age(&mut self, limits: &SafetyLimits<N>) {
-        self.silent_ticks = self.silent_ticks.saturating_add(1);
+        self.ticks_since_usable = self.ticks_since_usable.saturating_add(1);
         self.forget_if_old(limits);
     }
 
@@ -108,10 +105,7 @@ impl<const N: usize> InputState<N> {
         }
     }
 
-    /// One tick: what it may use of `sample`.
-    ///
-    /// * `periods` periods since the sample before, as far as the link knows
-    /// * `sensor` what is wrong with the measurement by the board's own sensor
+    /// The part of `sample` that the tick may use; parameters as in [`Safety::admit`](super::Safety::admit).
     pub(super) fn take(
         &mut self,
         limits: &SafetyLimits<N>,
@@ -119,47 +113,47 @@ impl<const N: usize> InputState<N> {
         periods: u32,
         sensor: SafetyReason,
     ) -> Option<JointSample<N>> {
-        let unheard = self.unheard_ticks.saturating_add(1);
+        let since_sample = self.ticks_since_sample.saturating_add(1);
         let (usable, admitted) = match sample {
             None => {
-                self.wrong = SafetyReason::None;
-                self.unheard_ticks = unheard;
+                self.fault = SafetyReason::None;
+                self.ticks_since_sample = since_sample;
                 (false, None)
             }
             Some(sample) => {
-                self.unheard_ticks = 0;
-                self.judge(limits, sample, periods.max(unheard), sensor)
+                self.ticks_since_sample = 0;
+                self.check(limits, sample, periods.max(since_sample), sensor)
             }
         };
-        self.silent_ticks = if usable {
+        self.ticks_since_usable = if usable {
             0
         } else {
-            self.silent_ticks.saturating_add(1)
+            self.ticks_since_usable.saturating_add(1)
         };
         self.forget_if_old(limits);
-        if self.wrong == SafetyReason::None {
-            self.doubt = self.doubt.saturating_sub(1);
+        if self.fault == SafetyReason::None {
+            self.implausible_score = self.implausible_score.saturating_sub(1);
         } else {
-            self.doubt = self.doubt.saturating_add(DOUBT);
+            self.implausible_score = self.implausible_score.saturating_add(IMPLAUSIBLE_WEIGHT);
             self.implausible = self.implausible.saturating_add(1);
         }
         admitted
     }
 
-    /// Judges a sample; whether its desired motion can be used, and what is left of it.
-    fn judge(
+    /// Checks a sample; returns whether its desired motion is usable, and what is left of it.
+    fn check(
         &mut self,
         limits: &SafetyLimits<N>,
         mut sample: JointSample<N>,
         periods: u32,
         sensor: SafetyReason,
     ) -> (bool, Option<JointSample<N>>) {
-        let mut verdict = self.plausibility.judge(limits, &sample, periods);
+        let mut verdict = self.plausibility.check(limits, &sample, periods);
         if sensor != SafetyReason::None {
             verdict.measured = sensor;
         }
         let usable = verdict.desired == SafetyReason::None;
-        self.wrong = if usable {
+        self.fault = if usable {
             verdict.measured
         } else {
             verdict.desired

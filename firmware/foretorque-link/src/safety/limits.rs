@@ -1,19 +1,19 @@
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
 
-/// A board that hears no usable sample for this long ends the torque, s. The torque has been held for 10 ms and is on its
-/// way to zero by then; this also disarms.
+/// Time without a usable sample after which the torque ends and the board disarms, s. The feed-forward holds its torque for
+/// 10 ms and ramps it to zero before that.
 pub const COMMAND_TIMEOUT_S: f32 = 0.05;
-/// From zero to the torque limit takes this long at least, s: half the time of the tick's own slew limit, so that no
-/// stored or uploaded configuration can be faster, and a sound tick never meets it.
+/// Shortest time from zero to the torque limit, s: half that of the tick's own slew limit. No configuration is faster, and
+/// a sound tick never reaches it.
 const HARD_SLEW_TIME_S: f32 = 0.01;
-/// Speeds beyond this many times the data sheet's are no motion but a broken sensor or command.
+/// Largest plausible speed, parts of the data sheet's.
 const SPEED_MARGIN: f32 = 1.5;
-/// A jump that is always believed, rad: steps of a coarse encoder, noise, play.
+/// Position step that is always plausible, rad: steps of a coarse encoder, noise, backlash.
 const JUMP_MARGIN: f32 = 0.02;
-/// Measured positions are believed this far outside the joint's range, rad: zero offsets, overtravel.
+/// Plausible measured position beyond the joint's range, rad: zero offsets, overtravel.
 const RANGE_MARGIN: f32 = 0.1;
-/// Measured efforts are believed up to this many torque limits: impacts and braking reach a few.
+/// Largest plausible measured effort, torque limits: impacts and braking reach a few.
 const EFFORT_MARGIN: f32 = 3.0;
 
 /// Limits that no configuration, bank or command changes: constants of the arm and of this firmware.
@@ -23,15 +23,15 @@ pub struct SafetyLimits<const N: usize> {
     pub torque: JointVector<N>,
     /// Largest change of the torque in one tick, N × N·m.
     pub slew_per_tick: JointVector<N>,
-    /// Lowest measured position that is believed, N × rad.
+    /// Lowest plausible measured position, N × rad.
     pub lowest: JointVector<N>,
-    /// Highest measured position that is believed, N × rad.
+    /// Highest plausible measured position, N × rad.
     pub highest: JointVector<N>,
-    /// Largest change of a position in one period that is believed, N × rad, [`jump_margin`](Self::jump_margin) besides.
+    /// Largest plausible change of a position in one period, N × rad, without [`jump_margin`](Self::jump_margin).
     pub step_per_tick: JointVector<N>,
-    /// Change of a position that is always believed, rad.
+    /// Position step that is always plausible, rad.
     pub jump_margin: f32,
-    /// Largest measured torque that is believed, N × N·m.
+    /// Largest plausible measured torque, N × N·m.
     pub effort: JointVector<N>,
     /// Ticks without a usable sample after which the torque ends.
     pub timeout_ticks: u32,

@@ -1,4 +1,4 @@
-//! Whether torque may leave the board: the last room between the tick and the motor stage.
+//! State machine of the torque enable, hard limits and plausibility of the input: the last step before the motor stage.
 //!
 //! ```text
 //!             arm                    disarm, time-out, fault
@@ -7,9 +7,8 @@
 //!     └── clear ── Fault ◄───────────────────────────────────────┘
 //! ```
 //!
-//! Nothing but the host's own command arms a board, and it must send fresh, plausible samples before. The limits here are
-//! constants of arm and firmware; what a bank or a command says is inside them or has no effect. `docs/safety.md` says
-//! what every reason means and what to do about it.
+//! Only a command of the host arms a board, after fresh, plausible samples. The limits are constants of arm and firmware;
+//! no bank or command exceeds them. `docs/safety.md` lists the meaning of every reason and the action.
 
 mod input;
 mod limits;
@@ -43,11 +42,11 @@ use thermal_derating::ThermalDerating;
 /// let torque = JointVector::<JOINTS>::repeat(1.0);
 /// assert_eq!(safety.arm(), Err(SafetyReason::NoSample));
 /// for _ in 0..3 {
-///     safety.admit(Some(sample), 1);
+///     safety.admit(Some(sample), 1, SafetyReason::None);
 ///     assert_eq!(safety.release(&torque), JointVector::<JOINTS>::zeros());
 /// }
 /// assert_eq!(safety.arm(), Ok(()));
-/// safety.admit(Some(sample), 1);
+/// safety.admit(Some(sample), 1, SafetyReason::None);
 /// assert_eq!(safety.release(&torque), torque);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,13 +55,13 @@ pub struct Safety<const N: usize> {
     state: SafetyState,
     /// The fault that has to be cleared; `None` when there is none.
     latched: SafetyReason,
-    /// What ended the torque last.
+    /// The reason that ended the torque last.
     ended: SafetyReason,
     /// Armed, and no sample has come since.
     unconfirmed: bool,
     input: InputState<N>,
-    heat: ThermalDerating<N>,
-    /// The torque of the last tick, as it left, N × N·m.
+    derating: ThermalDerating<N>,
+    /// Torque of the last tick within the limits, N × N·m.
     output: JointVector<N>,
 }
 
@@ -79,29 +78,29 @@ impl<const N: usize> Safety<N> {
             ended: SafetyReason::None,
             unconfirmed: false,
             input: InputState::new(),
-            heat: ThermalDerating::new(),
+            derating: ThermalDerating::new(),
             output: JointVector::zeros(),
         }
     }
 
     /// State and reason as replies carry them.
     pub fn status(&self) -> SafetyStatus {
-        let warm = if self.heat.warm() {
+        let warm = if self.derating.warm() {
             SafetyReason::MotorWarm
         } else {
             SafetyReason::None
         };
-        let reasons = [self.latched, self.input.wrong(), warm, self.ended];
-        let told = reasons
+        let reasons = [self.latched, self.input.fault(), warm, self.ended];
+        let first = reasons
             .into_iter()
             .find(|&reason| reason != SafetyReason::None);
         SafetyStatus {
             state: self.state,
-            reason: told.unwrap_or_default(),
+            reason: first.unwrap_or_default(),
         }
     }
 
-    /// The fault that has to be cleared before the board can be armed; what a board keeps over a reset.
+    /// The fault that has to be cleared before the board can be armed, and that a board keeps over a reset.
     pub fn latched(&self) -> SafetyReason {
         self.latched
     }
@@ -116,12 +115,12 @@ impl<const N: usize> Safety<N> {
         !self.enabled()
     }
 
-    /// The torque of the last tick, as it left, N × N·m.
+    /// Torque of the last tick within the limits, N × N·m.
     pub fn output(&self) -> &JointVector<N> {
         &self.output
     }
 
-    /// No torque flows, or its samples come in time, or it is on its way to zero because they do not: the time-out works.
+    /// False only while torque flows and its samples are older than the time-out.
     pub fn input_in_time(&self) -> bool {
         self.state != SafetyState::Armed || !self.input.timed_out(&self.limits)
     }
@@ -131,54 +130,44 @@ impl<const N: usize> Safety<N> {
         self.input.implausible()
     }
 
-    /// Takes the temperature of one motor, °C; one that cannot be true changes nothing.
+    /// Takes the temperature of one motor, °C; an implausible one changes nothing.
     pub fn note_temperature(&mut self, joint: usize, celsius: i8) {
-        self.heat.note(joint, celsius);
+        self.derating.record(joint, celsius);
     }
 
-    /// What the tick may use of `sample`; `None` is no usable sample.
+    /// The part of `sample` that the tick may use; `None` is no usable sample.
     ///
-    /// * `periods` periods since the sample before, as far as the link knows: samples may have been lost on the way
+    /// * `periods` periods since the sample before, as far as the link counts: samples may have been lost on the way
+    /// * `sensor` fault of the board's own sensor in this tick, [`SafetyReason::None`] without one
     ///
-    /// A measurement that is not plausible is dropped. A desired motion that jumps is no motion. One that is not finite
-    /// goes on, for the tick to see and say so.
-    pub fn admit(
-        &mut self,
-        sample: Option<JointSample<N>>,
-        periods: u32,
-    ) -> Option<JointSample<N>> {
-        self.admit_from(sample, periods, SafetyReason::None)
-    }
-
-    /// The same on a board with a sensor of its own.
-    ///
-    /// * `sensor` what is wrong with its measurement of this tick
+    /// An implausible measurement is dropped. A desired motion that jumps is no motion. One that is not finite passes,
+    /// so that the tick flags it.
     // Has several callers, which share one copy: another costs 100 B of flash.
     #[inline(never)]
-    pub fn admit_from(
+    pub fn admit(
         &mut self,
         sample: Option<JointSample<N>>,
         periods: u32,
         sensor: SafetyReason,
     ) -> Option<JointSample<N>> {
         let admitted = self.input.take(&self.limits, sample, periods, sensor);
-        self.watch();
+        self.supervise();
         admitted
     }
 
     /// Ends the torque when the input gives reason to.
-    fn watch(&mut self) {
+    fn supervise(&mut self) {
         if self.state != SafetyState::Armed {
             return;
         }
-        if self.heat.hot() {
+        if self.derating.hot() {
             self.trip(SafetyReason::MotorHot);
-        } else if self.input.doubtful(&self.limits) {
-            self.trip(self.input.wrong());
+        } else if self.input.too_implausible(&self.limits) {
+            self.trip(self.input.fault());
         } else if self.input.timed_out(&self.limits) {
             self.end(SafetyReason::CommandTimeout);
-        } else if self.unconfirmed && self.input.fresh() {
-            // The arm may have moved, or the host have turned to another motion, since the samples that armed the board.
+        } else if self.unconfirmed && self.input.arrived() {
+            // The arm or the desired motion may have moved since the samples that armed the board.
             match self.input.allows_torque() {
                 Ok(()) => self.unconfirmed = false,
                 Err(reason) => self.end(reason),
@@ -186,7 +175,7 @@ impl<const N: usize> Safety<N> {
         }
     }
 
-    /// The torque that leaves in this tick, N × N·m: `wanted` within the hard limits, on its way to zero, or zero.
+    /// Torque of this tick, N × N·m: `wanted` within the hard limits, a ramp to zero, or zero.
     ///
     /// Finite for any bits in `wanted`.
     pub fn release(&mut self, wanted: &JointVector<N>) -> JointVector<N> {
@@ -202,7 +191,7 @@ impl<const N: usize> Safety<N> {
             .zip(self.limits.slew_per_tick.iter());
         let joints = self.output.iter_mut().zip(wanted.iter()).zip(bounds);
         for (joint, ((output, &wanted), (&torque, &slew))) in joints.enumerate() {
-            let (target, _) = cut(wanted, torque * self.heat.part(joint));
+            let (target, _) = cut(wanted, torque * self.derating.factor(joint));
             let target = if armed { target } else { 0.0 };
             let (limited, _) = limit(target, *output, torque, slew);
             *output = if enabled { limited } else { 0.0 };
@@ -213,12 +202,12 @@ impl<const N: usize> Safety<N> {
         self.output
     }
 
-    /// A period has gone by in which no tick ran, because the samples pace the board and none came. Ends the torque like
-    /// [`admit`](Self::admit) and [`release`](Self::release) would; where none flows, samples grow too old to arm on.
+    /// Takes a period without a tick, because samples pace the board and none arrived. Ends the torque as
+    /// [`admit`](Self::admit) and [`release`](Self::release) would; without torque, samples grow too old to arm on.
     pub fn silence(&mut self) {
         if self.enabled() {
-            self.admit(None, 1);
-            // The torque is held until the time-out, as the host was told.
+            self.admit(None, 1, SafetyReason::None);
+            // Until the time-out the torque is that of the last reply.
             let held = self.output;
             self.release(&held);
         } else {
@@ -226,10 +215,10 @@ impl<const N: usize> Safety<N> {
         }
     }
 
-    /// Lets torque through from the next sample on, if that is plausible and near, too; else it disarms again. Arming an
-    /// armed board changes nothing.
+    /// Lets torque through from the next sample on, if that is plausible and near too; else the board disarms again.
+    /// Arming an armed board changes nothing.
     ///
-    /// Errors: why not; then nothing has changed.
+    /// Errors: the reason against it; then nothing has changed.
     pub fn arm(&mut self) -> Result<(), SafetyReason> {
         match self.state {
             SafetyState::Armed => return Ok(()),
@@ -237,37 +226,32 @@ impl<const N: usize> Safety<N> {
             SafetyState::Fault => return Err(self.latched),
             SafetyState::Disarmed => {}
         }
-        if self.heat.hot() {
+        if self.derating.hot() {
             return Err(SafetyReason::MotorHot);
         }
         self.input.allows_arming()?;
-        self.input.trust();
+        self.input.clear_implausible();
         self.state = SafetyState::Armed;
         self.unconfirmed = true;
         self.ended = SafetyReason::None;
         Ok(())
     }
 
-    /// The torque goes to zero, then the board is disarmed. Cannot fail.
+    /// Ramps the torque to zero, then disarms. Cannot fail.
     pub fn disarm(&mut self) {
         if self.state == SafetyState::Armed {
             self.end(SafetyReason::Disarmed);
         }
     }
 
-    /// Emergency stop: torque zero and enable pin off at once, in any state; latches. Cannot fail.
-    pub fn stop(&mut self) {
-        self.torque_off(SafetyReason::Stopped);
-    }
-
-    /// Torque zero and enable pin off at once, in any state, for `fault`, which latches unless another has. Cannot fail.
+    /// Sets torque and enable pin to off at once, in any state; latches `fault` unless another is latched. Cannot fail.
     pub fn torque_off(&mut self, fault: SafetyReason) {
         self.trip(fault);
         self.output = JointVector::zeros();
         self.rest();
     }
 
-    /// Latches a fault, unless there is one already; a torque that flows goes to zero.
+    /// Latches a fault, unless there is one already; a torque that flows ramps to zero.
     pub fn trip(&mut self, fault: SafetyReason) {
         if self.latched == SafetyReason::None {
             self.latched = fault;
@@ -278,9 +262,9 @@ impl<const N: usize> Safety<N> {
         }
     }
 
-    /// Forgets a latched fault; the board is then disarmed.
+    /// Clears a latched fault; the board is then disarmed.
     ///
-    /// Errors: the torque is still on its way to zero, or a motor is still too hot.
+    /// Errors: the torque still ramps to zero, or a motor is still too hot.
     pub fn clear(&mut self) -> Result<(), SafetyReason> {
         if self.state != SafetyState::Fault {
             return match self.latched {
@@ -288,7 +272,7 @@ impl<const N: usize> Safety<N> {
                 _ => Err(SafetyReason::StillRamping),
             };
         }
-        if self.heat.hot() {
+        if self.derating.hot() {
             return Err(SafetyReason::MotorHot);
         }
         self.latched = SafetyReason::None;
@@ -297,12 +281,13 @@ impl<const N: usize> Safety<N> {
         Ok(())
     }
 
-    /// New limits and no memory of earlier samples: the tick starts over. A latched fault and what is known of the motors
-    /// stay; a torque that flows does not.
+    /// Starts over with new limits and without earlier samples. A latched fault and the motor temperatures stay; a torque
+    /// that flows does not.
     pub fn restart(&mut self, limits: SafetyLimits<N>) {
-        let heat = self.heat;
-        *self = Self::new(limits, self.latched);
-        self.heat = heat;
+        *self = Self {
+            derating: self.derating,
+            ..Self::new(limits, self.latched)
+        };
     }
 
     fn end(&mut self, reason: SafetyReason) {

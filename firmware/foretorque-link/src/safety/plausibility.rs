@@ -1,24 +1,24 @@
 use super::{SafetyLimits, SafetyReason};
 use foretorque::joint::{JointSample, JointVector};
 
-/// Positions of the sample before, against which the next one is judged.
+/// Positions of the last sample, for the check of the next one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlausibilityState<const N: usize> {
     desired: Option<JointVector<N>>,
     measured: Option<JointVector<N>>,
 }
 
-/// What is wrong with a sample.
+/// Faults of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Verdict {
-    /// With the desired motion; the sample is then none.
+    /// Of the desired motion; the sample is then not usable.
     pub(super) desired: SafetyReason,
-    /// With the measurement; it is then dropped.
+    /// Of the measurement, which is then dropped.
     pub(super) measured: SafetyReason,
 }
 
 impl<const N: usize> PlausibilityState<N> {
-    /// Nothing was heard yet.
+    /// Before the first sample.
     pub(super) const fn new() -> Self {
         Self {
             desired: None,
@@ -26,17 +26,17 @@ impl<const N: usize> PlausibilityState<N> {
         }
     }
 
-    /// Judges a sample that came `periods` after the one before.
+    /// Checks a sample that arrived `periods` after the one before.
     ///
-    /// A position is compared with the one heard last, believed or not: one that jumps and stays is refused once and then
-    /// believed, while one that goes to and fro is refused at every jump.
-    pub(super) fn judge(
+    /// A position is compared with the last one received, plausible or not: one that jumps and stays is refused once,
+    /// one that alternates at every jump.
+    pub(super) fn check(
         &mut self,
         limits: &SafetyLimits<N>,
         sample: &JointSample<N>,
         periods: u32,
     ) -> Verdict {
-        // Beyond a second nothing is too far; the product stays small enough to be exact.
+        // After a second any position is plausible; the product stays small enough to be exact.
         let periods = periods.clamp(1, 10_000) as f32;
         let desired = &sample.desired;
         let finite = all_finite(&desired.q) && all_finite(&desired.qd) && all_finite(&desired.qdd);
@@ -49,11 +49,11 @@ impl<const N: usize> PlausibilityState<N> {
                 (!finite, SafetyReason::DesiredNotFinite),
                 (jumped, SafetyReason::DesiredJump),
             ]),
-            measured: self.judge_measured(limits, sample, periods),
+            measured: self.check_measured(limits, sample, periods),
         }
     }
 
-    /// Each joint was measured within `distance`, rad, of `desired` when it was measured last.
+    /// The last measured position of every joint lies within `distance`, rad, of `desired`.
     pub(super) fn near(&self, desired: &JointVector<N>, distance: f32) -> bool {
         self.measured.is_some_and(|measured| {
             let mut joints = desired.iter().zip(measured.iter());
@@ -61,7 +61,7 @@ impl<const N: usize> PlausibilityState<N> {
         })
     }
 
-    fn judge_measured(
+    fn check_measured(
         &mut self,
         limits: &SafetyLimits<N>,
         sample: &JointSample<N>,

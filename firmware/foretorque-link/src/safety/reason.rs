@@ -1,32 +1,32 @@
 use core::fmt;
 use serde::{Deserialize, Serialize, Serializer};
 
-/// Whether torque may leave the board.
+/// State of the torque enable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SafetyState {
     /// Torque zero, enable pin off. After every start.
     #[default]
     Disarmed,
-    /// The torque of the tick leaves, within the hard limits.
+    /// Torque of the tick, within the hard limits.
     Armed,
-    /// The torque goes to zero at the hard slew limit; the pin stays on until it is there.
+    /// Torque ramps to zero at the hard slew limit; the pin stays on until then.
     RampDown,
-    /// Torque zero, enable pin off, a fault latched: it has to be cleared before the board can be armed.
+    /// Torque zero, enable pin off, a fault latched that has to be cleared before arming.
     Fault,
 }
 
-/// Why the torque is, or may soon be, less than what was asked for. Variants are only ever appended: their index is the
-/// code on the wire and in the memory that outlives a reset.
+/// Reason why the torque is, or may soon be, less than requested. Variants are only ever appended: their index is the code
+/// on the wire and in the memory that outlives a reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SafetyReason {
-    /// Nothing is wrong.
+    /// No fault.
     #[default]
     None,
     /// The host disarmed the board.
     Disarmed,
-    /// No usable sample came for [`COMMAND_TIMEOUT_S`](super::COMMAND_TIMEOUT_S).
+    /// No usable sample arrived for [`COMMAND_TIMEOUT_S`](super::COMMAND_TIMEOUT_S).
     CommandTimeout,
     /// The host commanded an emergency stop.
     Stopped,
@@ -40,7 +40,7 @@ pub enum SafetyReason {
     PositionRange,
     /// The measured position moved faster than the joint can.
     PositionJump,
-    /// A measured effort is beyond anything the joint can do.
+    /// A measured effort exceeds three torque limits.
     EffortRange,
     /// A motor is warm: its torque limit is reduced.
     MotorWarm,
@@ -56,7 +56,7 @@ pub enum SafetyReason {
     NoSample,
     /// The desired position is too far from the measured one.
     TooFar,
-    /// The torque is still on its way to zero.
+    /// The torque still ramps to zero.
     StillRamping,
     /// The torque command did not reach the board's own motor stage.
     Stage,
@@ -94,7 +94,7 @@ impl SafetyReason {
         self as u8
     }
 
-    /// The reason of a code; [`Restarted`](Self::Restarted) for a code that none has, because something was wrong.
+    /// The reason of a code; [`Restarted`](Self::Restarted) for an unknown code.
     pub fn from_code(code: u8) -> Self {
         let reason = Self::ALL.get(usize::from(code)).copied();
         reason.unwrap_or(Self::Restarted)
@@ -102,8 +102,7 @@ impl SafetyReason {
 }
 
 impl Serialize for SafetyReason {
-    /// By its code alone, as the derived one does in the frames of the link, where names do not go; that one takes a call,
-    /// 44 bytes of flash, for every variant.
+    /// Writes the code alone, as the derived implementation does in postcard; that one costs 44 bytes of flash a variant.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_unit_variant("SafetyReason", u32::from(self.code()), "")
     }
@@ -114,7 +113,7 @@ impl fmt::Display for SafetyReason {
         f.write_str(match self {
             Self::None => "nothing is wrong",
             Self::Disarmed => "disarmed by the host",
-            Self::CommandTimeout => "no usable sample came in time",
+            Self::CommandTimeout => "no usable sample in time",
             Self::Stopped => "emergency stop",
             Self::DesiredNotFinite => "desired motion not finite",
             Self::DesiredJump => "desired position jumped",
@@ -129,7 +128,7 @@ impl fmt::Display for SafetyReason {
             Self::Restarted => "the firmware restarted itself",
             Self::NoSample => "no fresh sample with a plausible position",
             Self::TooFar => "desired position too far from the measured one",
-            Self::StillRamping => "torque still on its way to zero",
+            Self::StillRamping => "torque still ramps to zero",
             Self::Stage => "motor stage takes no command",
             Self::Encoder => "the board's encoder gives no position",
         })
@@ -140,9 +139,9 @@ impl fmt::Display for SafetyReason {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SafetyStatus {
-    /// Whether torque may leave.
+    /// State of the torque enable.
     pub state: SafetyState,
-    /// The latched fault, else what is wrong with this tick's input, else a motor that is warm, else what ended the torque.
+    /// The latched fault, else the fault of this tick's input, else a warm motor, else the reason that ended the torque.
     pub reason: SafetyReason,
 }
 

@@ -1,44 +1,46 @@
-/// Above this motor temperature the torque limit is reduced, °C: below the 120 °C of class-E windings' hot spot by the
-/// difference between a sensor on the case and the copper inside.
+/// Motor temperature above which the torque limit falls, °C: the 120 °C hot spot of class-E windings, less the difference
+/// between a sensor on the case and the copper.
 pub const WARM_C: i8 = 80;
-/// At this motor temperature the torque is withdrawn, °C.
+/// Motor temperature at which the torque ends, °C.
 pub const HOT_C: i8 = 100;
-/// A motor that cools is taken for this much warmer than it says, °C, so that the limit does not swing.
+/// Surplus over the reading while a motor cools, °C, so that the limit does not oscillate.
 pub const HYSTERESIS_C: i8 = 5;
-/// Readings outside this range are those of a broken sensor, °C, and are not believed.
+/// Plausible readings, °C; others come from a broken sensor.
 const PLAUSIBLE_C: core::ops::RangeInclusive<i8> = -40..=125;
 
-/// Temperatures of the motors as the limits see them.
+/// Reduction of the torque limits by the motor temperatures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ThermalDerating<const N: usize> {
-    /// °C; `None` while nothing is known, which limits nothing.
-    taken: [Option<i8>; N],
+    /// Temperatures with hysteresis, °C; `None` is unknown, which limits nothing.
+    effective_c: [Option<i8>; N],
 }
 
 impl<const N: usize> ThermalDerating<N> {
-    /// Nothing is known.
+    /// All temperatures unknown.
     pub(super) const fn new() -> Self {
-        Self { taken: [None; N] }
+        Self {
+            effective_c: [None; N],
+        }
     }
 
-    /// Takes a reading of one motor, °C. One that cannot be true changes nothing: what was known stays in force.
-    pub(super) fn note(&mut self, joint: usize, celsius: i8) {
-        let Some(taken) = self.taken.get_mut(joint) else {
+    /// Takes a reading of one motor, °C. An implausible one changes nothing.
+    pub(super) fn record(&mut self, joint: usize, celsius: i8) {
+        let Some(effective) = self.effective_c.get_mut(joint) else {
             return;
         };
         if !PLAUSIBLE_C.contains(&celsius) {
             return;
         }
-        *taken = Some(match *taken {
+        *effective = Some(match *effective {
             // Warmer counts at once, cooler only beyond the hysteresis.
             Some(before) => celsius.max(before.min(celsius.saturating_add(HYSTERESIS_C))),
             None => celsius,
         });
     }
 
-    /// Part of its torque limit that `joint` may use, 0 to 1.
-    pub(super) fn part(&self, joint: usize) -> f32 {
-        match self.taken.get(joint).copied().flatten() {
+    /// Usable part of the torque limit of `joint`, 0 to 1.
+    pub(super) fn factor(&self, joint: usize) -> f32 {
+        match self.effective_c.get(joint).copied().flatten() {
             Some(celsius) => {
                 let left = f32::from(HOT_C) - f32::from(celsius);
                 (left * (1.0 / (HOT_C - WARM_C) as f32)).clamp(0.0, 1.0)
@@ -58,7 +60,8 @@ impl<const N: usize> ThermalDerating<N> {
     }
 
     fn any(&self, celsius: i8) -> bool {
-        self.taken.iter().flatten().any(|&taken| taken >= celsius)
+        let mut known = self.effective_c.iter().flatten();
+        known.any(|&effective| effective >= celsius)
     }
 }
 
@@ -67,30 +70,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_limit_falls_with_heat_and_comes_back_later_than_it_went() {
-        let mut heat = ThermalDerating::<2>::new();
-        let mut part = |celsius| {
-            heat.note(1, celsius);
-            heat.part(1)
-        };
-        assert_eq!(part(25), 1.0);
-        assert_eq!(part(80), 1.0);
-        assert_eq!(part(90), 0.5);
-        assert_eq!(part(87), 0.5, "cooler by less than the hysteresis");
-        assert_eq!(part(83), 0.6, "88 °C are taken for 83 °C");
-        assert_eq!(part(100), 0.0);
-        assert_eq!(part(127), 0.0);
-        assert_eq!(part(20), 1.0);
-        assert_eq!(heat.part(0), 1.0);
-    }
-
-    #[test]
-    fn a_reading_that_cannot_be_true_changes_nothing() {
-        let mut heat = ThermalDerating::<1>::new();
-        heat.note(0, 95);
-        for absurd in [i8::MIN, -100, 126, 127] {
-            heat.note(0, absurd);
-            assert_eq!(heat.part(0), 0.25);
+    fn the_limit_falls_with_temperature_and_returns_with_hysteresis() {
+        let mut derating = ThermalDerating::<2>::new();
+        for (celsius, factor) in [
+            (25, 1.0),
+            (80, 1.0),
+            (90, 0.5),
+            (87, 0.5), // cooler by less than the hysteresis
+            (83, 0.6), // counts as 88 °C
+            (100, 0.0),
+            (127, 0.0), // implausible
+            (20, 1.0),
+            (95, 0.25),
+            (i8::MIN, 0.25),
+            (-100, 0.25),
+            (126, 0.25),
+        ] {
+            derating.record(1, celsius);
+            assert_eq!(derating.factor(1), factor, "{celsius} °C");
+            assert_eq!(derating.factor(0), 1.0);
         }
     }
 }

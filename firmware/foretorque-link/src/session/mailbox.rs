@@ -1,39 +1,64 @@
 use super::Clock;
 use crate::store::StoreMailbox;
-use crate::telemetry::CostMeter;
+use crate::telemetry::{Cost, CostMeter};
 use foretorque::arm::Arm;
-use foretorque::learning::{Exchange, Learner, LearnerConfig, Lesson, ParameterSet};
+use foretorque::learning::{Exchange, Learner, LearnerConfig, LearningSample, ParameterSet};
 use heapless::spsc::Queue;
 
-/// A new period for the learner, which then starts over from a set.
+/// Period and set from which the learner restarts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Restart<const N: usize, const P: usize> {
     period_s: f32,
     set: ParameterSet<N, P>,
 }
 
-/// What tick and learner share: lessons one way, learnt sets the other.
+/// Everything that the tick shares with tasks of lower priority; on a board the one locked resource.
 ///
-/// Where they run at different priorities this is the one locked resource, and every lock is a copy at most. The learner's
-/// task is
+/// Every lock is a copy at most. The learner's task is
 ///
 /// ```text
-/// while let Some(lesson) = lock(|mailbox| mailbox.begin(&mut learner)) {
-///     learner.study(&lesson);                               // the tick may run in the middle of it
-///     lock(|mailbox| mailbox.finish(&mut learner, cost));
+/// while let Some(lesson) = lock(|mailboxes| mailboxes.learner.begin(&mut learner)) {
+///     learner.study(&lesson);                               // the tick may interrupt this
+///     lock(|mailboxes| mailboxes.learner.finish(&mut learner, cost));
 /// }
-/// if lock(|mailbox| mailbox.release_reply()) { … }               // wake who sends
+/// if lock(|mailboxes| mailboxes.learner.release_reply()) { … }    // wake the sender of replies
 /// ```
+///
+/// and that of the housekeeping, which alone writes the flash,
+///
+/// ```text
+/// if let Some(mut job) = lock(|mailboxes| mailboxes.store.begin()) {
+///     let outcome = job.execute(&mut store, arm_hash);      // the tick may interrupt this
+///     lock(|mailboxes| mailboxes.store.finish(&job, outcome));
+/// }
+/// ```
+#[derive(Default)]
+pub struct Mailboxes<const N: usize, const P: usize> {
+    /// Between tick and learner.
+    pub learner: LearnerMailbox<N, P>,
+    /// Between tick and housekeeping.
+    pub store: StoreMailbox,
+}
+
+impl<const N: usize, const P: usize> Mailboxes<N, P> {
+    /// Empty mailboxes.
+    pub const fn new() -> Self {
+        Self {
+            learner: LearnerMailbox::new(),
+            store: StoreMailbox::new(),
+        }
+    }
+}
+
+/// Mailbox between tick and learner: learning samples one way, learnt sets the other.
 pub struct LearnerMailbox<const N: usize, const P: usize> {
-    lessons: Queue<Lesson<N>, 16>,
+    lessons: Queue<LearningSample<N>, 16>,
     pub(super) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
-    /// The answer of a tick waits for its lesson.
+    /// The reply of a tick waits for its learning step.
     held: bool,
-    /// Orders for the store, which the housekeeping carries out.
-    pub store: StoreMailbox,
-    pub(super) learning_samples_lost: u32,
-    pub(super) learn_cost: CostMeter,
+    samples_lost: u32,
+    learn_cost: CostMeter,
 }
 
 impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
@@ -44,37 +69,51 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
             exchange: Exchange::new(),
             restart: None,
             held: false,
-            store: StoreMailbox::new(),
-            learning_samples_lost: 0,
+            samples_lost: 0,
             learn_cost: CostMeter::new(),
         }
     }
 
-    /// Lessons waiting.
+    /// Learning samples waiting.
     pub fn waiting(&self) -> usize {
         self.lessons.len()
     }
 
-    /// The host wants its answer when everything is learnt: what lies in the reply buffer is to be sent once the learner has
-    /// called [`release_reply`](Self::release_reply), and not before.
+    /// The content of the reply buffer must wait until the learner has called [`release_reply`](Self::release_reply).
     pub fn holds_reply(&self) -> bool {
         self.held
     }
 
-    /// Called by the learner after every lesson it found. True when everything is learnt and an answer has waited for it.
+    /// Called by the learner after its last sample; true when everything is learnt and a reply has waited for it.
     pub fn release_reply(&mut self) -> bool {
         self.lessons.is_empty() && core::mem::take(&mut self.held)
     }
 
-    pub(super) fn hold_answer(&mut self) {
+    pub(super) fn hold_reply(&mut self) {
         self.held = true;
     }
 
-    /// The next lesson, and whatever the learner has to take over before it. Touches `learner` for one copy at most.
-    pub fn begin<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) -> Option<Lesson<N>> {
+    pub(super) fn samples_lost(&self) -> u32 {
+        self.samples_lost
+    }
+
+    pub(super) fn learn_cost(&self) -> Cost {
+        self.learn_cost.cost()
+    }
+
+    pub(super) fn reset_counters(&mut self) {
+        self.samples_lost = 0;
+        self.learn_cost = CostMeter::new();
+    }
+
+    /// The next learning sample; before it, the learner takes over a restart or request. One copy at most.
+    pub fn begin<A: Arm<N, P>>(
+        &mut self,
+        learner: &mut Learner<A, N, P>,
+    ) -> Option<LearningSample<N>> {
         if let Some(Restart { period_s, set }) = self.restart.take() {
-            // A period that the session has accepted makes a configuration that the learner accepts.
-            // Should it refuse, it learns nothing: lessons from then on are not of its set.
+            // The learner accepts the configuration of every period that the session accepts. If it refused one, it would
+            // learn nothing: the samples that follow do not belong to its set.
             let _ = learner.restart(LearnerConfig::for_arm::<A>(period_s), &set);
         }
         let lesson = self.lessons.dequeue()?;
@@ -82,16 +121,16 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         Some(lesson)
     }
 
-    /// Takes over what the learner made of the lesson. `cost` counts on the board's counter; 0 where there is none.
+    /// Takes over the learner's result; `cost` in counts of the board's counter.
     pub fn finish<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>, cost: u32) {
         self.learn_cost.note(cost);
-        // What was learnt for ticks before a restart must not meet the ticks after it.
+        // A set learnt before a restart must not reach the ticks after it.
         if self.restart.is_none() {
             learner.publish(&mut self.exchange);
         }
     }
 
-    /// Works through all lessons waiting, where tick and learner take turns. `clock` is the board's counter.
+    /// Learns from all samples waiting, where tick and learner take turns.
     pub fn work<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>, clock: &impl Clock) {
         while let Some(lesson) = self.begin(learner) {
             let start = clock.now();
@@ -101,13 +140,13 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         self.release_reply();
     }
 
-    pub(super) fn post(&mut self, lesson: Lesson<N>) {
+    pub(super) fn post(&mut self, lesson: LearningSample<N>) {
         if self.lessons.enqueue(lesson).is_err() {
-            self.learning_samples_lost = self.learning_samples_lost.saturating_add(1);
+            self.samples_lost = self.samples_lost.saturating_add(1);
         }
     }
 
-    /// Forgets all lessons and sets; the learner starts over from `set` at `period_s`.
+    /// Drops all samples and sets; the learner restarts from `set` at `period_s`.
     #[inline(never)]
     pub(super) fn restart(&mut self, period_s: f32, set: &ParameterSet<N, P>) {
         while self.lessons.dequeue().is_some() {}

@@ -1,115 +1,31 @@
-//! What a joint's drive takes for itself: friction, offset and cogging, linear in their parameters. Their columns belong
-//! to the torque regressor of that joint alone.
+//! Friction, offset and cogging of the drives, linear in their parameters. Their columns belong to the torque regressor of
+//! that joint alone.
+
+mod columns;
+
+pub use columns::{
+    COGGING_COLUMNS, DISSIPATION_BOUNDS, FRICTION_COLUMNS, FrictionBound, FrictionColumn,
+    FrictionParameters, FrictionPoint, FrictionPrior, FrictionProperties, RANDOM_WALK_COLUMNS,
+    Real, friction_prior,
+};
 
 use super::{BaseParameters, gravity_torque};
 use crate::arm::Arm;
 use crate::joint::JointVector;
-use crate::math::{SinCos, bell, sin_cos_quarters, tanh_1_5_15};
+use crate::math::{SinCos, sin_cos_quarters, tanh_1_5_15};
 use nalgebra::ArrayStorage;
-
-/// Number of friction columns of one joint.
-pub const FRICTION_COLUMNS: usize = 8;
 
 /// Velocity over which Coulomb friction changes sign, rad/s: `sign(qd)` is smoothed to `tanh(qd / SIGN_WIDTH)`.
 ///
-/// 0.01 rad/s is a tenth of the Stribeck velocity of the drives modelled here (0.10 rad/s) and a fifth of the 0.05 rad/s
-/// under which learning ignores a joint, where the smoothed sign has reached 0.9999. The sign is that of the desired
+/// 0.01 rad/s is a tenth of the Stribeck velocity of the drives modelled here (0.10 rad/s). It is a fifth of the 0.05 rad/s
+/// below which the learner skips a joint; there the smoothed sign has reached 0.9999. The sign is that of the desired
 /// velocity: it closes no loop that could chatter.
 pub const SIGN_WIDTH: f32 = 0.01;
 const INV_WIDEST_SIGN: f32 = 1.0 / (15.0 * SIGN_WIDTH);
 
-/// Reciprocal of the Stribeck velocity, s/rad: 0.09 rad/s. With viscous friction, Coulomb friction and the bend beside it,
-/// a peak of 0.08 to 0.10 rad/s is met to within 6 % of its height from 0.05 rad/s on, one of 0.07 or 0.12 to within 14 %.
-const INV_STRIBECK: f32 = 1.0 / 0.09;
-/// Reciprocal of the speed over which the friction of lubricated drives bends, s/rad: 0.6 rad/s.
+/// Sign of a joint velocity smoothed over three widths: `tanh(qd / width)`.
 ///
-/// Grease thins as it is sheared: friction grows ever less with speed, and a line through fast rows is wrong for slow ones.
-/// The bend of a real UR5 reaches from tenths of a rad/s to more than one; how wide the column is matters little there.
-const INV_BEND: f32 = 1.0 / 0.6;
-
-/// Friction of one joint, linear in its parameters.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrictionParameters {
-    /// Viscous coefficient, N·m·s/rad.
-    pub viscous: f32,
-    /// Coulomb torque, N·m.
-    pub coulomb: f32,
-    /// Height of the Stribeck peak of width 0.09 rad/s, N·m.
-    pub stribeck: f32,
-    /// What slow motion has on top of Coulomb and viscous friction, gone to a half at 0.6 rad/s, N·m: negative where
-    /// friction grows ever less with speed.
-    pub bend: f32,
-    /// Friction for each unit of the torque that the gear carries ([`friction_load`]): teeth and bearings are pressed
-    /// together.
-    pub load: f32,
-    /// Torque that is always there, N·m.
-    pub offset: f32,
-    /// Amplitude of the cogging torque in phase with the sine, N·m.
-    pub cogging_sin: f32,
-    /// Amplitude of the cogging torque in phase with the cosine, N·m.
-    pub cogging_cos: f32,
-}
-
-impl FrictionParameters {
-    /// No friction.
-    pub const NONE: Self = Self::from_columns([0.0; FRICTION_COLUMNS]);
-
-    /// The parameters in the order of [`friction_row`].
-    pub const fn columns(self) -> [f32; FRICTION_COLUMNS] {
-        [
-            self.viscous,
-            self.coulomb,
-            self.stribeck,
-            self.bend,
-            self.load,
-            self.offset,
-            self.cogging_sin,
-            self.cogging_cos,
-        ]
-    }
-
-    /// Parameters from the order of [`friction_row`].
-    pub const fn from_columns(
-        [
-            viscous,
-            coulomb,
-            stribeck,
-            bend,
-            load,
-            offset,
-            cogging_sin,
-            cogging_cos,
-        ]: [f32; FRICTION_COLUMNS],
-    ) -> Self {
-        Self {
-            viscous,
-            coulomb,
-            stribeck,
-            bend,
-            load,
-            offset,
-            cogging_sin,
-            cogging_cos,
-        }
-    }
-}
-
-/// Bounds of friction that resists at every velocity and load: `Σ a_k c_k >= 0` over the columns c for each row a.
-///
-/// Viscous, Coulomb and load friction are not negative. Peak and bend may be, by half of the Coulomb torque each, so that
-/// both together leave some. Offset and cogging do not resist and have no bound.
-#[rustfmt::skip]
-pub const RESISTING: [[f32; FRICTION_COLUMNS]; 5] = [
-    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
-    [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
-];
-
-/// The sign of a joint speed smoothed over three widths: `tanh(qd / width)`.
-///
-/// Friction takes the sharp one, the residual networks the other two. Their widths are multiples of each other, so that
+/// Friction uses the sharp one, the residual networks the other two. Their widths are multiples of each other, so that
 /// one exponential serves all three.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothedSign {
@@ -122,7 +38,7 @@ pub struct SmoothedSign {
 }
 
 impl SmoothedSign {
-    /// Of the speed `qd`, rad/s.
+    /// Smoothed signs of the velocity `qd`, rad/s.
     ///
     /// Cost: one [`tanh_1_5_15`].
     #[inline(always)]
@@ -136,7 +52,7 @@ impl SmoothedSign {
     }
 }
 
-/// Sine and cosine of the cogging phase z q of a joint at `q`, rad; both 0 where there is no cogging.
+/// Sine and cosine of the cogging phase z q of a joint at `q`, rad; both 0 without cogging.
 ///
 /// * `cycles` z, cogging periods in one turn of the joint
 ///
@@ -144,7 +60,7 @@ impl SmoothedSign {
 /// are reduced exactly. What is left is the rounding of z 2/π q: phase within 1.6e-7 z |q| (2e-4 rad at one turn and
 /// z = 202, 1e-4 N·m of the 0.5 N·m of a large joint).
 ///
-/// Limits: NaN where z |q| exceeds 4.1e5 rad or `q` is no number.
+/// Limits: NaN where z |q| exceeds 4.1e5 rad or `q` is not finite.
 /// Cost: one [`sin_cos_quarters`].
 #[inline(always)]
 pub fn cogging(cycles: f32, q: f32) -> SinCos {
@@ -155,60 +71,60 @@ pub fn cogging(cycles: f32, q: f32) -> SinCos {
     }
 }
 
-/// The friction columns of one joint at position `q`, rad, and velocity `qd`, rad/s, where its gear carries `load`, N·m.
+impl FrictionPoint<f32> {
+    /// Joint velocity `qd`, rad/s, its smoothed `sign`, [`cogging`], and `load` of the gear, N·m.
+    #[inline(always)]
+    pub fn new(qd: f32, sign: &SmoothedSign, cogging: SinCos, load: f32) -> Self {
+        Self {
+            qd,
+            sign: sign.sharp,
+            load,
+            cogging_sin: cogging.sin,
+            cogging_cos: cogging.cos,
+        }
+    }
+}
+
+/// Friction columns of one joint at position `q`, rad, velocity `qd`, rad/s, and gear torque `load`, N·m, in the order of
+/// [`FrictionColumn::ALL`].
 ///
 /// ```text
-/// viscous qd,   Coulomb s = tanh(qd / 0.01),   Stribeck s exp(−(qd / 0.09)²),   bend s / (1 + (qd / 0.6)²),
-/// load s |load|,   offset 1,     cogging sin(z q) and cos(z q)
+/// viscous qd,   Coulomb s = tanh(qd / 0.01),   Stribeck s exp(−(qd / 0.09)²),   shear thinning s / (1 + (qd / 0.6)²),
+/// load s |load|,   offset 1,   cogging sin(z q) and cos(z q)
 /// ```
 ///
 /// * `cycles` z, cogging periods in one turn of the joint; 0 makes both cogging columns 0
 ///
 /// Limits: those of [`cogging`].
-/// Cost: one [`SmoothedSign`], one [`bell`], one [`cogging`], 8 multiplications.
+/// Cost: one [`SmoothedSign`], one [`cogging`], one [`FrictionPoint::columns`].
 #[inline(always)]
 pub fn friction_row(cycles: f32, q: f32, qd: f32, load: f32) -> [f32; FRICTION_COLUMNS] {
-    friction_columns(qd, SmoothedSign::of(qd).sharp, cogging(cycles, q), load)
+    FrictionPoint::new(qd, &SmoothedSign::of(qd), cogging(cycles, q), load).columns()
 }
 
-/// [`friction_row`] where the smoothed sign and the cogging are known.
+/// Torque that the gears carry at joint positions `q`, rad, as the load column counts it: gravity torques of the nominal
+/// model, N × N·m.
 ///
-/// Cost: one [`bell`], one division, 6 multiplications.
-#[inline(always)]
-pub fn friction_columns(qd: f32, sign: f32, cogging: SinCos, load: f32) -> [f32; FRICTION_COLUMNS] {
-    let bent = qd * INV_BEND;
-    [
-        qd,
-        sign,
-        sign * bell(qd * INV_STRIBECK),
-        sign / (1.0 + bent * bent),
-        sign * load.abs(),
-        1.0,
-        cogging.sin,
-        cogging.cos,
-    ]
-}
-
-/// What the gears carry at joint positions `q`, rad, as far as friction is reckoned with it: the gravity torques of the arm
-/// as described, N × N·m.
-///
-/// Not of the arm as it has been learnt: friction stays linear in all that is learnt, and the column means the same in
-/// every parameter set of one description. Not of the arm in motion: accelerations beyond what was learnt do not reach what
-/// was learnt.
+/// The nominal model and not the learned one: friction stays linear in all learned parameters, and the column means the
+/// same in every parameter set of one description. Gravity alone: accelerations beyond the learned range do not reach
+/// the learned friction.
 ///
 /// Cost: one [`gravity_torque`].
 #[inline]
 pub fn friction_load<A: Arm<N, P>, const N: usize, const P: usize>(
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    let described = const { &BaseParameters::from_array_storage(ArrayStorage([A::NOMINAL])) };
-    gravity_torque::<A, N, P>(described, q)
+    let nominal = const { &BaseParameters::from_array_storage(ArrayStorage([A::NOMINAL])) };
+    gravity_torque::<A, N, P>(nominal, q)
 }
 
-/// Friction torques at joint positions `q` and velocities `qd`, N × N·m: what the drives must supply, so positive along
-/// +qd.
+/// Friction torques at joint positions `q` and velocities `qd`, N × N·m: the drives must supply them, so they are positive
+/// along +qd.
 ///
-/// Cost: one [`friction_load`]; one [`friction_row`], 7 multiply-adds a joint.
+/// * `parameters` friction of every joint      * `q` rad      * `qd` rad/s
+///
+/// Limits: those of [`friction_load`] and [`cogging`].
+/// Cost: one [`friction_load`]; one [`friction_row`] and one [`FrictionParameters::torque`] a joint.
 pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
     parameters: &[FrictionParameters; N],
     q: &JointVector<N>,
@@ -217,16 +133,7 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
     let load = friction_load::<A, N, P>(q);
     JointVector::from_fn(|joint, _| {
         let row = friction_row(A::COGGING_CYCLES[joint], q[joint], qd[joint], load[joint]);
-        let [viscous, coulomb, stribeck, bend, load, _, sin, cos] = row;
-        let p = &parameters[joint];
-        p.viscous * viscous
-            + p.coulomb * coulomb
-            + p.stribeck * stribeck
-            + p.bend * bend
-            + p.load * load
-            + p.offset
-            + p.cogging_sin * sin
-            + p.cogging_cos * cos
+        parameters[joint].torque(&row)
     })
 }
 
@@ -240,18 +147,16 @@ mod tests {
     /// Torque of one such joint; it has no cogging of its own.
     fn torque(joint: FrictionParameters, qd: f32, load: f32) -> f32 {
         let row = friction_row(0.0, 0.0, qd, load);
-        row.iter().zip(joint.columns()).map(|(x, p)| x * p).sum()
+        row.iter().zip(joint.0).map(|(x, p)| x * p).sum()
     }
 
     #[test]
     fn friction_opposes_motion_and_is_coulomb_plus_viscous_away_from_rest() {
-        let joint = FrictionParameters {
-            viscous: 12.0,
-            coulomb: 7.0,
-            stribeck: 1.0,
-            load: 0.1,
-            ..FrictionParameters::NONE
-        };
+        let joint = FrictionParameters::NONE
+            .with(FrictionColumn::Viscous, 12.0)
+            .with(FrictionColumn::Coulomb, 7.0)
+            .with(FrictionColumn::Stribeck, 1.0)
+            .with(FrictionColumn::Load, 0.1);
         assert_eq!(torque(joint, 0.0, 50.0), 0.0);
         assert!((torque(joint, 1.5, 0.0) - 25.0).abs() < 1e-5);
         assert_eq!(torque(joint, -1.5, 0.0), -torque(joint, 1.5, 0.0));
@@ -268,7 +173,8 @@ mod tests {
             let mut worst = 0.0f64;
             for bits in (1e-3f32.to_bits()..=1000.0f32.to_bits()).step_by(997) {
                 for q in [f32::from_bits(bits), -f32::from_bits(bits)] {
-                    let [.., sin, cos] = friction_row(cycles, q, 0.0, 0.0);
+                    let row = friction_row(cycles, q, 0.0, 0.0);
+                    let [sin, cos] = COGGING_COLUMNS.map(|column| row[column as usize]);
                     let phase = f64::from(cycles) * f64::from(q);
                     let (true_sin, true_cos) = phase.sin_cos();
                     let error = (f64::from(sin) - true_sin).hypot(f64::from(cos) - true_cos);
@@ -280,21 +186,24 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_without_cogging_has_none_wherever_it_stands() {
+    fn without_cogging_cycles_both_cogging_columns_are_zero() {
         for q in [0.0, 1.0, f32::NAN, f32::INFINITY] {
-            assert_eq!(friction_row(0.0, q, 0.0, 0.0)[5..], [1.0, 0.0, 0.0]);
+            let row = friction_row(0.0, q, 0.0, 0.0);
+            assert!(COGGING_COLUMNS.map(|column| row[column as usize]) == [0.0, 0.0]);
+            assert!(row.iter().sum::<f32>() == 1.0, "only the offset is left");
         }
-        assert!(friction_row(202.0, f32::INFINITY, 0.0, 0.0)[6].is_nan());
+        let row = friction_row(202.0, f32::INFINITY, 0.0, 0.0);
+        assert!(row[FrictionColumn::CoggingSine as usize].is_nan());
     }
 
     #[test]
-    fn a_peak_of_another_width_and_friction_that_bends_are_met_by_the_columns() {
+    fn the_columns_fit_other_peak_widths_and_shear_thinning() {
         let speeds = || (10..500).map(|step| step as f32 * 5e-3);
         let worst = |columns: [f32; 4], friction: &dyn Fn(f32) -> f32| {
             let errors = speeds().map(|qd| {
                 let row = friction_row(0.0, 0.0, qd, 0.0);
-                let said: f32 = row.iter().zip(columns).map(|(x, p)| x * p).sum();
-                (said - friction(qd)).abs()
+                let fitted: f32 = row.iter().zip(columns).map(|(x, p)| x * p).sum();
+                (fitted - friction(qd)).abs()
             });
             errors.fold(0.0f32, f32::max)
         };
@@ -314,8 +223,8 @@ mod tests {
     }
 
     #[test]
-    fn the_load_is_what_gravity_asks_of_the_arm_as_described() {
-        let described = BaseParameters::<PARAMETERS>::from(Ur5::NOMINAL);
+    fn the_load_is_the_gravity_torque_of_the_nominal_model() {
+        let nominal = BaseParameters::<PARAMETERS>::from(Ur5::NOMINAL);
         for step in 0..50 {
             let q = JointVector::from_fn(|joint, _| 3.0 * (step as f32 + 1.7 * joint as f32).sin());
             let still = JointMotion {
@@ -323,36 +232,17 @@ mod tests {
                 ..JointMotion::zero()
             };
             let load = friction_load::<Ur5, JOINTS, PARAMETERS>(&q);
-            let rigid = rnea::<Ur5, JOINTS, PARAMETERS>(&described, &still);
+            let rigid = rnea::<Ur5, JOINTS, PARAMETERS>(&nominal, &still);
             assert!((load - rigid).amax() < 1e-4, "{load} {rigid}");
             // The first axis stands upright, the last one carries its link in the middle.
             assert!(load[0].abs() < 1e-4 && load[5].abs() < 1e-4, "{load}");
             let mut drives = [FrictionParameters::NONE; JOINTS];
-            drives[1].load = 0.1;
+            drives[1][FrictionColumn::Load] = 0.1;
             let qd = JointVector::repeat(-1.0);
             let friction = friction::<Ur5, JOINTS, PARAMETERS>(&drives, &q, &qd);
             assert!((friction[1] + 0.1 * rigid[1].abs()).abs() < 1e-5);
         }
         let nowhere = JointVector::repeat(f32::NAN);
         assert!(friction_load::<Ur5, JOINTS, PARAMETERS>(&nowhere)[1].is_nan());
-    }
-
-    #[test]
-    fn friction_within_its_bounds_resists_at_every_velocity_and_load() {
-        for columns in [
-            [0.0, 3.0, -1.5, -1.5, 0.0, 0.0, 0.0, 0.0],
-            [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            [0.5, 4.0, -2.0, 1.0, 0.1, 0.0, 0.0, 0.0],
-        ] {
-            for bound in &RESISTING {
-                let value: f32 = bound.iter().zip(&columns).map(|(a, c)| a * c).sum();
-                assert!(value >= 0.0, "{columns:?} violates {bound:?}");
-            }
-            let friction = FrictionParameters::from_columns(columns);
-            for step in 1..400 {
-                let tau = torque(friction, step as f32 * 5e-3, 20.0);
-                assert!(tau >= 0.0, "{tau} of {columns:?}");
-            }
-        }
     }
 }

@@ -12,8 +12,9 @@ mod term;
 
 pub use closed_form::{mass_matrix, velocity_torque};
 pub use friction::{
-    FRICTION_COLUMNS, FrictionParameters, RESISTING, SIGN_WIDTH, SmoothedSign, cogging, friction,
-    friction_columns, friction_load, friction_row,
+    COGGING_COLUMNS, DISSIPATION_BOUNDS, FRICTION_COLUMNS, FrictionBound, FrictionColumn,
+    FrictionParameters, FrictionPoint, FrictionPrior, FrictionProperties, RANDOM_WALK_COLUMNS,
+    Real, SIGN_WIDTH, SmoothedSign, cogging, friction, friction_load, friction_prior, friction_row,
 };
 pub use link::is_angle;
 pub use regressor::{regressor, regressor_row};

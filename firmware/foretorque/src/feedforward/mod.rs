@@ -22,7 +22,7 @@ pub use step::{FeedForwardScratch, FeedForwardState, adopt, step, step_stale};
 
 use crate::arm::Arm;
 use crate::joint::{JointMeasurement, JointSample, JointVector};
-use crate::learning::{ConfigError, Exchange, Lesson, Request, RequestPending};
+use crate::learning::{ConfigError, Exchange, LearningSample, Request, RequestPending};
 use crate::limits::Flags;
 use core::marker::PhantomData;
 
@@ -33,7 +33,7 @@ pub struct Torque<const N: usize> {
     pub total: JointVector<N>,
     /// Its shares, before limits.
     pub shares: Shares<N>,
-    /// What happened.
+    /// Flags of the tick.
     pub flags: Flags,
     /// Counter of the tick.
     pub tick: u32,
@@ -70,7 +70,7 @@ impl<const N: usize> Torque<N> {
 /// let measured = Some(JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() });
 /// feedforward.adopt(&mut exchange);
 /// let torque = feedforward.step(&JointSample { desired: JointMotion::zero(), measured });
-/// learner.learn(&feedforward.lesson(measured), &mut exchange);
+/// learner.learn(&feedforward.learning_sample(measured), &mut exchange);
 ///
 /// // At q = 0 the arm lies stretched out: the shoulder holds it up, from rest by the slew limit.
 /// assert!(torque.shares.rigid[1].abs() > 30.0);
@@ -115,8 +115,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     }
 
     /// The lesson of the tick that has just run; to be called once after every step.
-    pub fn lesson(&self, measured: Option<JointMeasurement<N>>) -> Lesson<N> {
-        Lesson {
+    pub fn learning_sample(&self, measured: Option<JointMeasurement<N>>) -> LearningSample<N> {
+        LearningSample {
             tick: self.state.last.tick,
             generation: self.state.generation,
             requests: self.state.requests,
@@ -136,7 +136,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         exchange: &mut Exchange<N, P>,
     ) -> Result<(), RequestPending> {
         let number = self.state.requests.wrapping_add(1);
-        exchange.ask(number, request)?;
+        exchange.post_request(number, request)?;
         self.state.requests = number;
         Ok(())
     }
@@ -188,7 +188,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         self.state.learning = enabled;
     }
 
-    /// What survives from tick to tick: active and committed set, counters.
+    /// State between ticks: active and committed set, counters.
     pub fn state(&self) -> &FeedForwardState<N, P> {
         &self.state
     }

@@ -3,7 +3,7 @@
 use super::config::FeedForwardConfig;
 use super::shares::{JointShares, network_share};
 use crate::dynamics::{
-    BaseParameters, FRICTION_COLUMNS, FrictionParameters, SmoothedSign, friction_columns,
+    BaseParameters, FRICTION_COLUMNS, FrictionParameters, FrictionPoint, SmoothedSign,
 };
 use crate::joint::JointMotion;
 use crate::learning::{JointNetwork, MotionRange, NETWORK_INPUTS, ParameterSet, network_inputs_at};
@@ -31,7 +31,7 @@ impl<const N: usize, const P: usize> Loaded<N, P> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Difference<const N: usize, const P: usize> {
     pub(super) rigid: BaseParameters<P>,
-    friction: [[f32; FRICTION_COLUMNS]; N],
+    friction: [FrictionParameters; N],
     /// The network of the joint is not the one that was loaded.
     network: [bool; N],
 }
@@ -41,7 +41,7 @@ impl<const N: usize, const P: usize> Difference<N, P> {
     pub(super) fn none() -> Self {
         Self {
             rigid: BaseParameters::zeros(),
-            friction: [[0.0; FRICTION_COLUMNS]; N],
+            friction: [FrictionParameters::NONE; N],
             network: [false; N],
         }
     }
@@ -58,10 +58,10 @@ impl<const N: usize, const P: usize> Difference<N, P> {
             *rigid = set - loaded;
         }
         let drives = set.friction.iter().zip(&loaded.friction);
-        for (columns, (set, loaded)) in self.friction.iter_mut().zip(drives) {
-            let both = set.columns().into_iter().zip(loaded.columns());
-            for (column, (set, loaded)) in columns.iter_mut().zip(both) {
-                *column = set - loaded;
+        for (difference, (set, loaded)) in self.friction.iter_mut().zip(drives) {
+            let both = set.0.iter().zip(&loaded.0);
+            for (difference, (set, loaded)) in difference.0.iter_mut().zip(both) {
+                *difference = set - loaded;
             }
         }
         let networks = set.network.iter().zip(&before.network);
@@ -125,18 +125,17 @@ impl<const N: usize> TickMotion<N> {
     }
 }
 
-/// What friction and network of one joint make of one speed.
+/// Friction basis and network output of one joint at one speed.
 #[derive(Clone, Copy)]
 pub(super) struct AtSpeed {
-    /// The friction columns but for the offset's, which is 1.
-    columns: [f32; FRICTION_COLUMNS - 1],
+    columns: [f32; FRICTION_COLUMNS],
     inputs: SVector<f32, NETWORK_INPUTS>,
 }
 
 impl AtSpeed {
     /// Room for it.
     pub(super) const NONE: Self = Self {
-        columns: [0.0; FRICTION_COLUMNS - 1],
+        columns: [0.0; FRICTION_COLUMNS],
         inputs: SVector::from_array_storage(ArrayStorage([[0.0; NETWORK_INPUTS]])),
     };
 
@@ -144,27 +143,16 @@ impl AtSpeed {
     #[inline]
     pub(super) fn new(qd: f32, cogging: SinCos, load: f32) -> Self {
         let sign = SmoothedSign::of(qd);
-        let [viscous, coulomb, stribeck, bend, load, _, sin, cos] =
-            friction_columns(qd, sign.sharp, cogging, load);
         Self {
-            columns: [viscous, coulomb, stribeck, bend, load, sin, cos],
+            columns: FrictionPoint::new(qd, &sign, cogging, load).columns(),
             inputs: network_inputs_at(qd, &sign),
         }
     }
 
     /// Torque of `friction`, N·m.
     #[inline]
-    pub(super) fn friction(&self, friction: &[f32; FRICTION_COLUMNS]) -> f32 {
-        let [viscous, coulomb, stribeck, bend, load, sin, cos] = &self.columns;
-        let [fv, fc, fs, fb, fl, offset, gs, gc] = friction;
-        fv * viscous
-            + fc * coulomb
-            + fs * stribeck
-            + fb * bend
-            + fl * load
-            + offset
-            + gs * sin
-            + gc * cos
+    pub(super) fn friction(&self, friction: &FrictionParameters) -> f32 {
+        friction.torque(&self.columns)
     }
 }
 

@@ -22,27 +22,9 @@ impl RandomStart {
     }
 }
 
-/// Square root by Newton's iteration from above, for the scale of a random start (not for the tick: `core` has no
-/// square root, and libm's is software on the board).
-pub(super) fn square_root(x: f32) -> f32 {
-    let mut root = if x > 1.0 { x } else { 1.0 };
-    for _ in 0..24 {
-        root = 0.5 * (root + x / root);
-    }
-    root
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_square_root_squares_back() {
-        for x in [0.01f32, 0.16, 1.0, 2.0, 6.0, 600.0] {
-            let root = square_root(x);
-            assert!((root * root - x).abs() < 1e-6 * x, "{x}");
-        }
-    }
 
     #[test]
     fn numbers_are_uniform_and_never_stick() {

@@ -8,7 +8,7 @@ mod run {
     use foretorque_f405::counter::{self, Counter};
     use foretorque_f405::rooms::{BoardLearner, BoardSession, furnish, open};
     use foretorque_images::semihost::{Streams, exit};
-    use foretorque_link::session::{BoardDescription, LearnerMailbox};
+    use foretorque_link::session::{BoardDescription, Mailboxes, NoLocalSensor};
     use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};
     use stm32f4xx_hal::pac;
 
@@ -38,7 +38,7 @@ mod run {
         let prior = &session.feed_forward().state().active;
         let room = cortex_m::singleton!(: MaybeUninit<BoardLearner> = MaybeUninit::uninit())?;
         let learner = furnish(room, period_s, prior)?;
-        let mut mailbox = LearnerMailbox::new();
+        let mut mailboxes = Mailboxes::new();
         let mut out = FrameBuffer::new();
         let mut buffer = [0u8; 1024];
 
@@ -53,12 +53,12 @@ mod run {
             };
             // In pieces, as the flashable firmware takes them: a piece cannot ask for more than the replies have room for.
             for piece in bytes.chunks(CHUNK) {
-                session.receive(piece, &mut mailbox, &mut out);
+                session.receive(piece, &mut mailboxes, &mut out, &mut NoLocalSensor);
                 if !out.is_empty() && !streams.write(out.as_bytes()) {
                     return Some(());
                 }
                 out.clear();
-                mailbox.work(learner, &Counter);
+                mailboxes.learner.work(learner, &Counter);
             }
         }
     }

@@ -10,7 +10,7 @@ mod proof {
 
     use foretorque::learning::{Learner, LearnerConfig};
     use foretorque_f405::board::{Arm, JOINTS, PARAMETERS};
-    use foretorque_link::session::{BoardDescription, Clock, LearnerMailbox, Session};
+    use foretorque_link::session::{BoardDescription, Clock, Mailboxes, NoLocalSensor, Session};
     use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage};
     use foretorque_link::write_key::{KEY_BYTES, WriteKey};
     use {panic_never as _, stm32f4xx_hal as _};
@@ -42,23 +42,28 @@ mod proof {
         let set = black_box(session.feed_forward().state().active);
         let mut learner: Learner<Arm, _, _> =
             Learner::new(LearnerConfig::for_arm::<Arm>(black_box(1e-3)), set).ok()?;
-        let mut mailbox = black_box(LearnerMailbox::new());
+        let mut mailboxes = black_box(Mailboxes::new());
         let mut out = black_box(FrameBuffer::new());
         let mut bytes = black_box([0u8; 64]);
         loop {
             // Everything the link can say: decode, tick, bank, statistics, reset.
-            session.receive(black_box(&bytes), &mut mailbox, &mut out);
-            session.timer_tick(&mut mailbox, &mut out);
-            session.poll_store(&mut mailbox, &mut out);
+            session.receive(
+                black_box(&bytes),
+                &mut mailboxes,
+                &mut out,
+                &mut NoLocalSensor,
+            );
+            session.timer_tick(&mut mailboxes, &mut out, &mut NoLocalSensor);
+            session.poll_store(&mut mailboxes, &mut out);
             session.note_overrun();
             session.send_hello(&mut out);
             // The learner as the board runs it, and as the other owners do.
-            while let Some(lesson) = mailbox.begin(&mut learner) {
+            while let Some(lesson) = mailboxes.learner.begin(&mut learner) {
                 learner.study(&lesson);
-                mailbox.finish(&mut learner, black_box(1));
+                mailboxes.learner.finish(&mut learner, black_box(1));
             }
-            mailbox.work(&mut learner, &Opaque);
-            black_box(session.statistics(&mailbox));
+            mailboxes.learner.work(&mut learner, &Opaque);
+            black_box(session.statistics(&mailboxes.learner));
             // The host's half, for people who put both on a board.
             let mut decoder = Decoder::new();
             let message = decoder

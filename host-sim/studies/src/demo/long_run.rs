@@ -3,7 +3,7 @@
 use super::record::{LearningPoint, Tracking, ValidationPoint};
 use super::setup::Setup;
 use super::stages::{ErrorCurve, ReplyBits, error_of, learn, predictions, track};
-use super::config::{DemoConfig, PAGE_POINTS};
+use super::{DemoConfig, PAGE_POINTS};
 use crate::{Progress, StudyError};
 use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::board::Client;
@@ -12,15 +12,15 @@ use foretorque_workbench::metrics::{TorqueError, TrackingError};
 /// Points of the unseen path on which the error is watched while learning goes on.
 pub(super) const WATCH_POINTS: usize = 250;
 
-/// Observations of the long run.
+/// Records of the long run.
 pub(super) struct LongRun<const N: usize> {
     /// Torque error on the unseen path with the wrong prior.
     pub(super) before: TorqueError<N>,
-    /// Torque error on the unseen path with the learnt model.
+    /// Torque error after learning.
     pub(super) after: TorqueError<N>,
     /// Position error on the unseen path.
     pub(super) tracking: Tracking<TrackingError<N>>,
-    /// Position error over time.
+    /// Tracking errors over time.
     pub(super) tracking_curves: Tracking<ErrorCurve<N>>,
     /// Torque error while learning goes on.
     pub(super) learning_curve: Vec<LearningPoint>,

@@ -1,6 +1,6 @@
 //! The stages that a board goes through: it is asked along a path, it tracks, it learns.
 
-use super::config::PAGE_POINTS;
+use super::PAGE_POINTS;
 use super::setup::Setup;
 use crate::{Progress, StudyError};
 use foretorque::feedforward::Torque;
@@ -92,7 +92,7 @@ pub(super) fn learn<const N: usize>(
     Ok(replies)
 }
 
-/// Torques of the board along `path`.
+/// Torques that the board predicts along `path`.
 pub(super) fn predictions<const N: usize>(
     board: &mut Client<N>,
     path: &[(f64, State<N>)],

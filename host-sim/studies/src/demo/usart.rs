@@ -2,8 +2,7 @@
 
 use super::setup::Setup;
 use super::stages::{ReplyBits, error_of, learn, predictions};
-use super::config::DemoConfig;
-use super::record::{LinkFigures, UsartFigures};
+use super::{DemoConfig, LinkFigures, UsartFigures};
 use crate::{Progress, StudyError};
 use foretorque_workbench::board::Client;
 

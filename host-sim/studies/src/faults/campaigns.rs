@@ -14,7 +14,7 @@ use std::path::Path;
 /// Ticks of a second of arm time.
 const TICKS_PER_S: u32 = 1000;
 
-/// Lengths of the campaigns.
+/// How much of everything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lengths {
     /// Arm time of each kind of damage on the board in this process, s.
@@ -48,7 +48,7 @@ impl Lengths {
     };
 }
 
-/// Board of a campaign.
+/// Where a campaign takes its board from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Board {
     Native,
@@ -70,7 +70,7 @@ type Work = Box<dyn FnOnce() -> Result<Campaign, Box<dyn Error>>>;
 
 /// One campaign to be run.
 pub struct Scenario {
-    /// Name of the fault, for a progress bar.
+    /// Name of the broken part, for a progress bar.
     pub name: &'static str,
     work: Work,
 }

@@ -71,7 +71,7 @@ pub(super) struct BadLine {
     random: ChaCha8Rng,
     /// Frames kept back, with the number of frames that come before them.
     kept: Vec<(u32, Vec<u8>)>,
-    /// The last frames, for floods of old frames.
+    /// Frames carried last, for floods of old frames.
     old: Vec<Vec<u8>>,
     /// Frames still to be lost, or bytes still to be spoilt.
     left: u32,
@@ -93,7 +93,7 @@ impl BadLine {
         }
     }
 
-    /// Bytes that leave the line for `frame`.
+    /// Bytes that leave the line when `frame` enters it.
     pub(super) fn carry(&mut self, frame: &[u8]) -> Vec<u8> {
         match self.damage {
             Damage::Noise => return self.noise(frame),

@@ -49,7 +49,7 @@ impl Host {
         Ok(host)
     }
 
-    /// Frames of the next tick.
+    /// Frames to send in the next tick.
     fn frames(&mut self) -> Vec<Frame> {
         let mut messages = vec![self.message(&self.sample())];
         if self.tick.is_multiple_of(ARM_EVERY) {
@@ -241,9 +241,9 @@ fn foreign(random: &mut ChaCha8Rng) -> Vec<u8> {
         desired: motion,
         measured: None,
     };
-    let mut buffer = [0; MAX_FRAME];
+    let mut room = [0; MAX_FRAME];
     let other = HostMessage::<7>::Sample(SampleFrame::new(&sample));
-    let frame = encode(sequence, &other, &mut buffer).unwrap_or_default();
+    let frame = encode(sequence, &other, &mut room).unwrap_or_default();
     if random.random() {
         return frame.to_vec();
     }

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Writes to the set/reset register of GPIOB that switch the torque enable, PB12, on and off (RM0090 8.4.7).
+/// Trace of a write to the set/reset register of GPIOB that switches the torque enable, PB12, on or off (RM0090 8.4.7).
 const ON: &str = "write (size 4, offset 0x018, value 0x00001000)";
 const OFF: &str = "write (size 4, offset 0x018, value 0x10000000)";
 
@@ -45,7 +45,7 @@ impl Crash {
         }
     }
 
-    /// Letter that makes the firmware fail.
+    /// Byte that makes the firmware fail in this way.
     pub const fn letter(self) -> u8 {
         match self {
             Self::Panic => b'p',
@@ -55,7 +55,7 @@ impl Crash {
         }
     }
 
-    /// Reset reason of the restarted board.
+    /// Reset reason that the restarted board reports.
     pub const fn reason(self) -> ResetReason {
         match self {
             Self::Panic => ResetReason::Panic,
@@ -83,9 +83,9 @@ impl Trial {
     /// The next hello on the line; `None` when none comes in time.
     pub fn hello(&mut self) -> Result<Option<BoardHello>, EmulatorError> {
         let mut decoder = Decoder::new();
-        let mut buffer = [0; 1];
-        while self.emulator.read(&mut buffer, PATIENCE)? == 1 {
-            if let Some(Ok(frame)) = decoder.push(buffer[0])
+        let mut room = [0; 1];
+        while self.emulator.read(&mut room, PATIENCE)? == 1 {
+            if let Some(Ok(frame)) = decoder.push(room[0])
                 && let Ok(BoardMessage::<JOINTS>::Hello(hello)) = frame.message()
             {
                 return Ok(Some(hello));
@@ -99,7 +99,7 @@ impl Trial {
         self.emulator.write(&[crash.letter()])
     }
 
-    /// Changes of the torque enable so far: true for on.
+    /// States of the torque enable so far: true for on.
     pub fn switched(&self) -> Vec<bool> {
         // A trace that is not there yet tells of nothing.
         let trace = fs::read_to_string(&self.trace).unwrap_or_default();
@@ -121,9 +121,9 @@ pub fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campaign, Emu
     for _ in 0..times {
         let before = trial.switched().len();
         trial.fail(crash)?;
-        let reported = trial.hello()?.map(|hello| hello.reset_reason);
+        let told = trial.hello()?.map(|hello| hello.reset_reason);
         campaign.injected += 1;
-        campaign.recovered += u64::from(reported == Some(crash.reason()));
+        campaign.recovered += u64::from(told == Some(crash.reason()));
         // Off on the way out; off by the constructor after the restart.
         let switched = trial.switched();
         let off = switched.get(before..before + 2) == Some(&[false, false]);

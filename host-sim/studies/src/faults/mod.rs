@@ -26,9 +26,9 @@ use serde::Serialize;
 /// Counts of one kind of fault.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Campaign {
-    /// The fault.
+    /// Name of the broken part.
     pub name: String,
-    /// The board: `native`, `qemu (bulk)`, `qemu (joint)`, `simulated flash`.
+    /// Where: `native`, `qemu (bulk)`, `qemu (joint)`, `simulated flash`.
     pub board: String,
     /// Faults.
     pub injected: u64,

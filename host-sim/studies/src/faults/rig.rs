@@ -8,10 +8,10 @@ use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX
 use foretorque_workbench::board::{BoardError, Native, Transport};
 use std::time::{Duration, Instant};
 
-/// Time limit of an answer.
+/// How long an answer is waited for.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Most bytes that are read at once.
-const BUFFER: usize = 4096;
+const ROOM: usize = 4096;
 
 /// One frame on its way, and what the reference shall make of it.
 #[derive(Clone, Debug)]
@@ -39,8 +39,8 @@ pub(super) struct Rig {
     reference: Native<Ur5, JOINTS, PARAMETERS>,
     sequence: u16,
     decoder: Decoder,
-    received: Decoder,
-    /// The last frame sent under each number.
+    heard: Decoder,
+    /// Frame sent last under each number.
     sent: Vec<Option<Frame>>,
     errors: u64,
     pub(super) wrong_torques: u64,
@@ -56,7 +56,7 @@ impl Rig {
             reference: reference().map_err(|_| BoardError::UnexpectedAnswer)?,
             sequence: 0,
             decoder: Decoder::new(),
-            received: Decoder::new(),
+            heard: Decoder::new(),
             sent: vec![None; 1 << 16],
             errors: 0,
             wrong_torques: 0,
@@ -70,8 +70,8 @@ impl Rig {
     /// The frame of a message under the next number.
     pub(super) fn frame(&mut self, message: &HostMessage<JOINTS>) -> Frame {
         self.sequence = self.sequence.checked_add(1).unwrap_or(1);
-        let mut buffer = [0; MAX_FRAME];
-        let bytes = encode(self.sequence, message, &mut buffer).unwrap_or_default();
+        let mut room = [0; MAX_FRAME];
+        let bytes = encode(self.sequence, message, &mut room).unwrap_or_default();
         let frame = Frame {
             sequence: self.sequence,
             bytes: bytes.to_vec(),
@@ -147,11 +147,11 @@ impl Rig {
 
     /// The messages that have come.
     fn listen(&mut self) -> Result<Vec<(u16, BoardMessage<JOINTS>)>, BoardError> {
-        let mut buffer = [0; BUFFER];
-        let count = self.transport.receive(&mut buffer, PATIENCE);
+        let mut room = [0; ROOM];
+        let count = self.transport.receive(&mut room, PATIENCE);
         let count = count.map_err(|error| BoardError::Closed(self.transport.name(), error))?;
         let mut messages = Vec::new();
-        for &byte in buffer.get(..count).unwrap_or_default() {
+        for &byte in room.get(..count).unwrap_or_default() {
             if let Some(frame) = self.decoder.push(byte) {
                 let frame = frame.map_err(|_| BoardError::UnexpectedAnswer)?;
                 let message = frame.message().map_err(|_| BoardError::UnexpectedAnswer)?;
@@ -193,14 +193,14 @@ impl Rig {
     fn refer(&mut self, frame: &Frame) -> Result<Option<BoardMessage<JOINTS>>, BoardError> {
         let gone = |error| BoardError::Closed("reference".into(), error);
         self.reference.send(&frame.bytes).map_err(gone)?;
-        let mut buffer = [0; FrameBuffer::CAPACITY];
-        let count = self.reference.receive(&mut buffer, PATIENCE).map_err(gone)?;
+        let mut room = [0; FrameBuffer::CAPACITY];
+        let count = self.reference.receive(&mut room, PATIENCE).map_err(gone)?;
         let mut answer = None;
-        for &byte in buffer.get(..count).unwrap_or_default() {
-            if let Some(Ok(received)) = self.received.push(byte)
-                && received.sequence == frame.sequence
+        for &byte in room.get(..count).unwrap_or_default() {
+            if let Some(Ok(heard)) = self.heard.push(byte)
+                && heard.sequence == frame.sequence
             {
-                answer = received.message().ok();
+                answer = heard.message().ok();
             }
         }
         Ok(answer)
@@ -244,8 +244,8 @@ fn bytes(sequence: u16, message: &BoardMessage<JOINTS>) -> Vec<u8> {
             *value = f32::NAN;
         }
     }
-    let mut buffer = [0; MAX_FRAME];
-    encode(sequence, &message, &mut buffer)
+    let mut room = [0; MAX_FRAME];
+    encode(sequence, &message, &mut room)
         .unwrap_or_default()
         .to_vec()
 }

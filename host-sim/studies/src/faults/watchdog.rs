@@ -5,7 +5,7 @@ use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::ConfigError;
 use foretorque_link::safety::{SafetyReason, SafetyState, Task, TaskCheckIn};
-use foretorque_link::session::{BoardDescription, LearnerMailbox, NoClock, Session};
+use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
 use foretorque_link::wire::{
     BoardMessage, Decoder, FrameBuffer, HostMessage, ResetReason, SampleFrame,
 };
@@ -63,7 +63,7 @@ fn restarted() -> Result<(bool, bool), ConfigError> {
         ..BoardDescription::plain(NoClock)
     };
     let mut session = Session::<Ur5, JOINTS, PARAMETERS>::new(board)?;
-    let mut mailbox = LearnerMailbox::new();
+    let mut mailboxes = Mailboxes::new();
     let still = JointSample {
         desired: JointMotion::zero(),
         measured: Some(JointMeasurement {
@@ -79,8 +79,13 @@ fn restarted() -> Result<(bool, bool), ConfigError> {
         sequence += 1;
         // A frame always fits an empty buffer.
         let _ = question.push(sequence, message);
-        session.receive(question.as_bytes(), &mut mailbox, &mut answer);
-        received(answer.as_bytes())
+        session.receive(
+            question.as_bytes(),
+            &mut mailboxes,
+            &mut answer,
+            &mut NoLocalSensor,
+        );
+        heard(answer.as_bytes())
     };
     let mut quiet = true;
     for message in [
@@ -95,14 +100,14 @@ fn restarted() -> Result<(bool, bool), ConfigError> {
             quiet &= torque.total.iter().all(|&torque| torque == 0.0);
         }
     }
-    let reported = session.safety().state == SafetyState::Fault
+    let told = session.safety().state == SafetyState::Fault
         && session.safety().reason == SafetyReason::Restarted;
     let cleared = ask(&HostMessage::ClearFault, &mut session) == Some(BoardMessage::Ack);
     let armed = ask(&HostMessage::Arm, &mut session) == Some(BoardMessage::Ack);
-    Ok((quiet, reported && cleared && armed && session.torque_enabled()))
+    Ok((quiet, told && cleared && armed && session.torque_enabled()))
 }
 
-fn received(bytes: &[u8]) -> Option<BoardMessage<JOINTS>> {
+fn heard(bytes: &[u8]) -> Option<BoardMessage<JOINTS>> {
     let mut decoder = Decoder::new();
     let mut message = None;
     for &byte in bytes {

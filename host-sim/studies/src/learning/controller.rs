@@ -4,7 +4,9 @@ use super::setup::{N, P, PERIOD_S, Set};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
-use foretorque::learning::{ConfigError, Exchange, Learner, LearnerConfig, LearnerState, Report};
+use foretorque::learning::{
+    ConfigError, Exchange, Learner, LearnerConfig, LearnerReport, LearnerState,
+};
 use foretorque_link::bank::NETWORK_SEED;
 use foretorque_link::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason, SafetyStatus};
 use foretorque_link::wire::SampleFrame;
@@ -73,8 +75,8 @@ impl Controller {
     /// rounds it.
     pub(super) fn tick(&mut self, sample: Option<&JointSample<N>>) -> Torque<N> {
         self.feedforward.adopt(&mut self.exchange);
-        let received = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
-        let sample = self.safety.admit(received, 1);
+        let heard = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
+        let sample = self.safety.admit(heard, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feedforward.step(sample),
             None => self.feedforward.step_stale(),
@@ -83,13 +85,13 @@ impl Controller {
         self.feedforward.applied(&torque.total);
         if self.learning {
             let measured = sample.and_then(|sample| sample.measured);
-            let lesson = self.feedforward.lesson(measured);
+            let lesson = self.feedforward.learning_sample(measured);
             self.learner.learn(&lesson, &mut self.exchange);
         }
         torque
     }
 
-    /// Safety state of the board, with its reason.
+    /// Whether torque leaves the board, and why not.
     pub(super) fn safety(&self) -> SafetyStatus {
         self.safety.status()
     }
@@ -105,7 +107,7 @@ impl Controller {
     }
 
     /// Report of the supervisor: model quality and decisions.
-    pub(super) fn report(&self) -> &Report<N> {
+    pub(super) fn report(&self) -> &LearnerReport<N> {
         &self.feedforward.state().report
     }
 

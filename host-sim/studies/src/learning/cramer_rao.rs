@@ -4,7 +4,7 @@ use super::setup::{N, P};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::{JointMotion, JointVector};
-use foretorque::learning::{Conditioned, torque_row};
+use foretorque::learning::{ConditionedSample, torque_row};
 use nalgebra::{SMatrix, SVector, Vector3};
 
 /// Mass, first moment and moments of inertia of a body at the last link.
@@ -34,7 +34,7 @@ impl CramerRao {
 
     /// Takes the torques of one tick, of noise `noise` in units of the torque limit.
     pub(super) fn add(&mut self, motion: &JointMotion<N>, noise: f64) {
-        let seen = Conditioned {
+        let seen = ConditionedSample {
             motion: *motion,
             tau: JointVector::zeros(),
         };

@@ -7,9 +7,11 @@ use super::twin::prior_covariance;
 use crate::StudyError;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::evaluate;
 use foretorque::learning::{
-    Conditioned, LearnerConfig, MeasurementWindow, Stacked, ripple_share, torque_row,
+    ConditionedSample, LearnerConfig, LinearParameters, MeasurementWindow, cogging_attenuation,
+    torque_row,
 };
 use foretorque_workbench::closed_loop::{Answer, ClosedLoop};
 use foretorque_workbench::plant::PlantConfig;
@@ -53,15 +55,19 @@ impl Starts {
 }
 
 impl Start {
-    /// Configuration of the learner: as the firmware has it; a plain friction model has viscous and
+    /// How the learner goes on from there: as the firmware has it; a plain friction model has viscous and
     /// Coulomb columns, offset and cogging, and gets no others.
     pub(super) fn config(self) -> LearnerConfig<N, P> {
         let mut config = Controller::config();
         if self == Self::PlainFriction {
             for sigma in &mut config.friction_sigma {
-                sigma.stribeck *= UNUSED;
-                sigma.bend *= UNUSED;
-                sigma.load *= UNUSED;
+                for column in [
+                    FrictionColumn::Stribeck,
+                    FrictionColumn::ShearThinning,
+                    FrictionColumn::Load,
+                ] {
+                    sigma[column] *= UNUSED;
+                }
             }
         }
         config
@@ -69,7 +75,7 @@ impl Start {
 }
 
 /// The board's training rows: the filtered motion and the torque of the same instant.
-fn conditioned_rows(setup: &Setup) -> Result<Vec<Conditioned<N>>, StudyError> {
+fn conditioned_rows(setup: &Setup) -> Result<Vec<ConditionedSample<N>>, StudyError> {
     let quiet = PlantConfig {
         viscous_drift: 0.0,
         ..PlantConfig::default()
@@ -100,18 +106,18 @@ fn conditioned_rows(setup: &Setup) -> Result<Vec<Conditioned<N>>, StudyError> {
 }
 
 /// The torque row of `joint` after the filter of the motion, for a torque without compensation of cogging.
-fn filtered_row(joint: usize, seen: &Conditioned<N>) -> Stacked<N, P> {
+fn filtered_row(joint: usize, seen: &ConditionedSample<N>) -> LinearParameters<N, P> {
     let mut row = torque_row::<Ur5, N, P>(joint, seen);
     let cycles = <Ur5 as Arm<N, P>>::COGGING_CYCLES[joint];
-    let share = ripple_share(cycles * seen.motion.qd[joint] * PERIOD_S as f32);
-    row.swallow(joint, share, &Stacked::filled(0.0));
+    let share = cogging_attenuation(cycles * seen.motion.qd[joint] * PERIOD_S as f32);
+    row.attenuate_cogging(joint, share, &LinearParameters::filled(0.0));
     row
 }
 
 /// Weighted least squares with the prior covariance of `config` around `prior`.
-fn least_squares(rows: &[Conditioned<N>], prior: &Set, config: &LearnerConfig<N, P>) -> Set {
-    let start = Stacked::of(prior);
-    let sigma = Stacked::sigma(config);
+fn least_squares(rows: &[ConditionedSample<N>], prior: &Set, config: &LearnerConfig<N, P>) -> Set {
+    let start = LinearParameters::of(prior);
+    let sigma = config.sigma();
     let n = start.iter().count();
     let prior_information = prior_covariance().try_inverse();
     let mut normal = prior_information.unwrap_or_else(|| DMatrix::identity(n, n));

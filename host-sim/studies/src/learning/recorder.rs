@@ -6,7 +6,7 @@ use super::scenario::{Scenario, Start};
 use super::setup::{N, PERIOD_S, Set, Setup};
 use super::trace::{Evaluation, Second, Trace};
 use foretorque::joint::JointMotion;
-use foretorque::learning::Stacked;
+use foretorque::learning::LinearParameters;
 use foretorque::limits::Flags;
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::metrics::MOVING_RAD_S;
@@ -230,8 +230,11 @@ impl<'w> Recorder<'w> {
     pub(super) fn finish(mut self, board: &Controller, plant: &Plant<N>, ticks: usize) -> Trace {
         self.evaluate(ticks, board, plant);
         if let Some(settled) = &self.settled {
-            let sigma = Stacked::sigma(&self.start.config());
-            let (before, after) = (Stacked::of(settled), Stacked::of(&board.active()));
+            let sigma = self.start.config().sigma();
+            let (before, after) = (
+                LinearParameters::of(settled),
+                LinearParameters::of(&board.active()),
+            );
             let columns = before.iter().zip(after.iter()).zip(sigma.iter());
             self.trace.drift = columns
                 .map(|((before, after), sigma)| f64::from((after - before).abs() / sigma))

@@ -278,7 +278,7 @@ fn twin(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize),
     Ok((worst, rows))
 }
 
-/// Number of ticks in which a torque of `board` has other bits than the native one.
+/// Plays the samples through `board`. Returns the ticks in which a torque had other bits than the native one.
 fn on_board(
     setup: &Setup,
     board: &mut Client<JOINTS>,

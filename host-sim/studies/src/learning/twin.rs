@@ -3,13 +3,11 @@
 use super::setup::{N, P, Set};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
-use foretorque::dynamics::{FRICTION_COLUMNS, RESISTING};
-use foretorque::learning::{Estimator, LearnerConfig, Stacked, rigid_doubt, rigid_floor};
+use foretorque::dynamics::{DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS};
+use foretorque::learning::{Estimator, LearnerConfig, LinearParameters, prior_factor, prior_floor};
 use nalgebra::{DMatrix, DVector, SVector};
 
-/// Friction columns of a joint that wander, one a row in turn with the noise of all: viscous, Coulomb, Stribeck and bend.
-const WANDERING: usize = 4;
-/// Median of the |z| of a normal z, growth of the variance beyond it, and its range.
+/// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
 const MEDIAN: f64 = 0.6745;
 const VARIANCE_STEP: f64 = 1.005;
 const VARIANCE_RANGE: (f64, f64) = (0.02, 400.0);
@@ -36,26 +34,26 @@ pub(super) fn prior_covariance() -> DMatrix<f64> {
     let friction = N * FRICTION_COLUMNS;
     let mut covariance = DMatrix::<f64>::identity(friction + P, friction + P);
     let mut rigid = covariance.view_mut((friction, friction), (P, P));
-    let floor = SVector::<f64, P>::from(rigid_floor::<Ur5, N, P>().map(f64::from));
+    let floor = SVector::<f64, P>::from(prior_floor::<Ur5, N, P>().map(f64::from));
     rigid.set_diagonal(&floor);
-    for link in (0..).map_while(rigid_doubt::<Ur5, N, P>) {
+    for link in (0..).map_while(prior_factor::<Ur5, N, P>) {
         let link = SVector::<f64, P>::from(link.map(f64::from));
         rigid += link * link.transpose();
     }
     covariance
 }
 
-fn wide(numbers: &Stacked<N, P>) -> DVector<f64> {
+fn wide(numbers: &LinearParameters<N, P>) -> DVector<f64> {
     let numbers: Vec<f64> = numbers.iter().map(|&x| f64::from(x)).collect();
     DVector::from_vec(numbers)
 }
 
 impl Twin {
     pub(super) fn new(config: LearnerConfig<N, P>, prior: &Set) -> Self {
-        let start = wide(&Stacked::of(prior));
+        let start = wide(&LinearParameters::of(prior));
         let n = start.len();
         Self {
-            sigma: wide(&Stacked::sigma(&config)),
+            sigma: wide(&config.sigma()),
             config,
             start,
             theta: DVector::zeros(n),
@@ -68,19 +66,20 @@ impl Twin {
 
     /// Takes in the torque `tau` of `joint` with its row, as the estimator does:
     /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(z, ±k) / √S`, then the bounds by way of P, three at most.
-    pub(super) fn correct(&mut self, joint: usize, row: &Stacked<N, P>, tau: f32) {
+    pub(super) fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32) {
         let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
         let unit = f64::from(self.config.noise * limit);
         let raw = wide(row);
         let value = &self.start + self.sigma.component_mul(&self.theta);
         let innovation = (f64::from(tau) - raw.dot(&value)) / unit;
         let phi = raw.component_mul(&self.sigma) / unit;
-        let wandering = &mut self.wandering[joint];
-        let k = joint * FRICTION_COLUMNS + *wandering;
+        let turn = &mut self.wandering[joint];
+        let columns = RANDOM_WALK_COLUMNS.len();
+        let k = joint * FRICTION_COLUMNS + RANDOM_WALK_COLUMNS[*turn] as usize;
         if self.covariance[(k, k)] < 1.0 {
-            self.covariance[(k, k)] += WANDERING as f64 * f64::from(self.config.process_noise);
+            self.covariance[(k, k)] += columns as f64 * f64::from(self.config.process_noise);
         }
-        *wandering = (*wandering + 1) % WANDERING;
+        *turn = (*turn + 1) % columns;
         let spread = &self.covariance * &phi;
         let s = phi.dot(&spread) + self.variance[joint];
         self.covariance.ger(-1.0 / s, &spread, &spread, 1.0);
@@ -104,7 +103,7 @@ impl Twin {
     /// Moves the worst violated bound of the friction whose columns begin at `first` by way of the covariance.
     fn project(&mut self, first: usize) {
         let mut worst = (1e-4, DVector::zeros(self.theta.len()));
-        for bound in &RESISTING {
+        for bound in &DISSIPATION_BOUNDS {
             let mut direction = DVector::zeros(self.theta.len());
             let mut value = 0.0;
             for (k, &a) in (first..).zip(bound) {
@@ -125,7 +124,7 @@ impl Twin {
     }
 
     /// Largest distance of any parameter of `estimate`, prior standard deviations.
-    pub(super) fn distance(&self, estimate: &Stacked<N, P>) -> f64 {
+    pub(super) fn distance(&self, estimate: &LinearParameters<N, P>) -> f64 {
         let found = (wide(estimate) - &self.start).component_div(&self.sigma);
         (found - &self.theta).amax()
     }

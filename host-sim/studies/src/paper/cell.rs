@@ -1,6 +1,6 @@
 //! One draw of the robustness study: an arm, its noisy torques on the excitation, every method, an unseen path.
 
-use foretorque::arm::ur5::JOINTS;
+use super::JOINTS;
 use crate::StudyError;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
@@ -19,8 +19,6 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Rows of one period of the excitation, of which 80 % are drawn for training.
-pub(super) const ROWS: usize = 2500;
 /// Size of an outlier, share of the torque limit: 20 standard deviations of 1 % noise.
 const OUTLIER: f64 = 0.2;
 /// Step of the unseen path, s.
@@ -47,7 +45,7 @@ const PLAIN: [MethodName; 7] = [
 pub enum FrictionKind {
     /// None at all.
     None,
-    /// Friction inside every linear model here.
+    /// Friction that every linear model here can represent.
     CoulombViscous,
     /// A Stribeck peak on top, which the plain columns cannot say.
     Stribeck,
@@ -71,7 +69,7 @@ impl FrictionKind {
     }
 }
 
-/// One draw.
+/// Conditions of a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Standard deviation of the torque noise, % of the torque limit.
@@ -86,12 +84,12 @@ pub struct Cell {
     pub seed: u64,
 }
 
-/// Result of one method in a draw.
+/// Result of one method on a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MethodDraw {
     /// Torque error on the unseen path against the noise-free torque, moving rows, a ratio.
     pub path_nrmse_ratio: f64,
-    /// Torque error on the 20 % of the excitation's rows that were held out, a ratio.
+    /// NRMSE on the 20 % of the excitation's rows that were held out.
     pub split_nrmse_ratio: f64,
     /// Epochs or iterations.
     pub epochs: usize,
@@ -102,7 +100,7 @@ pub struct MethodDraw {
 /// One draw.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CellRecord {
-    /// The draw.
+    /// Conditions of the draw.
     pub cell: Cell,
     /// Methods by name.
     pub methods: BTreeMap<String, MethodDraw>,
@@ -119,7 +117,7 @@ struct Model {
     suffix: &'static str,
 }
 
-/// Everything that all draws share.
+/// Inputs that all draws share.
 #[derive(Clone, Debug)]
 pub(super) struct Bench {
     /// The description: what the methods know of the arm.
@@ -317,7 +315,7 @@ mod tests {
     #[test]
     fn exact_torques_give_an_exact_model_of_possible_bodies() {
         let robot = Robot::load("ur5").expect("built in");
-        let excitation = serde_json::from_str(crate::paper::config::PRECOMPUTED).expect("precomputed");
+        let excitation = serde_json::from_str(super::super::PRECOMPUTED).expect("precomputed");
         let mut bench = Bench::new(robot, &excitation, 2500).expect("six joints");
         bench.models[0].methods = &[MethodName::Consistent];
         bench.models[1].methods = &[];

@@ -1,13 +1,13 @@
 //! Curves of the steps, for figures and tables.
 
-use foretorque::arm::ur5::JOINTS;
+use super::JOINTS;
 use super::rigid::Sample;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
 use std::io;
 use std::path::Path;
 
-/// Curves of the figures and rows of the tables.
+/// Curves that are drawn and written as tables.
 #[derive(Clone, Debug)]
 pub(super) struct Curves {
     /// Epoch, loss on training and on held-out rows, for plain and accelerated descent.

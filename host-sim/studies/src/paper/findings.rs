@@ -101,18 +101,18 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     out
 }
 
-/// Methods that found no model in some draws.
+/// Which methods found no model now and then.
 fn failures(conditions: &[Condition]) -> Option<String> {
     let mut failed: BTreeMap<&str, usize> = BTreeMap::new();
     for (name, count) in conditions.iter().flat_map(|c| &c.failed) {
         *failed.entry(name).or_default() += count;
     }
     let draws: usize = conditions.iter().map(|c| c.draws).sum();
-    let reported: Vec<String> = failed
+    let told: Vec<String> = failed
         .iter()
         .map(|(name, count)| format!("{name} in {count} of {draws} draws"))
         .collect();
-    (!reported.is_empty()).then(|| format!("Found no model: {}.", reported.join(", ")))
+    (!told.is_empty()).then(|| format!("Found no model: {}.", told.join(", ")))
 }
 
 /// Rows that the methods need: the fewest with which the error is at most twice that with all rows.

@@ -1,10 +1,9 @@
 //! The paper's steps (1) to (4): known parameters, no friction, no rotors, no noise, 36 base parameters.
 
-use super::cell::ROWS;
 use super::curves::Curves;
 use super::rigid::{RigidBody, Rows, Sample};
+use super::{JOINTS, ROWS};
 use crate::StudyError;
-use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{ColumnSet, Layout};
@@ -60,7 +59,7 @@ pub struct Trained {
     pub epochs: usize,
     /// RMSE (eq. 20) on the training rows, every joint over its RMS torque, a ratio.
     pub training_loss_ratio: f64,
-    /// RMSE on the held-out rows, a ratio.
+    /// Loss ratio on the held-out rows.
     pub validation_loss_ratio: f64,
     /// Norm of the error of the base parameters over their norm; `null` where there are none.
     pub base_parameter_error_ratio: Option<f64>,

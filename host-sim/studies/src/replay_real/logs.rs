@@ -1,6 +1,6 @@
 //! The logs as the board meets them, row by row, and what batch least squares on the other paths says of them.
 
-use super::record::{GATE_RAD_S, N};
+use super::{GATE_RAD_S, N};
 use crate::real_ur5::{PATHS, columns};
 use crate::{Progress, StudyError};
 use foretorque::joint::JointMeasurement;
@@ -36,7 +36,7 @@ pub(super) struct Row {
 
 /// A stretch of a log without a gap.
 pub(super) struct Stretch {
-    /// Index of its path.
+    /// Which path it is of.
     pub(super) path: usize,
     pub(super) rows: Vec<Row>,
     pub(super) preparation: Preparation,

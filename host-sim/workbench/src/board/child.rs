@@ -24,9 +24,9 @@ const KEPT_LINES: usize = 60;
 #[derive(Debug)]
 pub(crate) struct Guarded {
     child: Child,
-    message: Arc<Mutex<VecDeque<String>>>,
+    said: Arc<Mutex<VecDeque<String>>>,
     reader: Option<std::thread::JoinHandle<()>>,
-    /// Cores of the calling thread before it joined the emulator on one core.
+    /// Where the calling thread was allowed to run before it joined the emulator on one core.
     affinity: Option<CpuSet>,
 }
 
@@ -60,15 +60,15 @@ impl Guarded {
         unsafe { command.pre_exec(prepare) };
         let mut child = spawn(command)?;
         drop(kept);
-        let message = Arc::new(Mutex::new(VecDeque::new()));
+        let said = Arc::new(Mutex::new(VecDeque::new()));
         let reader = child
             .stderr
             .take()
-            .map(|stderr| listen(stderr, Arc::clone(&message)));
+            .map(|stderr| listen(stderr, Arc::clone(&said)));
         let affinity = core.map(stay_on).transpose()?;
         Ok(Self {
             child,
-            message,
+            said,
             reader,
             affinity,
         })
@@ -101,12 +101,11 @@ impl Guarded {
         }
     }
 
-    /// Last line of the emulator about itself on stderr, else its last line there: when it gives up it also lists all
-    /// registers.
+    /// Last message of the emulator about itself on stderr, else its last line: when it gives up it also lists all registers.
     pub(crate) fn last_words(&self) -> Option<String> {
-        let message = self.message.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = message.iter().rev().find(|line| line.starts_with("qemu"));
-        own.or(message.back()).cloned()
+        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = said.iter().rev().find(|line| line.starts_with("qemu"));
+        own.or(said.back()).cloned()
     }
 }
 
@@ -144,18 +143,18 @@ fn spawn(command: Command) -> io::Result<Child> {
 }
 
 /// Keeps the last lines of the emulator's stderr.
-fn listen(stderr: ChildStderr, message: Arc<Mutex<VecDeque<String>>>) -> std::thread::JoinHandle<()> {
+fn listen(stderr: ChildStderr, said: Arc<Mutex<VecDeque<String>>>) -> std::thread::JoinHandle<()> {
     std::thread::spawn(move || {
         for line in BufReader::new(stderr).lines().map_while(Result::ok) {
             // Said at every start: the pace of virtual time is set by the link, not by a timer.
             if line.contains("icount sleep disabled and no active timers") {
                 continue;
             }
-            let mut message = message.lock().unwrap_or_else(PoisonError::into_inner);
-            if message.len() == KEPT_LINES {
-                message.pop_front();
+            let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
+            if said.len() == KEPT_LINES {
+                said.pop_front();
             }
-            message.push_back(line);
+            said.push_back(line);
         }
     })
 }

@@ -17,7 +17,7 @@ const EDGE: usize = 64;
 /// Sectors.
 const SECTORS: usize = 2;
 
-/// Failure of an operation.
+/// Why an operation did not happen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashError {
     /// The power went, now or before.
@@ -37,7 +37,7 @@ impl NorFlashError for FlashError {
     }
 }
 
-/// Result of the step in which the power fails.
+/// Effect of the step in which the power fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Torn {
     /// The step has not begun.
@@ -77,7 +77,7 @@ impl Torn {
     ];
 }
 
-/// Answer of a write-protected flash to an operation.
+/// How a write-protected flash takes what it does not keep.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Protection {
     /// It is not protected.
@@ -124,7 +124,7 @@ impl<const SECTOR: usize> SimulatedFlash<SECTOR> {
         }
     }
 
-    /// Its content, read without error.
+    /// Content as a perfect reader sees it.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }

@@ -21,7 +21,7 @@ use std::time::Duration;
 
 /// A link that carries bytes to a board and back.
 pub trait Transport {
-    /// Name of the board, for messages: `native`, `qemu`, `serial:/dev/ttyUSB0`.
+    /// Where the board is, for messages: `native`, `qemu`, `serial:/dev/ttyUSB0`.
     fn name(&self) -> String;
 
     /// Sends all of `bytes`.
@@ -38,10 +38,10 @@ pub trait Transport {
     /// Waits at most `timeout` for bytes and puts what there is into `room`. 0 = nothing came.
     ///
     /// Errors: the link is gone; a board that died says so in the error's text.
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
+    fn receive(&mut self, room: &mut [u8], timeout: Duration) -> io::Result<usize>;
 }
 
-/// Failure of an exchange with a board.
+/// Why a conversation with a board failed.
 #[derive(Debug, thiserror::Error)]
 pub enum BoardError {
     /// The link is gone, or the board behind it.
@@ -58,7 +58,7 @@ pub enum BoardError {
     WrongRobot {
         /// The robot wanted.
         wanted: String,
-        /// The robot of the board.
+        /// Identity that the board reports.
         found: String,
     },
     /// The board started over in the middle of the conversation.

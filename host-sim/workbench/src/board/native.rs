@@ -1,7 +1,7 @@
 use super::Transport;
 use foretorque::arm::Arm;
 use foretorque::learning::{ConfigError, Learner, LearnerConfig};
-use foretorque_link::session::{BoardDescription, LearnerMailbox, NoClock, Session};
+use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
 use foretorque_link::wire::FrameBuffer;
 use std::collections::VecDeque;
 use std::io;
@@ -12,7 +12,7 @@ use std::time::Duration;
 /// The learner works through its lesson right after each reply, as it does on the board that simulates in bulk.
 pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
     session: Session<A, N, P>,
-    mailbox: LearnerMailbox<N, P>,
+    mailboxes: Mailboxes<N, P>,
     learner: Learner<A, N, P>,
     out: FrameBuffer,
     waiting: VecDeque<u8>,
@@ -29,7 +29,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
         let set = session.feed_forward().state().active;
         let mut native = Self {
             session,
-            mailbox: LearnerMailbox::new(),
+            mailboxes: Mailboxes::new(),
             learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
             out: FrameBuffer::new(),
             waiting: VecDeque::new(),
@@ -62,17 +62,21 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
-            self.session
-                .receive(frame, &mut self.mailbox, &mut self.out);
+            self.session.receive(
+                frame,
+                &mut self.mailboxes,
+                &mut self.out,
+                &mut NoLocalSensor,
+            );
             self.flush();
-            self.mailbox.work(&mut self.learner, &NoClock);
+            self.mailboxes.learner.work(&mut self.learner, &NoClock);
         }
         Ok(())
     }
 
-    fn receive(&mut self, buffer: &mut [u8], _timeout: Duration) -> io::Result<usize> {
-        let count = buffer.len().min(self.waiting.len());
-        for (slot, byte) in buffer.iter_mut().zip(self.waiting.drain(..count)) {
+    fn receive(&mut self, room: &mut [u8], _timeout: Duration) -> io::Result<usize> {
+        let count = room.len().min(self.waiting.len());
+        for (slot, byte) in room.iter_mut().zip(self.waiting.drain(..count)) {
             *slot = byte;
         }
         Ok(count)

@@ -16,21 +16,21 @@ use super::child::Guarded;
 
 /// The emulator's program.
 const EMULATOR: &str = "qemu-system-arm";
-/// Address of the write key (memory.x).
+/// Where the write key is (memory.x).
 const KEY_START: u32 = 0x080A_0000;
-/// Address of the store (memory.x).
+/// Where the store begins (memory.x).
 const STORE_START: u32 = 0x080C_0000;
-/// Time limit for the end of a dying emulator.
+/// How long the end of a dying emulator is waited for.
 const FUNERAL: Duration = Duration::from_secs(2);
-/// Time limit of a board that takes no bytes.
+/// How long a board may take no bytes.
 pub const PATIENCE: Duration = Duration::from_secs(10);
 
-/// The firmware, which has its own link.
+/// Which firmware, and so which link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Image {
     /// The flashable firmware, over USART2.
     Joint,
-    /// A tick around two pipes (semihosting), for long runs.
+    /// The tick between two pipes (semihosting), for long runs.
     Bulk,
 }
 
@@ -43,7 +43,7 @@ impl Image {
         }
     }
 
-    /// The ELF of the board build: `target/thumbv7em-none-eabihf/firmware/` under the workspace root.
+    /// Where the board build leaves the ELF: `target/thumbv7em-none-eabihf/firmware/` under the workspace root.
     pub fn default_elf(self) -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR"))
             .join("../../target/thumbv7em-none-eabihf/firmware")
@@ -51,7 +51,7 @@ impl Image {
     }
 }
 
-/// Settings of the emulator.
+/// How the emulator is run.
 #[derive(Clone, Debug)]
 pub struct QemuOptions {
     /// The program.
@@ -66,7 +66,7 @@ pub struct QemuOptions {
     /// Core shared by the emulator and the calling thread: they take turns, and waking a neighbour core costs more
     /// than the turn itself. `None` leaves both where they are.
     pub core: Option<usize>,
-    /// Time limit of the board's first byte.
+    /// How long the board may take to say its first byte.
     pub boot: Duration,
     /// File for the raw defmt stream of the flashable firmware.
     pub log: Option<PathBuf>,
@@ -96,7 +96,7 @@ impl QemuOptions {
     }
 }
 
-/// Failure of an emulated board.
+/// Errors of an emulated board.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatorError {
     /// There is no such program.
@@ -112,7 +112,7 @@ pub enum EmulatorError {
     #[error("the emulator died: {0}")]
     Died(String),
     /// It said no hello after start-up.
-    #[error("the emulated board message no hello within {:.1} s: is the ELF a firmware of this project?", .0.as_secs_f64())]
+    #[error("the emulated board said no hello within {:.1} s: is the ELF a firmware of this project?", .0.as_secs_f64())]
     NoHello(Duration),
     /// It takes no bytes.
     #[error("the emulated board took no bytes for {:.1} s", .0.as_secs_f64())]
@@ -131,7 +131,7 @@ pub struct Emulator {
     /// Bytes from the board; `None` when the link is one socket for both directions.
     from_board: Option<OwnedFd>,
     image: Image,
-    /// First bytes of the board, not yet read.
+    /// Bytes received while waiting for the board, not yet read.
     greeting: Vec<u8>,
 }
 
@@ -194,11 +194,11 @@ impl Emulator {
         for end in std::iter::once(&emulator.to_board).chain(&emulator.from_board) {
             fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
         }
-        let mut buffer = [0; 256];
-        match emulator.read(&mut buffer, options.boot)? {
+        let mut room = [0; 256];
+        match emulator.read(&mut room, options.boot)? {
             0 => Err(EmulatorError::NoHello(options.boot)),
             count => {
-                emulator.greeting.extend_from_slice(&buffer[..count]);
+                emulator.greeting.extend_from_slice(&room[..count]);
                 Ok(emulator)
             }
         }
@@ -262,7 +262,7 @@ impl Emulator {
             .is_some_and(|status| status.success()))
     }
 
-    /// Descriptor of the board's bytes.
+    /// Where the board's bytes come from.
     fn ear(&self) -> &OwnedFd {
         self.from_board.as_ref().unwrap_or(&self.to_board)
     }
@@ -272,7 +272,7 @@ impl Emulator {
         ready(self.ear().as_fd(), PollFlags::POLLIN, patience)
     }
 
-    /// Error of a broken link: nearly always the emulator has ended.
+    /// Why the link is gone: nearly always because the emulator is.
     fn broken(&mut self, error: nix::Error) -> EmulatorError {
         match self.process.ended(FUNERAL) {
             Ok(Some(status)) => {
@@ -296,8 +296,8 @@ impl Transport for Emulator {
         self.write(bytes).map_err(io::Error::other)
     }
 
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.read(buffer, timeout).map_err(io::Error::other)
+    fn receive(&mut self, room: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.read(room, timeout).map_err(io::Error::other)
     }
 }
 

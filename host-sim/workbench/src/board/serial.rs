@@ -9,10 +9,10 @@ use super::Transport;
 
 /// Bit rate of the link, as the firmware sets it.
 pub use foretorque_f405::chip::LINK_BAUD as BAUD;
-/// Time limit of a port that takes no bytes.
+/// How long a port may take no bytes.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// A port that could not be opened.
+/// Why a port could not be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SerialError {
     /// There is no such port; the ports there are.
@@ -72,11 +72,11 @@ impl Transport for Serial {
         self.port.write_all(bytes)
     }
 
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+    fn receive(&mut self, room: &mut [u8], timeout: Duration) -> io::Result<usize> {
         if self.port.timeout() != timeout {
             self.port.set_timeout(timeout)?;
         }
-        match self.port.read(buffer) {
+        match self.port.read(room) {
             Ok(0) => Err(io::Error::new(
                 io::ErrorKind::UnexpectedEof,
                 "the port was unplugged",
@@ -89,7 +89,7 @@ impl Transport for Serial {
     }
 }
 
-/// The system's error as one of ours.
+/// Meaning of the system's error.
 fn refusal(path: &str, error: &serialport::Error) -> SerialError {
     let path = path.to_owned();
     if !std::path::Path::new(&path).exists() {
@@ -139,22 +139,22 @@ mod tests {
         let path = end.name().expect("it has a name");
         drop(end);
         let mut serial = Serial::open(&path, 115_200).expect("it is free");
-        let mut buffer = [0; 8];
+        let mut room = [0; 8];
         assert_eq!(
             serial
-                .receive(&mut buffer, Duration::from_millis(10))
+                .receive(&mut room, Duration::from_millis(10))
                 .unwrap(),
             0
         );
         serial.send(&[1, 0, 13]).unwrap();
-        let mut received = [0; 3];
-        board.read_exact(&mut received).unwrap();
-        assert_eq!(received, [1, 0, 13]);
+        let mut heard = [0; 3];
+        board.read_exact(&mut heard).unwrap();
+        assert_eq!(heard, [1, 0, 13]);
         board.write_all(&[9, 10]).unwrap();
         assert_eq!(
-            serial.receive(&mut buffer, Duration::from_secs(1)).unwrap(),
+            serial.receive(&mut room, Duration::from_secs(1)).unwrap(),
             2
         );
-        assert_eq!(buffer[..2], [9, 10]);
+        assert_eq!(room[..2], [9, 10]);
     }
 }

@@ -15,11 +15,11 @@ use foretorque_link::excitation::ExcitationState;
 pub struct TickRecord<const N: usize> {
     /// Time at the beginning of the tick, s.
     pub t_s: f64,
-    /// Desired motion.
+    /// Where the arm should be.
     pub desired: State<N>,
-    /// True positions, free of noise, rad.
+    /// Where it is, free of noise, rad.
     pub q: Joints<N>,
-    /// Measurement of the drives.
+    /// Measurement in the drives.
     pub measured: Measurement<N>,
     /// Measurement that arrived at board and log.
     pub reported: Option<Measurement<N>>,
@@ -27,11 +27,11 @@ pub struct TickRecord<const N: usize> {
     pub tau: Joints<N>,
     /// Feed-forward answered in this tick, in effect in the next, N·m. Zero without a board.
     pub feed_forward: JointVector<N>,
-    /// Shares of the feed-forward in the reply. None without a board.
+    /// Shares of the torque, as far as the reply has them. None without a board.
     pub shares: Option<BoardShares<N>>,
     /// Flags that came with it.
     pub flags: u16,
-    /// State of the board's own excitation, while it is in charge of the desired motion.
+    /// Where the board's own excitation stands, while it is in charge of the desired motion.
     pub stage: Option<ExcitationState>,
 }
 
@@ -40,7 +40,7 @@ pub struct TickRecord<const N: usize> {
 pub struct Answer<const N: usize> {
     /// The feed-forward torque, N·m.
     pub total: JointVector<N>,
-    /// Shares of the torque, as far as they are known.
+    /// Shares of the torque, as far as known.
     pub shares: Option<BoardShares<N>>,
     /// Flags of the tick.
     pub flags: u16,

@@ -1,8 +1,6 @@
-//! Failures of an excitation.
+//! Errors of an excitation.
 
-use crate::robot::Robot;
-
-/// An excitation that was refused, or not found.
+/// Reason for which an excitation is refused, or not found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ExcitationError {
     /// It belongs to another robot.
@@ -10,58 +8,55 @@ pub enum ExcitationError {
     Robot {
         /// Robot of the file.
         found: String,
-        /// Robot asked for.
+        /// Robot expected.
         expected: String,
     },
     /// Another number of joints or harmonics than expected, or a coefficient or period that makes no sense.
     #[error("excitation: {problem}")]
     Shape {
-        /// The problem.
+        /// Reason.
         problem: String,
     },
     /// The range of a joint is empty.
-    #[error("excitation: limits of joint {joint} leave no limit to move")]
+    #[error("excitation: limits of joint {joint} leave no room to move")]
     Infeasible {
         /// The joint, from 1.
         joint: usize,
     },
-    /// No pose at all is that far away.
+    /// No pose has that clearance.
     #[error(
-        "excitation: no path keeps all limits; in no pose is {of} clear by more than {most_m:.3} m, asked for {asked_m} m"
+        "excitation: no path keeps all limits; in no pose is {of} clear by more than {largest_m:.3} m, asked for {required_m} m"
     )]
     OutOfReach {
-        /// The two bodies.
+        /// Names of the two bodies.
         of: String,
-        /// More than can be had, m.
-        most_m: f64,
-        /// Distance asked for, m.
-        asked_m: f64,
+        /// Upper bound of the clearance over all poses, m.
+        largest_m: f64,
+        /// Distance that is required, m.
+        required_m: f64,
     },
     /// No start of the search ended inside all limits.
     #[error(
-        "excitation: no path keeps all limits; the best one has {limit} {reached}, asked for {asked}"
+        "excitation: no path keeps all limits; the best one has {limit} {reached}, asked for {required}"
     )]
     Unkept {
         /// The limit that was missed by the best start.
         limit: String,
-        /// Value reached, with its unit.
+        /// Value that was reached, with its unit.
         reached: String,
-        /// Value asked for, with its unit.
-        asked: String,
+        /// Value that is required, with its unit.
+        required: String,
     },
-    /// Torque does not tell all parameters apart on any path that was tried.
+    /// Torque does not distinguish all parameters on any path that was tried.
     #[error("excitation: within these limits torque cannot see all base parameters")]
     Unseen,
 }
 
 impl ExcitationError {
-    /// A robot that has not `expected` joints.
-    pub(super) fn joints(robot: &Robot, expected: usize) -> Self {
+    /// The error of a robot that has not `expected` joints.
+    pub(super) fn joint_count(found: usize, expected: usize) -> Self {
         Self::Shape {
-            problem: format!(
-                "{} joints where {expected} are expected",
-                robot.joint_count()
-            ),
+            problem: format!("{found} joints where {expected} are expected"),
         }
     }
 }

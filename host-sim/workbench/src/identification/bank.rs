@@ -11,11 +11,11 @@ use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 
 /// The bank of a fit over columns the board has; `None` when the layout is not that of `A`.
 ///
-/// Columns that were not fitted are zero and keep the doubt of a bank nobody has identified.
+/// Columns without a fit are zero and keep the deviation of an unidentified bank.
 ///
 /// * `layout` the columns of `fit`
-/// * `networks` one a joint, or none: then they say nothing
-/// * `cogging` direct connections of the networks from the cogging phase, N·m: what the board's cogging columns are for
+/// * `networks` one a joint; zero without
+/// * `cogging` direct connections of the networks from the cogging phase, N·m: they go to the board's cogging columns
 pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
     robot: &Robot,
     layout: &Layout<N>,

@@ -1,4 +1,4 @@
-//! Confidence intervals by resampling blocks of rows [Künsch 1989]: neighbouring errors belong together, blocks hardly.
+//! Confidence intervals by resampling blocks of rows [Künsch 1989]: neighbouring errors are correlated, blocks hardly.
 
 use super::columns::Layout;
 use super::dataset::SampleRow;
@@ -9,14 +9,14 @@ use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Times the blocks are drawn.
+/// Number of draws.
 const DRAWS: usize = 200;
-/// Blocks the training rows are cut into.
+/// Number of blocks of training rows.
 const BLOCKS: usize = 40;
-/// Rows of the sample that are used at most.
+/// Most rows of the sample that are used.
 const ROWS: usize = 8000;
 
-/// Draws as many blocks as there are, with replacement, `DRAWS` times; hands the numbers of each draw to `score`.
+/// Scores of 200 draws of all blocks with replacement; `score` takes the numbers of a draw.
 pub(super) fn resample<T>(
     blocks: usize,
     seed: u64,
@@ -35,13 +35,11 @@ pub(super) fn resample<T>(
 }
 
 /// The middle 95 % of `values`; `None` of fewer than two.
-pub(super) fn middle(values: &mut [f64]) -> Option<[f64; 2]> {
+pub(super) fn middle(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
+    let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
-    let at = |share: f64| values.get(((values.len() - 1) as f64 * share).round() as usize);
-    if values.len() < 2 {
-        return None;
-    }
-    Some([*at(0.025)?, *at(0.975)?])
+    let last = values.len().checked_sub(1).filter(|last| *last > 0)?;
+    Some([0.025, 0.975].map(|share| values[(last as f64 * share).round() as usize]))
 }
 
 /// 95 % intervals of the parameters of a least-squares method; `None` for others.
@@ -67,12 +65,9 @@ pub(super) fn parameter_intervals<const N: usize>(
     let blocks: Vec<_> = rows
         .chunks(length)
         .map(|block| {
-            let mut own = TrainingData::of(layout, block.to_vec());
-            if robust {
-                own.weigh(layout, &fit.theta, &sigma);
-                return own.clean_sums.weighted(layout, &sigma);
-            }
-            own.sums.weighted(layout, &sigma)
+            let own = TrainingData::of(layout, block.to_vec());
+            let robust = robust.then(|| own.robust_sums(layout, &fit.theta, &sigma));
+            robust.unwrap_or(own.sums.all).weighted(layout, &sigma)
         })
         .collect();
     let size = layout.parameters.len();
@@ -82,12 +77,11 @@ pub(super) fn parameter_intervals<const N: usize>(
             gram += &blocks[place].0;
             moment += &blocks[place].1;
         }
-        // A draw that misses the blocks which show a parameter says nothing about it.
+        // A draw may miss the blocks which show a parameter.
         Some(solve(&gram, &moment)?.0)
     });
-    (0..size)
-        .map(|place| middle(&mut draws.iter().map(|theta| theta[place]).collect::<Vec<_>>()))
-        .collect()
+    let values = |place| draws.iter().map(move |theta: &DVector<f64>| theta[place]);
+    (0..size).map(|place| middle(values(place))).collect()
 }
 
 #[cfg(test)]
@@ -95,14 +89,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_interval_of_a_mean_is_two_deviations_wide_each_way() {
+    fn interval_of_a_mean_spans_two_deviations_each_way() {
         // 400 blocks of uniform numbers: the mean has a deviation of 1 / sqrt(12 · 400).
         let mut random = ChaCha8Rng::seed_from_u64(2);
         let values: Vec<f64> = (0..400).map(|_| random.random_range(0.0..1.0)).collect();
-        let mut means = resample(values.len(), 1, |draw| {
+        let means = resample(values.len(), 1, |draw| {
             Some(draw.iter().map(|&k| values[k]).sum::<f64>() / draw.len() as f64)
         });
-        let [low, high] = middle(&mut means).expect("many draws");
+        let [low, high] = middle(means.into_iter()).expect("many draws");
         let wide = 2.0 * 1.96 / (12.0_f64 * 400.0).sqrt();
         assert!(
             (0.75..1.25).contains(&((high - low) / wide)),

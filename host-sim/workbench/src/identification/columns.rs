@@ -1,18 +1,18 @@
-//! The columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
+//! Columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
 
+use super::error::UnknownName;
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::{LINK_PARAMETERS, Robot};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use std::fmt;
 use std::str::FromStr;
 
-/// Speed at which the smoothed sign of the Coulomb column has reached 76 %, rad/s: the same as on the board, so that a
-/// parameter means the same here and there.
+/// Speed at which the smoothed sign of the Coulomb column has reached 76 %, rad/s, as on the board.
 pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
 /// Width of the Stribeck peak, rad/s, as on the board.
 const STRIBECK_RAD_S: f64 = 0.09;
-/// Speed at which the bend of friction has gone to a half, rad/s, as on the board.
-const BEND_RAD_S: f64 = 0.6;
+/// Speed at which the shear-thinning column has fallen to a half, rad/s, as on the board.
+const SHEAR_RAD_S: f64 = 0.6;
 
 /// One friction term of a joint, linear in its parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,13 +25,13 @@ pub enum FrictionColumn {
     Offset,
     /// `tanh(qd / SIGN_WIDTH) exp(−(qd / w)²)` with w = 0.09 rad/s
     Stribeck,
-    /// `tanh(qd / SIGN_WIDTH) / (1 + (qd / w)²)` with w = 0.6 rad/s: friction of lubricated drives bends
-    Bend,
+    /// `tanh(qd / SIGN_WIDTH) / (1 + (qd / w)²)` with w = 0.6 rad/s: shear thinning of the lubricant
+    ShearThinning,
     /// `tanh(qd / SIGN_WIDTH) sqrt|qd|`
     Root,
     /// `qd³`
     Cubic,
-    /// `tanh(qd / SIGN_WIDTH) |G(q)|`, gravity torque of the description; a joint that gravity never moves has no such column
+    /// `tanh(qd / SIGN_WIDTH) |G(q)|`, gravity torque of the description; absent where gravity never moves the joint
     Load,
     /// `sin(z q)`, z cycles a turn from the description
     CoggingSine,
@@ -41,31 +41,29 @@ pub enum FrictionColumn {
     WarmUp,
 }
 
+use FrictionColumn::*;
+
 impl FrictionColumn {
-    /// The board has this column.
-    pub(super) fn on_board(self) -> bool {
+    /// Symbol in a parameter bank, unit of the parameter, and whether the board has the column.
+    fn properties(self) -> (&'static str, &'static str, bool) {
         match self {
-            Self::Viscous | Self::Coulomb | Self::Stribeck | Self::Bend => true,
-            Self::Load | Self::Offset | Self::CoggingSine | Self::CoggingCosine => true,
-            Self::Root | Self::Cubic | Self::WarmUp => false,
+            Viscous => ("Fv", "N·m·s/rad", true),
+            Coulomb => ("Fc", "N·m", true),
+            Offset => ("Fo", "N·m", true),
+            Stribeck => ("Fs", "N·m", true),
+            ShearThinning => ("Fb", "N·m", true),
+            Root => ("Fr", "N·m·(s/rad)^0.5", false),
+            Cubic => ("F3", "N·m·(s/rad)^3", false),
+            Load => ("Fl", "1", true),
+            CoggingSine => ("Gs", "N·m", true),
+            CoggingCosine => ("Gc", "N·m", true),
+            WarmUp => ("Fvt", "N·m/rad", false),
         }
     }
 
-    /// Short name, as in a parameter bank, and unit of the parameter.
-    fn name(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Viscous => ("Fv", "N·m·s/rad"),
-            Self::Coulomb => ("Fc", "N·m"),
-            Self::Offset => ("Fo", "N·m"),
-            Self::Stribeck => ("Fs", "N·m"),
-            Self::Bend => ("Fb", "N·m"),
-            Self::Root => ("Fr", "N·m·(s/rad)^0.5"),
-            Self::Cubic => ("F3", "N·m·(s/rad)^3"),
-            Self::Load => ("Fl", "1"),
-            Self::CoggingSine => ("Gs", "N·m"),
-            Self::CoggingCosine => ("Gc", "N·m"),
-            Self::WarmUp => ("Fvt", "N·m/rad"),
-        }
+    /// Viscous or Coulomb friction, which every drive has.
+    pub(super) fn is_plain(self) -> bool {
+        matches!(self, Viscous | Coulomb)
     }
 }
 
@@ -73,58 +71,41 @@ impl FrictionColumn {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColumnSet(Vec<FrictionColumn>);
 
-/// Words of a column set and what they stand for.
+/// Words of a column set and their columns.
 const WORDS: [(&str, &[FrictionColumn]); 8] = [
-    (
-        "coulomb-viscous",
-        &[FrictionColumn::Viscous, FrictionColumn::Coulomb],
-    ),
-    ("offset", &[FrictionColumn::Offset]),
-    (
-        "stribeck",
-        &[FrictionColumn::Stribeck, FrictionColumn::Bend],
-    ),
-    ("sqrt", &[FrictionColumn::Root]),
-    ("cubic", &[FrictionColumn::Cubic]),
-    ("load", &[FrictionColumn::Load]),
-    (
-        "cogging",
-        &[FrictionColumn::CoggingSine, FrictionColumn::CoggingCosine],
-    ),
-    ("warm-up", &[FrictionColumn::WarmUp]),
+    ("coulomb-viscous", &[Viscous, Coulomb]),
+    ("offset", &[Offset]),
+    ("stribeck", &[Stribeck, ShearThinning]),
+    ("sqrt", &[Root]),
+    ("cubic", &[Cubic]),
+    ("load", &[Load]),
+    ("cogging", &[CoggingSine, CoggingCosine]),
+    ("warm-up", &[WarmUp]),
 ];
 
 impl FromStr for ColumnSet {
-    type Err = String;
+    type Err = UnknownName;
 
     /// `coulomb-viscous`, and any of the other words after it, joined by `+`; or `full` for all of them.
-    fn from_str(text: &str) -> Result<Self, String> {
-        let mut columns: Vec<FrictionColumn> = WORDS[0].1.to_vec();
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let mut set = Self::plain();
         for word in text.split('+').map(str::trim) {
-            let found: Vec<FrictionColumn> = if word == "full" {
-                WORDS
-                    .iter()
-                    .flat_map(|(_, columns)| *columns)
-                    .copied()
-                    .collect()
-            } else {
-                let known = WORDS.iter().find(|(name, _)| *name == word);
-                let (_, columns) = known.ok_or_else(|| {
-                    let names: Vec<&str> = WORDS.iter().map(|(name, _)| *name).collect();
-                    format!(
-                        "unknown column set '{word}': join any of {} by '+', or take full for all",
-                        names.join(", ")
-                    )
-                })?;
-                columns.to_vec()
-            };
+            let known = WORDS
+                .iter()
+                .filter(|(name, _)| [*name, "full"].contains(&word));
+            let found: Vec<FrictionColumn> =
+                known.flat_map(|(_, columns)| *columns).copied().collect();
+            if found.is_empty() {
+                let names = WORDS.map(|(name, _)| name).join(", ");
+                return Err(UnknownName::Columns(word.to_owned(), names));
+            }
             for column in found {
-                if !columns.contains(&column) {
-                    columns.push(column);
+                if !set.0.contains(&column) {
+                    set.0.push(column);
                 }
             }
         }
-        Ok(Self(columns))
+        Ok(set)
     }
 }
 
@@ -136,26 +117,21 @@ impl ColumnSet {
 
     /// The part of it that the board has, and the words for the rest.
     pub fn on_board(&self) -> (Self, Vec<&'static str>) {
-        let (known, other): (Vec<_>, Vec<_>) = self.0.iter().partition(|column| column.on_board());
-        let words = WORDS
-            .iter()
-            .filter(|(_, columns)| other.contains(&columns[0]));
-        (Self(known), words.map(|(word, _)| *word).collect())
+        let (known, other) = self.0.iter().partition(|column| column.properties().2);
+        (Self(known), Self(other).words())
     }
 
-    /// Its terms.
-    pub fn columns(&self) -> &[FrictionColumn] {
-        &self.0
+    fn words(&self) -> Vec<&'static str> {
+        let words = WORDS
+            .iter()
+            .filter(|(_, columns)| self.0.contains(&columns[0]));
+        words.map(|(name, _)| *name).collect()
     }
 }
 
 impl fmt::Display for ColumnSet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let words = WORDS
-            .iter()
-            .filter(|(_, columns)| self.0.contains(&columns[0]));
-        let words: Vec<&str> = words.map(|(name, _)| *name).collect();
-        f.write_str(&words.join("+"))
+        f.write_str(&self.words().join("+"))
     }
 }
 
@@ -170,7 +146,7 @@ pub struct Parameter {
     pub friction: Option<(FrictionColumn, usize)>,
 }
 
-/// Place of every column of the model, and the columns that each joint's torque depends on.
+/// Order of the parameters, and the columns of each joint's equation.
 #[derive(Clone, Debug)]
 pub struct Layout<const N: usize> {
     /// All parameters: base set, then friction joint by joint.
@@ -179,7 +155,7 @@ pub struct Layout<const N: usize> {
     pub base: usize,
     /// Parameters in each joint's equation: those of its own and later links, its own rotor and friction.
     pub active: [Vec<usize>; N],
-    /// First entry of each joint in a row of all joints' active columns, and the length of that row.
+    /// First entry of each joint in a row of all joints' active columns.
     pub offset: [usize; N],
     /// Length of that row.
     pub width: usize,
@@ -191,8 +167,7 @@ pub struct Layout<const N: usize> {
     cogging: [f64; N],
 }
 
-/// True for joints that feel gravity in some position: not one whose axis stands upright, nor one that turns a link about its
-/// centre of mass.
+/// Joints that gravity moves in some position: no upright axis, and no link turned about its centre of mass.
 fn feels_gravity<const N: usize>(model: &ReferenceModel<N>) -> [bool; N] {
     const LEAST_NM: f64 = 1e-9;
     let mut feels = [false; N];
@@ -209,51 +184,40 @@ fn feels_gravity<const N: usize>(model: &ReferenceModel<N>) -> [bool; N] {
 impl<const N: usize> Layout<N> {
     /// The layout for a robot; `None` when it has not `N` joints.
     pub fn new(robot: &Robot, set: &ColumnSet) -> Option<Self> {
-        const SYMBOLS: [(&str, &str); LINK_PARAMETERS] = [
-            ("m", "kg"),
-            ("mx", "kg·m"),
-            ("my", "kg·m"),
-            ("mz", "kg·m"),
-            ("Ixx", "kg·m²"),
-            ("Iyy", "kg·m²"),
-            ("Izz", "kg·m²"),
-            ("Ixy", "kg·m²"),
-            ("Ixz", "kg·m²"),
-            ("Iyz", "kg·m²"),
+        const SYMBOLS: [&str; LINK_PARAMETERS] = [
+            "m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz",
         ];
         let model = ReferenceModel::<N>::new(robot)?;
         let standard = robot.base_map().columns;
-        let base = standard.len();
         let mut parameters = Vec::new();
         let mut active: [Vec<usize>; N] = std::array::from_fn(|_| Vec::new());
         for (place, &column) in standard.iter().enumerate() {
-            let (link, (symbol, unit)) = if column < LINK_PARAMETERS * N {
-                let link = column / LINK_PARAMETERS;
-                for seen in active.iter_mut().take(link + 1) {
-                    seen.push(place);
+            let (link, kind) = (column / LINK_PARAMETERS, column % LINK_PARAMETERS);
+            let (first, last, symbol, unit) = match (link < N, kind) {
+                (true, 0) => (0, link, SYMBOLS[kind], "kg"),
+                (true, 1..=3) => (0, link, SYMBOLS[kind], "kg·m"),
+                (true, _) => (0, link, SYMBOLS[kind], "kg·m²"),
+                (false, _) => {
+                    let joint = column - LINK_PARAMETERS * N;
+                    (joint, joint, "Ia", "kg·m²")
                 }
-                (link, SYMBOLS[column % LINK_PARAMETERS])
-            } else {
-                let joint = column - LINK_PARAMETERS * N;
-                active[joint].push(place);
-                (joint, ("Ia", "kg·m²"))
             };
+            for seen in &mut active[first..=last] {
+                seen.push(place);
+            }
             parameters.push(Parameter {
-                name: format!("{symbol}{}", link + 1),
+                name: format!("{symbol}{}", last + 1),
                 unit,
                 friction: None,
             });
         }
-        let feels_gravity = feels_gravity(&model);
-        let friction = feels_gravity.map(|feels| {
-            let columns = set.columns().iter().copied();
-            columns
-                .filter(|&column| feels || column != FrictionColumn::Load)
-                .collect::<Vec<_>>()
+        let friction = feels_gravity(&model).map(|feels| -> Vec<FrictionColumn> {
+            let columns = set.0.iter().copied();
+            columns.filter(|&column| feels || column != Load).collect()
         });
         for (joint, active) in active.iter_mut().enumerate() {
             for &column in &friction[joint] {
-                let (symbol, unit) = column.name();
+                let (symbol, unit, _) = column.properties();
                 active.push(parameters.len());
                 parameters.push(Parameter {
                     name: format!("{symbol}{}", joint + 1),
@@ -262,15 +226,14 @@ impl<const N: usize> Layout<N> {
                 });
             }
         }
-        let mut offset = [0; N];
         let mut width = 0;
-        for (offset, active) in offset.iter_mut().zip(&active) {
-            *offset = width;
-            width += active.len();
-        }
+        let offset = std::array::from_fn(|joint| {
+            width += active[joint].len();
+            width - active[joint].len()
+        });
         Some(Self {
             parameters,
-            base,
+            base: standard.len(),
             active,
             offset,
             width,
@@ -281,33 +244,37 @@ impl<const N: usize> Layout<N> {
         })
     }
 
-    /// Places of the parameters that a poorer layout of the same robot has.
+    /// Places in this layout of the parameters of a poorer layout of the same robot.
     pub fn places_of(&self, poorer: &Self) -> Vec<usize> {
-        let names = poorer.parameters.iter();
-        names
-            .filter_map(|wanted| {
-                self.parameters
-                    .iter()
-                    .position(|own| own.name == wanted.name)
-            })
-            .collect()
+        let place = |wanted: &Parameter| {
+            self.parameters
+                .iter()
+                .position(|own| own.name == wanted.name)
+        };
+        poorer.parameters.iter().filter_map(place).collect()
     }
 
-    /// Widths of the bells `exp(−(qd / w)²)` that have height and area of the Stribeck peak and of the bend, rad/s.
-    pub(super) fn bell_widths(&self) -> [f64; 2] {
-        [STRIBECK_RAD_S, BEND_RAD_S * std::f64::consts::PI.sqrt()]
+    /// Active columns of `joint` in a row of all joints' active columns.
+    pub(super) fn columns<'r>(&self, joint: usize, row: &'r [f64]) -> &'r [f64] {
+        &row[self.offset[joint]..][..self.active[joint].len()]
+    }
+
+    /// Torque of the linear model at `joint` from its active columns, N·m.
+    pub(super) fn torque(&self, joint: usize, columns: &[f64], theta: &DVector<f64>) -> f64 {
+        let pairs = columns.iter().zip(&self.active[joint]);
+        pairs.map(|(x, &place)| x * theta[place]).sum()
+    }
+
+    /// Widths w of two Gaussians `exp(−(qd / w)²)`, rad/s: height and area of the Stribeck and shear-thinning columns.
+    pub(super) fn gaussian_widths(&self) -> [f64; 2] {
+        [STRIBECK_RAD_S, SHEAR_RAD_S * std::f64::consts::PI.sqrt()]
     }
 
     /// `[sin(z q), cos(z q)]` of every joint, z its cogging cycles a turn; zero where the description gives none.
     pub fn cogging_basis(&self, q: &Joints<N>) -> [[f64; 2]; N] {
-        std::array::from_fn(|joint| {
-            let cycles = self.cogging[joint];
-            if cycles > 0.0 {
-                let (sin, cos) = (cycles * q[joint]).sin_cos();
-                [sin, cos]
-            } else {
-                [0.0; 2]
-            }
+        std::array::from_fn(|joint| match self.cogging[joint] {
+            cycles if cycles > 0.0 => (cycles * q[joint]).sin_cos().into(),
+            _ => [0.0; 2],
         })
     }
 
@@ -323,34 +290,29 @@ impl<const N: usize> Layout<N> {
         table: &mut Vec<f64>,
     ) {
         self.model.regressor_into(state, scratch, 0);
-        let loaded = |columns: &Vec<FrictionColumn>| columns.contains(&FrictionColumn::Load);
-        let load = if self.friction.iter().any(loaded) {
+        let load = if self.friction.iter().any(|columns| columns.contains(&Load)) {
             self.model.gravity_torques(&state.q)
         } else {
             Joints::zeros()
         };
-        for joint in 0..N {
+        for (joint, friction) in self.friction.iter().enumerate() {
             let (q, qd) = (state.q[joint], state.qd[joint]);
-            let friction = &self.friction[joint];
-            let inertial = &self.active[joint][..self.active[joint].len() - friction.len()];
-            table.extend(
-                inertial
-                    .iter()
-                    .map(|&place| scratch[(joint, self.standard[place])]),
-            );
+            let active = &self.active[joint];
+            let inertial = active[..active.len() - friction.len()].iter();
+            table.extend(inertial.map(|&place| scratch[(joint, self.standard[place])]));
             let sign = (qd / SIGN_WIDTH_RAD_S).tanh();
             table.extend(friction.iter().map(|column| match column {
-                FrictionColumn::Viscous => qd,
-                FrictionColumn::Coulomb => sign,
-                FrictionColumn::Offset => 1.0,
-                FrictionColumn::Stribeck => sign * (-(qd / STRIBECK_RAD_S).powi(2)).exp(),
-                FrictionColumn::Bend => sign / (1.0 + (qd / BEND_RAD_S).powi(2)),
-                FrictionColumn::Root => sign * qd.abs().sqrt(),
-                FrictionColumn::Cubic => qd.powi(3),
-                FrictionColumn::Load => sign * load[joint].abs(),
-                FrictionColumn::CoggingSine => (self.cogging[joint] * q).sin(),
-                FrictionColumn::CoggingCosine => (self.cogging[joint] * q).cos(),
-                FrictionColumn::WarmUp => qd * age_s,
+                Viscous => qd,
+                Coulomb => sign,
+                Offset => 1.0,
+                Stribeck => sign * (-(qd / STRIBECK_RAD_S).powi(2)).exp(),
+                ShearThinning => sign / (1.0 + (qd / SHEAR_RAD_S).powi(2)),
+                Root => sign * qd.abs().sqrt(),
+                Cubic => qd.powi(3),
+                Load => sign * load[joint].abs(),
+                CoggingSine => (self.cogging[joint] * q).sin(),
+                CoggingCosine => (self.cogging[joint] * q).cos(),
+                WarmUp => qd * age_s,
             }));
         }
     }
@@ -365,30 +327,24 @@ mod tests {
         let robot = Robot::load("ur5").expect("built in");
         let set = ColumnSet::from_str("coulomb-viscous+load").expect("known words");
         let layout = Layout::<6>::new(&robot, &set).expect("six joints");
-        let loads = layout.parameters.iter().filter_map(|p| p.friction);
-        let loaded: Vec<usize> = loads
-            .filter(|(column, _)| *column == FrictionColumn::Load)
-            .map(|(_, joint)| joint)
-            .collect();
+        let friction = layout.parameters.iter().filter_map(|p| p.friction);
+        let load = friction.filter(|(column, _)| *column == Load);
+        let joints: Vec<usize> = load.map(|(_, joint)| joint).collect();
         // The first axis stands upright, the last one carries its link in the middle.
-        assert_eq!(loaded, [1, 2, 3, 4]);
+        assert_eq!(joints, [1, 2, 3, 4]);
 
-        let q = Joints::from_fn(|joint, _| 0.3 + joint as f64);
         let state = State {
-            q,
+            q: Joints::from_fn(|joint, _| 0.3 + joint as f64),
             qd: Joints::repeat(-1.0),
             qdd: Joints::repeat(2.0),
         };
         let (mut row, mut scratch) = (Vec::new(), DMatrix::zeros(6, 66));
         layout.append_row(&state, 0.0, &mut scratch, &mut row);
         assert_eq!(row.len(), layout.width);
-        let gravity = layout.model.gravity_torques(&q);
-        for joint in loaded {
-            let last = layout.offset[joint] + layout.active[joint].len() - 1;
-            assert!(
-                (row[last] + gravity[joint].abs()).abs() < 1e-12,
-                "joint {joint}"
-            );
+        let gravity = layout.model.gravity_torques(&state.q);
+        for joint in joints {
+            let last = layout.columns(joint, &row).last().expect("not empty");
+            assert!((last + gravity[joint].abs()).abs() < 1e-12, "joint {joint}");
         }
     }
 }

@@ -1,17 +1,17 @@
-//! Physically consistent parameters: a convex programme over everything the arm is made of.
+//! Physically consistent parameters: a convex programme over all bodies of the arm.
 //!
-//! The base parameters β and friction φ of a robust fit say `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)` about y = (β, φ). Here β = B x, with x
-//! all standard parameters and rotor inertias, and x must be what bodies can have: every link's pseudo-inertia
+//! A robust fit of base parameters β and friction φ costs `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)` at y = (β, φ). Here β = B x, x holds all
+//! standard parameters and rotor inertias, and x must be physical: every link's pseudo-inertia
 //!
 //! ```text
 //! P = | Σ    m c |      Σ = ½ tr(I) 1 − I,   I about the link origin
 //!     | m cᵀ  m  |
 //! ```
-//! is positive definite [Wensing, Kim and Slotine 2018, eq. 21], rotor inertias and plain friction are positive. Torque cannot
-//! see all of x: what it leaves open stays near the description in the affine-invariant sense of the Bregman divergence
+//! is positive definite [Wensing, Kim and Slotine 2018, eq. 21], rotor inertias and plain friction are positive. Torque does
+//! not observe all of x: the rest stays near the description in the affine-invariant sense of the Bregman divergence
 //! `tr(P₀⁻¹P) − log det(P₀⁻¹P) − 4` [Lee, Wensing and Park 2020], which is also the barrier of the cone, so that one
-//! path-following Newton method minimises the whole. A conic solver from a library would need LAPACK on the machine for
-//! its semidefinite cones; with 4 × 4 blocks, Cholesky factors of nalgebra are all that is needed.
+//! path-following Newton method minimises the whole. A conic solver from a library would need LAPACK for its semidefinite
+//! cones; 4 × 4 blocks need only the Cholesky factors of nalgebra.
 
 use super::columns::{FrictionColumn, Layout};
 use super::methods::Fit;
@@ -27,29 +27,29 @@ pub(super) struct ConsistentFit<const N: usize> {
     pub fit: Fit<N>,
     /// The description with the identified links, rotors and friction.
     pub robot: Robot,
-    /// Cost of consistency: `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)`. Noise alone makes half the number of parameters of it.
+    /// Cost of consistency, `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)`; its mean under noise alone is half the number of parameters.
     pub distance_nats: f64,
 }
 
 /// Weight of the divergence from the description at the start of the path, in nats, and at its end. The optimum is missed
-/// by less than the last weight times the number of barriers (6 a joint), far less than what noise makes of it.
+/// by less than the last weight times the number of barriers (6 a joint), far below the effect of noise.
 const WEIGHTS: (f64, f64) = (1e6, 1e-2);
 /// Each weight over the one before.
 const WEIGHT_STEP: f64 = 0.1;
-/// Newton steps at one weight at most, and the decrement (nats) at which it is settled.
+/// Most Newton steps at one weight, and the decrement (nats) at which they end.
 const STEPS: usize = 60;
 const SETTLED: f64 = 1e-8;
-/// Distance of the description from the data, nats, beyond which data are not believed: torques without noise would bury
-/// the barriers below the rounding of their own costs, and the path would end on the way.
+/// Largest distance of the description from the data, nats: torques without noise would put the barriers below the
+/// rounding of their own costs, and the path would end early.
 const SHARPEST: f64 = 1e10;
-/// Least second moment of a link of the description, as a share of their sum: figures of thin bodies lie on the edge of
-/// the cone, and the path must start inside.
+/// Least second moment of a link of the description, as a share of their sum: thin bodies lie on the edge of the cone, and
+/// the path must start inside.
 const THINNEST: f64 = 1e-3;
 /// Least value of a positive scalar of the description from which the path may start, SI.
 const LEAST: f64 = 1e-3;
 
-/// The consistent parameters nearest to what `free` says, in the metric of its covariance. `None` when a matrix that
-/// must be positive definite is not.
+/// The consistent parameters nearest to `free` in the metric of its covariance; `None` when a matrix that must be positive
+/// definite is not.
 pub(super) fn consistent<const N: usize>(
     robot: &Robot,
     layout: &Layout<N>,
@@ -62,20 +62,20 @@ pub(super) fn consistent<const N: usize>(
         let apart = theta - &free.theta;
         0.5 * apart.dot(&(&information * &apart))
     };
-    let believed = (SHARPEST / distance(&(&map * &cone.centre))).min(1.0);
-    let hessian = map.tr_mul(&(&information * &map)) * believed;
-    let moment = map.tr_mul(&(&information * &free.theta)) * believed;
+    let share = (SHARPEST / distance(&(&map * &cone.centre))).min(1.0);
+    let hessian = map.tr_mul(&(&information * &map)) * share;
+    let moment = map.tr_mul(&(&information * &free.theta)) * share;
     let cost = |z: &DVector<f64>| 0.5 * z.dot(&(&hessian * z)) - moment.dot(z);
     let mut z = cone.centre.clone();
     let (mut weight, mut steps) = (WEIGHTS.0, 0);
-    let mut doubt = DMatrix::zeros(z.len(), z.len());
+    let mut covariance = DMatrix::zeros(z.len(), z.len());
     while weight >= 0.99 * WEIGHTS.1 {
         for _ in 0..STEPS {
             let mut slope = &hessian * &z - &moment;
             let mut curvature = hessian.clone();
             cone.differentiate(&z, weight, &mut slope, &mut curvature)?;
             let (step, inverse) = solve_damped(&curvature, &-&slope)?;
-            doubt = inverse;
+            covariance = inverse;
             steps += 1;
             let decrement = -slope.dot(&step);
             if decrement < SETTLED {
@@ -83,7 +83,7 @@ pub(super) fn consistent<const N: usize>(
             }
             let before = cost(&z) + weight * cone.divergence(&z)?;
             let mut length = 1.0;
-            // Short enough to stay inside the cone and to gain: convexity guarantees both in the end.
+            // Short enough to stay inside the cone and to descend: convexity guarantees both.
             while length > 1e-12 {
                 let next = &z + &step * length;
                 let after = cone.divergence(&next).map(|d| cost(&next) + weight * d);
@@ -94,7 +94,7 @@ pub(super) fn consistent<const N: usize>(
                 length *= 0.5;
             }
             if length <= 1e-12 {
-                // Nothing left to gain in this arithmetic.
+                // The decrease is below rounding.
                 break;
             }
         }
@@ -105,7 +105,7 @@ pub(super) fn consistent<const N: usize>(
         distance_nats: distance(&theta),
         robot: described(robot, layout, &z),
         fit: Fit {
-            covariance: &map * doubt * map.transpose() * believed,
+            covariance: &map * covariance * map.transpose() * share,
             theta,
             sigma: free.sigma,
             iterations: free.iterations + steps,
@@ -113,8 +113,8 @@ pub(super) fn consistent<const N: usize>(
     })
 }
 
-/// [`solve`], with as little on the diagonal as the factorisation needs: what torque cannot see is curved by the divergence
-/// alone, and that may lie below the rounding of what it sees. A damped Newton step still descends.
+/// [`solve`] with the least damping of the diagonal that the factorisation needs: directions that torque does not observe
+/// have the curvature of the divergence alone, which may lie below rounding. A damped Newton step still descends.
 fn solve_damped(
     matrix: &DMatrix<f64>,
     right: &DVector<f64>,
@@ -131,7 +131,7 @@ fn solve_damped(
         .find_map(damped)
 }
 
-/// From (standard parameters, rotor inertias, friction) to the parameters of the layout.
+/// Map from (standard parameters, rotor inertias, friction) to the parameters of the layout.
 fn parameter_map<const N: usize>(base: &BaseMap, layout: &Layout<N>) -> DMatrix<f64> {
     let full = (LINK_PARAMETERS + 1) * N;
     let friction = layout.parameters.len() - layout.base;
@@ -145,7 +145,7 @@ fn parameter_map<const N: usize>(base: &BaseMap, layout: &Layout<N>) -> DMatrix<
     map
 }
 
-/// The cone of possible parameters: pseudo-inertias and some scalars positive, each with its value in the description.
+/// Cone of physical parameters: pseudo-inertias and some scalars positive, each with its value in the description.
 struct Cone {
     /// Inverse pseudo-inertia of each link of the description; link k has parameters from 10 k.
     links: Vec<Matrix4<f64>>,
@@ -171,14 +171,11 @@ impl Cone {
         }
         let mut scalars: Vec<usize> = (LINK_PARAMETERS * N..full).collect();
         for (k, parameter) in layout.parameters.iter().skip(layout.base).enumerate() {
-            let Some((column, joint)) = parameter.friction else {
-                continue;
-            };
-            let friction = &robot.joints[joint].friction;
-            let described = match column {
-                FrictionColumn::Viscous => friction.viscous,
-                FrictionColumn::Coulomb => friction.coulomb,
-                // Peaks, offsets and cogging have no sign; what grows with the load has one, but no description to start from.
+            let friction = |joint: usize| &robot.joints[joint].friction;
+            let described = match parameter.friction {
+                Some((FrictionColumn::Viscous, joint)) => friction(joint).viscous,
+                Some((FrictionColumn::Coulomb, joint)) => friction(joint).coulomb,
+                // Peaks, offsets and cogging have no sign; load friction has one, but no value in the description.
                 _ => continue,
             };
             scalars.push(full + k);
@@ -245,11 +242,8 @@ impl Cone {
 
 /// Pseudo-inertia of a link with these standard parameters.
 fn pseudo_inertia(x: &[f64]) -> Matrix4<f64> {
-    x.iter()
-        .take(LINK_PARAMETERS)
-        .enumerate()
-        .map(|(k, x)| unit(k) * *x)
-        .sum()
+    let parameters = x.iter().take(LINK_PARAMETERS).enumerate();
+    parameters.map(|(k, x)| unit(k) * *x).sum()
 }
 
 /// Pseudo-inertia of one unit of the standard parameter `k`.
@@ -275,7 +269,7 @@ fn unit(k: usize) -> Matrix4<f64> {
     e
 }
 
-/// The link, fattened where its second moments of mass are none or next to none.
+/// The link with its second moments of mass raised to a least share of their sum.
 fn inside(link: &Link) -> Link {
     let moments = link.second_moments();
     let sum = moments.trace().max(LEAST * LEAST);
@@ -290,7 +284,7 @@ fn inside(link: &Link) -> Link {
     }
 }
 
-/// The robot with links, rotors and friction from `z`. Friction that the layout does not have is none.
+/// The robot with links, rotors and friction from `z`; friction without a column is zero.
 fn described<const N: usize>(robot: &Robot, layout: &Layout<N>, z: &DVector<f64>) -> Robot {
     let full = (LINK_PARAMETERS + 1) * N;
     let mut robot = robot.clone();
@@ -299,20 +293,21 @@ fn described<const N: usize>(robot: &Robot, layout: &Layout<N>, z: &DVector<f64>
         joint.link = Link::from_standard_parameters(&x);
         joint.drive.rotor_inertia = z[LINK_PARAMETERS * N + index];
         let of = |wanted: FrictionColumn| -> f64 {
-            let own = layout.parameters.iter().skip(layout.base);
-            let place = own
-                .enumerate()
-                .find(|(_, parameter)| parameter.friction == Some((wanted, index)));
-            place.map_or(0.0, |(k, _)| z[full + k])
+            let mut own = layout.parameters.iter().skip(layout.base);
+            let place = own.position(|parameter| parameter.friction == Some((wanted, index)));
+            place.map_or(0.0, |k| z[full + k])
         };
         let friction = &mut joint.friction;
         friction.viscous = of(FrictionColumn::Viscous);
         friction.coulomb = of(FrictionColumn::Coulomb);
         friction.stribeck_ratio = 0.0;
-        let [narrow, wide] = layout.bell_widths();
-        let peaks = (of(FrictionColumn::Stribeck), of(FrictionColumn::Bend));
+        let [narrow, wide] = layout.gaussian_widths();
+        let peaks = (
+            of(FrictionColumn::Stribeck),
+            of(FrictionColumn::ShearThinning),
+        );
         let (height, area) = (peaks.0 + peaks.1, narrow * peaks.0 + wide * peaks.1);
-        // One bell of the same height and area; a description cannot hold two, nor a dip.
+        // One Gaussian of the same height and area; a description cannot hold two, nor a dip.
         if height > 0.0 && area > 0.0 && friction.coulomb > 0.0 {
             friction.stribeck_ratio = height / friction.coulomb;
             friction.stribeck_velocity = area / height;

@@ -6,6 +6,7 @@ use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
 use super::speed::SpeedSums;
 use crate::dynamics::State;
+use nalgebra::DVector;
 
 /// One row of the bounded sample.
 #[derive(Clone, Debug)]
@@ -16,7 +17,7 @@ pub struct SampleRow<const N: usize> {
     pub tau: [f64; N],
     /// Filtered torque without spikes, N·m.
     pub clean: [f64; N],
-    /// True for joints that move.
+    /// Joints that move.
     pub moving: [bool; N],
     /// Active columns of all joints.
     pub panel: Box<[f64]>,
@@ -39,57 +40,95 @@ impl<const N: usize> SampleRow<N> {
             tau: values(&prepared.tau),
             clean: values(&prepared.clean),
             moving: std::array::from_fn(|joint| state.qd[joint].abs() > preparation.still_rad_s),
-            panel: prepared.panel[row * layout.width..(row + 1) * layout.width].into(),
-            cogging_basis: std::array::from_fn(|joint| {
-                let place = 2 * (row * N + joint);
-                [
-                    prepared.cogging_basis[place],
-                    prepared.cogging_basis[place + 1],
-                ]
-            }),
+            panel: prepared.panel[row * layout.width..][..layout.width].into(),
+            cogging_basis: std::array::from_fn(|joint| prepared.cogging_basis[row * N + joint]),
         }
+    }
+
+    /// Active columns of one joint.
+    pub(super) fn columns(&self, layout: &Layout<N>, joint: usize) -> &[f64] {
+        layout.columns(joint, &self.panel)
+    }
+
+    /// Torque of the linear model at one joint, N·m.
+    pub(super) fn linear(&self, layout: &Layout<N>, theta: &DVector<f64>, joint: usize) -> f64 {
+        layout.torque(joint, self.columns(layout, joint), theta)
+    }
+}
+
+/// Sums over filtered rows.
+#[derive(Clone, Debug)]
+pub(super) struct RowSums<const N: usize> {
+    /// Sums over all moving rows.
+    pub(super) all: NormalEquations<N>,
+    /// Sums over the same rows without spikes.
+    pub(super) clean: NormalEquations<N>,
+    /// Border of the clean sums by sine and cosine of cogging.
+    pub(super) cogging: CoggingSums<N>,
+    /// Number of rows.
+    pub(super) rows: usize,
+}
+
+impl<const N: usize> RowSums<N> {
+    /// Sums over no rows.
+    pub(super) fn new(layout: &Layout<N>) -> Self {
+        Self {
+            all: NormalEquations::new(layout),
+            clean: NormalEquations::new(layout),
+            cogging: CoggingSums::new(layout),
+            rows: 0,
+        }
+    }
+
+    /// Adds rows.
+    pub(super) fn add(&mut self, layout: &Layout<N>, rows: &[&SampleRow<N>]) {
+        for joint in 0..N {
+            let (mut x, mut basis) = (Vec::new(), Vec::new());
+            let (mut tau, mut clean) = (Vec::new(), Vec::new());
+            for row in rows.iter().filter(|row| row.moving[joint]) {
+                x.extend_from_slice(row.columns(layout, joint));
+                basis.extend(row.cogging_basis[joint]);
+                tau.push(row.tau[joint]);
+                clean.push(row.clean[joint]);
+            }
+            self.all.joints[joint].add(&x, &tau);
+            self.clean.joints[joint].add(&x, &clean);
+            self.cogging.add(joint, &x, &basis, &clean);
+        }
+        self.rows += rows.len();
     }
 }
 
 /// Most rows of the sample.
-pub(super) const SAMPLE: usize = 60_000;
+const SAMPLE: usize = 60_000;
 
 /// Result of one pass over the training logs: sums over all rows, and an evenly thinned sample for methods that iterate
 /// over rows.
 #[derive(Clone, Debug)]
-pub struct Dataset<const N: usize> {
-    /// Sums over all moving rows.
-    pub sums: NormalEquations<N>,
-    /// Sums over the same rows without spikes.
-    pub clean_sums: NormalEquations<N>,
-    /// Their border by the sine and cosine of cogging.
-    pub cogging: CoggingSums<N>,
+pub(super) struct Dataset<const N: usize> {
+    /// Sums over filtered rows.
+    pub(super) sums: RowSums<N>,
     /// Every `thinning`-th of the rows that went into the sums.
-    pub sample: Vec<SampleRow<N>>,
+    pub(super) sample: Vec<SampleRow<N>>,
     /// See `sample`.
-    pub thinning: usize,
-    /// Rows that went into the sums.
-    pub rows: usize,
+    pub(super) thinning: usize,
     /// Sums over raw torques by speed.
-    pub speeds: SpeedSums<N>,
+    pub(super) speeds: SpeedSums<N>,
     /// Rows read, edges left out.
-    pub rows_read: usize,
+    pub(super) rows_read: usize,
     /// Of these, those in which each joint stands still.
-    pub still: [usize; N],
+    pub(super) still: [usize; N],
     /// Spikes found.
-    pub spikes: usize,
+    pub(super) spikes: usize,
 }
 
 impl<const N: usize> Dataset<N> {
     /// An empty dataset.
-    pub fn new(layout: &Layout<N>) -> Self {
+    pub(super) fn new(layout: &Layout<N>) -> Self {
         Self {
-            sums: NormalEquations::new(layout),
-            clean_sums: NormalEquations::new(layout),
-            cogging: CoggingSums::new(layout),
+            sums: RowSums::new(layout),
             sample: Vec::new(),
             thinning: 1,
-            rows: 0,
             speeds: SpeedSums::new(),
             rows_read: 0,
             still: [0; N],
@@ -98,39 +137,30 @@ impl<const N: usize> Dataset<N> {
     }
 
     /// Adds a stretch.
-    pub fn add(&mut self, layout: &Layout<N>, preparation: &Preparation, prepared: &Prepared<N>) {
-        let stride = preparation.stride();
+    pub(super) fn add(
+        &mut self,
+        layout: &Layout<N>,
+        preparation: &Preparation,
+        prepared: &Prepared<N>,
+    ) {
         self.spikes += prepared.spikes;
         self.speeds.merge(&prepared.speeds);
         self.rows_read += prepared.core.len();
-        for row in prepared.core.clone() {
-            for (still, qd) in self.still.iter_mut().zip(prepared.states[row].qd.iter()) {
+        for state in &prepared.states[prepared.core.clone()] {
+            for (still, qd) in self.still.iter_mut().zip(state.qd.iter()) {
                 *still += usize::from(qd.abs() <= preparation.still_rad_s);
             }
         }
-        let rows: Vec<usize> = prepared.core.clone().step_by(stride).collect();
-        for joint in 0..N {
-            let (mut x, mut tau, mut clean) = (Vec::new(), Vec::new(), Vec::new());
-            let mut cogging_basis = Vec::new();
-            for &row in &rows {
-                if prepared.states[row].qd[joint].abs() > preparation.still_rad_s {
-                    x.extend_from_slice(prepared.columns(layout, row, joint));
-                    tau.push(prepared.tau[row * N + joint]);
-                    clean.push(prepared.clean[row * N + joint]);
-                    cogging_basis
-                        .extend_from_slice(&prepared.cogging_basis[2 * (row * N + joint)..][..2]);
-                }
+        let rows = prepared.core.clone().step_by(preparation.stride());
+        let rows: Vec<SampleRow<N>> = rows
+            .map(|row| SampleRow::of(layout, preparation, prepared, row))
+            .collect();
+        let before = self.sums.rows;
+        self.sums.add(layout, &rows.iter().collect::<Vec<_>>());
+        for (place, row) in (before..).zip(rows) {
+            if place.is_multiple_of(self.thinning) {
+                self.sample.push(row);
             }
-            self.sums.joints[joint].add(&x, &tau);
-            self.clean_sums.joints[joint].add(&x, &clean);
-            self.cogging.add(joint, &x, &cogging_basis, &clean);
-        }
-        for &row in &rows {
-            if self.rows.is_multiple_of(self.thinning) {
-                self.sample
-                    .push(SampleRow::of(layout, preparation, prepared, row));
-            }
-            self.rows += 1;
             if self.sample.len() > SAMPLE {
                 // Even thinning: the rows that stay are those a doubled stride would have taken.
                 let mut position = 0;
@@ -142,4 +172,44 @@ impl<const N: usize> Dataset<N> {
             }
         }
     }
+}
+
+/// Rows of random motion that all joints take part in when faster than 0.05 rad/s.
+///
+/// * `reach` of positions, velocities and accelerations; `noise` of the torques, N·m
+/// * `torque` N·m of a joint at a row without torques
+#[cfg(test)]
+pub(super) fn random_rows(
+    layout: &Layout<6>,
+    count: usize,
+    seed: u64,
+    reach: [f64; 3],
+    noise: f64,
+    torque: impl Fn(&SampleRow<6>, usize) -> f64,
+) -> Vec<SampleRow<6>> {
+    use crate::dynamics::Joints;
+    use rand::{Rng, SeedableRng};
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut scratch = nalgebra::DMatrix::zeros(6, (crate::robot::LINK_PARAMETERS + 1) * 6);
+    let mut draw = |reach: f64| Joints::<6>::from_fn(|_, _| random.random_range(-reach..reach));
+    (0..count)
+        .map(|row| {
+            let [q, qd, qdd] = reach.map(&mut draw);
+            let state = State { q, qd, qdd };
+            let mut panel = Vec::new();
+            layout.append_row(&state, 0.01 * row as f64, &mut scratch, &mut panel);
+            let mut row = SampleRow {
+                state,
+                tau: [0.0; 6],
+                clean: [0.0; 6],
+                moving: std::array::from_fn(|joint| qd[joint].abs() > 0.05),
+                panel: panel.into(),
+                cogging_basis: layout.cogging_basis(&q),
+            };
+            let noise = draw(noise);
+            row.tau = std::array::from_fn(|joint| torque(&row, joint) + noise[joint]);
+            row.clean = row.tau;
+            row
+        })
+        .collect()
 }

@@ -10,48 +10,21 @@ pub enum IdentifyError {
     /// A log is missing or damaged.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// The robot has another number of joints.
-    #[error("robot '{robot}' has not {joints} joints")]
-    Joints {
-        /// The robot.
-        robot: String,
-        /// Joints expected.
-        joints: usize,
-    },
-    /// No joint moves.
-    #[error("{logs}: no joint moves")]
-    NoMotion {
-        /// The logs.
-        logs: String,
-    },
-    /// The rows are too far apart for the cut-off of a filter.
+    /// The robot has another number of joints than this one.
+    #[error("robot '{0}' has not {1} joints")]
+    Joints(String, usize),
+    /// No joint moves in these logs.
+    #[error("{0}: no joint moves")]
+    NoMotion(String),
+    /// The rows of a log, so many a second, are too far apart for the cut-off of an option, Hz.
     #[error(
-        "{log}: {option} is {asked_hz}, must be below {:.4}, {} of its {rate_hz:.4} rows a second",
-        Butterworth::RATE_SHARE * .rate_hz, Butterworth::RATE_SHARE
+        "{0}: {1} is {2}, must be below {limit:.4}, {share} of its {3:.4} rows a second",
+        limit = Butterworth::RATE_SHARE * .3, share = Butterworth::RATE_SHARE
     )]
-    CutOff {
-        /// The log.
-        log: String,
-        /// The option that sets the cut-off.
-        option: &'static str,
-        /// The cut-off, Hz.
-        asked_hz: f64,
-        /// Rows of the log a second.
-        rate_hz: f64,
-    },
-    /// The motion does not show these parameters.
-    #[error(
-        "the excitation is rank deficient ({rank} of {wanted}): it does not show {}",
-        .unseen.join(", ")
-    )]
-    RankDeficient {
-        /// Rank found.
-        rank: usize,
-        /// Parameters wanted.
-        wanted: usize,
-        /// The parameters that cannot be seen.
-        unseen: Vec<String>,
-    },
+    CutOff(PathBuf, &'static str, f64, f64),
+    /// The motion has a rank below the number of parameters: it does not show these.
+    #[error("the excitation is rank deficient ({0} of {1}): it does not show {names}", names = .2.join(", "))]
+    RankDeficient(usize, usize, Vec<String>),
     /// A matrix that must be positive definite is not.
     #[error("the normal equations cannot be solved")]
     Unsolvable,
@@ -59,43 +32,26 @@ pub enum IdentifyError {
     #[error("a network could not be trained")]
     Untrained,
     /// A log has torques instead of motor currents.
-    #[error("{path}: no motor currents to find drive gains from")]
-    NoCurrents {
-        /// The log.
-        path: PathBuf,
-    },
-    /// The folding period is no whole number of rows.
-    #[error(
-        "{path}: a period of {period_s} s is no whole number of rows, which are {row_s:.6} s apart"
-    )]
-    PeriodOfRows {
-        /// The log.
-        path: PathBuf,
-        /// The period, s.
-        period_s: f64,
-        /// Time between two rows, s.
-        row_s: f64,
-    },
-    /// A row is off the even spacing.
-    #[error(
-        "{path}:{line}: column t_s: {t_s} is off the even spacing of {row_s:.6} s that folding needs"
-    )]
-    UnevenRow {
-        /// The log.
-        path: PathBuf,
-        /// Line of the row, from 1.
-        line: u64,
-        /// Time of the row, s.
-        t_s: f64,
-        /// Time between two rows, s.
-        row_s: f64,
-    },
-    /// The log is shorter than the folding period.
-    #[error("{path}: the log does not show a whole period of {period_s} s")]
-    ShortLog {
-        /// The log.
-        path: PathBuf,
-        /// The period, s.
-        period_s: f64,
-    },
+    #[error("{0}: no motor currents to find drive gains from")]
+    NoCurrents(PathBuf),
+    /// The folding period, s, is no whole number of rows, s apart.
+    #[error("{0}: a period of {1} s is no whole number of rows, which are {2:.6} s apart")]
+    PeriodOfRows(PathBuf, f64, f64),
+    /// A row (line, time in s) is off the even spacing, s.
+    #[error("{0}:{1}: column t_s: {2} is off the even spacing of {3:.6} s that folding needs")]
+    UnevenRow(PathBuf, u64, f64, f64),
+    /// The log is shorter than the folding period, s.
+    #[error("{0}: the log does not show a whole period of {1} s")]
+    ShortLog(PathBuf, f64),
+}
+
+/// An unknown word in place of a method or a column set, with the known ones.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum UnknownName {
+    /// No column set.
+    #[error("unknown column set '{0}': join any of {1} by '+', or take full for all")]
+    Columns(String, String),
+    /// No method.
+    #[error("unknown method '{0}': one of {1}")]
+    Method(String, String),
 }

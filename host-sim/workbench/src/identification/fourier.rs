@@ -1,27 +1,25 @@
 //! Periodic logs: all periods folded into one and projected on its harmonics.
 //!
-//! A motion that repeats has nothing between the harmonics of its period, so whatever is there is noise: averaging and
-//! projection take it out without any edge, and the derivatives of the series are exact [Swevers et al. 1997]. Regressor
-//! and torque are projected on the same harmonics.
+//! Everything between the harmonics of a periodic motion is noise: averaging and projection remove it without edges, and
+//! the derivatives of the series are exact [Swevers et al. 1997]. Regressor and torque share the harmonics.
 
 use super::columns::Layout;
 use super::error::IdentifyError;
 use super::filter::{despiked, median};
 use super::log::{LogReader, LogRow};
-use super::prepare::{MotionSource, Preparation, PrepareConfig, Prepared, Raw};
-use crate::dynamics::{Joints, State};
+use super::prepare::{Preparation, PrepareConfig, Prepared, states};
+use super::speed::SpeedSums;
 use crate::robot::Robot;
 use crate::table::TableProblem;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// Rows whose spikes are looked for together.
+/// Rows of one search for spikes.
 const CHUNK: usize = 16_384;
-/// A row farther than this share of the rows' period from its place is no row of an even log.
+/// Largest distance of a row from its even place, share of the time between rows.
 const UNEVEN: f64 = 0.25;
 
-/// Folds a log whose motion repeats every `period_s` and prepares the one period that comes out. Memory is that of one
-/// period, whatever the length of the log.
+/// Folds a log whose motion repeats every `period_s` into one period and prepares it. Memory is that of one period.
 ///
 /// Errors: [`TableError`] of a bad row; one line when the period is no whole number of rows, a row is out of place, or the
 /// log is shorter than the period.
@@ -54,10 +52,7 @@ pub(super) fn folded<const N: usize>(
     }
     let fold = fold.ok_or_else(|| TableProblem::Empty.at(path, None))?;
     if fold.count.contains(&0.0) {
-        return Err(IdentifyError::ShortLog {
-            path: path.to_owned(),
-            period_s,
-        });
+        return Err(IdentifyError::ShortLog(path.to_owned(), period_s));
     }
     let phases = fold.count.len();
     let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
@@ -72,9 +67,9 @@ pub(super) fn folded<const N: usize>(
     let mut preparation = fold.preparation(config);
     preparation.folded_stride = Some((phases / (2 * of_torque + 1)).max(1));
     let raw = fold.period(of_motion, period_s);
-    let prepared = Prepared::of(raw, &preparation, layout, &|table, width| {
+    let prepared = raw.filled(&preparation, layout, &|table, width| {
         let harmonics = Harmonics::of(table, width, of_torque);
-        harmonics.evaluate(table, 0, period_s);
+        table.copy_from_slice(&harmonics.evaluate(0, period_s));
     });
     Ok((preparation, prepared))
 }
@@ -100,11 +95,11 @@ impl<const N: usize> Fold<N> {
         }
         let phases = (period_s / row_s).round();
         if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
-            return Err(IdentifyError::PeriodOfRows {
-                path: path.to_owned(),
+            return Err(IdentifyError::PeriodOfRows(
+                path.to_owned(),
                 period_s,
                 row_s,
-            });
+            ));
         }
         let phases = phases as usize;
         Ok(Self {
@@ -132,12 +127,8 @@ impl<const N: usize> Fold<N> {
         for (k, row) in rows.iter().enumerate() {
             let place = (row.t_s - self.start_s) / self.row_s;
             if (place - place.round()).abs() > UNEVEN {
-                return Err(IdentifyError::UnevenRow {
-                    path: path.to_owned(),
-                    line: row.line,
-                    t_s: row.t_s,
-                    row_s: self.row_s,
-                });
+                let (path, line, t_s) = (path.to_owned(), row.line, row.t_s);
+                return Err(IdentifyError::UnevenRow(path, line, t_s, self.row_s));
             }
             let phase = place.round() as usize % self.count.len();
             self.count[phase] += 1.0;
@@ -152,12 +143,11 @@ impl<const N: usize> Fold<N> {
     }
 
     fn preparation(&self, config: &PrepareConfig) -> Preparation {
-        let derived = MotionSource::Derived;
-        Preparation::new(config, self.start_s, self.row_s, derived, derived)
+        Preparation::new(config, self.start_s, self.row_s, [false; 2])
     }
 
     /// The mean period, its motion on harmonics.
-    fn period(mut self, harmonics: usize, period_s: f64) -> Raw<N> {
+    fn period(mut self, harmonics: usize, period_s: f64) -> Prepared<N> {
         for (phase, count) in self.count.iter().enumerate() {
             self.t_s[phase] /= count;
             for table in [&mut self.q, &mut self.tau, &mut self.clean] {
@@ -167,27 +157,17 @@ impl<const N: usize> Fold<N> {
             }
         }
         let series = Harmonics::of(&self.q, N, harmonics);
-        let mut motion = [self.q.clone(), self.q.clone(), self.q];
-        for (order, table) in motion.iter_mut().enumerate() {
-            series.evaluate(table, order, period_s);
-        }
-        let joints = |table: &[f64], row: usize| {
-            Joints::<N>::from_column_slice(&table[row * N..(row + 1) * N])
-        };
-        let phases = self.count.len();
-        Raw {
+        let [q, qd, qdd] = [0, 1, 2].map(|order| series.evaluate(order, period_s));
+        Prepared {
             index: 0,
-            states: (0..phases)
-                .map(|row| State {
-                    q: joints(&motion[0], row),
-                    qd: joints(&motion[1], row),
-                    qdd: joints(&motion[2], row),
-                })
-                .collect(),
+            states: states(&q, &qd, &qdd),
+            panel: Vec::new(),
+            cogging_basis: Vec::new(),
+            speeds: SpeedSums::new(),
             tau: self.tau,
             clean: self.clean,
             spikes: self.spikes,
-            core: 0..phases,
+            core: 0..self.count.len(),
             t_s: self.t_s,
         }
     }
@@ -229,10 +209,10 @@ impl Harmonics {
     }
 
     /// The series, or its first or second derivative over time, at every phase.
-    fn evaluate(&self, table: &mut [f64], derivative: usize, period_s: f64) {
+    fn evaluate(&self, derivative: i32, period_s: f64) -> Vec<f64> {
         let phases = self.turn.len();
+        let mut table = vec![0.0; phases * self.width];
         for (phase, row) in table.chunks_exact_mut(self.width).enumerate() {
-            row.fill(0.0);
             for (k, own) in self.coefficients.chunks_exact(self.width).enumerate() {
                 let harmonic = k.div_ceil(2);
                 let (cos, sin) = self.turn[harmonic * phase % phases];
@@ -251,6 +231,7 @@ impl Harmonics {
                 }
             }
         }
+        table
     }
 }
 
@@ -259,23 +240,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn harmonics_come_back_with_their_exact_derivatives_and_noise_between_them_goes() {
+    fn harmonics_are_exact_and_noise_between_them_goes() {
         let (phases, period_s) = (200, 4.0);
         let w = TAU / period_s;
         let t = |phase: usize| period_s * phase as f64 / phases as f64;
-        let basis = |t: f64| 0.3 + (w * t).sin() - 0.4 * (3.0 * w * t).cos();
-        let mut table: Vec<f64> = (0..phases)
-            .map(|phase| basis(t(phase)) + 0.1 * (40.0 * w * t(phase)).sin())
+        let wave = |t: f64| 0.3 + (w * t).sin() - 0.4 * (3.0 * w * t).cos();
+        let table: Vec<f64> = (0..phases)
+            .map(|phase| wave(t(phase)) + 0.1 * (40.0 * w * t(phase)).sin())
             .collect();
         let series = Harmonics::of(&table, 1, 5);
         let exact: [&dyn Fn(f64) -> f64; 3] = [
-            &basis,
+            &wave,
             &|t| w * (w * t).cos() + 1.2 * w * (3.0 * w * t).sin(),
             &|t| -w * w * (w * t).sin() + 3.6 * w * w * (3.0 * w * t).cos(),
         ];
-        for (order, exact) in exact.iter().enumerate() {
-            series.evaluate(&mut table, order, period_s);
-            for (phase, value) in table.iter().enumerate() {
+        for (order, exact) in (0..).zip(exact) {
+            for (phase, value) in series.evaluate(order, period_s).iter().enumerate() {
                 assert!((value - exact(t(phase))).abs() < 1e-9, "{order} {phase}");
             }
         }

@@ -22,7 +22,7 @@ pub struct LogRow<const N: usize> {
 }
 
 /// Reads a log row by row, in constant memory.
-pub struct LogReader<const N: usize> {
+pub(super) struct LogReader<const N: usize> {
     rows: Rows,
     time: usize,
     q: [usize; N],
@@ -39,7 +39,7 @@ impl<const N: usize> LogReader<N> {
     /// Opens a log. Own column names win over those of the map; time, position and torque (or current) must be there.
     ///
     /// Errors: [`TableError`] of the header.
-    pub fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
+    pub(super) fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
         let rows = Rows::open(path)?;
         let none = LogColumns::default();
         let map = robot.log_columns.as_ref().unwrap_or(&none);
@@ -78,29 +78,29 @@ impl<const N: usize> LogReader<N> {
     }
 
     /// The log has velocities.
-    pub fn has_velocity(&self) -> bool {
+    pub(super) fn has_velocity(&self) -> bool {
         self.qd.is_some()
     }
 
     /// The log has accelerations.
-    pub fn has_acceleration(&self) -> bool {
+    pub(super) fn has_acceleration(&self) -> bool {
         self.qdd.is_some()
     }
 
     /// Torque is drive gain × motor current.
-    pub fn from_current(&self) -> bool {
+    pub(super) fn has_currents(&self) -> bool {
         self.from_current
     }
 
     /// The columns were found through the map of the description.
-    pub fn is_mapped(&self) -> bool {
+    pub(super) fn is_mapped(&self) -> bool {
         self.mapped
     }
 
     /// The next row, `None` at the end.
     ///
     /// Errors: [`TableError`] of that row, naming line and column.
-    pub fn next_row(&mut self) -> Result<Option<LogRow<N>>, TableError> {
+    pub(super) fn next_row(&mut self) -> Result<Option<LogRow<N>>, TableError> {
         if !self.rows.advance()? {
             return Ok(None);
         }

@@ -1,7 +1,8 @@
-//! Least squares in three temperaments: plain, weighted by joint, robust.
+//! Least squares: plain, weighted by joint, robust.
 
 use super::columns::Layout;
 use super::dataset::SampleRow;
+use super::error::UnknownName;
 use super::filter::median;
 use super::normal::{JointSums, NormalEquations, solve};
 use nalgebra::{DMatrix, DVector};
@@ -17,7 +18,7 @@ pub enum MethodName {
     Wls,
     /// Iteratively reweighted, Huber's weights, spikes taken out beforehand.
     Irls,
-    /// The robust fit, moved to what bodies can have.
+    /// The robust fit, moved to physically consistent parameters.
     Consistent,
     /// The robust fit with a prior whose weight the training rows choose.
     Evidence,
@@ -25,7 +26,7 @@ pub enum MethodName {
     BpPhysical,
     /// A BP network on all positions, velocities and accelerations.
     BpBlackBox,
-    /// The linear model of the board and one small BP network a joint for what it leaves.
+    /// The linear model of the board and one small BP network a joint for its residual.
     BpResidual,
 }
 
@@ -49,21 +50,19 @@ impl fmt::Display for MethodName {
 }
 
 impl FromStr for MethodName {
-    type Err = String;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, String> {
-        let names: Vec<&str> = METHODS.iter().map(|(_, name)| *name).collect();
-        match METHODS.iter().find(|(_, name)| *name == text) {
-            Some((method, _)) => Ok(*method),
-            None => Err(format!(
-                "unknown method '{text}': one of {}",
-                names.join(", ")
-            )),
-        }
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let known = METHODS.iter().find(|(_, name)| *name == text);
+        let names = METHODS.map(|(_, name)| name).join(", ");
+        known.map_or_else(
+            || Err(UnknownName::Method(text.to_owned(), names)),
+            |(method, _)| Ok(*method),
+        )
     }
 }
 
-/// Parameters of the linear model with what is known about them.
+/// Parameters of the linear model with their uncertainty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit<const N: usize> {
     /// One value a parameter of the layout, SI.
@@ -125,24 +124,20 @@ pub(super) fn irls<const N: usize>(
 ) -> Option<Fit<N>> {
     let mut fit = wls(clean, layout)?;
     for _ in 0..IRLS_ROUNDS {
+        let theta = &fit.theta;
         let rounds: Vec<(JointSums, f64)> = std::thread::scope(|scope| {
-            let theta = &fit.theta;
             let joints: Vec<_> = (0..N)
                 .map(|joint| scope.spawn(move || reweighted(joint, sample, layout, theta)))
                 .collect();
-            // A joint that panicked has said so already.
+            // The panic of a thread is reported already.
             joints
                 .into_iter()
                 .filter_map(|joint| joint.join().ok())
                 .collect()
         });
-        if rounds.len() < N {
-            return None;
-        }
-        let sigma: [f64; N] = std::array::from_fn(|joint| rounds[joint].1.max(SIGMA_FLOOR));
-        let sums = NormalEquations::<N> {
-            joints: rounds.into_iter().map(|(sums, _)| sums).collect(),
-        };
+        let (joints, sigma): (Vec<JointSums>, Vec<f64>) = rounds.into_iter().unzip();
+        let sigma: [f64; N] = sigma.try_into().ok()?;
+        let sums = NormalEquations::<N> { joints };
         let (gram, moment) = sums.weighted(layout, &sigma);
         let (theta, covariance) = solve(&gram, &moment)?;
         let step = &theta - &fit.theta;
@@ -175,7 +170,7 @@ fn reweighted<const N: usize>(
     (huber(joint, sample, layout, theta, sigma), sigma)
 }
 
-/// One joint's sums, rows farther than 1.345 `sigma` (N·m) from what `theta` says weighing less [Huber 1981].
+/// One joint's sums; rows whose residual exceeds 1.345 `sigma`, N·m, weigh less [Huber 1981].
 pub(super) fn huber<const N: usize>(
     joint: usize,
     sample: &[&SampleRow<N>],
@@ -189,11 +184,8 @@ pub(super) fn huber<const N: usize>(
     for row in sample.iter().filter(|row| row.moving[joint]) {
         let residual = row.clean[joint] - row.linear(layout, theta, joint);
         let weight = (HUBER * sigma / residual.abs()).min(1.0).sqrt();
-        x.extend(
-            row.columns(layout, joint)
-                .iter()
-                .map(|value| weight * value),
-        );
+        let columns = row.columns(layout, joint).iter();
+        x.extend(columns.map(|value| weight * value));
         tau.push(weight * row.clean[joint]);
     }
     let mut sums = JointSums::new(active);
@@ -201,7 +193,7 @@ pub(super) fn huber<const N: usize>(
     sums
 }
 
-/// RMS residual of each joint, N·m, corrected for the parameters its equations paid for.
+/// RMS residual of each joint, N·m, corrected for the number of parameters.
 fn noise<const N: usize>(
     sums: &NormalEquations<N>,
     layout: &Layout<N>,
@@ -215,25 +207,7 @@ fn noise<const N: usize>(
 impl<const N: usize> Fit<N> {
     /// Standard deviation of every parameter.
     pub fn deviations(&self) -> DVector<f64> {
-        self.covariance
-            .diagonal()
-            .map(|variance| variance.max(0.0).sqrt())
-    }
-}
-
-impl<const N: usize> SampleRow<N> {
-    /// Active columns of one joint.
-    pub fn columns(&self, layout: &Layout<N>, joint: usize) -> &[f64] {
-        let start = layout.offset[joint];
-        &self.panel[start..start + layout.active[joint].len()]
-    }
-
-    /// Torque of the linear model at one joint, N·m.
-    pub fn linear(&self, layout: &Layout<N>, theta: &DVector<f64>, joint: usize) -> f64 {
-        self.columns(layout, joint)
-            .iter()
-            .zip(&layout.active[joint])
-            .map(|(x, &place)| x * theta[place])
-            .sum()
+        let variances = self.covariance.diagonal();
+        variances.map(|variance| variance.max(0.0).sqrt())
     }
 }

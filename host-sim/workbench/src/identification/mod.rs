@@ -1,7 +1,7 @@
 //! From logs of motion and torque to validated parameters.
 //!
-//! `problem` the nouns. `log` (rows, checked) → `filter` and `prepare` (motion, regressor and torque through the same zero-phase filter) →
-//! `normal` (one pass over any number of rows, memory that does not grow) → `methods` → `validation` → `record`.
+//! `problem` holds the nouns. `log` (rows, checked) → `filter` and `prepare` (motion, regressor and torque through the same
+//! zero-phase filter) → `normal` (one pass over any number of rows, bounded memory) → `methods` → `validation` → `record`.
 
 mod bank;
 mod bootstrap;
@@ -14,7 +14,7 @@ mod evidence;
 mod filter;
 mod fourier;
 mod gains;
-mod learning_curve;
+mod holdout;
 mod log;
 mod methods;
 mod normal;
@@ -24,9 +24,7 @@ mod problem;
 mod record;
 mod residual;
 mod solve;
-mod sources;
 mod speed;
-mod split;
 mod stream;
 mod study;
 mod truth;
@@ -36,14 +34,13 @@ mod whole_log;
 pub use bank::bank_of_fit;
 pub use cogging::CoggingAmplitudes;
 pub use columns::{ColumnSet, FrictionColumn, Layout, Parameter};
-pub use dataset::{Dataset, SampleRow};
-pub use error::IdentifyError;
+pub use dataset::SampleRow;
+pub use error::{IdentifyError, UnknownName};
 pub use filter::{Butterworth, despiked};
-pub use log::{LogReader, LogRow};
+pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
-pub use normal::NormalEquations;
 pub use page::page;
-pub use prepare::{MotionSource, Preparation, PrepareConfig, Prepared};
+pub use prepare::{Preparation, PrepareConfig, Prepared};
 pub use problem::{Candidate, MethodResult, Progress};
 pub use record::{
     GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,
@@ -51,5 +48,4 @@ pub use record::{
 pub use solve::fit_rows;
 pub use stream::for_each_prepared;
 pub use study::{IdentifyConfig, Outcome, identify};
-pub use validation::FileScores;
 pub use whole_log::WholeLog;

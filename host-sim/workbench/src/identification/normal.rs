@@ -1,20 +1,20 @@
 //! Normal equations, joint by joint, added up over any number of rows.
 //!
 //! One joint's equations keep their own sums `XᵀX`, `Xᵀτ`, `τᵀτ`: a weight for each joint, a column subset, the RMSE of any
-//! parameters and the gradient of the BP network's loss all follow from them without another look at the log. The price
+//! parameters and the gradient of the BP network's loss all follow from them without another pass over the log. The price
 //! is the square of the condition number, which f64 affords up to about 1e7 (rank decisions are made at 1e4).
 
 use super::columns::Layout;
 use super::error::IdentifyError;
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
-/// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Useful
-/// excitations leave 1e-2 and more, encoder noise on a joint that is held still about 1e-5.
+/// Least part of a column that the columns left of it do not explain, as a share of its length. Useful excitations leave
+/// 1e-2 and more, encoder noise on a joint that is held still about 1e-5.
 const INDEPENDENT: f64 = 1e-4;
 
 /// Sums of one joint's equations.
 #[derive(Clone, Debug, PartialEq)]
-pub struct JointSums {
+pub(super) struct JointSums {
     /// XᵀX over the joint's active columns.
     pub gram: DMatrix<f64>,
     /// Xᵀτ.
@@ -36,7 +36,7 @@ impl JointSums {
     }
 
     /// Adds equations: `x` row after row, `tau` one a row.
-    pub fn add(&mut self, x: &[f64], tau: &[f64]) {
+    pub(super) fn add(&mut self, x: &[f64], tau: &[f64]) {
         if tau.is_empty() {
             return;
         }
@@ -49,7 +49,7 @@ impl JointSums {
     }
 
     /// Mean square error of these parameters, N²·m².
-    pub fn mean_square(&self, theta: &DVector<f64>) -> f64 {
+    pub(super) fn mean_square(&self, theta: &DVector<f64>) -> f64 {
         let sum = self.power - 2.0 * self.moment.dot(theta) + theta.dot(&(&self.gram * theta));
         (sum / self.count.max(1.0)).max(0.0)
     }
@@ -57,51 +57,33 @@ impl JointSums {
 
 /// Sums of all joints' equations.
 #[derive(Clone, Debug, PartialEq)]
-pub struct NormalEquations<const N: usize> {
+pub(super) struct NormalEquations<const N: usize> {
     /// One joint after the other.
     pub joints: Vec<JointSums>,
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// No equations yet.
-    pub fn new(layout: &Layout<N>) -> Self {
-        let joints = layout
-            .active
-            .iter()
-            .map(|active| JointSums::new(active.len()));
+    /// Sums over no equations.
+    pub(super) fn new(layout: &Layout<N>) -> Self {
+        let joints = layout.active.iter();
         Self {
-            joints: joints.collect(),
+            joints: joints.map(|active| JointSums::new(active.len())).collect(),
         }
     }
 
-    /// Adds all equations of another part of the log.
-    pub fn merge(&mut self, other: &Self) {
-        for (own, other) in self.joints.iter_mut().zip(&other.joints) {
-            own.gram += &other.gram;
-            own.moment += &other.moment;
-            own.power += other.power;
-            own.count += other.count;
-        }
-    }
-
-    /// These equations with the columns of a poorer layout only.
-    pub fn subset(&self, layout: &Layout<N>, poorer: &Layout<N>) -> Self {
+    /// The equations with the columns of a poorer layout only.
+    pub(super) fn subset(&self, layout: &Layout<N>, poorer: &Layout<N>) -> Self {
         let places = layout.places_of(poorer);
-        let joints = (0..N).map(|joint| {
-            let own: Vec<usize> = poorer.active[joint]
-                .iter()
-                .filter_map(|&place| {
-                    layout.active[joint]
-                        .iter()
-                        .position(|&own| own == places[place])
-                })
+        let joints = self.joints.iter().enumerate().map(|(joint, sums)| {
+            let active = layout.active[joint].iter();
+            let kept = poorer.active[joint].iter();
+            let own: Vec<usize> = kept
+                .filter_map(|&kept| active.clone().position(|&own| own == places[kept]))
                 .collect();
-            let sums = &self.joints[joint];
             JointSums {
                 gram: sums.gram.select_rows(&own).select_columns(&own),
                 moment: sums.moment.select_rows(&own),
-                power: sums.power,
-                count: sums.count,
+                ..*sums
             }
         });
         Self {
@@ -110,12 +92,16 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     /// Equations of all joints.
-    pub fn count(&self) -> f64 {
+    pub(super) fn count(&self) -> f64 {
         self.joints.iter().map(|joint| joint.count).sum()
     }
 
     /// Weighted sums over all parameters: each joint's equations divided by its `sigma`, N·m.
-    pub fn weighted(&self, layout: &Layout<N>, sigma: &[f64; N]) -> (DMatrix<f64>, DVector<f64>) {
+    pub(super) fn weighted(
+        &self,
+        layout: &Layout<N>,
+        sigma: &[f64; N],
+    ) -> (DMatrix<f64>, DVector<f64>) {
         let size = layout.parameters.len();
         let mut gram = DMatrix::zeros(size, size);
         let mut moment = DVector::zeros(size);
@@ -132,19 +118,17 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     /// RMS error of every joint, N·m.
-    pub fn rmse(&self, layout: &Layout<N>, theta: &DVector<f64>) -> [f64; N] {
+    pub(super) fn rmse(&self, layout: &Layout<N>, theta: &DVector<f64>) -> [f64; N] {
         std::array::from_fn(|joint| {
-            let own = DVector::from_iterator(
-                layout.active[joint].len(),
-                layout.active[joint].iter().map(|&place| theta[place]),
-            );
+            let own = theta.select_rows(&layout.active[joint]);
             self.joints[joint].mean_square(&own).sqrt()
         })
     }
 
-    /// Every parameter can be seen. Errors: [`IdentifyError::RankDeficient`], naming the columns that the columns
-    /// left of them explain.
-    pub fn check_rank(&self, layout: &Layout<N>) -> Result<(), IdentifyError> {
+    /// Check that every parameter is observable.
+    ///
+    /// Errors: [`IdentifyError::RankDeficient`] with the columns that the columns left of them explain.
+    pub(super) fn check_rank(&self, layout: &Layout<N>) -> Result<(), IdentifyError> {
         let (mut rest, _) = self.weighted(layout, &[1.0; N]);
         let size = rest.nrows();
         let length: Vec<f64> = (0..size).map(|c| rest[(c, c)]).collect();
@@ -159,18 +143,14 @@ impl<const N: usize> NormalEquations<N> {
             rest.ger(-1.0, &column, &column, 1.0);
         }
         if unseen.is_empty() {
-            Ok(())
-        } else {
-            Err(IdentifyError::RankDeficient {
-                rank: size - unseen.len(),
-                wanted: size,
-                unseen,
-            })
+            return Ok(());
         }
+        let rank = size - unseen.len();
+        Err(IdentifyError::RankDeficient(rank, size, unseen))
     }
 
     /// Condition number of the raw regressor of the base parameters, SI units; and of all columns at unit length.
-    pub fn condition_numbers(&self, layout: &Layout<N>) -> (f64, f64) {
+    pub(super) fn condition_numbers(&self, layout: &Layout<N>) -> (f64, f64) {
         let (gram, _) = self.weighted(layout, &[1.0; N]);
         let raw = gram.view((0, 0), (layout.base, layout.base)).into_owned();
         (condition(raw), condition(equilibrated(&gram).0))

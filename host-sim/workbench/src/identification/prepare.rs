@@ -4,18 +4,17 @@ use super::columns::Layout;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
 use super::speed::SpeedSums;
+use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::dynamics::{Joints, State};
 use nalgebra::DMatrix;
 use std::ops::Range;
+use std::path::Path;
 
-/// Source of velocities or accelerations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MotionSource {
-    /// The log's own columns.
-    Logged,
-    /// Central differences of the filtered quantity below.
-    Derived,
-}
+/// Rows in a period of the motion's cut-off from which derivatives of the positions are used before logged ones.
+const MOTION_ROWS: f64 = 8.0;
+/// Largest distance of logged velocities and accelerations from the derivative of the positions, shares of their RMS:
+/// beyond it they are set-points. Differentiation is less accurate for accelerations.
+const TRUST: [f64; 2] = [0.01, 0.03];
 
 /// Settings of the filters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,17 +27,15 @@ pub struct PrepareConfig {
     pub still_rad_s: f64,
 }
 
-/// Filters and sources of one log.
+/// Filters and sources of motion of one log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preparation {
     /// Time of the first row, s.
     pub start_s: f64,
     /// Period of the rows, s.
     pub period_s: f64,
-    /// Source of the velocities.
-    pub velocity: MotionSource,
-    /// Source of the accelerations.
-    pub acceleration: MotionSource,
+    /// Velocities and accelerations are the log's own, not central differences of the filtered quantity below.
+    pub logged: [bool; 2],
     /// A joint slower than this stands still, rad/s.
     pub still_rad_s: f64,
     /// Stride of rows that were folded into one period and projected on harmonics.
@@ -48,53 +45,111 @@ pub struct Preparation {
 }
 
 impl Preparation {
-    /// The filters for rows `period_s` apart. A cut-off that rows this far apart cannot show is no filter at all.
-    pub fn new(
+    /// The filters for rows `period_s` apart; none for a cut-off above the limit of that rate.
+    pub(super) fn new(
         config: &PrepareConfig,
         start_s: f64,
         period_s: f64,
-        velocity: MotionSource,
-        acceleration: MotionSource,
+        logged: [bool; 2],
     ) -> Self {
+        let filter = |hz| Butterworth::new(hz, period_s);
         Self {
             start_s,
             period_s,
-            velocity,
-            acceleration,
+            logged,
             still_rad_s: config.still_rad_s,
             folded_stride: None,
-            motion: Butterworth::new(config.motion_hz, period_s),
-            torque: config
-                .torque_hz
-                .and_then(|hz| Butterworth::new(hz, period_s)),
+            motion: filter(config.motion_hz),
+            torque: config.torque_hz.and_then(filter),
         }
     }
 
-    /// Rows a stretch must overlap its neighbours by, so that its core does not depend on where the log was cut.
-    pub fn margin(&self) -> usize {
-        let settling =
-            |filter: &Option<Butterworth>| filter.as_ref().map_or(0, |f| f.settling_rows);
-        settling(&self.motion) + settling(&self.torque) + 4
+    /// Filters and sources of motion of a log, from its first rows; `notes` receives the sources.
+    pub(super) fn of_log<const N: usize>(
+        log: &WholeLog<N>,
+        config: &PrepareConfig,
+        path: &Path,
+        notes: &mut Vec<String>,
+    ) -> Self {
+        let (reader, period_s, name) = (log.reader(), log.period_s(), path.display());
+        if reader.has_currents() {
+            notes.push(format!("{name}: torque is drive gain × motor current"));
+        }
+        // Up to the first gap: derivatives across it would be wrong.
+        let whole = |a: &LogRow<N>, b: &LogRow<N>| b.t_s - a.t_s <= GAP_PERIODS * period_s;
+        let preview = log.preview().chunk_by(whole).next().unwrap_or_default();
+        let start_s = preview.first().map_or(0.0, |row| row.t_s);
+        let at = |logged| Self::new(config, start_s, period_s, logged);
+        let edge = at([false; 2]).edge().min(preview.len() / 3);
+        let mut logged = [false; 2];
+        let kinds = [
+            (reader.has_velocity(), "velocities"),
+            (reader.has_acceleration(), "accelerations"),
+        ];
+        for (order, (there, kind)) in kinds.into_iter().enumerate() {
+            if !there {
+                notes.push(format!(
+                    "{name}: no {kind}, derived by central differences of the filtered motion"
+                ));
+                continue;
+            }
+            // Mapped columns are measurements. The project's own may be set-points beside measured positions, and their
+            // filter is unknown: derivatives of frequent positions share the known filter of the torque.
+            if !reader.is_mapped() && MOTION_ROWS * config.motion_hz * period_s <= 1.0 {
+                notes.push(format!(
+                    "{name}: {kind} derived from the positions, which come every {:.1} ms; the log's own have another filter",
+                    1e3 * period_s
+                ));
+                continue;
+            }
+            let mut own = logged;
+            own[order] = true;
+            let (own, derived) = (at(own).motion(preview), at(logged).motion(preview));
+            let of = |state: &State<N>| [state.qd, state.qdd][order];
+            let (mut error, mut size) = (0.0, 0.0);
+            for (own, derived) in own.iter().zip(&derived).take(own.len() - edge).skip(edge) {
+                error += (of(own) - of(derived)).norm_squared();
+                size += of(derived).norm_squared();
+            }
+            let apart = (error / f64::max(size, f64::MIN_POSITIVE)).sqrt();
+            logged[order] = reader.is_mapped() || apart <= TRUST[order];
+            if !logged[order] {
+                notes.push(format!(
+                    "{name}: logged {kind} are {:.1} % of their RMS off the derivative of the positions, taken for set-points; derived instead",
+                    100.0 * apart
+                ));
+            }
+        }
+        at(logged)
     }
 
-    /// Rows at the ends of a log in which the filters still feel the end. A reflection about the end point has no
-    /// acceleration there, so derived accelerations are wrong for about one period of the cut-off.
-    pub fn edge(&self) -> usize {
-        let derived =
-            self.velocity == MotionSource::Derived || self.acceleration == MotionSource::Derived;
+    /// Rows a stretch must overlap its neighbours by, so that its core does not depend on where the log was cut.
+    pub(super) fn margin(&self) -> usize {
+        let filters = [&self.motion, &self.torque];
+        let settling = filters
+            .into_iter()
+            .flatten()
+            .map(|filter| filter.settling_rows);
+        settling.sum::<usize>() + 4
+    }
+
+    /// Rows at the ends of a log that the ends disturb. A reflection about the end point has no acceleration there, so derived accelerations are wrong for about one period of the cut-off.
+    pub(super) fn edge(&self) -> usize {
+        let derived = self.logged != [true; 2];
         let periods = |filter: &Option<Butterworth>, periods: f64| {
-            filter.as_ref().map_or(0, |f| {
-                (periods / (f.cutoff_hz() * self.period_s)).ceil() as usize
-            })
+            let rows = |filter: &Butterworth| periods / (filter.cutoff_hz() * self.period_s);
+            filter
+                .as_ref()
+                .map_or(0, |filter| rows(filter).ceil() as usize)
         };
         periods(&self.motion, if derived { 1.5 } else { 0.25 }) + periods(&self.torque, 0.25)
     }
 
-    /// Every how many-th row carries news.
+    /// Stride of independent rows.
     ///
-    /// White noise through this filter has the variance of a band of 2 × 0.898 cut-offs (∫ dx / (1 + x⁸)² = 0.898).
-    /// Rows taken at just that rate are white again: nothing a slow motion says is lost, and the residuals' variance
-    /// gives the parameters' deviations without correction.
+    /// White noise through this filter has the variance of a band of 2 × 0.898 cut-offs (∫ dx / (1 + x⁸)² = 0.898). Rows at
+    /// just that rate are white again: the motion is slower, and the variance of the residuals gives the deviations of the
+    /// parameters without correction.
     pub fn stride(&self) -> usize {
         if let Some(stride) = self.folded_stride {
             return stride;
@@ -118,34 +173,39 @@ impl Preparation {
     }
 
     /// Smoothed motion of a stretch of rows.
-    pub fn motion<const N: usize>(&self, rows: &[LogRow<N>]) -> Vec<State<N>> {
-        let column = |pick: fn(&LogRow<N>) -> &[f64; N]| -> Vec<f64> {
-            let mut table: Vec<f64> = rows.iter().flat_map(|row| *pick(row)).collect();
+    pub(super) fn motion<const N: usize>(&self, rows: &[LogRow<N>]) -> Vec<State<N>> {
+        let column = |pick: fn(&LogRow<N>) -> [f64; N]| -> Vec<f64> {
+            let mut table: Vec<f64> = rows.iter().flat_map(pick).collect();
             if let Some(filter) = &self.motion {
                 filter.smooth(&mut table, N);
             }
             table
         };
-        let q = column(|row| &row.q);
-        let qd = match self.velocity {
-            MotionSource::Logged => column(|row| &row.qd),
-            MotionSource::Derived => derivative(&q, N, self.period_s),
+        let q = column(|row| row.q);
+        let qd = match self.logged[0] {
+            true => column(|row| row.qd),
+            false => derivative(&q, N, self.period_s),
         };
-        let qdd = match self.acceleration {
-            MotionSource::Logged => column(|row| &row.qdd),
-            MotionSource::Derived => derivative(&qd, N, self.period_s),
+        let qdd = match self.logged[1] {
+            true => column(|row| row.qdd),
+            false => derivative(&qd, N, self.period_s),
         };
-        let joints = |table: &[f64], row: usize| {
-            Joints::<N>::from_column_slice(&table[row * N..(row + 1) * N])
-        };
-        (0..rows.len())
-            .map(|row| State {
-                q: joints(&q, row),
-                qd: joints(&qd, row),
-                qdd: joints(&qdd, row),
-            })
-            .collect()
+        states(&q, &qd, &qdd)
     }
+}
+
+/// States from tables of positions, velocities and accelerations, N a row.
+pub(super) fn states<const N: usize>(q: &[f64], qd: &[f64], qdd: &[f64]) -> Vec<State<N>> {
+    let rows = q
+        .chunks_exact(N)
+        .zip(qd.chunks_exact(N))
+        .zip(qdd.chunks_exact(N));
+    rows.map(|((q, qd), qdd)| State {
+        q: Joints::from_column_slice(q),
+        qd: Joints::from_column_slice(qd),
+        qdd: Joints::from_column_slice(qdd),
+    })
+    .collect()
 }
 
 /// A stretch of a log, with the rows around it that its filters need.
@@ -159,7 +219,7 @@ pub struct Stretch<const N: usize> {
     pub core: Range<usize>,
 }
 
-/// A stretch that is ready to be fitted.
+/// Rows of the linear model from a stretch.
 #[derive(Clone, Debug)]
 pub struct Prepared<const N: usize> {
     /// Number of the stretch.
@@ -169,7 +229,7 @@ pub struct Prepared<const N: usize> {
     /// Active columns of all joints, row after row, filtered.
     pub panel: Vec<f64>,
     /// Sine and cosine of the cogging phase of all joints, row after row, filtered.
-    pub cogging_basis: Vec<f64>,
+    pub cogging_basis: Vec<[f64; 2]>,
     /// Torques, N a row, filtered, N·m.
     pub tau: Vec<f64>,
     /// Torques with spikes taken out before filtering, N·m.
@@ -185,99 +245,64 @@ pub struct Prepared<const N: usize> {
 }
 
 impl<const N: usize> Prepared<N> {
-    /// Prepares a stretch.
+    /// The rows of a stretch.
     pub fn new(stretch: &Stretch<N>, preparation: &Preparation, layout: &Layout<N>) -> Self {
         let tau: Vec<f64> = stretch.rows.iter().flat_map(|row| row.tau).collect();
         let (clean, spikes) = despiked(&tau, N, preparation.spike_reach());
-        let raw = Raw {
+        let raw = Self {
             index: stretch.index,
             states: preparation.motion(&stretch.rows),
+            panel: Vec::new(),
+            cogging_basis: Vec::new(),
             tau,
             clean,
             spikes,
             core: stretch.core.clone(),
             t_s: stretch.rows.iter().map(|row| row.t_s).collect(),
+            speeds: SpeedSums::new(),
         };
-        Self::of(raw, preparation, layout, &|table, width| {
+        raw.filled(preparation, layout, &|table, width| {
             preparation.smooth_torque(table, width);
         })
     }
 
     /// Active columns of `joint` in `row`, filtered.
     pub(super) fn columns(&self, layout: &Layout<N>, row: usize, joint: usize) -> &[f64] {
-        &self.panel[row * layout.width + layout.offset[joint]..][..layout.active[joint].len()]
+        layout.columns(joint, &self.panel[row * layout.width..])
     }
 
-    /// Regressor and torque through the same filter `smooth`, which takes a table and its width.
-    pub(super) fn of(
-        raw: Raw<N>,
+    /// Adds the regressor to motion and torques, and puts all but the motion through the filter `smooth`, which takes a table
+    /// and its width.
+    pub(super) fn filled(
+        mut self,
         preparation: &Preparation,
         layout: &Layout<N>,
         smooth: &dyn Fn(&mut [f64], usize),
     ) -> Self {
-        let Raw {
-            index,
-            states,
-            mut tau,
-            mut clean,
-            spikes,
-            core,
-            t_s,
-        } = raw;
         let mut scratch = DMatrix::zeros(N, (crate::robot::LINK_PARAMETERS + 1) * N);
-        let mut panel = Vec::with_capacity(states.len() * layout.width);
-        let mut cogging_basis = Vec::with_capacity(states.len() * 2 * N);
-        for (state, t_s) in states.iter().zip(&t_s) {
-            layout.append_row(state, t_s - preparation.start_s, &mut scratch, &mut panel);
-            cogging_basis.extend(layout.cogging_basis(&state.q).as_flattened());
+        for (state, t_s) in self.states.iter().zip(&self.t_s) {
+            let age_s = t_s - preparation.start_s;
+            layout.append_row(state, age_s, &mut scratch, &mut self.panel);
+            self.cogging_basis.extend(layout.cogging_basis(&state.q));
         }
-        let mut speeds = SpeedSums::new();
-        for row in core.clone() {
+        for row in self.core.clone() {
             // Blocks of a second take turns.
-            let half = ((t_s[row] - preparation.start_s) as usize) % 2;
-            let panel = &panel[row * layout.width..(row + 1) * layout.width];
+            let half = ((self.t_s[row] - preparation.start_s) as usize) % 2;
+            let panel = &self.panel[row * layout.width..];
             for joint in 0..N {
-                let qd = states[row].qd[joint];
+                let (qd, place) = (self.states[row].qd[joint], row * N + joint);
                 if qd.abs() > preparation.still_rad_s {
-                    let columns = &panel[layout.offset[joint]..][..layout.active[joint].len()];
-                    let basis = &cogging_basis[2 * (row * N + joint)..][..2];
-                    speeds.add((joint, half), qd, columns, basis, clean[row * N + joint]);
+                    let (basis, columns) =
+                        (&self.cogging_basis[place], layout.columns(joint, panel));
+                    self.speeds
+                        .add((joint, half), qd, basis, columns, self.clean[place]);
                 }
             }
         }
-        smooth(&mut panel, layout.width);
-        smooth(&mut cogging_basis, 2 * N);
-        smooth(&mut tau, N);
-        smooth(&mut clean, N);
-        Self {
-            index,
-            states,
-            panel,
-            cogging_basis,
-            tau,
-            clean,
-            spikes,
-            core,
-            t_s,
-            speeds,
-        }
+        smooth(&mut self.panel, layout.width);
+        smooth(self.cogging_basis.as_flattened_mut(), 2 * N);
+        smooth(&mut self.tau, N);
+        smooth(&mut self.clean, N);
+        self
     }
-}
-
-/// A stretch before its regressor is made.
-pub(super) struct Raw<const N: usize> {
-    /// Number of the stretch.
-    pub(super) index: usize,
-    /// Motion.
-    pub(super) states: Vec<State<N>>,
-    /// Torques, N a row, N·m.
-    pub(super) tau: Vec<f64>,
-    /// Torques without spikes.
-    pub(super) clean: Vec<f64>,
-    /// Spikes taken out.
-    pub(super) spikes: usize,
-    /// The rows that count.
-    pub(super) core: Range<usize>,
-    /// Times, s.
-    pub(super) t_s: Vec<f64>,
 }

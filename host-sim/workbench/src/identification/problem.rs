@@ -1,8 +1,8 @@
-//! The nouns of an identification: problem, training data, candidate model, result of a method.
+//! Nouns of an identification: problem, training data, candidate model, result of a method.
 
-use super::cogging::{CoggingAmplitudes, CoggingSums};
+use super::cogging::CoggingAmplitudes;
 use super::columns::Layout;
-use super::dataset::{Dataset, SampleRow};
+use super::dataset::{Dataset, RowSums, SampleRow};
 use super::methods::{Fit, MethodName, huber};
 use super::normal::NormalEquations;
 use super::speed::SpeedSums;
@@ -31,20 +31,14 @@ pub(super) struct Problem<'a, const N: usize> {
     pub(super) seed: u64,
 }
 
-/// The rows that a method is trained on, and sums over them.
+/// Rows that a method is trained on, and sums over them.
 pub(super) struct TrainingData<'a, const N: usize> {
-    /// Sums over all moving rows.
-    pub(super) sums: NormalEquations<N>,
-    /// Sums over the same rows without spikes.
-    pub(super) clean_sums: NormalEquations<N>,
-    /// Their border by the sine and cosine of cogging.
-    pub(super) cogging: CoggingSums<N>,
+    /// Sums over filtered rows.
+    pub(super) sums: RowSums<N>,
     /// Rows for methods that iterate over them.
     pub(super) sample: Vec<&'a SampleRow<N>>,
     /// Sums over raw torques by speed.
     pub(super) speeds: SpeedSums<N>,
-    /// Rows behind the sums.
-    pub(super) rows: usize,
 }
 
 impl<'a, const N: usize> TrainingData<'a, N> {
@@ -52,64 +46,52 @@ impl<'a, const N: usize> TrainingData<'a, N> {
     pub(super) fn all(dataset: &'a Dataset<N>) -> Self {
         Self {
             sums: dataset.sums.clone(),
-            clean_sums: dataset.clean_sums.clone(),
-            cogging: dataset.cogging.clone(),
             sample: dataset.sample.iter().collect(),
             speeds: dataset.speeds.clone(),
-            rows: dataset.rows,
         }
     }
 
     /// Training data of some sampled rows only.
     pub(super) fn of(layout: &Layout<N>, sample: Vec<&'a SampleRow<N>>) -> Self {
-        let mut data = Self {
-            sums: NormalEquations::new(layout),
-            clean_sums: NormalEquations::new(layout),
-            cogging: CoggingSums::new(layout),
-            speeds: SpeedSums::new(),
-            rows: sample.len(),
-            sample: Vec::new(),
-        };
-        for joint in 0..N {
-            let (mut x, mut basis) = (Vec::new(), Vec::new());
-            let (mut tau, mut clean) = (Vec::new(), Vec::new());
-            for row in sample.iter().filter(|row| row.moving[joint]) {
-                x.extend_from_slice(row.columns(layout, joint));
-                basis.extend(row.cogging_basis[joint]);
-                tau.push(row.tau[joint]);
-                clean.push(row.clean[joint]);
-            }
-            data.sums.joints[joint].add(&x, &tau);
-            data.clean_sums.joints[joint].add(&x, &clean);
-            data.cogging.add(joint, &x, &basis, &clean);
-        }
+        let mut sums = RowSums::new(layout);
+        sums.add(layout, &sample);
+        let mut speeds = SpeedSums::new();
         for (place, row) in sample.iter().enumerate() {
+            let half = 10 * place / sample.len() % 2;
             for joint in (0..N).filter(|&joint| row.moving[joint]) {
-                let half = 10 * place / sample.len() % 2;
-                let columns = row.columns(layout, joint);
-                let (qd, tau) = (row.state.qd[joint], row.clean[joint]);
+                let (qd, columns) = (row.state.qd[joint], row.columns(layout, joint));
                 let basis = &row.cogging_basis[joint];
-                data.speeds.add((joint, half), qd, columns, basis, tau);
+                speeds.add((joint, half), qd, basis, columns, row.clean[joint]);
             }
         }
-        Self { sample, ..data }
+        Self {
+            sums,
+            sample,
+            speeds,
+        }
     }
 
-    /// Applies Huber's weights for the residuals of `theta` to the sums without spikes.
-    pub(super) fn weigh(&mut self, layout: &Layout<N>, theta: &DVector<f64>, sigma: &[f64; N]) {
-        for (joint, (sums, &sigma)) in self.clean_sums.joints.iter_mut().zip(sigma).enumerate() {
-            *sums = huber(joint, &self.sample, layout, theta, sigma);
+    /// Sums over the sample with Huber's weights for the residuals of `theta`.
+    pub(super) fn robust_sums(
+        &self,
+        layout: &Layout<N>,
+        theta: &DVector<f64>,
+        sigma: &[f64; N],
+    ) -> NormalEquations<N> {
+        let joints = sigma.iter().enumerate();
+        let joints = joints.map(|(joint, &sigma)| huber(joint, &self.sample, layout, theta, sigma));
+        NormalEquations {
+            joints: joints.collect(),
         }
     }
 
     /// The linear layer whose loss is the weighted one: every joint's rows divided by the noise of `fit`.
     pub(super) fn layer(&self, layout: &Layout<N>, fit: &Fit<N>) -> LinearLayer {
-        let (gram, moment) = self.sums.weighted(layout, &fit.sigma);
-        let joints = self.sums.joints.iter().zip(&fit.sigma);
-        let power = joints
-            .map(|(joint, sigma)| joint.power / (sigma * sigma))
-            .sum();
-        LinearLayer::new(&gram, &moment, power, self.sums.count())
+        let sums = &self.sums.all;
+        let (gram, moment) = sums.weighted(layout, &fit.sigma);
+        let joints = sums.joints.iter().zip(&fit.sigma);
+        let power = joints.map(|(joint, sigma)| joint.power / (sigma * sigma));
+        LinearLayer::new(&gram, &moment, power.sum(), sums.count())
     }
 }
 
@@ -134,25 +116,21 @@ pub enum Candidate<const N: usize> {
 }
 
 impl<const N: usize> Candidate<N> {
-    /// Torque of the linear part at a joint with these columns, N·m.
-    pub(super) fn linear(&self, columns: &[f64], active: &[usize]) -> f64 {
+    /// Torque at a joint without networks, N·m, from its active columns and the sine and cosine of its cogging phase.
+    pub(super) fn linear(
+        &self,
+        layout: &Layout<N>,
+        joint: usize,
+        columns: &[f64],
+        basis: &[f64; 2],
+    ) -> f64 {
         match self {
-            Self::Linear(theta) | Self::Residual { theta, .. } => {
-                let pairs = columns.iter().zip(active);
-                pairs.map(|(x, &place)| x * theta[place]).sum()
-            }
+            Self::Linear(theta) => layout.torque(joint, columns, theta),
             Self::BlackBox(_) => 0.0,
-        }
-    }
-
-    /// Cogging torque at a joint, N·m, from sine and cosine of its phase.
-    pub(super) fn cogging(&self, joint: usize, basis: &[f64]) -> f64 {
-        match self {
-            Self::Residual { cogging, .. } => {
-                let pairs = cogging[joint].iter().zip(basis);
-                pairs.map(|(amplitude, basis)| amplitude * basis).sum()
+            Self::Residual { theta, cogging, .. } => {
+                let [sine, cosine] = cogging[joint];
+                layout.torque(joint, columns, theta) + (sine * basis[0] + cosine * basis[1])
             }
-            Self::Linear(_) | Self::BlackBox(_) => 0.0,
         }
     }
 
@@ -175,9 +153,8 @@ impl<const N: usize> Candidate<N> {
     pub fn torque(&self, layout: &Layout<N>, row: &SampleRow<N>) -> Joints<N> {
         let network = self.network(&row.state).unwrap_or([0.0; N]);
         Joints::from_fn(|joint, _| {
-            self.linear(row.columns(layout, joint), &layout.active[joint])
-                + self.cogging(joint, &row.cogging_basis[joint])
-                + network[joint]
+            let columns = row.columns(layout, joint);
+            self.linear(layout, joint, columns, &row.cogging_basis[joint]) + network[joint]
         })
     }
 }

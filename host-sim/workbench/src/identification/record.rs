@@ -11,9 +11,9 @@ use std::collections::BTreeMap;
 pub struct ValidationRecord {
     /// RMS error of every joint while it moves, N·m.
     pub rmse_moving_nm: Vec<Option<f64>>,
-    /// While it stands still, N·m.
+    /// RMS error of every joint while it stands still, N·m.
     pub rmse_still_nm: Vec<Option<f64>>,
-    /// Over all rows, N·m.
+    /// RMS error of every joint over all rows, N·m.
     pub rmse_all_nm: Vec<Option<f64>>,
     /// RMS error over RMS torque, moving rows.
     pub nrmse_moving_ratio: Vec<Option<f64>>,
@@ -23,15 +23,15 @@ pub struct ValidationRecord {
     pub torque_rms_moving_nm: Vec<Option<f64>>,
     /// Root of the mean over the joints of `nrmse_moving_ratio` squared.
     pub joints_nrmse_moving_ratio: f64,
-    /// Interval of `joints_nrmse_moving_ratio` with 95 % confidence: bootstrap over blocks of one second of this log.
+    /// 95 % interval of `joints_nrmse_moving_ratio`: bootstrap over blocks of one second of this log.
     pub joints_nrmse_moving_ratio_ci95: Option<[f64; 2]>,
-    /// Intervals of `rmse_moving_nm`.
+    /// 95 % interval of `rmse_moving_nm`.
     pub rmse_moving_nm_ci95: Vec<Option<[f64; 2]>>,
     /// Moving rows of every joint.
     pub rows_moving: Vec<u64>,
-    /// The part of it that the noise of the training log must cause at least (Cramér–Rao).
+    /// Cramér–Rao bound of the part that the noise of the training log causes.
     pub cramer_rao_nrmse_moving_ratio: Option<f64>,
-    /// Against the noise-free torque of the true parameters, where they are known.
+    /// Error against the noise-free torque of the true parameters, where they are known.
     pub truth_nrmse_moving_ratio: Option<f64>,
 }
 
@@ -55,8 +55,8 @@ pub struct ParameterRecord {
     pub truth: Option<f64>,
 }
 
-/// Errors on hold-out rows of the same paths: the paper's split.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// Errors on held-out rows of the same paths: the paper's split.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct SplitRecord {
     /// RMS error of every joint on the 20 % held out, moving rows, N·m.
     pub rmse_moving_nm: Vec<Option<f64>>,
@@ -78,11 +78,11 @@ pub struct LearningPoint {
 }
 
 /// One method.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MethodRecord {
     /// Unseen logs by file name.
     pub validation: BTreeMap<String, ValidationRecord>,
-    /// The paper's 80/20 split; it flatters.
+    /// The paper's 80/20 split; it is optimistic.
     pub split_80_20: SplitRecord,
     /// Parameters of the linear part.
     pub parameters: Vec<ParameterRecord>,
@@ -97,14 +97,14 @@ pub struct MethodRecord {
     pub epochs: usize,
     /// Time of the fit, without reading the logs, s.
     pub seconds: f64,
-    /// Errors with growing shares of at most 4000 rows; shares that do not show every parameter are left out.
-    /// `bp_residual` is given filtered rows here, which serve it worse than the raw ones of the whole log.
+    /// Errors after training on growing shares of at most 4000 rows; shares that do not show every parameter are left out.
+    /// `bp_residual` gets filtered rows here, which suit it less than the raw ones of the whole log.
     pub learning_curve: Vec<LearningPoint>,
     /// Loss by epoch, thinned: epoch, RMSE as a ratio of the noise (`bp_physical`), of the spread of the torques
     /// (`bp_black_box`), of the torque limit (`bp_residual`, mean of the joints).
     pub loss_ratio: Vec<(usize, f64)>,
-    /// Cost of physical consistency: half the squared Mahalanobis distance from the free fit, nats. Noise alone makes
-    /// about half the number of parameters of it.
+    /// Cost of physical consistency: half the squared Mahalanobis distance from the free fit, nats. Under noise alone it is
+    /// about half the number of parameters.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distance_from_free_nats: Option<f64>,
     /// Epochs to 1.05 times the loss of weighted least squares (`bp_physical`), accelerated and plain.
@@ -115,12 +115,12 @@ pub struct MethodRecord {
     pub base_parameter_error_ratio_by_epoch: Vec<(usize, f64)>,
 }
 
-/// The gain of one drive.
+/// Gain of one drive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GainRecord {
     /// Gain that was used, N·m/A.
     pub gain_nm_a: f64,
-    /// Its standard deviation; `null` where standstill does not tell it and the description's was taken.
+    /// Its standard deviation; `null` where standstill does not determine the gain and the description's was taken.
     pub std_nm_a: Option<f64>,
     /// Gain of the description, N·m/A.
     pub description_nm_a: f64,
@@ -129,7 +129,7 @@ pub struct GainRecord {
 }
 
 /// The whole report.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Robot.
     pub robot: String,
@@ -144,7 +144,7 @@ pub struct Report {
     pub drive_gains: Vec<GainRecord>,
     /// Training logs.
     pub logs: Vec<String>,
-    /// Notes on what was derived, cut, or thinned.
+    /// Remarks on derived columns, gaps and thinning.
     pub notes: Vec<String>,
     /// Period on which training logs were folded, s.
     pub fold_period_s: Option<f64>,
@@ -167,7 +167,7 @@ pub struct Report {
     /// Condition number of the raw SI regressor of the base parameters: moving rows, Craig link frames, first
     /// independent columns from left to right. It does not compare with figures for other frames.
     pub condition_number: f64,
-    /// Definition of the condition number.
+    /// Reference of the condition number.
     pub condition_number_of: String,
     /// Condition number of all columns at unit length.
     pub condition_number_equilibrated: f64,
@@ -186,38 +186,35 @@ impl MethodRecord {
         truth: Option<&[Option<f64>]>,
         split_80_20: SplitRecord,
     ) -> Self {
-        let fit = result.fit.as_ref();
-        let parameters = fit.map_or_else(Vec::new, |fit| {
+        let mut record = Self {
+            split_80_20,
+            rows: result.rows,
+            epochs: result.epochs,
+            seconds: result.seconds,
+            loss_ratio: result.losses.clone(),
+            distance_from_free_nats: result.distance_nats,
+            epochs_to_1_05_wls: result.epochs_to_wls,
+            ..Self::default()
+        };
+        if let Some(fit) = &result.fit {
+            record.noise_nm = fit.sigma.to_vec();
+            record.base_parameter_error_ratio =
+                truth.and_then(|truth| base_error(&fit.theta, truth, layout.base));
             let deviations = fit.deviations();
             let named = layout.parameters.iter().enumerate();
             // Columns the method does not have carry neither value nor deviation.
             let own = named.filter(|(place, _)| fit.covariance[(*place, *place)] > 0.0);
-            own.map(|(place, parameter)| ParameterRecord {
-                name: parameter.name.clone(),
-                value: fit.theta[place],
-                unit: parameter.unit.to_owned(),
-                std: deviations[place],
-                ci95: None,
-                truth: truth.and_then(|truth| truth[place]),
-            })
-            .collect()
-        });
-        Self {
-            validation: BTreeMap::new(),
-            split_80_20,
-            parameters,
-            base_parameter_error_ratio: fit
-                .zip(truth)
-                .and_then(|(fit, truth)| base_error(&fit.theta, truth, layout.base)),
-            noise_nm: fit.map_or_else(Vec::new, |fit| fit.sigma.to_vec()),
-            rows: result.rows,
-            epochs: result.epochs,
-            seconds: result.seconds,
-            learning_curve: Vec::new(),
-            loss_ratio: result.losses.clone(),
-            distance_from_free_nats: result.distance_nats,
-            epochs_to_1_05_wls: result.epochs_to_wls,
-            base_parameter_error_ratio_by_epoch: Vec::new(),
+            record.parameters = own
+                .map(|(place, parameter)| ParameterRecord {
+                    name: parameter.name.clone(),
+                    value: fit.theta[place],
+                    unit: parameter.unit.to_owned(),
+                    std: deviations[place],
+                    ci95: None,
+                    truth: truth.and_then(|truth| truth[place]),
+                })
+                .collect();
         }
+        record
     }
 }

@@ -5,8 +5,7 @@ use super::consistent::consistent;
 use super::dataset::SampleRow;
 use super::error::IdentifyError;
 use super::evidence::evidence;
-use super::methods::{Fit, MethodName, huber, irls, ols, wls};
-use super::normal::NormalEquations;
+use super::methods::{Fit, MethodName, irls, ols, wls};
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
 use super::residual::residual;
 use crate::robot::Robot;
@@ -26,7 +25,7 @@ pub fn fit_rows<const N: usize>(
     seed: u64,
 ) -> Result<Vec<MethodResult<N>>, IdentifyError> {
     let data = TrainingData::of(layout, rows.to_vec());
-    data.sums.check_rank(layout)?;
+    data.sums.all.check_rank(layout)?;
     let problem = Problem {
         robot,
         layout,
@@ -65,7 +64,7 @@ fn solve_one<const N: usize>(
 ) -> Result<MethodResult<N>, IdentifyError> {
     let layout = problem.layout;
     let sampled = data.sample.len();
-    let robust = || irls(&data.clean_sums, &data.sample, layout);
+    let robust = || irls(&data.sums.clean, &data.sample, layout);
     let linear = |fit: Option<Fit<N>>, rows| {
         let fit = fit.ok_or(IdentifyError::Unsolvable)?;
         Ok(MethodResult {
@@ -75,8 +74,8 @@ fn solve_one<const N: usize>(
         })
     };
     match name {
-        MethodName::Ols => linear(ols(&data.sums, layout), data.rows),
-        MethodName::Wls => linear(wls(&data.sums, layout), data.rows),
+        MethodName::Ols => linear(ols(&data.sums.all, layout), data.sums.rows),
+        MethodName::Wls => linear(wls(&data.sums.all, layout), data.sums.rows),
         MethodName::Irls => linear(robust(), sampled),
         MethodName::Consistent => {
             let free = robust().ok_or(IdentifyError::Unsolvable)?;
@@ -90,13 +89,7 @@ fn solve_one<const N: usize>(
         }
         MethodName::Evidence => {
             let free = robust().ok_or(IdentifyError::Unsolvable)?;
-            let joints = (0..N).map(|joint| {
-                let sigma = free.sigma[joint];
-                huber(joint, &data.sample, layout, &free.theta, sigma)
-            });
-            let sums = NormalEquations::<N> {
-                joints: joints.collect(),
-            };
+            let sums = data.robust_sums(layout, &free.theta, &free.sigma);
             linear(evidence(problem.robot, layout, &sums, &free.sigma), sampled)
         }
         MethodName::BpPhysical => physical(problem, data, progress),
@@ -105,14 +98,14 @@ fn solve_one<const N: usize>(
     }
 }
 
-/// Every joint's rows are divided by the noise an ordinary fit leaves, so that the layer's loss is the weighted one.
+/// Result of `bp_physical`: every joint's rows are divided by the noise of weighted least squares.
 fn physical<const N: usize>(
     problem: &Problem<'_, N>,
     data: &TrainingData<'_, N>,
     progress: Progress<'_>,
 ) -> Result<MethodResult<N>, IdentifyError> {
     let layout = problem.layout;
-    let reference = wls(&data.sums, layout).ok_or(IdentifyError::Unsolvable)?;
+    let reference = wls(&data.sums.all, layout).ok_or(IdentifyError::Unsolvable)?;
     let layer = data.layer(layout, &reference);
     let goal = layer.loss_of(&reference.theta);
     let mut watch =
@@ -127,15 +120,16 @@ fn physical<const N: usize>(
         epochs: fast.losses.len().saturating_sub(1),
         losses: thinned(&fast.losses),
         epochs_to_wls: Some([fast.epochs_to(1.05, goal), slow.epochs_to(1.05, goal)]),
-        // The layer ends where weighted least squares does, so its uncertainty is the same.
+        // The minimum is that of weighted least squares, and so is the uncertainty.
         fit: Some(Fit {
             theta: fast.theta,
             ..reference
         }),
-        ..MethodResult::plain(MethodName::BpPhysical, candidate, data.rows)
+        ..MethodResult::plain(MethodName::BpPhysical, candidate, data.sums.rows)
     })
 }
 
+/// Result of `bp_black_box`.
 fn black_box<const N: usize>(
     problem: &Problem<'_, N>,
     data: &TrainingData<'_, N>,

@@ -1,7 +1,7 @@
 //! Sums over a joint's raw torque by speed, from which the mean residual of any linear model follows.
 //!
 //! A filter wide enough to make torques readable is wider than the passage of a joint through its Stribeck peak. The mean
-//! over all rows of one speed needs no filter, forgets cogging and noise, and streams.
+//! over all rows of one speed needs no filter, averages cogging and noise out, and streams.
 
 use super::columns::Layout;
 use super::normal::JointSums;
@@ -20,8 +20,7 @@ struct Bin {
     count: f64,
     qd: f64,
     tau: f64,
-    /// Sine and cosine of the cogging phase.
-    cogging_basis: [f64; 2],
+    /// Sine and cosine of the cogging phase, then the active columns.
     x: Vec<f64>,
 }
 
@@ -33,76 +32,60 @@ pub struct SpeedSums<const N: usize> {
 }
 
 impl Bin {
-    fn new(columns: usize) -> Self {
-        Self {
-            count: 0.0,
-            qd: 0.0,
-            tau: 0.0,
-            cogging_basis: [0.0; 2],
-            x: vec![0.0; columns],
-        }
-    }
-
-    fn add(&mut self, count: f64, qd: f64, tau: f64, cogging_basis: &[f64], x: &[f64]) {
-        self.count += count;
-        self.qd += qd;
-        self.tau += tau;
-        for (sum, basis) in self.cogging_basis.iter_mut().zip(cogging_basis) {
-            *sum += basis;
-        }
-        for (sum, x) in self.x.iter_mut().zip(x) {
+    fn add(&mut self, other: &Self) {
+        self.count += other.count;
+        self.qd += other.qd;
+        self.tau += other.tau;
+        for (sum, x) in self.x.iter_mut().zip(&other.x) {
             *sum += x;
         }
     }
 }
 
 impl<const N: usize> SpeedSums<N> {
-    /// No rows yet.
+    /// Sums over no rows.
     pub(super) fn new() -> Self {
         Self {
             bins: vec![vec![None; BINS]; 2 * N],
         }
     }
 
+    fn put(&mut self, row: usize, place: usize, new: Bin) {
+        match &mut self.bins[row][place] {
+            Some(bin) => bin.add(&new),
+            empty => *empty = Some(Box::new(new)),
+        }
+    }
+
     /// Adds one row of one joint in one half of the log.
     ///
-    /// * `columns` active columns of the joint; `cogging_basis` sine and cosine of its cogging phase; `tau` N·m
+    /// * `basis` sine and cosine of the cogging phase; `columns` active columns of the joint; `tau` N·m
     pub(super) fn add(
         &mut self,
         (joint, half): (usize, usize),
         qd: f64,
+        basis: &[f64; 2],
         columns: &[f64],
-        cogging_basis: &[f64],
         tau: f64,
     ) {
         let share = (qd / FINE_RAD_S).asinh() / (FASTEST_RAD_S / FINE_RAD_S).asinh();
         let place = ((0.5 * (share + 1.0) * BINS as f64).max(0.0) as usize).min(BINS - 1);
-        let bin = self.bins[2 * joint + half][place]
-            .get_or_insert_with(|| Box::new(Bin::new(columns.len())));
-        bin.add(1.0, qd, tau, cogging_basis, columns);
+        let (count, x) = (1.0, [basis, columns].concat());
+        self.put(2 * joint + half, place, Bin { count, qd, tau, x });
     }
 
     /// Adds all rows of another part of the log.
     pub(super) fn merge(&mut self, other: &Self) {
-        let pairs = self.bins.iter_mut().flatten();
-        for (own, other) in pairs.zip(other.bins.iter().flatten()) {
-            match (own.as_mut(), other) {
-                (Some(own), Some(other)) => {
-                    own.add(
-                        other.count,
-                        other.qd,
-                        other.tau,
-                        &other.cogging_basis,
-                        &other.x,
-                    );
+        for (row, bins) in other.bins.iter().enumerate() {
+            for (place, bin) in bins.iter().enumerate() {
+                if let Some(bin) = bin {
+                    self.put(row, place, Bin::clone(bin));
                 }
-                (None, Some(other)) => *own = Some(other.clone()),
-                (_, None) => (),
             }
         }
     }
 
-    /// Takes a torque that depends on the speed alone (N·m) from the equations of a joint.
+    /// Subtracts a torque that depends on the speed alone (N·m) from the equations of a joint.
     ///
     /// The equations come from filtered and thinned rows, these sums from raw ones: inner products with the slow columns of
     /// a motion are the same but for the number of rows.
@@ -114,7 +97,7 @@ impl<const N: usize> SpeedSums<N> {
         for bin in bins() {
             let torque = torque(bin.qd / bin.count);
             sums.power -= share * torque * (2.0 * bin.tau - torque * bin.count);
-            for (moment, x) in sums.moment.iter_mut().zip(&bin.x) {
+            for (moment, x) in sums.moment.iter_mut().zip(&bin.x[2..]) {
                 *moment -= share * torque * x;
             }
         }
@@ -126,20 +109,13 @@ impl<const N: usize> SpeedSums<N> {
         layout: &Layout<N>,
         theta: &DVector<f64>,
         cogging: [f64; 2],
-        joint: usize,
-        half: usize,
+        (joint, half): (usize, usize),
         unit: f64,
     ) -> Vec<SpeedPoint> {
         let bins = self.bins[2 * joint + half].iter().flatten();
         bins.map(|bin| {
-            let active = layout.active[joint].iter();
-            let linear: f64 = bin
-                .x
-                .iter()
-                .zip(active)
-                .map(|(x, &place)| x * theta[place])
-                .sum();
-            let cogging = cogging[0] * bin.cogging_basis[0] + cogging[1] * bin.cogging_basis[1];
+            let linear = layout.torque(joint, &bin.x[2..], theta);
+            let cogging = cogging[0] * bin.x[0] + cogging[1] * bin.x[1];
             SpeedPoint {
                 qd: bin.qd / bin.count,
                 residual: (bin.tau - linear - cogging) / bin.count / unit,

@@ -3,7 +3,6 @@
 use super::columns::Layout;
 use super::log::LogRow;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch};
-use super::sources::choose;
 use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::parallel::cores;
 use crate::robot::Robot;
@@ -11,17 +10,17 @@ use crate::table::TableError;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Mutex;
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{SyncSender, sync_channel};
 
 /// Rows of one stretch, margins apart. Large against the margins, small enough for a few of them in memory.
 const STRETCH: usize = 16_384;
 
-/// Prepares a log stretch by stretch on all cores and hands every stretch over in the order of the log, so that sums come
-/// out the same in every run. Memory does not grow with the log.
+/// Prepares a log stretch by stretch on all cores and passes every stretch to `take` in the order of the log, so that sums
+/// are the same in every run. Memory does not grow with the log.
 ///
-/// * `notes` collects what a reader should know: columns derived, gaps
+/// * `notes` receives derived columns and gaps
 ///
-/// Errors: [`TableError`] of the first bad row; then some stretches may have been handed over.
+/// Errors: [`TableError`] of the first bad row, perhaps after some stretches.
 pub fn for_each_prepared<const N: usize>(
     path: &Path,
     robot: &Robot,
@@ -31,7 +30,7 @@ pub fn for_each_prepared<const N: usize>(
     take: &mut dyn FnMut(&Preparation, Prepared<N>),
 ) -> Result<Preparation, TableError> {
     let mut log = WholeLog::<N>::open(path, robot)?;
-    let preparation = choose(&log, config, path, notes);
+    let preparation = Preparation::of_log(&log, config, path, notes);
     let workers = cores();
     let (to_workers, stretches) = sync_channel::<Stretch<N>>(workers);
     let stretches = Mutex::new(stretches);
@@ -41,12 +40,9 @@ pub fn for_each_prepared<const N: usize>(
             let finished = finished.clone();
             let (stretches, preparation) = (&stretches, &preparation);
             scope.spawn(move || {
-                loop {
-                    // A poisoned lock means another worker has panicked; the scope reports that.
-                    let Some(stretch) = stretches.lock().ok().and_then(|queue| queue.recv().ok())
-                    else {
-                        return;
-                    };
+                // A poisoned lock means another worker has panicked; the scope reports that.
+                let next = || stretches.lock().ok()?.recv().ok();
+                while let Some(stretch) = next() {
                     let prepared = Prepared::new(&stretch, preparation, layout);
                     if finished.send(prepared).is_err() {
                         return;
@@ -75,14 +71,14 @@ pub fn for_each_prepared<const N: usize>(
     Ok(preparation)
 }
 
-/// Reads the log to its end and sends it on in stretches with margins; returns what is to be said about gaps.
+/// Sends the log to the workers in stretches with margins; returns notes on gaps and lost rows.
 fn cut_into_stretches<const N: usize>(
     log: &mut WholeLog<N>,
     preparation: &Preparation,
     path: &Path,
-    to_workers: &std::sync::mpsc::SyncSender<Stretch<N>>,
+    to_workers: &SyncSender<Stretch<N>>,
 ) -> Result<Vec<String>, TableError> {
-    let mut notes = Vec::new();
+    let (mut notes, name) = (Vec::new(), path.display());
     let (margin, edge) = (preparation.margin(), preparation.edge());
     // Rows not yet sent with the margin before them; `begin` is where the unsent core starts.
     let mut rows: Vec<LogRow<N>> = Vec::new();
@@ -96,27 +92,21 @@ fn cut_into_stretches<const N: usize>(
     };
     loop {
         let row = log.next_row()?;
-        let gap = match (&row, rows.last()) {
-            (Some(row), Some(last)) => {
-                let step = row.t_s - last.t_s;
-                let gap = step > GAP_PERIODS * preparation.period_s;
-                if gap {
-                    notes.push(format!(
-                        "{}:{}: column t_s: gap of {step:.4} s, more than {GAP_PERIODS} periods: split here",
-                        path.display(),
-                        row.line
-                    ));
-                }
-                gap
-            }
-            _ => false,
-        };
+        let pair = row.as_ref().zip(rows.last());
+        let step = pair.map_or(0.0, |(row, last)| row.t_s - last.t_s);
+        let gap = step > GAP_PERIODS * preparation.period_s;
+        if let (true, Some(row)) = (gap, &row) {
+            notes.push(format!(
+                "{name}:{}: column t_s: gap of {step:.4} s, more than {GAP_PERIODS} periods: split here",
+                row.line
+            ));
+        }
         if gap || row.is_none() {
             let end = rows.len().saturating_sub(edge);
+            let rows = std::mem::take(&mut rows);
             if begin < end {
-                send(std::mem::take(&mut rows), begin..end);
+                send(rows, begin..end);
             }
-            rows.clear();
             begin = edge;
         } else if rows.len() >= begin + STRETCH + margin {
             let end = begin + STRETCH;
@@ -127,16 +117,14 @@ fn cut_into_stretches<const N: usize>(
         }
         match row {
             Some(row) => rows.push(row),
-            None => {
-                if log.lost() > 0 {
-                    notes.push(format!(
-                        "{}: {} rows were lost on the way to the log, as its clock says: put in between their neighbours",
-                        path.display(),
-                        log.lost()
-                    ));
-                }
-                return Ok(notes);
-            }
+            None => break,
         }
     }
+    if log.lost() > 0 {
+        notes.push(format!(
+            "{name}: {} rows are missing according to its clock and were interpolated",
+            log.lost()
+        ));
+    }
+    Ok(notes)
 }

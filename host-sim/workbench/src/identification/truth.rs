@@ -1,4 +1,4 @@
-//! Against the truth, where somebody knows it.
+//! Errors against known true parameters.
 
 use super::columns::{FrictionColumn, Layout};
 use super::methods::Fit;
@@ -7,8 +7,7 @@ use crate::robot::Robot;
 use crate::training::{Descent, PhysicalConfig};
 use nalgebra::DVector;
 
-/// True parameters as far as the layout's columns have one. A column is the truth's own only where nothing of the truth
-/// hides in another column.
+/// True parameters of the layout; `None` for a column that takes up friction of another kind.
 pub(super) fn truths<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<Option<f64>> {
     let base = robot.base_parameters();
     let mut out: Vec<Option<f64>> = base.into_iter().map(Some).collect();
@@ -17,11 +16,10 @@ pub(super) fn truths<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<O
             let friction = &robot.joints[joint].friction;
             let simple = friction.stribeck_ratio == 0.0;
             match column {
-                FrictionColumn::Viscous if simple => Some(friction.viscous),
-                FrictionColumn::Coulomb if simple => Some(friction.coulomb),
+                FrictionColumn::Viscous => simple.then_some(friction.viscous),
+                FrictionColumn::Coulomb => simple.then_some(friction.coulomb),
                 FrictionColumn::CoggingSine => Some(friction.cogging),
-                FrictionColumn::Viscous | FrictionColumn::Coulomb => None,
-                FrictionColumn::Stribeck | FrictionColumn::Bend if !simple => None,
+                FrictionColumn::Stribeck | FrictionColumn::ShearThinning => simple.then_some(0.0),
                 _ => Some(0.0),
             }
         }));
@@ -32,16 +30,13 @@ pub(super) fn truths<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<O
 /// Norm of the error of the base parameters over their norm.
 pub(super) fn base_error(theta: &DVector<f64>, truth: &[Option<f64>], base: usize) -> Option<f64> {
     let truth: Vec<f64> = truth.iter().take(base).copied().collect::<Option<_>>()?;
-    let error: f64 = truth
-        .iter()
-        .zip(theta.iter())
-        .map(|(a, b)| (a - b).powi(2))
-        .sum();
+    let pairs = truth.iter().zip(theta.iter());
+    let error: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
     let size: f64 = truth.iter().map(|value| value * value).sum();
     Some((error / size).sqrt())
 }
 
-/// Error of the base parameters as the accelerated layer trains; empty without a truth.
+/// Error of the base parameters by epoch of the accelerated layer; empty without a truth.
 pub(super) fn error_curve<const N: usize>(
     data: &TrainingData<'_, N>,
     layout: &Layout<N>,

@@ -7,67 +7,53 @@ use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
 use super::problem::Candidate;
 use super::record::ValidationRecord;
-use nalgebra::{DMatrix, DVector};
+use crate::metrics::{root_mean, root_mean_square};
+use nalgebra::DMatrix;
 
-#[derive(Clone, Copy, Debug, Default)]
-struct Sums {
-    moving: f64,
-    still: f64,
-}
-
-/// Scores of several candidates on one log.
+/// Squared errors of every candidate, squared torques and number of rows, joint by joint.
 #[derive(Clone, Debug)]
-pub struct FileScores<const N: usize> {
-    errors: Vec<[Sums; N]>,
-    torque: [Sums; N],
-    count: [Sums; N],
-    range: [(f64, f64); N],
-    /// Sums over the moving rows, for bounds.
-    pub sums: NormalEquations<N>,
-    /// Sums over the moving rows of each second.
-    blocks: Vec<Block<N>>,
-    /// A thinned sample of its rows.
-    pub sample: Vec<SampleRow<N>>,
-    /// Time, measured torque, and the torque that every candidate predicts, thinned, for the plot.
-    pub trace: Vec<(f64, [f64; N], Vec<[f64; N]>)>,
-}
-
-impl Sums {
-    fn add(&mut self, moving: bool, value: f64) {
-        if moving {
-            self.moving += value;
-        } else {
-            self.still += value;
-        }
-    }
-}
-
-/// Squared errors of every candidate, squared torques and rows of one second, moving rows only.
-#[derive(Clone, Debug)]
-struct Block<const N: usize> {
-    second: i64,
+struct Sums<const N: usize> {
     errors: Vec<[f64; N]>,
     torque: [f64; N],
     count: [f64; N],
 }
 
-/// The block of the second at `t_s`.
-fn open_block<const N: usize>(
-    blocks: &mut Vec<Block<N>>,
-    t_s: f64,
-    candidates: usize,
-) -> &mut Block<N> {
-    let second = t_s.floor() as i64;
-    if blocks.last().map(|block| block.second) != Some(second) {
-        blocks.push(Block {
-            second,
+impl<const N: usize> Sums<N> {
+    fn new(candidates: usize) -> Self {
+        Self {
             errors: vec![[0.0; N]; candidates],
             torque: [0.0; N],
             count: [0.0; N],
-        });
+        }
     }
-    let last = blocks.len() - 1;
-    &mut blocks[last]
+
+    /// Adds one row of `joint`: the torques of all candidates and the measured one.
+    fn add(&mut self, joint: usize, predicted: impl Iterator<Item = f64>, measured: f64) {
+        for (errors, predicted) in self.errors.iter_mut().zip(predicted) {
+            errors[joint] += (predicted - measured).powi(2);
+        }
+        self.torque[joint] += measured * measured;
+        self.count[joint] += 1.0;
+    }
+}
+
+/// Time, measured torque, and the torque that every candidate predicts, N·m.
+pub(super) type Trace<const N: usize> = Vec<(f64, [f64; N], Vec<[f64; N]>)>;
+
+/// Scores of several candidates on one log.
+#[derive(Clone, Debug)]
+pub(super) struct FileScores<const N: usize> {
+    moving: Sums<N>,
+    still: Sums<N>,
+    range: [(f64, f64); N],
+    /// Sums over the moving rows, for bounds.
+    equations: NormalEquations<N>,
+    /// Seconds, and sums over the moving rows of each.
+    blocks: Vec<(f64, Sums<N>)>,
+    /// A thinned sample of its rows.
+    pub(super) sample: Vec<SampleRow<N>>,
+    /// Torques in some of its rows, for the plot.
+    pub(super) trace: Trace<N>,
 }
 
 /// Torques of a candidate in the rows that count, N a row, N·m, through the filter of the measurement.
@@ -77,42 +63,36 @@ fn predictions<const N: usize>(
     prepared: &Prepared<N>,
     candidate: &Candidate<N>,
 ) -> Vec<f64> {
-    let shares = prepared.states.iter().map(|state| candidate.network(state));
-    let shares: Option<Vec<[f64; N]>> = shares.collect();
-    let mut table = match shares {
-        Some(shares) => {
-            let mut table = shares.concat();
-            preparation.smooth_torque(&mut table, N);
-            table
-        }
-        None => vec![0.0; prepared.tau.len()],
-    };
+    let states = prepared.states.iter();
+    let networks: Option<Vec<[f64; N]>> = states.map(|state| candidate.network(state)).collect();
+    let mut table = networks.map_or(vec![0.0; prepared.tau.len()], |networks| {
+        let mut table = networks.concat();
+        preparation.smooth_torque(&mut table, N);
+        table
+    });
     for row in prepared.core.clone() {
-        for (joint, active) in layout.active.iter().enumerate() {
-            let basis = &prepared.cogging_basis[2 * (row * N + joint)..][..2];
-            table[row * N + joint] += candidate
-                .linear(prepared.columns(layout, row, joint), active)
-                + candidate.cogging(joint, basis);
+        for joint in 0..N {
+            let columns = prepared.columns(layout, row, joint);
+            let basis = &prepared.cogging_basis[row * N + joint];
+            table[row * N + joint] += candidate.linear(layout, joint, columns, basis);
         }
     }
     table
 }
 
-/// Rows a sample keeps.
+/// Most rows of the sample.
 const SAMPLE: usize = 2000;
-/// Points a trace keeps.
+/// Most points of the trace.
 const TRACE: usize = 1500;
 
 impl<const N: usize> FileScores<N> {
-    /// No rows yet.
-    pub fn new(layout: &Layout<N>, candidates: usize) -> Self {
-        let zero = [Sums::default(); N];
+    /// Scores over no rows.
+    pub(super) fn new(layout: &Layout<N>, candidates: usize) -> Self {
         Self {
-            errors: vec![zero; candidates],
-            torque: zero,
-            count: zero,
+            moving: Sums::new(candidates),
+            still: Sums::new(candidates),
             range: [(f64::INFINITY, f64::NEG_INFINITY); N],
-            sums: NormalEquations::new(layout),
+            equations: NormalEquations::new(layout),
             blocks: Vec::new(),
             sample: Vec::new(),
             trace: Vec::new(),
@@ -120,45 +100,44 @@ impl<const N: usize> FileScores<N> {
     }
 
     /// Adds a stretch: model and measurement through the same filter, network output included.
-    pub fn add(
+    pub(super) fn add(
         &mut self,
         layout: &Layout<N>,
         preparation: &Preparation,
         prepared: &Prepared<N>,
         candidates: &[&Candidate<N>],
     ) {
+        let candidates = candidates.iter();
         let predicted: Vec<Vec<f64>> = candidates
-            .iter()
             .map(|candidate| predictions(layout, preparation, prepared, candidate))
             .collect();
         let stride = preparation.stride();
         let mut equations: [(Vec<f64>, Vec<f64>); N] = std::array::from_fn(|_| Default::default());
         for row in prepared.core.clone() {
-            let block = open_block(&mut self.blocks, prepared.t_s[row], candidates.len());
+            let second = prepared.t_s[row].floor();
+            if self.blocks.last().is_none_or(|(last, _)| *last != second) {
+                self.blocks.push((second, Sums::new(predicted.len())));
+            }
             for (joint, (x, tau)) in equations.iter_mut().enumerate() {
                 let measured = prepared.tau[row * N + joint];
-                let moving = prepared.states[row].qd[joint].abs() > preparation.still_rad_s;
-                self.torque[joint].add(moving, measured * measured);
-                self.count[joint].add(moving, 1.0);
-                let errors = self.errors.iter_mut().zip(&mut block.errors);
-                for (predicted, (errors, in_block)) in predicted.iter().zip(errors) {
-                    let square = (predicted[row * N + joint] - measured).powi(2);
-                    errors[joint].add(moving, square);
-                    in_block[joint] += if moving { square } else { 0.0 };
+                let predicted = predicted.iter().map(|table| table[row * N + joint]);
+                if prepared.states[row].qd[joint].abs() <= preparation.still_rad_s {
+                    self.still.add(joint, predicted, measured);
+                    continue;
                 }
-                if moving {
-                    block.torque[joint] += measured * measured;
-                    block.count[joint] += 1.0;
-                    let (low, high) = self.range[joint];
-                    self.range[joint] = (low.min(measured), high.max(measured));
-                    if row % stride == 0 {
-                        x.extend_from_slice(prepared.columns(layout, row, joint));
-                        tau.push(measured);
-                    }
+                self.moving.add(joint, predicted.clone(), measured);
+                if let Some((_, block)) = self.blocks.last_mut() {
+                    block.add(joint, predicted, measured);
+                }
+                let (low, high) = self.range[joint];
+                self.range[joint] = (low.min(measured), high.max(measured));
+                if row % stride == 0 {
+                    x.extend_from_slice(prepared.columns(layout, row, joint));
+                    tau.push(measured);
                 }
             }
         }
-        for (sums, (x, tau)) in self.sums.joints.iter_mut().zip(&equations) {
+        for (sums, (x, tau)) in self.equations.joints.iter_mut().zip(&equations) {
             sums.add(x, tau);
         }
         let rows = || prepared.core.clone().step_by(stride);
@@ -169,17 +148,31 @@ impl<const N: usize> FileScores<N> {
         for row in rows().take(TRACE.saturating_sub(self.trace.len())) {
             let at = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
             let predicted = predicted.iter().map(|table| at(table)).collect();
-            let measured = at(&prepared.tau);
-            self.trace.push((prepared.t_s[row], measured, predicted));
+            self.trace
+                .push((prepared.t_s[row], at(&prepared.tau), predicted));
         }
     }
 
-    /// Puts the 95 % intervals of one candidate into its record.
-    pub fn intervals(&self, candidate: usize, seed: u64, record: &mut ValidationRecord) {
+    /// Errors of one candidate, with 95 % intervals by bootstrap over seconds.
+    pub(super) fn record(&self, candidate: usize, seed: u64) -> ValidationRecord {
+        let (moving, still) = (&self.moving, &self.still);
+        let (errors, errors_still) = (&moving.errors[candidate], &still.errors[candidate]);
+        let joints = |value: &dyn Fn(usize) -> Option<f64>| (0..N).map(value).collect::<Vec<_>>();
+        let root = |sum: f64, count: f64| (count > 0.0).then(|| (sum / count).sqrt());
+        let rmse = |j: usize| root(errors[j], moving.count[j]);
+        let torque = |j: usize| root(moving.torque[j], moving.count[j]);
+        let all = |j: usize| {
+            let (errors, count) = (
+                errors[j] + errors_still[j],
+                moving.count[j] + still.count[j],
+            );
+            root(errors, count)
+        };
+        let ratios = joints(&|j| Some(rmse(j)? / torque(j)?));
         let draws = resample(self.blocks.len().max(1), seed, |draw| {
             let (mut errors, mut torque, mut count) = ([0.0; N], [0.0; N], [0.0; N]);
             for &place in draw {
-                let block = self.blocks.get(place)?;
+                let (_, block) = self.blocks.get(place)?;
                 for joint in 0..N {
                     errors[joint] += block.errors[candidate][joint];
                     torque[joint] += block.torque[joint];
@@ -188,87 +181,47 @@ impl<const N: usize> FileScores<N> {
             }
             Some((errors, torque, count))
         });
-        let mut ratios: Vec<f64> = draws
-            .iter()
-            .map(|(errors, torque, _)| {
-                let ratios = errors
-                    .iter()
-                    .zip(torque)
-                    .filter(|(_, torque)| **torque > 0.0);
-                let ratios: Vec<f64> = ratios.map(|(error, torque)| error / torque).collect();
-                (ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt()
-            })
-            .collect();
-        record.joints_nrmse_moving_ratio_ci95 = middle(&mut ratios);
-        record.rmse_moving_nm_ci95 = (0..N)
-            .map(|joint| {
-                let moved = draws.iter().filter(|(_, _, count)| count[joint] > 0.0);
-                let rmse = moved.map(|(errors, _, count)| (errors[joint] / count[joint]).sqrt());
-                middle(&mut rmse.collect::<Vec<f64>>())
-            })
-            .collect();
-    }
-
-    /// The figures of one candidate.
-    pub fn record(&self, candidate: usize) -> ValidationRecord {
-        let errors = &self.errors[candidate];
-        let root = |sum: f64, count: f64| (count > 0.0).then(|| (sum / count).sqrt());
-        let joints = |value: &dyn Fn(usize) -> Option<f64>| (0..N).map(value).collect::<Vec<_>>();
-        let moving = |j: usize| root(errors[j].moving, self.count[j].moving);
-        let torque = |j: usize| root(self.torque[j].moving, self.count[j].moving);
-        let ratio = |j: usize| Some(moving(j)? / torque(j)?);
-        let ratios: Vec<f64> = (0..N).filter_map(ratio).collect();
-        let squares: f64 = ratios.iter().map(|ratio| ratio * ratio).sum();
+        let nrmse = draws.iter().map(|(errors, torque, _)| {
+            let pairs = errors.iter().zip(torque);
+            let pairs = pairs.filter(|(_, torque)| **torque > 0.0);
+            root_mean(pairs.map(|(error, torque)| error / torque))
+        });
+        let interval = |j: usize| {
+            let moved = draws.iter().filter(|(_, _, count)| count[j] > 0.0);
+            middle(moved.map(|(errors, _, count)| (errors[j] / count[j]).sqrt()))
+        };
         ValidationRecord {
-            rmse_moving_nm: joints(&moving),
-            rmse_still_nm: joints(&|j| root(errors[j].still, self.count[j].still)),
-            rmse_all_nm: joints(&|j| {
-                root(
-                    errors[j].moving + errors[j].still,
-                    self.count[j].moving + self.count[j].still,
-                )
-            }),
-            nrmse_moving_ratio: joints(&ratio),
+            rmse_moving_nm: joints(&rmse),
+            rmse_still_nm: joints(&|j| root(errors_still[j], still.count[j])),
+            rmse_all_nm: joints(&all),
+            joints_nrmse_moving_ratio: root_mean_square(&ratios),
+            nrmse_moving_ratio: ratios,
             rmse_over_range_moving_ratio: joints(&|j| {
-                let (low, high) = self.range[j];
-                Some(moving(j)? / (high - low))
+                Some(rmse(j)? / (self.range[j].1 - self.range[j].0))
             }),
             torque_rms_moving_nm: joints(&torque),
-            joints_nrmse_moving_ratio_ci95: None,
-            rmse_moving_nm_ci95: Vec::new(),
-            joints_nrmse_moving_ratio: (squares / ratios.len().max(1) as f64).sqrt(),
-            rows_moving: (0..N).map(|j| self.count[j].moving as u64).collect(),
+            joints_nrmse_moving_ratio_ci95: middle(nrmse),
+            rmse_moving_nm_ci95: (0..N).map(interval).collect(),
+            rows_moving: moving.count.iter().map(|&count| count as u64).collect(),
             cramer_rao_nrmse_moving_ratio: None,
             truth_nrmse_moving_ratio: None,
         }
     }
 
-    /// RMS over the joints of (RMS torque of parameters that are `covariance` uncertain / RMS torque): the error that the
-    /// noise of the training log alone makes on this log, a ratio.
-    pub fn propagated(&self, layout: &Layout<N>, covariance: &DMatrix<f64>) -> f64 {
-        self.over_joints(|joint| {
-            let active = &layout.active[joint];
-            let gram = &self.sums.joints[joint].gram;
+    /// RMS over the joints of (RMS torque of a parameter error / RMS torque), a ratio.
+    ///
+    /// * `covariance` of the parameter error: that of a fit for the share of the training noise, or `e eᵀ` of a known error
+    pub(super) fn propagated(&self, layout: &Layout<N>, covariance: &DMatrix<f64>) -> f64 {
+        let joints = self.equations.joints.iter().zip(&layout.active);
+        let moving = joints.filter(|(sums, _)| sums.power > 0.0);
+        root_mean(moving.map(|(sums, active)| {
             let mut trace = 0.0;
             for (a, &row) in active.iter().enumerate() {
                 for (b, &column) in active.iter().enumerate() {
-                    trace += gram[(a, b)] * covariance[(row, column)];
+                    trace += sums.gram[(a, b)] * covariance[(row, column)];
                 }
             }
-            trace
-        })
-    }
-
-    /// RMS over the joints for one known error of the parameters.
-    pub fn propagated_error(&self, layout: &Layout<N>, error: &DVector<f64>) -> f64 {
-        self.propagated(layout, &(error * error.transpose()))
-    }
-
-    fn over_joints(&self, square: impl Fn(usize) -> f64) -> f64 {
-        let ratios: Vec<f64> = (0..N)
-            .filter(|&joint| self.sums.joints[joint].power > 0.0)
-            .map(|joint| square(joint) / self.sums.joints[joint].power)
-            .collect();
-        (ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt()
+            trace / sums.power
+        }))
     }
 }

@@ -1,4 +1,4 @@
-//! A log without the rows it lost: filters and derivatives need rows that are equally far apart.
+//! A log with its lost rows put in: filters and derivatives need rows that are equally far apart.
 
 use super::filter::median;
 use super::log::{LogReader, LogRow};
@@ -7,19 +7,18 @@ use crate::table::{TableError, TableProblem};
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// Rows from which the period and the trust in logged velocities are found.
+/// Rows from which the period and the sources of motion are found.
 const PREVIEW: usize = 4096;
 /// A step in time of more than this many periods cuts the log; rows lost in a shorter one are put in.
 pub(super) const GAP_PERIODS: f64 = 5.0;
 /// A log with steps shorter than this many periods was timed on arrival: a long step before such a short one was a delay,
-/// and nothing is known to be lost.
+/// not a loss.
 const ARRIVAL_PERIODS: f64 = 0.5;
 
-/// Reads a log row by row, in constant memory. Where the clock says that rows were lost they are put in: torques and
-/// velocities on a straight line between the neighbours, positions on the cubic through both and their velocities where
-/// the log has such.
+/// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
+/// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
 ///
-/// Three periods of 8 ms taken for one would triple a velocity that is derived of it, and make an acceleration of nothing.
+/// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog<const N: usize> {
     reader: LogReader<N>,
     preview: Vec<LogRow<N>>,
@@ -31,46 +30,40 @@ pub struct WholeLog<const N: usize> {
 }
 
 impl<const N: usize> WholeLog<N> {
-    /// Opens a log and looks at its first rows.
+    /// Opens a log and reads its first rows.
     ///
     /// Errors: [`TableError`] of the header or of one of these rows; fewer than three rows.
     pub fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
         let mut reader = LogReader::<N>::open(path, robot)?;
-        let mut first = VecDeque::with_capacity(PREVIEW);
-        while first.len() < PREVIEW {
-            match reader.next_row()? {
-                Some(row) => first.push_back(row),
-                None => break,
-            }
+        let mut first = Vec::new();
+        while first.len() < PREVIEW
+            && let Some(row) = reader.next_row()?
+        {
+            first.push(row);
         }
         if first.len() < 3 {
             return Err(TableProblem::Empty.at(path, None));
         }
-        let times = first.iter().zip(first.iter().skip(1));
-        let mut steps: Vec<f64> = times.map(|(a, b)| b.t_s - a.t_s).collect();
+        let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let period_s = median(&mut steps);
-        let shortest = steps.iter().copied().fold(period_s, f64::min);
         let mut log = Self {
             reader,
             preview: Vec::new(),
             period_s,
-            timed_on_arrival: shortest < ARRIVAL_PERIODS * period_s,
+            timed_on_arrival: steps.iter().any(|&step| step < ARRIVAL_PERIODS * period_s),
             last: None,
             waiting: VecDeque::new(),
             lost: 0,
         };
-        let mut whole = Vec::with_capacity(first.len());
         for row in first {
             log.take(row);
-            whole.extend(log.waiting.drain(..));
         }
         if log.lost > 0 {
             // The steps scatter about two lengths now, and their median lies at the edge of the shorter.
             let periods: f64 = steps.iter().map(|step| log.periods(*step)).sum();
             log.period_s = steps.iter().sum::<f64>() / periods;
         }
-        log.preview = whole.clone();
-        log.waiting = whole.into();
+        log.preview = log.waiting.iter().copied().collect();
         Ok(log)
     }
 
@@ -106,7 +99,7 @@ impl<const N: usize> WholeLog<N> {
         Ok(self.waiting.pop_front())
     }
 
-    /// Periods that a step in time lasts, s; 1 where the clock does not tell.
+    /// Periods in a step of time, s; 1 where the clock shows no loss.
     fn periods(&self, step_s: f64) -> f64 {
         let periods = step_s / self.period_s;
         if self.timed_on_arrival || periods > GAP_PERIODS {
@@ -116,7 +109,7 @@ impl<const N: usize> WholeLog<N> {
         }
     }
 
-    /// `row` and what was lost before it.
+    /// Queues `row` and the rows lost before it.
     fn take(&mut self, row: LogRow<N>) {
         if let Some(last) = self.last.replace(row) {
             let periods = self.periods(row.t_s - last.t_s) as usize;
@@ -170,19 +163,6 @@ fn between<const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::PathBuf;
-
-    /// A log of one joint that moves on a cubic, at these times.
-    fn log(name: &str, times_s: &[f64]) -> PathBuf {
-        let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
-        let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
-        for &t in times_s {
-            let (q, qd) = motion(t);
-            text += &format!("{t},{q},{qd},{}\n", 3.0 * t);
-        }
-        std::fs::write(&path, text).expect("a directory for temporary files");
-        path
-    }
 
     fn motion(t: f64) -> (f64, f64) {
         (
@@ -191,8 +171,15 @@ mod tests {
         )
     }
 
+    /// Rows of a log of one joint that moves on a cubic, at these times.
     fn read(name: &str, times_s: &[f64]) -> (Vec<LogRow<1>>, WholeLog<1>) {
-        let path = log(name, times_s);
+        let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
+        let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
+        for &t in times_s {
+            let (q, qd) = motion(t);
+            text += &format!("{t},{q},{qd},{}\n", 3.0 * t);
+        }
+        std::fs::write(&path, text).expect("a directory for temporary files");
         let mut robot = Robot::load("ur5").expect("built in");
         robot.joints.truncate(1);
         let mut log = WholeLog::<1>::open(&path, &robot).expect("a sound log");
@@ -205,8 +192,8 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_were_lost_are_where_the_motion_and_the_torque_were() {
-        // Two of four rows lost, with a clock that trembles.
+    fn lost_rows_are_put_in_on_the_motion_and_the_torque() {
+        // Two of four rows lost, with clock jitter.
         let times: Vec<f64> = (0..400)
             .filter(|k| k % 4 < 2)
             .map(|k| 8e-3 * f64::from(k) + 2e-4 * f64::from(k * 7 % 3 - 1))
@@ -226,9 +213,9 @@ mod tests {
     }
 
     #[test]
-    fn a_log_that_lost_nothing_stays_as_it_is() {
+    fn a_log_without_losses_is_unchanged() {
         let even: Vec<f64> = (0..100).map(|k| 2e-3 * f64::from(k)).collect();
-        // Written down on arrival: the second of every two came late, together with the next.
+        // Timed on arrival: the second of every two came late, together with the next.
         let bunched: Vec<f64> = (0..100)
             .map(|k| 8e-3 * f64::from(k) + if k % 4 == 1 { 7.5e-3 } else { 0.0 })
             .collect();

@@ -1,9 +1,105 @@
 //! The description file: TOML, units in the names of the fields.
 
-use super::schema::{CapsuleFile, DhFile, FrameFile, JointFile, LinkFile, RobotFile};
-use super::{Capsule, Joint, Link, MAX_JOINTS, Placement, Robot, RobotError};
+use super::{
+    Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
+    RobotError, Workspace,
+};
 use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RobotFile {
+    pub(super) name: String,
+    #[serde(default = "earth")]
+    pub(super) gravity_m_s2: [f64; 3],
+    pub(super) joints: Vec<JointFile>,
+    pub(super) flange: Option<FrameFile>,
+    #[serde(skip_serializing)]
+    pub(super) tool: Option<ToolFile>,
+    pub(super) log_columns: Option<LogColumns>,
+    #[serde(default)]
+    pub(super) workspace: Workspace,
+}
+
+/// Ends and radius in the frame of the link's mass distribution.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CapsuleFile {
+    pub(super) from_m: [f64; 3],
+    pub(super) to_m: [f64; 3],
+    pub(super) radius_m: f64,
+}
+
+/// Tool at the flange, in the flange's frame. Becomes part of the last link.
+#[derive(Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ToolFile {
+    pub(super) mass_kg: f64,
+    pub(super) com_m: [f64; 3],
+    pub(super) inertia_kg_m2: InertiaFile,
+    #[serde(default)]
+    pub(super) capsules: Vec<CapsuleFile>,
+}
+
+fn earth() -> [f64; 3] {
+    [0.0, 0.0, -9.81]
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct JointFile {
+    pub(super) name: String,
+    pub(super) dh: Option<DhFile>,
+    pub(super) frame: Option<FrameFile>,
+    pub(super) link: LinkFile,
+    pub(super) drive: Drive,
+    pub(super) friction: Friction,
+    pub(super) limits: Limits,
+    #[serde(default)]
+    pub(super) capsules: Vec<CapsuleFile>,
+}
+
+/// A standard Denavit–Hartenberg row, `T = Rz(q) Tz(d) Tx(a) Rx(alpha)`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DhFile {
+    pub(super) d_m: f64,
+    pub(super) a_m: f64,
+    pub(super) alpha_rad: f64,
+}
+
+/// Joint frame in the frame before it, roll–pitch–yaw about fixed axes: `R = Rz(yaw) Ry(pitch) Rx(roll)`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FrameFile {
+    pub(super) xyz_m: [f64; 3],
+    pub(super) rpy_rad: [f64; 3],
+}
+
+/// Mass distribution in the DH frame of the link, or in the joint frame where the joint is given by a `frame`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LinkFile {
+    pub(super) mass_kg: f64,
+    pub(super) com_m: [f64; 3],
+    pub(super) inertia_kg_m2: InertiaFile,
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct InertiaFile {
+    pub(super) xx: f64,
+    pub(super) yy: f64,
+    pub(super) zz: f64,
+    #[serde(default)]
+    pub(super) xy: f64,
+    #[serde(default)]
+    pub(super) xz: f64,
+    #[serde(default)]
+    pub(super) yz: f64,
+}
 
 /// Reads, checks and converts a description.
 pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
@@ -30,7 +126,7 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
         None => None,
     };
     let mut joints = Vec::with_capacity(raw.joints.len());
-    // What the DH row of the link before leaves to be done ahead of this joint's rotation.
+    // The part of the previous link's DH row that precedes this joint's rotation.
     let mut link_end = Placement::identity();
     for (index, joint) in raw.joints.iter().enumerate() {
         let at = |field: &str| format!("joints[{index}].{field}");
@@ -52,11 +148,12 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
                 return Err(check.error(&at("dh"), "give exactly one of 'dh' and 'frame'"));
             }
         };
-        check_values(joint, &check, &at)?;
+        let link = link_in_craig_frame(&joint.link, &end, &check, &at)?;
+        check_numbers(joint, &check, &at)?;
         joints.push(Joint {
             name: joint.name.clone(),
             placement,
-            link: link_in_craig_frame(&joint.link, &end, &check, &at)?,
+            link,
             drive: joint.drive,
             friction: joint.friction,
             limits: joint.limits,
@@ -78,9 +175,8 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
         last.capsules
             .extend(capsules(&tool.capsules, &flange, &check, &at)?);
     }
-    let height = raw.workspace.table_height;
     check.that(
-        height.is_none_or(f64::is_finite),
+        raw.workspace.table_height.is_none_or(f64::is_finite),
         "workspace.table_height_m",
         "is not a finite number",
     )?;
@@ -141,47 +237,46 @@ fn link_in_craig_frame(
     Ok(in_dh_frame.placed(end))
 }
 
-/// Checks drive, friction and limits of a joint.
-fn check_values(
+/// Checks the numbers of drive, friction and limits.
+fn check_numbers(
     joint: &JointFile,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
 ) -> Result<(), RobotError> {
     let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
-    for (field, value) in [
-        ("drive.rotor_inertia_kg_m2", drive.rotor_inertia),
-        ("friction.viscous_nm_s_rad", friction.viscous),
-        ("friction.coulomb_nm", friction.coulomb),
-        ("friction.stribeck_ratio", friction.stribeck_ratio),
-        ("friction.cogging_nm", friction.cogging),
-        ("friction.cogging_cycles_rev", friction.cogging_cycles_rev),
-    ] {
-        check.not_negative(&at(field), value)?;
-    }
-    for (field, value) in [
-        ("drive.gain_nm_a", drive.gain),
+    for (field, value, positive) in [
+        ("drive.rotor_inertia_kg_m2", drive.rotor_inertia, false),
+        ("drive.gain_nm_a", drive.gain, true),
+        ("friction.viscous_nm_s_rad", friction.viscous, false),
+        ("friction.coulomb_nm", friction.coulomb, false),
+        ("friction.stribeck_ratio", friction.stribeck_ratio, false),
         (
             "friction.stribeck_velocity_rad_s",
             friction.stribeck_velocity,
+            true,
         ),
-        ("limits.velocity_rad_s", limits.velocity),
-        ("limits.acceleration_rad_s2", limits.acceleration),
-        ("limits.torque_nm", limits.torque),
+        ("friction.cogging_nm", friction.cogging, false),
+        (
+            "friction.cogging_cycles_rev",
+            friction.cogging_cycles_rev,
+            false,
+        ),
+        ("limits.velocity_rad_s", limits.velocity, true),
+        ("limits.acceleration_rad_s2", limits.acceleration, true),
+        ("limits.torque_nm", limits.torque, true),
     ] {
-        check.positive(&at(field), value)?;
+        if positive {
+            check.positive(&at(field), value)?;
+        } else {
+            check.not_negative(&at(field), value)?;
+        }
     }
-    check.that(
-        (8..=32).contains(&drive.encoder_bits),
-        &at("drive.encoder_bits"),
-        "must be 8 to 32",
-    )?;
+    let bits = (8..=32).contains(&drive.encoder_bits);
+    check.that(bits, &at("drive.encoder_bits"), "must be 8 to 32")?;
     let (lower, upper) = limits.position;
-    check.finite(&at("limits.position_rad"), &[lower, upper])?;
-    check.that(
-        lower < upper,
-        &at("limits.position_rad"),
-        "lower end must be below upper end",
-    )
+    let field = at("limits.position_rad");
+    check.finite(&field, &[lower, upper])?;
+    check.that(lower < upper, &field, "lower end must be below upper end")
 }
 
 fn capsules(

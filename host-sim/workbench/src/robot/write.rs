@@ -1,11 +1,11 @@
-//! A robot as a description file.
+//! A robot as a description file again.
 
-use super::schema::{CapsuleFile, DhFile, FrameFile, InertiaFile, JointFile, LinkFile, RobotFile};
+use super::file::{CapsuleFile, DhFile, FrameFile, InertiaFile, JointFile, LinkFile, RobotFile};
 use super::{Joint, Link, Placement, Robot};
 use nalgebra::{Rotation3, Vector3};
 
 impl Robot {
-    /// The description file of this robot; [`Robot::parse`] reads it back, to rounding. Joints that came with a
+    /// The description file of this robot, which [`Robot::parse`] reads back to rounding. Joints that came with a
     /// Denavit–Hartenberg row keep it, and their links stand in its frame; all others are given by their joint frames.
     ///
     /// Errors: those of the serialiser.

@@ -23,7 +23,7 @@ pub struct StateRow<const N: usize> {
     pub motion: State<N>,
 }
 
-/// Requirement that a table has the times of its rows.
+/// Whether a table must have the times of its rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeColumn {
     /// `t_s` is checked where present.

@@ -8,9 +8,9 @@ use rand_chacha::ChaCha8Rng;
 
 /// Hidden units.
 const HIDDEN: usize = 32;
-/// Rows a step of the descent looks at.
+/// Rows of one step of the descent.
 const BATCH: usize = 64;
-/// Rows it is trained on at most: more do not help it where it fails, on paths it has not seen.
+/// Most rows of the training: more do not reduce the error on unseen paths.
 const ROWS: usize = 8000;
 /// Passes over the rows.
 const EPOCHS: usize = 80;
@@ -30,7 +30,7 @@ pub struct BlackBox<const N: usize> {
 }
 
 impl<const N: usize> BlackBox<N> {
-    /// Trains on states and torques, N·m; a joint that stands still in a row is left out of that row's error.
+    /// Network trained on states and torques, N·m; a joint that stands still in a row has no error there.
     ///
     /// Gradient descent on batches with a rate of its own for every weight [Kingma and Ba 2015].
     pub fn train(
@@ -40,8 +40,8 @@ impl<const N: usize> BlackBox<N> {
     ) -> Self {
         let stride = rows.len().div_ceil(ROWS).max(1);
         let rows: Vec<_> = rows.iter().step_by(stride).collect();
-        let inputs: Vec<Vec<f64>> = rows.iter().map(|(state, _, _)| raw_inputs(state)).collect();
-        let (centre, spread): (Vec<f64>, Vec<f64>) = (0..3 * N)
+        let inputs: Vec<Vec<f64>> = rows.iter().map(|(state, ..)| raw_inputs(state)).collect();
+        let (centre, spread) = (0..3 * N)
             .map(|i| moments(inputs.iter().map(|x| x[i])))
             .unzip();
         let torques: [(f64, f64); N] =
@@ -73,11 +73,7 @@ impl<const N: usize> BlackBox<N> {
                     for joint in 0..N {
                         let target =
                             (tau[joint] - out.torque_centre[joint]) / out.torque_spread[joint];
-                        e[joint] = if moving[joint] {
-                            e[joint] - target
-                        } else {
-                            0.0
-                        };
+                        e[joint] = f64::from(u8::from(moving[joint])) * (e[joint] - target);
                         sum += e[joint] * e[joint];
                         count += f64::from(u8::from(moving[joint]));
                     }
@@ -112,8 +108,8 @@ impl<const N: usize> BlackBox<N> {
 
     fn scaled(&self, x: &[f64]) -> Vec<f64> {
         let scales = self.centre.iter().zip(&self.spread);
-        x.iter()
-            .zip(scales)
+        let scaled = x.iter().zip(scales);
+        scaled
             .map(|(x, (centre, spread))| (x - centre) / spread)
             .collect()
     }
@@ -124,7 +120,7 @@ fn raw_inputs<const N: usize>(state: &State<N>) -> Vec<f64> {
     parts.iter().flat_map(|part| part.iter()).copied().collect()
 }
 
-/// Mean and standard deviation; the deviation of a constant is taken as one.
+/// Mean and standard deviation; 1 for the deviation of a constant.
 fn moments(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     let count = values.clone().count().max(1) as f64;
     let mean = values.clone().sum::<f64>() / count;

@@ -1,4 +1,4 @@
-//! Training of BP networks on the host, in f64: the board's own f32 networks are what comes out.
+//! Training of BP networks on the host, in f64; the results are the board's own f32 networks.
 
 mod black_box;
 mod network;

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 /// `a = relu(W1 x + b1)`, `y = W2 a + b2` (eq. 19), all weights in one vector: W1 unit by unit, b1, W2 output by output,
 /// b2.
 ///
-/// The board's `BpNetwork` holds the same network in f32; sums over thousands of rows want more digits than that.
+/// The board's `BpNetwork` is this network in f32; sums over thousands of rows need more digits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingNetwork {
     inputs: usize,

@@ -14,12 +14,12 @@ use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Method of descent.
+/// Kind of gradient descent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Descent {
-    /// eq. 21 as it stands.
+    /// eq. 21 unchanged.
     Plain,
-    /// Nesterov's momentum, taken back whenever the loss rises [O'Donoghue and Candès 2015].
+    /// Nesterov's momentum, reset whenever the loss rises [O'Donoghue and Candès 2015].
     Accelerated,
 }
 
@@ -28,7 +28,7 @@ pub enum Descent {
 pub struct PhysicalConfig {
     /// Seed of the random starts.
     pub seed: u64,
-    /// Random starts; the one with the lowest loss counts.
+    /// Random starts; the one with the lowest loss is kept.
     pub starts: usize,
     /// Most epochs of one start.
     pub max_epochs: usize,
@@ -36,25 +36,23 @@ pub struct PhysicalConfig {
     pub tolerance: f64,
     /// See `tolerance`.
     pub patience: usize,
-    /// Method of descent.
+    /// Kind of gradient descent.
     pub descent: Descent,
 }
 
 impl PhysicalConfig {
-    /// Three starts; enough epochs for each way to arrive.
+    /// Three starts, and enough epochs for each kind of descent.
     pub fn new(descent: Descent, seed: u64) -> Self {
+        let (max_epochs, patience) = match descent {
+            Descent::Plain => (20_000, 500),
+            Descent::Accelerated => (2000, 50),
+        };
         Self {
             seed,
             starts: 3,
-            max_epochs: match descent {
-                Descent::Plain => 20_000,
-                Descent::Accelerated => 2000,
-            },
+            max_epochs,
             tolerance: 1e-7,
-            patience: match descent {
-                Descent::Plain => 500,
-                Descent::Accelerated => 50,
-            },
+            patience,
             descent,
         }
     }
@@ -66,7 +64,7 @@ pub struct LinearLayer {
     gram: DMatrix<f64>,
     moment: DVector<f64>,
     power: f64,
-    /// Factor from a weight of the normalised layer to a parameter.
+    /// Parameters over weights of the normalised layer.
     scale: DVector<f64>,
     /// Learning rate over the loss: the reciprocal of the largest curvature of J²/2.
     rate: f64,
@@ -79,29 +77,29 @@ pub struct Trained {
     pub theta: DVector<f64>,
     /// Loss before each epoch, RMSE over noise, a ratio.
     pub losses: Vec<f64>,
-    /// The start that won, from 0.
+    /// Number of the best start, from 0.
     pub start: usize,
 }
 
 impl Trained {
     /// Epochs until the loss was within `factor` of `reference`, if ever.
     pub fn epochs_to(&self, factor: f64, reference: f64) -> Option<usize> {
-        self.losses
-            .iter()
-            .position(|&loss| loss <= factor * reference)
+        let mut losses = self.losses.iter();
+        losses.position(|&loss| loss <= factor * reference)
     }
 }
 
 impl LinearLayer {
-    /// * `gram`, `moment`, `power` XᵀX, Xᵀτ and τᵀτ of `count` rows
+    /// The layer of `count` rows with XᵀX = `gram`, Xᵀτ = `moment` and τᵀτ = `power`.
     pub fn new(gram: &DMatrix<f64>, moment: &DVector<f64>, power: f64, count: f64) -> Self {
-        let scale = gram.diagonal().map(|square| {
+        let scale = |square| {
             if square > 0.0 {
-                (count / square).sqrt()
+                f64::sqrt(count / square)
             } else {
                 0.0
             }
-        });
+        };
+        let scale = gram.diagonal().map(scale);
         let gram = DMatrix::from_fn(gram.nrows(), gram.ncols(), |r, c| {
             gram[(r, c)] * scale[r] * scale[c] / count
         });
@@ -123,44 +121,39 @@ impl LinearLayer {
 
     /// Loss of parameters.
     pub fn loss_of(&self, theta: &DVector<f64>) -> f64 {
-        let w = theta.zip_map(
-            &self.scale,
-            |theta, scale| if scale > 0.0 { theta / scale } else { 0.0 },
-        );
-        self.loss(&w)
+        let weight = |theta, scale| if scale > 0.0 { theta / scale } else { 0.0 };
+        self.loss(&theta.zip_map(&self.scale, weight))
     }
 
-    /// J ∇J: what eq. 21 takes from the weights at a rate proportional to J. Unlike ∇J it is a number at J = 0, where rows
-    /// without noise end.
+    /// J ∇J, the step of eq. 21 at a rate proportional to J. Unlike ∇J it is finite at J = 0, the loss of rows without noise.
     fn slope(&self, w: &DVector<f64>) -> DVector<f64> {
         &self.gram * w - &self.moment
     }
 
-    /// Trains from random starts; `watch` sees epoch and loss.
+    /// Layer trained from random starts; `watch` receives epoch and loss.
     ///
     /// The rate α of eq. 21 is proportional to the loss: the curvature of J grows as 1/J, and a constant rate would
     /// either crawl at first or swing at the end.
     pub fn train(&self, config: &PhysicalConfig, watch: &mut dyn FnMut(usize, f64)) -> Trained {
         let mut random = ChaCha8Rng::seed_from_u64(config.seed);
-        let mut best: Option<Trained> = None;
-        for start in 0..config.starts.max(1) {
+        let mut attempt = |start| {
             let w = DVector::from_fn(self.moment.len(), |_, _| random.random_range(-1.0..=1.0));
             let (w, losses) = self.descend(w, config, watch);
-            let loss = losses.last().copied().unwrap_or(f64::INFINITY);
-            let before = best.as_ref().and_then(|best| best.losses.last().copied());
-            if before.is_none_or(|before| loss < before) {
-                best = Some(Trained {
-                    theta: w.component_mul(&self.scale),
-                    losses,
-                    start,
-                });
+            let theta = w.component_mul(&self.scale);
+            Trained {
+                theta,
+                losses,
+                start,
+            }
+        };
+        let mut best = attempt(0);
+        for start in 1..config.starts {
+            let next = attempt(start);
+            if next.losses.last() < best.losses.last() {
+                best = next;
             }
         }
-        best.unwrap_or_else(|| Trained {
-            theta: DVector::zeros(self.moment.len()),
-            losses: Vec::new(),
-            start: 0,
-        })
+        best
     }
 
     fn descend(
@@ -171,7 +164,7 @@ impl LinearLayer {
     ) -> (DVector<f64>, Vec<f64>) {
         let mut losses = vec![self.loss(&w)];
         let mut before = w.clone();
-        // Epochs since the momentum was last taken back.
+        // Epochs since the last reset of the momentum.
         let mut age = 0.0;
         for epoch in 1..=config.max_epochs {
             let momentum = match config.descent {
@@ -221,31 +214,26 @@ mod tests {
         )
     }
 
+    fn train(layer: &LinearLayer, descent: Descent, seed: u64) -> Trained {
+        layer.train(&PhysicalConfig::new(descent, seed), &mut |_, _| ())
+    }
+
     #[test]
     fn both_descents_arrive_at_the_least_squares_solution() {
         let (layer, exact) = problem();
         for descent in [Descent::Plain, Descent::Accelerated] {
-            let trained = layer.train(&PhysicalConfig::new(descent, 1), &mut |_, _| ());
-            let loss = trained.losses.last().expect("one epoch at least");
+            let losses = train(&layer, descent, 1).losses;
+            let loss = losses.last().expect("one epoch at least");
             assert!(loss / layer.loss_of(&exact) < 1.0 + 1e-4);
-            assert!(
-                trained
-                    .losses
-                    .windows(2)
-                    .all(|pair| pair[1] <= pair[0] * (1.0 + 1e-9))
-            );
+            let falls = |pair: &[f64]| pair[1] <= pair[0] * (1.0 + 1e-9);
+            assert!(losses.windows(2).all(falls));
         }
     }
 
     #[test]
-    fn the_same_seed_trains_the_same_weights() {
+    fn one_seed_trains_one_set_of_weights() {
         let (layer, _) = problem();
-        let train = |seed| {
-            layer.train(
-                &PhysicalConfig::new(Descent::Accelerated, seed),
-                &mut |_, _| (),
-            )
-        };
+        let train = |seed| train(&layer, Descent::Accelerated, seed);
         assert_eq!(train(4), train(4));
         assert_ne!(train(4).losses[0], train(5).losses[0]);
     }
@@ -263,16 +251,12 @@ mod tests {
     }
 
     #[test]
-    fn rows_without_noise_give_their_parameters_and_never_a_not_a_number() {
+    fn rows_without_noise_give_finite_losses_and_their_parameters() {
         // Whole numbers and one column: the loss becomes zero to the last bit, where its gradient is 0 / 0.
-        let exact = LinearLayer::new(
-            &DMatrix::from_element(1, 1, 4.0),
-            &DVector::from_element(1, 8.0),
-            16.0,
-            4.0,
-        );
+        let gram = DMatrix::from_element(1, 1, 4.0);
+        let exact = LinearLayer::new(&gram, &DVector::from_element(1, 8.0), 16.0, 4.0);
         for descent in [Descent::Plain, Descent::Accelerated] {
-            let trained = exact.train(&PhysicalConfig::new(descent, 1), &mut |_, _| ());
+            let trained = train(&exact, descent, 1);
             assert!((trained.theta[0] - 2.0).abs() < 1e-6, "{trained:?}");
             assert_eq!(trained.losses.last(), Some(&0.0));
         }
@@ -285,10 +269,7 @@ mod tests {
             power: weights.dot(&(&noisy.gram * &weights)),
             ..noisy
         };
-        let trained = layer.train(
-            &PhysicalConfig::new(Descent::Accelerated, 1),
-            &mut |_, _| (),
-        );
+        let trained = train(&layer, Descent::Accelerated, 1);
         assert!(trained.losses.iter().all(|loss| loss.is_finite()));
         assert!((trained.theta.component_div(&truth).add_scalar(-1.0)).amax() < 1e-5);
     }

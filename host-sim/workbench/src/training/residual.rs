@@ -1,4 +1,4 @@
-//! The residual BP networks: one small network a joint learns what the linear model leaves, from friction inputs only.
+//! Residual BP networks: one small network a joint learns the residual of the linear model from friction inputs only.
 //!
 //! They are the board's own networks: same shape, same inputs, output in units of the torque limit.
 
@@ -7,7 +7,7 @@ use foretorque::feedforward::{JointNetwork, NETWORK_HIDDEN, NETWORK_INPUTS};
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
 
-/// Residual of a joint's torque at one speed.
+/// Mean residual of a joint's torque at one speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedPoint {
     /// Speed, rad/s.
@@ -18,16 +18,16 @@ pub struct SpeedPoint {
     pub weight: f64,
 }
 
-/// Settings of the training.
+/// Settings of the training of a residual network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResidualConfig {
     /// Seed of the random starts.
     pub seed: u64,
-    /// Random starts; the one with the lowest loss counts.
+    /// Random starts; the one with the lowest loss is kept.
     pub starts: usize,
     /// Most steps of one start.
     pub max_steps: usize,
-    /// Weight decay against the error in units of the residual: without it, units fit noise where few rows are.
+    /// Weight decay against the error in units of the residual: without it, units fit noise of sparse rows.
     pub decay: f64,
 }
 
@@ -42,45 +42,41 @@ impl Default for ResidualConfig {
     }
 }
 
-/// Trains one joint's network on the mean residuals of two halves of a log. Returns the network in the board's precision,
-/// and the loss (RMSE, ratio of the torque limit) after every step of the best start; `watch` sees step and loss of every
-/// start.
+/// One joint's network in the board's precision, trained on the mean residuals of two halves of a log, and its loss (RMSE,
+/// ratio of the torque limit) after every step of the best start. `watch` receives step and loss of every start.
 ///
 /// Levenberg–Marquardt steps on the back-propagated Jacobian [Hagan and Menhaj 1994]: 31 weights are few enough to solve
-/// for. Speeds the log does not hold, up to `fastest`, rad/s, are given the residual at the fastest speed it does hold: a
-/// rectifier would continue the last slope.
+/// for. Speeds beyond the log, up to `fastest`, rad/s, get the residual at the fastest speed of the log: a rectifier would
+/// continue the last slope.
 ///
-/// Networks that were trained on either half and do not improve the other say nothing.
+/// The network is zero unless networks trained on either half improve the other.
 pub fn train_residual(
     halves: &[Vec<SpeedPoint>; 2],
     fastest: f64,
     config: &ResidualConfig,
     watch: &mut dyn FnMut(usize, f64),
 ) -> (JointNetwork, Vec<f64>) {
-    let (mut gain, mut doubt) = (0.0, 0.0);
+    let (mut gain, mut variance) = (0.0, 0.0);
     for (own, other) in [(0, 1), (1, 0)] {
         let (probe, _) = fit(&halves[own], fastest, config, &mut |_, _| ());
         let noise = noise(&halves[other]);
         for point in &halves[other] {
-            let message = f64::from(probe.forward(&network_inputs(point.qd as f32))[0]);
-            gain += point.weight * (2.0 * point.residual - message) * message;
+            let share = f64::from(probe.forward(&network_inputs(point.qd as f32))[0]);
+            gain += point.weight * (2.0 * point.residual - share) * share;
             // Variance of the term before: the residual of n rows has noise² / n.
-            doubt += 4.0 * noise * point.weight * message * message;
+            variance += 4.0 * noise * point.weight * share * share;
         }
     }
-    if gain > CERTAIN * doubt.sqrt() {
-        let all: Vec<SpeedPoint> = halves.iter().flatten().copied().collect();
-        fit(&all, fastest, config, watch)
-    } else {
-        (JointNetwork::silent(config.seed as u32), Vec::new())
+    if gain > CERTAIN * variance.sqrt() {
+        return fit(&halves.concat(), fastest, config, watch);
     }
+    (JointNetwork::silent(config.seed as u32), Vec::new())
 }
 
 /// Deviations by which networks must improve rows they were not trained on.
 const CERTAIN: f64 = 1.0;
 
-/// Variance of a single row, from the differences of neighbours in speed, which hold the noise of both and hardly
-/// anything of the curve [von Neumann 1941].
+/// Variance of a single row, from the differences of neighbours in speed [von Neumann 1941].
 fn noise(points: &[SpeedPoint]) -> f64 {
     let squares = points.windows(2).map(|pair| {
         let joint = pair[0].weight * pair[1].weight / (pair[0].weight + pair[1].weight);
@@ -92,15 +88,16 @@ fn noise(points: &[SpeedPoint]) -> f64 {
 /// Fewest speeds from which a network is trained.
 const FEWEST: usize = 30;
 
+/// Network of the best start, and its losses; zero for too few points.
 fn fit(
     points: &[SpeedPoint],
     fastest: f64,
     config: &ResidualConfig,
     watch: &mut dyn FnMut(usize, f64),
 ) -> (JointNetwork, Vec<f64>) {
+    let mut best = (JointNetwork::silent(config.seed as u32), Vec::new());
     if points.len() < FEWEST {
-        // Too little to learn from: say nothing.
-        return (JointNetwork::silent(config.seed as u32), Vec::new());
+        return best;
     }
     let mut points = points.to_vec();
     points.extend(beyond(&points, fastest));
@@ -116,32 +113,20 @@ fn fit(
             weight: point.weight / all,
         })
         .collect();
-    let mut best: Option<(TrainingNetwork, Vec<f64>)> = None;
+    let mut least = f64::INFINITY;
     for start in 0..config.starts.max(1) as u64 {
-        let network = TrainingNetwork::silent(
-            NETWORK_INPUTS,
-            NETWORK_HIDDEN,
-            1,
-            config.seed.wrapping_add(start),
-        );
+        let seed = config.seed.wrapping_add(start);
+        let network = TrainingNetwork::silent(NETWORK_INPUTS, NETWORK_HIDDEN, 1, seed);
         let (network, losses) = descend(network, &rows, config, &mut |step, loss| {
             watch(step, loss * unit);
         });
-        let loss = |losses: &[f64]| losses.last().copied().unwrap_or(f64::INFINITY);
-        if best
-            .as_ref()
-            .is_none_or(|(_, before)| loss(&losses) < loss(before))
-        {
-            best = Some((network, losses));
+        if let Some(&loss) = losses.last().filter(|loss| **loss < least) {
+            least = loss;
+            let losses = losses.iter().map(|loss| loss * unit).collect();
+            best = (on_board(&network, unit), losses);
         }
     }
-    match best {
-        Some((network, losses)) => (
-            on_board(&network, unit),
-            losses.iter().map(|loss| loss * unit).collect(),
-        ),
-        None => (JointNetwork::silent(config.seed as u32), Vec::new()),
-    }
+    best
 }
 
 /// One equation of the training.
@@ -159,10 +144,8 @@ fn beyond(points: &[SpeedPoint], fastest: f64) -> Vec<SpeedPoint> {
     let all: f64 = points.iter().map(|point| point.weight).sum();
     let mut out = Vec::new();
     for way in [1.0, -1.0] {
-        let seen = points
-            .iter()
-            .map(|point| point.qd * way)
-            .fold(0.0, f64::max);
+        let speeds = points.iter().map(|point| point.qd * way);
+        let seen = speeds.fold(0.0, f64::max);
         let (mut sum, mut weight) = (0.0, 0.0);
         for point in points.iter().filter(|point| point.qd * way > 0.8 * seen) {
             sum += point.weight * point.residual;
@@ -179,6 +162,7 @@ fn beyond(points: &[SpeedPoint], fastest: f64) -> Vec<SpeedPoint> {
     out
 }
 
+/// Levenberg–Marquardt steps from `network`; returns the network and the RMSE after each.
 fn descend(
     mut network: TrainingNetwork,
     rows: &[Row],
@@ -214,11 +198,7 @@ fn descend(
             slope[k] += config.decay * weight;
             normal[(k, k)] += config.decay;
         }
-        for r in 0..size {
-            for c in 0..r {
-                normal[(c, r)] = normal[(r, c)];
-            }
-        }
+        normal.fill_upper_triangle_with_lower_triangle();
         loop {
             let mut damped = normal.clone();
             for k in 0..size {
@@ -269,13 +249,12 @@ fn objective(network: &TrainingNetwork, rows: &[Row], decay: f64) -> (f64, f64) 
 fn on_board(network: &TrainingNetwork, unit: f64) -> JointNetwork {
     let [w1, b1, w2, b2] = network.layers();
     let mut out = JointNetwork::zeros();
-    for unit_index in 0..NETWORK_HIDDEN {
+    for k in 0..NETWORK_HIDDEN {
         for input in 0..NETWORK_INPUTS {
-            out.hidden_weights[(unit_index, input)] =
-                w1[unit_index * NETWORK_INPUTS + input] as f32;
+            out.hidden_weights[(k, input)] = w1[k * NETWORK_INPUTS + input] as f32;
         }
-        out.hidden_bias[unit_index] = b1[unit_index] as f32;
-        out.output_weights[(0, unit_index)] = (unit * w2[unit_index]) as f32;
+        out.hidden_bias[k] = b1[k] as f32;
+        out.output_weights[(0, k)] = (unit * w2[k]) as f32;
     }
     out.output_bias[0] = (unit * b2[0]) as f32;
     out
@@ -285,46 +264,46 @@ fn on_board(network: &TrainingNetwork, unit: f64) -> JointNetwork {
 mod tests {
     use super::*;
 
+    fn train(halves: [Vec<SpeedPoint>; 2]) -> (JointNetwork, Vec<f64>) {
+        train_residual(&halves, 3.0, &ResidualConfig::default(), &mut |_, _| ())
+    }
+
+    fn output(network: &JointNetwork, qd: f64) -> f64 {
+        f64::from(network.forward(&network_inputs(qd as f32))[0])
+    }
+
+    fn point(qd: f64, residual: f64) -> SpeedPoint {
+        SpeedPoint {
+            qd,
+            residual,
+            weight: 1.0,
+        }
+    }
+
     #[test]
-    fn a_stribeck_curve_is_learnt_to_a_tenth_and_holds_beyond_the_speeds_seen() {
+    fn a_stribeck_curve_is_learnt_to_a_tenth_and_held_beyond() {
         let curve = |qd: f64| 0.02 * qd.signum() * (-(qd / 0.1).powi(2)).exp();
-        let points: Vec<SpeedPoint> = (0..400)
-            .map(|k| 1.5 * f64::from(k - 200) / 200.0)
-            .filter(|qd| qd.abs() > 0.05)
-            .map(|qd| SpeedPoint {
-                qd,
-                residual: curve(qd),
-                weight: 1.0,
-            })
-            .collect();
-        let halves = [points.clone(), points.clone()];
-        let (network, losses) =
-            train_residual(&halves, 3.0, &ResidualConfig::default(), &mut |_, _| ());
-        let error = points.iter().map(|point| {
-            let message = f64::from(network.forward(&network_inputs(point.qd as f32))[0]);
-            (message - point.residual).powi(2)
-        });
+        let speeds = (0..400).map(|k| 1.5 * f64::from(k - 200) / 200.0);
+        let speeds = speeds.filter(|qd| qd.abs() > 0.05);
+        let points: Vec<SpeedPoint> = speeds.map(|qd| point(qd, curve(qd))).collect();
+        let (network, losses) = train([points.clone(), points.clone()]);
+        let error = points.iter();
+        let error = error.map(|point| (output(&network, point.qd) - point.residual).powi(2));
         let power: f64 = points.iter().map(|point| point.residual.powi(2)).sum();
         let ratio = (error.sum::<f64>() / power).sqrt();
         assert!(ratio < 0.1, "{ratio}");
         assert!(losses.len() > 1);
-        assert!(network.forward(&network_inputs(3.0))[0].abs() < 0.003);
+        assert!(output(&network, 3.0).abs() < 0.003);
     }
 
     #[test]
-    fn a_network_that_could_only_learn_noise_says_nothing() {
-        let half = |phase: f64| -> Vec<SpeedPoint> {
-            (0..200)
-                .map(|k| SpeedPoint {
-                    qd: f64::from(k) / 100.0 - 1.0,
-                    residual: 0.01 * (f64::from(k) * 12.9898 + phase).sin(),
-                    weight: 1.0,
-                })
-                .collect()
+    fn a_network_that_could_only_learn_noise_is_zero() {
+        let half = |phase: f64| {
+            let noise = |k: i32| 0.01 * (f64::from(k) * 12.9898 + phase).sin();
+            let points = (0..200).map(|k| point(f64::from(k) / 100.0 - 1.0, noise(k)));
+            points.collect()
         };
-        let halves = [half(0.0), half(2.0)];
-        let config = ResidualConfig::default();
-        let (network, _) = train_residual(&halves, 3.0, &config, &mut |_, _| ());
-        assert!((0..20).all(|k| network.forward(&network_inputs(0.1 * k as f32 - 1.0))[0] == 0.0));
+        let (network, _) = train([half(0.0), half(2.0)]);
+        assert!((0..20).all(|k| output(&network, 0.1 * f64::from(k) - 1.0) == 0.0));
     }
 }

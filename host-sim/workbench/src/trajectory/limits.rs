@@ -3,7 +3,7 @@
 use crate::dynamics::State;
 use crate::robot::Robot;
 
-/// A motion that asks a joint for more than it can do.
+/// A motion beyond the limits of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
@@ -13,7 +13,7 @@ pub struct BeyondLimits {
     pub joint: usize,
     /// Time after the trajectory's start, s.
     pub t_s: f64,
-    /// Value asked for, in `unit`.
+    /// Value of the trajectory, in `unit`.
     pub asked: f64,
     /// The limit, in `unit`.
     pub limit: f64,

@@ -1,4 +1,4 @@
-//! Sources of a trajectory: values of `--trajectory`.
+//! Sources of a trajectory: the argument `--trajectory` of the commands.
 
 use super::Trajectory;
 use super::cartesian::{self, CartesianError};
@@ -10,7 +10,7 @@ use crate::table::{StateReader, TableError, TimeColumn};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A trajectory that cannot be played.
+/// Reason for which a trajectory cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
     /// The file cannot be read.
@@ -32,7 +32,7 @@ pub enum TrajectoryError {
     Excitation {
         /// The file.
         path: PathBuf,
-        /// The reason.
+        /// Why.
         error: ExcitationError,
     },
     /// The path of the tool is damaged, or the arm cannot follow it.
@@ -40,7 +40,7 @@ pub enum TrajectoryError {
     Cartesian {
         /// The file.
         path: PathBuf,
-        /// The reason.
+        /// Why.
         error: Box<CartesianError>,
     },
     /// A joint is asked for more than it can do.
@@ -48,18 +48,18 @@ pub enum TrajectoryError {
     Limits {
         /// The file.
         path: PathBuf,
-        /// The joint and the time.
+        /// Which one, and when.
         error: BeyondLimits,
     },
 }
 
 impl<const N: usize> Trajectory<N> {
-    /// The trajectory of `--trajectory`: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
+    /// Loads the argument of `--trajectory`: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
     /// time, q, qd and qdd. Limits are checked.
     ///
     /// * `seed` of the validation path
     /// * `duration_s` for which an excitation is repeated; one period where it is `None`
-    /// * `period_s` step in which limits are looked at and paths of the tool are laid out
+    /// * `period_s` step of the limit checks and of the samples of a tool path
     ///
     /// Errors: [`TrajectoryError`], one line that names the file.
     pub fn load(

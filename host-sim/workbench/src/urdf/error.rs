@@ -1,16 +1,16 @@
-//! URDFs that are refused.
+//! Errors of a URDF file.
 
-/// A URDF was refused.
+/// Refusal of a URDF.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{file}: {problem}")]
 pub struct UrdfError {
     /// The file.
     pub file: String,
-    /// The problem.
+    /// Defect.
     pub problem: UrdfProblem,
 }
 
-/// A problem of a URDF.
+/// Defect of a URDF.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UrdfProblem {
     /// The file cannot be read.
@@ -27,7 +27,7 @@ pub enum UrdfProblem {
     Element {
         /// Line of the element.
         line: u32,
-        /// The problem, beginning with the name of the element.
+        /// Reason, beginning with the name of the element.
         problem: String,
     },
     /// A link is named that does not exist.
@@ -71,7 +71,7 @@ pub enum UrdfProblem {
     Joint {
         /// The joint.
         joint: String,
-        /// The problem.
+        /// Why.
         problem: JointProblem,
     },
     /// A moving link has neither mass nor anything with mass bolted to it.
@@ -87,12 +87,12 @@ pub enum UrdfProblem {
     NotABody {
         /// The link.
         link: String,
-        /// The reason.
+        /// Why not.
         reason: String,
     },
 }
 
-/// A joint that cannot be part of an arm.
+/// Defect of a joint of the arm.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointProblem {
     /// It is not revolute; the type as written.

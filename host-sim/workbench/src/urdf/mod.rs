@@ -5,21 +5,38 @@
 //! Everything bolted to a moving link by fixed joints becomes part of that link. What hangs on the tip link, and what
 //! moves beside the path, is left out and listed in [`Import::notes`].
 //!
-//! A URDF says nothing about drives, and its friction model is viscous plus Coulomb: rotor inertia is 0, the gain is
+//! A URDF has no drives, and its friction model is viscous plus Coulomb: rotor inertia is 0, the gain is
 //! 1 N·m/A. The base frame is that of the base link, gravity along its −z.
 
 mod chain;
 mod document;
 mod error;
-mod import;
 mod tree;
 mod write;
 
 pub use error::{JointProblem, UrdfError, UrdfProblem};
-pub use import::{Import, Selection};
 pub use write::write;
 
+use crate::robot::Robot;
 use std::path::Path;
+
+/// Which path of the tree is the arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Selection<'a> {
+    /// Link the arm stands on; the root of the tree when not given.
+    pub base: Option<&'a str>,
+    /// Link the arm ends at; needed where more than one moving joint leaves a link.
+    pub tip: Option<&'a str>,
+}
+
+/// An arm, and the assumptions made for missing properties.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Import {
+    /// The arm.
+    pub robot: Robot,
+    /// One sentence for each assumption made and each part left out.
+    pub notes: Vec<String>,
+}
 
 /// Reads an arm from a URDF file.
 ///

@@ -1,48 +1,61 @@
 //! An arm as a URDF file.
 
-use crate::robot::{Limits, Placement, Robot};
+use crate::robot::{Placement, Robot};
 use nalgebra::Rotation3;
 
 /// The URDF of an arm: joint frames are Craig's link frames, axes their z, link inertias about the centres of mass.
 ///
-/// A URDF has no place for rotor inertias, drive gains, Stribeck friction and cogging: the TOML description
+/// A URDF has no place for rotor inertias, drive gains, Stribeck friction and ripple: the TOML description
 /// ([`Robot::to_toml`]) keeps them.
 pub fn write(robot: &Robot) -> String {
-    let name = escaped(&robot.name);
-    let mut out =
-        format!("<?xml version=\"1.0\"?>\n<robot name=\"{name}\">\n  <link name=\"base\"/>\n");
+    let mut out = format!(
+        "<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n  <link name=\"base\"/>\n",
+        escaped(&robot.name)
+    );
     let mut parent = "base".to_owned();
-    for (number, joint) in (1..).zip(&robot.joints) {
-        let (name, origin) = (escaped(&joint.name), origin(&joint.placement));
-        let Limits {
-            position: (lower, upper),
-            velocity,
-            acceleration,
-            torque,
-        } = joint.limits;
-        let (damping, friction) = (joint.friction.viscous, joint.friction.coulomb);
-        let (com, i, mass) = (&joint.link.com, &joint.link.inertia_com, joint.link.mass);
+    for (index, joint) in robot.joints.iter().enumerate() {
+        let child = format!("link{}", index + 1);
+        let (limits, friction, link) = (&joint.limits, &joint.friction, &joint.link);
+        let (com, i) = (&link.com, &link.inertia_com);
         out += &format!(
             r#"  <joint name="{name}" type="revolute">
-    <parent link="{parent}"/> <child link="link{number}"/> <axis xyz="0 0 1"/>
+    <parent link="{parent}"/> <child link="{child}"/> <axis xyz="0 0 1"/>
     {origin}
     <limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="{torque}" acceleration="{acceleration}"/>
-    <dynamics damping="{damping}" friction="{friction}"/>
+    <dynamics damping="{viscous}" friction="{coulomb}"/>
   </joint>
-  <link name="link{number}"><inertial>
-    <origin xyz="{} {} {}" rpy="0 0 0"/> <mass value="{mass}"/>
-    <inertia ixx="{}" iyy="{}" izz="{}" ixy="{}" ixz="{}" iyz="{}"/>
+  <link name="{child}"><inertial>
+    <origin xyz="{x} {y} {z}" rpy="0 0 0"/> <mass value="{mass}"/>
+    <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="{ixy}" ixz="{ixz}" iyz="{iyz}"/>
   </inertial></link>
 "#,
-            com.x, com.y, com.z, i.m11, i.m22, i.m33, i.m12, i.m13, i.m23
+            name = escaped(&joint.name),
+            origin = origin(&joint.placement),
+            lower = limits.position.0,
+            upper = limits.position.1,
+            velocity = limits.velocity,
+            torque = limits.torque,
+            acceleration = limits.acceleration,
+            viscous = friction.viscous,
+            coulomb = friction.coulomb,
+            x = com.x,
+            y = com.y,
+            z = com.z,
+            mass = link.mass,
+            ixx = i.m11,
+            iyy = i.m22,
+            izz = i.m33,
+            ixy = i.m12,
+            ixz = i.m13,
+            iyz = i.m23,
         );
-        parent = format!("link{number}");
+        parent = child;
     }
-    let origin = origin(&robot.flange);
+    let flange = origin(&robot.flange);
     out + &format!(
         r#"  <joint name="flange" type="fixed">
     <parent link="{parent}"/> <child link="flange"/>
-    {origin}
+    {flange}
   </joint>
   <link name="flange"/>
 </robot>

@@ -1,6 +1,6 @@
-//! Machine code that stands in for parts missing in the emulator: an encoder on the bus, a drive on the fault line.
+//! Machine code that stands in for hardware the emulator lacks: an encoder on the bus, a drive on the fault line.
 
-/// A condition that never holds.
+/// Transfer number that is never reached.
 pub(crate) const NEVER: u16 = u16::MAX;
 /// Bytes that a reading of the encoder moves.
 const READING: u16 = 4;

@@ -10,10 +10,10 @@ pub(crate) fn patched(elf: &Path, name: &str, patches: &[(&str, Vec<u16>)]) -> P
     let mut bytes = fs::read(elf).expect("the firmware is built: `cargo firmware`");
     for (part, code) in patches {
         let code: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
-        let (place, buffer) = function(&bytes, part);
+        let (place, room) = function(&bytes, part);
         assert!(
-            code.len() <= buffer,
-            "{part} has {buffer} bytes, {} are needed",
+            code.len() <= room,
+            "{part} has {room} bytes, {} are needed",
             code.len()
         );
         bytes[place..place + code.len()].copy_from_slice(&code);
@@ -23,7 +23,7 @@ pub(crate) fn patched(elf: &Path, name: &str, patches: &[(&str, Vec<u16>)]) -> P
     file
 }
 
-/// Place of the function in the file, and its bytes.
+/// Where the function is in the file, and its bytes.
 fn function(bytes: &[u8], part: &str) -> (usize, usize) {
     let elf = ElfBytes::<LittleEndian>::minimal_parse(bytes).expect("it is an ELF");
     let (symbols, names) = elf

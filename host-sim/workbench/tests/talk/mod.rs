@@ -1,6 +1,7 @@
-//! Raw bytes to a board: samples, and a conversation whose every answer is kept.
+//! Requests to a board as raw bytes: samples, and a conversation whose every answer is kept.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_link::bank::NETWORK_SEED;
@@ -34,12 +35,13 @@ pub(crate) fn sample(k: u32) -> JointSample<JOINTS> {
     }
 }
 
-/// This motion with the torques of an arm a tenth heavier than its description and with friction.
+/// The motion with the torques of an arm a tenth heavier than its description and with friction.
 pub(crate) fn credible(k: u32) -> JointSample<JOINTS> {
     let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
     truth.rigid *= 1.1;
     for friction in &mut truth.friction {
-        (friction.viscous, friction.coulomb) = (2.0, 1.0);
+        friction[FrictionColumn::Viscous] = 2.0;
+        friction[FrictionColumn::Coulomb] = 1.0;
     }
     let mut sample = sample(k);
     let tau = evaluate::<Ur5, JOINTS, PARAMETERS>(&truth, &sample.desired).total;
@@ -94,8 +96,8 @@ impl<T: Transport> Talk<T> {
                 .expect("the board lives");
             assert_eq!(count, 1, "the board answers in time");
             frame.push(byte[0]);
-            if let Some(received) = decoder.push(byte[0]) {
-                return (received.expect("no bit is lost").sequence, frame);
+            if let Some(heard) = decoder.push(byte[0]) {
+                return (heard.expect("no bit is lost").sequence, frame);
             }
         }
     }
@@ -112,23 +114,23 @@ impl<T: Transport> Talk<T> {
             reply: ReplyMode::Full,
             ..Configuration::default()
         };
-        let mut message = self.ask(&HostMessage::Configure(configuration));
+        let mut said = self.ask(&HostMessage::Configure(configuration));
         // The learner is done before the next sample comes, however busy this machine is.
         let patient = |k| SampleFrame::new(&sample(k)).answered_after_learning();
         for _ in 0..ARM_SAMPLES {
-            message.extend(self.ask(&HostMessage::Sample(patient(0))));
+            said.extend(self.ask(&HostMessage::Sample(patient(0))));
         }
-        message.extend(self.ask(&HostMessage::Arm));
-        message.extend(self.ask(&HostMessage::Learning { on: true }));
+        said.extend(self.ask(&HostMessage::Arm));
+        said.extend(self.ask(&HostMessage::Learning { on: true }));
         for k in 0..ticks {
             if !LOST.contains(&(k % EVERY)) {
-                message.extend(self.ask(&HostMessage::Sample(patient(k).in_period(k as u8))));
+                said.extend(self.ask(&HostMessage::Sample(patient(k).in_period(k as u8))));
             }
         }
-        message.extend(self.ask(&HostMessage::BankRead {
+        said.extend(self.ask(&HostMessage::BankRead {
             source: BankSource::Live,
             offset: 0,
         }));
-        message
+        said
     }
 }

@@ -135,7 +135,7 @@ fn the_timers_tick_reads_the_encoder_too() {
     for _ in 0..10 {
         board
             .session
-            .timer_tick_with(&mut board.mailbox, &mut out, &mut board.encoder);
+            .timer_tick(&mut board.mailboxes, &mut out, &mut board.encoder);
         out.clear();
     }
     assert_eq!(board.chip.borrow().frames, before + 20);

@@ -8,7 +8,7 @@ use crate::hal::{
     AbsoluteEncoder, Chip, Direction, EncoderConfig, EncoderError, OutputError, TorqueScale,
 };
 use crate::safety::SafetyState;
-use crate::session::{BoardDescription, LearnerMailbox, NoClock};
+use crate::session::{BoardDescription, Mailboxes, NoClock};
 use crate::wire::{
     BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, HostMessage, NackReason,
     Pacing, SampleFrame, TorqueFrame,
@@ -97,7 +97,7 @@ impl SpiDevice for Bus {
 /// A board with a stage and an encoder, as its firmware runs it.
 struct Board {
     session: Session<Ur5, N, P>,
-    mailbox: LearnerMailbox<N, P>,
+    mailboxes: Mailboxes<N, P>,
     stage: JointStage<Hands, Hands, Hands>,
     encoder: JointEncoder<Bus>,
     chip: Rc<RefCell<Chip>>,
@@ -118,7 +118,7 @@ impl Board {
         let encoder = AbsoluteEncoder::new(Bus(chip.clone()), config).unwrap();
         Self {
             session: Session::new(BoardDescription::plain(NoClock)).unwrap(),
-            mailbox: LearnerMailbox::new(),
+            mailboxes: Mailboxes::new(),
             stage: JointStage::new(stage, JOINT),
             encoder: JointEncoder::new(encoder, JOINT, turn),
             chip,
@@ -127,15 +127,15 @@ impl Board {
         }
     }
 
-    /// What the firmware does when a frame has come.
+    /// Act on a received frame as the firmware does.
     fn ask(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
         self.sequence += 1;
         let (mut frame, mut out) = (FrameBuffer::new(), FrameBuffer::new());
         frame.push(self.sequence, &message).unwrap();
         self.stage.check(&mut self.session);
-        let (mailbox, own) = (&mut self.mailbox, &mut self.encoder);
+        let (mailboxes, sensor) = (&mut self.mailboxes, &mut self.encoder);
         self.session
-            .receive_with(frame.as_bytes(), mailbox, &mut out, own);
+            .receive(frame.as_bytes(), mailboxes, &mut out, sensor);
         self.stage.apply(&mut self.session);
         let mut decoder = Decoder::new();
         let heard = out.as_bytes().iter().find_map(|&byte| {

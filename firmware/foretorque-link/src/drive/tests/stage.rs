@@ -1,4 +1,4 @@
-//! What the motor stage gets, and when it is off.
+//! Inputs of the motor stage, and the states in which it is off.
 
 use super::*;
 
@@ -52,7 +52,7 @@ fn silence_brings_the_stage_to_rest() {
     for _ in 0..100 {
         board
             .session
-            .timer_tick_with(&mut board.mailbox, &mut out, &mut board.encoder);
+            .timer_tick(&mut board.mailboxes, &mut out, &mut board.encoder);
         board.stage.apply(&mut board.session);
     }
     assert!(!board.bench.borrow().enabled);

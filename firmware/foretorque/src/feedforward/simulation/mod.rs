@@ -6,9 +6,9 @@
 use super::{FeedForward, FeedForwardConfig, ParameterSet, Torque, evaluate};
 use crate::arm::Arm;
 use crate::arm::ur5::Ur5;
-use crate::dynamics::{BaseParameters, FrictionParameters, rnea};
+use crate::dynamics::{BaseParameters, FrictionColumn, FrictionParameters, rnea};
 use crate::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use crate::learning::{Exchange, Learner, LearnerConfig, Lesson};
+use crate::learning::{Exchange, Learner, LearnerConfig, LearningSample};
 use crate::limits::Flags;
 use std::collections::VecDeque;
 
@@ -22,7 +22,7 @@ const VISCOUS: [f64; N] = [12.0, 13.0, 9.0, 1.8, 1.6, 1.4];
 const COULOMB: [f64; N] = [7.0, 8.0, 5.5, 1.2, 1.1, 0.9];
 const COGGING: [f64; N] = [0.5, 0.5, 0.5, 0.15, 0.15, 0.15];
 
-/// What the drives have beside viscous and Coulomb friction.
+/// Friction of the drives beside viscous and Coulomb friction.
 #[derive(Clone, Copy, Debug)]
 struct Drive {
     /// Height of the Stribeck peak, as a part of the Coulomb torque.
@@ -145,7 +145,7 @@ fn loaded_torque(beta: &BaseParameters<P>, motion: &JointMotion<N>, drive: Drive
     })
 }
 
-/// What the board believes at first: inertial parameters 20 % off either way, rotors −20 %, friction −40 %.
+/// Parameters that the board starts from: inertial parameters 20 % off either way, rotors −20 %, friction −40 %.
 fn wrong_prior(seed: u64) -> Set {
     let mut dice = Dice(seed);
     let mut set = Set::nominal::<Ur5>(1);
@@ -156,10 +156,10 @@ fn wrong_prior(seed: u64) -> Set {
             1.2
         };
     }
-    set.friction = core::array::from_fn(|j| FrictionParameters {
-        viscous: (0.6 * VISCOUS[j]) as f32,
-        coulomb: (0.6 * COULOMB[j]) as f32,
-        ..FrictionParameters::NONE
+    set.friction = core::array::from_fn(|j| {
+        FrictionParameters::NONE
+            .with(FrictionColumn::Viscous, (0.6 * VISCOUS[j]) as f32)
+            .with(FrictionColumn::Coulomb, (0.6 * COULOMB[j]) as f32)
     });
     set
 }
@@ -212,7 +212,7 @@ struct Board {
     feedforward: FeedForward<Ur5, N, P>,
     learner: Learner<Ur5, N, P>,
     exchange: Exchange<N, P>,
-    queue: VecDeque<Lesson<N>>,
+    queue: VecDeque<LearningSample<N>>,
     delay: usize,
 }
 
@@ -233,7 +233,7 @@ impl Board {
         self.feedforward.adopt(&mut self.exchange);
         let torque = self.feedforward.step(sample);
         self.queue
-            .push_back(self.feedforward.lesson(sample.measured));
+            .push_back(self.feedforward.learning_sample(sample.measured));
         while self.queue.len() > self.delay {
             let lesson = self.queue.pop_front().unwrap();
             self.learner.learn(&lesson, &mut self.exchange);

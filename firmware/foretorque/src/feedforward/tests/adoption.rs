@@ -7,7 +7,7 @@ fn a_set_is_adopted_at_the_middle_of_the_next_round_and_at_no_other_tick() {
     let mut tick = tick(set());
     tick.set_learning(true);
     let mut learnt = set();
-    learnt.friction[0].viscous = 9.0;
+    learnt.friction[0][FrictionColumn::Viscous] = 9.0;
     let mut exchange = Exchange::new();
     for count in 0..30u32 {
         tick.adopt(&mut exchange);
@@ -56,7 +56,7 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
     }
     exchange.published = Some(finished(5, set()));
     let mut loaded = set();
-    loaded.friction[1].coulomb = 4.0;
+    loaded.friction[1][FrictionColumn::Coulomb] = 4.0;
     tick.load(loaded, &mut exchange);
     assert_eq!(
         (tick.state().active, tick.state().committed),
@@ -79,7 +79,7 @@ fn starting_over_leaves_nothing_of_what_was() {
     used.set_learning(true);
     for step in 0..20 {
         let mut learnt = finished(step, set());
-        learnt.set.friction[2].coulomb += 0.1;
+        learnt.set.friction[2][FrictionColumn::Coulomb] += 0.1;
         (learnt.range, learnt.commit) = (WIDE, step % 7 == 0);
         exchange.published = Some(learnt);
         used.adopt(&mut exchange);

@@ -1,4 +1,4 @@
-//! What no motion, no model and no change of model can make the torque do.
+//! Bounds of the torque for any motion, any model and any change of model.
 
 use super::*;
 
@@ -78,14 +78,7 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
         };
         start.rigid.iter_mut().for_each(|v| wild(v, &mut bits));
         for friction in &mut start.friction {
-            wild(&mut friction.viscous, &mut bits);
-            wild(&mut friction.coulomb, &mut bits);
-            wild(&mut friction.stribeck, &mut bits);
-            wild(&mut friction.bend, &mut bits);
-            wild(&mut friction.load, &mut bits);
-            wild(&mut friction.offset, &mut bits);
-            wild(&mut friction.cogging_sin, &mut bits);
-            wild(&mut friction.cogging_cos, &mut bits);
+            friction.0.iter_mut().for_each(|v| wild(v, &mut bits));
         }
         for net in &mut start.network {
             net.hidden_weights
@@ -171,7 +164,8 @@ fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_th
                     *value *= 1.0 + 0.5 * dice();
                 }
                 for (joint, friction) in new.friction.iter_mut().enumerate() {
-                    friction.coulomb += 0.05 * dice().abs() * Ur5::LIMITS[joint].torque;
+                    friction[FrictionColumn::Coulomb] +=
+                        0.05 * dice().abs() * Ur5::LIMITS[joint].torque;
                     new.network[joint].output_bias[0] = 0.1 * dice();
                 }
                 let mut publication = finished(now - 1, new);

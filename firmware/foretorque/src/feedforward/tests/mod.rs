@@ -2,9 +2,9 @@
 
 use super::*;
 use crate::arm::ur5::Ur5;
-use crate::dynamics::BaseParameters;
+use crate::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
 use crate::joint::JointMotion;
-use crate::learning::{MotionRange, Publication, Report};
+use crate::learning::{LearnerReport, MotionRange, Publication};
 
 mod adoption;
 mod limits;
@@ -26,9 +26,10 @@ const WIDE: MotionRange<N> = MotionRange {
 fn set() -> Set {
     let mut set = Set::nominal::<Ur5>(3);
     for (joint, friction) in set.friction.iter_mut().enumerate() {
-        friction.viscous = 1.0 + joint as f32;
-        friction.coulomb = 0.5;
-        friction.load = 0.05;
+        *friction = FrictionParameters::NONE
+            .with(FrictionColumn::Viscous, 1.0 + joint as f32)
+            .with(FrictionColumn::Coulomb, 0.5)
+            .with(FrictionColumn::Load, 0.05);
     }
     set
 }
@@ -41,7 +42,7 @@ fn finished(closed: u32, set: Set) -> Publication<N, P> {
         payload: BaseParameters::zeros(),
         range: MotionRange::NONE,
         commit: false,
-        report: Report::new(),
+        report: LearnerReport::new(),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The sum of the shares, and what stands in for one that is broken.
 
 use super::*;
+use crate::dynamics::{friction_load, friction_row};
 
 #[test]
 fn the_settled_torque_is_the_sum_of_the_evaluated_shares() {
@@ -14,9 +15,49 @@ fn the_settled_torque_is_the_sum_of_the_evaluated_shares() {
 }
 
 #[test]
+fn the_friction_share_sums_every_column_of_the_loaded_and_of_the_learned_set() {
+    let motion = motion(0.3);
+    let rows = core::array::from_fn::<_, N, _>(|joint| {
+        let load = friction_load::<Ur5, N, P>(&motion.q);
+        let (q, qd) = (motion.q[joint], motion.qd[joint]);
+        friction_row(Ur5::COGGING_CYCLES[joint], q, qd, load[joint])
+    });
+    let drives = |scale: f32| -> [FrictionParameters; N] {
+        core::array::from_fn(|joint| {
+            FrictionParameters(core::array::from_fn(|k| {
+                scale * (0.1 + 0.05 * k as f32) * if (k + joint) % 3 == 0 { -1.0 } else { 1.0 }
+            }))
+        })
+    };
+    let wanted = |drives: &[FrictionParameters; N], joint: usize| -> f64 {
+        let terms = rows[joint].iter().zip(&drives[joint].0);
+        terms.map(|(&x, &p)| f64::from(x) * f64::from(p)).sum()
+    };
+    let loaded = Set {
+        friction: drives(1.0),
+        ..set()
+    };
+    let learned = Set {
+        friction: drives(1.5),
+        ..set()
+    };
+    let mut tick = tick(loaded);
+    let share = settled(&mut tick, &motion).shares.friction;
+    tick.state.set_active(&learned);
+    tick.state.range = WIDE;
+    let share_learned = settled(&mut tick, &motion).shares.friction;
+    for joint in 0..N {
+        for (share, drives) in [(share, loaded.friction), (share_learned, learned.friction)] {
+            let error = f64::from(share[joint]) - wanted(&drives, joint);
+            assert!(error.abs() < 1e-4, "joint {joint}: {error}");
+        }
+    }
+}
+
+#[test]
 fn cogging_follows_the_measured_place_and_nothing_else_does() {
     let mut cogging = set();
-    cogging.friction[1].cogging_sin = 0.5;
+    cogging.friction[1][FrictionColumn::CoggingSine] = 0.5;
     let desired = motion(0.3);
     let mut tick = tick(cogging);
     let mut share_at = |q: f32| {
@@ -51,7 +92,7 @@ fn a_broken_share_is_replaced_by_the_committed_one_and_the_others_go_on() {
     let whole = evaluate::<Ur5, N, P>(&set(), &motion).shares;
     let spoil: [fn(&mut Set); 3] = [
         |s| s.rigid.fill(f32::NAN),
-        |s| s.friction[2].viscous = f32::INFINITY,
+        |s| s.friction[2][FrictionColumn::Viscous] = f32::INFINITY,
         |s| s.network[4].output_bias[0] = f32::NAN,
     ];
     for spoil in spoil {

@@ -35,10 +35,10 @@ impl Bench {
     }
 
     /// Ticks whose lessons wait until the learner gets to them.
-    fn run_ahead(&mut self, ticks: u32) -> Vec<Lesson<N>> {
+    fn run_ahead(&mut self, ticks: u32) -> Vec<LearningSample<N>> {
         let lessons = (0..ticks).map(|_| {
             self.step();
-            self.tick.lesson(None)
+            self.tick.learning_sample(None)
         });
         lessons.collect()
     }
@@ -49,7 +49,7 @@ impl Bench {
         let (mut adopted, mut late) = (0, 0);
         for count in 0..TICKS {
             let flags = self.step();
-            let lesson = self.tick.lesson(None);
+            let lesson = self.tick.learning_sample(None);
             self.learner.learn(&lesson, &mut self.exchange);
             if count >= SETTLING {
                 adopted += u32::from(flags.contains(Flags::SET_ADOPTED));
@@ -72,7 +72,7 @@ impl Bench {
 
 fn moved(by: f32) -> Set {
     let mut moved = set();
-    moved.friction[0].viscous += by;
+    moved.friction[0][FrictionColumn::Viscous] += by;
     moved
 }
 
@@ -93,19 +93,17 @@ fn broken(first: u32, then: u32) -> Vec<&'static str> {
     bench.step();
     let carried = bench.tick.state().payload_torque.amax() > 1.0;
     let adopts = bench.run(then);
+    let taken = bench.learner.state().active == moved(1.0);
     let state = bench.tick.state();
     let (active, put_down) = (state.active, state.payload_torque.amax() == 0.0);
-    let kept = bench.carries_out(Request::Snapshot, Reason::Kept, first, then);
-    *bench.learner.candidate_mut() = moved(2.0);
+    let kept = bench.carries_out(Request::Snapshot, Reason::SnapshotTaken, first, then);
+    *bench.learner.active_mut() = moved(2.0);
     let commits = bench.carries_out(Request::Commit, Reason::Committed, first, then);
     let committed = bench.tick.state().committed;
     let rolls_back = bench.carries_out(Request::Rollback, Reason::RolledBack, first, then);
     let promises = [
         (reload_waits, "a lesson from before the load takes the set"),
-        (
-            bench.learner.state().prior == moved(1.0),
-            "the learner does not take the set",
-        ),
+        (taken, "the learner does not take the set"),
         (
             adopts && active == moved(1.0),
             "publications are not adopted",

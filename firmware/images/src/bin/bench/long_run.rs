@@ -35,7 +35,7 @@ pub(crate) fn of_step(stage: &mut Stage, ticks: u32) -> Spread {
         spread.least = spread.least.min(counted);
         spread.sum += u64::from(counted);
         spread.most = spread.most.max(counted);
-        let lesson = stage.feedforward.lesson(stage.sample.measured);
+        let lesson = stage.feedforward.learning_sample(stage.sample.measured);
         stage.learner.learn(&lesson, &mut stage.exchange);
     }
     spread

@@ -7,16 +7,15 @@ use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{
     Exchange, FeedForward, JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5,
 };
-use foretorque::dynamics::{BaseParameters, FrictionParameters};
+use foretorque::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
 use foretorque::feedforward::{FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::Lesson;
+use foretorque::learning::LearningSample;
 use foretorque::limits::Flags;
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
+use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
 use nalgebra::SVector;
-
-use crate::calibrated::{self, Ur5Calibrated};
 
 /// Period of the tick, s.
 const PERIOD: f32 = 1e-3;
@@ -41,14 +40,14 @@ pub(crate) struct Stage {
     pub(crate) step: StepParameters,
     pub(crate) set: ParameterSet,
     pub(crate) paper: BpNetwork<18, 32, 6>,
-    pub(crate) calibrated: BaseParameters<{ calibrated::PARAMETERS }>,
+    pub(crate) calibrated: BaseParameters<{ ur5_calibrated::PARAMETERS }>,
     pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
     pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
     pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
     pub(crate) sample: JointSample<JOINTS>,
     pub(crate) torque: Torque<JOINTS>,
     pub(crate) feedforward: FeedForward,
-    pub(crate) lesson: Lesson<JOINTS>,
+    pub(crate) lesson: LearningSample<JOINTS>,
     pub(crate) exchange: Exchange,
     /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
     pub(crate) learner: &'static mut Learner,
@@ -57,22 +56,21 @@ pub(crate) struct Stage {
 
 impl Stage {
     /// A learner for the stages, one after the other.
-    pub(crate) const LEARNER: Learner = Learner::idle(LearnerConfig::for_arm::<Ur5>(PERIOD));
+    pub(crate) const LEARNER: Learner = Learner::empty(LearnerConfig::for_arm::<Ur5>(PERIOD));
 
     /// The stage after the warm-up; `None` if a configuration does not validate.
     pub(crate) fn new(learner: &'static mut Learner) -> Option<Self> {
         let mut set = ParameterSet::nominal::<Ur5>(1);
         for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
-            *friction = FrictionParameters {
-                viscous: 0.05 * limits.torque,
-                coulomb: 0.05 * limits.torque,
-                stribeck: 0.01 * limits.torque,
-                bend: 0.01 * limits.torque,
-                load: 0.05,
-                offset: 0.001 * limits.torque,
-                cogging_sin: 0.003 * limits.torque,
-                cogging_cos: 0.001 * limits.torque,
-            };
+            *friction = FrictionParameters::NONE
+                .with(FrictionColumn::Viscous, 0.05 * limits.torque)
+                .with(FrictionColumn::Coulomb, 0.05 * limits.torque)
+                .with(FrictionColumn::Stribeck, 0.01 * limits.torque)
+                .with(FrictionColumn::ShearThinning, 0.01 * limits.torque)
+                .with(FrictionColumn::Load, 0.05)
+                .with(FrictionColumn::Offset, 0.001 * limits.torque)
+                .with(FrictionColumn::CoggingSine, 0.003 * limits.torque)
+                .with(FrictionColumn::CoggingCosine, 0.001 * limits.torque);
         }
         learner
             .restart(LearnerConfig::for_arm::<Ur5>(PERIOD), &set)
@@ -107,7 +105,7 @@ impl Stage {
                 measured: None,
             },
             learner,
-            lesson: Lesson {
+            lesson: LearningSample {
                 tick: 0,
                 generation: 0,
                 requests: 0,
@@ -155,7 +153,7 @@ impl Stage {
             desired: wave,
             measured,
         };
-        self.lesson = Lesson {
+        self.lesson = LearningSample {
             tick,
             generation: 0,
             requests: 0,

@@ -1,6 +1,6 @@
 //! Banks and excitations: up, down, and in the board's store.
 
-use super::answer::{acknowledged, refused};
+use super::line::{acknowledged, refused};
 use super::{BoardError, Client};
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::excitation::ExcitationProgram;
@@ -9,15 +9,15 @@ use foretorque_link::wire::{
 };
 use std::time::Duration;
 
-/// Time limit of the store: erasing a sector of 128 KiB takes up to 2 s (DS8626 table 48), and it has two.
+/// How long the store may take: erasing a sector of 128 KiB takes up to 2 s (DS8626 table 48), and it has two.
 const STORE_TIMEOUT: Duration = Duration::from_secs(10);
 
 impl<const N: usize> Client<N> {
     /// Disarms the board, sends `bank` and has the board take it over, whole or not at all. Learning must be off.
     pub fn upload_bank(&mut self, bank: &ParameterBank) -> Result<(), BoardError> {
         self.bring_to_rest()?;
-        let mut buffer = [0; ParameterBank::MAX_BYTES];
-        let bytes = bank.encode(&mut buffer).map_err(BoardError::Bank)?;
+        let mut room = [0; ParameterBank::MAX_BYTES];
+        let bytes = bank.encode(&mut room).map_err(BoardError::Bank)?;
         let mac = self.signature(bytes)?;
         self.upload(bytes)?;
         // Not asked twice: the first commit ends the upload, so a second would be refused although the first was good.
@@ -49,9 +49,9 @@ impl<const N: usize> Client<N> {
     /// Sends `program` and has the board take it over, whole or not at all. Learning must be off; the board's check runs
     /// in the ticks that follow.
     pub fn load_excitation(&mut self, program: &ExcitationProgram<N>) -> Result<(), BoardError> {
-        let mut buffer = [0; ParameterBank::MAX_BYTES];
+        let mut room = [0; ParameterBank::MAX_BYTES];
         let bytes = program
-            .encode(&mut buffer)
+            .encode(&mut room)
             .expect("an excitation of few joints is shorter than a bank");
         let mac = self.signature(bytes)?;
         self.upload(bytes)?;

@@ -1,4 +1,3 @@
-mod answer;
 mod banks;
 mod line;
 mod torque;
@@ -17,7 +16,7 @@ use foretorque_link::wire::{
     TelemetryFrame,
 };
 use foretorque_link::write_key::WriteKey;
-use answer::{nobody, refused};
+use line::{nobody, refused};
 use std::time::Duration;
 
 /// Shares of the torque of one tick, N·m.
@@ -36,17 +35,17 @@ pub struct TickReply<const N: usize> {
     pub tick: u32,
     /// Flags of the tick.
     pub flags: Flags,
-    /// Safety state, with its reason.
+    /// Whether torque leaves the board, and why not.
     pub safety: SafetyStatus,
     /// The torque, N × N·m, bit for bit; zero unless the board is armed.
     pub total: JointVector<N>,
     /// Shares of the torque.
     pub shares: BoardShares<N>,
-    /// State and desired motion of the excitation, if the board plays one.
+    /// Where the excitation stands and what it asks of the arm, if the board plays one.
     pub excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
-/// Frames of the link, counted by the host.
+/// Counts of the link, seen from the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCount {
     /// Frames sent.
@@ -81,7 +80,7 @@ pub struct Client<const N: usize> {
     safety: SafetyStatus,
     /// The desired motion that the board knows, without a measurement.
     presented: Option<SampleFrame<N>>,
-    /// Telemetry received and not yet taken.
+    /// Telemetry that the board sent unasked.
     telemetry: Vec<TelemetryFrame>,
     key: Option<WriteKey>,
 }
@@ -144,12 +143,12 @@ impl<const N: usize> Client<N> {
         self.key = Some(key);
     }
 
-    /// Sets the time limit of an answer.
+    /// How long an answer is waited for.
     pub fn set_timeout(&mut self, timeout: Duration) {
         self.timeout = timeout;
     }
 
-    /// Sets that the torque of a sample is answered only after the learning step, so that what the board learns does not depend
+    /// Whether the torque of a sample is answered only when its lesson is learnt, so that what the board learns does not depend
     /// on when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
     pub fn wait_for_lessons(&mut self, patient: bool) {
         self.patient = patient;
@@ -160,12 +159,12 @@ impl<const N: usize> Client<N> {
         self.period = self.period.wrapping_add(1);
     }
 
-    /// The board's hello.
+    /// Who the board said it is.
     pub fn hello(&self) -> &BoardHello {
         &self.hello
     }
 
-    /// Frames of the link so far, counted by the host.
+    /// Counts of the link so far.
     pub fn link_count(&self) -> LinkCount {
         self.count
     }

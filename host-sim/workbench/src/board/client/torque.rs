@@ -1,6 +1,6 @@
 //! Samples in, torques out, and what lets the torque flow.
 
-use super::answer::refused;
+use super::line::refused;
 use super::{BoardError, BoardShares, Client, TickReply};
 use foretorque::feedforward::Torque;
 use foretorque::joint::JointSample;
@@ -69,7 +69,7 @@ impl<const N: usize> Client<N> {
         Ok(reply)
     }
 
-    /// Safety state of the last reply.
+    /// Whether torque leaves the board, and why not, as it last said.
     pub fn safety(&self) -> SafetyStatus {
         self.safety
     }

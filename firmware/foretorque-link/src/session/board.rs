@@ -1,0 +1,139 @@
+use crate::bank::name;
+use crate::safety::{SafetyReason, SafetyStatus};
+use crate::wire::size::LinkCapacity;
+use crate::wire::{
+    BoardHello, Capabilities, Configuration, CounterKind, MAC_BYTES, NackReason, ResetReason,
+};
+use crate::write_key::WriteKey;
+use foretorque::arm::Arm;
+use foretorque::joint::JointSample;
+
+/// Counter of the board in which costs are given. A type and not a function pointer, so that the linked firmware shows
+/// what a tick calls.
+pub trait Clock {
+    /// The free-running count: all 32 bits count, and it wraps.
+    fn now(&self) -> u32;
+}
+
+/// A board without a counter: every cost is 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NoClock;
+
+impl Clock for NoClock {
+    fn now(&self) -> u32 {
+        0
+    }
+}
+
+/// Sensor of the board's own joint, whose position replaces that of the sample.
+pub trait LocalSensor {
+    /// Writes the measured position into the sample. Called once in every tick, with the sample if one arrived.
+    ///
+    /// * `at_rest` no torque flows
+    ///
+    /// Returns [`SafetyReason::None`], or why there is no position: then nothing of this sample counts as measured, and
+    /// the sample is implausible for that reason.
+    fn measure<const N: usize>(
+        &mut self,
+        sample: Option<&mut JointSample<N>>,
+        at_rest: bool,
+    ) -> SafetyReason;
+}
+
+/// A board without a sensor: the host measures every joint.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NoLocalSensor;
+
+impl LocalSensor for NoLocalSensor {
+    #[inline(always)]
+    fn measure<const N: usize>(&mut self, _: Option<&mut JointSample<N>>, _: bool) -> SafetyReason {
+        SafetyReason::None
+    }
+}
+
+/// Identity, capabilities and start-up facts of a board.
+#[derive(Clone, Copy, Debug)]
+pub struct BoardDescription<C = NoClock> {
+    /// Version of the firmware.
+    pub firmware: &'static str,
+    /// Capabilities without the write key, which [`write_key`](Self::write_key) adds.
+    pub capabilities: Capabilities,
+    /// Unit of the cost counter.
+    pub counter: CounterKind,
+    /// Counts per second.
+    pub counter_hz: u32,
+    /// The cost counter.
+    pub clock: C,
+    /// Cause of the last start.
+    pub reset_reason: ResetReason,
+    /// The fault that was latched before the start, where the board keeps it.
+    pub kept_fault: SafetyReason,
+    /// Capacity of its link.
+    pub link: LinkCapacity,
+    /// The write key, if there is one.
+    pub write_key: Option<WriteKey>,
+    /// Seed of the challenges; differs from start to start.
+    pub seed: [u8; MAC_BYTES],
+}
+
+impl<C> BoardDescription<C> {
+    /// A board that learns, without timer, counter rate, store or key; with [`NoClock`] the one in the host's process.
+    pub const fn plain(clock: C) -> Self {
+        Self {
+            firmware: env!("CARGO_PKG_VERSION"),
+            capabilities: Capabilities::LEARNING,
+            counter: CounterKind::None,
+            counter_hz: 0,
+            clock,
+            reset_reason: ResetReason::Unknown,
+            kept_fault: SafetyReason::None,
+            link: LinkCapacity::UNLIMITED,
+            write_key: None,
+            seed: [0; MAC_BYTES],
+        }
+    }
+
+    /// The fault at the start. A firmware that restarted itself cannot be armed before the host clears it.
+    pub(super) fn first_fault(&self) -> SafetyReason {
+        use ResetReason::{Fault, Panic, Watchdog};
+        match (self.kept_fault, self.reset_reason) {
+            (SafetyReason::None, Watchdog | Panic | Fault) => SafetyReason::Restarted,
+            (kept, _) => kept,
+        }
+    }
+
+    /// Errors: [`NackReason::NotCapable`].
+    pub(super) fn require(&self, capability: Capabilities) -> Result<(), NackReason> {
+        if self.capabilities.contains(capability) {
+            Ok(())
+        } else {
+            Err(NackReason::NotCapable)
+        }
+    }
+
+    pub(super) fn hello<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        configuration: Configuration,
+        safety: SafetyStatus,
+        boot_counts: u32,
+    ) -> BoardHello {
+        let key = match self.write_key {
+            Some(_) => Capabilities::WRITE_KEY,
+            None => Capabilities::default(),
+        };
+        BoardHello {
+            arm_hash: A::HASH,
+            arm: name(A::NAME),
+            joints: N as u8,
+            base_columns: P as u8,
+            firmware: name(self.firmware),
+            capabilities: self.capabilities | key,
+            counter: self.counter,
+            counter_hz: self.counter_hz,
+            configuration,
+            reset_reason: self.reset_reason,
+            safety,
+            boot_counts,
+        }
+    }
+}

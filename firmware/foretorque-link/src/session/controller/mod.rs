@@ -1,0 +1,265 @@
+//! Samples to torques: player, plausibility, feed-forward, safety, learning mailbox. Knows messages, never bytes.
+
+mod parameters;
+mod sample_gaps;
+
+use super::{Clock, LearnerMailbox, LocalSensor, seconds};
+use crate::bank::{NETWORK_SEED, ParameterBank};
+use crate::excitation::{ExcitationState, Player};
+use crate::safety::{Safety, SafetyLimits, SafetyReason, SafetyStatus};
+use crate::telemetry::CostMeter;
+use crate::wire::{
+    BoardMessage, Configuration, ExcitedFrame, FullTorqueFrame, Pacing, ReplyMode, SampleFlags,
+    SampleFrame, TorqueFrame,
+};
+use foretorque::arm::Arm;
+use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
+use foretorque::joint::{JointMotion, JointSample};
+use foretorque::learning::{ConfigError, ParameterSet};
+use sample_gaps::SampleGaps;
+
+/// Result of one tick, from which reply and telemetry are made.
+pub(super) struct TickResult<const N: usize> {
+    /// Sequence number of the last sample.
+    pub(super) sequence: u16,
+    pub(super) torque: Torque<N>,
+    pub(super) status: SafetyStatus,
+    /// The sample as far as it was plausible.
+    pub(super) sample: Option<JointSample<N>>,
+    pub(super) excitation: ExcitationState,
+    /// Desired motion of the excitation, while it replaces that of the sample.
+    pub(super) excited: Option<JointMotion<N>>,
+    /// Counts of the board's counter.
+    pub(super) cost: u32,
+}
+
+impl<const N: usize> TickResult<N> {
+    pub(super) fn reply(&self, mode: ReplyMode) -> BoardMessage<N> {
+        let short = || TorqueFrame::new(&self.torque, self.status);
+        match (&self.excited, mode) {
+            (Some(desired), _) => {
+                BoardMessage::Excited(ExcitedFrame::new(short(), self.excitation, desired))
+            }
+            (None, ReplyMode::Decimated) => BoardMessage::Torque(short()),
+            (None, ReplyMode::Full) => {
+                BoardMessage::FullTorque(FullTorqueFrame::new(&self.torque, self.status))
+            }
+        }
+    }
+}
+
+/// Counters of the ticks since boot or reset.
+#[derive(Clone, Copy, Default)]
+pub(super) struct TickCounters {
+    /// Ticks run, with a sample or without. Wraps.
+    pub(super) ticks: u32,
+    /// Ticks without a sample.
+    pub(super) stale: u32,
+    /// Samples replaced by a newer one before the timer ran a tick.
+    pub(super) overtaken: u32,
+    pub(super) cost: CostMeter,
+}
+
+/// State of one board's torque: parameters, player, safety, and what the ticks have seen of the samples.
+pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
+    configuration: Configuration,
+    feed_forward: FeedForward<A, N, P>,
+    safety: Safety<N>,
+    player: Player<N>,
+    /// Drive gains, N × N·m/A.
+    gains: [f32; N],
+    bank: ParameterBank,
+    /// Buffer of the next bank, which is not in force before all of it is checked.
+    incoming: ParameterBank,
+    /// The newest sample that no timer tick has used yet, with its sequence number.
+    newest: Option<(u16, SampleFrame<N>)>,
+    gaps: SampleGaps,
+    last_sequence: u16,
+    temperatures_c: [i8; N],
+    counters: TickCounters,
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
+    /// The feed-forward of a controller at tick 0, made apart because of its size.
+    pub(super) fn first_tick() -> Result<FeedForward<A, N, P>, ConfigError> {
+        let config = FeedForwardConfig::for_arm::<A, P>(seconds(&Configuration::default()));
+        FeedForward::new(config, ParameterSet::nominal::<A>(NETWORK_SEED))
+    }
+
+    #[inline(always)]
+    pub(super) fn new(feed_forward: FeedForward<A, N, P>, first_fault: SafetyReason) -> Self {
+        let configuration = Configuration::default();
+        let limits = SafetyLimits::for_arm::<A, P>(seconds(&configuration));
+        Self {
+            configuration,
+            feed_forward,
+            safety: Safety::new(limits, first_fault),
+            player: Player::new::<A, P>(configuration.period_us),
+            gains: [0.0; N],
+            bank: ParameterBank::nominal::<A, N, P>(),
+            incoming: ParameterBank::empty(),
+            newest: None,
+            gaps: SampleGaps::new(),
+            last_sequence: 0,
+            temperatures_c: [SampleFrame::<N>::NO_TEMPERATURE; N],
+            counters: TickCounters::default(),
+        }
+    }
+
+    pub(super) fn configuration(&self) -> Configuration {
+        self.configuration
+    }
+
+    pub(super) fn feed_forward(&self) -> &FeedForward<A, N, P> {
+        &self.feed_forward
+    }
+
+    pub(super) fn safety(&self) -> &Safety<N> {
+        &self.safety
+    }
+
+    #[cfg(test)]
+    pub(super) fn gains(&self) -> &[f32; N] {
+        &self.gains
+    }
+
+    pub(super) fn temperatures_c(&self) -> &[i8; N] {
+        &self.temperatures_c
+    }
+
+    pub(super) fn counters(&self) -> &TickCounters {
+        &self.counters
+    }
+
+    /// Another host may be sending now: the next gap counts as a long one.
+    pub(super) fn interrupt_samples(&mut self) {
+        self.gaps.interrupt();
+    }
+
+    /// Takes a sample: runs the tick where samples pace the board, keeps the sample for the timer otherwise.
+    ///
+    /// * `missed` frames of any kind that the link has missed so far
+    pub(super) fn sample(
+        &mut self,
+        sequence: u16,
+        sample: SampleFrame<N>,
+        missed: u32,
+        mailbox: &mut LearnerMailbox<N, P>,
+        clock: &impl Clock,
+        sensor: &mut impl LocalSensor,
+    ) -> Option<TickResult<N>> {
+        let joint = usize::from(sequence) % N;
+        if let Some(slot) = self.temperatures_c.get_mut(joint) {
+            *slot = sample.temperature_c;
+        }
+        self.safety.note_temperature(joint, sample.temperature_c);
+        match self.configuration.pacing {
+            Pacing::Link => {
+                let lost = self.gaps.lost(sample.flags, missed);
+                self.fill_lost_ticks(lost, mailbox);
+                Some(self.tick(Some((sequence, sample)), mailbox, clock, sensor))
+            }
+            Pacing::SysTick => {
+                if self.newest.replace((sequence, sample)).is_some() {
+                    self.counters.overtaken = self.counters.overtaken.saturating_add(1);
+                }
+                None
+            }
+        }
+    }
+
+    /// One period of the board's timer: the tick on the newest sample where the timer paces the board, the supervision of
+    /// silence otherwise.
+    pub(super) fn timer(
+        &mut self,
+        mailbox: &mut LearnerMailbox<N, P>,
+        clock: &impl Clock,
+        sensor: &mut impl LocalSensor,
+    ) -> Option<TickResult<N>> {
+        match self.configuration.pacing {
+            Pacing::SysTick => {
+                let sample = self.newest.take();
+                if sample.is_none() {
+                    self.counters.stale = self.counters.stale.saturating_add(1);
+                }
+                Some(self.tick(sample, mailbox, clock, sensor))
+            }
+            Pacing::Link => {
+                self.safety.silence();
+                self.feed_forward.applied(self.safety.output());
+                None
+            }
+        }
+    }
+
+    /// Runs the ticks whose samples were lost, as a timer would have: for the learner they are ticks without a
+    /// measurement. The torque continues from its present value; its reaction to silence is the timer's task.
+    ///
+    /// Cost: one tick without a sample for each lost one, [`MAX_FILLED`](sample_gaps::MAX_FILLED) at most.
+    #[inline(never)]
+    fn fill_lost_ticks(&mut self, lost: u32, mailbox: &mut LearnerMailbox<N, P>) {
+        for _ in 0..lost {
+            self.feed_forward.adopt(&mut mailbox.exchange);
+            self.feed_forward.step_stale();
+            mailbox.post(self.feed_forward.learning_sample(None));
+            self.counters.ticks = self.counters.ticks.wrapping_add(1);
+            self.counters.stale = self.counters.stale.saturating_add(1);
+        }
+        self.feed_forward.applied(self.safety.output());
+    }
+
+    /// One tick. Its deadline is the period.
+    fn tick(
+        &mut self,
+        sample: Option<(u16, SampleFrame<N>)>,
+        mailbox: &mut LearnerMailbox<N, P>,
+        clock: &impl Clock,
+        sensor: &mut impl LocalSensor,
+    ) -> TickResult<N> {
+        self.feed_forward.adopt(&mut mailbox.exchange);
+        // A host numbers its frames and sends one sample a period at most, so the numbers bound the age of the last one.
+        let before = self.last_sequence;
+        let periods = sample.map_or(1, |(sequence, _)| sequence.wrapping_sub(before));
+        if let Some((sequence, _)) = sample {
+            self.last_sequence = sequence;
+        }
+        let reply_waits =
+            sample.is_some_and(|(_, frame)| frame.flags.contains(SampleFlags::AFTER_LEARNING));
+        let mut sample = sample.map(|(_, frame)| frame.sample(&self.gains));
+        let sensor_fault = sensor.measure(sample.as_mut(), self.safety.at_rest());
+        if sensor_fault != SafetyReason::None
+            && let Some(sample) = &mut sample
+        {
+            sample.measured = None;
+        }
+        let excited = self.player.step(sample.as_ref());
+        if let (Some(sample), Some(desired)) = (&mut sample, excited) {
+            sample.desired = desired;
+        }
+        let sample = self.safety.admit(sample, u32::from(periods), sensor_fault);
+        let start = clock.now();
+        let mut torque = match &sample {
+            Some(sample) => self.feed_forward.step(sample),
+            None => self.feed_forward.step_stale(),
+        };
+        torque.total = self.safety.release(&torque.total);
+        let cost = clock.now().wrapping_sub(start);
+        self.feed_forward.applied(&torque.total);
+        self.counters.cost.note(cost);
+        self.counters.ticks = self.counters.ticks.wrapping_add(1);
+        let measured = sample.and_then(|sample| sample.measured);
+        mailbox.post(self.feed_forward.learning_sample(measured));
+        if reply_waits {
+            mailbox.hold_reply();
+        }
+        TickResult {
+            sequence: self.last_sequence,
+            torque,
+            status: self.safety.status(),
+            sample,
+            excitation: self.player.state(),
+            excited,
+            cost,
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Commands that change parameters and states. One that fails has changed nothing.
+
+use super::{Controller, SampleGaps, TickCounters};
+use crate::bank::{BankError, NETWORK_SEED, ParameterBank};
+use crate::excitation::{
+    ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, Player,
+};
+use crate::safety::{SafetyLimits, SafetyReason};
+use crate::session::{LearnerMailbox, seconds};
+use crate::wire::{Configuration, EvaluatedFrame, MotionFrame, NackReason, SampleFrame};
+use foretorque::arm::Arm;
+use foretorque::feedforward::evaluate;
+use foretorque::joint::JointMotion;
+use foretorque::learning::{ParameterSet, Request};
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
+    /// Parameters may be written: no torque flows, and learning is off.
+    pub(in crate::session) fn writable(&self) -> Result<(), NackReason> {
+        if !self.safety.at_rest() {
+            Err(NackReason::Armed)
+        } else if self.feed_forward.state().learning {
+            Err(NackReason::LearningOn)
+        } else {
+            Ok(())
+        }
+    }
+
+    pub(in crate::session) fn set_learning(&mut self, on: bool) {
+        self.feed_forward.set_learning(on);
+    }
+
+    /// Checks a configuration, apart from the capabilities of the board.
+    pub(in crate::session) fn configurable(
+        &self,
+        wanted: &Configuration,
+    ) -> Result<(), NackReason> {
+        self.writable()?;
+        if self.player.state().is_active() {
+            return Err(NackReason::Excitation(ExcitationError::Running));
+        }
+        if !Configuration::PERIODS_US.contains(&wanted.period_us) {
+            return Err(NackReason::Period);
+        }
+        Ok(())
+    }
+
+    /// Restarts the tick at 0 with another configuration and the active set.
+    pub(in crate::session) fn configure(
+        &mut self,
+        wanted: Configuration,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
+        let set = self.feed_forward.state().active;
+        self.restart(wanted, &set, mailbox)
+    }
+
+    /// The state after boot: the bank of the firmware, learning off, tick 0, counters 0. A latched fault stays.
+    #[inline(never)]
+    pub(in crate::session) fn reset(
+        &mut self,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
+        if !self.safety.at_rest() {
+            return Err(NackReason::Armed);
+        }
+        let set = ParameterSet::nominal::<A>(NETWORK_SEED);
+        self.bank.describe::<A, N, P>();
+        self.bank.refresh::<A, N, P>(&set);
+        self.gains = [0.0; N];
+        self.restart(Configuration::default(), &set, mailbox)?;
+        self.temperatures_c = [SampleFrame::<N>::NO_TEMPERATURE; N];
+        self.counters = TickCounters::default();
+        mailbox.reset_counters();
+        Ok(())
+    }
+
+    /// Restarts tick and learner at 0 with `set`. Changes nothing when it fails.
+    #[inline(never)]
+    fn restart(
+        &mut self,
+        configuration: Configuration,
+        set: &ParameterSet<N, P>,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
+        let period_s = seconds(&configuration);
+        let config = self.bank.feed_forward_config::<A, N, P>(period_s);
+        let config = config.map_err(NackReason::Bank)?;
+        self.feed_forward
+            .restart(config, set)
+            .map_err(|_| NackReason::Period)?;
+        self.configuration = configuration;
+        self.player = Player::new::<A, P>(configuration.period_us);
+        self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
+        self.newest = None;
+        self.gaps = SampleGaps::new();
+        mailbox.restart(period_s, set);
+        Ok(())
+    }
+
+    /// Buffer of the next bank, to be filled before [`take_over`](Self::take_over).
+    pub(in crate::session) fn incoming(&mut self) -> &mut ParameterBank {
+        &mut self.incoming
+    }
+
+    /// Brings the incoming bank into force, all of it or nothing.
+    #[inline(never)]
+    pub(in crate::session) fn take_over(
+        &mut self,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
+        let gains = self.incoming.drive_gains().map_err(NackReason::Bank)?;
+        let set = self.incoming.set::<A, N, P>().map_err(NackReason::Bank)?;
+        let period_s = seconds(&self.configuration);
+        let config = self.incoming.feed_forward_config::<A, N, P>(period_s);
+        let config = config.map_err(NackReason::Bank)?;
+        self.feed_forward
+            .configure(config)
+            .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
+        self.feed_forward.load(set, &mut mailbox.exchange);
+        self.gains = gains;
+        core::mem::swap(&mut self.bank, &mut self.incoming);
+        Ok(())
+    }
+
+    /// The bank in force with the values of the active set.
+    pub(in crate::session) fn active_bank(&mut self) -> &ParameterBank {
+        let active = &self.feed_forward.state().active;
+        self.bank.refresh::<A, N, P>(active);
+        &self.bank
+    }
+
+    /// The bank in force with the values of the committed set.
+    pub(in crate::session) fn committed_bank(&mut self) -> &ParameterBank {
+        let committed = &self.feed_forward.state().committed;
+        self.bank.refresh::<A, N, P>(committed);
+        &self.bank
+    }
+
+    /// Shares of the active set for one motion, without state.
+    pub(in crate::session) fn evaluate(&self, motion: &MotionFrame<N>) -> EvaluatedFrame<N> {
+        let active = &self.feed_forward.state().active;
+        (&evaluate::<A, N, P>(active, &JointMotion::from(motion))).into()
+    }
+
+    pub(in crate::session) fn load_excitation(
+        &mut self,
+        program: &ExcitationProgram<N>,
+    ) -> Result<(), NackReason> {
+        self.player.load(program).map_err(NackReason::Excitation)
+    }
+
+    pub(in crate::session) fn excite(
+        &mut self,
+        command: ExcitationCommand,
+    ) -> Result<ExcitationState, NackReason> {
+        self.player
+            .command(command)
+            .map_err(NackReason::Excitation)?;
+        Ok(self.player.state())
+    }
+
+    pub(in crate::session) fn arm(&mut self) -> Result<(), NackReason> {
+        self.safety.arm().map_err(NackReason::Unsafe)
+    }
+
+    pub(in crate::session) fn disarm(&mut self) {
+        self.safety.disarm();
+    }
+
+    pub(in crate::session) fn clear_fault(&mut self) -> Result<(), NackReason> {
+        self.safety.clear().map_err(NackReason::Unsafe)
+    }
+
+    /// Emergency stop of torque and learning: the data that led to it may not be fit to learn from.
+    pub(in crate::session) fn stop(&mut self, mailbox: &mut LearnerMailbox<N, P>) {
+        self.torque_off(SafetyReason::Stopped);
+        // It replaces a request that still waits.
+        self.feed_forward
+            .request_over(Request::Stop, &mut mailbox.exchange);
+    }
+
+    /// Torque zero at once; latches `fault` unless another is latched.
+    pub(in crate::session) fn torque_off(&mut self, fault: SafetyReason) {
+        self.safety.torque_off(fault);
+        self.feed_forward.applied(self.safety.output());
+    }
+
+    /// Passes a request to the learner.
+    pub(in crate::session) fn request(
+        &mut self,
+        code: u8,
+        mailbox: &mut LearnerMailbox<N, P>,
+    ) -> Result<(), NackReason> {
+        // The learner's own stop belongs to the emergency stop alone.
+        let request = Request::from_code(code).filter(|&request| request != Request::Stop);
+        let request = request.ok_or(NackReason::NotCapable)?;
+        self.feed_forward
+            .request(request, &mut mailbox.exchange)
+            .map_err(|_| NackReason::Busy)
+    }
+}

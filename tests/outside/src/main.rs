@@ -1,0 +1,70 @@
+//! A firmware of somebody else: foretorque with a critical section of its own, and an arm of its own. It links, and that
+//! is all: no board starts it.
+#![no_std]
+#![no_main]
+
+#[path = "../../src/arms/random_2_a.rs"]
+mod arm;
+
+use core::arch::asm;
+use core::cell::RefCell;
+use core::hint::black_box;
+
+use arm::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Random2A};
+use critical_section::{Mutex, RawRestoreState};
+use foretorque::feedforward::FeedForwardConfig;
+use foretorque::joint::{JointMotion, JointSample};
+
+/// Masks all interrupts by PRIMASK.
+struct Masked;
+critical_section::set_impl!(Masked);
+
+// SAFETY: on one core nothing runs beside code with its interrupts masked.
+unsafe impl critical_section::Impl for Masked {
+    unsafe fn acquire() -> RawRestoreState {
+        let masked: u32;
+        // SAFETY: reads PRIMASK and masks interrupts.
+        unsafe { asm!("mrs {}, PRIMASK", "cpsid i", out(reg) masked) };
+        masked == 0
+    }
+
+    unsafe fn release(unmask: RawRestoreState) {
+        if unmask {
+            // SAFETY: interrupts were not masked before.
+            unsafe { asm!("cpsie i") };
+        }
+    }
+}
+
+static EXCHANGE: Mutex<RefCell<Exchange>> = Mutex::new(RefCell::new(Exchange::new()));
+
+/// Entry of the linker's default script.
+#[unsafe(no_mangle)]
+extern "C" fn _start() -> ! {
+    run();
+    loop {}
+}
+
+fn run() -> Option<()> {
+    let set = ParameterSet::nominal::<Random2A>(1);
+    let config = FeedForwardConfig::for_arm::<Random2A, _>(1e-3);
+    let mut feed_forward = FeedForward::new(config, set).ok()?;
+    let mut learner = Learner::new(LearnerConfig::for_arm::<Random2A>(1e-3), set).ok()?;
+    loop {
+        let sample = black_box(JointSample {
+            desired: JointMotion::zero(),
+            measured: None,
+        });
+        critical_section::with(|token| {
+            let exchange = &mut *EXCHANGE.borrow_ref_mut(token);
+            feed_forward.adopt(exchange);
+            black_box(feed_forward.step(&sample));
+            learner.learn(&feed_forward.learning_sample(sample.measured), exchange);
+        });
+    }
+}
+
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+    loop {}
+}

@@ -1,0 +1,290 @@
+//! The committed budget: `docs/budget.md` is both the page people read and the table that `cargo xtask bench` compares with.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail, ensure};
+
+use crate::anchors;
+
+/// The page, from the workspace's root.
+pub(crate) const PAGE: &str = "docs/budget.md";
+
+/// Margin of a compiler that is not the budget's, in parts of a limit: 1.95 and 1.96 differ by up to 2 %.
+const FOREIGN_MARGIN: f64 = 0.05;
+
+/// Margin of a newly accepted value.
+const FRESH_MARGIN: f64 = 0.02;
+
+/// One line of the table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Line {
+    /// `row, unit`.
+    quantity: String,
+    value: u64,
+    pub(crate) limit: u64,
+    how: String,
+}
+
+/// One measured quantity.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Measured {
+    pub(crate) quantity: String,
+    pub(crate) value: u64,
+    pub(crate) how: &'static str,
+    /// A limit that follows from a goal and not from a measurement.
+    pub(crate) allowed: Option<u64>,
+}
+
+/// The committed table and the compiler whose code it measured.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Budget {
+    toolchain: String,
+    lines: Vec<Line>,
+}
+
+/// Findings of a comparison, one sentence each.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Verdict {
+    /// The build fails for these.
+    pub(crate) exceeded: Vec<String>,
+    pub(crate) notes: Vec<String>,
+}
+
+impl Budget {
+    pub(crate) fn read(root: &Path) -> Result<Self> {
+        let text = fs::read_to_string(root.join(PAGE));
+        let text = text.with_context(|| format!("cannot read {PAGE}"))?;
+        Self::parse(&text).with_context(|| format!("{PAGE} is not a budget"))
+    }
+
+    pub(crate) fn write(&self, root: &Path) -> Result<()> {
+        let written = fs::write(root.join(PAGE), self.page());
+        written.with_context(|| format!("cannot write {PAGE}"))
+    }
+
+    fn parse(text: &str) -> Result<Self> {
+        let toolchain = text
+            .lines()
+            .find_map(|line| line.strip_prefix("Toolchain: "))
+            .context("there is no line `Toolchain: …`")?;
+        let mut lines = Vec::new();
+        for row in text.lines().filter(|line| line.starts_with("| `")) {
+            let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
+            // The columns between are for people.
+            let [quantity, value, limit, .., how] = cells[..] else {
+                bail!("not four cells or more: {row}");
+            };
+            let number = |cell: &str| {
+                let number = cell.parse();
+                number.with_context(|| format!("`{cell}` is no number in: {row}"))
+            };
+            lines.push(Line {
+                quantity: quantity.replace('`', ""),
+                value: number(value)?,
+                limit: number(limit)?,
+                how: how.into(),
+            });
+        }
+        let toolchain = toolchain.trim().into();
+        Ok(Self { toolchain, lines })
+    }
+
+    pub(crate) fn line(&self, quantity: &str) -> Option<&Line> {
+        self.lines.iter().find(|line| line.quantity == quantity)
+    }
+
+    /// Compares with the measurements of the code of `toolchain`.
+    pub(crate) fn compare(&self, toolchain: &str, measured: &[Measured]) -> Verdict {
+        let Verdict {
+            mut exceeded,
+            mut notes,
+        } = Verdict::default();
+        let foreign = release(toolchain) != release(&self.toolchain);
+        let margin = if foreign { FOREIGN_MARGIN } else { 0.0 };
+        if foreign {
+            notes.push(format!(
+                "compiled by {toolchain}, budgeted for {}: every limit is widened by {:.0} %",
+                self.toolchain,
+                100.0 * FOREIGN_MARGIN
+            ));
+        }
+        for Measured {
+            quantity, value, ..
+        } in measured
+        {
+            let Some(line) = self.line(quantity) else {
+                exceeded.push(format!("{quantity}: {value} has no budget"));
+                continue;
+            };
+            let (before, limit) = (line.value, line.limit as f64 * (1.0 + margin));
+            if *value as f64 > limit {
+                exceeded.push(format!(
+                    "{quantity}: {value} exceeds {limit:.0} (was {before})"
+                ));
+            } else if foreign {
+                // The difference is the compiler's, not a change of the code.
+            } else if *value < before {
+                notes.push(format!("{quantity}: improved from {before} to {value}"));
+            } else if *value > before {
+                let limit = line.limit;
+                notes.push(format!(
+                    "{quantity}: grew from {before} to {value}, within {limit}"
+                ));
+            }
+        }
+        let measured = |line: &&Line| !measured.iter().any(|m| m.quantity == line.quantity);
+        let gone = self
+            .lines
+            .iter()
+            .filter(measured)
+            .map(|line| &line.quantity);
+        exceeded.extend(gone.map(|name| format!("{name}: is in the budget and was not measured")));
+        Verdict { exceeded, notes }
+    }
+
+    /// The table with the measured values. A limit follows an improvement down and never goes up by itself; to
+    /// raise it, edit the page.
+    pub(crate) fn accept(&self, toolchain: &str, measured: &[Measured]) -> Result<Self> {
+        let mut lines = Vec::new();
+        for Measured {
+            quantity,
+            value,
+            how,
+            allowed,
+        } in measured
+        {
+            let fresh = (*value as f64 * (1.0 + FRESH_MARGIN)).ceil() as u64;
+            let before = self.line(quantity).map_or(fresh, |line| line.limit);
+            let limit = allowed.unwrap_or(before.min(fresh));
+            ensure!(
+                *value <= limit,
+                "{quantity}: {value} exceeds {limit}; to allow it, raise the limit in {PAGE} by hand"
+            );
+            lines.push(Line {
+                quantity: quantity.clone(),
+                value: *value,
+                limit,
+                how: (*how).into(),
+            });
+        }
+        let toolchain = toolchain.into();
+        Ok(Self { toolchain, lines })
+    }
+
+    fn page(&self) -> String {
+        let mut page = format!("{INTRODUCTION}\nToolchain: {}\n\n", self.toolchain);
+        page.push_str(
+            "| quantity | value | limit | to reach | best peer | who | how measured |\n\
+             |---|---:|---:|---:|---:|---|---|\n",
+        );
+        for Line {
+            quantity,
+            value,
+            limit,
+            how,
+        } in &self.lines
+        {
+            let number = |value: Option<u32>| value.map_or(String::new(), |v| v.to_string());
+            let reach = number(anchors::reach(quantity));
+            let peer = anchors::peer(quantity);
+            let best = number(peer.map(|peer| peer.value));
+            let who = peer.map_or("", |peer| peer.who);
+            let _ = writeln!(
+                page,
+                "| `{quantity}` | {value} | {limit} | {reach} | {best} | {who} | {how} |"
+            );
+        }
+        page
+    }
+}
+
+/// `rustc 1.96.0` of a version line, whoever packaged it.
+fn release(line: &str) -> Vec<&str> {
+    line.split_whitespace().take(2).collect()
+}
+
+const INTRODUCTION: &str = "\
+# Budget
+
+The budget limits the cost of the firmware. `cargo xtask bench` measures every line, fails if a value exceeds its limit, and
+lists every improvement. `cargo xtask bench --accept` writes this page anew: the values as measured, the limits at most 2 %
+above them. It never raises a limit. To raise one, edit this page by hand and give the reason in the commit.
+
+Instructions are executed instructions in the emulator, the same on every run: the mean over calls with varying inputs.
+Cycles are *estimates* for a Cortex-M4 with zero-wait memory, from the executed instructions and the cycle tables of
+ARM DDI 0439. Nothing here was measured on silicon. Bytes are those of the flashable firmware. A compiler other than the
+one named here gets 5 % more.
+
+The column *to reach* was set before the first measurement. The best peers were measured the same way. gcc fuses their
+multiplications with additions. This code never does: its results are the same bits on every machine.
+";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured(value: u64) -> Vec<Measured> {
+        vec![Measured {
+            quantity: "rnea_ur5, instructions".into(),
+            value,
+            how: "emulator",
+            allowed: None,
+        }]
+    }
+
+    fn budget() -> Budget {
+        Budget::default()
+            .accept("rustc 1.96.0", &measured(1000))
+            .unwrap()
+    }
+
+    #[test]
+    fn the_page_is_the_table() {
+        assert_eq!(budget().lines[0].limit, 1020);
+        assert_eq!(Budget::parse(&budget().page()).unwrap(), budget());
+    }
+
+    #[test]
+    fn a_value_beyond_its_limit_fails_and_a_better_one_is_named() {
+        let verdict = |toolchain: &str, value| budget().compare(toolchain, &measured(value));
+        assert_eq!(verdict("rustc 1.96.0", 1000), Verdict::default());
+        assert_eq!(verdict("rustc 1.96.0", 1021).exceeded.len(), 1);
+        assert_eq!(verdict("rustc 1.96.0", 1020).exceeded.len(), 0);
+        assert!(verdict("rustc 1.96.0", 900).notes[0].contains("improved from 1000 to 900"));
+        let foreign = verdict("rustc 1.95.0", 1070);
+        assert_eq!(foreign.exceeded.len(), 0);
+        assert!(foreign.notes[0].contains("rustc 1.95.0"));
+        assert_eq!(verdict("rustc 1.95.0", 1072).exceeded.len(), 1);
+    }
+
+    #[test]
+    fn a_quantity_without_a_budget_or_a_measurement_fails() {
+        assert_eq!(
+            Budget::default().compare("x", &measured(1)).exceeded.len(),
+            1
+        );
+        assert_eq!(budget().compare("rustc 1.96.0", &[]).exceeded.len(), 1);
+    }
+
+    #[test]
+    fn an_allowed_value_keeps_its_limit_and_anchors_are_not_read_back() {
+        let mut measured = measured(3);
+        measured[0].allowed = Some(50);
+        let budget = budget().accept("rustc 1.96.0", &measured).unwrap();
+        assert_eq!(budget.lines[0].limit, 50);
+        assert!(budget.page().contains("| 1000 | 1790 | Pinocchio"));
+        assert_eq!(Budget::parse(&budget.page()).unwrap(), budget);
+        let old = "Toolchain: rustc\n| `rnea_ur5, instructions` | 3 | 4 | emulator |\n";
+        assert_eq!(Budget::parse(old).unwrap().lines[0].limit, 4);
+    }
+
+    #[test]
+    fn accepting_lowers_limits_and_never_raises_them() {
+        let accept = |value| budget().accept("rustc 1.96.0", &measured(value));
+        assert_eq!(accept(900).unwrap().lines[0].limit, 918);
+        assert_eq!(accept(1015).unwrap().lines[0].limit, 1020);
+        assert!(accept(1021).is_err());
+    }
+}

@@ -1,0 +1,327 @@
+//! The functions that code of a linked ELF can reach from an entry, and the depth of their stack.
+//!
+//! Sound as far as it succeeds: every path through every function is followed, conditional instructions both ways. A
+//! target or stack movement that the code does not fix is unknown, never a guess.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use crate::image::Image;
+use crate::thumb::{Class, Flow, Stack};
+
+/// Reasons of an unknown.
+const INDIRECT_CALL: &str = "calls through a pointer";
+const INDIRECT_JUMP: &str = "jumps through a pointer";
+const UNKNOWN_STACK: &str = "moves the stack by an amount the code does not fix";
+const TWO_DEPTHS: &str = "reaches one place with two depths of stack";
+const NO_CODE: &str = "leads to no code";
+const RECURSION: &str = "calls itself, directly or through others";
+
+/// One function by itself.
+#[derive(Clone, Debug, Default)]
+struct Node {
+    /// Deepest stack of its own, bytes.
+    own: u32,
+    /// Functions it calls or jumps to, and the depth of the stack there.
+    calls: BTreeSet<(u32, u32)>,
+}
+
+/// Everything in reach of an entry.
+#[derive(Debug)]
+pub(crate) struct Walk<'a> {
+    image: &'a Image,
+    nodes: BTreeMap<u32, Node>,
+    /// Places the walk could not decide, with their reasons; empty if the walk is complete.
+    pub(crate) unknowns: BTreeSet<String>,
+}
+
+/// The deepest stack, and the functions on the path there with the stack of each.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Depth {
+    pub(crate) bytes: u32,
+    pub(crate) path: Vec<(String, u32)>,
+}
+
+impl<'a> Walk<'a> {
+    /// Walks from the function at each of `entries`.
+    pub(crate) fn from(image: &'a Image, entries: &[u32]) -> Self {
+        let mut walk = Self {
+            image,
+            nodes: BTreeMap::new(),
+            unknowns: BTreeSet::new(),
+        };
+        let mut open = entries.to_vec();
+        while let Some(entry) = open.pop() {
+            if walk.nodes.contains_key(&entry) {
+                continue;
+            }
+            let node = walk.function(entry);
+            open.extend(node.calls.iter().map(|(target, _)| target));
+            walk.nodes.insert(entry, node);
+        }
+        walk
+    }
+
+    /// Every name of every function in reach.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.nodes.keys().flat_map(|&entry| self.image.names(entry))
+    }
+
+    /// The path from an entry to the function of this name, as names.
+    pub(crate) fn path_to(&self, name: &str, entries: &[u32]) -> Vec<String> {
+        let mut from: BTreeMap<u32, Option<u32>> = entries.iter().map(|&e| (e, None)).collect();
+        let mut open: Vec<u32> = entries.to_vec();
+        let mut next = 0;
+        while let Some(&entry) = open.get(next) {
+            next += 1;
+            if self.image.names(entry).any(|n| n == name) {
+                let back = std::iter::successors(Some(entry), |at| *from.get(at)?);
+                let mut path: Vec<_> = back.map(|at| self.name(at)).collect();
+                path.reverse();
+                return path;
+            }
+            for &(target, _) in self.nodes.get(&entry).iter().flat_map(|node| &node.calls) {
+                from.entry(target).or_insert_with(|| {
+                    open.push(target);
+                    Some(entry)
+                });
+            }
+        }
+        Vec::new()
+    }
+
+    /// The deepest stack from `entry` on. Recursion is unknown.
+    pub(crate) fn depth(&mut self, entry: u32) -> Depth {
+        let mut known = BTreeMap::new();
+        self.deepest(entry, &mut Vec::new(), &mut known)
+    }
+
+    fn deepest(
+        &mut self,
+        entry: u32,
+        above: &mut Vec<u32>,
+        known: &mut BTreeMap<u32, Depth>,
+    ) -> Depth {
+        if let Some(depth) = known.get(&entry) {
+            return depth.clone();
+        }
+        if above.contains(&entry) {
+            self.unknown(entry, entry, RECURSION);
+            return Depth::default();
+        }
+        let node = self.nodes.get(&entry).cloned().unwrap_or_default();
+        let mut worst = Depth {
+            bytes: node.own,
+            path: vec![(self.name(entry), node.own)],
+        };
+        above.push(entry);
+        for (target, depth) in node.calls {
+            let below = self.deepest(target, above, known);
+            if depth + below.bytes > worst.bytes {
+                worst.bytes = depth + below.bytes;
+                worst.path = vec![(self.name(entry), depth)];
+                worst.path.extend(below.path);
+            }
+        }
+        above.pop();
+        known.insert(entry, worst.clone());
+        worst
+    }
+
+    fn name(&self, address: u32) -> String {
+        let name = self.image.names(address).next();
+        name.map_or_else(|| format!("{address:#010x}"), str::to_owned)
+    }
+
+    fn unknown(&mut self, entry: u32, address: u32, reason: &str) {
+        let unknown = format!("{} {reason} at {address:#010x}", self.name(entry));
+        self.unknowns.insert(unknown);
+    }
+
+    /// Follows every path through the function at `entry`.
+    fn function(&mut self, entry: u32) -> Node {
+        let mut node = Node::default();
+        let Some(code) = self.image.at(entry).map(|f| f.code.clone()) else {
+            self.unknown(entry, entry, NO_CODE);
+            return node;
+        };
+        // Places still to visit: address, depth of the stack, conditional instructions left.
+        let mut open = vec![(entry, 0u32, 0u32)];
+        let mut seen: BTreeMap<u32, u32> = BTreeMap::new();
+        while let Some((address, depth, conditional)) = open.pop() {
+            if !code.contains(&address) {
+                // A tail call, or the end behind a call that does not return.
+                continue;
+            }
+            match seen.insert(address, depth) {
+                None => {}
+                Some(before) if before == depth => continue,
+                Some(_) => {
+                    self.unknown(entry, address, TWO_DEPTHS);
+                    continue;
+                }
+            }
+            let Some(instruction) = self.image.instruction(address) else {
+                self.unknown(entry, address, NO_CODE);
+                continue;
+            };
+            let next = address + instruction.size;
+            let after = match instruction.stack {
+                Stack::Kept => depth,
+                Stack::Moved(bytes) => depth.saturating_add_signed(-bytes),
+                Stack::Lost => {
+                    self.unknown(entry, address, UNKNOWN_STACK);
+                    depth
+                }
+            };
+            node.own = node.own.max(after);
+            let left = match instruction.class {
+                Class::IfThen { count } => count,
+                _ => conditional.saturating_sub(1),
+            };
+            let mut targets = Vec::new();
+            match instruction.flow {
+                Flow::Next | Flow::Return | Flow::Stop => {}
+                Flow::Jump(target) | Flow::Branch(target) => targets.push(target),
+                Flow::Call(target) => {
+                    node.calls.insert((target, after));
+                }
+                Flow::CallIndirect => self.unknown(entry, address, INDIRECT_CALL),
+                Flow::JumpIndirect => self.unknown(entry, address, INDIRECT_JUMP),
+                Flow::Table { halfwords } => targets = self.table(address, halfwords, &code),
+            }
+            for &target in &targets {
+                if code.contains(&target) {
+                    open.push((target, after, 0));
+                } else {
+                    node.calls.insert((target, after));
+                }
+            }
+            let ends = matches!(
+                instruction.flow,
+                Flow::Jump(_) | Flow::JumpIndirect | Flow::Table { .. } | Flow::Return | Flow::Stop
+            );
+            if !ends {
+                open.push((next, after, left));
+            } else if conditional > 0 {
+                // Its condition may fail; then it leaves the stack as it was.
+                open.push((next, depth, left));
+            }
+        }
+        node
+    }
+
+    /// Targets of a table branch at `address` in `code`.
+    ///
+    /// The table ends where the first of its targets begins, or earlier if padding or constants follow it: as offsets,
+    /// those point into the table or out of the function.
+    fn table(&self, address: u32, halfwords: bool, code: &Range<u32>) -> Vec<u32> {
+        let base = address + 4;
+        let mut targets: Vec<u32> = Vec::new();
+        for entry in (base..).step_by(if halfwords { 2 } else { 1 }) {
+            let mask = if halfwords { 0xFFFF } else { 0xFF };
+            let offset = self
+                .image
+                .halfword(entry)
+                .map(|half| u32::from(half) & mask);
+            let target = offset.map_or(0, |offset| base + 2 * offset);
+            let ended = targets.iter().any(|&first| entry >= first);
+            if ended || target <= entry || !code.contains(&target) {
+                break;
+            }
+            targets.push(target);
+        }
+        targets
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LEAF: u32 = 0x0800_1000;
+    const CALLER: u32 = 0x0800_1100;
+    /// push {r7, lr}; sub sp, #8; add sp, #8; pop {r7, pc}
+    const LEAF_CODE: &[u16] = &[0xB580, 0xB082, 0xB002, 0xBD80];
+
+    /// `bl to` at `from`, for distances below 2 KiB backwards.
+    fn call(from: u32, to: u32) -> [u16; 2] {
+        let half = to.wrapping_sub(from + 4) >> 1;
+        [0xF7FF, 0xF800 | half as u16 & 0x7FF]
+    }
+
+    /// The depth, and the reason of the unknown if there is one.
+    fn depth_and_unknown(image: &Image) -> (u32, String) {
+        let mut walk = Walk::from(image, &[CALLER]);
+        let bytes = walk.depth(CALLER).bytes;
+        let reasons = walk
+            .unknowns
+            .iter()
+            .flat_map(|unknown| unknown.split(" at ").next());
+        let reasons = reasons.map(|reason| reason.trim_start_matches("caller "));
+        (bytes, reasons.collect())
+    }
+
+    #[test]
+    fn frames_add_up_along_the_deepest_path() {
+        let [high, low] = call(CALLER + 2, LEAF);
+        // push {r4, lr}; bl leaf; pop {r4, pc}
+        let caller = [0xB510, high, low, 0xBD10];
+        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_unknown(&image), (8 + 16, String::new()));
+        let walk = Walk::from(&image, &[CALLER]);
+        assert_eq!(walk.path_to("leaf", &[CALLER]), ["caller", "leaf"]);
+    }
+
+    #[test]
+    fn a_tail_call_has_released_its_frame() {
+        // push {r4, lr}; pop.w {r4, lr}; b leaf
+        let mut caller = [0xB510, 0xE8BD, 0x4010, 0xE000];
+        let half = LEAF.wrapping_sub(CALLER + 6 + 4) >> 1;
+        caller[3] |= half as u16 & 0x7FF;
+        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_unknown(&image), (16, String::new()));
+    }
+
+    #[test]
+    fn a_call_through_a_pointer_is_unknown() {
+        // push {r4, lr}; blx r0; pop {r4, pc}
+        let caller = [0xB510, 0x4780, 0xBD10];
+        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_unknown(&image), (8, INDIRECT_CALL.into()));
+    }
+
+    #[test]
+    fn recursion_and_stacks_of_unfixed_size_are_unknown() {
+        let [high, low] = call(CALLER + 2, CALLER);
+        let itself = [0xB510, high, low, 0xBD10];
+        let image = Image::of_code(&[("caller", CALLER, &itself)]);
+        assert_eq!(depth_and_unknown(&image).1, RECURSION);
+        // sub.w sp, sp, r0; bx lr
+        let image = Image::of_code(&[("caller", CALLER, &[0xEBAD, 0x0D00, 0x4770])]);
+        assert_eq!(depth_and_unknown(&image).1, UNKNOWN_STACK);
+    }
+
+    #[test]
+    fn what_follows_a_conditional_return_is_followed_too() {
+        // it eq; bxeq lr; push {r4, lr}; pop {r4, pc}
+        let image = Image::of_code(&[("caller", CALLER, &[0xBF08, 0x4770, 0xB510, 0xBD10])]);
+        assert_eq!(depth_and_unknown(&image), (8, String::new()));
+    }
+
+    #[test]
+    fn every_case_of_a_table_is_followed_and_constants_behind_it_are_not() {
+        // tbh [pc, r0, lsl #1] with cases at +8 and +10, then a constant that points nowhere
+        let caller = [
+            0xE8DF, 0xF010, 4, 5, 0xBF00, 0x7FFF, // table of two, padding, constant
+            0x4770, // bx lr
+            0xB510, 0xBD10, // push {r4, lr}; pop {r4, pc}
+        ];
+        let image = Image::of_code(&[("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_unknown(&image), (8, String::new()));
+        // tbb [pc, r0] with three cases, the first of them a return, and a byte of padding
+        let caller = [0xE8DF, 0xF000, 0x0302, 0x0002, 0x4770, 0xB510, 0xBD10];
+        let image = Image::of_code(&[("caller", CALLER, &caller)]);
+        assert_eq!(depth_and_unknown(&image), (8, String::new()));
+    }
+}

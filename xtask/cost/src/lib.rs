@@ -1,0 +1,178 @@
+//! Cost of the firmware: instructions, estimated cycles, flash, RAM and stack, against the committed budget.
+//!
+//! Two runs of one ELF in the emulator: one counts the instructions of every call, the other logs the processor before
+//! each instruction. The log is decoded here and priced. The two must agree, call by call.
+
+mod anchors;
+mod budget;
+mod calls;
+mod cycles;
+mod emulator;
+mod gates;
+mod image;
+mod memory;
+mod report;
+mod row;
+mod size;
+mod spread;
+mod step;
+mod thumb;
+mod trace;
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail};
+
+use budget::{Budget, Measured};
+use image::Image;
+use memory::Memory;
+use row::Row;
+use spread::{PERMILLE_LIMIT, Spread};
+
+/// The firmware with a budget, and the one that drives its joint: a motor stage and an encoder more.
+const JOINT: &str = "joint";
+const DRIVE: &str = "joint-drive";
+
+/// Place of the figures, from the workspace's root.
+const OUT: &str = "target/foretorque/bench.json";
+
+/// Measures the ELF files `bench`, `joint` and `joint-drive` in `elves`, prints the table, writes `bench.json` below `root`,
+/// and compares with the budget; `accept` writes the budget anew.
+///
+/// `toolchain` is the version line of the compiler that built them.
+pub fn bench(elves: &Path, root: &Path, toolchain: &str, accept: bool) -> Result<()> {
+    let (rows, spread) = row::measure(&elves.join("bench"))?;
+    let joint = Image::read(&elves.join(JOINT))?;
+    let reached = gates::check(&joint)?;
+    let memory = Memory::of(&joint)?;
+    let drive = firmware(elves, DRIVE)?;
+
+    let measured = quantities(&rows, &spread, &memory, &drive);
+    let mut budget = Budget::read(root);
+    if accept {
+        let accepted = budget.unwrap_or_default().accept(toolchain, &measured)?;
+        accepted.write(root)?;
+        budget = Ok(accepted);
+    }
+    let budget = budget?;
+    println!("\n{}", report::table(&rows, &memory, &budget));
+    println!(
+        "{DRIVE}: {} B flash, {} B static RAM; worst stack of the tick {} B\n",
+        drive.flash_bytes, drive.ram_bytes, drive.stack_bytes
+    );
+    println!("{}", size::table(&joint));
+    println!("{}\n", report::spread(&spread));
+    println!("executed instructions by kind");
+    for row in &rows {
+        println!("{}", report::mix(row));
+    }
+    println!(
+        "\ngates: no handler reaches a panic, software f64 or an allocator ({reached} functions seen)"
+    );
+    let out = root.join(OUT);
+    if let Some(parent) = out.parent() {
+        fs::create_dir_all(parent)?;
+    }
+    let json = report::json(toolchain, &rows, &spread, &memory, &budget);
+    fs::write(&out, json).with_context(|| format!("cannot write {}", out.display()))?;
+    println!("figures: {OUT}");
+
+    let verdict = budget.compare(toolchain, &measured);
+    for note in &verdict.notes {
+        println!("budget: {note}");
+    }
+    for line in &verdict.exceeded {
+        println!("budget: EXCEEDED: {line}");
+    }
+    if !verdict.exceeded.is_empty() {
+        bail!("the budget of {} is exceeded", budget::PAGE);
+    }
+    println!("budget: kept");
+    Ok(())
+}
+
+/// The gates on the linked firmware `joint` and `joint-drive` in `elves`: no handler reaches a forbidden function, and the
+/// stack fits.
+pub fn check_firmware(elves: &Path) -> Result<()> {
+    [JOINT, DRIVE]
+        .iter()
+        .try_for_each(|name| firmware(elves, name).map(|_| ()))
+}
+
+/// Memory of one firmware, after its gates.
+fn firmware(elves: &Path, name: &str) -> Result<Memory> {
+    let check = || -> Result<_> {
+        let image = Image::read(&elves.join(name))?;
+        Ok((gates::check(&image)?, Memory::of(&image)?))
+    };
+    let (reached, memory) = check().with_context(|| format!("firmware `{name}`"))?;
+    println!(
+        "{name}: {reached} functions reachable from interrupts: no panic, no software f64, no allocator; stack bounded by \
+         {} B, the tick's by {} B",
+        memory.nested_bytes, memory.stack_bytes
+    );
+    Ok(memory)
+}
+
+/// Every quantity with a budget.
+fn quantities(rows: &[Row], spread: &Spread, memory: &Memory, drive: &Memory) -> Vec<Measured> {
+    let measured = |quantity: String, value: u64, how| Measured {
+        quantity,
+        value,
+        how,
+        allowed: None,
+    };
+    let rows = rows.iter().flat_map(|row| {
+        let [instructions, cycles] = row.quantities();
+        let counted = row.instructions.ceil() as u64;
+        let priced = row.cycles.ceil() as u64;
+        [
+            measured(
+                instructions,
+                counted,
+                "emulator, counted by TIM2 under -icount",
+            ),
+            measured(cycles, priced, "estimate over the traced instructions"),
+        ]
+    });
+    let bytes = [
+        ("flash, bytes", memory.flash_bytes, "sections of `joint`"),
+        ("static RAM, bytes", memory.ram_bytes, "sections of `joint`"),
+        (
+            "stack of the tick, bytes",
+            memory.stack_bytes,
+            "bound from the code of `joint`, exception frame included",
+        ),
+        (
+            "stack of everything nested, bytes",
+            memory.nested_bytes,
+            "bound from the code of `joint`: main and every handler",
+        ),
+        (
+            "static RAM of joint-drive, bytes",
+            drive.ram_bytes,
+            "sections of `joint-drive`",
+        ),
+        (
+            "stack of the tick of joint-drive, bytes",
+            drive.stack_bytes,
+            "bound from the code of `joint-drive`, exception frame included",
+        ),
+        (
+            "flash of joint-drive, bytes",
+            drive.flash_bytes,
+            "sections of `joint-drive`",
+        ),
+    ];
+    let bytes = bytes.map(|(name, bytes, how)| measured(name.into(), bytes.into(), how));
+    let long_run = Measured {
+        allowed: Some(PERMILLE_LIMIT),
+        ..measured(
+            format!("{}, permille off its mean", spread.row),
+            spread.permille(),
+            "emulator, 100000 different ticks with the learner at work",
+        )
+    };
+    rows.chain(bytes).chain([long_run]).collect()
+}
