@@ -39,16 +39,16 @@ fn text(path: &Path) -> String {
 fn whole_and_in_jobs(room: &Path, study: &str) -> String {
     succeeds(room, &format!("{study} --seed 3 --seeds 2 --out whole"));
     for seed in [3, 4] {
-        let job = format!("{study} --seed {seed} --seeds 1 --out jobs --records {seed}.jsonl");
+        let job = format!("{study} --seed {seed} --seeds 1 --records {seed}.jsonl");
         succeeds(room, &job);
     }
     let records = text(&room.join("4.jsonl")) + &text(&room.join("3.jsonl"));
     fs::write(room.join("all.jsonl"), records).expect("it can be written");
-    let study = format!("{study} --seed 3 --from all.jsonl");
-    succeeds(room, &format!("{study} --seeds 2 --out jobs"));
+    let study = format!("{study} --seeds 2 --from all.jsonl");
+    succeeds(room, &format!("{study} --seed 3 --out jobs"));
     let whole = text(&room.join("whole/report.json"));
     assert_eq!(whole, text(&room.join("jobs/report.json")));
-    let error = fails(room, &format!("{study} --seeds 3 --out x"));
+    let error = fails(room, &format!("{study} --seed 4 --out x"));
     assert!(error.contains("all.jsonl: "), "{error}");
     assert!(error.contains("records are missing"), "{error}");
     whole

@@ -1,4 +1,4 @@
-//! What must hold across the crates of foretorque.
+//! Requirements that hold across the crates of foretorque.
 
 pub mod arms;
 pub mod table;

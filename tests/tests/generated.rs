@@ -1,32 +1,27 @@
-//! Arm modules are what the generator writes today, and what their descriptions say.
+//! Arm modules agree with the generator and with their descriptions.
 
-use acceptance::arms::{description, oblique::Oblique};
+use acceptance::arms::{description, oblique::Oblique, ur5_calibrated::Ur5Calibrated};
 use acceptance::each_arm;
-use foretorque::arm::{Arm, LinkInertia, base_parameters};
+use foretorque::arm::{Arm, LinkInertia, base_parameters, panda::Panda, ur5::Ur5};
 use foretorque_workbench::generate::{arm_hash, arm_module};
 use std::path::Path;
 
 /// f32 rounding of figures up to some kg·m²: a base parameter is a sum of up to 20 terms.
 const BASE_TOLERANCE: f32 = 1e-5;
 
-/// The committed module of an arm: the firmware's own, or one of this package.
-fn committed_module(name: &str) -> String {
-    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let folder = match name {
-        "ur5" | "panda" => package.join("../firmware/foretorque/src/arm"),
-        _ => package.join("src/arms"),
-    };
-    let file = folder.join(format!("{name}.rs"));
-    std::fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
-}
-
+/// The committed module of a shipped arm.
 fn module_is_up_to_date<A: Arm<N, P>, const N: usize, const P: usize>() {
-    let robot = description(A::NAME);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../firmware/foretorque/src/arm");
+    let committed = std::fs::read_to_string(folder.join(format!("{}.rs", A::NAME)));
     assert!(
-        arm_module(&robot) == committed_module(A::NAME),
+        arm_module(&description(A::NAME)) == committed.expect("a shipped arm"),
         "the module of '{}' is stale: run `cargo run -p host-sim --example write_arm -- DESCRIPTION MODULE.rs`",
         A::NAME
     );
+}
+
+fn identity_is_that_of_its_description<A: Arm<N, P>, const N: usize, const P: usize>() {
+    let robot = description(A::NAME);
     assert_eq!(A::NAME, robot.name);
     assert_eq!(A::HASH, arm_hash(&robot), "{}", A::NAME);
 }
@@ -55,13 +50,20 @@ fn data_sheet_gives_nominal<A: Arm<N, P>, const N: usize, const P: usize>() {
 }
 
 #[test]
-fn committed_arms_are_what_their_descriptions_generate() {
-    each_arm!(module_is_up_to_date);
-    module_is_up_to_date::<Oblique, 4, 27>();
+fn shipped_arms_are_as_generated_from_their_descriptions() {
+    module_is_up_to_date::<Ur5, 6, 40>();
+    module_is_up_to_date::<Panda, 7, 48>();
 }
 
 #[test]
-fn board_turns_data_sheet_figures_into_the_nominal_base_parameters() {
+fn an_arm_and_its_description_have_the_same_identity() {
+    each_arm!(identity_is_that_of_its_description);
+    identity_is_that_of_its_description::<Oblique, 4, 27>();
+    identity_is_that_of_its_description::<Ur5Calibrated, 6, 41>();
+}
+
+#[test]
+fn data_sheet_figures_give_the_nominal_base_parameters() {
     each_arm!(data_sheet_gives_nominal);
     data_sheet_gives_nominal::<Oblique, 4, 27>();
 }

@@ -1,4 +1,4 @@
-//! What physics demands of the board's inverse dynamics, whatever the arm. Every arm: seeded random geometry too.
+//! Physical identities of the board's inverse dynamics, for every arm, with seeded random geometry too.
 
 use acceptance::arms::description;
 use acceptance::each_arm;

@@ -47,7 +47,7 @@ fn state<const N: usize>(table: &Table, row: usize) -> State<N> {
     }
 }
 
-/// The same state as the board gets it; the tables hold states that f32 represents exactly.
+/// The state as the board gets it; the tables hold states that f32 represents exactly.
 fn motion<const N: usize>(table: &Table, row: usize) -> JointMotion<N> {
     let state = state::<N>(table, row);
     let narrow = |x: Joints<N>| JointVector::<N>::from_fn(|joint, _| x[joint] as f32);

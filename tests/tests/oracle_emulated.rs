@@ -19,53 +19,53 @@ const ROW_LIMIT_SHARE: f64 = 2e-6;
 /// Seconds after which the emulator is stopped; it needs about one.
 const PATIENCE: &str = "120";
 
-/// What the arms are asked, in the order of `each_arm`, and the answers after the run.
+/// States of the arms, in the order of `each_arm`, and the torques after the run.
 #[derive(Default)]
-struct Play {
-    asked: Vec<f32>,
-    answers: std::vec::IntoIter<f32>,
+struct Batch {
+    states: Vec<f32>,
+    torques: std::vec::IntoIter<f32>,
     arms: usize,
 }
 
-impl Play {
-    fn ask<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
+impl Batch {
+    fn add<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
         let table = Table::pinocchio(A::NAME);
         for row in 0..table.len() {
-            self.asked.push(self.arms as f32);
+            self.states.push(self.arms as f32);
             for (name, unit) in [("q", "_rad"), ("qd", "_rad_s"), ("qdd", "_rad_s2")] {
                 // The tables hold states that f32 represents exactly.
                 let values = table.joints::<N>(row, name, unit);
-                self.asked.extend(values.map(|value| value as f32));
+                self.states.extend(values.map(|value| value as f32));
             }
         }
         self.arms += 1;
     }
 
-    /// Has the emulated processor answer.
+    /// Computes the torques on the emulated processor.
     fn run(&mut self) {
         let folder = std::env::temp_dir().join(format!("foretorque-oracle-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("the temporary folder can be written");
-        let (asked, answered) = (folder.join("asked"), folder.join("answered"));
-        let bytes: Vec<u8> = self.asked.iter().flat_map(|x| x.to_le_bytes()).collect();
-        std::fs::write(&asked, bytes).expect("the temporary folder can be written");
-        emulate(&asked, &answered);
-        let bytes = std::fs::read(&answered).expect("the emulator has answered");
+        let (states, torques) = (folder.join("states"), folder.join("torques"));
+        let bytes: Vec<u8> = self.states.iter().flat_map(|x| x.to_le_bytes()).collect();
+        std::fs::write(&states, bytes).expect("the temporary folder can be written");
+        emulate(&states, &torques);
+        let bytes = std::fs::read(&torques).expect("the emulator has written it");
         let (numbers, rest) = bytes.as_chunks::<4>();
         assert!(rest.is_empty());
-        let answers: Vec<f32> = numbers.iter().map(|&b| f32::from_le_bytes(b)).collect();
-        self.answers = answers.into_iter();
+        let torques: Vec<f32> = numbers.iter().map(|&b| f32::from_le_bytes(b)).collect();
+        self.torques = torques.into_iter();
         std::fs::remove_dir_all(&folder).expect("the temporary folder can be removed");
     }
 
     /// Largest errors of `rnea` and of the regressor's rows over the table, in torque limits and in N·m.
-    fn judge<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
+    fn compare<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
         let table = Table::pinocchio(A::NAME);
         let mut worst = [[0.0f64; N]; 2];
         for row in 0..table.len() {
             let expected = table.joints::<N>(row, "tau", "_nm");
             for worst in &mut worst {
                 for (worst, expected) in worst.iter_mut().zip(expected) {
-                    let tau = self.answers.next().expect("an answer for every state");
+                    let tau = self.torques.next().expect("a torque for every state");
                     let error = (f64::from(tau) - expected).abs();
                     // Not a number is the worst of all.
                     if error.is_nan() || error > *worst {
@@ -91,16 +91,16 @@ impl Play {
     }
 }
 
-fn ask<A: Arm<N, P>, const N: usize, const P: usize>(play: &mut Play) {
-    play.ask::<A, N, P>();
+fn add<A: Arm<N, P>, const N: usize, const P: usize>(batch: &mut Batch) {
+    batch.add::<A, N, P>();
 }
 
-fn judge<A: Arm<N, P>, const N: usize, const P: usize>(play: &mut Play) {
-    play.judge::<A, N, P>();
+fn compare<A: Arm<N, P>, const N: usize, const P: usize>(batch: &mut Batch) {
+    batch.compare::<A, N, P>();
 }
 
 /// Runs the ELF with the two files.
-fn emulate(asked: &Path, answered: &Path) {
+fn emulate(states: &Path, torques: &Path) {
     let elf: PathBuf = [env!("CARGO_MANIFEST_DIR"), "../target"].iter().collect();
     let elf = elf.join("thumbv7em-none-eabihf/firmware/oracle");
     assert!(
@@ -110,8 +110,8 @@ fn emulate(asked: &Path, answered: &Path) {
     );
     let semihosting = format!(
         "enable=on,target=native,arg=oracle,arg={},arg={}",
-        asked.display(),
-        answered.display()
+        states.display(),
+        torques.display()
     );
     let status = Command::new("timeout")
         .args([PATIENCE, "qemu-system-arm", "-machine", "netduinoplus2"])
@@ -126,9 +126,9 @@ fn emulate(asked: &Path, answered: &Path) {
 
 #[test]
 fn torques_of_every_arm_as_the_emulated_processor_computes_them_agree_with_pinocchio() {
-    let mut play = Play::default();
-    each_arm!(ask, &mut play);
-    play.run();
-    each_arm!(judge, &mut play);
-    assert_eq!(play.answers.next(), None);
+    let mut batch = Batch::default();
+    each_arm!(add, &mut batch);
+    batch.run();
+    each_arm!(compare, &mut batch);
+    assert_eq!(batch.torques.next(), None);
 }

@@ -1,4 +1,4 @@
-//! What README.md and the pages of docs/ point to is there: files, headings, tests.
+//! Targets of README.md and of the pages of docs/ exist: files, headings, tests.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ fn pages() -> Vec<(PathBuf, String)> {
         .collect()
 }
 
-/// What a heading is called in a link.
+/// Name of a heading in a link.
 fn anchor(heading: &str) -> String {
     let kept = heading
         .trim_start_matches('#')

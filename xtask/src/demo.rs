@@ -18,7 +18,8 @@ pub(crate) const ELF_COPY: &str = "target/foretorque/demo/joint.elf";
 pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     let start = Instant::now();
     let tools = setup::run(forced)?;
-    shell::run(tools.board.board_cargo("build").arg("--bins"))?;
+    let mut firmware = tools.board.board_cargo("build");
+    shell::run(firmware.args(["--bin", "joint", "--bin", "bulk"]))?;
     shell::run(command("cargo").args(["build", "--release", "-p", "host-sim"]))?;
     println!("demo: built after {:.1} s", start.elapsed().as_secs_f64());
     shell::run(command("cargo").args([

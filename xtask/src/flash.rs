@@ -16,17 +16,18 @@ use crate::toolchain;
 
 /// Where the images go, from the workspace's root.
 const OUT: &str = "target/foretorque/flash";
-/// What probe-rs calls the chip of both boards.
+/// Name of the boards' chip for probe-rs.
 const CHIP: &str = "STM32F405RGTx";
-/// What erased flash reads as.
+/// Value of an erased byte of flash.
 const ERASED: u8 = 0xff;
 /// Bytes of a line of Intel HEX.
 const HEX_LINE: usize = 16;
 
 /// A board that has a firmware here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Board {
     /// ODrive v3 class: `joint`.
+    #[default]
     Odrive,
     /// pyboard v1.1: `joint-pyboard`.
     Pyboard,
@@ -43,7 +44,7 @@ impl std::str::FromStr for Board {
             "pyboard" => Ok(Self::Pyboard),
             "drive" => Ok(Self::Drive),
             other => Err(format!(
-                "unknown board `{other}`: it is odrive, pyboard or drive"
+                "unknown board `{other}`: choose odrive, pyboard or drive"
             )),
         }
     }
@@ -62,7 +63,8 @@ impl Board {
 /// Sets up, builds the firmware as the demo does, writes its images, and unless `image_only` flashes the ELF.
 pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result<()> {
     let tools = setup::run(forced)?;
-    shell::run(tools.board.board_cargo("build").arg("--bins"))?;
+    let mut firmware = tools.board.board_cargo("build");
+    shell::run(firmware.args(["--bin", board.binary()]))?;
     let elf = toolchain::elf(board.binary());
     let bytes = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
     let segments = loadable(&bytes)?;
@@ -76,8 +78,8 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
     }
     if capture(command("probe-rs").arg("--version")).is_none() {
         bail!(
-            "probe-rs is not installed (https://probe.rs/docs/getting-started/installation); the images above suit \
-             any other programmer"
+            "probe-rs is not installed (https://probe.rs/docs/getting-started/installation); use the \
+             images above with any other programmer"
         );
     }
     let mut download = command("probe-rs");
@@ -101,11 +103,12 @@ fn compared(bytes: &[u8]) -> String {
     }
 }
 
-/// What is written into the flash: address, bytes; in ascending order.
+/// Address and bytes for the flash, in ascending order.
 type Segment = (u32, Vec<u8>);
 
 fn loadable(elf: &[u8]) -> Result<Vec<Segment>> {
-    let file = ElfBytes::<LittleEndian>::minimal_parse(elf).context("the firmware is no ELF")?;
+    let file =
+        ElfBytes::<LittleEndian>::minimal_parse(elf).context("the firmware is not an ELF file")?;
     let mut segments = Vec::new();
     for header in file.segments().context("the firmware is not linked")? {
         if header.p_type == PT_LOAD && header.p_filesz > 0 {
@@ -125,7 +128,7 @@ fn loadable(elf: &[u8]) -> Result<Vec<Segment>> {
     Ok(segments)
 }
 
-/// Writes both images, reads them back, and makes sure that they hold what the ELF loads, and nothing else.
+/// Writes both images, reads them back, and compares them with the segments of the ELF.
 fn write_images(segments: &[Segment], name: &str) -> Result<()> {
     let out = shell::root().join(OUT);
     fs::create_dir_all(&out).with_context(|| format!("cannot write {}", out.display()))?;
@@ -142,7 +145,7 @@ fn write_images(segments: &[Segment], name: &str) -> Result<()> {
     let loaded: Vec<(u32, u8)> = bytes_of(segments).collect();
     ensure!(
         lines == loaded && loaded.iter().all(|&(at, byte)| in_bin(at) == Some(byte)),
-        "an image does not hold what the ELF loads"
+        "an image differs from the segments of the ELF"
     );
     println!(
         "bin:  {} ({} bytes from {base:#010x}, read back and compared with the ELF)",
@@ -159,7 +162,7 @@ fn bytes_of(segments: &[Segment]) -> impl Iterator<Item = (u32, u8)> {
         .flat_map(|(address, bytes)| (*address..).zip(bytes.iter().copied()))
 }
 
-/// One block from the first segment's address; what lies between two segments is left erased.
+/// One block from the first segment's address; the space between two segments stays erased.
 fn flat(segments: &[Segment]) -> Vec<u8> {
     let mut image = Vec::new();
     let base = segments.first().map_or(0, |(address, _)| *address);
@@ -182,8 +185,8 @@ fn intel_hex(segments: &[Segment]) -> Result<String> {
                 records.push(Record::ExtendedLinearAddress((at >> 16) as u16));
             }
             // A line ends where the upper half of the address changes.
-            let room = 0x1_0000 - (at & 0xffff) as usize;
-            let (line, later) = rest.split_at(HEX_LINE.min(room).min(rest.len()));
+            let left = 0x1_0000 - (at & 0xffff) as usize;
+            let (line, later) = rest.split_at(HEX_LINE.min(left).min(rest.len()));
             records.push(Record::Data {
                 offset: at as u16,
                 value: line.to_vec(),
@@ -208,7 +211,7 @@ fn read_hex(text: &str) -> Result<Vec<(u32, u8)>> {
                 bytes.extend((upper | u32::from(offset)..).zip(value))
             }
             Record::EndOfFile => break,
-            other => bail!("a record of the HEX file is of no use here: {other:?}"),
+            other => bail!("unexpected record in the HEX file: {other:?}"),
         }
     }
     Ok(bytes)

@@ -1,4 +1,4 @@
-//! Coverage-guided fuzzing: libFuzzer with the stable compiler, whose coverage pass needs no more than flags.
+//! Coverage-guided fuzzing: libFuzzer with the stable compiler, whose coverage pass needs only flags.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -11,11 +11,11 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command, root};
 
-/// Executions in all unless another number is asked for.
+/// Executions in all by default.
 pub(crate) const RUNS: u64 = 100_000_000;
 /// Executions in all as a gate of `test`.
 const SHORT: u64 = 100_000;
-/// What libFuzzer needs in the code: counters of edges, a table of where they are, and the operands of comparisons.
+/// Instrumentation for libFuzzer: counters of edges, a table of their places, and the operands of comparisons.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
                         -Cllvm-args=-sanitizer-coverage-inline-8bit-counters \
                         -Cllvm-args=-sanitizer-coverage-pc-table \
@@ -23,7 +23,7 @@ const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-l
 /// Corpora, logs and crashes, from the workspace's root.
 const HOME: &str = "target/foretorque/fuzz";
 
-/// What is fuzzed.
+/// A fuzzed part of the firmware.
 struct Target {
     name: &'static str,
     /// Longest input: a frame or two, the largest bank, an upload, a store with a bank in it.
@@ -46,12 +46,12 @@ const fn target(name: &'static str, max_len: u32, share: u64) -> Target {
     }
 }
 
-/// What came of one target.
+/// Result of one target.
 struct Outcome {
     name: &'static str,
     executions: u64,
     per_second: u64,
-    /// Where the input lies that broke a promise, or took too long.
+    /// The input that broke a promise or took too long.
     found: Option<String>,
 }
 
@@ -59,11 +59,12 @@ struct Outcome {
 pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     setup::run(forced)?;
     if !compiler() {
-        bail!("libFuzzer is C++ and there is no C++ compiler: install one (the package g++)");
+        bail!("libFuzzer needs a C++ compiler: install one (the package g++)");
     }
+    unpack()?;
     let outcomes = fuzz(runs)?;
     let mut json = String::from("{\"targets\": [");
-    println!("{:<10} {:>12} {:>12}", "target", "executions", "a second");
+    println!("{:<10} {:>12} {:>12}", "target", "executions", "per second");
     for (place, outcome) in outcomes.iter().enumerate() {
         let Outcome {
             name,
@@ -84,15 +85,16 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     fs::write(root().join("target/foretorque/fuzz.json"), json)?;
     let sum: u64 = outcomes.iter().map(|outcome| outcome.executions).sum();
     println!("{:<10} {sum:>12}", "all");
-    judge(&outcomes)
+    check(&outcomes)
 }
 
-/// A short run, the same every time. Without a C++ compiler the inputs are mutated without looking at coverage.
+/// A short run, the same every time. Without a C++ compiler the inputs are mutated without coverage.
 pub(crate) fn gate() -> Result<()> {
+    unpack()?;
     if compiler() {
-        return judge(&fuzz(SHORT)?);
+        return check(&fuzz(SHORT)?);
     }
-    println!("there is no C++ compiler: the inputs are mutated without looking at coverage");
+    println!("no C++ compiler: the inputs are mutated without coverage");
     for target in LANES.iter().flatten() {
         let mut plain = cargo("run");
         plain.args(["--quiet", "--bin", "plain", "--", target.name]);
@@ -102,25 +104,39 @@ pub(crate) fn gate() -> Result<()> {
     Ok(())
 }
 
-fn judge(outcomes: &[Outcome]) -> Result<()> {
+fn check(outcomes: &[Outcome]) -> Result<()> {
     let found: Vec<&str> = outcomes
         .iter()
         .filter_map(|outcome| outcome.found.as_deref())
         .collect();
     if !found.is_empty() {
-        bail!("found: {}", found.join("; "));
+        bail!("inputs that break a promise: {}", found.join("; "));
     }
     Ok(())
 }
 
-/// There is a C++ compiler, or can be had.
+/// Whether there is a C++ compiler, or one can be installed.
 fn compiler() -> bool {
     setup::bring_program("c++", "g++").is_ok()
 }
 
-/// Where the committed inputs of a target lie.
+/// Committed inputs, one archive of the directory `corpus` with a directory for each target.
+///
+/// Packed by `tar --sort=name --mtime=@0 --owner=0 --group=0 --numeric-owner --format=ustar -c corpus | gzip -9n`, so that
+/// the same inputs are the same bytes.
+const CORPUS: &str = "tests/fuzz/corpus.tar.gz";
+
+/// Unpacks the committed inputs; the directory of a target is [`corpus`].
+fn unpack() -> Result<()> {
+    let home = root().join(HOME);
+    // Inputs of an older archive.
+    let _ = fs::remove_dir_all(home.join("corpus"));
+    fs::create_dir_all(&home)?;
+    shell::run(command("tar").args(["-xzf", CORPUS, "-C", HOME]))
+}
+
 fn corpus(name: &str) -> PathBuf {
-    root().join("tests/fuzz/corpus").join(name)
+    root().join(HOME).join("corpus").join(name)
 }
 
 fn cargo(verb: &str) -> Command {
@@ -137,9 +153,9 @@ fn cargo(verb: &str) -> Command {
 
 /// Builds the targets and fuzzes all of them, `runs` executions in all.
 fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
-    let host = capture(command("rustc").arg("-vV")).context("rustc does not say what it is")?;
+    let host = capture(command("rustc").arg("-vV")).context("rustc reports no version")?;
     let host = host.lines().find_map(|line| line.strip_prefix("host: "));
-    let host = host.context("rustc does not say where it runs")?.to_owned();
+    let host = host.context("rustc reports no host")?.to_owned();
     let mut build = cargo("build");
     // With a target named, the flags are for the code that is fuzzed and not for what builds it.
     build
@@ -160,12 +176,15 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
     });
     let mut outcomes = Vec::new();
     for lane in lanes {
-        outcomes.extend(lane.join().map_err(|_| anyhow!("a lane panicked"))??);
+        outcomes.extend(
+            lane.join()
+                .map_err(|_| anyhow!("a fuzzing thread panicked"))??,
+        );
     }
     Ok(outcomes)
 }
 
-/// Fuzzes one target and reads what libFuzzer says of it.
+/// Fuzzes one target and reads the report of libFuzzer.
 fn attack(target: &Target, host: &str, runs: u64) -> Result<Outcome> {
     let Target { name, max_len, .. } = target;
     let home = root().join(HOME).join(name);
@@ -175,7 +194,7 @@ fn attack(target: &Target, host: &str, runs: u64) -> Result<Outcome> {
     }
     let log = home.join("log");
     let output = command(&format!("target/fuzz/{host}/release/{name}"))
-        // What is found is kept in the first directory; the others are read.
+        // New inputs go to the first directory; the others are only read.
         .args([&found, &corpus(name), &seeds])
         .arg(format!("-runs={runs}"))
         .arg(format!("-max_len={max_len}"))
@@ -186,13 +205,13 @@ fn attack(target: &Target, host: &str, runs: u64) -> Result<Outcome> {
         .stderr(fs::File::create(&log)?)
         .status()
         .with_context(|| format!("cannot start the fuzzer of `{name}`"))?;
-    let said = String::from_utf8_lossy(&fs::read(&log)?).into_owned();
+    let report = String::from_utf8_lossy(&fs::read(&log)?).into_owned();
     let number = |key: &str| {
-        let line = said.lines().find_map(|line| line.strip_prefix(key));
+        let line = report.lines().find_map(|line| line.strip_prefix(key));
         line.and_then(|value| value.trim().parse().ok())
             .unwrap_or(0)
     };
-    let artifact = said.lines().find_map(|line| {
+    let artifact = report.lines().find_map(|line| {
         line.split_once("Test unit written to ")
             .map(|(_, file)| file)
     });

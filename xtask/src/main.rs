@@ -2,6 +2,7 @@
 
 mod bench;
 mod capi;
+mod circles;
 mod demo;
 mod faults;
 mod flash;
@@ -11,6 +12,7 @@ mod setup;
 mod shell;
 mod test;
 mod toolchain;
+mod words;
 
 use std::num::NonZeroU64;
 use std::process::ExitCode;
@@ -27,124 +29,122 @@ Set-up, demo, bench and test of foretorque in one command each.
 Usage: cargo xtask <COMMAND> [OPTIONS]
 
 Commands:
-  setup   Bring what the other commands need: the board's Rust target, the emulator, clippy, rustfmt, a compiler for C
-  demo    Set up, build, run the main job in the emulator and write target/foretorque/demo/report.html
-  bench   Set up, measure what the firmware costs, compare with docs/budget.md, write target/foretorque/bench.json
-  faults  Set up, break everything that can break on every board, and write target/foretorque/faults.json
-  fuzz    Set up, fuzz decoder, bank loader, session and store, and write target/foretorque/fuzz.json
-  flash   Set up, build, write .bin and .hex into target/foretorque/flash, and flash the ELF by probe-rs
-  capi    Set up, build the static library for C and its example
-  test    Set up, pass every gate (format, lints, builds, tests, docs) and end with counts
+  setup    Install what the other commands need: the board's Rust target, the emulator, clippy, rustfmt, a C compiler
+  demo     Set up, build, run the demo in the emulator, write target/foretorque/demo/report.html
+  test     Set up, run every gate (format, lints, builds, tests, docs), print a table and counts
+  bench    Set up, measure the cost of the firmware, compare with docs/budget.md, write target/foretorque/bench.json
+  faults   Set up, inject every fault into every board, write target/foretorque/faults.json
+  fuzz     Set up, fuzz decoder, bank loader, session and store, write target/foretorque/fuzz.json
+  flash    Set up, build, write .bin and .hex to target/foretorque/flash, flash the ELF by probe-rs
+  capi     Set up, build the static library for C and its example
+  words    Check the first lines of doc comments and the lengths of sentences
+  circles  List import circles between source files
 
 Options:
-      --toolchain <WAY>  How the board's toolchain is had; without it the first of these that works:
-                           installed  a toolchain already here that builds for the board
+      --toolchain <WAY>  Source of the board's toolchain. Default: the first of these that works
+                           installed  a toolchain that is already here and builds for the board
                            rustup     `rustup target add`, bounded in time
-                           debian     Debian's rustc and sources: core is built once and linked as a toolchain
-      --check            setup only: change nothing, list what is here and what is missing, fail if anything is
-      --board <BOARD>    flash only: odrive (without it), pyboard or drive
-      --image            flash only: write the images, flash nothing
-      --accept           bench: write docs/budget.md anew; limits may go down, never up
-                         faults: write the counts into docs/reliability.md instead of comparing them
-      --runs <N>         fuzz only: executions in all (100000000)
+                           debian     core built from Debian's Rust packages and linked as a toolchain
+      --check            setup: change nothing, list what is installed and missing, fail if anything is missing
+      --board <BOARD>    flash: odrive (default), pyboard or drive
+      --image            flash: write the images, flash nothing
+      --accept           bench: write docs/budget.md anew; limits go down, never up
+                         faults: write the counts into tests/snapshots/faults.txt instead of comparing them
+      --runs <N>         fuzz: executions in all (default 100000000)
   -h, --help             Print this help
 
-The debian way leaves a rustup toolchain named foretorque-arm that points into one directory,
-$XDG_DATA_HOME/foretorque (~/.local/share/foretorque). Where the emulator cannot be installed as a package, it is unpacked
-into that directory, and a script qemu-system-arm beside cargo starts it. To remove all of it: `rustup toolchain uninstall
-foretorque-arm`, then delete the directory and the script.
+The debian way links a rustup toolchain named foretorque-arm. It lies in $XDG_DATA_HOME/foretorque
+(~/.local/share/foretorque). If the emulator cannot be installed as a package, it is unpacked into the same directory; a
+script qemu-system-arm beside cargo starts it. To remove everything: `rustup toolchain uninstall foretorque-arm`, then
+delete the directory and the script.
 ";
 
-/// What the command line asks for.
-#[derive(Debug, PartialEq)]
-enum Request {
-    Help,
-    Setup {
-        forced: Option<Way>,
-        check: bool,
-    },
-    Demo {
-        forced: Option<Way>,
-    },
-    Test {
-        forced: Option<Way>,
-    },
-    Bench {
-        forced: Option<Way>,
-        accept: bool,
-    },
-    Capi {
-        forced: Option<Way>,
-    },
-    Flash {
-        forced: Option<Way>,
-        board: Board,
-        image: bool,
-    },
-    Faults {
-        forced: Option<Way>,
-        accept: bool,
-    },
-    Fuzz {
-        forced: Option<Way>,
-        runs: u64,
-    },
+/// Commands and the options each takes; all take `--toolchain`.
+const COMMANDS: [(&str, &[&str]); 11] = [
+    ("help", &[]),
+    ("setup", &["check"]),
+    ("demo", &[]),
+    ("test", &[]),
+    ("bench", &["accept"]),
+    ("faults", &["accept"]),
+    ("fuzz", &["runs"]),
+    ("flash", &["board", "image"]),
+    ("capi", &[]),
+    ("words", &[]),
+    ("circles", &[]),
+];
+
+/// The command line.
+#[derive(Debug, Default, PartialEq)]
+struct Request {
+    command: String,
+    toolchain: Option<Way>,
+    check: bool,
+    accept: bool,
+    image: bool,
+    board: Board,
+    runs: Option<u64>,
 }
 
-/// Reads the command line; the error is one line fit for the user.
+/// Reads the command line; the error is one line for the user.
 fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
-    let (mut command, mut forced) = (None, None);
-    let (mut check, mut accept, mut image) = (false, false, false);
-    let mut board = None;
-    let mut runs = None;
+    let mut request = Request::default();
+    let mut options = Vec::new();
     while let Some(arg) = args.next()? {
+        if let Long(name) = arg {
+            options.push(name.to_owned());
+        }
         match arg {
-            Short('h') | Long("help") => return Ok(Request::Help),
-            Long("toolchain") => forced = Some(args.value()?.parse::<Way>()?),
-            Long("check") => check = true,
-            Long("accept") => accept = true,
+            Short('h') | Long("help") => {
+                request.command = "help".into();
+                return Ok(request);
+            }
+            Long("toolchain") => request.toolchain = Some(args.value()?.parse()?),
+            Long("check") => request.check = true,
+            Long("accept") => request.accept = true,
+            Long("image") => request.image = true,
+            Long("board") => request.board = args.value()?.parse()?,
             Long("runs") => {
                 let number = args.value()?.parse::<NonZeroU64>();
-                runs = Some(number.map_err(|error| format!("--runs: {error}"))?.get());
+                request.runs = Some(number.map_err(|error| format!("--runs: {error}"))?.get());
             }
-            Long("image") => image = true,
-            Long("board") => board = Some(args.value()?.parse::<Board>()?),
-            Value(name) if command.is_none() => command = Some(name.string()?),
+            Value(name) if request.command.is_empty() => request.command = name.string()?,
             other => return Err(other.unexpected()),
         }
     }
-    let request = match command.as_deref() {
-        None | Some("help") => Request::Help,
-        Some("setup") => Request::Setup { forced, check },
-        Some("demo") => Request::Demo { forced },
-        Some("bench") => Request::Bench { forced, accept },
-        Some("faults") => Request::Faults { forced, accept },
-        Some("fuzz") => Request::Fuzz {
-            forced,
-            runs: runs.unwrap_or(fuzz::RUNS),
-        },
-        Some("test") => Request::Test { forced },
-        Some("capi") => Request::Capi { forced },
-        Some("flash") => Request::Flash {
-            forced,
-            board: board.unwrap_or(Board::Odrive),
-            image,
-        },
-        Some(other) => return Err(format!("there is no command `{other}`").into()),
+    if request.command.is_empty() {
+        request.command = "help".into();
+    }
+    let command = COMMANDS.iter().find(|(name, _)| *name == request.command);
+    let Some((name, taken)) = command else {
+        return Err(format!("there is no command `{}`", request.command).into());
     };
-    if check && !matches!(request, Request::Setup { .. }) {
-        return Err("--check belongs to `cargo xtask setup`".into());
+    let mut options = options.iter().map(String::as_str);
+    match options.find(|option| *option != "toolchain" && !taken.contains(option)) {
+        Some(option) => Err(format!("`cargo xtask {name}` takes no --{option}").into()),
+        None => Ok(request),
     }
-    if (image || board.is_some()) && !matches!(request, Request::Flash { .. }) {
-        return Err("--image and --board belong to `cargo xtask flash`".into());
+}
+
+fn run(request: &Request) -> Result<()> {
+    let forced = request.toolchain;
+    match request.command.as_str() {
+        "setup" if request.check => setup::check(forced),
+        "setup" => setup::run(forced).and_then(|_| capi::bring_compiler()),
+        "demo" => demo::run(forced),
+        "test" => test::run(forced),
+        "bench" => bench::run(forced, request.accept),
+        "faults" => faults::run(forced, request.accept),
+        "fuzz" => fuzz::run(forced, request.runs.unwrap_or(fuzz::RUNS)),
+        "flash" => flash::run(forced, request.board, request.image),
+        "capi" => capi::run(forced),
+        "words" => words::run(),
+        "circles" => circles::run(),
+        _ => {
+            print!("{HELP}");
+            Ok(())
+        }
     }
-    if accept && !matches!(request, Request::Bench { .. } | Request::Faults { .. }) {
-        return Err("--accept belongs to `cargo xtask bench` and `cargo xtask faults`".into());
-    }
-    if runs.is_some() && !matches!(request, Request::Fuzz { .. }) {
-        return Err("--runs belongs to `cargo xtask fuzz`".into());
-    }
-    Ok(request)
 }
 
 fn main() -> ExitCode {
@@ -155,32 +155,7 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    let outcome = match request {
-        Request::Help => {
-            print!("{HELP}");
-            Ok(())
-        }
-        Request::Setup {
-            forced,
-            check: true,
-        } => setup::check(forced),
-        Request::Setup {
-            forced,
-            check: false,
-        } => setup::run(forced).and_then(|_| capi::bring_compiler()),
-        Request::Demo { forced } => demo::run(forced),
-        Request::Bench { forced, accept } => bench::run(forced, accept),
-        Request::Faults { forced, accept } => faults::run(forced, accept),
-        Request::Fuzz { forced, runs } => fuzz::run(forced, runs),
-        Request::Test { forced } => test::run(forced),
-        Request::Capi { forced } => capi::run(forced),
-        Request::Flash {
-            forced,
-            board,
-            image,
-        } => flash::run(forced, board, image),
-    };
-    match outcome {
+    match run(&request) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -201,43 +176,35 @@ mod tests {
 
     #[test]
     fn a_command_takes_its_options_on_either_side() {
-        let forced = Some(Way::Debian);
-        assert_eq!(
-            request("setup --toolchain debian --check"),
-            Ok(Request::Setup {
-                forced,
-                check: true
-            })
-        );
-        assert_eq!(
-            request("--toolchain=debian demo"),
-            Ok(Request::Demo { forced })
-        );
-        assert_eq!(request("test"), Ok(Request::Test { forced: None }));
-        assert_eq!(
-            request("bench --accept"),
-            Ok(Request::Bench {
-                forced: None,
-                accept: true
-            })
-        );
-        assert_eq!(
-            request("fuzz --runs 7"),
-            Ok(Request::Fuzz {
-                forced: None,
-                runs: 7
-            })
-        );
-        assert_eq!(
-            request("flash --image --board pyboard"),
-            Ok(Request::Flash {
-                forced: None,
-                board: Board::Pyboard,
-                image: true
-            })
-        );
-        assert_eq!(request(""), Ok(Request::Help));
-        assert_eq!(request("test --help"), Ok(Request::Help));
+        let command = |name: &str| Request {
+            command: name.into(),
+            ..Request::default()
+        };
+        let debian = Request {
+            toolchain: Some(Way::Debian),
+            check: true,
+            ..command("setup")
+        };
+        assert_eq!(request("setup --toolchain debian --check"), Ok(debian));
+        let debian = Request {
+            toolchain: Some(Way::Debian),
+            ..command("demo")
+        };
+        assert_eq!(request("--toolchain=debian demo"), Ok(debian));
+        let flash = Request {
+            board: Board::Pyboard,
+            image: true,
+            ..command("flash")
+        };
+        assert_eq!(request("flash --image --board pyboard"), Ok(flash));
+        let fuzz = Request {
+            runs: Some(7),
+            ..command("fuzz")
+        };
+        assert_eq!(request("fuzz --runs 7"), Ok(fuzz));
+        assert!(request("bench --accept").unwrap().accept);
+        assert_eq!(request(""), Ok(command("help")));
+        assert_eq!(request("test --help"), Ok(command("help")));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Running other programs: shown, captured, or bounded in time. None of them gets a standard input to wait on.
+//! Running other programs: shown, captured, or bounded in time. None of them gets a standard input.
 
 use std::fmt::Write as _;
 use std::io::Read as _;
@@ -83,7 +83,7 @@ pub(crate) fn run_bounded(command: &mut Command, limit: Duration) -> Result<()> 
             child.kill()?;
             child.wait()?;
             bail!(
-                "`{}` gave no result within {} s and was ended",
+                "`{}` took more than {} s and was ended",
                 line(command),
                 limit.as_secs()
             );
@@ -103,16 +103,12 @@ pub(crate) fn run_bounded(command: &mut Command, limit: Duration) -> Result<()> 
     Ok(())
 }
 
-/// Says what begins, does it, and says how long it took.
-pub(crate) fn timed<T>(what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
-    println!("set-up: {what}");
+/// Does a task; prints its name before, its result and its time after.
+pub(crate) fn timed<T>(task: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    println!("set-up: {task}");
     let start = Instant::now();
     let outcome = work();
-    let verdict = if outcome.is_ok() {
-        "done"
-    } else {
-        "did not work"
-    };
+    let verdict = if outcome.is_ok() { "done" } else { "failed" };
     println!(
         "set-up: {verdict} after {:.1} s",
         start.elapsed().as_secs_f64()

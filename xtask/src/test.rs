@@ -1,8 +1,6 @@
 //! Every gate in one command. A failing gate does not hide the ones after it.
 
 use std::io::{BufRead as _, BufReader};
-use std::iter::Sum;
-use std::ops::Add;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
@@ -14,8 +12,9 @@ use crate::outside;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
 use crate::toolchain::{self, Tools};
+use crate::words;
 
-/// What a gate gave.
+/// Result of a gate.
 struct Outcome {
     name: &'static str,
     passed: bool,
@@ -29,20 +28,12 @@ struct Counts {
     failed: u32,
 }
 
-impl Add for Counts {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
+impl Counts {
+    fn plus(self, other: Self) -> Self {
         Self {
             passed: self.passed + other.passed,
             failed: self.failed + other.failed,
         }
-    }
-}
-
-impl Sum for Counts {
-    fn sum<I: Iterator<Item = Self>>(counts: I) -> Self {
-        counts.fold(Self::default(), Self::add)
     }
 }
 
@@ -63,6 +54,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         foretorque_cost::check_firmware(&toolchain::elves())
     }));
     outcomes.push(pass("crate outside", || outside::gate(tools)));
+    outcomes.push(pass("words", words::run));
     outcomes.push(pass("library for C", || {
         capi::bring_compiler()?;
         capi::build(tools)
@@ -157,7 +149,7 @@ fn pass(name: &'static str, gate: impl FnOnce() -> Result<()>) -> Outcome {
     }
 }
 
-/// Runs `cargo test` with its output shown; what its result lines sum to, and whether it ended well.
+/// Runs `cargo test` with its output shown; returns the sum of its result lines, and whether it ended well.
 fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
     let mut child = cargo
         .stdout(Stdio::piped())
@@ -172,7 +164,7 @@ fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
         let bytes = bytes?;
         let text = String::from_utf8_lossy(&bytes);
         println!("{text}");
-        seen = seen + parse_result(&text).unwrap_or_default();
+        seen = seen.plus(parse_result(&text).unwrap_or_default());
     }
     Ok((seen, child.wait()?.success()))
 }
@@ -216,7 +208,8 @@ test result: ok. 3 passed; 0 failed; 1 ignored; 0 measured; 0 filtered out; fini
 test result: FAILED. 12 passed; 2 failed; 0 ignored; 0 measured; 0 filtered out; finished in 1.20s
 all doctests ran in 0.31s; merged doctests compilation took 0.20s
 test result: nonsense";
-        let sum: Counts = output.lines().filter_map(parse_result).sum();
+        let results = output.lines().filter_map(parse_result);
+        let sum = results.fold(Counts::default(), Counts::plus);
         assert_eq!(
             sum,
             Counts {

@@ -1,4 +1,4 @@
-//! The one place that knows how the board's code is compiled: which cargo, which target, which profile.
+//! Compilation of the board's code: cargo, target, profile, packages.
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -13,7 +13,7 @@ use siphasher::sip128::{Hasher128 as _, SipHasher24};
 /// Bytes of a key.
 pub const KEY_BYTES: usize = 16;
 
-/// What is signed is told apart by its first bytes, so that no signature can be passed off as another.
+/// Domain of an upload: the first bytes of signed data differ, so that no signature can be passed off as another.
 const UPLOAD: &[u8] = b"foretorque upload 1";
 const CHALLENGE: &[u8] = b"foretorque challenge 1";
 

@@ -140,7 +140,7 @@ fn compiler_of(elf: &Path) -> Option<String> {
 
 /// Work for a robot that the firmware has an arm for.
 pub(super) trait OnArm {
-    /// What comes out.
+    /// Result of the visit.
     type Output;
 
     /// Does the work with the firmware's arm `A` of `robot`.

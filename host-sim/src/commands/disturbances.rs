@@ -1,4 +1,4 @@
-//! What may happen to the simulated arm, and what may be wrong with what it reports.
+//! Options for events on the simulated arm and faults of its reports.
 
 use super::{Failure, unusable};
 use clap::Args;
@@ -150,7 +150,7 @@ impl DisturbanceArguments {
         })
     }
 
-    /// What happens to the arm.
+    /// Events that the options name.
     ///
     /// Errors: a joint it has not, a mass that is none.
     pub(super) fn events<const N: usize>(&self) -> Result<Events<N>, Failure> {
@@ -184,7 +184,7 @@ impl DisturbanceArguments {
         Ok(events)
     }
 
-    /// What is wrong with what the arm reports.
+    /// Faults of the arm's reports that the options name.
     ///
     /// Errors: a share that is none.
     pub(super) fn faults(&self) -> Result<ReportFaults, Failure> {

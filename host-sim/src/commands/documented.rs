@@ -15,7 +15,7 @@ fn pages() -> Vec<PathBuf> {
         .collect()
 }
 
-/// What a page shows as code: lines between fences and what stands between two backticks, over the end of a line too.
+/// Code of a page: lines between fences, and text between two backticks, also across a line end.
 fn code(page: &str) -> Vec<String> {
     let mut found = Vec::new();
     for (index, part) in page.split("```").enumerate() {
@@ -45,7 +45,7 @@ fn words<'c>(code: &'c str, program: &Command) -> Option<Vec<&'c str>> {
     Some(words.take_while(|word| !ends(word)).collect())
 }
 
-/// What is wrong with a command line of a page.
+/// Defect of a command line of a page.
 fn wrong(words: &[&str], program: &Command) -> Option<String> {
     let mut command = program;
     let mut asked = Vec::new();

@@ -15,7 +15,7 @@ use foretorque_studies::learning::soak::{self, SoakConfig};
 use foretorque_studies::learning::{self, LearningConfig};
 use foretorque_studies::paper::{self, PaperConfig};
 use foretorque_studies::records::Records;
-use foretorque_studies::{Outcome, Progress};
+use foretorque_studies::{Outcome, Progress, StudyError};
 use foretorque_studies::{efficiency, real_ur5, replay_real};
 use foretorque_workbench::board::{BoardError, Client};
 use foretorque_workbench::report::ReportFiles;
@@ -84,8 +84,11 @@ struct Beside {
 /// A study of independent jobs, over a range of seeds.
 #[derive(Debug, Args)]
 struct Jobs {
+    /// Directory for report.json and report.html
+    #[arg(long, value_name = "DIR", required_unless_present = "records")]
+    out: Option<PathBuf>,
     #[command(flatten)]
-    out: Out,
+    snapshot: Snapshot,
     /// The short form
     #[arg(long)]
     quick: bool,
@@ -93,7 +96,7 @@ struct Jobs {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Only write the records of these seeds to this file; concatenated, such files make the report
-    #[arg(long, value_name = "FILE", conflicts_with = "from")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["from", "out"])]
     records: Option<PathBuf>,
     /// Report the records in this file instead of computing them
     #[arg(long, value_name = "FILE")]
@@ -240,9 +243,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
                 false => ExcitationConfig::full,
             };
             let config = make(&own.robot, own.jobs.seed, own.seeds);
-            let records = own.jobs.records();
-            let study = |progress: Progress<'_>| Ok(excitation::run(config, &records, progress)?);
-            own.jobs.out.study(study)
+            own.jobs
+                .study(|records, _, progress| excitation::run(config, records, progress))
         }
         Some(Study::Learning(arguments)) => run_learning(arguments),
         Some(Study::Paper(arguments)) => run_paper(arguments),
@@ -321,12 +323,23 @@ impl Snapshot {
 }
 
 impl Jobs {
-    fn records(&self) -> Records {
-        match (&self.records, &self.from) {
-            (Some(file), _) => Records::Write(file.clone()),
-            (None, Some(file)) => Records::Read(file.clone()),
-            (None, None) => Records::Compute,
+    fn study<R: Serialize>(
+        &self,
+        work: impl FnOnce(&Records, &Path, Progress<'_>) -> Result<Option<Outcome<R>>, StudyError>,
+    ) -> Result<(), Failure> {
+        let out = self.out.clone().unwrap_or_default();
+        if let Some(file) = &self.records {
+            let bar = Bar::new();
+            let progress = |stage, done, all| bar.show(stage, done, all);
+            return Ok(work(&Records::Write(file.clone()), &out, &progress).map(drop)?);
         }
+        let records = match &self.from {
+            Some(file) => Records::Read(file.clone()),
+            None => Records::Compute,
+        };
+        study(&out, &self.snapshot, |progress| {
+            Ok(work(&records, &out, progress)?)
+        })
     }
 }
 
@@ -411,8 +424,7 @@ fn run_paper(arguments: &Paper) -> Result<(), Failure> {
     if let Some(path) = &arguments.excitation {
         config.excitation = excite::read(path, &Robot::load("ur5")?)?;
     }
-    let (records, out) = (jobs.records(), &jobs.out);
-    out.study(|progress| Ok(paper::run(config, &records, &out.out, progress)?))
+    jobs.study(|records, out, progress| paper::run(config, records, out, progress))
 }
 
 fn run_soak(arguments: &Soak) -> Result<(), Failure> {

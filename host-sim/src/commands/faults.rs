@@ -82,7 +82,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if !failed.is_empty() {
         return Err(unusable(format!("not survived: {}", failed.join(", "))));
     }
-    arguments.snapshot.keep(&table::text(&report.campaigns))
+    arguments
+        .snapshot
+        .keep(&table::text(arguments.seed, &report.campaigns))
 }
 
 fn write(arguments: &Arguments, report: &Report) -> Result<(), Failure> {

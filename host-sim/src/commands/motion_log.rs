@@ -13,7 +13,7 @@ use std::path::Path;
 /// and 0.07 rad/s².
 const WINDOW: usize = 31;
 
-/// What of the drives stands in the log beside the motion.
+/// Drive columns that stand in the log beside the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effort {
     /// Torques, N·m.

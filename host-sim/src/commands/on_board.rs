@@ -10,7 +10,7 @@ use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
 
-/// How far from the beginning of the series the arm waits, rad: so that the approach has something to do.
+/// Distance from the start of the series at which the arm waits, rad: the approach has work to do.
 const ASIDE_RAD: f64 = 0.1;
 /// Longer than check, approach and stop together, s.
 const AROUND_S: f64 = 60.0;

@@ -28,7 +28,7 @@ pub(super) struct Arguments {
     out: PathBuf,
 }
 
-/// What `simulate` and `run` have in common.
+/// Arguments that `simulate` and `run` share.
 #[derive(Debug, Args)]
 pub(super) struct MotionArguments {
     /// A table with t_s, q, qd, qdd; an excitation (.json); a path of the tool (.toml, see docs/trajectories.md); or

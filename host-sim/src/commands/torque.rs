@@ -7,7 +7,7 @@ use foretorque::arm::Arm;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{
-    StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns,
+    StateReader, StateRow, TableProblem, TableWriter, TimeColumn, joint_columns,
 };
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};
@@ -63,7 +63,8 @@ impl OnArm for &Arguments {
 }
 
 /// States one after the other, from a table or a trajectory.
-type States<const N: usize> = Box<dyn Iterator<Item = Result<StateRow<N>, TableError>>>;
+type States<const N: usize> =
+    Box<dyn Iterator<Item = Result<StateRow<N>, foretorque_workbench::table::TableError>>>;
 
 impl Arguments {
     /// Whether the states have times, and the states.
@@ -145,7 +146,7 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
         }
     }
     if let (0, Some(path)) = (rows, &arguments.input) {
-        return Err(Box::new(TableError::Empty { path: path.clone() }));
+        return Err(TableProblem::Empty.at(path, None).into());
     }
     table.finish()?;
     Ok(())

@@ -29,12 +29,12 @@ const OUTLIER_SIZE: f64 = 20.0;
 /// One kind of noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CaseRecord {
-    /// What it is.
+    /// Name of the noise.
     pub noise: String,
     /// RMS over the draws of the error against the true torque of the unseen path, moving rows, joints as in
     /// `joints_nrmse_moving_ratio` of `identify`.
     pub irls_nrmse_moving_ratio: f64,
-    /// The same of weighted least squares.
+    /// NRMSE of weighted least squares over moving rows.
     pub wls_nrmse_moving_ratio: f64,
     /// RMS error of the robust fit over the bound.
     pub irls_over_cramer_rao_ratio: f64,

@@ -1,4 +1,4 @@
-//! What the board knows before it learns.
+//! Parameters of the board before it learns.
 
 use foretorque::arm::Arm;
 use foretorque::dynamics::FrictionColumn;

@@ -62,7 +62,7 @@ pub struct RealReport {
     pub version: String,
     /// The recommended method and its columns.
     pub recommended: String,
-    /// What it is compared with.
+    /// Method and columns of the reference.
     pub reference: String,
     /// Cut-off on torque and regressor, Hz.
     pub torque_cutoff_hz: f64,

@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// What follows the final name in that of an unfinished version, before the number of its process.
+/// Suffix of an unfinished version, before the number of its process.
 const PART: &str = ".part";
 
 /// Removes unfinished versions of `target` that killed runs have left: those that no process has locked.

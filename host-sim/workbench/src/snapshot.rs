@@ -48,6 +48,53 @@ pub fn keep(path: &Path, text: &str, accept: bool) -> Result<(), SnapshotError> 
     Ok(())
 }
 
+/// A table as lines of text with aligned columns: numbers to the right, words to the left.
+///
+/// * `header` headings, separated by ` | `
+pub fn aligned<R: IntoIterator<Item = String>>(
+    header: &str,
+    rows: impl IntoIterator<Item = R>,
+) -> String {
+    let rows: Vec<Vec<String>> = rows
+        .into_iter()
+        .map(|row| row.into_iter().collect())
+        .collect();
+    let header: Vec<String> = header.split(" | ").map(str::to_owned).collect();
+    let column = |k: usize| rows.iter().filter_map(move |row| row.get(k));
+    let is_number = |text: &String| text == "never" || text.parse::<f64>().is_ok();
+    let widths: Vec<(usize, bool)> = (0..header.len())
+        .map(|k| {
+            let widths = column(k)
+                .chain([&header[k]])
+                .map(|cell| cell.chars().count());
+            (widths.max().unwrap_or(0), column(k).all(is_number))
+        })
+        .collect();
+    let line = |row: &Vec<String>| {
+        let cells = row
+            .iter()
+            .zip(&widths)
+            .map(|(cell, &(width, right))| match right {
+                true => format!("{cell:>width$}"),
+                false => format!("{cell:<width$}"),
+            });
+        cells.collect::<Vec<_>>().join("  ").trim_end().to_owned() + "\n"
+    };
+    std::iter::once(&header).chain(&rows).map(line).collect()
+}
+
+/// `value` with so many significant digits, at most six of them behind the point; `never` if it is not finite.
+pub fn significant(value: f64, digits: i32) -> String {
+    if !value.is_finite() {
+        return "never".to_owned();
+    }
+    if value == value.round() && value.abs() < 1e7 {
+        return format!("{value:.0}");
+    }
+    let decimals = (f64::from(digits - 1) - value.abs().log10().floor()).clamp(0.0, 6.0);
+    format!("{value:.*}", decimals as usize)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -67,5 +114,16 @@ mod tests {
         keep(&path, "a 1\n", true).expect("writes");
         keep(&path, "a 1\n", false).expect("equal");
         std::fs::remove_file(path).expect("it was just written");
+    }
+
+    #[test]
+    fn columns_of_numbers_stand_to_the_right() {
+        let rows = [["a", "10", "met"], ["longer", "2.5", ""]];
+        let rows = rows.map(|row| row.map(str::to_owned));
+        let text = "name     n²\na        10  met\nlonger  2.5\n";
+        assert_eq!(aligned("name | n² | ", rows), text);
+        assert_eq!(significant(0.123_456, 4), "0.1235");
+        assert_eq!(significant(1234.0, 3), "1234");
+        assert_eq!(significant(f64::NAN, 3), "never");
     }
 }

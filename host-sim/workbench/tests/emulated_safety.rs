@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 const BOOT: Duration = Duration::from_secs(5);
-/// What goes to the set/reset register of GPIOB to switch the torque enable, PB12, on and off (RM0090 8.4.7).
+/// Trace of a write to the set/reset register of GPIOB that switches the torque enable, PB12, on or off (RM0090 8.4.7).
 const ON: &str = "write (size 4, offset 0x018, value 0x00001000)";
 const OFF: &str = "write (size 4, offset 0x018, value 0x10000000)";
 

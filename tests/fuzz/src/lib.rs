@@ -1,6 +1,6 @@
-//! What is fuzzed, and what must hold for any bytes. Each target takes bytes, and panics when a promise is broken.
+//! Targets of the fuzzer: each takes any bytes, and panics if a promise of the firmware is broken.
 //!
-//! A checksum stops a fuzzer at the door, so an even first byte lets it in: what follows is then sealed as a good sender
+//! A checksum stops a fuzzer at once. After an even first byte, therefore, the input is sealed as a correct sender
 //! would have done it, and the reader behind the checksum gets the bytes that the fuzzer wanted it to get.
 
 mod flash;
@@ -66,7 +66,7 @@ fn line(input: &[u8]) -> Vec<u8> {
 }
 
 /// The frame decoder: never more frames than delimiters, every message that is read is written and read again as the same,
-/// and whatever came before, the frame after the next delimiter is heard.
+/// and whatever came before, the frame after the next delimiter is decoded.
 pub fn decoder(input: &[u8]) {
     let bytes = line(input);
     let mut decoder = Decoder::new();
@@ -85,17 +85,17 @@ pub fn decoder(input: &[u8]) {
     assert!(decoder.bytes_lost() as usize <= bytes.len());
     let _ = decoder.push(0);
     let good = sealed(7, &[0]);
-    let heard = good
+    let decoded = good
         .iter()
         .filter_map(|&byte| decoder.push(byte).map(|f| f.is_ok()));
     assert_eq!(
-        heard.collect::<Vec<_>>(),
+        decoded.collect::<Vec<_>>(),
         [true],
         "out of step after a delimiter"
     );
 }
 
-/// A message that was read says the same when it is written and read again. NaN is compared by its bits.
+/// A message keeps its bytes when it is read, written and read again. NaN is compared by its bits.
 fn again<M: Serialize + DeserializeOwned + Debug>(
     message: Result<M, foretorque_link::wire::DecodeError>,
 ) {
@@ -134,9 +134,9 @@ pub fn bank(input: &[u8]) {
     let Ok(bank) = ParameterBank::decode(&bytes) else {
         return;
     };
-    let mut room = [0; ParameterBank::MAX_BYTES];
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
     let written = bank
-        .encode(&mut room)
+        .encode(&mut buffer)
         .expect("a bank that was read fits the largest one");
     let read = ParameterBank::decode(written).expect("it was just written");
     let mut second = [0; ParameterBank::MAX_BYTES];
@@ -144,11 +144,11 @@ pub fn bank(input: &[u8]) {
         written,
         read.encode(&mut second).expect("it fits as before")
     );
-    judge::<Ur5, 6, 40>(&bank);
-    judge::<Panda, 7, 48>(&bank);
+    check_set::<Ur5, 6, 40>(&bank);
+    check_set::<Panda, 7, 48>(&bank);
 }
 
-fn judge<A: Arm<N, P>, const N: usize, const P: usize>(bank: &ParameterBank) {
+fn check_set<A: Arm<N, P>, const N: usize, const P: usize>(bank: &ParameterBank) {
     if let Ok(set) = bank.set::<A, N, P>() {
         assert!(set.is_finite(), "a set that the loader let through");
     }
@@ -187,15 +187,18 @@ pub fn session(input: &[u8]) {
 /// The store over flash with any content: what is loaded is whole, and a save into it is either refused or kept.
 pub fn store(input: &[u8]) {
     let mut store = Store::new(TinyFlash::with(input));
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    let before = store.load(Ur5::HASH, &mut room).map(<[u8]>::to_vec);
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    let before = store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec);
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
     let state = session.boot_from(&mut store, &mut LearnerMailbox::new());
     assert!(before.is_ok() || state != StoreState::Loaded);
     let bytes = input.get(..64).unwrap_or(input);
     match store.save(Ur5::HASH, bytes) {
-        Ok(_) => assert_eq!(store.load(Ur5::HASH, &mut room), Ok(bytes)),
-        Err(_) => assert_eq!(store.load(Ur5::HASH, &mut room).map(<[u8]>::to_vec), before),
+        Ok(_) => assert_eq!(store.load(Ur5::HASH, &mut buffer), Ok(bytes)),
+        Err(_) => assert_eq!(
+            store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec),
+            before
+        ),
     }
 }

@@ -1,10 +1,10 @@
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
+use foretorque::joint::{JointMotion, JointSample};
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::wire::{Configuration, HostMessage, SampleFrame, encode};
-use foretorque::joint::{JointMotion, JointSample};
 
-/// Writes the seeds of a target where FORETORQUE_SEEDS says, if it says anything.
+/// Writes the seeds of a target into the directory FORETORQUE_SEEDS, if it is set.
 pub fn plant(target: &str) {
     let Some(directory) = std::env::var_os("FORETORQUE_SEEDS") else {
         return;
@@ -15,7 +15,7 @@ pub fn plant(target: &str) {
     }
 }
 
-/// What a target begins with: good inputs, made from the types of today, so that they never grow old.
+/// First inputs of a target: valid ones, made from the current types.
 pub fn seeds(target: &str) -> Vec<Vec<u8>> {
     let banks = [
         bytes(&ParameterBank::nominal::<Ur5, 6, 40>()),
@@ -58,9 +58,9 @@ pub fn seeds(target: &str) -> Vec<Vec<u8>> {
 }
 
 fn bytes(bank: &ParameterBank) -> Vec<u8> {
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    bank.encode(&mut room)
-        .expect("the room is the largest bank's")
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    bank.encode(&mut buffer)
+        .expect("the buffer fits the largest bank")
         .to_vec()
 }
 
@@ -90,10 +90,10 @@ fn messages() -> Vec<Vec<u8>> {
     messages.iter().map(body).collect()
 }
 
-/// What the frame of a message holds between header and checksum.
+/// Bytes of a message in its frame, between header and checksum.
 fn body(message: &HostMessage<6>) -> Vec<u8> {
-    let mut room = [0; foretorque_link::wire::MAX_FRAME];
-    let frame = encode(1, message, &mut room).expect("a frame has room for every message");
+    let mut buffer = [0; foretorque_link::wire::MAX_FRAME];
+    let frame = encode(1, message, &mut buffer).expect("a frame fits every message");
     let mut content = frame.to_vec();
     let length =
         cobs::decode_in_place(&mut content[..frame.len() - 1]).expect("it was just encoded");

@@ -144,8 +144,8 @@ impl Budget {
         Verdict { exceeded, notes }
     }
 
-    /// The table with the measured values. A limit follows an improvement down and never goes up by itself: whoever wants
-    /// that edits the page.
+    /// The table with the measured values. A limit follows an improvement down and never goes up by itself; to
+    /// raise it, edit the page.
     pub(crate) fn accept(&self, toolchain: &str, measured: &[Measured]) -> Result<Self> {
         let mut lines = Vec::new();
         for Measured {

@@ -246,7 +246,7 @@ mod tests {
             let nop = decode(address, 0xBF00, 0);
             model.execute(&nop, &Step::at(address), address + 2);
         }
-        // 5 for the first line; the second was asked for with the first and is 8 cycles of code ahead.
+        // 5 for the first line; the second was prefetched with the first and is 8 cycles of code ahead.
         assert_eq!(model.spent().flash, 16 + 5);
     }
 }

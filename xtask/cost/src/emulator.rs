@@ -93,7 +93,10 @@ fn bounded<T: Send>(
             if start.elapsed() > LIMIT {
                 child.kill()?;
                 child.wait()?;
-                bail!("the emulator did not end within {} s", LIMIT.as_secs());
+                bail!(
+                    "the emulator took more than {} s and was ended",
+                    LIMIT.as_secs()
+                );
             }
             thread::sleep(Duration::from_millis(5));
         };
@@ -110,7 +113,7 @@ fn read_counts(text: &str) -> Result<Vec<Counts>> {
         let (name, count) = line
             .split_once(' ')
             .and_then(|(name, count)| Some((name, count.parse::<u32>().ok()?)))
-            .with_context(|| format!("the bench program printed `{line}`"))?;
+            .with_context(|| format!("unexpected line of the bench program: `{line}`"))?;
         match rows.iter_mut().find(|row| row.name == name) {
             Some(row) => row.calls.push(count),
             None => rows.push(Counts {

@@ -106,7 +106,7 @@ fn firmware(elves: &Path, name: &str) -> Result<Memory> {
         let image = Image::read(&elves.join(name))?;
         Ok((gates::check(&image)?, Memory::of(&image)?))
     };
-    let (reached, memory) = check().with_context(|| format!("in `{name}`"))?;
+    let (reached, memory) = check().with_context(|| format!("firmware `{name}`"))?;
     println!(
         "{name}: {reached} functions reachable from interrupts: no panic, no software f64, no allocator; stack bounded by \
          {} B, the tick's by {} B",

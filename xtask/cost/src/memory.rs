@@ -42,7 +42,7 @@ impl Memory {
         let limit = image.stack_limit;
         ensure!(
             nested_bytes <= limit,
-            "the stack can need {nested_bytes} of its {limit} bytes"
+            "the stack may need {nested_bytes} bytes and has {limit}"
         );
         Ok(Self {
             flash_bytes: image.flash_bytes,

@@ -43,7 +43,7 @@ impl Spread {
         Ok(spread)
     }
 
-    /// The same without the `bracket` that every count includes.
+    /// Spread without the `bracket` that every count includes.
     pub(crate) fn without(self, bracket: u32) -> Self {
         Self {
             least: self.least.saturating_sub(bracket),
@@ -58,7 +58,7 @@ impl Spread {
         (f64::from(self.most) - self.mean).max(self.mean - f64::from(self.least)) / self.mean
     }
 
-    /// The same in thousandths, rounded up.
+    /// Largest distance from the mean in thousandths of it, rounded up.
     pub(crate) fn permille(&self) -> u64 {
         (1000.0 * self.deviation()).ceil() as u64
     }

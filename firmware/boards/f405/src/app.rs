@@ -21,6 +21,7 @@ use foretorque_link::safety::{SafetyReason, Task};
 use foretorque_link::session::{BoardDescription, Mailboxes};
 use foretorque_link::store::Store;
 use foretorque_link::telemetry::CostMeter;
+use foretorque_link::wire::size::LinkCapacity;
 use foretorque_link::wire::{Capabilities, FrameBuffer};
 use heapless::spsc::Queue;
 use rtic::Mutex;
@@ -155,7 +156,7 @@ pub fn start<B: Board>(
         counter_hz,
         reset_reason,
         kept_fault: kept,
-        link_bytes_s: LINK_BYTES_S,
+        link: LinkCapacity::stream(LINK_BYTES_S),
         write_key: secret::write_key(),
         seed,
         ..BoardDescription::plain(Counter)

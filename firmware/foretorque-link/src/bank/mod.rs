@@ -27,7 +27,7 @@ pub const MAX_WEIGHTS: usize = 256;
 /// One linear parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Column {
-    /// What it is.
+    /// Kind and joint.
     pub id: ColumnId,
     /// Its value, in the unit of its kind.
     pub value: f32,

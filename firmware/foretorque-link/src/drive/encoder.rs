@@ -35,7 +35,7 @@ impl<Spi: SpiDevice> JointEncoder<Spi> {
         }
     }
 
-    /// What was wrong with the reading of the last tick.
+    /// Error of the last tick's reading.
     pub const fn last_error(&self) -> Option<EncoderError> {
         self.last_error
     }

@@ -45,7 +45,7 @@ where
         }
     }
 
-    /// What was wrong with the stage last. Once told it stays, until the stage has been switched on again.
+    /// Last error of the stage. It stays until the stage is switched on again.
     pub const fn last_error(&self) -> Option<StageError> {
         self.last_error
     }
@@ -112,7 +112,7 @@ where
     }
 }
 
-/// What the host is told of it.
+/// Reason that the host gets.
 fn reason(error: StageError) -> SafetyReason {
     match error {
         StageError::Fault | StageError::FaultInput => SafetyReason::Drive,

@@ -1,19 +1,19 @@
-//! The board's own check of an uploaded excitation: some of it at once, the rest point by point over the ticks.
+//! Check of an uploaded excitation: parameters at once, the series point by point over the ticks.
 
 use super::program::{ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
 use super::series::{JointSeries, PreparedSeries};
 use foretorque::joint::JointMotion;
 
-/// Points of one period that are looked at.
+/// Points of one period that are checked.
 pub(super) const POINTS: u32 = 1024;
 /// Points a tick: 256 ticks for all of them.
 pub(super) const POINTS_A_TICK: u32 = 4;
-/// Part by which what is seen may exceed what is certified: rounding, and a certificate written with six digits.
+/// Relative tolerance of the certificate: rounding, and a certificate with six digits.
 const SLACK: f32 = 1e-3;
 /// Speed, rad/s, and acceleration, rad/s², that count as rest.
 const REST: (f32, f32) = (1e-3, 1e-2);
 
-/// What can be seen without playing it.
+/// Checks everything but the series.
 pub(super) fn at_once<const N: usize>(
     program: &ExcitationProgram<N>,
     limits: &PlayLimits<N>,
@@ -24,7 +24,7 @@ pub(super) fn at_once<const N: usize>(
         return Err(ExcitationError::WrongArm);
     }
     let tracking = program.tracking_rad > 0.0 && program.tracking_rad <= limits.tracking_rad;
-    // The fifth harmonic must have some ticks a turn, or its velocity means nothing between them.
+    // A hundred ticks a period: the fifth harmonic needs some of them for its velocity to hold between them.
     if !tracking || program.period_us / 100 < tick_us {
         return Err(ExcitationError::Number(0));
     }
@@ -40,8 +40,8 @@ pub(super) fn at_once<const N: usize>(
     Ok(())
 }
 
-/// The joints rest at the beginning of the period.
-pub(super) fn begins_at_rest<const N: usize>(
+/// Checks that the joints rest at the start of the period.
+pub(super) fn starts_at_rest<const N: usize>(
     program: &ExcitationProgram<N>,
     series: &PreparedSeries,
 ) -> Result<(), ExcitationError> {
@@ -54,10 +54,9 @@ pub(super) fn begins_at_rest<const N: usize>(
     Ok(())
 }
 
-/// The motion at point `point` of [`POINTS`], and what it can be up to the next one, keeps the certificate.
+/// Checks point `point` of [`POINTS`] and the motion up to the next one against the certificate.
 ///
-/// A function whose second derivative is bounded by K exceeds the larger of two neighbouring samples by at most K h² / 8
-/// between them.
+/// Between two samples h apart, a function with second derivative ≤ K exceeds the larger one by at most K h² / 8.
 pub(super) fn point<const N: usize>(
     program: &ExcitationProgram<N>,
     series: &PreparedSeries,
@@ -90,7 +89,7 @@ pub(super) fn point<const N: usize>(
     Ok(())
 }
 
-/// The motion of `joint`, widened by `more`, lies inside `bounds`; false where a number is none.
+/// The motion of `joint`, widened by `more`, lies inside `bounds`; false where a value is not finite.
 fn inside<const N: usize>(
     motion: &JointMotion<N>,
     joint: usize,

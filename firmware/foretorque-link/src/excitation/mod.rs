@@ -1,5 +1,5 @@
-//! Excitation played by the board itself, as a commissioning step: the finite Fourier series of eq. 17 in f32, uploaded with
-//! what it claims to keep, checked on the board, and followed under limits of its own.
+//! Excitation played by the board, as a commissioning step: the finite Fourier series of eq. 17 in f32. The board checks an
+//! upload against its certificate and aborts it at limits of its own.
 //!
 //! ```text
 //! q(t)   = q0 + Σ_l a_l / (ω l) sin(ω l t) − b_l / (ω l) cos(ω l t)          ω = 2 π / period, l = 1 … 5
@@ -11,10 +11,10 @@
 //! ```text
 //!            load            start, check passed      at q(0)          stop, end, or a limit
 //!   Empty ────────► Loaded ─────────────────► Approaching ──► Playing ────────────────► Holding / Aborted
-//!                     │ check failed                              (path speed ramped to zero)     │ start: from the top
+//!                     │ check failed                              (path speed ramped to zero)     │ start: from the beginning
 //!                     └────────► Refused                                                          └ release: Loaded
 //! ```
-//! A host plays the very same code through a board in its own process, so both give the same bits.
+//! A host runs this code through a board in its own process, so both give the same bits.
 
 mod check;
 mod path;
@@ -23,7 +23,7 @@ mod player;
 mod program;
 mod series;
 mod state;
-mod watch;
+mod supervision;
 
 pub use player::Player;
 pub use program::{AbortReason, ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};

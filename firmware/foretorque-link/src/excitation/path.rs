@@ -3,14 +3,14 @@ use super::series::{JointSeries, PreparedSeries};
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::math::sqrt;
 
-/// Part of the certified speed and acceleration that the approach uses.
+/// Speed and acceleration of the approach, parts of the certified ones.
 const APPROACH_SHARE: f32 = 0.25;
 /// Shortest approach, s.
 const APPROACH_S: f32 = 0.25;
-/// A whole path, in units of its phase.
+/// Phase of a whole path.
 const WHOLE: f32 = 4_294_967_296.0;
 
-/// Which path the phase runs along, in units of 2⁻³² of it.
+/// Path of the phase, which counts units of 2⁻³² of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Path<const N: usize> {
     /// A quintic at rest at both ends, over `1 / inv_time_s`.
@@ -25,7 +25,7 @@ pub(super) enum Path<const N: usize> {
 }
 
 impl<const N: usize> Path<N> {
-    /// From `from` to `to`, in a quarter of what is certified.
+    /// Approach from `from` to `to`, at a quarter of the certified speed and acceleration.
     ///
     /// * `tick_us` period of the tick, µs
     pub(super) fn approach(
@@ -44,7 +44,7 @@ impl<const N: usize> Path<N> {
         }
     }
 
-    /// What one tick adds to the phase at full speed.
+    /// Phase step of one tick at full speed.
     pub(super) fn phase_step(&self, series: &PreparedSeries) -> u32 {
         match self {
             Self::Approach { phase_step, .. } => *phase_step,
@@ -97,7 +97,7 @@ fn approach_s<const N: usize>(way: &JointVector<N>, certificate: &[MotionBounds;
     longest
 }
 
-/// Whole ticks in `seconds`, at least one: what divides by them must be able to.
+/// Whole ticks in `seconds`, at least one, because callers divide by them.
 pub(super) fn seconds_to_ticks(seconds: f32, tick_us: u32) -> u32 {
     let ticks = (seconds * 1e6 / tick_us as f32) as u32;
     if ticks == 0 { 1 } else { ticks }

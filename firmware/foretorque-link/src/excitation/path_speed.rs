@@ -1,17 +1,17 @@
 use super::path::seconds_to_ticks;
 use super::program::MotionBounds;
 
-/// Part of the certified acceleration that stopping adds.
+/// Acceleration that stopping adds, parts of the certified one.
 pub(super) const STOP_SHARE: f32 = 0.5;
-/// Shortest and longest time in which the path speed goes to zero, s.
+/// Shortest and longest stopping time, s.
 const STOP_S: (f32, f32) = (0.25, 5.0);
 
-/// The path speed σ: 1, on its way to 0 as a smooth step, or 0.
+/// Path speed σ: 1, falling to 0 as a smooth step, or 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PathSpeed {
     /// Ticks from full speed to rest.
     ticks: u32,
-    /// Those that are left of them.
+    /// Ticks that are left of them.
     left: u32,
     falling: bool,
 }
@@ -24,7 +24,7 @@ impl PathSpeed {
         falling: false,
     };
 
-    /// From here on a stop from full speed adds half of the certified acceleration. Only at rest.
+    /// Sets the stopping time so that a stop adds half of the certified acceleration. Only at rest.
     ///
     /// * `tick_us` period of the tick, µs
     pub(super) fn prepare<const N: usize>(
@@ -35,27 +35,27 @@ impl PathSpeed {
         self.ticks = seconds_to_ticks(stop_s(certificate), tick_us);
     }
 
-    /// Not at rest.
+    /// False at rest.
     pub(super) fn moving(&self) -> bool {
         self.left > 0
     }
 
-    /// At rest from now on.
+    /// Sets the speed to 0.
     pub(super) fn rest(&mut self) {
         self.left = 0;
     }
 
-    /// Full speed from now on.
+    /// Sets the speed to 1.
     pub(super) fn start(&mut self) {
         (self.left, self.falling) = (self.ticks, false);
     }
 
-    /// On the way to rest from now on.
+    /// Starts the fall to 0.
     pub(super) fn stop(&mut self) {
         self.falling = true;
     }
 
-    /// One tick.
+    /// Advances by one tick.
     pub(super) fn advance(&mut self) {
         if self.falling {
             self.left = self.left.saturating_sub(1);
@@ -63,7 +63,7 @@ impl PathSpeed {
     }
 
     /// σ, and its derivative, 1/s.
-    // Asked twice in a tick, by nobody in a hurry: a second copy costs 100 B of flash.
+    // Called twice in a tick; a second copy costs 100 B of flash.
     #[inline(never)]
     pub(super) fn now(&self, tick_us: u32) -> (f32, f32) {
         let part = self.left as f32 / self.ticks as f32;
@@ -76,7 +76,7 @@ impl PathSpeed {
     }
 }
 
-/// Time in which the path speed goes to zero, s: a smooth step of T has a slope of 1.5 / T at most.
+/// Stopping time, s: a smooth step of duration T has a slope of 1.5 / T at most.
 fn stop_s<const N: usize>(certificate: &[MotionBounds; N]) -> f32 {
     let mut longest = STOP_S.0;
     for bounds in certificate {

@@ -3,37 +3,38 @@ use super::path::Path;
 use super::path_speed::PathSpeed;
 use super::program::{AbortReason, ExcitationError, ExcitationProgram, PlayLimits};
 use super::series::PreparedSeries;
-use super::state::{ExcitationCommand, ExcitationState};
-use super::watch::Watch;
+use super::state::ExcitationState::{self, *};
+use super::state::{ExcitationCommand, ExcitationCommand as Command};
+use super::supervision::Supervision;
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointSample, JointVector};
 
-/// Speed in which the host may hold the arm when the player takes over, rad/s.
+/// Largest desired speed at which the player takes over from the host, rad/s.
 const HANDOVER_RAD_S: f32 = 0.02;
 
-/// What the player carries from tick to tick.
+/// State of the player from tick to tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct PlayerState<const N: usize> {
-    stage: ExcitationState,
+    excitation: ExcitationState,
     /// Points checked.
     checked: u32,
-    /// A start waits for the check, or for a measurement.
-    wanted: bool,
+    /// A start waits for the check or for a measurement.
+    start_waits: bool,
     path: Path<N>,
-    /// Place on the path, in units of 2⁻³² of it.
+    /// Position on the path, in units of 2⁻³² of it.
     phase: u32,
     /// Periods begun.
     periods: u16,
     speed: PathSpeed,
-    watch: Watch<N>,
-    /// What was asked of the arm for the tick that is measured now.
+    supervision: Supervision<N>,
+    /// Desired motion of the last tick, which is measured now.
     last: JointMotion<N>,
 }
 
-/// Plays one excitation: loaded, checked, started, watched, stopped.
+/// Player of one excitation.
 ///
-/// Stopping slows the path down instead of leaving it: with the path speed σ going from 1 to 0 as a smooth step, velocity
-/// is q′ σ and acceleration q″ σ² + q′ σ̇, so a stop adds at most half of the certified acceleration.
+/// A stop stays on the path: its speed σ falls from 1 to 0 as a smooth step. Velocity is q′ σ and acceleration
+/// q″ σ² + q′ σ̇, so a stop adds at most half of the certified acceleration.
 pub struct Player<const N: usize> {
     limits: PlayLimits<N>,
     arm_hash: u32,
@@ -44,7 +45,7 @@ pub struct Player<const N: usize> {
 }
 
 impl<const N: usize> Player<N> {
-    /// A player with nothing to play.
+    /// A player without an excitation.
     ///
     /// * `tick_us` period of the tick, µs
     pub fn new<A: Arm<N, P>, const P: usize>(tick_us: u32) -> Self {
@@ -55,170 +56,147 @@ impl<const N: usize> Player<N> {
             program: ExcitationProgram::EMPTY,
             series: PreparedSeries::new(1_000_000, tick_us),
             state: PlayerState {
-                stage: ExcitationState::Empty,
+                excitation: Empty,
                 checked: 0,
-                wanted: false,
+                start_waits: false,
                 path: Path::Series,
                 phase: 0,
                 periods: 0,
                 speed: PathSpeed::NONE,
-                watch: Watch::new(),
+                supervision: Supervision::new(),
                 last: JointMotion::zero(),
             },
         }
     }
 
-    /// Where it stands.
+    /// State of the excitation.
     pub fn state(&self) -> ExcitationState {
-        self.state.stage
+        self.state.excitation
     }
 
-    /// What was asked of the arm last, while the player is in charge.
+    /// Last desired motion, while the player decides it.
     pub fn desired(&self) -> Option<&JointMotion<N>> {
-        self.state.stage.is_active().then_some(&self.state.last)
+        self.state().is_active().then_some(&self.state.last)
     }
 
-    /// Takes `program`; its check begins with the next tick.
+    /// Loads `program`; its check begins with the next tick.
     ///
-    /// Errors: what can be seen at once; then the one before stays. `Running` while the player is in charge.
+    /// Errors: those of the parameters, and the earlier one stays; `Running` while the player is active.
     pub fn load(&mut self, program: &ExcitationProgram<N>) -> Result<(), ExcitationError> {
-        if self.state.stage.is_active() {
+        if self.state().is_active() {
             return Err(ExcitationError::Running);
         }
         check::at_once(program, &self.limits, self.arm_hash, self.tick_us)?;
         let series = PreparedSeries::new(program.period_us, self.tick_us);
-        check::begins_at_rest(program, &series)?;
+        check::starts_at_rest(program, &series)?;
         self.program = *program;
         self.series = series;
         self.state.speed.prepare(&program.certificate, self.tick_us);
-        self.state.stage = ExcitationState::Checking;
+        self.state.excitation = Checking;
         self.state.checked = 0;
-        self.state.wanted = false;
+        self.state.start_waits = false;
         Ok(())
     }
 
-    /// Does what a host asks.
+    /// Executes a command of the host.
     ///
-    /// Errors: `NotLoaded`; the reason of a refused program; `Running` when it cannot be started or released now.
+    /// Errors: `NotLoaded`; the error of a refused program; `Running` where the excitation must be at rest.
     pub fn command(&mut self, command: ExcitationCommand) -> Result<(), ExcitationError> {
-        match (command, self.state.stage) {
-            (ExcitationCommand::Status, _) => Ok(()),
-            (_, ExcitationState::Empty) => Err(ExcitationError::NotLoaded),
-            (_, ExcitationState::Refused(reason)) => Err(reason),
-            (ExcitationCommand::Start, _) => {
-                if self.moving() {
-                    return Err(ExcitationError::Running);
-                }
-                self.state.wanted = true;
-                Ok(())
+        match (command, self.state()) {
+            (Command::Status, _) => return Ok(()),
+            (_, Empty) => return Err(ExcitationError::NotLoaded),
+            (_, Refused(error)) => return Err(error),
+            (Command::Start | Command::Release, _) if self.moving() => {
+                return Err(ExcitationError::Running);
             }
-            (ExcitationCommand::Stop, stage) => {
-                self.state.wanted = false;
-                if matches!(
-                    stage,
-                    ExcitationState::Approaching | ExcitationState::Playing
-                ) {
-                    self.state.stage = ExcitationState::Stopping;
-                    self.state.speed.stop();
-                }
-                Ok(())
+            (Command::Stop, Approaching | Playing) => {
+                self.state.excitation = Stopping;
+                self.state.speed.stop();
             }
-            (ExcitationCommand::Release, stage) => {
-                if self.moving() {
-                    return Err(ExcitationError::Running);
-                }
-                if stage.is_active() {
-                    self.state.stage = ExcitationState::Ready;
-                }
-                self.state.wanted = false;
-                Ok(())
-            }
+            (Command::Release, state) if state.is_active() => self.state.excitation = Ready,
+            _ => {}
         }
+        self.state.start_waits = command == Command::Start;
+        Ok(())
     }
 
-    /// The desired motion of the tick to come, if the player is in charge of it.
+    /// Desired motion of the next tick, if the player decides it.
     ///
-    /// * `sample` what came in this tick: the measurement is watched, and a start begins where the host holds the arm
+    /// * `sample` sample of this tick: its measurement is supervised, and a start begins where the host holds the arm
     ///
     /// Cost: four points of the check, or one of the path; a `sin_cos` each.
     pub fn step(&mut self, sample: Option<&JointSample<N>>) -> Option<JointMotion<N>> {
-        if self.state.stage == ExcitationState::Checking {
+        if self.state() == Checking {
             self.check();
         }
         let measured = sample.and_then(|sample| sample.measured.map(|measured| measured.q));
-        if self.state.wanted
-            && matches!(
-                self.state.stage,
-                ExcitationState::Ready | ExcitationState::Holding | ExcitationState::Aborted(_)
-            )
+        if self.state.start_waits
+            && matches!(self.state(), Ready | Holding | Aborted(_))
             && let (Some(sample), Some(measured)) = (sample, &measured)
         {
             self.begin(sample, measured);
         } else if self.moving() {
-            if let Some(reason) = self.watch(measured.as_ref()) {
+            if let Some(reason) = self.exceeded(measured.as_ref()) {
                 self.abort(reason);
             }
             self.advance();
         }
-        self.state.watch.note(measured);
+        self.state.supervision.record(measured);
         self.desired().copied()
     }
 
     fn check(&mut self) {
         for _ in 0..check::POINTS_A_TICK {
-            let seen = check::point(&self.program, &self.series, self.state.checked);
-            if let Err(reason) = seen {
-                self.state.stage = ExcitationState::Refused(reason);
-                self.state.wanted = false;
+            if let Err(error) = check::point(&self.program, &self.series, self.state.checked) {
+                self.state.excitation = Refused(error);
+                self.state.start_waits = false;
                 return;
             }
             self.state.checked += 1;
         }
         if self.state.checked >= check::POINTS {
-            self.state.stage = ExcitationState::Ready;
+            self.state.excitation = Ready;
         }
     }
 
     fn moving(&self) -> bool {
-        self.state.stage.is_active() && self.state.speed.moving()
+        self.state().is_active() && self.state.speed.moving()
     }
 
     fn abort(&mut self, reason: AbortReason) {
-        if !matches!(self.state.stage, ExcitationState::Aborted(_)) {
-            self.state.stage = ExcitationState::Aborted(reason);
+        if !matches!(self.state(), Aborted(_)) {
+            self.state.excitation = Aborted(reason);
             self.state.speed.stop();
         }
     }
 
-    /// Puts the player in charge, at rest where the arm is held, if it is held.
+    /// Takes over the desired motion, at rest where the arm is held, if it is held.
     fn begin(&mut self, sample: &JointSample<N>, measured: &JointVector<N>) {
         let state = &mut self.state;
-        state.wanted = false;
-        let held = state.stage.is_active();
-        let asked = if held { state.last } else { sample.desired };
+        state.start_waits = false;
+        let held = state.excitation.is_active();
+        let desired = if held { state.last } else { sample.desired };
         state.last = JointMotion {
-            q: asked.q,
+            q: desired.q,
             ..JointMotion::zero()
         };
-        let fast = asked
-            .qd
-            .iter()
-            .position(|qd| qd.is_nan() || qd.abs() > HANDOVER_RAD_S);
+        let mut speeds = desired.qd.iter();
+        let fast = speeds.position(|qd| qd.is_nan() || qd.abs() > HANDOVER_RAD_S);
         state.speed.rest();
-        state.watch.restart();
-        state.stage = ExcitationState::Approaching;
+        state.supervision.restart();
+        state.excitation = Approaching;
         let refused = match fast {
             Some(joint) => Some(AbortReason::Velocity(joint as u8)),
-            None => self.watch(Some(measured)),
+            None => self.exceeded(Some(measured)),
         };
         if let Some(reason) = refused {
-            // Where the arm is, not where it was asked to be: the asked position may be no number.
+            // The measured position: the desired one may not be finite.
             let finite = measured.iter().all(|q| q.is_finite());
             if !held && finite {
                 self.state.last.q = *measured;
             }
             if !held && !finite {
-                self.state.stage = ExcitationState::Ready;
+                self.state.excitation = Ready;
                 return;
             }
             self.abort(reason);
@@ -231,12 +209,12 @@ impl<const N: usize> Player<N> {
         self.state.speed.start();
     }
 
-    /// One tick along the path.
+    /// Advances one tick along the path.
     fn advance(&mut self) {
         let (speed, _) = self.state.speed.now(self.tick_us);
         self.state.speed.advance();
         let (next_speed, slowing) = self.state.speed.now(self.tick_us);
-        // Trapezoid; at full speed 2¹⁶, so that the step is whole.
+        // Trapezoid rule; 2¹⁶ at full speed, so that the step is exact.
         let mean = (0.5 * (speed + next_speed) * 65_536.0) as u32;
         let step = self.state.path.phase_step(&self.series);
         let step = ((u64::from(step) * u64::from(mean)) >> 16) as u32;
@@ -245,29 +223,30 @@ impl<const N: usize> Player<N> {
         if arrived {
             self.arrive();
         }
-        if !self.state.speed.moving() && self.state.stage == ExcitationState::Stopping {
-            self.state.stage = ExcitationState::Holding;
+        if !self.state.speed.moving() && self.state() == Stopping {
+            self.state.excitation = Holding;
         }
         self.state.last = self.motion(next_speed, slowing);
     }
 
-    /// The end of the approach, or of a period.
+    /// Handles the end of the approach, or of a period.
     fn arrive(&mut self) {
-        if let Path::Approach { .. } = self.state.path {
-            // At rest on both sides of the seam, whatever the speed along them.
-            self.state.path = Path::Series;
-            self.state.phase = 0;
-            if self.state.stage == ExcitationState::Approaching {
-                self.state.stage = ExcitationState::Playing;
+        let state = &mut self.state;
+        if let Path::Approach { .. } = state.path {
+            // Approach and series both rest here, at any path speed.
+            state.path = Path::Series;
+            state.phase = 0;
+            if state.excitation == Approaching {
+                state.excitation = Playing;
             }
             return;
         }
-        self.state.periods = self.state.periods.saturating_add(1);
-        if self.program.periods != 0 && self.state.periods >= self.program.periods {
-            self.state.phase = 0;
-            self.state.speed.rest();
-            if self.state.stage == ExcitationState::Playing {
-                self.state.stage = ExcitationState::Holding;
+        state.periods = state.periods.saturating_add(1);
+        if self.program.periods != 0 && state.periods >= self.program.periods {
+            state.phase = 0;
+            state.speed.rest();
+            if state.excitation == Playing {
+                state.excitation = Holding;
             }
         }
     }
@@ -286,10 +265,11 @@ impl<const N: usize> Player<N> {
         motion
     }
 
-    fn watch(&mut self, measured: Option<&JointVector<N>>) -> Option<AbortReason> {
+    fn exceeded(&mut self, measured: Option<&JointVector<N>>) -> Option<AbortReason> {
         let state = &mut self.state;
         let tracking = self.program.tracking_rad;
-        (state.watch).broken(&self.limits, &state.last, measured, tracking, self.tick_us)
+        let tick_us = self.tick_us;
+        (state.supervision).exceeded(&self.limits, &state.last, measured, tracking, tick_us)
     }
 }
 

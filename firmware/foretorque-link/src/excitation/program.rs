@@ -3,7 +3,7 @@ use core::fmt;
 use foretorque::arm::{Arm, JointLimits};
 use serde::{Deserialize, Serialize};
 
-/// What the motion of one joint keeps to.
+/// Bounds of the motion of one joint.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionBounds {
     /// Lowest and highest position, rad.
@@ -15,7 +15,7 @@ pub struct MotionBounds {
 }
 
 impl MotionBounds {
-    /// Everything in here lies inside `other`; false where a number is none.
+    /// All bounds lie inside `other`; false where one is not finite.
     pub(super) fn within(&self, other: &Self) -> bool {
         let (low, high) = self.position_rad;
         low >= other.position_rad.0
@@ -28,24 +28,24 @@ impl MotionBounds {
     }
 }
 
-/// An excitation as it is uploaded: coefficients, and what they were certified to keep.
+/// Uploaded excitation: coefficients and their certificate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExcitationProgram<const N: usize> {
-    /// Identity of the arm it was made for.
+    /// Identity of its arm.
     pub arm_hash: u32,
     /// Period of the fundamental, µs.
     pub period_us: u32,
     /// Periods to play; 0 until stopped.
     pub periods: u16,
-    /// Tracking error of any joint at which it is aborted, rad.
+    /// Tracking error at which any joint aborts it, rad.
     pub tracking_rad: f32,
     /// The series, joint by joint.
     pub joints: [JointSeries; N],
-    /// The certificate: what the motion keeps to, joint by joint. Left at any time, the excitation is aborted.
+    /// Certified bounds of the motion, joint by joint; leaving them aborts the excitation.
     pub certificate: [MotionBounds; N],
 }
 
-/// What comes before the joints on the wire.
+/// Fields before those of the joints on the wire.
 #[derive(Serialize, Deserialize)]
 struct Head {
     #[serde(with = "postcard::fixint::le")]
@@ -61,7 +61,7 @@ impl<const N: usize> ExcitationProgram<N> {
     /// Length on the wire, B.
     pub const BYTES: usize = 14 + N * 4 * (2 * HARMONICS + 1 + 4);
 
-    /// Nothing: all joints rest in zero, and no board takes it.
+    /// All joints rest at zero; no board accepts it.
     pub const EMPTY: Self = Self {
         arm_hash: 0,
         period_us: 0,
@@ -75,25 +75,29 @@ impl<const N: usize> ExcitationProgram<N> {
         }; N],
     };
 
-    /// Writes it into `room` and returns its bytes; `None` where there are fewer than [`BYTES`](Self::BYTES).
-    pub fn encode<'r>(&self, room: &'r mut [u8]) -> Option<&'r [u8]> {
+    /// Encodes it into `buffer` and returns its bytes; `None` where the buffer is shorter than [`BYTES`](Self::BYTES).
+    pub fn encode<'r>(&self, buffer: &'r mut [u8]) -> Option<&'r [u8]> {
         let head = Head {
             arm_hash: self.arm_hash,
             period_us: self.period_us,
             periods: self.periods,
             tracking_rad: self.tracking_rad,
         };
-        let mut at = postcard::to_slice(&head, room).ok()?.len();
+        let mut at = postcard::to_slice(&head, buffer).ok()?.len();
         for series in &self.joints {
-            at += postcard::to_slice(series, room.get_mut(at..)?).ok()?.len();
+            at += postcard::to_slice(series, buffer.get_mut(at..)?)
+                .ok()?
+                .len();
         }
         for bounds in &self.certificate {
-            at += postcard::to_slice(bounds, room.get_mut(at..)?).ok()?.len();
+            at += postcard::to_slice(bounds, buffer.get_mut(at..)?)
+                .ok()?
+                .len();
         }
-        room.get(..at)
+        buffer.get(..at)
     }
 
-    /// Reads it from all of `bytes`; `None` where they are not just one.
+    /// Decodes one from all of `bytes`.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (head, mut rest): (Head, _) = postcard::take_from_bytes(bytes).ok()?;
         let mut program = Self {
@@ -103,7 +107,7 @@ impl<const N: usize> ExcitationProgram<N> {
             tracking_rad: head.tracking_rad,
             ..Self::EMPTY
         };
-        // One by one: reading an array of structs at once leaves a branch that panics.
+        // One by one: decoding an array of structs leaves a branch that panics.
         for series in &mut program.joints {
             (*series, rest) = postcard::take_from_bytes(rest).ok()?;
         }
@@ -114,23 +118,23 @@ impl<const N: usize> ExcitationProgram<N> {
     }
 }
 
-/// What the board lets any excitation do, whatever its certificate says.
+/// Limits of the board for any excitation, whatever its certificate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlayLimits<const N: usize> {
     /// Bounds of the motion.
     pub motion: [MotionBounds; N],
-    /// Largest tracking error that a program may allow itself, rad.
+    /// Largest tracking error of a program, rad.
     pub tracking_rad: f32,
-    /// Ticks without a measurement before it is aborted.
+    /// Ticks without a measurement that abort it.
     pub blind_ticks: u32,
 }
 
 impl<const N: usize> PlayLimits<N> {
-    /// No arm is excited harder than this, rad/s².
+    /// Largest acceleration of any joint, rad/s².
     const ACCELERATION_RAD_S2: f32 = 20.0;
-    /// Half of what a hand between arm and fixture needs.
+    /// Half the clearance of a hand between arm and fixture, rad.
     const TRACKING_RAD: f32 = 0.1;
-    /// As long as the tick holds its torque without samples.
+    /// Time for which the tick holds its torque without samples, s.
     const BLIND_S: f32 = 0.01;
 
     /// Data-sheet limits of position and speed, 20 rad/s², 0.1 rad of tracking error, 10 ms without a measurement.
@@ -150,88 +154,72 @@ impl<const N: usize> PlayLimits<N> {
     }
 }
 
-/// Why an excitation is not played.
+/// Reason why an excitation is not played.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ExcitationError {
-    /// It was made for another arm.
+    /// It belongs to another arm.
     WrongArm,
-    /// A coefficient, bound or period is no number that can be played; joint from 0.
+    /// A coefficient, bound or period cannot be played; joint from 0.
     Number(u8),
-    /// The certificate exceeds what this board lets the joint do.
+    /// The certificate exceeds the limits of the board.
     CertificateBeyondLimits(u8),
-    /// The series does not keep what its certificate says.
+    /// The series leaves its certificate.
     CertificateBroken(u8),
-    /// The series does not rest at its beginning.
+    /// The series does not start at rest.
     NotAtRest(u8),
-    /// There is none.
+    /// None is loaded.
     NotLoaded,
-    /// One is being played: stop it first.
+    /// One is playing: stop it first.
     Running,
 }
 
 impl fmt::Display for ExcitationError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let joint = |joint: &u8| u16::from(*joint) + 1;
-        match self {
-            Self::WrongArm => f.write_str("the excitation was made for another arm"),
-            Self::Number(j) => write!(
-                f,
-                "joint {}: coefficient, bound or period cannot be played",
-                joint(j)
-            ),
-            Self::CertificateBeyondLimits(j) => {
-                write!(
-                    f,
-                    "joint {}: certificate exceeds the arm's limits",
-                    joint(j)
-                )
-            }
-            Self::CertificateBroken(j) => {
-                write!(
-                    f,
-                    "joint {}: series does not keep its certificate",
-                    joint(j)
-                )
-            }
-            Self::NotAtRest(j) => write!(f, "joint {}: series does not begin at rest", joint(j)),
-            Self::NotLoaded => f.write_str("no excitation is loaded"),
-            Self::Running => f.write_str("an excitation is running: stop it first"),
-        }
+        let (joint, text) = match *self {
+            Self::WrongArm => return f.write_str("the excitation belongs to another arm"),
+            Self::NotLoaded => return f.write_str("no excitation is loaded"),
+            Self::Running => return f.write_str("an excitation is running: stop it first"),
+            Self::Number(j) => (j, "coefficient, bound or period cannot be played"),
+            Self::CertificateBeyondLimits(j) => (j, "certificate exceeds the arm's limits"),
+            Self::CertificateBroken(j) => (j, "series does not keep its certificate"),
+            Self::NotAtRest(j) => (j, "series does not start at rest"),
+        };
+        write!(f, "joint {}: {text}", u16::from(joint) + 1)
     }
 }
 
 impl core::error::Error for ExcitationError {}
 
-/// Why an excitation was broken off.
+/// Reason why an excitation was aborted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum AbortReason {
-    /// A joint was measured outside the limits of its position, or asked there; joint from 0.
+    /// Measured or desired position outside the limits; joint from 0.
     Position(u8),
-    /// A joint was faster than its limit, or asked to be.
+    /// Measured or desired velocity beyond the limit.
     Velocity(u8),
-    /// A joint was asked to accelerate beyond its limit.
+    /// Desired acceleration beyond the limit.
     Acceleration(u8),
-    /// A joint did not follow.
+    /// Tracking error beyond the limit.
     Tracking(u8),
-    /// No measurement came for too long.
+    /// No measurement for too long.
     Blind,
-    /// A measurement was not a number.
+    /// A measured or desired position is not finite.
     NotFinite(u8),
 }
 
 impl fmt::Display for AbortReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let joint = |joint: &u8| u16::from(*joint) + 1;
-        match self {
-            Self::Position(j) => write!(f, "joint {} left its range", joint(j)),
-            Self::Velocity(j) => write!(f, "joint {} was too fast", joint(j)),
-            Self::Acceleration(j) => write!(f, "joint {} accelerated too hard", joint(j)),
-            Self::Tracking(j) => write!(f, "joint {} did not follow", joint(j)),
-            Self::Blind => f.write_str("no measurements"),
-            Self::NotFinite(j) => write!(f, "joint {} was measured as no number", joint(j)),
-        }
+        let (joint, text) = match *self {
+            Self::Blind => return f.write_str("no measurements"),
+            Self::Position(j) => (j, "outside its range"),
+            Self::Velocity(j) => (j, "too fast"),
+            Self::Acceleration(j) => (j, "acceleration too high"),
+            Self::Tracking(j) => (j, "does not follow"),
+            Self::NotFinite(j) => (j, "a position is not finite"),
+        };
+        write!(f, "joint {}: {text}", u16::from(joint) + 1)
     }
 }
 
@@ -241,7 +229,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_program_comes_back_and_a_byte_more_or_less_does_not() {
+    fn a_program_survives_encoding_and_no_other_length_decodes() {
         let bounds = MotionBounds {
             position_rad: (-1.0, 2.0),
             velocity_rad_s: 3.0,
@@ -255,8 +243,8 @@ mod tests {
             joints: [SWING; 6],
             certificate: [bounds; 6],
         };
-        let mut room = [0; 400];
-        let bytes = program.encode(&mut room).unwrap().to_vec();
+        let mut buffer = [0; 400];
+        let bytes = program.encode(&mut buffer).unwrap().to_vec();
         assert_eq!(bytes.len(), ExcitationProgram::<6>::BYTES);
         assert_eq!(ExcitationProgram::decode(&bytes), Some(program));
         assert_eq!(ExcitationProgram::<7>::decode(&bytes), None);

@@ -18,7 +18,7 @@ pub struct JointSeries {
 }
 
 impl JointSeries {
-    /// At rest in zero.
+    /// At rest at zero.
     pub const ZERO: Self = Self {
         q0_rad: 0.0,
         a_rad_s: [0.0; HARMONICS],
@@ -32,14 +32,14 @@ impl JointSeries {
     }
 }
 
-/// A period and its harmonics, with what the tick needs of them.
+/// Harmonics of a period, prepared for the tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PreparedSeries {
     /// ω l, rad/s.
     rate: [f32; HARMONICS],
     /// 1 / (ω l), s/rad.
     inv_rate: [f32; HARMONICS],
-    /// What one tick adds to the phase, of which 2³² are a period.
+    /// Phase step of one tick, in units of 2⁻³² periods.
     phase_step: u32,
 }
 
@@ -64,7 +64,7 @@ impl PreparedSeries {
         }
     }
 
-    /// What one tick adds to the phase.
+    /// Phase step of one tick, in units of 2⁻³² periods.
     pub fn phase_step(&self) -> u32 {
         self.phase_step
     }
@@ -76,14 +76,14 @@ impl PreparedSeries {
 
     /// Motion of all joints at `phase`, in units of 2⁻³² periods.
     ///
-    /// One sine and cosine; those of the harmonics by adding the angle: sin (l+1)x = sin lx cos x + cos lx sin x. Each step
-    /// of that adds the error of the first pair once more.
+    /// The harmonics follow from one sine and cosine: sin (l+1)x = sin lx cos x + cos lx sin x. Each step adds the error of
+    /// the first pair once more.
     ///
-    /// Error against the exact series: ≤ 1e-6 of Σ (|a| + |b|) for the velocity, and the same share of the sums that bound
-    /// position and acceleration; one unit in the last place of q0 comes on top.
+    /// Error against the exact series: ≤ 1e-6 of Σ (|a| + |b|) for the velocity, and of the corresponding sums for position
+    /// and acceleration; position adds one unit in the last place of q0.
     /// Cost: one `sin_cos`, 16 multiply-adds for the harmonics, 50 a joint.
     pub fn at<const N: usize>(&self, joints: &[JointSeries; N], phase: u32) -> JointMotion<N> {
-        /// π / 2³¹: from a phase read as a signed number to −π … π, where `sin_cos` is best.
+        /// π / 2³¹: from a phase as a signed number to −π … π, where `sin_cos` is most accurate.
         const RAD: f32 = core::f32::consts::PI / 2_147_483_648.0;
         let first = sin_cos(phase.cast_signed() as f32 * RAD);
         let (mut sin, mut cos) = (first.sin, first.cos);
@@ -104,7 +104,7 @@ impl PreparedSeries {
                 qd += a * cos + b * sin;
                 qdd += (b * cos - a * sin) * rate;
             }
-            // The offset last: it is the largest, and would round away the others one by one.
+            // The offset last: it is the largest, and would round off each of the others.
             (series.q0_rad + q, qd, qdd)
         };
         let mut out = JointMotion::<N> {
@@ -132,7 +132,7 @@ pub(super) mod tests {
         b_rad_s: [0.7, -0.2, 0.1, 0.1, -0.2],
     };
 
-    /// The series in f64, by the sines of the harmonics themselves.
+    /// The series in f64, from the sine of each harmonic.
     fn exact(series: &JointSeries, turn: f64, omega: f64) -> [f64; 3] {
         let mut out = [f64::from(series.q0_rad), 0.0, 0.0];
         for l in 0..HARMONICS {
@@ -151,7 +151,7 @@ pub(super) mod tests {
         for period_us in [2_000_000, 10_000_000, 33_333_333] {
             let series = PreparedSeries::new(period_us, 1000);
             let omega = TAU / (f64::from(period_us) * 1e-6);
-            // What bounds position, velocity and acceleration of the swing.
+            // Bounds of position, velocity and acceleration.
             let mut scale = [0.0; 3];
             for l in 0..HARMONICS {
                 let size = f64::from(SWING.a_rad_s[l].abs() + SWING.b_rad_s[l].abs());
@@ -186,14 +186,14 @@ pub(super) mod tests {
         for (period_us, tick_us) in [(10_000_000, 1000), (2_000_000, 100), (30_000_000, 2000)] {
             let series = PreparedSeries::new(period_us, tick_us);
             let ticks = period_us / tick_us;
-            let gone = u64::from(series.phase_step()) * u64::from(ticks);
-            let off = gone.abs_diff(1 << 32) as f64 / 4_294_967_296.0;
+            let whole = u64::from(series.phase_step()) * u64::from(ticks);
+            let off = whole.abs_diff(1 << 32) as f64 / 4_294_967_296.0;
             assert!(off <= 0.5 * f64::from(ticks) / 4_294_967_296.0, "{off}");
         }
     }
 
     #[test]
-    fn velocity_and_acceleration_are_the_derivatives_of_the_position() {
+    fn velocity_and_acceleration_are_derivatives_of_position() {
         let series = PreparedSeries::new(10_000_000, 1000);
         let h = 2e-3_f32;
         let step = series.phase_step() * 2;

@@ -1,27 +1,27 @@
 use super::program::{AbortReason, ExcitationError};
 use serde::{Deserialize, Serialize};
 
-/// Where an excitation stands.
+/// State of an excitation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ExcitationState {
     /// None is loaded.
     Empty,
-    /// It is being checked, some points a tick.
+    /// The check runs, some points a tick.
     Checking,
     /// It may be started.
     Ready,
     /// It failed the check.
     Refused(ExcitationError),
-    /// On the way from where the arm was to where the series begins.
+    /// Moves from the position of the arm to the start of the series.
     Approaching,
-    /// The series is played.
+    /// Plays the series.
     Playing,
-    /// Coming to rest on the path, because it was told to.
+    /// Comes to rest on the path, after a stop.
     Stopping,
-    /// At rest, and still in charge of the desired motion.
+    /// At rest; still decides the desired motion.
     Holding,
-    /// A limit was met: coming to rest, or at rest, and still in charge.
+    /// A limit was exceeded: comes to rest, or is at rest; still decides the desired motion.
     Aborted(AbortReason),
 }
 
@@ -35,15 +35,15 @@ impl ExcitationState {
     }
 }
 
-/// What a host can ask of the player.
+/// Commands to the player.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ExcitationCommand {
-    /// Where does it stand?
+    /// Report the state.
     Status,
-    /// Begin: once the check has passed, from where the host holds the arm, in the next tick that has a measurement.
+    /// Start after the check, from where the host holds the arm, in the next tick with a measurement.
     Start,
     /// Come to rest on the path.
     Stop,
-    /// Give the desired motion back to the host. Only at rest.
+    /// Return the desired motion to the host. Only at rest.
     Release,
 }

@@ -8,7 +8,7 @@ pub enum DacModel {
     Mcp4921,
     /// 16 bits, 24-bit frames (Texas Instruments SLAS430, table 1): written to and put out on channel A.
     Dac8552A,
-    /// The same on channel B.
+    /// Channel B of the DAC8552.
     Dac8552B,
 }
 

@@ -23,7 +23,7 @@ use embedded_hal::pwm::{Error as _, SetDutyCycle};
 pub struct PwmWithDirection<Pulse, Pin> {
     pulse: Pulse,
     direction: Pin,
-    /// What the direction pin was last told; `None` before the first command, and after one it refused.
+    /// Last level of the direction pin; `None` before the first command, and after a refused one.
     positive: Option<bool>,
 }
 

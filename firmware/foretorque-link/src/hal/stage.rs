@@ -43,7 +43,7 @@ pub enum StageError {
 }
 
 impl StageError {
-    /// What it is, in words, without what came with it.
+    /// Name of the error, without its payload.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Scale => "gain, full scale and limit of the stage do not fit",
@@ -69,7 +69,7 @@ impl fmt::Display for StageError {
 
 impl core::error::Error for StageError {}
 
-/// What was put out.
+/// Output of the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Driven {
     /// Motor current asked of the stage, A.

@@ -1,5 +1,6 @@
 use crate::bank::name;
 use crate::safety::{SafetyReason, SafetyStatus};
+use crate::wire::size::LinkCapacity;
 use crate::wire::{
     BoardHello, Capabilities, Configuration, CounterKind, MAC_BYTES, NackReason, ResetReason,
 };
@@ -67,8 +68,8 @@ pub struct BoardDescription<C = NoClock> {
     pub reset_reason: ResetReason,
     /// The fault that was latched before the start, where the board keeps it.
     pub kept_fault: SafetyReason,
-    /// Capacity of one direction of its link, bytes a second; 0 where there is no limit.
-    pub link_bytes_s: u32,
+    /// Capacity of its link.
+    pub link: LinkCapacity,
     /// The write key, if there is one.
     pub write_key: Option<WriteKey>,
     /// Seed of the challenges; differs from start to start.
@@ -86,7 +87,7 @@ impl<C> BoardDescription<C> {
             clock,
             reset_reason: ResetReason::Unknown,
             kept_fault: SafetyReason::None,
-            link_bytes_s: 0,
+            link: LinkCapacity::UNLIMITED,
             write_key: None,
             seed: [0; MAC_BYTES],
         }

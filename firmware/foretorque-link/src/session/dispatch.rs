@@ -8,9 +8,6 @@ use crate::wire::{
 };
 use foretorque::arm::Arm;
 
-/// Bytes of telemetry a tick where the link has no limit, such as between two processes.
-const UNLIMITED: usize = 400;
-
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     /// Takes bytes from the link, acts on every frame that they complete and replies into `out`.
     ///
@@ -148,7 +145,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::Telemetry { fields, every } => {
                 let allowance = self.allowance();
-                self.protocol.stream.begin::<N>(fields, every, allowance)?;
+                let mtu = self.board.link.mtu;
+                let stream = &mut self.protocol.stream;
+                stream.begin::<N>(fields, every, allowance, mtu)?;
             }
             HostMessage::Challenge => {
                 let key = board.write_key.as_ref().ok_or(NackReason::NotCapable)?;
@@ -179,9 +178,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             ReplyMode::Decimated => size::torque(N),
             ReplyMode::Full => size::full_torque(N),
         };
-        match self.board.link_bytes_s {
-            0 => UNLIMITED,
-            bytes_s => size::left(bytes_s, configuration.period_us, reply),
-        }
+        self.board.link.left(configuration.period_us, reply)
     }
 }

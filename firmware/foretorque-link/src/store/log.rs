@@ -19,7 +19,7 @@ struct Record {
 }
 
 impl Record {
-    /// What makes a record newer than another one.
+    /// Age of a record: a larger one is newer.
     fn age(&self) -> (u32, u32) {
         (self.header.sequence, self.slot)
     }

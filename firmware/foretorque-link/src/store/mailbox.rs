@@ -4,7 +4,7 @@ use super::{Store, StoreError};
 use crate::bank::ParameterBank;
 use serde::{Deserialize, Serialize};
 
-/// What the store can be asked for.
+/// Orders to the store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StoreOrder {
@@ -39,7 +39,7 @@ pub enum StoreHealth {
     Sound,
     /// There is no set in it.
     Empty,
-    /// What is in it is of no use to this firmware, or does not fit it.
+    /// The stored set is unusable for this firmware or does not fit it.
     Refused,
     /// The flash is worn out, write-protected or not there: the board runs from RAM, and forgets at power-off what it was
     /// told to keep. Stays until something is kept.
@@ -47,7 +47,7 @@ pub enum StoreHealth {
 }
 
 impl StoreState {
-    /// What the link tells of it.
+    /// Health of the store as the link reports it.
     pub const fn health(self) -> StoreHealth {
         match self {
             Self::Unused => StoreHealth::Unused,
@@ -95,7 +95,7 @@ impl StoreJob {
         }
     }
 
-    /// What was ordered.
+    /// Order of the job.
     pub fn order(&self) -> StoreOrder {
         self.order
     }
@@ -110,12 +110,12 @@ enum Phase {
     Done(Result<(), StoreError>),
 }
 
-/// What came of an order.
+/// Result of an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StoreReply<'b> {
     /// Sequence number of the host's frame that asked.
     pub requester: u16,
-    /// What it asked for.
+    /// Order that was given.
     pub order: StoreOrder,
     /// The bytes that were kept or brought back, not judged yet, or why not.
     pub outcome: Result<&'b [u8], StoreError>,
@@ -198,7 +198,7 @@ impl StoreMailbox {
         self.phase = Phase::Done(outcome);
     }
 
-    /// What came of an order, once.
+    /// Result of an order, returned once.
     pub fn collect(&mut self) -> Option<StoreReply<'_>> {
         let Phase::Done(outcome) = self.phase else {
             return None;

@@ -72,7 +72,7 @@ pub enum StoreError {
     Bank(BankError),
     /// The bank is longer than a slot.
     TooLong,
-    /// What reads back is not what was written: the flash is worn out, write-protected, or not there.
+    /// Bytes read back differ from those written: the flash is worn out, write-protected, or not there.
     NotKept,
     /// The flash reported an error.
     Flash,

@@ -12,7 +12,7 @@ const MAGIC: [u8; 4] = *b"FTSL";
 /// Version of slot and header.
 const LAYOUT: u16 = 1;
 
-/// What the header of a slot says of its content.
+/// Header of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Header {
     /// Saves before this one, and one.

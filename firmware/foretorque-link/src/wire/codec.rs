@@ -66,7 +66,7 @@ struct Cobs<'r> {
     length: usize,
     /// Place of the length byte of the block under way.
     code: usize,
-    /// What that byte will be: one more than the bytes of the block.
+    /// Value of that byte: one more than the bytes of the block.
     run: u8,
 }
 

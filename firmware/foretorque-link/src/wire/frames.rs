@@ -1,4 +1,4 @@
-//! What the messages of a tick carry.
+//! Contents of the messages of a tick.
 
 use super::{Acceleration, Effort, Position, Velocity};
 use crate::excitation::ExcitationState;
@@ -9,7 +9,7 @@ use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector}
 use foretorque::limits::Flags;
 use serde::{Deserialize, Serialize};
 
-/// What a sample carries besides the desired motion.
+/// Contents of a sample besides the desired motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SampleFlags(pub u8);
 
@@ -46,7 +46,7 @@ impl SampleFlags {
 /// Input of one tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleFrame<const N: usize> {
-    /// What is in it.
+    /// Contents besides the desired motion.
     pub flags: SampleFlags,
     /// Motor temperature of joint `sequence % N`, °C; [`NO_TEMPERATURE`](Self::NO_TEMPERATURE) where not known.
     pub temperature_c: i8,
@@ -93,28 +93,27 @@ impl<const N: usize> SampleFrame<N> {
         }
     }
 
-    /// The same with motor currents, A, in the place of the measured torques.
+    /// This frame with motor currents, A, in place of the measured torques.
     pub fn with_current(mut self, current: &JointVector<N>) -> Self {
         self.flags = self.flags.with(SampleFlags::CURRENT);
         self.effort = encoded(current.as_slice(), Effort::encode);
         self
     }
 
-    /// The same as the sample of the host's period `number`, or of any that differs by a multiple of
-    /// [`SampleFlags::PERIODS`].
+    /// This frame as the sample of the host's period `number`, or of any that differs by a multiple of [`SampleFlags::PERIODS`].
     pub fn in_period(mut self, number: u8) -> Self {
         let others = self.flags.0 & ((1 << SampleFlags::PERIOD_SHIFT) - 1);
         self.flags = SampleFlags(others | number << SampleFlags::PERIOD_SHIFT);
         self
     }
 
-    /// The same for a host that wants the answer [after the lesson](SampleFlags::AFTER_LEARNING).
+    /// This frame from a host that wants the answer [after the learning step](SampleFlags::AFTER_LEARNING).
     pub fn answered_after_learning(mut self) -> Self {
         self.flags = self.flags.with(SampleFlags::AFTER_LEARNING);
         self
     }
 
-    /// The same with the motor temperature of joint `sequence % N`, °C.
+    /// This frame with the motor temperature of joint `sequence % N`, °C.
     pub fn with_temperature(mut self, temperature_c: i8) -> Self {
         self.temperature_c = temperature_c;
         self

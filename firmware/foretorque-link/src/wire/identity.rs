@@ -4,7 +4,7 @@ use super::Name;
 use crate::safety::SafetyStatus;
 use serde::{Deserialize, Serialize};
 
-/// What starts a tick.
+/// Source of the tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Pacing {
@@ -31,7 +31,7 @@ pub struct Configuration {
     /// Period of the tick, µs.
     #[serde(with = "postcard::fixint::le")]
     pub period_us: u32,
-    /// What starts a tick.
+    /// Source of the tick.
     pub pacing: Pacing,
     /// How much is answered.
     pub reply: ReplyMode,
@@ -53,7 +53,7 @@ impl Default for Configuration {
     }
 }
 
-/// What the cost counter of a board counts.
+/// Unit of a board's cost counter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CounterKind {
@@ -85,7 +85,7 @@ pub enum ResetReason {
     Fault,
 }
 
-/// What a board can do.
+/// Capabilities of a board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Capabilities(#[serde(with = "postcard::fixint::le")] pub u16);
 
@@ -130,9 +130,9 @@ pub struct BoardHello {
     pub base_columns: u8,
     /// Version of the firmware.
     pub firmware: Name,
-    /// What the board can do.
+    /// Capabilities of the board.
     pub capabilities: Capabilities,
-    /// What its cost counter counts.
+    /// Unit of the cost counter.
     pub counter: CounterKind,
     /// Counts per second.
     #[serde(with = "postcard::fixint::le")]

@@ -1,4 +1,4 @@
-//! What is said on the link, in both directions.
+//! Messages of the link, in both directions.
 
 use super::{
     BoardHello, Configuration, EvaluatedFrame, ExcitedFrame, FullTorqueFrame, MotionFrame,
@@ -109,7 +109,7 @@ pub enum HostMessage<const N: usize> {
         #[serde(with = "postcard::fixint::le")]
         every: u16,
     },
-    /// What the answer to a challenge has to be over. Answer: [`BoardMessage::Challenge`], good for one commit.
+    /// Request for the bytes that a signature covers. Answer: [`BoardMessage::Challenge`], good for one commit.
     Challenge,
     /// Start the processor anew, torque off. The fault that is latched stays. Answer: the hello after boot.
     Reboot,
@@ -196,7 +196,7 @@ pub enum NackReason {
     Armed,
     /// Safety says no, for this reason.
     Unsafe(SafetyReason),
-    /// What was asked before is not done yet.
+    /// An earlier request is not done yet.
     Busy,
     /// The board has a write key, and the answer to its challenge is missing or wrong.
     Key,

@@ -5,8 +5,7 @@ use serde::{Deserialize, Serialize};
 /// Bytes of fields that one frame carries at most.
 pub const TELEMETRY_BYTES: usize = 160;
 
-/// What telemetry can tell of a tick. The bit of a field is `1 << field as u16`; fields stand in a frame in this order,
-/// little endian, without padding.
+/// Telemetry fields of a tick. The bit of a field is `1 << field as u16`; fields stand in a frame in this order, little endian, without padding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Field {

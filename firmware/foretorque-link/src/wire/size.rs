@@ -1,11 +1,14 @@
-//! Sizes of the cyclic frames and the share of a link that they take.
+//! Wire sizes of the cyclic frames, and the capacity of the link that carries them.
 
+use super::MAX_FRAME;
 use crate::division::div_u64_by_u32;
 
-/// Version, sequence number and message tag.
+/// Version, sequence number and message tag, bytes.
 pub const HEADER: usize = 4;
-/// CRC-32, COBS byte and delimiter.
+/// CRC-32, COBS byte and delimiter, bytes.
 pub const TRAILER: usize = 6;
+/// Part of a link that is left free, in per cent: for repeats and commands.
+pub const RESERVE_PERCENT: u64 = 30;
 
 /// Wire size of a frame whose message has `content` bytes behind the tag.
 pub const fn frame(content: usize) -> usize {
@@ -32,34 +35,56 @@ pub const fn telemetry(content: usize) -> usize {
     frame(4 + 2 + 1 + (content > 127) as usize + content)
 }
 
-/// Wire size of a torque with the shares of one joint and the desired motion of an excitation, its stage at its longest.
+/// Largest wire size of a torque with the desired motion and state of an excitation.
 pub const fn excited(joints: usize) -> usize {
     torque(joints) + 3 + 8 * joints
 }
 
-/// Sample of six joints: the cyclic request of the link, B.
-pub const SAMPLE_6: usize = sample(6);
-/// Torque of six joints: the cyclic reply of the link, B.
-pub const TORQUE_6: usize = torque(6);
+/// Capacity of one direction of a link, as its transport gives it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkCapacity {
+    /// Largest frame of telemetry, bytes; other frames are not divided.
+    pub mtu: usize,
+    /// Bytes a second; 0 has no limit.
+    pub bytes_s: u32,
+}
 
-/// Part of one direction of a line that frames of `bytes` at `rate_hz` leave free, in per mille.
+impl LinkCapacity {
+    /// No limit, as between two processes.
+    pub const UNLIMITED: Self = Self::stream(0);
+    /// Bytes of telemetry in one period where there is no limit: a record of all fields of seven joints.
+    const UNLIMITED_LEFT: usize = 400;
+
+    /// A stream of `bytes_s` bytes a second, which carries every frame of the protocol.
+    pub const fn stream(bytes_s: u32) -> Self {
+        Self {
+            mtu: MAX_FRAME,
+            bytes_s,
+        }
+    }
+
+    /// Bytes of one period; 0 has no limit.
+    pub const fn bytes_per_period(&self, period_us: u32) -> usize {
+        div_u64_by_u32(self.bytes_s as u64 * period_us as u64, 1_000_000) as usize
+    }
+
+    /// Bytes that one period leaves besides a frame of `reply` bytes and the reserve.
+    pub const fn left(&self, period_us: u32, reply: usize) -> usize {
+        if self.bytes_s == 0 {
+            return Self::UNLIMITED_LEFT;
+        }
+        let bytes = self.bytes_per_period(period_us) as u64;
+        let planned = div_u64_by_u32(bytes * (100 - RESERVE_PERCENT), 100) as usize;
+        planned.saturating_sub(reply)
+    }
+}
+
+/// Part of one direction of a link that frames of `bytes` at `rate_hz` leave free, in per mille.
 ///
 /// * `bytes_s` capacity of the direction, bytes a second
 pub const fn headroom_permille(bytes: usize, rate_hz: u64, bytes_s: u32) -> i64 {
     1000 - (1000 * bytes as u64 * rate_hz / bytes_s as u64) as i64
 }
 
-/// Part of a line that is never planned for, in per cent: repeats, commands, what nobody thought of.
-pub const RESERVE_PERCENT: u64 = 30;
-
-/// Bytes that a direction of a line has left in one period besides a frame of `reply` bytes and the reserve.
-///
-/// * `bytes_s` capacity of the direction, bytes a second
-pub const fn left(bytes_s: u32, period_us: u32, reply: usize) -> usize {
-    let bytes = div_u64_by_u32(bytes_s as u64 * period_us as u64, 1_000_000);
-    let planned = div_u64_by_u32(bytes as u64 * (100 - RESERVE_PERCENT), 100);
-    (planned as usize).saturating_sub(reply)
-}
-
-const _: () = assert!(SAMPLE_6 <= 96 && TORQUE_6 <= 64);
+const _: () = assert!(sample(6) <= 96 && torque(6) <= 64);
 const _: () = assert!(excited(7) <= full_torque(7));

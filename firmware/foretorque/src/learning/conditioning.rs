@@ -1,8 +1,8 @@
 use crate::joint::{JointMeasurement, JointMotion, JointVector, zero_vector};
 
-/// Length of the smoothing filter, ticks.
+/// Length of the motion filter, ticks.
 pub const TAPS: usize = 31;
-/// Delay of the conditioned signals: they describe the middle of the window.
+/// Delay of the motion filter, ticks: its output describes the middle of the window.
 pub const DELAY: usize = TAPS / 2;
 
 // Sums over the window k = −DELAY … DELAY that the quadratic fit needs: Σ1, Σk², Σk⁴.
@@ -13,39 +13,38 @@ const SUM_4: f32 =
 const INV_SUM_2: f32 = 1.0 / SUM_2;
 const INV_CURVATURE: f32 = 1.0 / (SUM_4 - SUM_2 * SUM_2 / SUM_0);
 
-/// Where nothing of a ripple is left in the acceleration: square of the first zero of j₂.
-const RIPPLE_END: f32 = 33.2;
+/// Square of the first zero of j₂: beyond it, the filter removes cogging from the acceleration.
+const ATTENUATION_END: f32 = 33.2;
 
-/// Longest gap that is bridged, ticks. A straight line misses a quadratic by `qdd ((MAX_BRIDGED + 1) T)² / 8` at most: 30 µrad at
-/// 10 rad/s² and 1 kHz, less than the steps of most encoders.
+/// Longest gap that is bridged, ticks. A straight line misses a quadratic by at most `qdd ((MAX_BRIDGED + 1) T)² / 8`:
+/// 30 µrad at 10 rad/s² and 1 kHz, less than the steps of most encoders.
 pub const MAX_BRIDGED: usize = 4;
 
-/// Torque samples that are averaged around the middle of the window. One joint's row is learnt in a tick, so its next row is
-/// six ticks away in an arm of six joints: a mean of five samples has news of five ticks for the price of one row. Over
-/// ±2 ticks the torque is a straight line, but for cogging, which loses a tenth of its height at 1.5 rad/s and 202 cycles a
-/// turn.
+/// Torque samples averaged around the middle of the window.
+///
+/// A joint has one row in N ticks, so a mean of five uses nearly all samples of an arm of six joints for the price of one
+/// row. Over ±2 ticks the torque is a straight line. Cogging is not: it loses a tenth of its amplitude at 1.5 rad/s and
+/// 202 cycles a turn.
 pub(super) const AVERAGED: usize = 5;
-/// Torques kept to delay them as the filter delays the motion.
+/// Torques stored, so that they are delayed as much as the motion.
 const TORQUES: usize = DELAY + 1 + AVERAGED / 2;
 
 /// Motion and torque of the same instant, `DELAY` ticks ago.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConditionedSample<const N: usize> {
-    /// Smoothed position, and velocity and acceleration of the same quadratic.
+    /// Position, velocity and acceleration of the fitted quadratic.
     pub motion: JointMotion<N>,
-    /// Mean of five torques around that instant: the noise of means that have no sample in common is white.
+    /// Mean of five torques around that instant; noise of means without common samples is white.
     pub tau: JointVector<N>,
 }
 
-/// The last `TAPS` measurements, one for each tick.
+/// Motion filter: the last `TAPS` measurements, one for each tick.
 ///
-/// A measurement that is missing is a gap. So is one that says to the last bit what the one before said, torque noise
-/// and all: it came late, and the measurement of its tick is still on its way. The first one after a gap may have been
-/// due in it and is not believed either: a position that is shifted by a tick bends the quadratic, and a torque that is
-/// fitted to it is worse than none. A short gap is bridged with a straight line between its ends; an instant whose own torque
-/// is such a guess has no row.
+/// A missing measurement is a gap. An exact copy of the measurement before is one too: the new measurement is late. The
+/// first measurement after a gap may belong to a tick in the gap, so it is dropped: a position shifted by one tick bends
+/// the quadratic. A short gap is bridged with a straight line; an instant whose torque is bridged gives no row.
 ///
-/// Positions are stored twice, `TAPS` apart, so that the window is one run of memory wherever it begins.
+/// Positions are stored twice, `TAPS` apart, so that the window is contiguous wherever it begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasurementWindow<const N: usize> {
     q: [[f32; 2 * TAPS]; N],
@@ -53,16 +52,16 @@ pub struct MeasurementWindow<const N: usize> {
     next: usize,
     filled: usize,
     torque_next: usize,
-    /// A bit for each tick, the newest lowest: it was measured, and not bridged.
+    /// One bit a tick, newest lowest: set if measured, clear if bridged.
     measured: u32,
-    /// What arrived last, believed or not.
+    /// Last measurement, accepted or not.
     newest: Option<JointMeasurement<N>>,
-    /// Ticks since the last measurement that was believed.
+    /// Ticks since the last accepted measurement.
     gap: usize,
 }
 
 impl<const N: usize> MeasurementWindow<N> {
-    /// A window without measurements.
+    /// Empty window.
     pub const fn new() -> Self {
         Self {
             q: [[0.0; 2 * TAPS]; N],
@@ -76,26 +75,28 @@ impl<const N: usize> MeasurementWindow<N> {
         }
     }
 
-    /// Forgets everything: what follows does not join on to what came before.
+    /// Discard all measurements.
     pub fn reset(&mut self) {
         self.filled = 0;
         self.gap = 0;
         self.newest = None;
     }
 
-    /// All its ticks are known or bridged, but for a gap at its end that may still be bridged.
-    pub fn is_whole(&self) -> bool {
+    /// True if every tick is measured or bridged; a gap at the end may still be open.
+    pub fn is_full(&self) -> bool {
         self.filled == TAPS
     }
 
-    /// Takes the measurement of the next tick. One that is missing or not finite is a gap; a long gap empties the window.
+    /// Append the measurement of the next tick; `None` or a number that is not finite is a gap.
+    ///
+    /// A gap longer than [`MAX_BRIDGED`] empties the window.
     pub fn push(&mut self, measured: Option<&JointMeasurement<N>>) {
         let arrived = measured.copied().filter(is_finite);
         let before = core::mem::replace(&mut self.newest, arrived);
         let follows = self.filled == 0 || before.is_some();
-        let believed = arrived.filter(|arrived| follows && before.as_ref() != Some(arrived));
-        let Some(measured) = believed else {
-            // A copy is as good as nothing: what comes next may be late as well.
+        let accepted = arrived.filter(|arrived| follows && before.as_ref() != Some(arrived));
+        let Some(measured) = accepted else {
+            // After a copy the next measurement may be late as well.
             self.newest = self.newest.filter(|_| !follows);
             self.gap += 1;
             if self.filled == 0 || self.gap > MAX_BRIDGED {
@@ -107,7 +108,7 @@ impl<const N: usize> MeasurementWindow<N> {
         self.append(&measured, true);
     }
 
-    /// Fills the gap before `end` with a straight line.
+    /// Fill the gap before `end` with a straight line.
     fn bridge(&mut self, end: &JointMeasurement<N>) {
         let steps = core::mem::take(&mut self.gap) + 1;
         if steps == 1 {
@@ -128,8 +129,8 @@ impl<const N: usize> MeasurementWindow<N> {
         }
     }
 
-    fn append(&mut self, seen: &JointMeasurement<N>, measured: bool) {
-        for (q, &value) in self.q.iter_mut().zip(seen.q.as_slice()) {
+    fn append(&mut self, measurement: &JointMeasurement<N>, measured: bool) {
+        for (q, &value) in self.q.iter_mut().zip(measurement.q.as_slice()) {
             let (first, second) = q.split_at_mut(TAPS);
             for half in [first, second] {
                 if let Some(slot) = half.get_mut(self.next) {
@@ -138,21 +139,20 @@ impl<const N: usize> MeasurementWindow<N> {
             }
         }
         self.next = (self.next + 1) % TAPS;
-        self.tau[self.torque_next % TORQUES] = seen.tau;
+        self.tau[self.torque_next % TORQUES] = measurement.tau;
         self.torque_next = (self.torque_next + 1) % TORQUES;
         self.measured = self.measured << 1 | u32::from(measured);
         self.filled = (self.filled + 1).min(TAPS);
     }
 
-    /// Motion and torque `DELAY` ticks ago, once the window is full. None in a gap, and where the torque is missing.
+    /// Motion and torque `DELAY` ticks ago; `None` in a gap, or where the torque is missing.
     ///
     /// Least-squares quadratic through the window, at its middle, with `k` in ticks and `y_k = q_k − q_0`:
     /// ```text
     /// qd  = Σ k y_k / Σk² / T      qdd = 2 Σ (k² − Σk²/Σ1) y_k / (Σk⁴ − (Σk²)²/Σ1) / T²
     /// q   = q_0 + (Σ y_k − Σk² · qdd T²/2) / Σ1
     /// ```
-    /// [Savitzky and Golay 1964]. The centre is subtracted first: differences of neighbouring positions are exact in
-    /// f32, their sums of order q are not.
+    /// [Savitzky and Golay 1964]. The centre is subtracted first: differences of neighbouring positions are exact in f32.
     ///
     /// * `inv_period` 1/T, 1/s      * returns rad, rad/s, rad/s², N·m
     ///
@@ -188,18 +188,17 @@ impl<const N: usize> Default for MeasurementWindow<N> {
     }
 }
 
-/// Part of a ripple in the acceleration that the filter lets through, the ripple turning by `angle` rad a tick; 0 from
-/// where there is none on, 59 Hz at 1 kHz.
+/// Gain of the motion filter for cogging in the acceleration, at a cogging phase of `angle` rad a tick.
 ///
 /// ```text
 /// 15 j₂(x)/x² = 1 − x²/14 (1 − x²/36 (1 − x²/66 (1 − x²/104 (1 − x²/150 …)))),   x = angle · TAPS/2
 /// ```
-/// the second derivative of the quadratic that fits a sine over a window of ±x, over that of the sine; j₂ is the
-/// spherical Bessel function, zero at 5.763. The sum over 31 taps lies within 0.01 of it.
+/// Second derivative of the quadratic fitted to a sine over ±x, over that of the sine; j₂ is the spherical Bessel
+/// function, zero at 5.763. The gain of the 31 taps lies within 0.01 of it. It is 0 beyond that zero, 59 Hz at 1 kHz.
 pub fn cogging_attenuation(angle: f32) -> f32 {
     let half = angle * (0.5 * TAPS as f32);
     let y = half * half;
-    if y < RIPPLE_END {
+    if y < ATTENUATION_END {
         let tail = 1.0 - y * (1.0 / 104.0) * (1.0 - y * (1.0 / 150.0));
         1.0 - y * (1.0 / 14.0) * (1.0 - y * (1.0 / 36.0) * (1.0 - y * (1.0 / 66.0) * tail))
     } else {
@@ -214,7 +213,7 @@ fn fit(window: &[f32; TAPS]) -> (f32, f32, f32) {
     let mut sum = 0.0;
     let mut first_moment = 0.0;
     let mut second_moment = 0.0;
-    // Pairs at the same distance from the middle: the even sums see their sum, the odd one their difference.
+    // Pairs at the same distance from the middle: their sum enters the even sums, their difference the odd one.
     for k in 1..=DELAY {
         let distance = k as f32;
         let after = window[DELAY + k] - centre;

@@ -1,62 +1,43 @@
-use super::doubt::rigid_sigma;
-use super::guard_config::SupervisorConfig;
+use super::error::{ConfigError, check_positive};
+use super::parameters::LinearParameters;
+use super::prior_covariance::rigid_sigma;
+use super::supervisor::config::SupervisorConfig;
 use super::trainer::TrainerConfig;
 use crate::arm::Arm;
 use crate::dynamics::{FrictionParameters, friction_prior};
 
-/// A configuration that cannot work, with the field that is wrong.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum ConfigError {
-    /// The field must be a positive, finite number.
-    NotPositive(&'static str),
-    /// The field is outside `0..1`.
-    RateOutOfRange(&'static str),
-}
-
-impl core::fmt::Display for ConfigError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::NotPositive(field) => write!(f, "{field} must be positive and finite"),
-            Self::RateOutOfRange(field) => write!(f, "{field} must lie between 0 and 1"),
-        }
-    }
-}
-
-impl core::error::Error for ConfigError {}
-
-/// How the learner learns.
+/// Configuration of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerConfig<const N: usize, const P: usize> {
     /// Ticks per second, 1/s.
     pub inv_period: f32,
-    /// Standard deviation of the torque measurement that is expected at first, in units of the torque limit.
+    /// Assumed standard deviation of a torque measurement, in units of the torque limit.
     pub noise: f32,
-    /// Innovations beyond this many standard deviations act as if they had this many.
+    /// Bound of an innovation, standard deviations; larger ones count as this many.
     pub outlier_sigmas: f32,
-    /// What a row of a joint adds to the variance of its friction, in units of the prior's.
+    /// Process noise of friction for each row of the joint, in units of the prior variance.
     pub process_noise: f32,
-    /// Largest change of any joint's torque that a newly published set may make, in units of the torque limit.
+    /// Largest torque change of any joint by a newly published set, in units of the torque limit.
     pub torque_step: f32,
     /// Prior standard deviations of the base parameters, in their units.
     pub rigid_sigma: [f32; P],
-    /// Prior standard deviations of the friction parameters; 0 where one is not to be learnt.
+    /// Prior standard deviations of the friction parameters; 0 keeps a parameter at its prior.
     pub friction_sigma: [FrictionParameters; N],
-    /// Rows of a joint slower than this are skipped (stiction is not a function of velocity), rad/s.
+    /// Least speed of a joint whose rows are used, rad/s: stiction is not a function of velocity.
     pub velocity_gate: f32,
-    /// Rows in which any joint seems to accelerate faster are refused, rad/s²: the encoder is at fault, not the model.
+    /// Largest plausible acceleration, rad/s²; beyond it an encoder error is assumed and rows of all joints are rejected.
     pub acceleration_limit: f32,
-    /// How the networks are trained.
+    /// Training of the networks.
     pub network: TrainerConfig,
-    /// When the guard believes what.
+    /// Thresholds of the supervisor.
     pub supervisor: SupervisorConfig,
 }
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
-    /// Defaults for an arm. Prior standard deviations follow from what a joint's drive can do, so that no arm needs
-    /// numbers of its own: every link's mass, inertia and rotor are uncertain by 20 % of what the description says, its
-    /// centre of mass by 5 % of its distance and 3 mm along each axis; friction as in the table of
-    /// [`FrictionColumn`](crate::dynamics::FrictionColumn).
+    /// Defaults for an arm; prior standard deviations follow from the description and the limits of the joints.
+    ///
+    /// Mass, inertia and rotor of a link: 20 % of the description; centre of mass: 5 % of its distance and 3 mm along each
+    /// axis; friction: table of [`FrictionColumn`](crate::dynamics::FrictionColumn).
     ///
     /// * `period_s` period of the tick, s
     ///
@@ -72,7 +53,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             outlier_sigmas: 3.0,
             process_noise: 1e-7,
             torque_step: 0.005,
-            // Tables: a board need not work them out.
+            // Tables, so that a board does not compute them.
             rigid_sigma: const { rigid_sigma::<A, N, P>() },
             friction_sigma: const { friction_sigma::<A, N, P>() },
             velocity_gate: 0.05,
@@ -86,7 +67,17 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         }
     }
 
-    /// Every field is usable.
+    /// Prior standard deviations of all linear parameters, in their units.
+    pub fn sigma(&self) -> LinearParameters<N, P> {
+        LinearParameters {
+            friction: self.friction_sigma.map(|joint| joint.0),
+            rigid: self.rigid_sigma,
+        }
+    }
+
+    /// Check of every field.
+    ///
+    /// Errors: the first invalid field.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let positive = [
             ("inv_period", self.inv_period),
@@ -99,12 +90,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("network.clip_sigmas", self.network.clip_sigmas),
         ];
         let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
-        for (field, value) in positive.into_iter().chain(rigid) {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(ConfigError::NotPositive(field));
-            }
-        }
-        // A deviation of zero holds its parameter where it is.
+        check_positive(positive.into_iter().chain(rigid))?;
         let mut friction = self.friction_sigma.iter().flat_map(|s| s.0);
         if !friction.all(|s| s >= 0.0 && s.is_finite()) {
             return Err(ConfigError::NotPositive("friction_sigma"));

@@ -1,83 +1,82 @@
-/// Why the guard did what it did. The numbers are part of the wire format: they are never given to another reason.
+/// Reason code of a supervisor decision. A code is part of the wire format and is never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum Reason {
-    /// The innovations of a joint say that something changed. Figure: the detector's sum.
+    /// Alarm of change detection. Figure: CUSUM.
     Alarm = 1,
-    /// A payload was believed and goes into the torque. Figure: its mass, kg.
+    /// Payload promoted: it enters the torque. Figure: mass, kg.
     Promoted = 2,
-    /// A candidate outside the plausibility box was refused. Figure: its mass, kg.
+    /// Payload hypothesis refused: outside the plausible range. Figure: mass, kg.
     Implausible = 3,
-    /// A candidate whose mass was still uncertain was refused. Figure: standard deviation of the mass, kg.
+    /// Payload hypothesis refused: uncertain mass. Figure: standard deviation of the mass, kg.
     Uncertain = 4,
-    /// A candidate that does not explain the torques was refused. Figure: its residual over that of the active set.
+    /// Payload hypothesis refused: large residual. Figure: ratio of its mean square residual to that of the active set.
     Residual = 5,
-    /// The disturbance was over before anything was promoted. Figure: seconds since the alarm.
+    /// Transient disturbance: it ended before a promotion. Figure: seconds since the alarm.
     Transient = 6,
-    /// The active set was taken back because the kept one explains the torques better, or on request.
+    /// Rollback to the committed set by the paired test, or to the snapshot on request. Figure: ratio of mean squares,
+    /// estimate to committed set.
     RolledBack = 7,
-    /// The payload was put down: the parameters are again those from before it. Figure: the mass, kg.
+    /// Payload released: the parameters are those of before it. Figure: mass, kg.
     Released = 8,
-    /// The active set became the committed one. Figure: its residual over that of the committed set before.
+    /// Commit of the active set. Figure: ratio of mean squares, estimate to committed set before.
     Committed = 9,
-    /// A set was kept on request.
+    /// Snapshot of the active set, on request.
     SnapshotTaken = 10,
-    /// The payload was set to nothing on request. Figure: the mass it had, kg.
+    /// Payload set to zero, on request. Figure: mass before, kg.
     PayloadZeroed = 11,
-    /// What a request asks for is not there. Figure: the number of the request.
+    /// Request refused: no snapshot to roll back to. Figure: code of the request.
     RequestRefused = 12,
-    /// Learning stopped because a torque was saturated.
+    /// Learning frozen: saturated torque.
     FrozenSaturated = 13,
-    /// Learning stopped because no fresh sample came.
+    /// Learning frozen: no fresh sample.
     FrozenStale = 14,
-    /// Learning stopped because a number was not finite.
+    /// Learning frozen: a number is not finite.
     FrozenNotFinite = 15,
-    /// Learning stopped on an emergency stop.
+    /// Learning stopped by an emergency stop.
     FrozenStopped = 16,
-    /// Learning goes on after one of the stops above.
+    /// Learning resumed after a freeze or an emergency stop.
     Resumed = 17,
-    /// The change stayed and is no payload: friction is learnt anew, out of sight of the torque.
+    /// Relearning begins: the change is no payload. Friction is learnt again in the estimate only.
     Relearning = 18,
-    /// Time for relearning is over: alarms are listened to again. Figure: residual of the estimate over that of the
-    /// committed set.
+    /// Relearning ends; change detection restarts. Figure: ratio of mean squares, estimate to committed set.
     RelearningEnded = 19,
-    /// A trained network was believed. Figure: its residual over that of the one before.
+    /// Network candidate promoted. Figure: ratio of mean squares, candidate to active network.
     NetworkPromoted = 20,
-    /// A network that made the torque worse was silenced. Figure: the residual with it over that without.
+    /// Active network silenced: the torque is better without. Figure: ratio of mean squares, with to without network.
     NetworkSilenced = 21,
-    /// The model explains a joint no longer well. Figure: the trust figure.
+    /// Trust below its threshold. Figure: trust.
     TrustLost = 22,
-    /// The model explains all joints well again. Figure: the trust figure.
+    /// Trust above its threshold again. Figure: trust.
     TrustRegained = 23,
-    /// All measured torques are off by one factor: that is the sensors or the drives, not the arm. What is learnt from
-    /// them stays out of the torque. Figure: the factor.
+    /// Common gain of all torques: an error of sensors or drives, which keeps learnt sets out of the torque. Figure: the
+    /// factor, or −1 for a reversed sign.
     CommonGain = 24,
-    /// The estimate explains unseen rows better than the committed set: the active set follows it. Figure: its residual
-    /// over that of the committed set.
+    /// Following begins: the estimate predicts new rows better than the committed set. Figure: ratio of mean squares,
+    /// estimate to committed set.
     Followed = 25,
 }
 
-/// One decision of the guard.
+/// Decision of the supervisor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Decision {
-    /// Counter of the tick whose lesson brought it.
+    /// Tick of the learning sample.
     pub tick: u32,
-    /// What was decided and why.
+    /// Reason code.
     pub reason: Reason,
-    /// The joint that gave rise to it, base to tool from 0; `None` where it concerns the arm.
+    /// Joint that caused it, base to tool from 0; `None` if it concerns the arm.
     pub joint: Option<u8>,
-    /// The figure the reason names; 0 where it names none.
+    /// Figure named by the reason; 0 if it names none.
     pub figure: f32,
 }
 
-/// Decisions that are kept.
+/// Number of logged decisions.
 pub const DECISION_CAPACITY: usize = 8;
 
-/// Room for a [`Decision`], without one at first. Zeros have to be a value of it, as of everything in a learner: a board
-/// makes room for one that is nothing but zeros.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Optional [`Decision`]. All-zero memory is a valid value, because boards initialise the learner's static with zeros.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Slot {
     tick: u32,
     reason: Option<Reason>,
@@ -94,15 +93,15 @@ impl Slot {
     };
 }
 
-/// The newest decisions, and how many there were.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Ring of the newest decisions, with their number.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DecisionLog {
     ring: [Slot; DECISION_CAPACITY],
     count: u32,
 }
 
 impl DecisionLog {
-    /// No decision yet.
+    /// Empty log.
     pub const fn new() -> Self {
         Self {
             ring: [Slot::EMPTY; DECISION_CAPACITY],
@@ -110,8 +109,8 @@ impl DecisionLog {
         }
     }
 
-    /// Takes a decision; the oldest kept one gives way.
-    pub(super) fn note(&mut self, decision: Decision) {
+    /// Append a decision in place of the oldest.
+    pub(super) fn push(&mut self, decision: Decision) {
         if let Some(slot) = self.ring.get_mut(self.count as usize % DECISION_CAPACITY) {
             *slot = Slot {
                 tick: decision.tick,
@@ -123,12 +122,12 @@ impl DecisionLog {
         self.count = self.count.wrapping_add(1);
     }
 
-    /// How many decisions there were; wraps.
+    /// Number of decisions so far; wraps.
     pub const fn count(&self) -> u32 {
         self.count
     }
 
-    /// Decision number `index`, counted from 0; `None` if it is not kept any more or not made yet.
+    /// Decision number `index`, counted from 0; `None` if it is overwritten or not made yet.
     pub fn get(&self, index: u32) -> Option<Decision> {
         let age = self.count.wrapping_sub(index);
         if age == 0 || age > DECISION_CAPACITY as u32 {
@@ -143,15 +142,9 @@ impl DecisionLog {
         })
     }
 
-    /// The newest decision.
+    /// Newest decision.
     pub fn newest(&self) -> Option<Decision> {
         self.get(self.count.wrapping_sub(1))
-    }
-}
-
-impl Default for DecisionLog {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -160,11 +153,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_decisions_are_kept_and_older_ones_are_gone() {
+    fn the_log_holds_the_newest_decisions_only() {
         let mut log = DecisionLog::new();
         assert_eq!(log.newest(), None);
         for tick in 0..20 {
-            log.note(Decision {
+            log.push(Decision {
                 tick,
                 reason: Reason::Alarm,
                 joint: None,
@@ -173,8 +166,12 @@ mod tests {
             assert_eq!(log.newest().map(|decision| decision.tick), Some(tick));
         }
         for index in 0..25 {
-            let kept = log.get(index).map(|decision| decision.tick);
-            assert_eq!(kept, (12..20).contains(&index).then_some(index), "{index}");
+            let logged = log.get(index).map(|decision| decision.tick);
+            assert_eq!(
+                logged,
+                (12..20).contains(&index).then_some(index),
+                "{index}"
+            );
         }
     }
 }

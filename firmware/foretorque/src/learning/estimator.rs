@@ -1,179 +1,188 @@
 use super::conditioning::{AVERAGED, ConditionedSample};
 use super::config::LearnerConfig;
-use super::doubt::{prior_factor, prior_factor_count, prior_floor};
-use super::parameters::ParameterSet;
-use super::stacked::LinearParameters;
-use super::ud::{UdFilter, dot};
+use super::parameters::{LinearParameters, ParameterSet, dot};
+use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
+use super::ud::UdFilter;
 use crate::arm::Arm;
 use crate::dynamics::{
-    COGGING_COLUMNS, DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS, friction_load,
-    friction_row, regressor_row,
+    DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS, friction_load, friction_row,
+    regressor_row,
 };
+use crate::joint::JointMotion;
 use crate::limits::cut;
 use crate::math::sqrt;
 
-/// Square of the median of |z| for a normal z: where the measured variance settles.
+/// Square of the median of |z| for a normal z, at which the measured variance settles.
 const MEDIAN_SQUARED: f32 = 0.6745 * 0.6745;
-/// Growth of a joint's variance for an innovation above the median; it shrinks by as much below. Forgets in 1.2 s at
-/// 167 rows a second.
+/// Growth of a joint's variance for an innovation above the median; below, it shrinks as much. Memory: 1.2 s at 167 rows a
+/// second.
 const VARIANCE_STEP: f32 = 1.005;
 /// Range of the variance, in units of the configured one.
 const VARIANCE_RANGE: (f32, f32) = (0.02, 400.0);
-/// Variance at first, fifty times that of a mean of white noise, which is what a row is made from: real wrists scatter by
-/// 4 to 12 % of their limits, and what the first rows are believed too much stays in the covariance.
+/// Initial variance: fifty times that of a mean of white noise. Real wrists scatter by 4 to 12 % of their limits, and an
+/// overweighted first row stays in the covariance.
 const FIRST_VARIANCE: f32 = 50.0 / AVERAGED as f32;
-/// The first rows move the variance by this over their number, the step with which the median of a normal z is found in
-/// the fewest rows: `1 / (2 φ(m) m)` with m = 0.6745 [Robbins and Monro 1951].
+/// Gain of the first steps of the variance, divided by the number of rows: `1 / (2 φ(m) m)` with m = 0.6745 finds the
+/// median of a normal z in the fewest rows [Robbins and Monro 1951].
 const VARIANCE_GAIN: f32 = 2.3;
-/// Rows after which that step is the lasting one.
-const NOTICED_ROWS: f32 = VARIANCE_GAIN / (VARIANCE_STEP - 1.0);
-/// Rows for which the first variance counts.
+/// Rows after which the step of the variance is [`VARIANCE_STEP`].
+const EFFECTIVE_ROWS: f32 = VARIANCE_GAIN / (VARIANCE_STEP - 1.0);
+/// Weight of the initial variance, rows.
 const FIRST_ROWS: f32 = 4.0;
 
-/// Doubts about links that a tick takes into the covariance after a reset: all of them before the window is full.
-const DOUBTS_A_TICK: usize = 3;
+/// Prior factors added in one tick after a reset; all are added before the measurement window is full.
+const FACTORS_PER_TICK: usize = 3;
 
-/// Violated bounds that one row mends: no joint has more that bind at once but in its first rows.
+/// Bounds projected onto in one row; more are violated at once only in the first rows of a joint.
 const MAX_PROJECTIONS: usize = 3;
-/// Violation of a bound that is rounding, prior standard deviations: some last bits of a parameter.
+/// Violation of a bound attributed to rounding, prior standard deviations.
 const TOLERANCE: f32 = 1e-4;
 
-/// The torque row of one joint: N·m for each unit of each linear parameter.
+/// Torque row of one joint: N·m for each unit of each linear parameter.
 #[inline(never)]
 pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
-    seen: &ConditionedSample<N>,
+    sample: &ConditionedSample<N>,
 ) -> LinearParameters<N, P> {
     let mut row = LinearParameters::filled(0.0);
-    row.rigid = regressor_row::<A, N, P>(joint, &seen.motion).data.0[0];
-    let (q, qd) = (seen.motion.q.get(joint), seen.motion.qd.get(joint));
-    let loads = friction_load::<A, N, P>(&seen.motion.q);
-    let (cycles, load) = (A::COGGING_CYCLES.get(joint), loads.get(joint));
-    if let (Some(slot), Some(&cycles), Some(&q), Some(&qd), Some(&load)) =
-        (row.friction.get_mut(joint), cycles, q, qd, load)
-    {
-        *slot = friction_row(cycles, q, qd, load);
+    row.rigid = regressor_row::<A, N, P>(joint, &sample.motion).data.0[0];
+    let friction = joint_friction_row::<A, N, P>(joint, &sample.motion);
+    if let (Some(slot), Some(friction)) = (row.friction.get_mut(joint), friction) {
+        *slot = friction;
     }
     row
 }
 
-/// Recursive estimate of the linear parameters: a Kalman filter whose covariance is kept in factors.
+/// Friction columns of `joint` in `motion`; `None` if there is no such joint.
+#[inline(always)]
+pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
+    motion: &JointMotion<N>,
+) -> Option<[f32; FRICTION_COLUMNS]> {
+    let loads = friction_load::<A, N, P>(&motion.q);
+    let (&cycles, &load) = (A::COGGING_CYCLES.get(joint)?, loads.get(joint)?);
+    let (&q, &qd) = (motion.q.get(joint)?, motion.qd.get(joint)?);
+    Some(friction_row(cycles, q, qd, load))
+}
+
+/// Recursive estimate of the linear parameters: a Kalman filter with factored covariance.
 ///
 /// ```text
 /// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ_i ← θ_i + σ_i (Pφ)_i clip(z, ±k) / √S
 /// ```
-/// with σ the configured noise of the joint's torque and σ_i the prior standard deviation of a parameter, so that the
-/// filter starts from the prior's correlations: friction from P = I, base parameters from what the doubts about single
-/// links make of them. Nothing is forgotten; friction alone wanders (a random walk, up to the prior's doubt; one
-/// column a row, in turn, with the noise of all). R is
-/// the variance the joint is found to have: half of the |z| lie beyond 0.6745 when it is right. Innovations beyond k
-/// standard deviations act as if they had k [Huber 1964]. Friction that would push instead of resist is moved onto its
-/// bound by way of P; nothing else bounds the estimate: what reaches the torque is bounded in the tick.
+/// * σ: configured noise of the joint's torque; σ_i: prior standard deviation of a parameter
+/// * P starts as the [prior covariance](prior_factor) for base parameters and as I for friction
+/// * process noise: a random walk of friction up to the prior variance; one column a row, in turn, with the noise of all.
+///   Nothing is forgotten exponentially
+/// * R: measured variance of the joint, at which half of the |z| exceed 0.6745
+/// * k: innovations beyond it count as k [Huber 1964]
+///
+/// Friction outside its sign bounds is projected onto them through P. Nothing else bounds the estimate; the tick bounds the
+/// torque.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimator<const N: usize, const P: usize> {
     parameters: LinearParameters<N, P>,
-    /// What rounding has kept from the parameters so far. After many rows a step is a few last bits of them, and no
-    /// later row takes back what was rounded off.
-    owed: LinearParameters<N, P>,
+    /// Rounding error of the parameters: after many rows a step is only a few of their last bits.
+    compensation: LinearParameters<N, P>,
     filter: UdFilter<N, P>,
     variance: [f32; N],
-    /// Rows that each is known from, as far as they were uncertain because of noise.
-    noticed: [f32; N],
-    /// The friction column of each joint that wanders with its next row.
-    wandering: [usize; N],
-    /// Doubts about links that are in the covariance already.
-    doubted: usize,
+    /// Rows behind each variance; a row counts by the part of its innovation variance that is noise.
+    effective_rows: [f32; N],
+    /// Place in [`RANDOM_WALK_COLUMNS`] of the process noise with the next row of each joint.
+    random_walk_turn: [usize; N],
+    /// Prior factors already in the covariance.
+    factors_added: usize,
 }
 
-/// What the estimate made of a row.
+/// Innovation of one row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Correction {
-    /// What it left unexplained before, in units of the torque limit.
+    /// Residual before the update, in units of the torque limit.
     pub residual: f32,
-    /// The variance that was to be expected of it, in units of the configured one.
+    /// Expected variance of the residual, in units of the configured one.
     pub variance: f32,
 }
 
 impl<const N: usize, const P: usize> Estimator<N, P> {
-    /// Starts from `prior`, as uncertain as the description of the arm.
+    /// Estimate `prior` with the prior covariance of the arm.
     pub fn new<A: Arm<N, P>>(prior: &ParameterSet<N, P>) -> Self {
-        let mut estimator = Self::idle();
+        let mut estimator = Self::empty();
         estimator.parameters = LinearParameters::of(prior);
-        while !estimator.prepare::<A>() {}
+        while !estimator.add_prior_factors::<A>() {}
         estimator
     }
 
-    /// Takes some of the doubts about links into the covariance; returns whether all are in it. Before that a row must not
-    /// be taken. It is soon done: the window of measurements takes longer to fill.
+    /// Add the next prior factors to the covariance; returns true when all are added. No row may be used before that.
     ///
-    /// Cost: a row's, and nothing when all is done.
-    pub(super) fn prepare<A: Arm<N, P>>(&mut self) -> bool {
-        if self.doubted == 0 {
-            self.filter.set_rigid(&prior_floor::<A, N, P>());
+    /// Cost: as much as one row, and nothing when all are added.
+    pub(super) fn add_prior_factors<A: Arm<N, P>>(&mut self) -> bool {
+        if self.factors_added == 0 {
+            let floor = const { prior_floor::<A, N, P>() };
+            self.filter.set_rigid_variances(&floor);
         }
-        for _ in 0..DOUBTS_A_TICK {
-            let Some(mut doubt) = prior_factor::<A, N, P>(self.doubted) else {
+        for _ in 0..FACTORS_PER_TICK {
+            let Some(mut factor) = prior_factor::<A, N, P>(self.factors_added) else {
                 break;
             };
-            self.filter.add_rigid(&mut doubt);
-            self.doubted += 1;
+            self.filter.add_rigid_factor(&mut factor);
+            self.factors_added += 1;
         }
-        self.doubted == prior_factor_count(N)
+        self.factors_added == prior_factor_count(N)
     }
 
-    /// All parameters zero and as uncertain as a prior.
-    pub(super) const fn idle() -> Self {
+    /// Zero parameters, P = I.
+    pub(super) const fn empty() -> Self {
         Self {
             parameters: LinearParameters::filled(0.0),
-            owed: LinearParameters::filled(0.0),
+            compensation: LinearParameters::filled(0.0),
             filter: UdFilter::new(),
             variance: [FIRST_VARIANCE; N],
-            noticed: [FIRST_ROWS; N],
-            wandering: [0; N],
-            doubted: 0,
+            effective_rows: [FIRST_ROWS; N],
+            random_walk_turn: [0; N],
+            factors_added: 0,
         }
     }
 
-    /// Starts over from `prior`, in place.
+    /// Restart from `prior`, in place.
     pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>) {
         self.move_to(&LinearParameters::of(prior));
         self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
-        self.noticed = [FIRST_ROWS; N];
-        self.wandering = [0; N];
-        self.doubted = 0;
+        self.effective_rows = [FIRST_ROWS; N];
+        self.random_walk_turn = [0; N];
+        self.factors_added = 0;
     }
 
-    /// Takes `parameters` for the estimate; what is known of their covariance stays.
+    /// Replace the estimate by `parameters`; the covariance stays.
     pub(super) fn move_to(&mut self, parameters: &LinearParameters<N, P>) {
         self.parameters = *parameters;
-        self.owed = LinearParameters::filled(0.0);
+        self.compensation = LinearParameters::filled(0.0);
     }
 
-    /// Raises the doubt about one friction parameter by `variance`, in units of the prior's.
-    pub(super) fn reopen(&mut self, joint: usize, column: usize, variance: f32) {
+    /// Add `variance` to one friction parameter, in units of the prior variance.
+    pub(super) fn raise_variance(&mut self, joint: usize, column: usize, variance: f32) {
         self.filter.add_process_noise(joint, column, variance);
     }
 
-    /// The estimate, in the units of the parameters.
+    /// Estimate, in the units of the parameters.
     pub fn parameters(&self) -> &LinearParameters<N, P> {
         &self.parameters
     }
 
-    /// The covariance, in units of the prior standard deviations.
+    /// Covariance, in units of the prior standard deviations.
     pub fn filter(&self) -> &UdFilter<N, P> {
         &self.filter
     }
 
-    /// Variance of the averaged torque of each joint as found, in units of the configured one of a single measurement.
+    /// Measured variance of the averaged torque of each joint, in units of the configured one of a single measurement.
     pub fn variance(&self) -> &[f32; N] {
         &self.variance
     }
 
-    /// Takes in the torque `tau` of `joint`, whose limit is `limit`, N·m, with its `row`.
+    /// Update with the torque `tau` of `joint`, N·m, and its `row`.
     ///
-    /// * returns what the estimate left unexplained before; `None` if a number was not finite: then the estimate has not
-    ///   changed
+    /// * `limit` torque limit of the joint, N·m
+    /// * returns the innovation; `None` if a number was not finite, with the estimate unchanged
     ///
     /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
     #[inline(never)]
@@ -186,14 +195,14 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         tau: f32,
     ) -> Option<Correction> {
         let inv_noise = 1.0 / (config.noise * limit);
-        let sigma = LinearParameters::sigma(config);
+        let sigma = config.sigma();
         let innovation = (tau - row.dot(&self.parameters)) * inv_noise;
         let measured = self.variance.get_mut(joint)?;
-        let noticed = self.noticed.get_mut(joint)?;
+        let effective_rows = self.effective_rows.get_mut(joint)?;
         if !innovation.is_finite() {
             return None;
         }
-        let turn = self.wandering.get_mut(joint)?;
+        let turn = self.random_walk_turn.get_mut(joint)?;
         let column = *RANDOM_WALK_COLUMNS.get(*turn)? as usize;
         if self.filter.friction_variance(joint, column)? < 1.0 {
             let noise = RANDOM_WALK_COLUMNS.len() as f32 * config.process_noise;
@@ -206,35 +215,19 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
                 *phi *= sigma * inv_noise;
             }
         };
-        // A row has no friction but its joint's.
+        // A row has friction of its own joint only.
         scale(phi.friction.get_mut(joint)?, sigma.friction.get(joint)?);
         scale(&mut phi.rigid, &sigma.rigid);
         let mut gain = LinearParameters::filled(0.0);
         let variance = self.filter.update(joint, &phi, *measured, &mut gain);
         if !(variance > 0.0 && variance.is_finite()) {
-            // Nothing sound is left in the factors: as uncertain as at first, but nothing wrong either.
+            // The factors are lost; the covariance returns to the prior, the estimate stays.
             self.filter.reset();
-            self.doubted = 0;
+            self.factors_added = 0;
             return None;
         }
-
-        let squared = innovation * innovation;
-        let beyond = squared > MEDIAN_SQUARED * variance;
-        let (lower, upper) = VARIANCE_RANGE;
-        let step = if *noticed < NOTICED_ROWS {
-            // An innovation that comes from doubt about the parameters says nothing of the noise.
-            let share = *measured / variance;
-            *noticed += share;
-            1.0 + VARIANCE_GAIN * share / *noticed
-        } else {
-            VARIANCE_STEP
-        };
-        let grown = if beyond {
-            *measured * step
-        } else {
-            *measured / step
-        };
-        *measured = grown.clamp(lower, upper);
+        let beyond = innovation * innovation > MEDIAN_SQUARED * variance;
+        update_variance(measured, effective_rows, variance, beyond);
         let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
         self.move_by(&sigma, &gain, clipped / variance);
         self.project(&sigma, joint, &mut gain);
@@ -244,36 +237,36 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         })
     }
 
-    /// θ ← θ + σ gain step, in compensated sums [Kahan 1965].
+    /// Step θ ← θ + σ gain step, in compensated sums [Kahan 1965].
     fn move_by(
         &mut self,
         sigma: &LinearParameters<N, P>,
         gain: &LinearParameters<N, P>,
         step: f32,
     ) {
-        let parts = sigma.parts().into_iter().zip(gain.parts());
-        let moving = self.parameters.parts_mut().into_iter();
-        for ((theta, owed), (sigma, gain)) in moving.zip(self.owed.parts_mut()).zip(parts) {
-            let columns = sigma.iter().zip(gain);
-            for ((theta, owed), (&sigma, &gain)) in theta.iter_mut().zip(owed).zip(columns) {
-                let step = sigma * gain * step + *owed;
+        let [theta, lost] = [&mut self.parameters, &mut self.compensation].map(|it| it.parts_mut());
+        let parts = theta.into_iter().zip(lost).zip(sigma.parts());
+        for (((theta, compensation), sigma), gain) in parts.zip(gain.parts()) {
+            let columns = theta.iter_mut().zip(compensation).zip(sigma).zip(gain);
+            for (((theta, compensation), sigma), gain) in columns {
+                let step = sigma * gain * step + *compensation;
                 let moved = *theta + step;
-                *owed = step - (moved - *theta);
+                *compensation = step - (moved - *theta);
                 *theta = moved;
             }
         }
     }
 
-    /// Moves the estimate onto the bounds of [`DISSIPATION_BOUNDS`] that the friction of `joint` violates, the worst first.
+    /// Projection of the estimate onto the violated [`DISSIPATION_BOUNDS`] of `joint`, the worst first.
     ///
     /// ```text
     /// θ ← θ − P a (aᵀθ) / (aᵀPa)     P stays
     /// ```
-    /// This is the most likely estimate on the bound [Simon and Chia 2002, eq. 20, W = P⁻¹]: columns that are correlated
-    /// with the violated one move with it, so that rows which are explained stay explained. A column that is cut alone
-    /// leaves torque unexplained, the next row pushes it again, and its neighbours run away.
+    /// The most likely estimate on the bound [Simon and Chia 2002, eq. 20, W = P⁻¹]: correlated columns move with the
+    /// violated one, so explained rows stay explained. Clipping the column alone leaves a residual. The next row repeats the
+    /// step, and the correlated columns drift away.
     ///
-    /// Cost: [`DISSIPATION_BOUNDS`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
+    /// Cost: one product for each bound; [`UdFilter::friction_gain`] for each violated one, `MAX_PROJECTIONS` at most.
     fn project(
         &mut self,
         sigma: &LinearParameters<N, P>,
@@ -300,7 +293,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
                 }
                 let inv_deviation = 1.0 / sqrt(dot(&scaled, &scaled));
                 let violation = -value * inv_deviation;
-                // Infinite where none of the bound's columns is learnt: those stay as they are.
+                // Infinite where no column of the bound is learnt: these stay.
                 if violation > worst && violation.is_finite() {
                     worst = violation;
                     direction = scaled.map(|a| a * inv_deviation);
@@ -319,36 +312,26 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     }
 }
 
-impl<const N: usize, const P: usize> LinearParameters<N, P> {
-    /// Takes out of a torque row what the filter of the motion swallows of the cogging of `joint`, all but `share` of it.
-    /// What `active` asks of the drive against that part is not in the motion, but in the torque: returned, N·m.
-    pub fn attenuate_cogging(&mut self, joint: usize, share: f32, active: &Self) -> f32 {
-        let mut asked = 0.0;
-        if let (Some(row), Some(active)) =
-            (self.friction.get_mut(joint), active.friction.get(joint))
-        {
-            for column in COGGING_COLUMNS.map(|column| column as usize) {
-                asked += (1.0 - share) * row[column] * active[column];
-                row[column] *= share;
-            }
-        }
-        asked
-    }
-
-    /// Σ a b.
-    pub fn dot(&self, other: &Self) -> f32 {
-        self.friction_dot(other) + self.rigid_dot(other)
-    }
-
-    /// The part of [`dot`](Self::dot) that friction has.
-    pub(super) fn friction_dot(&self, other: &Self) -> f32 {
-        dot(self.friction.as_flattened(), other.friction.as_flattened())
-    }
-
-    /// The part of [`dot`](Self::dot) that the rigid body has.
-    pub(super) fn rigid_dot(&self, other: &Self) -> f32 {
-        dot(&self.rigid, &other.rigid)
-    }
+/// Update of the `measured` variance of a joint by one innovation.
+///
+/// * `variance` its expected variance      * `beyond` true if it exceeds the median
+#[inline(always)]
+fn update_variance(measured: &mut f32, effective_rows: &mut f32, variance: f32, beyond: bool) {
+    let step = if *effective_rows < EFFECTIVE_ROWS {
+        // Only the noise part of an innovation is evidence of noise.
+        let noise_part = *measured / variance;
+        *effective_rows += noise_part;
+        1.0 + VARIANCE_GAIN * noise_part / *effective_rows
+    } else {
+        VARIANCE_STEP
+    };
+    let (lower, upper) = VARIANCE_RANGE;
+    let next = if beyond {
+        *measured * step
+    } else {
+        *measured / step
+    };
+    *measured = next.clamp(lower, upper);
 }
 
 #[cfg(test)]

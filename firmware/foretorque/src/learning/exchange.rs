@@ -1,29 +1,28 @@
 use super::decision::DecisionLog;
 use super::parameters::ParameterSet;
 use super::quality::ModelQuality;
-use super::request::{Request, RequestPending};
 use crate::dynamics::BaseParameters;
 use crate::joint::JointMeasurement;
 use crate::limits::Flags;
 
-/// What one tick hands to the learner.
+/// Output of one tick for the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearningSample<const N: usize> {
     /// Counter of the tick.
     pub tick: u32,
-    /// Number of the load before the tick: a lesson teaches only the learner of the set that was loaded then.
+    /// Number of the last load before the tick; a learner uses only samples of its own load.
     pub generation: u32,
-    /// Requests made before the tick.
+    /// Number of requests made before the tick.
     pub requests: u32,
-    /// What the arm did, `None` when nothing fresh was measured.
+    /// Measurement; `None` without a fresh one.
     pub measured: Option<JointMeasurement<N>>,
-    /// Learning is switched on.
+    /// True if learning is switched on.
     pub enabled: bool,
-    /// What happened in the tick.
+    /// Flags of the tick.
     pub flags: Flags,
 }
 
-/// Speed and acceleration up to which the model has been learnt.
+/// Range of motion for which the model has been learnt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionRange<const N: usize> {
     /// Largest speed of each joint, rad/s.
@@ -33,24 +32,24 @@ pub struct MotionRange<const N: usize> {
 }
 
 impl<const N: usize> MotionRange<N> {
-    /// Nothing has been learnt.
+    /// Empty range.
     pub const NONE: Self = Self {
         velocity: [0.0; N],
         acceleration: [0.0; N],
     };
 }
 
-/// What the guard tells about itself.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Report of the learner, published with every set.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LearnerReport<const N: usize> {
-    /// How well the model explains what is measured.
+    /// Agreement of the active set with the measured torques.
     pub quality: ModelQuality<N>,
-    /// What was decided.
+    /// Decisions of the supervisor.
     pub decisions: DecisionLog,
 }
 
 impl<const N: usize> LearnerReport<N> {
-    /// Nothing to tell.
+    /// Report before the first sample.
     pub const fn new() -> Self {
         Self {
             quality: ModelQuality::new(),
@@ -59,44 +58,84 @@ impl<const N: usize> LearnerReport<N> {
     }
 }
 
-impl<const N: usize> Default for LearnerReport<N> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-/// What the learner lays on the desk when a round closes; the tick takes all of it or nothing.
+/// Published set of a closed round; the tick adopts all of it or nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Publication<const N: usize, const P: usize> {
-    /// The tick at whose end the round closed.
+    /// Last tick of the round.
     pub closed: u32,
-    /// Number of the load that the set was learnt from; it is taken only while no other one has been loaded.
+    /// Number of the load that the set was learnt from; after another load it is discarded.
     pub generation: u32,
-    /// The set that shall be active.
+    /// New active set.
     pub set: ParameterSet<N, P>,
-    /// What the payload adds to the base parameters.
+    /// Base parameters of the payload, to be added to those of the set.
     pub payload: BaseParameters<P>,
-    /// The motion for which the set has been learnt.
+    /// Range of motion for which the set has been learnt.
     pub range: MotionRange<N>,
-    /// The set becomes the committed one as well.
+    /// True if the set becomes the committed one as well.
     pub commit: bool,
-    /// What the guard tells.
+    /// Report of the learner.
     pub report: LearnerReport<N>,
 }
 
-/// The desk between tick and learner: the only state both touch, each for the time of one copy.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Request to the learner by the owner of the board.
+///
+/// It takes effect with the learning sample of a given tick, so that the result does not depend on the learner's speed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(u8)]
+pub enum Request {
+    /// Copy the active set to the snapshot.
+    Snapshot = 1,
+    /// Return to the snapshot, bit for bit.
+    Rollback = 2,
+    /// Commit the active set: the bound on learnt change is centred at it from then on.
+    Commit = 3,
+    /// Set the payload to zero: the hand is empty.
+    ZeroPayload = 4,
+    /// Emergency stop: drop what was learnt in the last moments, and learn nothing until learning is switched off and on.
+    Stop = 5,
+}
+
+impl Request {
+    /// Request with the wire code `code`; `None` for an unknown code.
+    pub const fn from_code(code: u8) -> Option<Self> {
+        Some(match code {
+            1 => Self::Snapshot,
+            2 => Self::Rollback,
+            3 => Self::Commit,
+            4 => Self::ZeroPayload,
+            5 => Self::Stop,
+            _ => return None,
+        })
+    }
+}
+
+/// Request rejected: the one before has not taken effect yet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct RequestPending;
+
+impl core::fmt::Display for RequestPending {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the previous request is still pending")
+    }
+}
+
+impl core::error::Error for RequestPending {}
+
+/// Mailbox between tick and learner, their only shared state; each locks it for one copy.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Exchange<const N: usize, const P: usize> {
-    /// What the learner has finished, on its way to the tick.
+    /// Finished set, from the learner to the tick.
     pub published: Option<Publication<N, P>>,
-    /// A set that replaces the learner's own, with the number of its load.
+    /// Loaded set, from the tick to the learner, with the number of its load.
     pub reload: Option<(u32, ParameterSet<N, P>)>,
-    /// What the learner is asked to do, with the number of the request.
+    /// Request to the learner, with its number.
     pub request: Option<(u32, Request)>,
 }
 
 impl<const N: usize, const P: usize> Exchange<N, P> {
-    /// An empty desk.
+    /// Empty mailbox.
     pub const fn new() -> Self {
         Self {
             published: None,
@@ -105,9 +144,9 @@ impl<const N: usize, const P: usize> Exchange<N, P> {
         }
     }
 
-    /// Asks the learner for `request`, from the first lesson on before which `number` requests were made.
+    /// Post request number `number`, to take effect with the first sample whose [`LearningSample::requests`] equals it.
     ///
-    /// Errors: the request before has not been taken yet; it stays.
+    /// Errors: the previous request is pending; it stays.
     pub fn post_request(&mut self, number: u32, request: Request) -> Result<(), RequestPending> {
         if self.request.is_some() {
             return Err(RequestPending);
@@ -117,8 +156,22 @@ impl<const N: usize, const P: usize> Exchange<N, P> {
     }
 }
 
-impl<const N: usize, const P: usize> Default for Exchange<N, P> {
-    fn default() -> Self {
-        Self::new()
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_code_maps_to_its_request_or_to_none() {
+        let known = [
+            Request::Snapshot,
+            Request::Rollback,
+            Request::Commit,
+            Request::ZeroPayload,
+            Request::Stop,
+        ];
+        for code in 0..=u8::MAX {
+            let expected = known.into_iter().find(|&request| request as u8 == code);
+            assert_eq!(Request::from_code(code), expected, "{code}");
+        }
     }
 }

@@ -1,25 +1,79 @@
+use super::consts::{self, GRAVITY};
+use super::dense_ud::DenseUdFilter;
 use super::quality::PayloadEstimate;
-use super::small_filter::SmallFilter;
 use crate::arm::{Arm, LINK_PARAMETERS};
 use crate::dynamics::BaseParameters;
 use crate::math::sqrt;
 
-/// Numbers of a payload that are estimated: m, m·x, m·y, m·z, Ixx, Iyy, Izz in the frame of the last link, the first of
-/// the standard parameters of eq. 14.
+/// Number of estimated payload parameters: m, m·x, m·y, m·z, Ixx, Iyy, Izz, the first standard parameters of eq. 14.
 pub(super) const PAYLOAD_PARAMETERS: usize = 7;
 
-/// A rigid body in the hand: standard parameters about the origin of the last link's frame.
+/// Payload: standard parameters of a rigid body about the origin of the last link's frame, expressed in that frame.
 pub(super) type Payload = [f32; PAYLOAD_PARAMETERS];
 
-/// Prior standard deviations of a payload of up to `mass`, kg: its centre of mass within 0.15 m of the last link's
-/// origin, its radius of gyration about that within 0.15 m too.
+/// No payload.
+pub(super) const NO_PAYLOAD: Payload = [0.0; PAYLOAD_PARAMETERS];
+
+/// Largest distance of a payload's centre of mass from the origin of the last link, m.
+pub(super) const MAX_COM_DISTANCE: f32 = 0.25;
+/// Weight of the rated payload at full stretch, in units of the torque limit.
+///
+/// Descriptions do not contain the rated payload. A third gives 5.0 kg for the UR5 (data sheet: 5 kg) and 3.3 kg for the
+/// Panda (3 kg).
+const RATED_TORQUE: f32 = 1.0 / 3.0;
+
+/// Distance from joint `joint` to the origin of the last link with all links between in one line, m.
+const fn stretch<A: Arm<N, P>, const N: usize, const P: usize>(joint: usize) -> f32 {
+    let mut length = 0.0;
+    let mut later = joint + 1;
+    while later < N {
+        let [x, y, z] = A::PLACEMENTS[later].origin;
+        length += consts::sqrt(x * x + y * y + z * z);
+        later += 1;
+    }
+    length
+}
+
+/// Rated payload of an arm, kg: the mass whose weight at full stretch takes a third of the torque limit of the weakest
+/// joint.
+pub const fn rated_payload<A: Arm<N, P>, const N: usize, const P: usize>() -> f32 {
+    let mut least = 1000.0;
+    let mut joint = 0;
+    while joint + 1 < N {
+        let lever = stretch::<A, N, P>(joint);
+        let mass = RATED_TORQUE * A::LIMITS[joint].torque / (GRAVITY * lever);
+        if mass < least {
+            least = mass;
+        }
+        joint += 1;
+    }
+    least
+}
+
+/// Bound of the payload torque of each joint, N·m: twice the weight of the rated payload at full stretch, for weight and
+/// acceleration, and at most 85 % of the limit.
+pub const fn payload_bound<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; N] {
+    let mass = rated_payload::<A, N, P>();
+    let mut bound = [0.0; N];
+    let mut joint = 0;
+    while joint < N {
+        let lever = stretch::<A, N, P>(joint) + MAX_COM_DISTANCE;
+        let torque = 2.0 * GRAVITY * mass * lever;
+        let most = 0.85 * A::LIMITS[joint].torque;
+        bound[joint] = if torque < most { torque } else { most };
+        joint += 1;
+    }
+    bound
+}
+
+/// Prior standard deviations of a payload of up to `mass`, kg: centre of mass and radius of gyration within 0.15 m of the
+/// last link's origin.
 pub(super) const fn payload_sigma(mass: f32) -> Payload {
     let (first, second) = (0.15 * mass, 0.0225 * mass);
     [mass, first, first, first, second, second, second]
 }
 
-/// The base parameter and the weight of each number of a payload, from the arm's base map: a body at the last link
-/// changes the base parameters linearly.
+/// Entries of the arm's base map for a body at the last link: base parameter, payload parameter, weight.
 fn terms<A: Arm<N, P>, const N: usize, const P: usize>() -> impl Iterator<Item = (usize, usize, f32)>
 {
     A::BASE_MAP.iter().filter_map(|term| {
@@ -28,7 +82,7 @@ fn terms<A: Arm<N, P>, const N: usize, const P: usize>() -> impl Iterator<Item =
     })
 }
 
-/// What `payload` adds to the base parameters.
+/// Base parameters of `payload`, to be added to those of the arm.
 #[inline(never)]
 pub(super) fn payload_base<A: Arm<N, P>, const N: usize, const P: usize>(
     payload: &Payload,
@@ -42,7 +96,7 @@ pub(super) fn payload_base<A: Arm<N, P>, const N: usize, const P: usize>(
     beta
 }
 
-/// Torque for each unit of each number of a payload, from the regressor row `rigid` of a joint.
+/// Torque row of a payload, N·m for each unit of each parameter, from the regressor row `rigid` of a joint.
 #[inline(never)]
 pub(super) fn payload_row<A: Arm<N, P>, const N: usize, const P: usize>(
     rigid: &[f32; P],
@@ -56,17 +110,17 @@ pub(super) fn payload_row<A: Arm<N, P>, const N: usize, const P: usize>(
     row
 }
 
-/// Weighs a payload: a small filter on what the arm's own model leaves of the torques.
+/// Filter of the payload parameters, driven by the residual torques of the arm without payload.
 ///
-/// The estimate of the arm itself is not touched, so that a payload put down is undone exactly.
+/// It is separate from the estimate of the arm, so that removing a payload is exact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PayloadFilter {
-    filter: SmallFilter<PAYLOAD_PARAMETERS>,
+    filter: DenseUdFilter<PAYLOAD_PARAMETERS>,
     sigma: Payload,
 }
 
 impl PayloadFilter {
-    /// As uncertain as `sigma`, around `payload`.
+    /// Estimate `payload` with standard deviations `sigma`.
     pub(super) const fn new(payload: &Payload, sigma: &Payload) -> Self {
         let mut theta = *payload;
         let mut k = 0;
@@ -75,24 +129,24 @@ impl PayloadFilter {
             k += 1;
         }
         Self {
-            filter: SmallFilter::new(theta),
+            filter: DenseUdFilter::new(theta),
             sigma: *sigma,
         }
     }
 
-    /// What the estimate leaves of the torque `tau` whose row is `row`, N·m.
+    /// Residual of the torque `tau` with row `row`, N·m.
     pub(super) fn residual(&self, row: &Payload, tau: f32) -> f32 {
         self.filter.residual(&self.scaled(row), tau)
     }
 
-    /// Takes in the torque `tau`, N·m, of standard deviation `sigma`.
+    /// Update with the torque `tau` of standard deviation `sigma`, N·m.
     pub(super) fn update(&mut self, row: &Payload, tau: f32, sigma: f32) {
         let inverse = 1.0 / sigma;
         let phi = self.scaled(row).map(|x| x * inverse);
         self.filter.update(&phi, tau * inverse, 1.0);
     }
 
-    /// The estimate.
+    /// Estimate.
     pub(super) fn payload(&self) -> Payload {
         let mut payload = self.filter.theta;
         for (value, sigma) in payload.iter_mut().zip(&self.sigma) {
@@ -115,8 +169,8 @@ impl PayloadFilter {
     }
 }
 
-/// Mass and centre of mass of `payload`.
-pub(super) fn describe(payload: &Payload, mass_sigma: f32) -> PayloadEstimate {
+/// Mass and centre of mass of `payload`, for reports.
+pub(super) fn payload_estimate(payload: &Payload, mass_sigma: f32) -> PayloadEstimate {
     let [mass, x, y, z, ..] = *payload;
     let inverse = if mass > 0.0 { 1.0 / mass } else { 0.0 };
     PayloadEstimate {
@@ -126,7 +180,7 @@ pub(super) fn describe(payload: &Payload, mass_sigma: f32) -> PayloadEstimate {
     }
 }
 
-/// Torque of `payload` for the row `row`, N·m.
+/// Torque of `payload` with the row `row`, N·m.
 pub(super) fn payload_torque(payload: &Payload, row: &Payload) -> f32 {
     let mut tau = 0.0;
     for (value, row) in payload.iter().zip(row) {
@@ -138,6 +192,7 @@ pub(super) fn payload_torque(payload: &Payload, row: &Payload) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::arm::panda::{self, Panda};
     use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
     use crate::arm::{LinkInertia, base_parameters};
     use crate::dynamics::{regressor_row, rnea};
@@ -170,7 +225,7 @@ mod tests {
         let mut links = [LinkInertia::NONE; N];
         links[N - 1] = body();
         let mut whole = base_parameters::<Ur5, N, P>(&links, &[0.0; N]);
-        // Products of inertia are not among the numbers of a payload.
+        // Products of inertia are no payload parameters.
         let standard = body().standard_parameters();
         for term in Ur5::BASE_MAP {
             if let 57..60 = term.standard {
@@ -189,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_payload_is_weighed_within_a_second_of_motion() {
+    fn a_payload_is_found_within_a_second_of_motion() {
         let truth = payload_base::<Ur5, N, P>(&numbers());
         let mut filter = PayloadFilter::new(&[0.0; PAYLOAD_PARAMETERS], &payload_sigma(6.0));
         assert!((filter.mass_sigma() - 6.0).abs() < 1e-3);
@@ -202,9 +257,27 @@ mod tests {
                 filter.update(&row, tau[joint], 0.02 * Ur5::LIMITS[joint].torque);
             }
         }
-        let found = describe(&filter.payload(), filter.mass_sigma());
+        let found = payload_estimate(&filter.payload(), filter.mass_sigma());
         assert!((found.mass - 3.0).abs() < 0.02, "{found:?}");
         assert!((found.com[2] - 0.13).abs() < 0.005, "{found:?}");
         assert!(found.mass_sigma < 0.15, "{found:?}");
+    }
+
+    #[test]
+    fn the_rated_payload_is_near_that_of_the_data_sheets() {
+        let ur5 = rated_payload::<Ur5, N, P>();
+        let panda = rated_payload::<Panda, { panda::JOINTS }, { panda::PARAMETERS }>();
+        assert!((ur5 - 5.0).abs() < 0.3, "{ur5}");
+        assert!((panda - 3.0).abs() < 0.5, "{panda}");
+    }
+
+    #[test]
+    fn the_payload_bound_lies_between_weight_and_torque_limit() {
+        let bound = payload_bound::<Ur5, N, P>();
+        let weight = 5.0 * 9.81 * (1.0 + 0.13);
+        assert!(bound[1] > weight, "{bound:?}");
+        for (bound, limits) in bound.iter().zip(&Ur5::LIMITS) {
+            assert!(*bound <= 0.85 * limits.torque);
+        }
     }
 }

@@ -1,54 +1,68 @@
-/// What the guard is doing.
+use super::ud::UdFilter;
+use crate::dynamics::FRICTION_COLUMNS;
+
+/// State of the learning supervisor; see the [state diagram](crate::learning).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum Phase {
-    /// The active set follows the estimate.
+    /// No change detected; the active set may follow the estimate.
     #[default]
     Healthy = 0,
-    /// Something changed: the active set is frozen while candidates are weighed in the shadow.
+    /// A change was detected: the active set is frozen during the payload test.
     PayloadTest = 1,
-    /// The change is no payload: friction is learnt anew in the shadow.
+    /// The change is no payload: friction is learnt again, in the estimate only.
     Relearning = 2,
-    /// An emergency stop: nothing is learnt.
+    /// Emergency stop: nothing is learnt.
     Stopped = 3,
 }
 
-/// What the arm carries, as far as it is known.
+impl Phase {
+    /// True if the estimate is updated.
+    pub(super) fn learns(self) -> bool {
+        matches!(self, Self::Healthy | Self::Relearning)
+    }
+}
+
+/// Estimate of the payload.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PayloadEstimate {
     /// Mass, kg; 0 without a payload.
     pub mass: f32,
     /// Centre of mass, measured from and expressed in the frame of the last link, m.
     pub com: [f32; 3],
-    /// Standard deviation of the mass, kg, with the measurement variance inflated as the guard does.
+    /// Standard deviation of the mass, kg, with the inflated measurement variance of the payload filter.
     pub mass_sigma: f32,
 }
 
-/// How well the model in force explains the torques that are measured.
+/// Agreement of the active set with the measured torques.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ModelQuality<const N: usize> {
-    /// RMS of what the active set leaves unexplained while the joint moves, over the last seconds, in units of the
-    /// joint's torque limit.
+    /// RMS residual of the active set in motion, over the last seconds, in units of the joint's torque limit.
     pub residual_rms: [f32; N],
-    /// RMS of the rigid-body, friction and network share over the last seconds, root mean square over the joints, in
-    /// units of the torque limit.
+    /// RMS of the rigid-body, friction and network share over the last seconds and all joints, in units of the torque
+    /// limit.
     pub share_rms: [f32; 3],
-    /// Mean over the linear parameters of `1 − P_ii`: the part of the prior's variance that measurements have removed. It
-    /// stays below 1 where no motion shows a column: cogging of a drive that has none, the load of an upright axis.
+    /// Mean over the linear parameters of `1 − P_ii`: part of the prior variance removed by measurements.
+    ///
+    /// It stays below 1 if no motion excites a column: cogging of a drive without cogging, load of an upright axis.
     pub information: f32,
-    /// 0 … 1: how far the residuals are those of measurement noise; 1 until the arm has moved.
+    /// Trust, 0 to 1; 1 until the arm has moved.
+    ///
+    /// ```text
+    /// trust = 1 − sqrt(mean_j (RMS residual_j / RMS torque_j)²), over the joints that have moved
+    /// ```
     pub trust: f32,
-    /// The trust figure has fallen below what the guard accepts.
+    /// True if trust has fallen below the threshold.
     pub low_trust: bool,
-    /// What the guard is doing.
+    /// State of the supervisor.
     pub phase: Phase,
-    /// The payload in the torque.
+    /// Payload in the torque.
     pub payload: PayloadEstimate,
 }
 
 impl<const N: usize> ModelQuality<N> {
-    /// Nothing is known yet, and nothing speaks against the model.
+    /// Quality before the first row.
     pub const fn new() -> Self {
         Self {
             residual_rms: [0.0; N],
@@ -69,5 +83,199 @@ impl<const N: usize> ModelQuality<N> {
 impl<const N: usize> Default for ModelQuality<N> {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+/// Fading of the sums with each row of a joint: 37 % after 512 rows.
+const FADE: f32 = 1.0 - 1.0 / 512.0;
+/// Margin above the threshold at which the trust flag is cleared.
+const HYSTERESIS: f32 = 0.05;
+
+/// One row of a joint under the active set, in units of the joint's torque limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Observation {
+    /// Measured torque.
+    pub(super) measured: f32,
+    /// Residual of the active set.
+    pub(super) residual: f32,
+    /// Rigid-body, friction and network share.
+    pub(super) shares: [f32; 3],
+}
+
+/// Faded sums of squares.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sums {
+    weight: f32,
+    measured: f32,
+    residual: f32,
+    shares: [f32; 3],
+}
+
+/// Computation of [`ModelQuality`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Monitor<const N: usize> {
+    joints: [Sums; N],
+    /// Next parameter for the information, and the sum over those before.
+    index: usize,
+    removed: f32,
+}
+
+impl<const N: usize> Monitor<N> {
+    /// Monitor without rows.
+    pub(super) const fn new() -> Self {
+        const EMPTY: Sums = Sums {
+            weight: 0.0,
+            measured: 0.0,
+            residual: 0.0,
+            shares: [0.0; 3],
+        };
+        Self {
+            joints: [EMPTY; N],
+            index: 0,
+            removed: 0.0,
+        }
+    }
+
+    /// Add the variance of one parameter; after the last one, update the information of `quality`.
+    ///
+    /// Cost: one row of U, `P + FRICTION_COLUMNS` multiply-adds at most.
+    pub(super) fn update_information<const P: usize>(
+        &mut self,
+        filter: &UdFilter<N, P>,
+        quality: &mut ModelQuality<N>,
+    ) {
+        let friction = N * FRICTION_COLUMNS;
+        let (joint, column) = (self.index / FRICTION_COLUMNS, self.index % FRICTION_COLUMNS);
+        let variance = match self.index.checked_sub(friction) {
+            None => filter.friction_variance(joint, column),
+            Some(column) => filter.rigid_variance(column),
+        };
+        // Process noise may have raised a variance above the prior's.
+        let removed = 1.0 - variance.unwrap_or(1.0);
+        self.removed += if removed > 0.0 { removed } else { 0.0 };
+        self.index += 1;
+        if self.index >= friction + P {
+            quality.information = self.removed / self.index as f32;
+            self.index = 0;
+            self.removed = 0.0;
+        }
+    }
+
+    /// Add a row of `joint`; a row that is not finite is ignored.
+    pub(super) fn add_row(&mut self, joint: usize, row: &Observation) {
+        let Some(sums) = self.joints.get_mut(joint) else {
+            return;
+        };
+        let [rigid, friction, network] = row.shares;
+        let finite = row.measured + row.residual + rigid + friction + network;
+        if !finite.is_finite() {
+            return;
+        }
+        let fade = |sum: &mut f32, value: f32| *sum = FADE * *sum + value * value;
+        fade(&mut sums.weight, 1.0);
+        fade(&mut sums.measured, row.measured);
+        fade(&mut sums.residual, row.residual);
+        for (sum, share) in sums.shares.iter_mut().zip(row.shares) {
+            fade(sum, share);
+        }
+    }
+
+    /// Update residuals, shares and trust of `quality`; returns the trust flag if it has changed.
+    pub(super) fn update_trust(&self, quality: &mut ModelQuality<N>, floor: f32) -> Option<bool> {
+        let mut ratios = 0.0;
+        let mut moved = 0.0;
+        let mut shares = [0.0; 3];
+        for (rms, sums) in quality.residual_rms.iter_mut().zip(&self.joints) {
+            if sums.weight < 1.0 {
+                continue;
+            }
+            let inverse = 1.0 / sums.weight;
+            *rms = libm::sqrtf(sums.residual * inverse);
+            for (total, share) in shares.iter_mut().zip(sums.shares) {
+                *total += share * inverse;
+            }
+            if sums.measured > 0.0 {
+                ratios += sums.residual / sums.measured;
+            }
+            moved += 1.0;
+        }
+        if moved == 0.0 {
+            return None;
+        }
+        quality.share_rms = shares.map(|sum| libm::sqrtf(sum / moved));
+        let trust = 1.0 - libm::sqrtf(ratios / moved);
+        quality.trust = if trust > 0.0 { trust } else { 0.0 };
+        let before = quality.low_trust;
+        quality.low_trust = if before {
+            quality.trust < floor + HYSTERESIS
+        } else {
+            quality.trust < floor
+        };
+        (quality.low_trust != before).then_some(quality.low_trust)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learning::parameters::LinearParameters;
+
+    fn row(residual: f32) -> Observation {
+        Observation {
+            measured: 0.3,
+            residual,
+            shares: [0.2, 0.1, -0.05],
+        }
+    }
+
+    #[test]
+    fn loss_and_return_of_trust_are_reported_once() {
+        let mut monitor = Monitor::<2>::new();
+        let mut quality = ModelQuality::new();
+        assert_eq!(monitor.update_trust(&mut quality, 0.7), None);
+        assert_eq!(quality.trust, 1.0);
+        let mut changes = std::vec::Vec::new();
+        for round in 0..6000 {
+            let residual = if (1000..3000).contains(&round) {
+                0.2
+            } else {
+                0.01
+            };
+            monitor.add_row(0, &row(residual));
+            monitor.add_row(1, &row(0.01));
+            changes.extend(monitor.update_trust(&mut quality, 0.7));
+        }
+        assert_eq!(changes, [true, false]);
+        assert!(quality.trust > 0.9, "{quality:?}");
+        assert!((quality.share_rms[0] - 0.2).abs() < 1e-3);
+        assert!((quality.residual_rms[1] - 0.01).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_row_that_is_not_finite_is_ignored() {
+        let mut monitor = Monitor::<2>::new();
+        monitor.add_row(0, &row(0.1));
+        let before = monitor;
+        monitor.add_row(0, &row(f32::NAN));
+        monitor.add_row(7, &row(0.1));
+        assert_eq!(monitor, before);
+    }
+
+    #[test]
+    fn information_is_the_mean_removed_part_of_the_variance() {
+        const PARAMETERS: usize = 2 * FRICTION_COLUMNS + 3;
+        let mut filter = UdFilter::<2, 3>::new();
+        let mut gain = LinearParameters::filled(0.0);
+        let mut phi = LinearParameters::filled(0.0);
+        (phi.friction[1][2], phi.rigid[0]) = (3.0, 4.0);
+        filter.update(1, &phi, 1.0, &mut gain);
+        let (mut monitor, mut quality) = (Monitor::<2>::new(), ModelQuality::new());
+        for _ in 0..PARAMETERS {
+            assert_eq!(quality.information, 0.0);
+            monitor.update_information(&filter, &mut quality);
+        }
+        // P = I − φφᵀ/(φᵀφ + 1): the trace has lost 25/26.
+        let wanted = 25.0 / 26.0 / PARAMETERS as f32;
+        assert!((quality.information - wanted).abs() < 1e-6, "{quality:?}");
     }
 }

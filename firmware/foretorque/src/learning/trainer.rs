@@ -1,163 +1,156 @@
+use super::dense_ud::DenseUdFilter;
 use super::parameters::{JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, network_inputs};
-use super::small_filter::SmallFilter;
+use super::supervisor::paired_test::PairedSum;
 use crate::limits::cut;
 use crate::network::StepParameters;
 use nalgebra::SVector;
 
-/// Weights that lead to the output, with its threshold.
+/// Weights of the output layer, with its bias.
 const OUTPUTS: usize = NETWORK_HIDDEN + 1;
-/// Rows of a block: 0.1 s at 167 rows a second. What is left of a torque stays for tenths of a second, so it is blocks
-/// that are counted, not rows.
+/// Rows of a block: 0.1 s at 167 rows a second. Residuals are correlated over tenths of a second, so blocks are the
+/// independent observations, not rows.
 const BLOCK_ROWS: u32 = 16;
-/// Weight of all older blocks in the one after: 37 % after 4096 rows, 25 s.
+/// Fading of the sums with each block: 37 % after 4096 rows, 25 s.
 const FADE: f32 = 1.0 - BLOCK_ROWS as f32 / 4096.0;
-/// Rows of a joint on which a trainee has to prove itself at least, 6 s.
-const PROOF_ROWS: u32 = 1000;
-/// Rows after which a network in the torque may be found to harm.
+/// Least rows of a joint before a promotion: 6 s.
+const PROMOTION_ROWS: u32 = 1000;
+/// Least rows of a joint before its network is silenced.
 const HARM_ROWS: u32 = 256;
-/// Significance of a proof.
+/// Significance of a promotion or silencing, standard deviations.
 const SIGNIFICANCE: f32 = 3.0;
-/// Significance that a joint's own rows must have, where those of all joints together prove it: noise hides in a joint
-/// what is plain in six.
+/// Significance of a joint's own rows if all joints together are significant: noise hides in one joint what six show.
 const OWN_SIGNIFICANCE: f32 = 0.5;
-/// A trainee has to leave less than this part of the mean square residual of the network in force.
+/// Largest ratio of mean square residuals, candidate to active network, for a promotion.
 const PROMOTION_RATIO: f32 = 0.995;
-/// Residuals count up to this many standard deviations.
+/// Bound of a residual, standard deviations.
 const CLIP: f32 = 6.0;
-/// Variance that each row gives back to the output weights, in units of the prior's: the drives change.
-const WANDERING: f32 = 1e-8;
+/// Process noise of the output weights for each row, in units of the prior variance: drives change.
+const PROCESS_NOISE: f32 = 1e-8;
 
-/// How the networks are trained.
+/// Training of the networks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainerConfig {
-    /// Prior standard deviation of the weights that lead to the output, in units of the torque limit; 0 trains nothing.
+    /// Prior standard deviation of the output weights, in units of the torque limit; 0 disables training.
     pub output_sigma: f32,
-    /// Back-propagation step of the hidden layer, as a fraction of the step that would cancel the error of a row; 0 leaves
-    /// it as it is.
+    /// Learning rate of the hidden layer: part of the step that cancels the error of a row; 0 keeps the hidden layer.
     pub hidden_rate: f32,
-    /// Errors beyond this many standard deviations of the measurement act as if they had this many.
+    /// Bound of an error, standard deviations of the measurement; larger ones count as this many.
     pub clip_sigmas: f32,
 }
 
-/// What one row says to the network of its joint.
+/// Training row of a joint's network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct NetworkRow {
-    /// Speed of the joint, rad/s.
+    /// Velocity of the joint, rad/s.
     pub qd: f32,
-    /// What the linear parameters leave of the torque, in units of the torque limit.
+    /// Residual torque of the active linear parameters, in units of the torque limit.
     pub residual: f32,
     /// Standard deviation of the measurement, in units of the torque limit.
     pub sigma: f32,
 }
 
-/// What the evidence says of a network.
+/// Result of a comparison of networks.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum NetworkVerdict {
-    /// The trainee takes the place of the network in force. Its mean square residual over that of the other.
+pub(super) enum NetworkDecision {
+    /// The candidate replaces the active network. Ratio of mean square residuals, candidate to active.
     Promoted(f32),
-    /// The network in force makes the torque worse than none. Its mean square residual over that without.
+    /// The active network is silenced: worse than none. Ratio of mean square residuals, with to without.
     Silenced(f32),
 }
 
-/// Differences of squared residuals, summed, with the sum of their squares over blocks.
+/// Paired sum over blocks of rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Difference {
+struct BlockSum {
     block: f32,
-    sum: f32,
-    scatter: f32,
+    total: PairedSum,
 }
 
-impl Difference {
-    const NONE: Self = Self {
+impl BlockSum {
+    const ZERO: Self = Self {
         block: 0.0,
-        sum: 0.0,
-        scatter: 0.0,
+        total: PairedSum::ZERO,
     };
 
     fn close_block(&mut self) {
-        self.sum = FADE * self.sum + self.block;
-        self.scatter = FADE * self.scatter + self.block * self.block;
+        self.total.fade(FADE);
+        self.total.add(self.block);
         self.block = 0.0;
     }
-
-    /// The sum lies more than `sigmas` standard deviations above 0.
-    fn proves(&self, sigmas: f32) -> bool {
-        self.sum > 0.0 && self.sum * self.sum > sigmas * sigmas * self.scatter
-    }
 }
 
-/// What the rows of a joint say of its networks; squares in variances of a measurement, faded.
+/// Comparison of the networks of a joint. Squares are in variances of a measurement, faded.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Record {
+struct NetworkTest {
     rows: u32,
+    /// Squares with the active network, with the candidate, and without network.
     active: f32,
-    trainee: f32,
+    candidate: f32,
     silent: f32,
-    /// active² − trainee².
-    advantage: Difference,
+    /// active² − candidate².
+    advantage: BlockSum,
     /// active² − silent².
-    harm: Difference,
+    harm: BlockSum,
 }
 
-impl Record {
+impl NetworkTest {
     const NONE: Self = Self {
         rows: 0,
         active: 0.0,
-        trainee: 0.0,
+        candidate: 0.0,
         silent: 0.0,
-        advantage: Difference::NONE,
-        harm: Difference::NONE,
+        advantage: BlockSum::ZERO,
+        harm: BlockSum::ZERO,
     };
 
-    /// Takes the squares of one row. Returns whether it completes a block.
-    fn note(&mut self, active: f32, trainee: f32, silent: f32) -> bool {
+    /// Add the squares of one row; returns true if it completes a block.
+    fn add_row(&mut self, active: f32, candidate: f32, silent: f32) -> bool {
         self.rows += 1;
         self.active += active;
-        self.trainee += trainee;
+        self.candidate += candidate;
         self.silent += silent;
-        self.advantage.block += active - trainee;
+        self.advantage.block += active - candidate;
         self.harm.block += active - silent;
-        let whole = self.rows.is_multiple_of(BLOCK_ROWS);
-        if whole {
+        let complete = self.rows.is_multiple_of(BLOCK_ROWS);
+        if complete {
             self.advantage.close_block();
             self.harm.close_block();
-            for sum in [&mut self.active, &mut self.trainee, &mut self.silent] {
+            for sum in [&mut self.active, &mut self.candidate, &mut self.silent] {
                 *sum *= FADE;
             }
         }
-        whole
+        complete
     }
 }
 
-/// Trains the networks of the joints on what the linear parameters leave, out of sight of the torque.
+/// Trainer of the joints' network candidates, on the residuals of the active linear parameters.
 ///
-/// The output layer is a Kalman filter's state: it is linear in what the hidden units say, and a descent at a rate that
-/// noise allows would take minutes to find what the filter has found after some seconds. The hidden layer goes down the
-/// gradient by back-propagation, normalised and clipped.
+/// The output layer is linear in the hidden units and is the state of a Kalman filter, which converges in seconds; a
+/// gradient descent as slow as the noise demands takes minutes. The hidden layer descends by normalised, clipped
+/// back-propagation.
 ///
-/// Every row is first predicted by the trainee, by the network in force and by none, then learnt: no prediction has seen
-/// its row. Only a trainee whose record proves it better goes into the torque; one that harms is taken out.
+/// Candidate, active network and no network predict every row before it is learnt. A candidate enters the torque when it
+/// is significantly better; an active network worse than none is silenced.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct NetworkTrainer<const N: usize> {
-    trainee: [JointNetwork; N],
-    /// Doubt about each output layer. Its state is what is still to be added to the weights: nothing.
-    filter: [SmallFilter<OUTPUTS>; N],
-    record: [Record; N],
+    candidate: [JointNetwork; N],
+    /// Covariance of each output layer; the estimate is the increment of the weights, zero between rows.
+    filter: [DenseUdFilter<OUTPUTS>; N],
+    test: [NetworkTest; N],
 }
 
 impl<const N: usize> NetworkTrainer<N> {
-    /// Starts from `networks`.
+    /// Trainer with `networks` as candidates.
     pub(super) const fn new(networks: &[JointNetwork; N]) -> Self {
         Self {
-            trainee: *networks,
-            filter: [SmallFilter::new([0.0; OUTPUTS]); N],
-            record: [Record::NONE; N],
+            candidate: *networks,
+            filter: [DenseUdFilter::new([0.0; OUTPUTS]); N],
+            test: [NetworkTest::NONE; N],
         }
     }
 
-    /// Takes one row of `joint`.
+    /// Train with one row of `joint`; a row that is not finite is ignored.
     ///
-    /// * `active` the network in force, replaced where the verdict says so
+    /// * `active` active network, replaced by a promotion or silencing
     ///
     /// Cost: the network of the joint forwards three times and backwards once, one row of a filter of seven.
     #[inline(never)]
@@ -167,87 +160,88 @@ impl<const N: usize> NetworkTrainer<N> {
         joint: usize,
         row: &NetworkRow,
         active: &mut JointNetwork,
-    ) -> Option<NetworkVerdict> {
+    ) -> Option<NetworkDecision> {
         if config.output_sigma <= 0.0 {
             return None;
         }
         let inverse = 1.0 / row.sigma;
         let x = network_inputs(row.qd);
-        let trainee = self.trainee.get_mut(joint)?;
-        let hidden = trainee.hidden(&x);
-        let said = trainee.output(&hidden)[0];
-        let square = |said: f32| {
-            let z = cut((row.residual - said) * inverse, CLIP).0;
+        let candidate = self.candidate.get_mut(joint)?;
+        let hidden = candidate.hidden(&x);
+        let output = candidate.output(&hidden)[0];
+        let square = |output: f32| {
+            let z = cut((row.residual - output) * inverse, CLIP).0;
             z * z
         };
-        let bounded = |said: f32| cut(said, NETWORK_BOUND).0;
+        let bounded = |output: f32| cut(output, NETWORK_BOUND).0;
         let silent = square(0.0);
-        let active_left = square(bounded(active.forward(&x)[0]));
-        let trainee_left = square(bounded(said));
-        if !(row.residual + inverse + active_left + trainee_left + silent).is_finite() {
+        let active_square = square(bounded(active.forward(&x)[0]));
+        let candidate_square = square(bounded(output));
+        if !(row.residual + inverse + active_square + candidate_square + silent).is_finite() {
             return None;
         }
-        let whole = self
-            .record
+        let complete = self
+            .test
             .get_mut(joint)?
-            .note(active_left, trainee_left, silent);
+            .add_row(active_square, candidate_square, silent);
         let step = StepParameters {
             learning_rate: config.hidden_rate,
             error_clip: config.clip_sigmas * row.sigma,
         };
-        let before = *trainee;
-        trainee.update_layers(&x, &SVector::from([row.residual]), &step, 1.0);
-        // The output layer is the filter's.
-        trainee.output_weights = before.output_weights;
-        trainee.output_bias = before.output_bias;
+        let before = *candidate;
+        candidate.update_layers(&x, &SVector::from([row.residual]), &step, 1.0);
+        // The filter updates the output layer.
+        candidate.output_weights = before.output_weights;
+        candidate.output_bias = before.output_bias;
         let filter = self.filter.get_mut(joint)?;
         let scale = config.output_sigma * inverse;
         let mut phi = [scale; OUTPUTS];
         for (phi, hidden) in phi.iter_mut().zip(hidden.iter()) {
             *phi = scale * hidden;
         }
-        filter.wander(WANDERING);
-        let left = cut((row.residual - said) * inverse, config.clip_sigmas).0;
-        filter.update(&phi, left, 1.0);
-        let found = core::mem::replace(&mut filter.theta, [0.0; OUTPUTS]);
-        let weights = trainee.output_weights.iter_mut();
-        let weights = weights.chain(trainee.output_bias.iter_mut());
-        for (weight, found) in weights.zip(found) {
-            *weight += config.output_sigma * found;
+        filter.add_process_noise(PROCESS_NOISE);
+        let error = cut((row.residual - output) * inverse, config.clip_sigmas).0;
+        filter.update(&phi, error, 1.0);
+        let increments = core::mem::replace(&mut filter.theta, [0.0; OUTPUTS]);
+        let weights = candidate.output_weights.iter_mut();
+        let weights = weights.chain(candidate.output_bias.iter_mut());
+        for (weight, increment) in weights.zip(increments) {
+            *weight += config.output_sigma * increment;
         }
-        if whole {
-            self.judge(joint, active)
+        if complete {
+            self.decide(joint, active)
         } else {
             None
         }
     }
 
-    /// What the record of `joint` says at the end of a block.
-    fn judge(&mut self, joint: usize, active: &mut JointNetwork) -> Option<NetworkVerdict> {
-        let mut all = Difference::NONE;
-        for record in &self.record {
-            all.sum += record.advantage.sum;
-            all.scatter += record.advantage.scatter;
+    /// Decision for `joint` at the end of a block, if there is one.
+    fn decide(&mut self, joint: usize, active: &mut JointNetwork) -> Option<NetworkDecision> {
+        let mut all = PairedSum::ZERO;
+        for test in &self.test {
+            all.sum += test.advantage.total.sum;
+            all.squares += test.advantage.total.squares;
         }
-        let trainee = self.trainee.get(joint)?;
-        let record = self.record.get_mut(joint)?;
-        let better = record.advantage.proves(SIGNIFICANCE)
-            || all.proves(SIGNIFICANCE) && record.advantage.proves(OWN_SIGNIFICANCE);
-        let verdict = if better
-            && record.rows >= PROOF_ROWS
-            && record.trainee < PROMOTION_RATIO * record.active
-            && record.trainee < record.silent
+        let candidate = self.candidate.get(joint)?;
+        let test = self.test.get_mut(joint)?;
+        let own = test.advantage.total;
+        let better = own.is_above(SIGNIFICANCE)
+            || all.is_above(SIGNIFICANCE) && own.is_above(OWN_SIGNIFICANCE);
+        let decision = if better
+            && test.rows >= PROMOTION_ROWS
+            && test.candidate < PROMOTION_RATIO * test.active
+            && test.candidate < test.silent
         {
-            *active = *trainee;
-            NetworkVerdict::Promoted(record.trainee / record.active)
-        } else if record.rows >= HARM_ROWS && record.harm.proves(SIGNIFICANCE) {
+            *active = *candidate;
+            NetworkDecision::Promoted(test.candidate / test.active)
+        } else if test.rows >= HARM_ROWS && test.harm.total.is_above(SIGNIFICANCE) {
             *active = active.silenced();
-            NetworkVerdict::Silenced(record.active / record.silent)
+            NetworkDecision::Silenced(test.active / test.silent)
         } else {
             return None;
         };
-        *record = Record::NONE;
-        Some(verdict)
+        *test = NetworkTest::NONE;
+        Some(decision)
     }
 }
 

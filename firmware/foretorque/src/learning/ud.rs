@@ -1,12 +1,12 @@
 mod rows;
 
-use super::stacked::LinearParameters;
+use super::parameters::{LinearParameters, dot};
 use crate::dynamics::FRICTION_COLUMNS;
 use core::array::{from_mut, from_ref};
 use core::mem::take;
-use rows::{ROWS, Turns, add_rows};
+use rows::{ColumnUpdates, ROWS, add_rows, set};
 
-/// Entries for the friction of one joint and for the rigid body: all that a torque row of the joint has.
+/// Non-zero part of a torque row: friction of its joint and rigid body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct JointEntries<const P: usize> {
     own: [f32; FRICTION_COLUMNS],
@@ -20,18 +20,17 @@ impl<const P: usize> JointEntries<P> {
     };
 }
 
-/// Covariance of the linear parameters in factors, `P = U D Uᵀ` with U unit upper triangular and D diagonal, in units
-/// of the prior's standard deviations.
+/// Covariance factors of the linear parameters, `P = U D Uᵀ`, in units of the prior standard deviations.
 ///
-/// Factored it cannot become indefinite by rounding: D stays positive, whatever the rows are. The plain update of P
-/// does not survive f32 [Bierman 1977, ch. V].
+/// U is unit upper triangular and D diagonal. Rounding cannot make the factored covariance indefinite: D stays positive
+/// for any rows. The plain update of P fails in f32 [Bierman 1977, ch. V].
 ///
-/// Joints know of each other's friction only through the rigid body they share: were that known, the friction of two
-/// joints would be independent, because no row holds both. Friction comes first, and so U says just this: its entries
-/// between the friction of two joints are zero after any number of rows, and are neither kept nor gone through.
+/// The friction of two joints is coupled only through the rigid body: given that, it is independent, because no row
+/// contains both. With friction first, the entries of U between the friction of two joints are therefore zero after any
+/// number of rows. They are neither stored nor computed.
 ///
-/// U is kept row by row in square room; the diagonal and what lies left of it are kept as zeros. So is a rigid row's, but for
-/// what rounding takes off U_ij on its way through millions of rows: that lies at U_ji, and goes in with the next row.
+/// U is stored by rows in square arrays; diagonal and lower triangle are zeros. The lower triangle of the rigid rows holds
+/// compensation instead: U_ji is the rounding error of U_ij, added with the next row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UdFilter<const N: usize, const P: usize> {
     friction: [[JointEntries<P>; FRICTION_COLUMNS]; N],
@@ -40,7 +39,7 @@ pub struct UdFilter<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> UdFilter<N, P> {
-    /// As uncertain as the prior: `P = I`.
+    /// Covariance of the prior, `P = I`.
     pub const fn new() -> Self {
         Self {
             friction: [[JointEntries::ZERO; FRICTION_COLUMNS]; N],
@@ -49,30 +48,28 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         }
     }
 
-    /// Back to `P = I`, in place; base parameters whose doubts are correlated are set after it.
+    /// Reset to `P = I`, in place; correlated variances of the base parameters are set afterwards.
     pub fn reset(&mut self) {
         self.friction.as_flattened_mut().fill(JointEntries::ZERO);
         self.rigid.as_flattened_mut().fill(0.0);
         self.diagonal.iter_mut().for_each(|d| *d = 1.0);
     }
 
-    /// Takes the row `phi` of a measurement of `joint` with variance `variance` into the covariance.
-    /// [Bierman 1977, ch. V.3]
+    /// Measurement update with the row `phi` of `joint` and noise variance `variance`. [Bierman 1977, ch. V.3]
     ///
     /// ```text
     /// f = Uᵀ φ     v = D f     column by column: α' = α + v_j f_j, α = variance at first
     ///              D_j ← D_j α/α'     λ_j = −f_j/α     U_ij ← U_ij + λ_j b_i     b_i ← b_i + v_j U_ij (old)     b_j = v_j
     /// ```
     ///
-    /// Bierman goes column by column. But f needs only the old U, and with f all v and λ are known before the first
-    /// entry of U is touched: then the rows of U do not know of each other any more, b_i becomes a running sum along row
-    /// i, and a few rows at once share v_j and λ_j in registers. f is cheap, because φ is sparse: of all friction it has
-    /// that of its own joint alone, and no link before the joint. So has f, and a column where f is zero stays as it is.
+    /// Departure from Bierman, who updates U by columns: f gives all v and λ before U changes. The rows of U are then
+    /// independent, b_i is a running sum along row i, and several rows share v_j and λ_j in registers. f is cheap, because
+    /// φ is sparse: friction of its joint alone, and no link before the joint.
     ///
-    /// * `gain` becomes P φ of before; the gain of the filter is that over what is returned
-    /// * returns `S = φᵀ P φ + variance`, the variance of the innovation; not a number if there is no such joint
+    /// * `gain` becomes P φ with the old P; divided by the returned S it is the Kalman gain
+    /// * returns `S = φᵀ P φ + variance`, the variance of the innovation; NaN if there is no such joint
     ///
-    /// Assumes: `phi` finite, `variance` positive. What `phi` has for the friction of other joints does not count.
+    /// Assumes: `phi` finite, `variance` positive. Entries of `phi` for the friction of other joints are ignored.
     ///
     /// Cost: `(2 N FRICTION_COLUMNS + P) P` multiply-adds; about an eighth of that for f; `P + FRICTION_COLUMNS` divisions.
     pub fn update(
@@ -85,7 +82,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let Some(friction) = phi.friction.get(joint) else {
             return f32::NAN;
         };
-        // f, then λ in its place.
+        // f, replaced by λ.
         let mut lambda = self.transposed_times(joint, friction, &phi.rigid);
         let mut v = JointEntries::ZERO;
         let Some(d) = self.diagonal.friction.get_mut(joint) else {
@@ -94,13 +91,13 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let mut alpha = Alpha::new(variance);
         alpha.absorb_all(&mut lambda.own, &mut v.own, d);
         alpha.absorb_all(&mut lambda.rigid, &mut v.rigid, &mut self.diagonal.rigid);
-        self.turn(joint, &lambda, &v, gain);
+        self.update_factors(joint, &lambda, &v, gain);
         alpha.value
     }
 
-    /// f = Uᵀ φ, row by row: `f ← f + φ_i U_i`.
+    /// Product f = Uᵀ φ, by rows: `f ← f + φ_i U_i`.
     ///
-    /// * `friction`, `rigid` what φ has for the friction of `joint` and for the rigid body
+    /// * `friction`, `rigid` entries of φ for the friction of `joint` and for the rigid body
     #[inline(never)]
     fn transposed_times(
         &self,
@@ -119,7 +116,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let (rows, rest) = self.rigid.as_chunks::<ROWS>();
         let (weights, rest_weights) = rigid.as_chunks::<ROWS>();
         for (block, (rows, weights)) in rows.iter().zip(weights).enumerate() {
-            // Links before the joint do not move with it.
+            // Links before the joint do not enter its torque.
             if *weights != [0.0; ROWS] {
                 add_rows(&mut f.rigid, rows, |row| row, weights, block * ROWS);
             }
@@ -137,23 +134,22 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         f
     }
 
-    /// The new U, and b as the gain.
+    /// Update of U; b becomes `gain`.
     ///
-    /// A row's b begins with v at its diagonal. Before, it is zero, and so is U: what lies left of the diagonal stays
-    /// zero by itself.
+    /// The b of a row is zero before the diagonal, where U is zero too, and v at the diagonal.
     #[inline(always)]
-    fn turn(
+    fn update_factors(
         &mut self,
         joint: usize,
         lambda: &JointEntries<P>,
         v: &JointEntries<P>,
         gain: &mut LinearParameters<N, P>,
     ) {
-        let own = Turns {
+        let own = ColumnUpdates {
             lambda: &lambda.own,
             v: &v.own,
         };
-        let beyond = Turns {
+        let beyond = ColumnUpdates {
             lambda: &lambda.rigid,
             v: &v.rigid,
         };
@@ -188,7 +184,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         }
     }
 
-    /// Variance of friction column `column` of `joint`, in units of the prior's; `None` if there is no such.
+    /// Variance of friction column `column` of `joint`, in units of the prior variance; `None` if there is none.
     ///
     /// ```text
     /// P_kk = D_k + Σ U_kj² D_j (j > k)
@@ -197,25 +193,28 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let row = self.friction.get(joint)?.get(column)?;
         let (friction, rigid) = (self.diagonal.friction.get(joint)?, &self.diagonal.rigid);
         let own = *friction.get(column)?;
-        Some(own + spread(&row.own, friction) + spread(&row.rigid, rigid))
+        Some(own + weighted_squares(&row.own, friction) + weighted_squares(&row.rigid, rigid))
     }
 
-    /// Variance of base parameter `column`, in units of the prior's; `None` if there is no such. As
-    /// [`friction_variance`](Self::friction_variance).
+    /// Variance of base parameter `column`, as [`friction_variance`](Self::friction_variance).
     pub fn rigid_variance(&self, column: usize) -> Option<f32> {
         let own = *self.diagonal.rigid.get(column)?;
         let (row, diagonal) = (self.rigid.get(column)?, &self.diagonal.rigid);
-        Some(own + spread(row.get(column..)?, diagonal.get(column..)?))
+        Some(own + weighted_squares(row.get(column..)?, diagonal.get(column..)?))
     }
 
-    /// Variance of what the friction of `joint` contributes to a torque whose row has `phi` for it.
+    /// Prediction variance φᵀPφ of the friction torque of `joint`, for the friction columns `phi`.
     ///
     /// ```text
-    /// φᵀPφ = Σ D_j f_j²,  f = Uᵀφ
+    /// φᵀPφ = Σ D_j f_j²     f = Uᵀφ
     /// ```
     ///
     /// Cost: `(FRICTION_COLUMNS + 2) (FRICTION_COLUMNS + P)` multiply-adds.
-    pub(super) fn friction_doubt(&self, joint: usize, phi: &[f32; FRICTION_COLUMNS]) -> f32 {
+    pub(super) fn friction_prediction_variance(
+        &self,
+        joint: usize,
+        phi: &[f32; FRICTION_COLUMNS],
+    ) -> f32 {
         let f = self.transposed_times(joint, phi, &[0.0; P]);
         let Some(diagonal) = self.diagonal.friction.get(joint) else {
             return 0.0;
@@ -229,13 +228,13 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         variance
     }
 
-    /// P φ for a row that has only friction of `joint`, without taking the row in.
+    /// Product P φ for a row with friction of `joint` only; the filter stays as it is.
     ///
     /// ```text
     /// f = Uᵀφ     v = D f     P φ = U v     φᵀPφ = vᵀf
     /// ```
     ///
-    /// * `gain` becomes P φ, in units of the prior's standard deviations
+    /// * `gain` becomes P φ, in units of the prior standard deviations
     /// * returns φᵀPφ; 0 if there is no such joint
     ///
     /// Cost: `(N FRICTION_COLUMNS + P / 2) P` multiply-adds, no division.
@@ -264,7 +263,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
                 gain.iter_mut().zip(&v.own).for_each(|(gain, v)| *gain += v);
             }
         }
-        // What lies left of the diagonal is the compensation of the rows below, not a part of U.
+        // The lower triangle is compensation, not U.
         for (i, (row, gain)) in self.rigid.iter().zip(&mut gain.rigid).enumerate() {
             if let (Some([first, rest @ ..]), Some(row)) = (v.rigid.get(i..), row.get(i + 1..)) {
                 *gain = first + dot(row, rest);
@@ -273,7 +272,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         dot(&v.own, &f.own) + dot(&v.rigid, &f.rigid)
     }
 
-    /// Adds `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
+    /// Add `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
     ///
     /// ```text
     /// P + c e eᵀ, column by column from e's down to the first of its joint:
@@ -293,32 +292,26 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let mut c = noise;
         for (j, d) in diagonal.iter_mut().enumerate().take(column + 1).rev() {
             let a_j = direction.get(j).copied().unwrap_or(0.0);
-            let before = *d;
-            let after = before + c * a_j * a_j;
-            let inverse = 1.0 / after;
-            *d = after;
-            let step = c * a_j * inverse;
-            for (row, a) in rows.iter_mut().zip(direction.iter_mut()).take(j) {
-                if let Some(u) = row.own.get_mut(j) {
-                    *a -= a_j * *u;
-                    *u += step * *a;
-                }
-            }
-            c *= before * inverse;
+            let entries = rows.iter_mut().zip(direction.iter_mut()).take(j);
+            let entries = entries.filter_map(|(row, a)| Some((row.own.get_mut(j)?, a)));
+            add_column(&mut c, a_j, d, entries);
         }
     }
 
-    /// Sets the variances of the base parameters, in units of the prior's. Assumes: as after a reset, no correlations.
-    pub(super) fn set_rigid(&mut self, variances: &[f32; P]) {
+    /// Set the variances of the base parameters, in units of the prior variances.
+    ///
+    /// Assumes: no correlations, as after a reset.
+    pub(super) fn set_rigid_variances(&mut self, variances: &[f32; P]) {
         self.diagonal.rigid = *variances;
     }
 
-    /// Adds a doubt about the base parameters that is one number times `direction`, in units of the prior's standard
-    /// deviations; leaves nothing of use in `direction`. As [`add_process_noise`](Self::add_process_noise), with `c = 1` and in any
-    /// direction.
+    /// Add the prior factor `direction` of the base parameters: P + d dᵀ, as
+    /// [`add_process_noise`](Self::add_process_noise).
+    ///
+    /// * `direction` d, in units of the prior standard deviations; overwritten
     ///
     /// Cost: `2 j` multiply-adds for each column j that the direction reaches, `P²` at most.
-    pub(super) fn add_rigid(&mut self, direction: &mut [f32; P]) {
+    pub(super) fn add_rigid_factor(&mut self, direction: &mut [f32; P]) {
         let mut c = 1.0;
         for j in (0..P).rev() {
             let (Some(&a_j), Some(d)) = (direction.get(j), self.diagonal.rigid.get_mut(j)) else {
@@ -327,22 +320,13 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             if a_j == 0.0 {
                 continue;
             }
-            let before = *d;
-            let after = before + c * a_j * a_j;
-            let inverse = 1.0 / after;
-            *d = after;
-            let step = c * a_j * inverse;
-            for (row, a) in self.rigid.iter_mut().zip(direction.iter_mut()).take(j) {
-                if let Some(u) = row.get_mut(j) {
-                    *a -= a_j * *u;
-                    *u += step * *a;
-                }
-            }
-            c *= before * inverse;
+            let entries = self.rigid.iter_mut().zip(direction.iter_mut()).take(j);
+            let entries = entries.filter_map(|(row, a)| Some((row.get_mut(j)?, a)));
+            add_column(&mut c, a_j, d, entries);
         }
     }
 
-    /// D, friction first: all positive, or the covariance is none.
+    /// Diagonal D, friction first; all entries are positive.
     pub fn diagonal(&self) -> &LinearParameters<N, P> {
         &self.diagonal
     }
@@ -354,7 +338,7 @@ impl<const N: usize, const P: usize> Default for UdFilter<N, P> {
     }
 }
 
-/// The sum that grows from the variance of the measurement to that of the innovation, with its reciprocal.
+/// Partial innovation variance α, from the measurement noise to S, and its reciprocal.
 struct Alpha {
     value: f32,
     inverse: f32,
@@ -368,7 +352,7 @@ impl Alpha {
         }
     }
 
-    /// Takes f of some columns in, `f` becomes λ.
+    /// Accumulate several columns: `f` becomes λ.
     #[inline(always)]
     fn absorb_all(&mut self, f: &mut [f32], v: &mut [f32], d: &mut [f32]) {
         for ((f, v), d) in f.iter_mut().zip(v).zip(d) {
@@ -376,10 +360,10 @@ impl Alpha {
         }
     }
 
-    /// Takes `f` of one column in, shrinks its `d`; returns `v` and `λ = −f/α`.
+    /// Accumulate one column with `f`, and reduce its `d`; returns `v` and `λ = −f/α`.
     ///
-    /// `D α/α' = D − v²/α'`. The product would leak: `α · 1/α` is often rounded to less than one and never to more, so that
-    /// every row takes a little off all of D, even off what it does not touch.
+    /// `D α/α' = D − v²/α'`. The product would lose variance: `α · 1/α` is often rounded below one and never above, so
+    /// every row would reduce all of D.
     #[inline(always)]
     fn absorb(&mut self, f: f32, d: &mut f32) -> (f32, f32) {
         let v = *d * f;
@@ -391,45 +375,35 @@ impl Alpha {
     }
 }
 
-/// Keeps D positive whatever the rows are: in the worst row, all but 2⁻²¹ of it is taken off, which is more than rounding
-/// can add.
+/// Factor that keeps D positive for any row: a row leaves at least 2⁻²¹ of D, more than rounding can take.
 const ALMOST_ONE: f32 = 1.0 - 4.0 * f32::EPSILON;
 
-/// Σ u² d.
-fn spread(row: &[f32], diagonal: &[f32]) -> f32 {
+/// Column j of the rank-one update `P + c a aᵀ`; `entries` are U_ij and a_i of the rows above the diagonal.
+#[inline(always)]
+fn add_column<'a>(
+    c: &mut f32,
+    a_j: f32,
+    d: &mut f32,
+    entries: impl Iterator<Item = (&'a mut f32, &'a mut f32)>,
+) {
+    let before = *d;
+    *d = before + *c * a_j * a_j;
+    let inverse = 1.0 / *d;
+    let step = *c * a_j * inverse;
+    for (u, a) in entries {
+        *a -= a_j * *u;
+        *u += step * *a;
+    }
+    *c *= before * inverse;
+}
+
+/// Sum Σ u² d.
+fn weighted_squares(row: &[f32], diagonal: &[f32]) -> f32 {
     let mut sum = 0.0;
     for (u, d) in row.iter().zip(diagonal) {
         sum += u * u * d;
     }
     sum
-}
-
-#[inline(always)]
-fn set(values: &mut [f32], index: usize, value: f32) {
-    if let Some(slot) = values.get_mut(index) {
-        *slot = value;
-    }
-}
-
-/// Entries of a sum worked on at once: their loads and sums do not wait for each other.
-const LANES: usize = 4;
-
-/// Σ a b, in four sums that are added at the end.
-#[inline(always)]
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
-    let mut sums = [0.0; LANES];
-    for ([a0, a1, a2, a3], [b0, b1, b2, b3]) in a.iter().zip(b) {
-        sums[0] += a0 * b0;
-        sums[1] += a1 * b1;
-        sums[2] += a2 * b2;
-        sums[3] += a3 * b3;
-    }
-    let mut rest = 0.0;
-    for (a, b) in a_rest.iter().zip(b_rest) {
-        rest += a * b;
-    }
-    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
 #[cfg(test)]

@@ -12,15 +12,15 @@ use foretorque_workbench::metrics::{TorqueError, TrackingError};
 /// Points of the unseen path on which the error is watched while learning goes on.
 pub(super) const WATCH_POINTS: usize = 250;
 
-/// What the long run saw.
+/// Records of the long run.
 pub(super) struct LongRun<const N: usize> {
     /// Torque error on the unseen path with the wrong prior.
     pub(super) before: TorqueError<N>,
-    /// The same with what was learnt.
+    /// Torque error after learning.
     pub(super) after: TorqueError<N>,
     /// Position error on the unseen path.
     pub(super) tracking: Tracking<TrackingError<N>>,
-    /// The same over time.
+    /// Tracking errors over time.
     pub(super) tracking_curves: Tracking<ErrorCurve<N>>,
     /// Torque error while learning goes on.
     pub(super) learning_curve: Vec<LearningPoint>,

@@ -23,17 +23,17 @@ pub struct DemoReport {
     pub toolchain: String,
     /// NRMSE of the torque on the unseen path before learning, all samples, a ratio.
     pub torque_nrmse_before: f64,
-    /// The same after learning.
+    /// NRMSE of the torque after learning.
     pub torque_nrmse_after: f64,
-    /// The same, only samples in which the joint moves, before learning.
+    /// NRMSE before learning, only samples in which the joint moves.
     pub torque_nrmse_moving_before: f64,
-    /// The same after learning.
+    /// NRMSE after learning, only samples in which the joint moves.
     pub torque_nrmse_moving_after: f64,
     /// RMS torque error of every joint on the unseen path, N·m.
     pub torque_rmse_nm: BeforeAfter<Vec<f64>>,
     /// RMS position error on the unseen path, mean of the joints, mrad.
     pub tracking_rms_mrad: Tracking<f64>,
-    /// The same joint by joint.
+    /// RMS tracking error of each joint, mrad.
     pub tracking_rms_joint_mrad: Tracking<Vec<f64>>,
     /// Bandwidth of the PD controller, Hz.
     pub pd_bandwidth_hz: f64,
@@ -41,13 +41,13 @@ pub struct DemoReport {
     pub learning_curve: Vec<LearningPoint>,
     /// Instructions of a tick, from the request's last byte to the reply.
     pub tick_instructions: BoardCost,
-    /// The same by what the board was doing.
+    /// Instructions of a tick by phase of the board.
     pub tick_instructions_by_phase: TickPhases,
     /// Instructions of learning from one tick.
     pub learning_instructions: BoardCost,
     /// Frames of the long run's link.
     pub link: LinkFigures,
-    /// The same job, shorter, on the flashable firmware over its USART.
+    /// Figures of the shorter run on the flashable firmware over its USART.
     pub usart: Option<UsartFigures>,
 }
 
@@ -112,7 +112,7 @@ pub struct Tracking<T> {
 }
 
 impl<T> Tracking<T> {
-    /// The same figure of all three.
+    /// Maps the figure of all three runs.
     pub(super) fn map<U>(&self, figure: impl Fn(&T) -> U) -> Tracking<U> {
         Tracking {
             pd_only: figure(&self.pd_only),
@@ -180,7 +180,7 @@ pub struct UsartFigures {
     pub ticks: usize,
     /// NRMSE on a grid of the unseen path before learning, a ratio.
     pub torque_nrmse_before: f64,
-    /// The same after these ticks.
+    /// NRMSE of the torque after these ticks.
     pub torque_nrmse_after: f64,
     /// Points of that grid.
     pub grid_points: usize,

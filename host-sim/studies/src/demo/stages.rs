@@ -92,7 +92,7 @@ pub(super) fn learn<const N: usize>(
     Ok(replies)
 }
 
-/// What the board would answer along `path`.
+/// Torques that the board predicts along `path`.
 pub(super) fn predictions<const N: usize>(
     board: &mut Client<N>,
     path: &[(f64, State<N>)],

@@ -6,7 +6,7 @@ use foretorque_workbench::robot::{Placement, Robot, segment_distance};
 use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// What a recount found.
+/// Result of a recount.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Recount {
     /// Instants that were looked at.

@@ -70,7 +70,7 @@ type Work = Box<dyn FnOnce() -> Result<Campaign, Box<dyn Error>>>;
 
 /// One campaign to be run.
 pub struct Scenario {
-    /// What is broken, for a progress bar.
+    /// Name of the broken part, for a progress bar.
     pub name: &'static str,
     work: Work,
 }

@@ -1,4 +1,4 @@
-//! What happens to frames on a bad line.
+//! Damage to frames on a bad line.
 
 use rand::seq::SliceRandom;
 use rand::{Rng, RngCore};
@@ -41,7 +41,7 @@ impl Damage {
         Self::Silence,
     ];
 
-    /// What it is called in a report.
+    /// Name in a report.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Flips => "bit flips",
@@ -71,7 +71,7 @@ pub(super) struct BadLine {
     random: ChaCha8Rng,
     /// Frames kept back, with the number of frames that come before them.
     kept: Vec<(u32, Vec<u8>)>,
-    /// What was carried last, for floods of old frames.
+    /// Frames carried last, for floods of old frames.
     old: Vec<Vec<u8>>,
     /// Frames still to be lost, or bytes still to be spoilt.
     left: u32,
@@ -93,7 +93,7 @@ impl BadLine {
         }
     }
 
-    /// What comes out when `frame` goes in.
+    /// Bytes that leave the line when `frame` enters it.
     pub(super) fn carry(&mut self, frame: &[u8]) -> Vec<u8> {
         match self.damage {
             Damage::Noise => return self.noise(frame),

@@ -49,7 +49,7 @@ impl Host {
         Ok(host)
     }
 
-    /// What there is to say in the next tick.
+    /// Frames to send in the next tick.
     fn frames(&mut self) -> Vec<Frame> {
         let mut messages = vec![self.message(&self.sample())];
         if self.tick.is_multiple_of(ARM_EVERY) {

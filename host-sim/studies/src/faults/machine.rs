@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(10);
-/// What goes to the set/reset register of GPIOB to switch the torque enable, PB12, on and off (RM0090 8.4.7).
+/// Trace of a write to the set/reset register of GPIOB that switches the torque enable, PB12, on or off (RM0090 8.4.7).
 const ON: &str = "write (size 4, offset 0x018, value 0x00001000)";
 const OFF: &str = "write (size 4, offset 0x018, value 0x10000000)";
 
@@ -35,7 +35,7 @@ impl Crash {
         Self::StrayInterrupt,
     ];
 
-    /// What it is called in a report.
+    /// Name in a report.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Panic => "panic",
@@ -45,7 +45,7 @@ impl Crash {
         }
     }
 
-    /// What the firmware fails on.
+    /// Byte that makes the firmware fail in this way.
     pub const fn letter(self) -> u8 {
         match self {
             Self::Panic => b'p',
@@ -55,7 +55,7 @@ impl Crash {
         }
     }
 
-    /// What the restarted board says.
+    /// Reset reason that the restarted board reports.
     pub const fn reason(self) -> ResetReason {
         match self {
             Self::Panic => ResetReason::Panic,
@@ -99,7 +99,7 @@ impl Trial {
         self.emulator.write(&[crash.letter()])
     }
 
-    /// What happened to the torque enable so far: true for on.
+    /// States of the torque enable so far: true for on.
     pub fn switched(&self) -> Vec<bool> {
         // A trace that is not there yet tells of nothing.
         let trace = fs::read_to_string(&self.trace).unwrap_or_default();

@@ -23,10 +23,10 @@ pub use watchdog::watchdog_bites;
 use rig::Round;
 use serde::Serialize;
 
-/// What one kind of fault came to.
+/// Counts of one kind of fault.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Campaign {
-    /// What was broken.
+    /// Name of the broken part.
     pub name: String,
     /// Where: `native`, `qemu (bulk)`, `qemu (joint)`, `simulated flash`.
     pub board: String,

@@ -22,10 +22,10 @@ pub(super) struct Frame {
     referred: bool,
 }
 
-/// What came of one round.
+/// Result of one round.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Round {
-    /// What the board answered, without hellos and markers.
+    /// Answers of the board, without hellos and markers.
     pub(super) answers: Vec<BoardMessage<JOINTS>>,
     /// Intact frames after the damage until one was heard: 1 or 2.
     pub(super) resynchronised: u32,
@@ -40,7 +40,7 @@ pub(super) struct Rig {
     sequence: u16,
     decoder: Decoder,
     heard: Decoder,
-    /// What was sent last under each number.
+    /// Frame sent last under each number.
     sent: Vec<Option<Frame>>,
     errors: u64,
     pub(super) wrong_torques: u64,
@@ -189,7 +189,7 @@ impl Rig {
         Ok(())
     }
 
-    /// What the reference answers to `frame`; `None` when it does not act on it.
+    /// Answer of the reference to `frame`; `None` when it does not act on it.
     fn refer(&mut self, frame: &Frame) -> Result<Option<BoardMessage<JOINTS>>, BoardError> {
         let gone = |error| BoardError::Closed("reference".into(), error);
         self.reference.send(&frame.bytes).map_err(gone)?;

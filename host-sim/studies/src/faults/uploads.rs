@@ -41,7 +41,7 @@ impl BadUpload {
         Self::StrangeNumber,
     ];
 
-    /// What it is called in a report.
+    /// Name in a report.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Interrupted => "interrupted uploads",

@@ -161,7 +161,7 @@ fn first(evaluations: &[Evaluation]) -> f64 {
         .map_or(f64::NAN, |evaluation| evaluation.nrmse)
 }
 
-/// When the error is first below `bound`, s; not a number if never.
+/// Time at which the error is first below `bound`, s; NaN if never.
 fn first_below(evaluations: &[Evaluation], bound: f64) -> f64 {
     let found = evaluations
         .iter()
@@ -279,7 +279,7 @@ fn learnt_after(evaluations: &[Evaluation], change_s: f64) -> f64 {
     learnt.map_or(f64::INFINITY, |evaluation| evaluation.t_s - change_s)
 }
 
-/// How many collisions spoil the feed-forward, while they last and one second later.
+/// Number of collisions that spoil the feed-forward, while they last and one second later.
 fn collisions(events: &Events<N>, trace: &Trace, put: &mut impl FnMut(&str, f64)) {
     let mut peaks = Vec::new();
     let (mut during, mut after) = (0, 0);

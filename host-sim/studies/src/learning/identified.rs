@@ -117,7 +117,7 @@ fn filtered_row(joint: usize, seen: &ConditionedSample<N>) -> LinearParameters<N
 /// Weighted least squares with the prior covariance of `config` around `prior`.
 fn least_squares(rows: &[ConditionedSample<N>], prior: &Set, config: &LearnerConfig<N, P>) -> Set {
     let start = LinearParameters::of(prior);
-    let sigma = LinearParameters::sigma(config);
+    let sigma = config.sigma();
     let n = start.iter().count();
     let prior_information = prior_covariance().try_inverse();
     let mut normal = prior_information.unwrap_or_else(|| DMatrix::identity(n, n));

@@ -57,7 +57,7 @@ pub struct ScenarioReport {
     pub ticks: usize,
     /// Time, s, and error of the active set on the unseen path, moving rows, %.
     pub nrmse_moving_percent: Vec<(f64, f64)>,
-    /// The same of the board that never learns.
+    /// NRMSE over moving rows of the board that never learns.
     pub frozen_nrmse_moving_percent: Vec<(f64, f64)>,
     /// Figures, units in the keys; `null` where there is none.
     pub figures: Figures,

@@ -4,6 +4,7 @@ use super::LearningReport;
 use crate::Outcome;
 use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::report::plot::{Curve, Panel, PlotColor};
+use foretorque_workbench::snapshot::{aligned, significant};
 
 pub(super) fn outcome(report: LearningReport) -> Outcome<LearningReport> {
     Outcome {
@@ -83,39 +84,34 @@ fn page(report: &LearningReport) -> Page {
 fn text(report: &LearningReport) -> String {
     let met = report.outcomes.iter().filter(|outcome| outcome.met).count();
     let outcomes = report.outcomes.iter().map(|outcome| {
-        format!(
-            "{:<26} {:<44} {:>10}  {} {:<6} {}\n",
-            outcome.scenario,
-            outcome.figure,
+        [
+            outcome.scenario.clone(),
+            outcome.figure.clone(),
             number(outcome.measured),
-            outcome.side,
-            outcome.bar,
-            if outcome.met { "met" } else { "MISSED" }
-        )
+            format!("{} {}", outcome.side, outcome.bar),
+            if outcome.met { "" } else { "missed" }.to_owned(),
+        ]
     });
-    let count = format!(
-        "seed {}: {met} of {} met\n",
-        report.seed,
-        report.outcomes.len()
-    );
     let replayed = report.emulated.iter().map(|(name, replayed)| {
-        let other = replayed.ticks_with_other_bits_count;
-        format!(
-            "{name:<26} {} ticks replayed, {other} with other bits\n",
-            replayed.ticks_count
-        )
+        [
+            name.clone(),
+            replayed.ticks_count.to_string(),
+            replayed.ticks_with_other_bits_count.to_string(),
+        ]
     });
-    outcomes.chain([count]).chain(replayed).collect()
+    format!(
+        "host-sim experiment learning, seed {}\n\n{met} of {} reached.\n\n{}\n{}",
+        report.seed,
+        report.outcomes.len(),
+        aligned("scenario | figure | measured | reach | ", outcomes),
+        aligned(
+            "scenario | ticks on the board | ticks with other bits",
+            replayed
+        )
+    )
 }
 
 /// Four significant digits.
 fn number(value: f64) -> String {
-    if !value.is_finite() {
-        return "never".to_owned();
-    }
-    if value == value.round() && value.abs() < 1e7 {
-        return format!("{value:.0}");
-    }
-    let decimals = (3.0 - value.abs().log10().floor()).clamp(0.0, 6.0) as usize;
-    format!("{value:.decimals$}")
+    significant(value, 4)
 }

@@ -230,7 +230,7 @@ impl<'w> Recorder<'w> {
     pub(super) fn finish(mut self, board: &Controller, plant: &Plant<N>, ticks: usize) -> Trace {
         self.evaluate(ticks, board, plant);
         if let Some(settled) = &self.settled {
-            let sigma = LinearParameters::sigma(&self.start.config());
+            let sigma = self.start.config().sigma();
             let (before, after) = (
                 LinearParameters::of(settled),
                 LinearParameters::of(&board.active()),

@@ -77,7 +77,7 @@ impl Setup {
         for joint in &mut arm.joints {
             joint.friction.viscous *= viscous;
         }
-        Ok(Plant::new(&arm, config, seed).ok_or(StudyError::Joints(N))?)
+        Plant::new(&arm, config, seed).ok_or(StudyError::Joints(N))
     }
 
     /// PD control of the arm as described.

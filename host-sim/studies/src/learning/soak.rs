@@ -278,7 +278,7 @@ fn twin(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize),
     Ok((worst, rows))
 }
 
-/// The same samples through `board`. Returns in how many ticks a torque had other bits than the native one.
+/// Plays the samples through `board`. Returns the ticks in which a torque had other bits than the native one.
 fn on_board(
     setup: &Setup,
     board: &mut Client<JOINTS>,

@@ -53,7 +53,7 @@ impl Twin {
         let start = wide(&LinearParameters::of(prior));
         let n = start.len();
         Self {
-            sigma: wide(&LinearParameters::sigma(&config)),
+            sigma: wide(&config.sigma()),
             config,
             start,
             theta: DVector::zeros(n),

@@ -45,7 +45,7 @@ const PLAIN: [MethodName; 7] = [
 pub enum FrictionKind {
     /// None at all.
     None,
-    /// What every linear model here can say.
+    /// Friction that every linear model here can represent.
     CoulombViscous,
     /// A Stribeck peak on top, which the plain columns cannot say.
     Stribeck,
@@ -69,7 +69,7 @@ impl FrictionKind {
     }
 }
 
-/// What is drawn.
+/// Conditions of a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Standard deviation of the torque noise, % of the torque limit.
@@ -84,12 +84,12 @@ pub struct Cell {
     pub seed: u64,
 }
 
-/// What one method made of a draw.
+/// Result of one method on a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MethodDraw {
     /// Torque error on the unseen path against the noise-free torque, moving rows, a ratio.
     pub path_nrmse_ratio: f64,
-    /// The same on the 20 % of the excitation's rows that were held out.
+    /// NRMSE on the 20 % of the excitation's rows that were held out.
     pub split_nrmse_ratio: f64,
     /// Epochs or iterations.
     pub epochs: usize,
@@ -100,7 +100,7 @@ pub struct MethodDraw {
 /// One draw.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CellRecord {
-    /// What was drawn.
+    /// Conditions of the draw.
     pub cell: Cell,
     /// Methods by name.
     pub methods: BTreeMap<String, MethodDraw>,
@@ -117,7 +117,7 @@ struct Model {
     suffix: &'static str,
 }
 
-/// What all draws share.
+/// Inputs that all draws share.
 #[derive(Clone, Debug)]
 pub(super) struct Bench {
     /// The description: what the methods know of the arm.

@@ -7,7 +7,7 @@ use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
 use std::io;
 use std::path::Path;
 
-/// What is drawn and written as tables.
+/// Curves that are drawn and written as tables.
 #[derive(Clone, Debug)]
 pub(super) struct Curves {
     /// Epoch, loss on training and on held-out rows, for plain and accelerated descent.

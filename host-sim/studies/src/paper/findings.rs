@@ -115,7 +115,7 @@ fn failures(conditions: &[Condition]) -> Option<String> {
     (!told.is_empty()).then(|| format!("Found no model: {}.", told.join(", ")))
 }
 
-/// How many rows the methods need: the fewest with which the error is at most twice that with all rows.
+/// Rows that the methods need: the fewest with which the error is at most twice that with all rows.
 fn samples(conditions: &[Condition], full: usize) -> Option<String> {
     let mut curve: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
     curve.sort_by_key(|c| c.rows);

@@ -170,7 +170,7 @@ pub fn run(
     write_whole(&out.join("timing.json"), json.as_bytes())?;
     Ok(Some(Outcome {
         page: page::page(&report, &curves, &times),
-        text: report.findings.join("\n") + "\n",
+        text: page::text(&report),
         report,
     }))
 }

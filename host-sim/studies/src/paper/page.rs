@@ -8,6 +8,7 @@ use super::{JOINTS, PaperReport};
 use foretorque_workbench::excitation::page::{legend, panels, picture as excitation_picture};
 use foretorque_workbench::report::page::{Legend, Page, Section, or_dash};
 use foretorque_workbench::report::plot::{Curve, Panel, PlotColor, PlotError, picture};
+use foretorque_workbench::snapshot::{aligned, significant};
 
 /// Methods and their colours, in the order of legends and tables.
 const METHODS: [(&str, PlotColor); 8] = [
@@ -254,6 +255,42 @@ fn of_conditions(report: &PaperReport, times: &Times) -> [Section; 3] {
         )
         .table("parameter | truth | identified | error", parameters),
     ]
+}
+
+/// Findings, and the errors of every condition, %.
+pub(super) fn text(report: &PaperReport) -> String {
+    let full = report.conditions.iter().map(|c| c.rows).max().unwrap_or(0);
+    let errors = |c: &Condition| {
+        let errors = METHODS.map(|(name, _)| c.methods.get(name).map(|m| m.path_nrmse_ratio));
+        errors.map(|error| or_dash(error, |error| significant(100.0 * error, 3)))
+    };
+    let grid = report.conditions.iter().filter(|c| c.rows == full);
+    let grid = grid.map(|c| {
+        let condition = [
+            c.friction.name().to_owned(),
+            c.outlier_percent.to_string(),
+            c.noise_percent.to_string(),
+        ];
+        condition.into_iter().chain(errors(c))
+    });
+    let mut plain: Vec<&Condition> = report.conditions.iter().filter(|c| c.is_plain()).collect();
+    plain.sort_by_key(|c| c.rows);
+    let plain = plain
+        .into_iter()
+        .map(|c| std::iter::once(c.rows.to_string()).chain(errors(c)));
+    let names: String = METHODS
+        .iter()
+        .map(|(name, _)| format!(" | {name}"))
+        .collect();
+    let findings: String = report.findings.iter().map(|f| format!("- {f}\n")).collect();
+    format!(
+        "host-sim experiment paper, {} draws of each condition\n\nFindings\n{findings}\n\
+         Torque error on unseen paths, %\n{}\n\
+         Torque error by training rows (1 % noise, Coulomb + viscous), %\n{}",
+        report.config.seeds,
+        aligned(&format!("friction | outliers % | noise %{names}"), grid),
+        aligned(&format!("rows{names}"), plain)
+    )
 }
 
 fn path_panels(curves: &Curves) -> Vec<Panel> {

@@ -59,7 +59,7 @@ pub struct Trained {
     pub epochs: usize,
     /// RMSE (eq. 20) on the training rows, every joint over its RMS torque, a ratio.
     pub training_loss_ratio: f64,
-    /// The same on the held-out rows.
+    /// Loss ratio on the held-out rows.
     pub validation_loss_ratio: f64,
     /// Norm of the error of the base parameters over their norm; `null` where there are none.
     pub base_parameter_error_ratio: Option<f64>,

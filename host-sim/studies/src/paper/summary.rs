@@ -50,7 +50,7 @@ pub struct MethodSummary {
 /// Seconds of training of every method: least of the draws, by number of training rows. No run repeats them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Times {
-    /// What they are.
+    /// Meaning of the rows.
     pub note: &'static str,
     /// Method, then rows and seconds.
     pub least_seconds: BTreeMap<String, Vec<(usize, f64)>>,

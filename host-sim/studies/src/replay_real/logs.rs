@@ -30,7 +30,7 @@ pub(super) struct Row {
     pub(super) state: State<N>,
     /// Torque through the same filter, N·m.
     pub(super) tau: [f64; N],
-    /// What plain and rich batch least squares on the other paths say, N·m, through the same filter.
+    /// Torques of plain and rich batch least squares on the other paths, N·m, through the same filter.
     pub(super) batch: [[f64; N]; 2],
 }
 

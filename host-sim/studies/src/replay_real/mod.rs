@@ -66,7 +66,7 @@ pub struct ReplayReport {
     pub newest_vs_rich_wls_ratio: f64,
     /// See above. The first 10 s of the first log have no such parameters and are left out.
     pub aged_10_s_vs_rich_wls_ratio: f64,
-    /// The same for boards that have learnt all other paths before each path, as the reference has.
+    /// Ratio of 10-s-old parameters for boards that have learnt all other paths before each path, as the reference has.
     pub aged_10_s_after_other_paths_vs_rich_wls_ratio: f64,
     /// See above.
     pub frozen_vs_rich_wls_ratio: f64,

@@ -101,8 +101,7 @@ impl Guarded {
         }
     }
 
-    /// What the emulator said last of itself on stderr, else its last line there: when it gives up it also lists all
-    /// registers.
+    /// Last message of the emulator about itself on stderr, else its last line: when it gives up it also lists all registers.
     pub(crate) fn last_words(&self) -> Option<String> {
         let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
         let own = said.iter().rev().find(|line| line.starts_with("qemu"));

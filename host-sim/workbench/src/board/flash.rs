@@ -37,7 +37,7 @@ impl NorFlashError for FlashError {
     }
 }
 
-/// What is left of the step in which the power goes.
+/// Effect of the step in which the power fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Torn {
     /// The step has not begun.
@@ -124,7 +124,7 @@ impl<const SECTOR: usize> SimulatedFlash<SECTOR> {
         }
     }
 
-    /// What is in it, as a perfect reader would see it.
+    /// Content as a perfect reader sees it.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }

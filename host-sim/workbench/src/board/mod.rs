@@ -58,7 +58,7 @@ pub enum BoardError {
     WrongRobot {
         /// The robot wanted.
         wanted: String,
-        /// What the board says it is.
+        /// Identity that the board reports.
         found: String,
     },
     /// The board started over in the middle of the conversation.

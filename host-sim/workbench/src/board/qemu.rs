@@ -30,7 +30,7 @@ pub const PATIENCE: Duration = Duration::from_secs(10);
 pub enum Image {
     /// The flashable firmware, over USART2.
     Joint,
-    /// The same tick around two pipes (semihosting), for long runs.
+    /// The tick between two pipes (semihosting), for long runs.
     Bulk,
 }
 
@@ -96,7 +96,7 @@ impl QemuOptions {
     }
 }
 
-/// What can go wrong with an emulated board.
+/// Errors of an emulated board.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatorError {
     /// There is no such program.
@@ -131,7 +131,7 @@ pub struct Emulator {
     /// Bytes from the board; `None` when the link is one socket for both directions.
     from_board: Option<OwnedFd>,
     image: Image,
-    /// What the board said while it was waited for, not yet read.
+    /// Bytes received while waiting for the board, not yet read.
     greeting: Vec<u8>,
 }
 

@@ -89,7 +89,7 @@ impl Transport for Serial {
     }
 }
 
-/// What the system meant.
+/// Meaning of the system's error.
 fn refusal(path: &str, error: &serialport::Error) -> SerialError {
     let path = path.to_owned();
     if !std::path::Path::new(&path).exists() {

@@ -23,7 +23,7 @@ pub struct PdConfig<const N: usize> {
     inv_period: f64,
 }
 
-/// What the controller remembers: the position before and the speed estimate.
+/// State of the controller: the position before and the speed estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PdState<const N: usize> {
     previous_q: Joints<N>,

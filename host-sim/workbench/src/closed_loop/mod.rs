@@ -10,7 +10,7 @@ use control::{PdConfig, PdState};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_link::excitation::ExcitationState;
 
-/// What happened in one tick.
+/// Record of one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct TickRecord<const N: usize> {
     /// Time at the beginning of the tick, s.
@@ -19,15 +19,15 @@ pub struct TickRecord<const N: usize> {
     pub desired: State<N>,
     /// Where it is, free of noise, rad.
     pub q: Joints<N>,
-    /// What its drives see.
+    /// Measurement in the drives.
     pub measured: Measurement<N>,
-    /// What of that arrived at board and log.
+    /// Measurement that arrived at board and log.
     pub reported: Option<Measurement<N>>,
     /// Torque asked of the drives in this tick, N·m.
     pub tau: Joints<N>,
     /// Feed-forward answered in this tick, in effect in the next, N·m. Zero without a board.
     pub feed_forward: JointVector<N>,
-    /// What it is made of, as far as the reply says. None without a board.
+    /// Shares of the torque, as far as the reply has them. None without a board.
     pub shares: Option<BoardShares<N>>,
     /// Flags that came with it.
     pub flags: u16,
@@ -35,14 +35,14 @@ pub struct TickRecord<const N: usize> {
     pub stage: Option<ExcitationState>,
 }
 
-/// What a board answers to one sample.
+/// Answer of a board to one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Answer<const N: usize> {
     /// The feed-forward torque, N·m.
     pub total: JointVector<N>,
-    /// What it is made of, as far as is known.
+    /// Shares of the torque, as far as known.
     pub shares: Option<BoardShares<N>>,
-    /// What happened.
+    /// Flags of the tick.
     pub flags: u16,
 }
 

@@ -1,4 +1,4 @@
-//! What a path tells about the parameters, and how that changes with its regressor.
+//! Information that a path carries about the parameters, and its gradient with respect to the regressor.
 
 use super::rows::Rows;
 use crate::dynamics::{ReferenceModel, State};
@@ -7,7 +7,7 @@ use crate::robot::Robot;
 use crate::trajectory::via::ViaPath;
 use nalgebra::{Cholesky, DMatrix};
 
-/// What a search makes small.
+/// Objective of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Criterion {
@@ -23,7 +23,7 @@ pub enum Criterion {
 
 /// Torque noise assumed, standard deviation as a share of the torque limit.
 pub(super) const NOISE: f64 = 0.01;
-/// Data assumed: 10 s at 1 kHz.
+/// Number of samples assumed: 10 s at 1 kHz.
 pub(super) const SAMPLES: f64 = 10_000.0;
 /// Width of the Coulomb columns' sign, rad/s, as in the firmware.
 pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
@@ -48,7 +48,7 @@ pub(super) struct Experiment<const N: usize> {
     links: usize,
 }
 
-/// What a path is worth.
+/// Figures of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Worth {
     /// ln of the condition number (smooth upper bound of it).
@@ -101,8 +101,8 @@ impl<const N: usize> Experiment<N> {
         })
     }
 
-    /// What the path with the regressor rows `transposed` (one row a column, joints fastest) is worth; with `adjoint`,
-    /// also d(shares · worth) / d(rows), added to it. `None` where parameters cannot be told apart.
+    /// Figures of the path with the regressor rows `transposed` (one row a column, joints fastest); with `adjoint`, also
+    /// d(shares · worth) / d(rows), added to it. `None` where parameters cannot be distinguished.
     ///
     /// With C the covariance, T the task and M = n/K Σ w wᵀ/σ²: error² = tr(C T), so
     /// `d ln error = −(C T C w / error²)·dw n/(K σ²)`; `d ln det M = 2 C w·dw …`;
@@ -183,7 +183,8 @@ impl<const N: usize> Experiment<N> {
         Some(worth)
     }
 
-    /// Condition number of the raw base regressor of the links, and what a path, given by its states, is worth; rows of joints that stand still count as unusable.
+    /// Condition number of the raw base regressor of the links, and the figures of the path through `states`; rows of joints
+    /// at rest count as unusable.
     pub(super) fn figures(&self, rows: &Rows<N>, states: &[State<N>]) -> Option<(f64, Worth)> {
         let mut transposed = transposed(rows, states);
         let condition = condition(&transposed, rows.link_count());

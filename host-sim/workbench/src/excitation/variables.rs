@@ -1,4 +1,4 @@
-//! What a search may vary: series that rest at both ends of the period.
+//! Variables of a search: series that rest at both ends of the period.
 //!
 //! Rest at t = 0, and so at the period's end, takes two coefficients of each joint: Σ a_l = 0 (velocity) and Σ l b_l = 0
 //! (acceleration). Of 11 a joint 9 remain: the offset, and 4 for each of a and b on orthonormal bases of what is left.

@@ -10,7 +10,7 @@ use super::log::{LogReader, LogRow};
 use super::prepare::{Preparation, PrepareConfig, Prepared, states};
 use super::speed::SpeedSums;
 use crate::robot::Robot;
-use crate::table::TableError;
+use crate::table::TableProblem;
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -50,9 +50,7 @@ pub(super) fn folded<const N: usize>(
             break;
         }
     }
-    let fold = fold.ok_or_else(|| TableError::Empty {
-        path: path.to_owned(),
-    })?;
+    let fold = fold.ok_or_else(|| TableProblem::Empty.at(path, None))?;
     if fold.count.contains(&0.0) {
         return Err(IdentifyError::ShortLog(path.to_owned(), period_s));
     }
@@ -93,10 +91,7 @@ impl<const N: usize> Fold<N> {
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let row_s = median(&mut steps);
         if first.len() < 3 {
-            return Err(TableError::Empty {
-                path: path.to_owned(),
-            }
-            .into());
+            return Err(TableProblem::Empty.at(path, None).into());
         }
         let phases = (period_s / row_s).round();
         if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
@@ -245,7 +240,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn harmonics_and_derivatives_are_exact_and_noise_between_them_goes() {
+    fn harmonics_are_exact_and_noise_between_them_goes() {
         let (phases, period_s) = (200, 4.0);
         let w = TAU / period_s;
         let t = |phase: usize| period_s * phase as f64 / phases as f64;

@@ -23,12 +23,28 @@ struct Stand<const N: usize> {
     rows: f64,
 }
 
+/// The robot with drive gains from standstill, and their records.
+///
+/// Errors: see [`standstill_gains`].
+pub(super) fn with_gains<const N: usize>(
+    robot: &Robot,
+    logs: &[PathBuf],
+    still_rad_s: f64,
+) -> Result<(Robot, Vec<GainRecord>), IdentifyError> {
+    let gains = standstill_gains::<N>(robot, logs, still_rad_s)?;
+    let mut robot = robot.clone();
+    for (joint, record) in robot.joints.iter_mut().zip(&gains) {
+        joint.drive.gain = record.gain_nm_a;
+    }
+    Ok((robot, gains))
+}
+
 /// Gains (N·m/A) that make the mean current of every stand the gravity torque of the description, by least squares of the
 /// currents over the torques: stiction lies in the current. The description's gain stays where too few stands show too
 /// little gravity, or stiction scatters it by more than a tenth.
 ///
 /// Errors: of the logs; a log without currents; another number of joints.
-pub(super) fn standstill_gains<const N: usize>(
+fn standstill_gains<const N: usize>(
     robot: &Robot,
     logs: &[PathBuf],
     still_rad_s: f64,

@@ -66,7 +66,7 @@ pub fn for_each_prepared<const N: usize>(
             Ok(outcome) => notes.extend(outcome?),
             Err(panic) => std::panic::resume_unwind(panic),
         }
-        Ok(())
+        Ok::<_, TableError>(())
     })?;
     Ok(preparation)
 }

@@ -9,7 +9,7 @@ use super::error::IdentifyError;
 use super::evidence::evidence;
 use super::filter::Butterworth;
 use super::fourier::folded;
-use super::gains::standstill_gains;
+use super::gains::with_gains;
 use super::holdout::{learning_curves, split};
 use super::methods::{Fit, MethodName, wls};
 use super::prepare::PrepareConfig;
@@ -77,15 +77,12 @@ pub fn identify<const N: usize>(
     for path in logs.iter().chain(validate) {
         check_cut_offs::<N>(path, robot, &config.prepare)?;
     }
-    let mut robot = robot.clone();
-    let mut drive_gains = Vec::new();
-    if config.gains_from_standstill {
+    let (robot, drive_gains) = if config.gains_from_standstill {
         progress("drive gains");
-        drive_gains = standstill_gains::<N>(&robot, logs, config.prepare.still_rad_s)?;
-        for (joint, record) in robot.joints.iter_mut().zip(&drive_gains) {
-            joint.drive.gain = record.gain_nm_a;
-        }
-    }
+        with_gains::<N>(robot, logs, config.prepare.still_rad_s)?
+    } else {
+        (robot.clone(), Vec::new())
+    };
     let (on_board, left_out) = config.columns.on_board();
     let layout = |columns| Layout::<N>::new(&robot, columns);
     let layouts = layout(&config.columns).zip(layout(&on_board));

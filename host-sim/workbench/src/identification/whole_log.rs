@@ -3,7 +3,7 @@
 use super::filter::median;
 use super::log::{LogReader, LogRow};
 use crate::robot::Robot;
-use crate::table::TableError;
+use crate::table::{TableError, TableProblem};
 use std::collections::VecDeque;
 use std::path::Path;
 
@@ -42,9 +42,7 @@ impl<const N: usize> WholeLog<N> {
             first.push(row);
         }
         if first.len() < 3 {
-            return Err(TableError::Empty {
-                path: path.to_owned(),
-            });
+            return Err(TableProblem::Empty.at(path, None));
         }
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let period_s = median(&mut steps);

@@ -1,6 +1,6 @@
-//! Why no joint positions put the tool where it is wanted.
+//! Errors of the inverse kinematics.
 
-/// Why a pose has no joint positions, or none to go on with.
+/// Reason for which a pose has no joint positions, or none that continues a branch.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum InverseError {
     /// The wrist would be farther from the shoulder than both links together are long.
@@ -36,21 +36,21 @@ pub enum InverseError {
     /// The numeric search ended elsewhere.
     #[error("out of reach: the nearest pose found is {left_m:.3} m and {left_rad:.3} rad away")]
     Missed {
-        /// What is left of the position, m.
+        /// Remaining error of the position, m.
         left_m: f64,
-        /// What is left of the orientation, rad.
+        /// Remaining error of the orientation, rad.
         left_rad: f64,
     },
     /// There are solutions, all of them outside the joints' ranges.
     #[error("out of reach: all {solutions} solutions are outside the joints' ranges")]
     OutsideRanges {
-        /// How many there are.
+        /// Number of solutions.
         solutions: usize,
     },
     /// The arm cannot move the tool in every direction there: the way on is not determined.
     #[error("singular: {posture}")]
     Singular {
-        /// What is in line.
+        /// Parts that are in line.
         posture: &'static str,
     },
 }

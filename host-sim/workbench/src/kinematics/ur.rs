@@ -214,7 +214,7 @@ impl UrArm {
         })
     }
 
-    /// What is in line at `q`, if anything nearly is.
+    /// Parts that are nearly in line at `q`, if any.
     pub(super) fn posture(&self, q: &[f64; 6]) -> &'static str {
         let sine = |joint: usize| (q[joint] + self.offset[joint]).sin().abs();
         // Sines of the wrist and the elbow compare; what is left is the shoulder.

@@ -4,17 +4,15 @@
 //! ends in `.gz` is compressed. Every error names file, line and column.
 
 mod error;
+mod rows;
 mod writer;
 
-pub use error::TableError;
+pub use error::{TableError, TableProblem};
+pub(crate) use rows::Rows;
 pub use writer::TableWriter;
 
 use crate::dynamics::{Joints, State};
-use crate::files::at;
-use flate2::read::MultiGzDecoder;
-use std::fs::File;
-use std::io::{BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// One row of a table of states.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,7 +23,7 @@ pub struct StateRow<const N: usize> {
     pub motion: State<N>,
 }
 
-/// Whether a table must say when its rows were taken.
+/// Whether a table must have the times of its rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeColumn {
     /// `t_s` is checked where present.
@@ -36,13 +34,10 @@ pub enum TimeColumn {
 
 /// Reads a table of the states of `N` joints row by row, in constant memory.
 pub struct StateReader<const N: usize> {
-    path: PathBuf,
-    records: csv::StringRecordsIntoIter<Box<dyn Read>>,
-    width: usize,
+    rows: Rows,
     time: Option<usize>,
-    /// Field index and name of q1…qn, qd1…qdn, qdd1…qddn.
-    fields: Vec<(usize, String)>,
-    previous_s: Option<f64>,
+    /// Places of q1…qn, qd1…qdn, qdd1…qddn.
+    places: Vec<usize>,
 }
 
 impl<const N: usize> StateReader<N> {
@@ -50,137 +45,53 @@ impl<const N: usize> StateReader<N> {
     ///
     /// Errors: [`TableError`] of the header.
     pub fn open(path: &Path, time: TimeColumn) -> Result<Self, TableError> {
-        let file = File::open(path).map_err(|error| TableError::File(at(path, error)))?;
-        let bytes: Box<dyn Read> = if is_compressed(path) {
-            Box::new(MultiGzDecoder::new(BufReader::new(file)))
-        } else {
-            Box::new(file)
-        };
-        // Ragged rows are reported by this file's own check, which knows the words of this project.
-        let mut reader = csv::ReaderBuilder::new()
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .from_reader(bytes);
-        let header = reader
-            .headers()
-            .map_err(|error| unreadable(path, &error))?
-            .clone();
-        let find = |column: &str| {
-            let mut places = header
-                .iter()
-                .enumerate()
-                .filter(|(_, name)| *name == column);
-            match (places.next(), places.next()) {
-                (Some(_), Some(_)) => Err(TableError::RepeatedColumn {
-                    path: path.to_owned(),
-                    column: column.to_owned(),
-                }),
-                (first, _) => Ok(first.map(|(index, _)| index)),
-            }
-        };
-        let require = |column: String| {
-            find(&column)?
-                .map(|index| (index, column.clone()))
-                .ok_or_else(|| TableError::MissingColumn {
-                    path: path.to_owned(),
-                    column,
-                })
-        };
-        let fields = state_columns(N)
-            .into_iter()
-            .map(require)
-            .collect::<Result<Vec<_>, _>>()?;
-        // A table of a larger arm would be read as one of this: its first joints are there.
+        let rows = Rows::open(path)?;
+        let columns = state_columns(N);
+        let places = columns.iter().map(|column| rows.require(column));
+        let places = places.collect::<Result<_, _>>()?;
+        // The table of a larger arm also has the columns of this one.
         for (name, unit) in STATE {
-            let column = format!("{name}{}_{unit}", N + 1);
-            if find(&column)?.is_some() {
-                return Err(TableError::ExtraColumn {
-                    path: path.to_owned(),
-                    column,
-                    joints: N,
-                });
-            }
+            rows.refuse(&format!("{name}{}_{unit}", N + 1), N)?;
         }
         let time = match time {
-            TimeColumn::Required => Some(require("t_s".to_owned())?.0),
-            TimeColumn::Optional => find("t_s")?,
+            TimeColumn::Required => Some(rows.require("t_s")?),
+            TimeColumn::Optional => rows.find("t_s")?,
         };
-        Ok(Self {
-            path: path.to_owned(),
-            width: header.len(),
-            records: reader.into_records(),
-            time,
-            fields,
-            previous_s: None,
-        })
+        Ok(Self { rows, time, places })
     }
 
-    /// The table says when its rows were taken.
+    /// The table has the times of its rows.
     pub fn has_time(&self) -> bool {
         self.time.is_some()
     }
 
     /// All rows at once.
     ///
-    /// Errors: [`TableError`] of the first bad row, or [`TableError::Empty`].
-    pub fn read_all(self) -> Result<Vec<StateRow<N>>, TableError> {
-        let path = self.path.clone();
-        let rows = self.collect::<Result<Vec<_>, _>>()?;
+    /// Errors: [`TableError`] of the first bad row, or of a table without rows.
+    pub fn read_all(mut self) -> Result<Vec<StateRow<N>>, TableError> {
+        let rows = self.by_ref().collect::<Result<Vec<_>, _>>()?;
         if rows.is_empty() {
-            return Err(TableError::Empty { path });
+            return Err(TableProblem::Empty.at(self.rows.path(), None));
         }
         Ok(rows)
     }
 
-    fn parse(&mut self, record: &csv::StringRecord) -> Result<StateRow<N>, TableError> {
-        let line = record.position().map_or(0, csv::Position::line);
-        if record.len() != self.width {
-            return Err(TableError::Ragged {
-                path: self.path.clone(),
-                line,
-                found: record.len(),
-                expected: self.width,
-            });
+    fn row(&mut self) -> Result<Option<StateRow<N>>, TableError> {
+        if !self.rows.advance()? {
+            return Ok(None);
         }
-        let number = |index: usize, column: &str| {
-            let text = record.get(index).unwrap_or_default();
-            text.parse::<f64>()
-                .ok()
-                .filter(|value| value.is_finite())
-                .ok_or_else(|| TableError::NotANumber {
-                    path: self.path.clone(),
-                    line,
-                    column: column.to_owned(),
-                    text: text.to_owned(),
-                })
-        };
-        let t_s = self.time.map(|index| number(index, "t_s")).transpose()?;
-        if let (Some(t_s), Some(previous_s)) = (t_s, self.previous_s)
-            && t_s <= previous_s
-        {
-            return Err(TableError::Time {
-                path: self.path.clone(),
-                line,
-                t_s,
-                previous_s,
-            });
-        }
+        let t_s = self.time.map(|column| self.rows.time(column)).transpose()?;
         let zero = Joints::zeros();
         let mut motion: State<N> = State {
             q: zero,
             qd: zero,
             qdd: zero,
         };
-        let places = motion
-            .q
-            .iter_mut()
-            .chain(&mut motion.qd)
-            .chain(&mut motion.qdd);
-        for (place, (index, column)) in places.zip(&self.fields) {
-            *place = number(*index, column)?;
+        let values = motion.q.iter_mut().chain(&mut motion.qd);
+        for (value, column) in values.chain(&mut motion.qdd).zip(&self.places) {
+            *value = self.rows.number(*column)?;
         }
-        self.previous_s = t_s;
-        Ok(StateRow { t_s, motion })
+        Ok(Some(StateRow { t_s, motion }))
     }
 }
 
@@ -188,11 +99,7 @@ impl<const N: usize> Iterator for StateReader<N> {
     type Item = Result<StateRow<N>, TableError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let record = match self.records.next()? {
-            Ok(record) => record,
-            Err(error) => return Some(Err(unreadable(&self.path, &error))),
-        };
-        Some(self.parse(&record))
+        self.row().transpose()
     }
 }
 
@@ -218,17 +125,11 @@ pub(crate) fn is_compressed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "gz")
 }
 
-pub(crate) fn unreadable(path: &Path, error: &csv::Error) -> TableError {
-    TableError::Unreadable {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::fs;
+    use std::path::PathBuf;
 
     /// A directory that goes with the test.
     struct Directory(PathBuf);

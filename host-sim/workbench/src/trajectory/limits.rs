@@ -3,7 +3,7 @@
 use crate::dynamics::State;
 use crate::robot::Robot;
 
-/// A motion that asks a joint for more than it can do.
+/// A motion beyond the limits of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
@@ -11,9 +11,9 @@ use crate::robot::Robot;
 pub struct BeyondLimits {
     /// The joint, from 1.
     pub joint: usize,
-    /// When, s after the trajectory's start.
+    /// Time after the trajectory's start, s.
     pub t_s: f64,
-    /// What is asked, in `unit`.
+    /// Value of the trajectory, in `unit`.
     pub asked: f64,
     /// The limit, in `unit`.
     pub limit: f64,

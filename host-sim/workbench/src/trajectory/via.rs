@@ -71,7 +71,7 @@ impl<const N: usize> ViaPath<N> {
         path
     }
 
-    /// The same path, of `joint` alone until about `alone_s`; the others wait where they begin.
+    /// This path, of `joint` alone until about `alone_s`; the others wait at their start.
     pub fn of_joint_until(mut self, joint: usize, alone_s: f64) -> Self {
         let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);
         let waiting = (alone_s / self.segment_s) as usize + 1;

@@ -7,7 +7,7 @@ use crate::robot::{Drive, Friction, Joint, Limits, MAX_JOINTS, Placement, Robot,
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use std::f64::consts::TAU;
 
-/// What a URDF does not say.
+/// Default of a property that a URDF does not have.
 const ENCODER_BITS: u32 = 17;
 const ACCELERATION: f64 = 10.0;
 const CONTINUOUS_RANGE: (f64, f64) = (-TAU, TAU);

@@ -1,16 +1,16 @@
-//! Why a URDF was refused.
+//! Errors of a URDF file.
 
-/// A URDF was refused.
+/// Refusal of a URDF.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{file}: {problem}")]
 pub struct UrdfError {
     /// The file.
     pub file: String,
-    /// What is wrong with it.
+    /// Defect.
     pub problem: UrdfProblem,
 }
 
-/// What is wrong with a URDF.
+/// Defect of a URDF.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UrdfProblem {
     /// The file cannot be read.
@@ -27,7 +27,7 @@ pub enum UrdfProblem {
     Element {
         /// Line of the element.
         line: u32,
-        /// What is wrong, beginning with the name of the element.
+        /// Reason, beginning with the name of the element.
         problem: String,
     },
     /// A link is named that does not exist.
@@ -35,7 +35,7 @@ pub enum UrdfProblem {
     UnknownLink {
         /// The name.
         link: String,
-        /// Who names it: a joint or an option.
+        /// The joint or option that names it.
         named_by: String,
     },
     /// Two links or joints have the same name.
@@ -92,7 +92,7 @@ pub enum UrdfProblem {
     },
 }
 
-/// Why a joint cannot be part of an arm.
+/// Defect of a joint of the arm.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointProblem {
     /// It is not revolute; the type as written.

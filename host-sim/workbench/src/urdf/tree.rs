@@ -5,7 +5,7 @@ use super::{Selection, UrdfProblem};
 use crate::robot::{Link, Placement};
 use nalgebra::Matrix3;
 
-/// Links and joints by index; every joint knows its links, every link the joints it carries.
+/// Links and joints by index, with the links of every joint and the joints of every link.
 pub(super) struct Tree<'a> {
     document: &'a Document,
     parent: Vec<usize>,
@@ -211,7 +211,7 @@ impl<'a> Tree<'a> {
         }
     }
 
-    /// What is not part of the arm, in words.
+    /// Description of the parts that do not belong to the arm.
     pub(super) fn left_out(&self, base: usize, path: &[usize], end: Option<usize>) -> Vec<String> {
         let moved = path
             .iter()

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
-/// What the trace says of the drive.
+/// State of the drive in the trace.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stage {
     pub(crate) enabled: bool,

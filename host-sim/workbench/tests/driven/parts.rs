@@ -1,6 +1,6 @@
-//! What the emulator lacks, as the machine code that stands in for it: an encoder on the bus, a drive on the fault line.
+//! Machine code that stands in for hardware the emulator lacks: an encoder on the bus, a drive on the fault line.
 
-/// What never comes to pass.
+/// Transfer number that is never reached.
 pub(crate) const NEVER: u16 = u16::MAX;
 /// Bytes that a reading of the encoder moves.
 const READING: u16 = 4;

@@ -1,4 +1,4 @@
-//! What is said to a board, as raw bytes: samples, and a conversation whose every answer is kept.
+//! Requests to a board as raw bytes: samples, and a conversation whose every answer is kept.
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::dynamics::FrictionColumn;
@@ -35,7 +35,7 @@ pub(crate) fn sample(k: u32) -> JointSample<JOINTS> {
     }
 }
 
-/// The same motion with the torques of an arm a tenth heavier than its description and with friction.
+/// The motion with the torques of an arm a tenth heavier than its description and with friction.
 pub(crate) fn credible(k: u32) -> JointSample<JOINTS> {
     let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
     truth.rigid *= 1.1;

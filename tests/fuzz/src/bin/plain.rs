@@ -1,5 +1,6 @@
-//! The same targets without libFuzzer: replays seeds, inputs and mutations of them without looking at coverage. For machines
-//! without a C++ compiler, and for reproducing what was found: `plain TARGET RUNS [FILE or DIR …]`.
+//! Replays a target's seeds, its inputs and mutations of them, without coverage and without libFuzzer.
+//!
+//! For machines without a C++ compiler, and to reproduce a finding: `plain TARGET RUNS [FILE or DIR …]`.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

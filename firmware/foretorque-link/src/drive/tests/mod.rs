@@ -127,7 +127,7 @@ impl Board {
         }
     }
 
-    /// What the firmware does when a frame has come.
+    /// Act on a received frame as the firmware does.
     fn ask(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
         self.sequence += 1;
         let (mut frame, mut out) = (FrameBuffer::new(), FrameBuffer::new());

@@ -1,4 +1,4 @@
-//! What the motor stage gets, and when it is off.
+//! Inputs of the motor stage, and the states in which it is off.
 
 use super::*;
 

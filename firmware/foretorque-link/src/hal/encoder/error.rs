@@ -1,7 +1,7 @@
 use core::fmt;
 use embedded_hal::spi::ErrorKind;
 
-/// What went wrong with a reading.
+/// Errors of a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EncoderError {
     /// The configuration cannot work: a ratio that is not positive, a step of half a turn or more.
@@ -12,7 +12,7 @@ pub enum EncoderError {
     Parity,
     /// The chip flags an error of the frame before; its error register is read, and so cleared, next.
     Flagged,
-    /// What the chip says was wrong: framing (bit 0), command (bit 1), parity (bit 2). The next reading is a position.
+    /// Error that the chip reports: framing (bit 0), command (bit 1), parity (bit 2). The next reading is a position.
     Refused(u8),
     /// The first frame after a start, and the one after a bus error, bring the answer to nobody's question.
     Pipeline,
@@ -31,7 +31,7 @@ pub enum EncoderError {
 }
 
 impl EncoderError {
-    /// What it is, in words, without what came with it.
+    /// Name of the error, without its payload.
     pub const fn text(self) -> &'static str {
         match self {
             Self::Configuration => "encoder configuration cannot work",

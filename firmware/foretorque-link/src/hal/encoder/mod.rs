@@ -36,7 +36,7 @@ pub struct EncoderConfig {
     pub largest_step: u16,
 }
 
-/// What an encoder carries from reading to reading.
+/// State of an encoder between readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EncoderState {
     /// Position in counts over all turns since the reference, zero offset taken out; `None` while the turn is not known.
@@ -44,7 +44,7 @@ pub struct EncoderState {
     pub position: Option<i32>,
     /// Readings that failed since the last good one. Saturates.
     pub failed: u16,
-    /// What the next frame brings the answer to.
+    /// Register that the next frame answers.
     asked: Option<Register>,
 }
 
@@ -171,7 +171,7 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         Ok(self.rad(position))
     }
 
-    /// What is carried from reading to reading.
+    /// State between readings.
     pub const fn state(&self) -> &EncoderState {
         &self.state
     }

@@ -1,4 +1,4 @@
-//! A lost sample on a link that paces the board, against the tick without a sample of a board that keeps its own time.
+//! A lost sample on a board that samples pace, against the tick without a sample of a board that its timer paces.
 
 use super::*;
 use crate::wire::SampleFlags;
@@ -6,7 +6,7 @@ use foretorque::feedforward::Torque;
 use foretorque::learning::{Exchange, MAX_BRIDGED, TAPS};
 use proptest::prelude::*;
 
-/// The ticks of an armed board that keeps its own time, around nothing but the parts: no link, no session.
+/// The ticks of an armed board that its timer paces, made of its parts without link and session.
 struct Timed {
     safety: Safety<N>,
     feed_forward: FeedForward<Ur5, N, P>,
@@ -34,24 +34,23 @@ impl Timed {
     }
 
     fn tick(&mut self, sample: Option<u32>) -> Torque<N> {
-        let heard = sample.map(|k| SampleFrame::new(&swinging(k)).sample(&[0.0; N]));
+        let sample = sample.map(|k| SampleFrame::new(&swinging(k)).sample(&[0.0; N]));
         self.feed_forward.adopt(&mut self.exchange);
-        let sample = self.safety.admit(heard, 1, SafetyReason::None);
+        let sample = self.safety.admit(sample, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),
             None => self.feed_forward.step_stale(),
         };
         torque.total = self.safety.release(&torque.total);
         self.feed_forward.applied(&torque.total);
-        let lesson = self
-            .feed_forward
-            .learning_sample(sample.and_then(|sample| sample.measured));
+        let measured = sample.and_then(|sample| sample.measured);
+        let lesson = self.feed_forward.learning_sample(measured);
         self.learner.learn(&lesson, &mut self.exchange);
         torque
     }
 }
 
-/// A board that is paced by samples, and a host that numbers its periods.
+/// A board that samples pace, and a host that numbers its periods.
 struct Linked {
     board: Board,
     period: u8,
@@ -66,24 +65,26 @@ impl Linked {
         for _ in 0..ARM_SAMPLES {
             linked.sample(0);
         }
-        assert_eq!(linked.board.ask(HostMessage::Arm), BoardMessage::Ack);
-        linked.board.ask(HostMessage::Learning { on: true });
+        linked.board.acknowledged(HostMessage::Arm);
+        linked
+            .board
+            .acknowledged(HostMessage::Learning { on: true });
         linked
     }
 
-    fn message(&mut self, k: u32) -> HostMessage<N> {
+    fn sample(&mut self, k: u32) -> TorqueFrame<N> {
         let frame = SampleFrame::new(&swinging(k)).in_period(self.period);
         self.period = self.period.wrapping_add(1);
-        HostMessage::Sample(frame)
+        let reply = self.board.request(HostMessage::Sample(frame));
+        self.board.learn();
+        torque(&reply)
     }
 
-    fn sample(&mut self, k: u32) -> TorqueFrame<N> {
-        let message = self.message(k);
-        let BoardMessage::Torque(torque) = self.board.ask(message) else {
-            panic!("a sample is answered by a torque");
-        };
-        self.board.learn();
-        torque
+    /// Samples `first` to `last - 1`; how many rows the learner has accepted in them.
+    fn accepted(&mut self, samples: core::ops::Range<u32>) -> u32 {
+        let before = self.board.learner.state().statistics.accepted;
+        samples.for_each(|k| _ = self.sample(k));
+        self.board.learner.state().statistics.accepted - before
     }
 
     /// A sample that does not arrive.
@@ -112,7 +113,7 @@ fn swinging(k: u32) -> JointSample<N> {
     }
 }
 
-/// Both boards through the same 600 ticks, of which those in `lost` have no sample; whether the torques were the same too.
+/// Runs both boards through 600 ticks, those in `lost` without a sample; returns whether their torques were equal.
 fn together(lost: &[u32]) -> (Timed, Linked, bool) {
     let (mut timed, mut linked) = (Timed::armed(), Linked::armed());
     let mut same = true;
@@ -123,17 +124,16 @@ fn together(lost: &[u32]) -> (Timed, Linked, bool) {
             continue;
         }
         let expected = timed.tick(Some(k));
-        let answered = linked.sample(k);
-        same &= answered.tick == expected.tick
-            && answered.flags == expected.flags.0
-            && JointVector::from(answered.total) == expected.total;
+        let given = linked.sample(k);
+        same &= (given.tick, given.flags) == (expected.tick, expected.flags.0)
+            && JointVector::from(given.total) == expected.total;
     }
     (timed, linked, same)
 }
 
 #[test]
-fn a_lost_sample_leaves_the_learner_as_the_same_gap_does_where_the_tick_goes_on() {
-    // One, two and three in a row, and near each other, at every place of a round.
+fn a_lost_sample_acts_as_a_tick_without_sample() {
+    // One, two and three in a row, and close together, at every place of a round.
     let lost: Vec<u32> = (0..6)
         .flat_map(|place| {
             let first = 40 + 91 * place;
@@ -145,31 +145,26 @@ fn a_lost_sample_leaves_the_learner_as_the_same_gap_does_where_the_tick_goes_on(
     assert!(timed.learner.state() == linked.board.learner.state());
     let seen = timed.learner.state().statistics;
     assert!(seen.accepted > 100 && seen.incomplete > 50, "{seen:?}");
-    let counted = linked
-        .board
-        .session
-        .statistics(&linked.board.mailboxes.learner);
-    assert_eq!(counted.stale_ticks, lost.len() as u32);
+    let stale = linked.board.statistics().stale_ticks;
+    assert_eq!(stale, lost.len() as u32);
 }
 
 #[test]
 fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
-    // The set of a round that closes in so long a gap can be a round late, so the torques may differ; the learner not.
+    // The set of a round that closes in such a gap can be a round late, so the torques may differ; the learners do not.
     for first in 200..206 {
         let lost: Vec<u32> = (first..=first + MAX_BRIDGED as u32).collect();
         let (timed, linked, _) = together(&lost);
         assert!(timed.learner.state() == linked.board.learner.state());
     }
     let mut linked = Linked::armed();
-    (0..200).for_each(|k| _ = linked.sample(k));
+    assert!(linked.accepted(0..200) > 0);
     (0..20).for_each(|_| linked.lose());
-    let before = linked.board.learner.state().statistics.accepted;
-    (220..219 + TAPS as u32).for_each(|k| _ = linked.sample(k));
-    assert_eq!(linked.board.learner.state().statistics.accepted, before);
+    assert_eq!(linked.accepted(220..219 + TAPS as u32), 0);
 }
 
 #[test]
-fn without_the_numbers_a_lost_sample_would_bend_the_motion() {
+fn without_period_numbers_a_lost_sample_bends_the_motion() {
     let learnt = |counts: bool| {
         let mut linked = Linked::armed();
         for k in 0..600 {
@@ -189,41 +184,39 @@ fn without_the_numbers_a_lost_sample_would_bend_the_motion() {
 }
 
 #[test]
-fn a_lost_command_costs_no_lesson() {
+fn a_lost_command_costs_no_learning_sample() {
     let (mut whole, mut asked) = (Linked::armed(), Linked::armed());
     for k in 0..100 {
         whole.sample(k);
         asked.sample(k);
-        // The number of a command that never came.
+        // The number of a command that never arrived.
         asked.board.sequence += 1;
     }
     assert!(whole.board.learner.state() == asked.board.learner.state());
 }
 
 #[test]
-fn who_says_hello_does_not_join_on_to_what_was_measured_before() {
+fn after_a_hello_the_window_is_empty() {
     let mut linked = Linked::armed();
-    (0..100).for_each(|k| _ = linked.sample(k));
-    linked.board.ask(HostMessage::Hello);
-    let before = linked.board.learner.state().statistics.accepted;
-    (100..99 + TAPS as u32).for_each(|k| _ = linked.sample(k));
-    assert_eq!(linked.board.learner.state().statistics.accepted, before);
+    assert!(linked.accepted(0..100) > 0);
+    linked.board.request(HostMessage::Hello);
+    assert_eq!(linked.accepted(100..99 + TAPS as u32), 0);
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn no_numbers_make_a_sample_cost_more_than_a_few_ticks(
+    fn no_numbers_make_a_sample_cost_many_ticks(
         frames in prop::collection::vec((any::<u16>(), any::<u8>()), 1..60),
     ) {
         let mut board = Board::new();
         for (sequence, flags) in frames {
             let mut sample = SampleFrame::new(&sample(0));
             sample.flags = SampleFlags(flags);
-            let before = board.session.statistics(&board.mailboxes.learner).ticks;
-            board.hear(&frame(sequence, &HostMessage::Sample(sample)));
-            let ran = board.session.statistics(&board.mailboxes.learner).ticks - before;
+            let before = board.statistics().ticks;
+            board.receive(&frame(sequence, &HostMessage::Sample(sample)));
+            let ran = board.statistics().ticks - before;
             prop_assert!(ran <= MAX_BRIDGED as u32 + 2, "{} ticks", ran);
             prop_assert!(board.mailboxes.learner.waiting() <= MAX_BRIDGED + 2);
             board.learn();

@@ -5,10 +5,19 @@ use crate::excitation::{
 use crate::wire::MAC_BYTES;
 use crate::write_key::WriteKey;
 
+type Mac = [u8; MAC_BYTES];
+
+const REFUSED: BoardMessage<N> = nack(NackReason::Key);
+
 fn key(byte: u8) -> WriteKey {
     WriteKey::from_slot([byte; 16]).unwrap()
 }
 
+fn signature(byte: u8, nonce: &Mac, upload: &[u8]) -> Option<Mac> {
+    Some(key(byte).sign_upload(nonce, Ur5::HASH, upload))
+}
+
+/// A board with key 3.
 fn locked(seed: u8) -> Board {
     Board::described(BoardDescription {
         write_key: Some(key(3)),
@@ -17,138 +26,117 @@ fn locked(seed: u8) -> Board {
     })
 }
 
-fn challenge(board: &mut Board) -> [u8; MAC_BYTES] {
-    match board.ask(HostMessage::Challenge) {
-        BoardMessage::Challenge { nonce } => nonce,
-        other => panic!("{other:?}"),
+impl Board {
+    fn challenge(&mut self) -> Mac {
+        match self.request(HostMessage::Challenge) {
+            BoardMessage::Challenge { nonce } => nonce,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn upload(&mut self, bank: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
+        self.write(bank);
+        let (length, crc) = (bank.len() as u16, CRC.checksum(bank));
+        self.request(HostMessage::BankCommit { length, crc, mac })
+    }
+
+    fn upload_excitation(&mut self, program: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
+        self.write(program);
+        let (length, crc) = (program.len() as u16, CRC.checksum(program));
+        self.request(HostMessage::ExcitationLoad { length, crc, mac })
     }
 }
 
-fn commit(board: &mut Board, bank: &[u8], mac: Option<[u8; MAC_BYTES]>) -> BoardMessage<N> {
-    board.ask(HostMessage::BankCommit {
-        length: bank.len() as u16,
-        crc: CRC.checksum(bank),
-        mac,
-    })
-}
-
 #[test]
-fn a_board_with_a_key_takes_a_signed_bank_and_says_that_it_has_a_key() {
+fn a_board_with_a_key_reports_it_and_accepts_a_signed_bank() {
     let mut board = locked(1);
     let bank = uploaded();
-    let BoardMessage::Hello(hello) = board.ask(HostMessage::Hello) else {
+    let BoardMessage::Hello(hello) = board.request(HostMessage::Hello) else {
         panic!("no hello");
     };
     assert!(hello.capabilities.contains(Capabilities::WRITE_KEY));
-    let nonce = challenge(&mut board);
-    board.write(&bank);
-    let mac = key(3).sign_upload(&nonce, Ur5::HASH, &bank);
-    assert_eq!(commit(&mut board, &bank, Some(mac)), BoardMessage::Ack);
+    let nonce = board.challenge();
+    assert_eq!(board.upload(&bank, signature(3, &nonce, &bank)), ACK);
     assert_eq!(board.read(), bank);
 }
 
 #[test]
-fn without_the_right_signature_the_old_bank_stays_and_the_host_is_told() {
+fn a_missing_or_wrong_signature_leaves_the_old_bank() {
     let bank = uploaded();
-    let refused = BoardMessage::Nack(NackReason::Key);
     let mut board = locked(1);
     let before = board.read();
-    board.write(&bank);
-    assert_eq!(commit(&mut board, &bank, None), refused);
-    board.write(&bank);
-    let unasked = key(3).sign_upload(&[0; MAC_BYTES], Ur5::HASH, &bank);
-    assert_eq!(commit(&mut board, &bank, Some(unasked)), refused);
-    let nonce = challenge(&mut board);
-    board.write(&bank);
-    let foreign = key(4).sign_upload(&nonce, Ur5::HASH, &bank);
-    assert_eq!(commit(&mut board, &bank, Some(foreign)), refused);
-    let nonce = challenge(&mut board);
+    assert_eq!(board.upload(&bank, None), REFUSED);
+    let unasked = signature(3, &[0; MAC_BYTES], &bank);
+    assert_eq!(board.upload(&bank, unasked), REFUSED);
+    let nonce = board.challenge();
+    assert_eq!(board.upload(&bank, signature(4, &nonce, &bank)), REFUSED);
+    let nonce = board.challenge();
     let mut other = bank.clone();
     other[50] ^= 1;
-    board.write(&other);
-    let mac = key(3).sign_upload(&nonce, Ur5::HASH, &bank);
-    assert_eq!(commit(&mut board, &other, Some(mac)), refused);
+    assert_eq!(board.upload(&other, signature(3, &nonce, &bank)), REFUSED);
     assert_eq!(board.read(), before);
 }
 
 #[test]
-fn what_was_overheard_cannot_be_sent_again() {
+fn a_recorded_upload_cannot_be_replayed() {
     let bank = uploaded();
     let mut board = locked(1);
-    let nonce = challenge(&mut board);
-    let mac = key(3).sign_upload(&nonce, Ur5::HASH, &bank);
-    board.write(&bank);
-    assert_eq!(commit(&mut board, &bank, Some(mac)), BoardMessage::Ack);
-    let refused = BoardMessage::Nack(NackReason::Key);
-    board.write(&bank);
-    assert_eq!(commit(&mut board, &bank, Some(mac)), refused);
-    challenge(&mut board);
-    board.write(&bank);
-    assert_eq!(commit(&mut board, &bank, Some(mac)), refused);
-    // Nor to the same board after it was started anew.
+    let nonce = board.challenge();
+    let mac = signature(3, &nonce, &bank);
+    assert_eq!(board.upload(&bank, mac), ACK);
+    assert_eq!(board.upload(&bank, mac), REFUSED);
+    board.challenge();
+    assert_eq!(board.upload(&bank, mac), REFUSED);
+    // Nor to the same board after a restart.
     let mut restarted = locked(2);
-    assert_ne!(challenge(&mut restarted), nonce);
-    restarted.write(&bank);
-    assert_eq!(commit(&mut restarted, &bank, Some(mac)), refused);
+    assert_ne!(restarted.challenge(), nonce);
+    assert_eq!(restarted.upload(&bank, mac), REFUSED);
 }
 
 #[test]
-fn a_board_without_a_key_gives_no_challenge_and_needs_no_signature() {
+fn a_board_without_a_key_needs_no_signature() {
     let mut board = Board::new();
-    let refused = BoardMessage::Nack(NackReason::NotCapable);
-    assert_eq!(board.ask(HostMessage::Challenge), refused);
-    let bank = uploaded();
-    board.write(&bank);
-    assert_eq!(commit(&mut board, &bank, None), BoardMessage::Ack);
+    let refused = nack(NackReason::NotCapable);
+    assert_eq!(board.request(HostMessage::Challenge), refused);
+    assert_eq!(board.upload(&uploaded(), None), ACK);
 }
 
 /// An excitation in which no joint moves.
 fn excitation() -> Vec<u8> {
+    let bounds = MotionBounds {
+        position_rad: (-0.5, 0.5),
+        velocity_rad_s: 1.0,
+        acceleration_rad_s2: 5.0,
+    };
     let program = ExcitationProgram::<N> {
         arm_hash: Ur5::HASH,
         period_us: 4_000_000,
         periods: 1,
         tracking_rad: 0.05,
         joints: [JointSeries::ZERO; N],
-        certificate: [MotionBounds {
-            position_rad: (-0.5, 0.5),
-            velocity_rad_s: 1.0,
-            acceleration_rad_s2: 5.0,
-        }; N],
+        certificate: [bounds; N],
     };
     program.encode(&mut [0; 1024]).unwrap().to_vec()
 }
 
-fn load(board: &mut Board, program: &[u8], mac: Option<[u8; MAC_BYTES]>) -> BoardMessage<N> {
-    board.write(program);
-    board.ask(HostMessage::ExcitationLoad {
-        length: program.len() as u16,
-        crc: CRC.checksum(program),
-        mac,
-    })
-}
-
 #[test]
-fn an_excitation_needs_the_signature_that_a_bank_needs() {
+fn an_excitation_needs_a_signature_of_its_own() {
     let program = excitation();
-    let refused = BoardMessage::Nack(NackReason::Key);
     let mut board = locked(1);
-    assert_eq!(load(&mut board, &program, None), refused);
-    let nonce = challenge(&mut board);
-    let foreign = key(4).sign_upload(&nonce, Ur5::HASH, &program);
-    assert_eq!(load(&mut board, &program, Some(foreign)), refused);
+    assert_eq!(board.upload_excitation(&program, None), REFUSED);
+    let nonce = board.challenge();
+    let foreign = signature(4, &nonce, &program);
+    assert_eq!(board.upload_excitation(&program, foreign), REFUSED);
     assert_eq!(
-        board.ask(HostMessage::Excitation(ExcitationCommand::Status)),
+        board.request(HostMessage::Excitation(ExcitationCommand::Status)),
         BoardMessage::Excitation(ExcitationState::Empty)
     );
-    let nonce = challenge(&mut board);
-    let mac = key(3).sign_upload(&nonce, Ur5::HASH, &program);
-    assert_eq!(load(&mut board, &program, Some(mac)), BoardMessage::Ack);
-    assert_eq!(load(&mut board, &program, Some(mac)), refused);
-    // For a bank the signature of an excitation is worth nothing.
-    let nonce = challenge(&mut board);
-    let mac = key(3).sign_upload(&nonce, Ur5::HASH, &program);
-    board.write(&program);
-    let answer = commit(&mut board, &program, Some(mac));
-    assert!(matches!(answer, BoardMessage::Nack(NackReason::Bank(_))));
+    let nonce = board.challenge();
+    let mac = signature(3, &nonce, &program);
+    assert_eq!(board.upload_excitation(&program, mac), ACK);
+    assert_eq!(board.upload_excitation(&program, mac), REFUSED);
+    // The signature of an excitation does not serve a bank.
+    let nonce = board.challenge();
+    let reply = board.upload(&program, signature(3, &nonce, &program));
+    assert!(matches!(reply, BoardMessage::Nack(NackReason::Bank(_))));
 }

@@ -4,40 +4,31 @@ use foretorque::feedforward::{FeedForwardScratch, step};
 use proptest::prelude::*;
 
 #[test]
-fn a_host_of_another_version_is_told_who_is_here() {
+fn a_host_of_another_version_receives_the_hello() {
     let mut board = Board::new();
-    let mut room = [0; 300];
-    let foreign = encode_as(9, 77, &HostMessage::<N>::Hello, &mut room).unwrap();
-    let answers = board.hear(foreign);
-    assert!(matches!(answers.as_slice(), [(0, BoardMessage::Hello(_))]));
-    assert_eq!(
-        board
-            .session
-            .statistics(&board.mailboxes.learner)
-            .foreign_version,
-        1
-    );
+    let mut buffer = [0; 300];
+    let foreign = encode_as(9, 77, &HostMessage::<N>::Hello, &mut buffer).unwrap();
+    let replies = board.receive(foreign);
+    assert!(matches!(replies.as_slice(), [(0, BoardMessage::Hello(_))]));
+    assert_eq!(board.statistics().foreign_version, 1);
 }
 
 #[test]
-fn answers_that_find_no_room_are_counted_and_the_rest_is_whole() {
+fn replies_beyond_the_buffer_are_counted_and_the_rest_is_whole() {
     let mut board = Board::new();
     let flood: Vec<u8> = (1..=40)
         .flat_map(|k| frame(k, &HostMessage::Statistics))
         .collect();
-    let answers = board.hear(&flood);
-    let lost = board
-        .session
-        .statistics(&board.mailboxes.learner)
-        .replies_lost;
-    assert_eq!(answers.len() + lost as usize, 40);
+    let replies = board.receive(&flood);
+    let lost = board.statistics().replies_lost;
+    assert_eq!(replies.len() + lost as usize, 40);
     assert!(lost > 0);
 }
 
-/// What happens to one frame on a bad line.
+/// Damage to one frame on the link.
 #[derive(Clone, Debug)]
-enum Harm {
-    Unharmed,
+enum Damage {
+    None,
     Flip(prop::sample::Index, u32),
     Cut(prop::sample::Index),
     Twice,
@@ -45,60 +36,61 @@ enum Harm {
     Lost,
 }
 
-fn harm() -> impl Strategy<Value = Harm> {
+fn damage() -> impl Strategy<Value = Damage> {
     prop_oneof![
-        4 => Just(Harm::Unharmed),
-        1 => (any::<prop::sample::Index>(), 0..8u32).prop_map(|(place, bit)| Harm::Flip(place, bit)),
-        1 => any::<prop::sample::Index>().prop_map(Harm::Cut),
-        1 => Just(Harm::Twice),
-        1 => prop::collection::vec(any::<u8>(), 1..300).prop_map(Harm::Garbage),
-        1 => Just(Harm::Lost),
+        4 => Just(Damage::None),
+        1 => (any::<prop::sample::Index>(), 0..8u32).prop_map(|(place, bit)| Damage::Flip(place, bit)),
+        1 => any::<prop::sample::Index>().prop_map(Damage::Cut),
+        1 => Just(Damage::Twice),
+        1 => prop::collection::vec(any::<u8>(), 1..300).prop_map(Damage::Garbage),
+        1 => Just(Damage::Lost),
     ]
+}
+
+impl Damage {
+    /// The bytes that arrive of a frame, and the frames that this can cost.
+    fn apply(&self, good: &[u8]) -> (Vec<u8>, usize) {
+        match self {
+            Self::None => (good.to_vec(), 0),
+            Self::Twice => ([good, good].concat(), 0),
+            Self::Lost => (Vec::new(), 1),
+            Self::Garbage(bytes) => ([bytes, good].concat(), 1),
+            // A frame that is not whole may take the next one with it.
+            Self::Cut(place) => (good[..place.index(good.len())].to_vec(), 2),
+            Self::Flip(place, bit) => {
+                let mut bad = good.to_vec();
+                bad[place.index(good.len())] ^= 1 << bit;
+                (bad, 2)
+            }
+        }
+    }
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// A wrong torque is one that differs from that of a board which heard the accepted frames only.
+    /// A wrong torque is one that differs from that of a board which received the accepted frames only.
     #[test]
-    fn no_wrong_torque_leaves_a_bad_line(harms in prop::collection::vec(harm(), 1..60)) {
-        let (mut harmed, mut reference) = (Board::new(), Board::new());
-        harmed.arm();
+    fn no_wrong_torque_leaves_a_bad_link(damages in prop::collection::vec(damage(), 1..60)) {
+        let (mut damaged, mut reference) = (Board::new(), Board::new());
+        damaged.arm();
         reference.arm();
-        let mut harmful = 0;
-        let mut accepted = 0;
-        for (k, harm) in harms.iter().enumerate() {
-            let sequence = harmed.sequence + k as u16 + 1;
+        let (mut cost, mut accepted) = (0, 0);
+        for (k, damage) in damages.iter().enumerate() {
+            let sequence = damaged.sequence + k as u16 + 1;
             let good = frame(sequence, &sample_message(k as u32));
-            let line = match harm {
-                Harm::Unharmed => good.clone(),
-                Harm::Flip(place, bit) => {
-                    let mut bad = good.clone();
-                    bad[place.index(good.len())] ^= 1 << bit;
-                    bad
-                }
-                Harm::Cut(place) => good[..place.index(good.len())].to_vec(),
-                Harm::Twice => [good.clone(), good.clone()].concat(),
-                Harm::Garbage(bytes) => [bytes.clone(), good.clone()].concat(),
-                Harm::Lost => Vec::new(),
-            };
-            // Every frame that is not whole may take the one behind it along.
-            harmful += match harm {
-                Harm::Unharmed | Harm::Twice => 0,
-                Harm::Lost | Harm::Garbage(_) => 1,
-                Harm::Flip(..) | Harm::Cut(_) => 2,
-            };
-            for (answered, answer) in harmed.hear(&line) {
-                prop_assert_eq!(answered, sequence);
-                let wanted = reference.hear(&frame(sequence, &sample_message(k as u32)));
-                prop_assert_eq!(&wanted, &[(answered, answer)]);
+            let (line, frames) = damage.apply(&good);
+            cost += frames;
+            for (number, reply) in damaged.receive(&line) {
+                prop_assert_eq!(number, sequence);
+                prop_assert_eq!(&reference.receive(&good), &[(number, reply)]);
                 accepted += 1;
             }
-            harmed.learn();
+            damaged.learn();
             reference.learn();
         }
-        prop_assert!(accepted + harmful >= harms.len(), "{} accepted", accepted);
-        prop_assert!(accepted <= harms.len());
+        prop_assert!(accepted + cost >= damages.len(), "{} accepted", accepted);
+        prop_assert!(accepted <= damages.len());
     }
 
     #[test]
@@ -107,9 +99,8 @@ proptest! {
         words in prop::collection::vec((any::<u8>(), any::<u16>(), any::<u32>()), 0..40),
     ) {
         let mut board = Board::new();
-        board.hear(&bytes);
+        board.receive(&bytes);
         for (kind, offset, crc) in words {
-            board.sequence = board.sequence.wrapping_add(1);
             let message = match kind % 8 {
                 0 => HostMessage::BankRead { source: BankSource::Live, offset },
                 1 => HostMessage::BankCommit { length: offset, crc, mac: None },
@@ -124,7 +115,7 @@ proptest! {
                 }).into()),
                 _ => sample_message(crc),
             };
-            board.hear(&frame(board.sequence, &message));
+            board.send(&message);
             board.learn();
         }
         let feed_forward = board.session.feed_forward();

@@ -1,20 +1,21 @@
-//! One board and what is said to it; the tests are in the rooms below.
+//! A board under test, and the messages that it receives.
 
 mod arming;
 mod banks;
 mod gaps;
 mod keys;
 mod line;
-mod stored;
+mod store;
 mod streams;
 mod ticks;
 
 use super::*;
 use crate::bank::NETWORK_SEED;
 use crate::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyState};
+use crate::telemetry::Statistics;
 use crate::wire::{
-    BankSource, CHUNK, CRC, Capabilities, Chunk, Decoder, HostMessage, NackReason, Pacing,
-    ResetReason, SampleFrame, TorqueFrame, encode,
+    BankSource, CHUNK, CRC, Capabilities, Decoder, HostMessage, NackReason, Pacing, ResetReason,
+    SampleFrame, TorqueFrame, encode,
 };
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::FeedForwardConfig;
@@ -26,8 +27,19 @@ use std::vec::Vec;
 
 const N: usize = 6;
 const P: usize = 40;
+const ACK: BoardMessage<N> = BoardMessage::Ack;
 
-/// A session with its mailbox and learner, as one board has them.
+const fn nack(reason: NackReason) -> BoardMessage<N> {
+    BoardMessage::Nack(reason)
+}
+
+const fn no_torque(reason: SafetyReason) -> BoardMessage<N> {
+    nack(NackReason::Unsafe(reason))
+}
+
+type Replies = Vec<(u16, BoardMessage<N>)>;
+
+/// A session with its mailboxes and learner.
 struct Board {
     session: Box<Session<Ur5, N, P>>,
     mailboxes: Box<Mailboxes<N, P>>,
@@ -53,28 +65,58 @@ impl Board {
         }
     }
 
-    fn hear(&mut self, bytes: &[u8]) -> Vec<(u16, BoardMessage<N>)> {
-        let mut out = FrameBuffer::new();
-        self.session
-            .receive(bytes, &mut self.mailboxes, &mut out, &mut NoLocalSensor);
-        heard(out.as_bytes())
+    fn armed() -> Self {
+        let mut board = Self::new();
+        board.arm();
+        (0..20).for_each(|_| _ = board.sample(0));
+        assert_ne!(board.sample(0).total, [0.0; N]);
+        board
     }
 
-    fn ask(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
+    fn receive(&mut self, bytes: &[u8]) -> Replies {
+        self.output(|session, mailboxes, out| {
+            session.receive(bytes, mailboxes, out, &mut NoLocalSensor);
+        })
+    }
+
+    fn timer(&mut self) -> Replies {
+        self.output(|session, mailboxes, out| {
+            session.timer_tick(mailboxes, out, &mut NoLocalSensor);
+        })
+    }
+
+    fn output(
+        &mut self,
+        act: impl FnOnce(&mut Session<Ur5, N, P>, &mut Mailboxes<N, P>, &mut FrameBuffer),
+    ) -> Replies {
+        let mut out = FrameBuffer::new();
+        act(&mut self.session, &mut self.mailboxes, &mut out);
+        decoded(out.as_bytes())
+    }
+
+    /// Sends a message under the next number.
+    fn send(&mut self, message: &HostMessage<N>) -> Replies {
         self.sequence += 1;
-        let answers = self.hear(&frame(self.sequence, &message));
-        let [(sequence, answer)] = answers.as_slice() else {
-            panic!("{} answers", answers.len());
+        self.receive(&frame(self.sequence, message))
+    }
+
+    /// The one reply to a message.
+    fn request(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
+        let replies = self.send(&message);
+        let [(sequence, reply)] = replies.as_slice() else {
+            panic!("{} replies", replies.len());
         };
         assert_eq!(*sequence, self.sequence);
-        answer.clone()
+        reply.clone()
+    }
+
+    #[track_caller]
+    fn acknowledged(&mut self, message: HostMessage<N>) {
+        assert_eq!(self.request(message), ACK);
     }
 
     fn sample(&mut self, k: u32) -> TorqueFrame<N> {
-        match self.ask(sample_message(k)) {
-            BoardMessage::Torque(torque) => torque,
-            other => panic!("{other:?}"),
-        }
+        torque(&self.request(sample_message(k)))
     }
 
     /// Samples until the board can be armed, then arms it.
@@ -82,66 +124,70 @@ impl Board {
         for _ in 0..ARM_SAMPLES {
             assert_eq!(self.sample(0).total, [0.0; N]);
         }
-        assert_eq!(self.ask(HostMessage::Arm), BoardMessage::Ack);
+        self.acknowledged(HostMessage::Arm);
     }
 
-    fn timer(&mut self) -> Vec<(u16, BoardMessage<N>)> {
-        let mut out = FrameBuffer::new();
-        self.session
-            .timer_tick(&mut self.mailboxes, &mut out, &mut NoLocalSensor);
-        heard(out.as_bytes())
-    }
-
-    /// One period of a board on its own clock: at most one sample, then the timer, whichever of the two paces the board.
+    /// One period of a board with a timer: at most one sample, then the timer, whichever of the two paces the board.
     fn period(&mut self, sample: Option<JointSample<N>>) -> Option<TorqueFrame<N>> {
-        let mut answers = Vec::new();
-        if let Some(sample) = sample {
-            self.sequence += 1;
-            let message = HostMessage::Sample(SampleFrame::new(&sample));
-            answers.extend(self.hear(&frame(self.sequence, &message)));
-        }
-        answers.extend(self.timer());
-        match answers.as_slice() {
-            [] => None,
-            [(_, BoardMessage::Torque(torque))] => Some(*torque),
-            other => panic!("{other:?}"),
-        }
+        let mut replies = sample.map_or(Vec::new(), |sample| {
+            self.send(&HostMessage::Sample(SampleFrame::new(&sample)))
+        });
+        replies.extend(self.timer());
+        assert!(replies.len() <= 1);
+        replies.first().map(|(_, reply)| torque(reply))
+    }
+
+    fn pace(&mut self, pacing: Pacing) {
+        self.acknowledged(HostMessage::Configure(Configuration {
+            pacing,
+            ..Configuration::default()
+        }));
     }
 
     fn learn(&mut self) {
         self.mailboxes.learner.work(&mut self.learner, &NoClock);
     }
 
-    fn read(&mut self) -> Vec<u8> {
+    fn statistics(&self) -> Statistics {
+        self.session.statistics(&self.mailboxes.learner)
+    }
+
+    /// The bank of `source`, whose first chunk `first` requests.
+    fn read_from(
+        &mut self,
+        source: BankSource,
+        first: impl FnOnce(&mut Self, HostMessage<N>) -> BoardMessage<N>,
+    ) -> Vec<u8> {
+        let read = |offset: usize| HostMessage::BankRead {
+            source,
+            offset: offset as u16,
+        };
         let mut bank = Vec::new();
+        let mut reply = first(self, read(0));
         loop {
-            let offset = bank.len() as u16;
-            match self.ask(HostMessage::BankRead {
-                source: BankSource::Live,
-                offset,
-            }) {
-                BoardMessage::BankChunk { bytes, length, .. } => {
-                    bank.extend(bytes);
-                    if bank.len() == usize::from(length) {
-                        return bank;
-                    }
-                }
-                other => panic!("{other:?}"),
+            let BoardMessage::BankChunk { bytes, length, .. } = reply else {
+                panic!("{reply:?}");
+            };
+            bank.extend(bytes);
+            if bank.len() == usize::from(length) {
+                return bank;
             }
+            reply = self.request(read(bank.len()));
         }
     }
 
+    fn read(&mut self) -> Vec<u8> {
+        self.read_from(BankSource::Live, Self::request)
+    }
+
     fn write(&mut self, bank: &[u8]) {
-        for (place, piece) in bank.chunks(CHUNK).enumerate() {
-            let bytes: Chunk = piece.iter().copied().collect();
-            let offset = (place * CHUNK) as u16;
-            let answer = self.ask(HostMessage::BankWrite { offset, bytes });
-            assert_eq!(answer, BoardMessage::Ack);
+        for place in 0..bank.len().div_ceil(CHUNK) {
+            self.acknowledged(write(bank, place));
         }
     }
 
     fn commit(&mut self, bank: &[u8]) -> BoardMessage<N> {
-        self.ask(HostMessage::BankCommit {
+        self.request(HostMessage::BankCommit {
             length: bank.len() as u16,
             crc: CRC.checksum(bank),
             mac: None,
@@ -149,32 +195,46 @@ impl Board {
     }
 }
 
+/// Chunk `place` of an upload.
+fn write(bank: &[u8], place: usize) -> HostMessage<N> {
+    let chunk = bank.chunks(CHUNK).nth(place).unwrap();
+    HostMessage::BankWrite {
+        offset: (place * CHUNK) as u16,
+        bytes: chunk.iter().copied().collect(),
+    }
+}
+
 fn frame(sequence: u16, message: &HostMessage<N>) -> Vec<u8> {
     encode(sequence, message, &mut [0; 300]).unwrap().to_vec()
 }
 
-fn heard(bytes: &[u8]) -> Vec<(u16, BoardMessage<N>)> {
+fn decoded(bytes: &[u8]) -> Replies {
     let mut decoder = Decoder::new();
-    let mut messages = Vec::new();
-    for &byte in bytes {
-        if let Some(frame) = decoder.push(byte) {
-            let frame = frame.unwrap();
-            messages.push((frame.sequence, frame.message().unwrap()));
-        }
+    let frames = bytes.iter().filter_map(|&byte| {
+        let frame = decoder.push(byte)?.unwrap();
+        Some((frame.sequence, frame.message().unwrap()))
+    });
+    frames.collect()
+}
+
+fn torque(reply: &BoardMessage<N>) -> TorqueFrame<N> {
+    match reply {
+        BoardMessage::Torque(torque) => *torque,
+        other => panic!("{other:?}"),
     }
-    messages
 }
 
 fn sample(k: u32) -> JointSample<N> {
     let t = k as f32 * 5e-3;
+    let q = JointVector::from_fn(|j, _| (t + j as f32).sin());
     JointSample {
         desired: JointMotion {
-            q: JointVector::from_fn(|j, _| (t + j as f32).sin()),
+            q,
             qd: JointVector::from_fn(|j, _| (t + j as f32).cos()),
-            qdd: JointVector::from_fn(|j, _| -(t + j as f32).sin()),
+            qdd: -q,
         },
         measured: Some(JointMeasurement {
-            q: JointVector::from_fn(|j, _| (t + j as f32).sin()),
+            q,
             tau: JointVector::<N>::repeat(2.0),
         }),
     }
@@ -188,6 +248,6 @@ fn uploaded() -> Vec<u8> {
     let mut bank = ParameterBank::nominal::<Ur5, N, P>();
     bank.columns[0].value += 1.0;
     bank.drive_gains_nm_a.fill(10.0);
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    bank.encode(&mut room).unwrap().to_vec()
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    bank.encode(&mut buffer).unwrap().to_vec()
 }

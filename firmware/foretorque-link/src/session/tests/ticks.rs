@@ -1,7 +1,7 @@
 use super::*;
 
 #[test]
-fn currents_count_by_the_drive_gain_once_it_is_known() {
+fn currents_count_only_with_a_drive_gain() {
     let frame = SampleFrame::new(&sample(0)).with_current(&JointVector::<N>::repeat(0.5));
     assert_eq!(frame.sample(&[0.0; N]).measured, None);
     let measured = frame.sample(&[10.0; N]).measured.unwrap();
@@ -9,146 +9,135 @@ fn currents_count_by_the_drive_gain_once_it_is_known() {
 }
 
 #[test]
-fn the_timer_runs_the_newest_sample_once_and_then_none() {
+fn the_timer_runs_the_newest_sample_once() {
     let mut board = Board::new();
-    let timer = HostMessage::Configure(Configuration {
-        pacing: Pacing::SysTick,
-        ..Configuration::default()
-    });
-    assert_eq!(board.ask(timer), BoardMessage::Ack);
-    assert!(board.hear(&frame(2, &sample_message(0))).is_empty());
-    assert!(board.hear(&frame(3, &sample_message(1))).is_empty());
-    let flags = |answers: Vec<(u16, BoardMessage<N>)>| match answers.as_slice() {
-        [(sequence, BoardMessage::Torque(torque))] => (*sequence, torque.tick, Flags(torque.flags)),
-        other => panic!("{other:?}"),
-    };
-    let (sequence, tick, first) = flags(board.timer());
-    assert_eq!((sequence, tick), (3, 0));
-    assert!(!first.contains(Flags::NO_MEASUREMENT));
-    let (sequence, tick, second) = flags(board.timer());
-    assert_eq!((sequence, tick), (3, 1));
-    assert!(second.contains(Flags::NO_MEASUREMENT));
-    let statistics = board.session.statistics(&board.mailboxes.learner);
+    board.pace(Pacing::SysTick);
+    for k in 0..2 {
+        assert!(board.send(&sample_message(k)).is_empty());
+    }
+    for (tick, stale) in [(0, false), (1, true)] {
+        let replies = board.timer();
+        let (sequence, reply) = &replies[0];
+        let torque = torque(reply);
+        assert_eq!((*sequence, torque.tick), (3, tick));
+        assert_eq!(Flags(torque.flags).contains(Flags::NO_MEASUREMENT), stale);
+    }
+    let statistics = board.statistics();
     assert_eq!((statistics.overtaken, statistics.stale_ticks), (1, 1));
 }
 
 #[test]
-fn the_timer_does_nothing_where_the_link_paces() {
+fn the_timer_runs_no_tick_where_samples_pace() {
     let mut board = Board::new();
     assert!(board.timer().is_empty());
-    assert_eq!(board.session.statistics(&board.mailboxes.learner).ticks, 0);
+    assert_eq!(board.statistics().ticks, 0);
 }
 
 #[test]
 fn every_constant_follows_the_period() {
     let mut board = Board::new();
-    let slow = HostMessage::Configure(Configuration {
+    board.acknowledged(HostMessage::Configure(Configuration {
         period_us: 4000,
         ..Configuration::default()
-    });
-    assert_eq!(board.ask(slow), BoardMessage::Ack);
+    }));
     let bank = ParameterBank::nominal::<Ur5, N, P>();
     let wanted = bank.feed_forward_config::<Ur5, N, P>(4e-3).unwrap();
     assert_eq!(*board.session.feed_forward().config(), wanted);
-    // The learner starts over too: a round is closed and published from its new tick 0.
+    // The learner restarts too: it closes and publishes a round from its new tick 0.
     for k in 0..6 {
-        board.ask(sample_message(k));
+        board.sample(k);
         board.learn();
     }
     assert_eq!(board.learner.state().statistics.published, 1);
 }
 
 #[test]
-fn learnt_sets_do_not_depend_on_how_late_the_learner_is_within_its_time() {
-    let run = |delay: u32| -> Vec<BoardMessage<N>> {
+fn torques_do_not_depend_on_the_delay_of_the_learner() {
+    let run = |delay: u32| -> Vec<TorqueFrame<N>> {
         let mut board = Board::new();
-        board.ask(HostMessage::Learning { on: true });
+        board.acknowledged(HostMessage::Learning { on: true });
         (0..400)
             .map(|k| {
-                let answer = board.ask(sample_message(k));
+                let torque = board.sample(k);
                 // The last tick of a round, N - 1, is due N / 2 ticks later.
                 if k % (delay + 1) == delay {
                     board.learn();
                 }
-                answer
+                torque
             })
             .collect()
     };
     let prompt = run(0);
     assert_eq!(run(2), prompt);
-    let flags = prompt.iter().filter_map(|answer| match answer {
-        BoardMessage::Torque(torque) => Some(Flags(torque.flags)),
-        _ => None,
-    });
-    let adopted = flags
-        .filter(|flags| flags.contains(Flags::SET_ADOPTED))
-        .count();
-    assert!(adopted > 60, "{adopted}");
+    let adopted = |torque: &&TorqueFrame<N>| Flags(torque.flags).contains(Flags::SET_ADOPTED);
+    assert!(prompt.iter().filter(adopted).count() > 60);
 }
 
 #[test]
-fn a_set_learnt_before_a_restart_never_meets_the_ticks_after_it() {
+fn a_set_learnt_before_a_restart_never_reaches_later_ticks() {
     let mut board = Board::new();
-    board.ask(HostMessage::Learning { on: true });
+    board.acknowledged(HostMessage::Learning { on: true });
     for k in 0..5 {
-        board.ask(sample_message(k));
+        board.sample(k);
         board.learn();
     }
-    board.ask(sample_message(5));
+    board.sample(5);
     let lesson = board.mailboxes.learner.begin(&mut board.learner).unwrap();
     board.learner.study(&lesson);
     // The tick interrupts the learner here, at the end of a round.
-    board.ask(HostMessage::Learning { on: false });
-    assert_eq!(board.ask(HostMessage::Reset), BoardMessage::Ack);
+    board.acknowledged(HostMessage::Learning { on: false });
+    board.acknowledged(HostMessage::Reset);
     board.mailboxes.learner.finish(&mut board.learner, 0);
     assert_eq!(board.mailboxes.learner.exchange.published, None);
 }
 
 #[test]
-fn a_sample_that_is_not_a_number_gives_a_finite_torque() {
+fn a_sample_that_is_not_finite_gives_a_finite_torque() {
     let mut board = Board::new();
     let mut broken = sample(0);
     broken.desired.q[2] = f32::NAN;
-    let answer = board.ask(HostMessage::Sample(SampleFrame::new(&broken)));
-    let BoardMessage::Torque(torque) = answer else {
-        panic!("{answer:?}");
-    };
+    let reply = board.request(HostMessage::Sample(SampleFrame::new(&broken)));
+    let torque = torque(&reply);
     assert!(torque.total.iter().all(|tau| tau.is_finite()));
     assert!(Flags(torque.flags).contains(Flags::NOT_FINITE));
 }
 
-#[test]
-fn an_answer_that_is_to_wait_is_held_until_everything_is_learnt() {
-    let mut board = Board::new();
-    board.ask(HostMessage::Learning { on: true });
-    board.ask(sample_message(0));
-    assert!(
-        !board.mailboxes.learner.holds_reply(),
-        "nobody asked for it"
-    );
-    let patient = SampleFrame::new(&sample(1)).answered_after_learning();
-    board.ask(HostMessage::Sample(patient));
-    assert!(board.mailboxes.learner.holds_reply());
-    // Two lessons wait. The learner is interrupted in the first one.
-    let first = board.mailboxes.learner.begin(&mut board.learner).unwrap();
-    board.ask(HostMessage::Statistics);
-    board.learner.study(&first);
-    board.mailboxes.learner.finish(&mut board.learner, 0);
-    assert!(!board.mailboxes.learner.release_reply() && board.mailboxes.learner.holds_reply());
-    let second = board.mailboxes.learner.begin(&mut board.learner).unwrap();
-    board.learner.study(&second);
-    board.mailboxes.learner.finish(&mut board.learner, 0);
-    assert!(board.mailboxes.learner.begin(&mut board.learner).is_none());
-    assert!(board.mailboxes.learner.release_reply() && !board.mailboxes.learner.holds_reply());
-    assert!(!board.mailboxes.learner.release_reply(), "it is sent once");
+/// A sample whose reply waits for the learner.
+fn waiting_sample() -> HostMessage<N> {
+    HostMessage::Sample(SampleFrame::new(&sample(1)).answered_after_learning())
 }
 
 #[test]
-fn an_answer_that_waits_when_the_tick_starts_over_is_let_go() {
+fn a_waiting_reply_is_held_until_everything_is_learnt() {
     let mut board = Board::new();
-    let patient = SampleFrame::new(&sample(1)).answered_after_learning();
-    board.ask(HostMessage::Sample(patient));
-    assert_eq!(board.ask(HostMessage::Reset), BoardMessage::Ack);
-    assert!(board.mailboxes.learner.begin(&mut board.learner).is_none());
-    assert!(board.mailboxes.learner.release_reply());
+    board.acknowledged(HostMessage::Learning { on: true });
+    board.sample(0);
+    assert!(!board.mailboxes.learner.holds_reply(), "not requested");
+    board.request(waiting_sample());
+    assert!(board.mailboxes.learner.holds_reply());
+    // Two samples wait. A command interrupts the learner in the first one.
+    for (interrupted, released) in [(true, false), (false, true)] {
+        let lesson = board.mailboxes.learner.begin(&mut board.learner).unwrap();
+        if interrupted {
+            board.request(HostMessage::Statistics);
+        }
+        board.learner.study(&lesson);
+        let mailbox = &mut board.mailboxes.learner;
+        mailbox.finish(&mut board.learner, 0);
+        assert_eq!(mailbox.release_reply(), released);
+        assert_eq!(mailbox.holds_reply(), !released);
+    }
+    let mailbox = &mut board.mailboxes.learner;
+    assert!(mailbox.begin(&mut board.learner).is_none());
+    assert!(!mailbox.release_reply(), "it is sent once");
+}
+
+#[test]
+fn a_restart_of_the_tick_releases_a_waiting_reply() {
+    let mut board = Board::new();
+    board.request(waiting_sample());
+    board.acknowledged(HostMessage::Reset);
+    let mailbox = &mut board.mailboxes.learner;
+    assert!(mailbox.begin(&mut board.learner).is_none());
+    assert!(mailbox.release_reply());
 }

@@ -1,4 +1,4 @@
-//! What every test of the wire needs; the tests are in the rooms below.
+//! Helpers of the tests of the wire.
 
 mod any;
 mod line;

@@ -1,4 +1,4 @@
-//! How many bytes of the line every message takes.
+//! Bytes on the wire of every message.
 
 use super::*;
 use crate::bank::BankError;
@@ -6,12 +6,89 @@ use crate::excitation::{AbortReason, ExcitationCommand, ExcitationState};
 use crate::safety::{SafetyReason, SafetyState, SafetyStatus};
 use crate::store::StoreError;
 use crate::telemetry::Statistics;
+use core::fmt::Debug;
+use std::string::{String, ToString as _};
 
-/// The largest of every message of the host and of the board, with the name that the protocol page gives it.
-pub(super) fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
+/// Name and wire size of a message, with no zero byte in its header.
+fn sized<M: Serialize + Debug>(message: M) -> (String, usize) {
+    let text = std::format!("{message:?}");
+    let name = text.split(|letter: char| !letter.is_alphabetic()).next();
+    (name.unwrap().to_string(), wire(0x0101, &message).len())
+}
+
+/// Names and largest wire sizes of the messages of host and board, in the order of their tags.
+pub(super) fn sizes<const J: usize>() -> [Vec<(String, usize)>; 2] {
+    let ones = [f32::from_bits(0x0101_0101); J];
     let chunk: Chunk = [0xA5; CHUNK].into_iter().collect();
     let name: Name = "abcdefghijklmnopqrstuvwx".parse().unwrap();
-    let ones = [f32::from_bits(0x0101_0101); J];
+    let mac = Some([1; MAC_BYTES]);
+    let (length, crc, offset, every) = (1, 1, 1, 1);
+    let sample = SampleFrame::new(&foretorque::joint::JointSample {
+        desired: foretorque::joint::JointMotion::zero(),
+        measured: None,
+    });
+    let motion = MotionFrame {
+        q: ones,
+        qd: ones,
+        qdd: ones,
+    };
+    let write = HostMessage::BankWrite {
+        offset,
+        bytes: chunk.clone(),
+    };
+    let read = HostMessage::BankRead {
+        source: BankSource::Stored,
+        offset,
+    };
+    let from_host: [HostMessage<J>; 22] = [
+        HostMessage::Hello,
+        HostMessage::Sample(sample),
+        HostMessage::Evaluate(motion),
+        HostMessage::Configure(Configuration::default()),
+        HostMessage::Learning { on: true },
+        write,
+        HostMessage::BankCommit { length, crc, mac },
+        read,
+        HostMessage::Statistics,
+        HostMessage::Reset,
+        HostMessage::Arm,
+        HostMessage::Disarm,
+        HostMessage::Stop,
+        HostMessage::ClearFault,
+        HostMessage::Request { code: 1 },
+        HostMessage::Save,
+        HostMessage::Restore,
+        HostMessage::Telemetry { fields: 1, every },
+        HostMessage::Challenge,
+        HostMessage::Reboot,
+        HostMessage::ExcitationLoad { length, crc, mac },
+        HostMessage::Excitation(ExcitationCommand::Start),
+    ];
+    let safety = SafetyStatus {
+        state: SafetyState::Armed,
+        reason: SafetyReason::Disarmed,
+    };
+    let hello = BoardHello {
+        arm_hash: 1,
+        arm: name.clone(),
+        joints: 1,
+        base_columns: 1,
+        firmware: name,
+        capabilities: Capabilities::LEARNING,
+        counter: CounterKind::Cycles,
+        counter_hz: 1,
+        configuration: Configuration::default(),
+        reset_reason: ResetReason::Pin,
+        safety,
+        boot_counts: 1,
+    };
+    let torque = TorqueFrame {
+        tick: 1,
+        flags: 1,
+        safety,
+        total: ones,
+        shares: [1.0; 3],
+    };
     let evaluated = EvaluatedFrame {
         flags: 0x0101,
         total: ones,
@@ -19,212 +96,67 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(&'static str, usize)>; 2] {
         friction: ones,
         network: ones,
     };
-    let safety = SafetyStatus {
-        state: SafetyState::Armed,
-        reason: SafetyReason::Disarmed,
+    let full = FullTorqueFrame {
+        tick: 1,
+        safety,
+        torque: evaluated,
     };
-    let host = |name, message: HostMessage<J>| (name, wire(0x0101, &message).len());
-    let board = |name, message: BoardMessage<J>| (name, wire(0x0101, &message).len());
-    let from_host = std::vec![
-        host("Hello", HostMessage::Hello),
-        host(
-            "Sample",
-            HostMessage::Sample(SampleFrame::new(&foretorque::joint::JointSample {
-                desired: foretorque::joint::JointMotion::zero(),
-                measured: None,
-            }))
-        ),
-        host(
-            "Evaluate",
-            HostMessage::Evaluate(MotionFrame {
-                q: ones,
-                qd: ones,
-                qdd: ones
-            })
-        ),
-        host(
-            "Configure",
-            HostMessage::Configure(Configuration::default())
-        ),
-        host("Learning", HostMessage::Learning { on: true }),
-        host(
-            "BankWrite",
-            HostMessage::BankWrite {
-                offset: 1,
-                bytes: chunk.clone()
-            }
-        ),
-        host(
-            "BankCommit",
-            HostMessage::BankCommit {
-                length: 1,
-                crc: 1,
-                mac: Some([1; MAC_BYTES])
-            }
-        ),
-        host(
-            "BankRead",
-            HostMessage::BankRead {
-                source: BankSource::Stored,
-                offset: 1
-            }
-        ),
-        host("Statistics", HostMessage::Statistics),
-        host("Reset", HostMessage::Reset),
-        host("Arm", HostMessage::Arm),
-        host("Disarm", HostMessage::Disarm),
-        host("Stop", HostMessage::Stop),
-        host("ClearFault", HostMessage::ClearFault),
-        host("Request", HostMessage::Request { code: 1 }),
-        host("Save", HostMessage::Save),
-        host("Restore", HostMessage::Restore),
-        host(
-            "Telemetry",
-            HostMessage::Telemetry {
-                fields: 1,
-                every: 1
-            }
-        ),
-        host("Challenge", HostMessage::Challenge),
-        host("Reboot", HostMessage::Reboot),
-        host(
-            "ExcitationLoad",
-            HostMessage::ExcitationLoad {
-                length: 1,
-                crc: 1,
-                mac: Some([1; MAC_BYTES])
-            }
-        ),
-        host(
-            "Excitation",
-            HostMessage::Excitation(ExcitationCommand::Start)
-        ),
+    let refused = BankError::WrongArm { found: u32::MAX };
+    let telemetry = TelemetryFrame {
+        tick: 1,
+        fields: 1,
+        bytes: [1; TELEMETRY_BYTES].into_iter().collect(),
+    };
+    let aborted = ExcitationState::Aborted(AbortReason::Tracking(1));
+    let excited = ExcitedFrame {
+        torque,
+        state: aborted,
+        q: [Position::encode(1.0); J],
+        qd: [Velocity::encode(1.0); J],
+        qdd: [Acceleration::encode(1.0); J],
+    };
+    let chunk = BoardMessage::BankChunk {
+        offset,
+        length,
+        bytes: chunk,
+    };
+    let nonce = [1; MAC_BYTES];
+    let from_board: [BoardMessage<J>; 12] = [
+        BoardMessage::Hello(hello),
+        BoardMessage::Torque(torque),
+        BoardMessage::FullTorque(full),
+        BoardMessage::Evaluated(evaluated),
+        BoardMessage::Ack,
+        BoardMessage::Nack(NackReason::Store(StoreError::Bank(refused))),
+        chunk,
+        BoardMessage::Statistics(Statistics::default()),
+        BoardMessage::Telemetry(telemetry),
+        BoardMessage::Challenge { nonce },
+        BoardMessage::Excitation(aborted),
+        BoardMessage::Excited(excited),
     ];
-    let from_board = std::vec![
-        board(
-            "Hello",
-            BoardMessage::Hello(BoardHello {
-                arm_hash: 1,
-                arm: name.clone(),
-                joints: 1,
-                base_columns: 1,
-                firmware: name,
-                capabilities: Capabilities::LEARNING,
-                counter: CounterKind::Cycles,
-                counter_hz: 1,
-                configuration: Configuration::default(),
-                reset_reason: ResetReason::Pin,
-                safety,
-                boot_counts: 1,
-            })
-        ),
-        board(
-            "Torque",
-            BoardMessage::Torque(TorqueFrame {
-                tick: 1,
-                flags: 1,
-                safety,
-                total: ones,
-                shares: [1.0; 3],
-            })
-        ),
-        board(
-            "FullTorque",
-            BoardMessage::FullTorque(FullTorqueFrame {
-                tick: 1,
-                safety,
-                torque: evaluated
-            })
-        ),
-        board("Evaluated", BoardMessage::Evaluated(evaluated)),
-        board("Ack", BoardMessage::Ack),
-        board(
-            "Nack",
-            BoardMessage::Nack(NackReason::Store(StoreError::Bank(BankError::WrongArm {
-                found: u32::MAX
-            })))
-        ),
-        board(
-            "BankChunk",
-            BoardMessage::BankChunk {
-                offset: 1,
-                length: 1,
-                bytes: chunk
-            }
-        ),
-        board(
-            "Statistics",
-            BoardMessage::Statistics(Statistics::default())
-        ),
-        board(
-            "Telemetry",
-            BoardMessage::Telemetry(TelemetryFrame {
-                tick: 1,
-                fields: 1,
-                bytes: [1; TELEMETRY_BYTES].into_iter().collect(),
-            })
-        ),
-        board(
-            "Challenge",
-            BoardMessage::Challenge {
-                nonce: [1; MAC_BYTES]
-            }
-        ),
-        board(
-            "Excitation",
-            BoardMessage::Excitation(ExcitationState::Aborted(AbortReason::Tracking(1)))
-        ),
-        board(
-            "Excited",
-            BoardMessage::Excited(ExcitedFrame {
-                torque: TorqueFrame {
-                    tick: 1,
-                    flags: 1,
-                    safety,
-                    total: ones,
-                    shares: [1.0; 3],
-                },
-                state: ExcitationState::Aborted(AbortReason::Tracking(1)),
-                q: [Position::encode(1.0); J],
-                qd: [Velocity::encode(1.0); J],
-                qdd: [Acceleration::encode(1.0); J],
-            })
-        ),
-    ];
-    [from_host, from_board]
+    [
+        from_host.into_iter().map(sized).collect(),
+        from_board.into_iter().map(sized).collect(),
+    ]
+}
+
+fn assert_cyclic_sizes<const J: usize>() {
+    let all: Vec<_> = sizes::<J>().into_iter().flatten().collect();
+    for (name, bytes) in [
+        ("Sample", size::sample(J)),
+        ("Torque", size::torque(J)),
+        ("FullTorque", size::full_torque(J)),
+        ("Excited", size::excited(J)),
+    ] {
+        assert!(all.contains(&(name.to_string(), bytes)), "{name}: {bytes}");
+    }
 }
 
 #[test]
-fn cyclic_frames_have_the_sizes_that_the_link_is_planned_for() {
-    fn cyclic<const J: usize>() -> [usize; 4] {
-        let of = |wanted| {
-            sizes::<J>()
-                .into_iter()
-                .flatten()
-                .find(|(name, _)| *name == wanted)
-                .unwrap()
-                .1
-        };
-        [of("Sample"), of("Torque"), of("FullTorque"), of("Excited")]
-    }
-    assert_eq!(
-        cyclic::<6>(),
-        [
-            size::sample(6),
-            size::torque(6),
-            size::full_torque(6),
-            size::excited(6)
-        ]
-    );
-    assert_eq!(
-        cyclic::<7>(),
-        [
-            size::sample(7),
-            size::torque(7),
-            size::full_torque(7),
-            size::excited(7)
-        ]
-    );
+fn cyclic_frames_have_their_planned_sizes() {
+    assert_cyclic_sizes::<6>();
+    assert_cyclic_sizes::<7>();
     assert!(size::sample(6) <= 96 && size::torque(6) <= 64);
     assert_eq!(size::headroom_permille(96, 1000, 200_000), 520);
 }

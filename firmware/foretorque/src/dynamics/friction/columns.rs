@@ -77,7 +77,7 @@ pub enum FrictionPrior {
     Torque(f32),
     /// Part of the joint's torque limit at its velocity limit.
     TorqueAtFullSpeed(f32),
-    /// The same for every joint, in the unit of the parameter.
+    /// One value for every joint, in the unit of the parameter.
     Fixed(f32),
 }
 

@@ -47,7 +47,7 @@ fn a_quadratic_is_read_exactly_with_its_torque() {
 }
 
 #[test]
-fn of_a_ripple_the_filter_lets_through_the_share_that_it_says() {
+fn cogging_passes_the_filter_with_the_stated_gain() {
     for angle in [0.01f32, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.6] {
         let mut window = MeasurementWindow::<2>::new();
         for tick in 0..TAPS {
@@ -55,12 +55,12 @@ fn of_a_ripple_the_filter_lets_through_the_share_that_it_says() {
             window.push(Some(&at(phase.cos(), tick as f32)));
         }
         let seen = window.conditioned(1.0).expect("the window is full");
-        let share = -seen.motion.qdd[0] / (angle * angle);
-        let said = cogging_attenuation(angle);
-        assert!((share - said).abs() < 0.05, "{angle}: {share} {said}");
+        let gain = -seen.motion.qdd[0] / (angle * angle);
+        let stated = cogging_attenuation(angle);
+        assert!((gain - stated).abs() < 0.05, "{angle}: {gain} {stated}");
         assert!(
-            angle > 0.3 || (share - said).abs() < 0.01,
-            "{angle}: {share} {said}"
+            angle > 0.3 || (gain - stated).abs() < 0.01,
+            "{angle}: {gain} {stated}"
         );
     }
 }
@@ -75,13 +75,13 @@ fn another_period_scales_the_derivatives() {
     assert!((slow - 0.5).abs() < 1e-5, "{slow}");
 }
 
-/// A joint that swings, with a torque that tells the ticks apart.
+/// Swinging joint whose torque is the number of the tick.
 fn swinging(tick: usize) -> JointMeasurement<2> {
     at((0.003 * tick as f32).sin(), tick as f32)
 }
 
-/// What a window says after each of 200 ticks of which `arrives` makes what arrives.
-fn said(
+/// Output of a window after each of 200 ticks, with the measurements of `arrives`.
+fn outputs(
     arrives: impl Fn(usize) -> Option<JointMeasurement<2>>,
 ) -> std::vec::Vec<Option<ConditionedSample<2>>> {
     let mut window = MeasurementWindow::<2>::new();
@@ -95,19 +95,19 @@ fn said(
 }
 
 #[test]
-fn behind_a_short_gap_the_rows_are_those_of_a_whole_window_but_for_the_missing_torques() {
-    let whole = said(|tick| Some(swinging(tick)));
+fn rows_after_a_short_gap_lack_only_its_torques() {
+    let whole = outputs(|tick| Some(swinging(tick)));
     let not_a_number = JointMeasurement {
         tau: JointVector::<2>::new(f32::NAN, 0.0),
         ..swinging(0)
     };
     for (missing, length) in [(None, 1), (None, 3), (Some(not_a_number), 2)] {
         let gap = 100..100 + length;
-        let seen = said(|tick| match gap.contains(&tick) {
+        let seen = outputs(|tick| match gap.contains(&tick) {
             true => missing,
             false => Some(swinging(tick)),
         });
-        // The first measurement behind the gap may have been due in it.
+        // The first measurement after the gap may belong to a tick in it.
         let unknown = 100..=100 + length;
         for (tick, (seen, whole)) in seen.iter().zip(&whole).enumerate().skip(30) {
             if unknown.contains(&tick) || unknown.contains(&(tick - DELAY)) {
@@ -124,11 +124,11 @@ fn behind_a_short_gap_the_rows_are_those_of_a_whole_window_but_for_the_missing_t
 
 #[test]
 fn measurements_that_come_late_bend_no_row() {
-    let whole = said(|tick| Some(swinging(tick)));
+    let whole = outputs(|tick| Some(swinging(tick)));
     let lost = |tick: usize| tick % 23 == 5;
     // In place of a late measurement comes the one before, lost or not.
     let late = |tick: usize| matches!(tick % 23, 6 | 12);
-    let seen = said(|tick| match (lost(tick), late(tick)) {
+    let seen = outputs(|tick| match (lost(tick), late(tick)) {
         (true, _) => None,
         (_, true) => Some(swinging(tick - 1)),
         _ => Some(swinging(tick)),
@@ -153,11 +153,11 @@ fn a_long_gap_empties_the_window() {
     }
     for _ in 0..MAX_BRIDGED {
         window.push(None);
-        assert!(window.is_whole() && window.conditioned(1e3).is_none());
+        assert!(window.is_full() && window.conditioned(1e3).is_none());
     }
     window.push(None);
     for tick in 60..90 {
-        assert!(!window.is_whole() && window.conditioned(1e3).is_none());
+        assert!(!window.is_full() && window.conditioned(1e3).is_none());
         window.push(Some(&swinging(tick)));
     }
     window.push(Some(&swinging(90)));

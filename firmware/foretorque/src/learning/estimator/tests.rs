@@ -5,14 +5,14 @@ use std::vec::Vec;
 
 const WIDTH: usize = FRICTION_COLUMNS;
 
-/// The same filter on the plain covariance, in f64.
+/// Reference filter on the plain covariance, in f64.
 struct Twin {
     start: Vec<f64>,
     sigma: Vec<f64>,
     theta: Vec<f64>,
     p: Vec<Vec<f64>>,
     variance: [f64; N],
-    noticed: [f64; N],
+    effective_rows: [f64; N],
     visits: [usize; N],
 }
 
@@ -35,9 +35,9 @@ impl Twin {
         let z = innovation / s.sqrt();
         let up = z.abs() > 0.6745;
         let mut step = 1.005;
-        if self.noticed[joint] < f64::from(NOTICED_ROWS) {
-            self.noticed[joint] += self.variance[joint] / s;
-            step = 1.0 + 2.3 * self.variance[joint] / s / self.noticed[joint];
+        if self.effective_rows[joint] < f64::from(EFFECTIVE_ROWS) {
+            self.effective_rows[joint] += self.variance[joint] / s;
+            step = 1.0 + 2.3 * self.variance[joint] / s / self.effective_rows[joint];
         }
         self.variance[joint] *= if up { step } else { 1.0 / step };
         for (theta, gain) in self.theta.iter_mut().zip(&gain) {
@@ -50,7 +50,7 @@ impl Twin {
         }
     }
 
-    /// Moves the worst violated bound of the friction whose columns begin at `first`; returns whether there was one.
+    /// Projection onto the worst violated bound of the friction columns from `first` on; true if there was one.
     fn project(&mut self, first: usize) -> bool {
         let n = self.theta.len();
         let mut worst = (f64::from(TOLERANCE), std::vec![0.0; n]);
@@ -80,16 +80,16 @@ impl Twin {
     }
 }
 
-/// In units of the prior standard deviations: friction first, uncorrelated, then the doubts about links.
+/// Prior covariance in units of the prior standard deviations: uncorrelated friction, then base parameters.
 fn prior_covariance(n: usize) -> Vec<Vec<f64>> {
     let floor = prior_floor::<Ur5, N, P>();
     let mut p: Vec<Vec<f64>> = (0..n).map(|_| std::vec![0.0; n]).collect();
     for (k, row) in p.iter_mut().enumerate() {
         row[k] = k.checked_sub(n - P).map_or(1.0, |k| f64::from(floor[k]));
     }
-    for doubt in (0..).map_while(prior_factor::<Ur5, N, P>) {
-        for (row, a) in p[n - P..].iter_mut().zip(doubt) {
-            for (p, b) in row[n - P..].iter_mut().zip(doubt) {
+    for factor in (0..).map_while(prior_factor::<Ur5, N, P>) {
+        for (row, a) in p[n - P..].iter_mut().zip(factor) {
+            for (p, b) in row[n - P..].iter_mut().zip(factor) {
                 *p += f64::from(a) * f64::from(b);
             }
         }
@@ -98,7 +98,7 @@ fn prior_covariance(n: usize) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn it_starts_from_the_doubts_about_links_each_parameter_as_uncertain_as_its_deviation_says() {
+fn the_initial_covariance_is_that_of_the_prior_factors() {
     let prior = ParameterSet::nominal::<Ur5>(1);
     let estimator = Estimator::<N, P>::new::<Ur5>(&prior);
     let n = WIDTH * N + P;
@@ -113,8 +113,8 @@ fn it_starts_from_the_doubts_about_links_each_parameter_as_uncertain_as_its_devi
     assert!(twin[upper][forearm] > 0.5, "{}", twin[upper][forearm]);
 }
 
-/// Sines that never repeat, at most 2 rad/s, and the torque of an arm 10 % heavier than its description, with noise.
-fn seen(tick: u32, joint: usize, random: &mut u64) -> (LinearParameters<N, P>, f32) {
+/// Row and noisy torque of an arm 10 % heavier than its description, on sines without common period, at most 2 rad/s.
+fn row_and_torque(tick: u32, joint: usize, random: &mut u64) -> (LinearParameters<N, P>, f32) {
     let t = f64::from(tick) * 1e-3;
     let wave = |j: usize| {
         let w = 1.1 + 0.37 * j as f64;
@@ -138,20 +138,17 @@ fn seen(tick: u32, joint: usize, random: &mut u64) -> (LinearParameters<N, P>, f
             (*random >> 11) as f64 / (1u64 << 53) as f64 - 0.5
         })
         .sum();
-    // A row is made from a mean of torques.
+    // The torque of a row is a mean.
     let noise = 0.01 * noise / (AVERAGED as f64).sqrt();
     tau[joint] = row.dot(&truth) + noise as f32 * Ur5::LIMITS[joint].torque;
     (row, tau[joint])
 }
 
 #[test]
-fn after_a_million_rows_it_is_where_exact_arithmetic_is_and_its_factors_are_positive() {
+fn a_million_rows_agree_with_exact_arithmetic() {
     let config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
     let prior = ParameterSet::nominal::<Ur5>(1);
-    let (start, sigma) = (
-        LinearParameters::of(&prior),
-        LinearParameters::sigma(&config),
-    );
+    let (start, sigma) = (LinearParameters::of(&prior), config.sigma());
     let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
     let n = start.iter().count();
     let wide = |numbers: &LinearParameters<N, P>| numbers.iter().copied().map(f64::from).collect();
@@ -161,14 +158,14 @@ fn after_a_million_rows_it_is_where_exact_arithmetic_is_and_its_factors_are_posi
         theta: std::vec![0.0; n],
         p: prior_covariance(n),
         variance: [f64::from(FIRST_VARIANCE); N],
-        noticed: [f64::from(FIRST_ROWS); N],
+        effective_rows: [f64::from(FIRST_ROWS); N],
         visits: [0; N],
     };
     let (mut worst, mut random) = (0.0f64, 7);
     for tick in 0..1_000_000 {
         let joint = tick as usize % N;
         let limit = Ur5::LIMITS[joint].torque;
-        let (row, tau) = seen(tick, joint, &mut random);
+        let (row, tau) = row_and_torque(tick, joint, &mut random);
         let before = estimator.correct(&config, joint, limit, &row, tau);
         assert!(before.is_some());
         let unit = f64::from(config.noise * limit);
@@ -200,37 +197,37 @@ fn after_a_million_rows_it_is_where_exact_arithmetic_is_and_its_factors_are_posi
 }
 
 #[test]
-fn doubt_about_friction_is_what_a_row_of_friction_alone_adds_to_the_innovation() {
+fn friction_prediction_variance_is_that_of_a_friction_row() {
     let mut filter = UdFilter::<N, P>::new();
     let mut gain = LinearParameters::filled(0.0);
     let mut random = 3;
     for tick in 0..600 {
         let joint = tick as usize % N;
-        let (row, _) = seen(tick, joint, &mut random);
+        let (row, _) = row_and_torque(tick, joint, &mut random);
         filter.update(joint, &row, 1.0, &mut gain);
     }
     for joint in 0..N {
         let mut phi = LinearParameters::filled(0.0);
         phi.friction[joint] = [0.7, 1.0, 0.1, 0.4, 2.0, 1.0, 0.6, -0.8];
-        let doubt = filter.friction_doubt(joint, &phi.friction[joint]);
+        let predicted = filter.friction_prediction_variance(joint, &phi.friction[joint]);
         let variance = { filter }.update(joint, &phi, 1.0, &mut gain);
-        assert!(doubt > 1e-3, "{joint}: {doubt}");
+        assert!(predicted > 1e-3, "{joint}: {predicted}");
         assert!(
-            (variance - 1.0 - doubt).abs() < 1e-4 * variance,
-            "{joint}: {doubt} {variance}"
+            (variance - 1.0 - predicted).abs() < 1e-4 * variance,
+            "{joint}: {predicted} {variance}"
         );
     }
 }
 
-/// Rows of an arm without friction whose torque sensor sits behind the gear, with what no model explains: a disturbance of
-/// 2 % of the limit that lasts for tenths of a second.
+/// Row and torque of an arm without friction, as with a torque sensor behind the gear, and a correlated disturbance of 2 %
+/// of the limit over tenths of a second.
 fn frictionless(
     tick: u32,
     joint: usize,
     random: &mut u64,
     drift: &mut f32,
 ) -> (LinearParameters<N, P>, f32) {
-    let (row, _) = seen(tick, joint, random);
+    let (row, _) = row_and_torque(tick, joint, random);
     let rigid = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1))
         .rigid
         .map(|theta| 1.1 * theta);
@@ -244,12 +241,12 @@ fn frictionless(
 }
 
 #[test]
-fn friction_at_its_bound_does_not_push_its_neighbours_away() {
+fn friction_at_its_bound_leaves_correlated_columns_in_place() {
     let mut config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
     for outlier_sigmas in [3.0, 1e6] {
         config.outlier_sigmas = outlier_sigmas;
         let prior = ParameterSet::nominal::<Ur5>(1);
-        let sigma = LinearParameters::<N, P>::sigma(&config);
+        let sigma = config.sigma();
         let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
         let (mut random, mut drifts) = (5, [0.0; N]);
         let mut worst = 0.0f32;

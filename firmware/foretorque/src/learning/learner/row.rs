@@ -1,168 +1,208 @@
-//! One torque row: what the estimate, the evidence, the network and the monitor make of it.
+//! Learning from one torque row: quality, estimate, paired test, network candidate.
 
-use super::{Learner, count};
+use super::{Learner, increment};
 use crate::arm::Arm;
 use crate::joint::JointVector;
-use crate::learning::NETWORK_BOUND;
 use crate::learning::conditioning::{ConditionedSample, cogging_attenuation};
 use crate::learning::decision::Reason;
 use crate::learning::estimator::torque_row;
 use crate::learning::exchange::MotionRange;
-use crate::learning::monitor::Observation;
-use crate::learning::parameters::network_inputs;
-use crate::learning::stacked::LinearParameters;
-use crate::learning::trainer::{NetworkRow, NetworkVerdict};
+use crate::learning::parameters::{LinearParameters, NETWORK_BOUND, network_inputs};
+use crate::learning::quality::Observation;
+use crate::learning::trainer::{NetworkDecision, NetworkRow};
 use crate::limits::cut;
 use crate::math::sqrt;
 
-/// By how much the range may grow with one row, rad/s and rad/s²: one glitch of an encoder is not a motion that was
-/// learnt.
+/// Largest growth of the learnt range by one row, rad/s and rad/s²: one encoder error is no learnt motion.
 const RANGE_STEP: (f32, f32) = (0.02, 0.2);
 
-/// What became of a row.
-enum Verdict {
+/// Use of a row.
+enum RowOutcome {
     Accepted,
     Gated,
     Frozen,
     Rejected,
 }
 
+/// Torque row of one joint with its measurement.
+struct JointRow<const N: usize, const P: usize> {
+    tick: u32,
+    joint: usize,
+    /// Torque limit, N·m.
+    limit: f32,
+    /// Joint velocity, rad/s.
+    qd: f32,
+    /// Measured torque, N·m.
+    tau: f32,
+    /// Torque of the payload, N·m.
+    payload: f32,
+    columns: LinearParameters<N, P>,
+}
+
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
-    /// One row of joint `joint`. Returns by how much the estimate would change the joint's torque, in units of its limit.
+    /// Learn one row of `joint` and count its outcome.
+    ///
+    /// * returns the torque change of the joint by the estimate, in units of its limit; `None` if it is unknown
     #[inline(never)]
     pub(super) fn learn_row(
         &mut self,
         tick: u32,
         joint: usize,
-        seen: &ConditionedSample<N>,
+        sample: &ConditionedSample<N>,
     ) -> Option<f32> {
-        let (verdict, step) = self.row(tick, joint, seen);
+        let (outcome, step) = self.row(tick, joint, sample);
         let statistics = &mut self.state.statistics;
-        count(match verdict {
-            Verdict::Gated => &mut statistics.gated,
-            Verdict::Rejected => &mut statistics.rejected,
-            Verdict::Frozen => &mut statistics.frozen,
-            Verdict::Accepted => &mut statistics.accepted,
+        increment(match outcome {
+            RowOutcome::Gated => &mut statistics.gated,
+            RowOutcome::Rejected => &mut statistics.rejected,
+            RowOutcome::Frozen => &mut statistics.frozen,
+            RowOutcome::Accepted => &mut statistics.accepted,
         });
         step
     }
 
-    /// The linear parameters take what they can explain; the joint's network is trained on what remained before.
+    /// Row of `joint`: used if the joint moves, else recorded as standstill.
     #[inline(never)]
     fn row(
         &mut self,
         tick: u32,
         joint: usize,
-        seen: &ConditionedSample<N>,
-    ) -> (Verdict, Option<f32>) {
-        let (Some(limits), Some(&speed), Some(&tau)) = (
+        sample: &ConditionedSample<N>,
+    ) -> (RowOutcome, Option<f32>) {
+        let (Some(limits), Some(&qd), Some(&tau)) = (
             A::LIMITS.get(joint),
-            seen.motion.qd.get(joint),
-            seen.tau.get(joint),
+            sample.motion.qd.get(joint),
+            sample.tau.get(joint),
         ) else {
-            return (Verdict::Rejected, None);
+            return (RowOutcome::Rejected, None);
         };
-        let limit = limits.torque;
-        let inv_limit = 1.0 / limit;
-        let row = torque_row::<A, N, P>(joint, seen);
-        let state = &mut self.state;
-        let mut carried = 0.0;
-        for (row, beta) in row.rigid.iter().zip(state.guard.payload_base.iter()) {
-            carried += row * beta;
+        let columns = torque_row::<A, N, P>(joint, sample);
+        let mut payload = 0.0;
+        let beta = self.state.supervisor.payload_base.iter();
+        for (column, beta) in columns.rigid.iter().zip(beta) {
+            payload += column * beta;
         }
-        // What is left for the arm itself.
-        let own = tau - carried;
-        let mut verdict = Verdict::Gated;
-        if speed.abs() >= self.config.velocity_gate {
-            let variance = state.estimate.variance().get(joint).copied();
-            let sigma = self.config.noise * sqrt(variance.unwrap_or(1.0));
-            let active = LinearParameters::of(&state.active);
-            let rigid = row.rigid_dot(&active) + carried;
-            let friction = row.friction_dot(&active);
-            let [[said]] = match state.active.network.get(joint) {
-                Some(network) => network.forward(&network_inputs(speed)).data.0,
-                None => return (Verdict::Rejected, None),
-            };
-            let network = cut(said, NETWORK_BOUND).0;
-            state.monitor.note(
-                joint,
-                &Observation {
-                    measured: tau * inv_limit,
-                    residual: (tau - rigid - friction) * inv_limit - network,
-                    shares: [rigid * inv_limit, friction * inv_limit, network],
-                },
-            );
-            verdict = Verdict::Frozen;
-            if state.phase().learns() && !state.guard.resting() {
-                let mut heard = row;
-                let share = cogging_attenuation_at::<A, N, P>(joint, speed, self.config.inv_period);
-                let own = own - heard.attenuate_cogging(joint, share, &active);
-                let correction = state
-                    .estimate
-                    .correct(&self.config, joint, limit, &heard, own);
-                let Some(correction) = correction else {
-                    return (Verdict::Rejected, None);
-                };
-                if let Some(slot) = state.innovation_variance.get_mut(joint) {
-                    *slot = correction.variance;
-                }
-                let inverse = inv_limit / sigma;
-                let champion = heard.dot(&state.guard.committed);
-                state.guard.evidence.note(
-                    joint,
-                    own * inverse,
-                    champion * inverse,
-                    correction.residual / sigma,
-                    sigma,
-                );
-                let lesson = NetworkRow {
-                    qd: speed,
-                    // What is in the torque, not what is estimated beside it.
-                    residual: (tau - rigid - friction) * inv_limit,
-                    sigma,
-                };
-                let trained = match state.active.network.get_mut(joint) {
-                    Some(active) if state.guard.trains() => {
-                        let config = &self.config.network;
-                        state.trainer.train(config, joint, &lesson, active)
-                    }
-                    _ => None,
-                };
-                match trained {
-                    Some(NetworkVerdict::Promoted(ratio)) => {
-                        state.note(tick, Reason::NetworkPromoted, Some(joint), ratio);
-                    }
-                    Some(NetworkVerdict::Silenced(ratio)) => {
-                        state.note(tick, Reason::NetworkSilenced, Some(joint), ratio);
-                    }
-                    None => {}
-                }
-                grow(&mut state.range, &seen.motion.qd, &seen.motion.qdd);
-                verdict = Verdict::Accepted;
+        let row = JointRow {
+            tick,
+            joint,
+            limit: limits.torque,
+            qd,
+            tau,
+            payload,
+            columns,
+        };
+        let outcome = if qd.abs() >= self.config.velocity_gate {
+            self.use_row(&row, sample)
+        } else {
+            RowOutcome::Gated
+        };
+        if matches!(outcome, RowOutcome::Rejected) {
+            return (outcome, None);
+        }
+        let inv_limit = 1.0 / row.limit;
+        let state = &mut self.state;
+        let estimated = row.columns.dot(state.estimate.parameters());
+        if matches!(outcome, RowOutcome::Gated) {
+            let change = estimated - row.columns.dot(&state.supervisor.committed);
+            let test = &mut state.supervisor.paired_test;
+            test.add_standstill(joint, change * inv_limit);
+        }
+        let step = estimated - row.columns.dot(&LinearParameters::of(&state.active));
+        (outcome, Some(step * inv_limit))
+    }
+
+    /// Use the row of a moving joint: quality always; estimate, paired test, network and range while learning.
+    fn use_row(&mut self, row: &JointRow<N, P>, sample: &ConditionedSample<N>) -> RowOutcome {
+        let joint = row.joint;
+        let inv_limit = 1.0 / row.limit;
+        let state = &mut self.state;
+        let variance = state.estimate.variance().get(joint).copied();
+        let sigma = self.config.noise * sqrt(variance.unwrap_or(1.0));
+        let active = LinearParameters::of(&state.active);
+        let rigid = row.columns.rigid_dot(&active) + row.payload;
+        let friction = row.columns.friction_dot(&active);
+        let Some(network) = state.active.network.get(joint) else {
+            return RowOutcome::Rejected;
+        };
+        let [[output]] = network.forward(&network_inputs(row.qd)).data.0;
+        let network = cut(output, NETWORK_BOUND).0;
+        let residual = (row.tau - rigid - friction) * inv_limit;
+        state.monitor.add_row(
+            joint,
+            &Observation {
+                measured: row.tau * inv_limit,
+                residual: residual - network,
+                shares: [rigid * inv_limit, friction * inv_limit, network],
+            },
+        );
+        if !state.phase().learns() || state.supervisor.pauses_estimate() {
+            return RowOutcome::Frozen;
+        }
+        let mut columns = row.columns;
+        let gain = joint_attenuation::<A, N, P>(joint, row.qd, self.config.inv_period);
+        let commanded = columns.attenuate_cogging(joint, gain, &active);
+        let tau = row.tau - row.payload - commanded;
+        let estimate = &mut state.estimate;
+        let Some(correction) = estimate.correct(&self.config, joint, row.limit, &columns, tau)
+        else {
+            return RowOutcome::Rejected;
+        };
+        if let Some(slot) = state.innovation_variance.get_mut(joint) {
+            *slot = correction.variance;
+        }
+        let inverse = inv_limit / sigma;
+        let reference = columns.dot(&state.supervisor.committed);
+        state.supervisor.paired_test.add_row(
+            joint,
+            tau * inverse,
+            reference * inverse,
+            correction.residual / sigma,
+            sigma,
+        );
+        // The network learns the residual of the active set, which is in the torque, not that of the estimate.
+        let network_row = NetworkRow {
+            qd: row.qd,
+            residual,
+            sigma,
+        };
+        self.train_network(row.tick, joint, &network_row);
+        grow(&mut self.state.range, &sample.motion.qd, &sample.motion.qdd);
+        RowOutcome::Accepted
+    }
+
+    /// Train the network candidate of `joint`, and record a promotion or silencing.
+    fn train_network(&mut self, tick: u32, joint: usize, row: &NetworkRow) {
+        let state = &mut self.state;
+        if !state.supervisor.trains_networks() {
+            return;
+        }
+        let Some(active) = state.active.network.get_mut(joint) else {
+            return;
+        };
+        let config = &self.config.network;
+        match state.trainer.train(config, joint, row, active) {
+            Some(NetworkDecision::Promoted(ratio)) => {
+                state.record(tick, Reason::NetworkPromoted, Some(joint), ratio);
             }
+            Some(NetworkDecision::Silenced(ratio)) => {
+                state.record(tick, Reason::NetworkSilenced, Some(joint), ratio);
+            }
+            None => {}
         }
-        let state = &mut self.state;
-        let estimated = row.dot(state.estimate.parameters());
-        if matches!(verdict, Verdict::Gated) {
-            let change = estimated - row.dot(&state.guard.committed);
-            state.guard.evidence.note_still(joint, change * inv_limit);
-        }
-        let step = estimated - row.dot(&LinearParameters::of(&state.active));
-        (verdict, Some(step * inv_limit))
     }
 }
 
-/// Share of the cogging of `joint` at `speed`, rad/s, that reaches the learner's motion.
-pub(super) fn cogging_attenuation_at<A: Arm<N, P>, const N: usize, const P: usize>(
+/// Gain of the motion filter for the cogging of `joint` at the velocity `qd`, rad/s.
+pub(super) fn joint_attenuation<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
-    speed: f32,
+    qd: f32,
     inv_period: f32,
 ) -> f32 {
     let cycles = A::COGGING_CYCLES.get(joint).copied().unwrap_or(0.0);
-    cogging_attenuation(cycles * speed / inv_period)
+    cogging_attenuation(cycles * qd / inv_period)
 }
 
-/// Widens `range` towards the motion of a row that was learnt from.
+/// Extend `range` towards the motion of a used row.
 fn grow<const N: usize>(range: &mut MotionRange<N>, qd: &JointVector<N>, qdd: &JointVector<N>) {
     let widen = |widest: &mut f32, value: f32, step: f32| {
         let beyond = value.abs() - *widest;

@@ -8,11 +8,15 @@ use crate::limits::Flags;
 const N: usize = 6;
 const P: usize = 40;
 
-/// A learner that never raises an alarm: the arm of these tests is none that could be explained.
+fn prior() -> ParameterSet<N, P> {
+    ParameterSet::nominal::<Ur5>(1)
+}
+
+/// Learner without alarms: no model explains the torques of these tests.
 fn learner() -> Learner<Ur5, N, P> {
     let mut config = LearnerConfig::for_arm::<Ur5>(1e-3);
     config.supervisor.detector.threshold = 1e9;
-    Learner::new(config, ParameterSet::nominal::<Ur5>(1)).unwrap()
+    Learner::new(config, prior()).unwrap()
 }
 
 fn measured(tick: u32, speed: f32, tau: f32) -> JointMeasurement<N> {
@@ -23,7 +27,7 @@ fn measured(tick: u32, speed: f32, tau: f32) -> JointMeasurement<N> {
     }
 }
 
-fn lesson(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> LearningSample<N> {
+fn sample_of(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> LearningSample<N> {
     LearningSample {
         tick,
         generation: 0,
@@ -34,77 +38,77 @@ fn lesson(tick: u32, measured: Option<JointMeasurement<N>>, enabled: bool) -> Le
     }
 }
 
-/// Lessons `ticks` of a moving arm that always measures 20 N·m.
-fn teach(learner: &mut Learner<Ur5, N, P>, ticks: core::ops::Range<u32>, enabled: bool) {
+/// Samples `ticks` of a moving arm with a torque of 20 N·m on every joint.
+fn learn_ticks(learner: &mut Learner<Ur5, N, P>, ticks: core::ops::Range<u32>, enabled: bool) {
     for tick in ticks {
-        learner.study(&lesson(tick, Some(measured(tick, 2.0, 20.0)), enabled));
+        learner.study(&sample_of(tick, Some(measured(tick, 2.0, 20.0)), enabled));
     }
 }
 
 #[test]
-fn frozen_nothing_is_learnt_but_the_window_runs_on() {
+fn with_learning_off_only_the_window_fills() {
     let mut learner = learner();
-    teach(&mut learner, 0..100, false);
-    assert_eq!(learner.state.active, learner.state.prior);
+    learn_ticks(&mut learner, 0..100, false);
+    assert_eq!(learner.state.active, prior());
     assert_eq!(learner.state.statistics, LearnerStatistics::default());
     let before = learner.state.estimate;
-    teach(&mut learner, 100..101, true);
+    learn_ticks(&mut learner, 100..101, true);
     assert_eq!(learner.state.statistics.accepted, 1);
     assert_ne!(learner.state.estimate, before);
 }
 
 #[test]
-fn a_measurement_that_is_missing_or_not_finite_changes_nothing() {
+fn missing_or_not_finite_measurements_change_nothing() {
     let mut bad_torque = measured(60, 2.0, 20.0);
     bad_torque.tau[0] = f32::NAN;
     let mut bad_position = measured(60, 2.0, 20.0);
     bad_position.q[5] = f32::INFINITY;
     for bad in [None, Some(bad_torque), Some(bad_position)] {
         let mut learner = learner();
-        teach(&mut learner, 0..60, true);
+        learn_ticks(&mut learner, 0..60, true);
         let before = (learner.state.estimate, learner.state.active);
-        learner.study(&lesson(60, bad, true));
-        // The first one behind a gap may be late.
-        teach(&mut learner, 61..62, true);
+        learner.study(&sample_of(60, bad, true));
+        // The first one after a gap may be late.
+        learn_ticks(&mut learner, 61..62, true);
         assert!((learner.state.estimate, learner.state.active) == before);
         let without = learner.state.statistics.incomplete;
-        teach(&mut learner, 62..63, true);
+        learn_ticks(&mut learner, 62..63, true);
         assert_ne!(learner.state.estimate, before.0);
-        teach(&mut learner, 63..100, true);
+        learn_ticks(&mut learner, 63..100, true);
         // In the middle of the window the two torques are missing once more.
         assert_eq!(learner.state.statistics.incomplete, without + 2);
     }
 }
 
 #[test]
-fn a_lost_lesson_is_a_gap() {
+fn a_lost_sample_is_a_gap() {
     let mut learner = learner();
-    teach(&mut learner, 0..60, true);
+    learn_ticks(&mut learner, 0..60, true);
     let before = learner.state.statistics;
-    teach(&mut learner, 61..91, true);
+    learn_ticks(&mut learner, 61..91, true);
     assert_eq!(learner.state.statistics.accepted, before.accepted);
     assert_eq!(learner.state.statistics.incomplete, before.incomplete + 30);
 }
 
 #[test]
-fn networks_are_trained_out_of_sight_of_the_torque() {
+fn training_leaves_the_active_networks_unchanged() {
     let mut learner = learner();
-    teach(&mut learner, 0..30, true);
+    learn_ticks(&mut learner, 0..30, true);
     let before = learner.state.trainer;
-    // The linear parameters come first.
+    // Training begins after the linear parameters.
     for tick in 30..4300 {
-        teach(&mut learner, tick..tick + 1, true);
-        assert_eq!(learner.state.active.network, learner.state.prior.network);
+        learn_ticks(&mut learner, tick..tick + 1, true);
+        assert_eq!(learner.state.active.network, prior().network);
     }
     assert!(learner.state.trainer != before);
 }
 
 #[test]
-fn a_learner_of_one_joint_learns_from_its_rows_and_leaves_the_others_as_they_are() {
+fn a_learner_of_one_joint_keeps_the_friction_of_the_others() {
     let mut learner = learner();
     learner.learn_only(1);
-    teach(&mut learner, 0..600, true);
-    let prior = LinearParameters::of(&learner.state.prior);
+    learn_ticks(&mut learner, 0..600, true);
+    let prior = LinearParameters::of(&prior());
     let estimate = learner.state.estimate.parameters();
     assert_ne!(estimate.rigid, prior.rigid);
     for joint in 0..N {
@@ -116,33 +120,33 @@ fn a_learner_of_one_joint_learns_from_its_rows_and_leaves_the_others_as_they_are
 }
 
 #[test]
-fn a_joint_that_hardly_moves_teaches_nothing() {
+fn rows_of_slow_joints_are_skipped() {
     let mut learner = learner();
     for tick in 0..100 {
-        learner.study(&lesson(tick, Some(measured(tick, 0.04, 20.0)), true));
+        learner.study(&sample_of(tick, Some(measured(tick, 0.04, 20.0)), true));
     }
-    assert_eq!(learner.state.active, learner.state.prior);
+    assert_eq!(learner.state.active, prior());
     assert_eq!(learner.state.statistics.gated, 70);
 }
 
 #[test]
-fn an_encoder_gone_wild_or_an_impossible_torque_is_rejected() {
+fn impossible_positions_or_torques_are_rejected() {
     let mut learner = learner();
     for tick in 0..100 {
         let mut wild = measured(tick, 2.0, 20.0);
         wild.q[4] = tick as f32;
-        learner.study(&lesson(tick, Some(wild), true));
+        learner.study(&sample_of(tick, Some(wild), true));
     }
     for tick in 100..200 {
-        learner.study(&lesson(tick, Some(measured(tick, 2.0, 1e30)), true));
+        learner.study(&sample_of(tick, Some(measured(tick, 2.0, 1e30)), true));
     }
-    assert_eq!(learner.state.active, learner.state.prior);
+    assert_eq!(learner.state.active, prior());
     assert_eq!(learner.state.statistics.accepted, 0);
     assert!(learner.state.statistics.rejected > 100);
 }
 
 #[test]
-fn one_glitch_of_one_encoder_teaches_nothing_to_any_joint() {
+fn one_encoder_glitch_affects_no_joint() {
     let (mut clean, mut glitched) = (learner(), learner());
     for tick in 0..200 {
         let good = measured(tick, 2.0, 20.0);
@@ -150,13 +154,13 @@ fn one_glitch_of_one_encoder_teaches_nothing_to_any_joint() {
         if tick == 100 {
             bad.q[3] += 0.2;
         }
-        clean.study(&lesson(tick, Some(good), !(100..=130).contains(&tick)));
-        glitched.study(&lesson(tick, Some(bad), true));
+        clean.study(&sample_of(tick, Some(good), !(100..=130).contains(&tick)));
+        glitched.study(&sample_of(tick, Some(bad), true));
     }
-    // A few places of the window weigh nothing in the acceleration; those rows are as good as the others.
+    // A few places of the window have no weight in the acceleration; their rows are valid.
     assert!(glitched.state.statistics.rejected >= 15);
     let of = |learner: &Learner<Ur5, N, P>| learner.state.estimate.parameters().rigid;
-    let (glitched, clean, prior) = (of(&glitched), of(&clean), clean.state.prior.rigid);
+    let (glitched, clean, prior) = (of(&glitched), of(&clean), prior().rigid);
     let largest = |a: [f32; P], b: &[f32]| {
         let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs());
         apart.fold(0.0, f32::max)
@@ -166,15 +170,13 @@ fn one_glitch_of_one_encoder_teaches_nothing_to_any_joint() {
 }
 
 #[test]
-fn a_wrong_torque_sensor_leaves_every_parameter_finite_and_friction_within_its_bounds() {
+fn a_wrong_torque_sensor_leaves_parameters_within_bounds() {
     let mut learner = learner();
-    teach(&mut learner, 0..60_000, true);
+    learn_ticks(&mut learner, 0..60_000, true);
     let LearnerState {
-        prior,
-        active,
-        estimate,
-        ..
+        active, estimate, ..
     } = &learner.state;
+    let prior = prior();
     assert!(active.is_finite());
     assert!(estimate.parameters().iter().all(|theta| theta.is_finite()));
     let mut moved = false;
@@ -194,12 +196,12 @@ fn a_wrong_torque_sensor_leaves_every_parameter_finite_and_friction_within_its_b
 }
 
 #[test]
-fn sets_are_published_when_a_round_closes_and_only_then() {
+fn sets_are_published_only_when_a_round_closes() {
     let mut learner = learner();
     for tick in 0..60 {
         let mut exchange = Exchange::new();
         learner.learn(
-            &lesson(tick, Some(measured(tick, 2.0, 20.0)), true),
+            &sample_of(tick, Some(measured(tick, 2.0, 20.0)), true),
             &mut exchange,
         );
         let published = exchange.published.map(|set| set.closed);
@@ -209,24 +211,23 @@ fn sets_are_published_when_a_round_closes_and_only_then() {
 }
 
 #[test]
-fn a_reloaded_set_is_taken_with_the_first_lesson_it_holds_for() {
+fn a_loaded_set_is_taken_with_its_first_sample() {
     let mut learner = learner();
     let mut loaded = ParameterSet::nominal::<Ur5>(9);
     loaded.friction[0][FrictionColumn::Coulomb] = 3.0;
     let mut exchange = Exchange::new();
     exchange.reload = Some((1, loaded));
     for tick in 40..44 {
-        let mut lesson = lesson(tick, None, true);
-        lesson.generation = u32::from(tick >= 42);
-        learner.learn(&lesson, &mut exchange);
-        assert_eq!(learner.state.prior == loaded, tick >= 42, "tick {tick}");
+        let mut sample = sample_of(tick, None, true);
+        sample.generation = u32::from(tick >= 42);
+        learner.learn(&sample, &mut exchange);
         assert_eq!(learner.state.active == loaded, tick >= 42, "tick {tick}");
         assert_eq!(exchange.reload.is_none(), tick >= 42, "tick {tick}");
     }
 }
 
 #[test]
-fn a_configuration_that_cannot_work_is_refused() {
+fn an_invalid_configuration_is_refused() {
     let good = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
     let mut sigma = good;
     sigma.rigid_sigma[7] = 0.0;
@@ -248,94 +249,82 @@ fn a_configuration_that_cannot_work_is_refused() {
     );
 }
 
-fn ask(learner: &mut Learner<Ur5, N, P>, tick: u32, request: Request) -> Option<Reason> {
+/// Request at `tick` that takes effect with its sample, with the decision `reason`.
+fn request_at(learner: &mut Learner<Ur5, N, P>, tick: u32, request: Request, reason: Reason) {
     let mut exchange = Exchange::new();
     exchange.post_request(1, request).unwrap();
     assert!(exchange.post_request(1, request).is_err());
-    let mut lesson = lesson(tick, None, true);
-    learner.collect(&lesson, &mut exchange);
-    assert!(exchange.request.is_some(), "taken before its lesson");
-    lesson.requests = 1;
-    learner.collect(&lesson, &mut exchange);
+    let mut sample = sample_of(tick, None, true);
+    learner.collect(&sample, &mut exchange);
+    assert!(exchange.request.is_some(), "taken before its sample");
+    sample.requests = 1;
+    learner.collect(&sample, &mut exchange);
     assert_eq!(exchange.request, None);
-    let newest = learner.state.report.decisions.newest()?;
-    assert_eq!(newest.tick, tick);
-    Some(newest.reason)
+    let newest = learner.state.report.decisions.newest().unwrap();
+    assert_eq!((newest.tick, newest.reason), (tick, reason));
 }
 
 #[test]
-fn a_rollback_on_request_restores_the_kept_parameters_bit_for_bit() {
+fn a_rollback_restores_the_snapshot_bit_for_bit() {
     let mut learner = learner();
-    teach(&mut learner, 0..200, true);
-    assert_eq!(
-        ask(&mut learner, 200, Request::Rollback),
-        Some(Reason::RequestRefused)
-    );
+    learn_ticks(&mut learner, 0..200, true);
+    request_at(&mut learner, 200, Request::Rollback, Reason::RequestRefused);
     let before = learner.state.active;
-    assert_eq!(
-        ask(&mut learner, 201, Request::Snapshot),
-        Some(Reason::SnapshotTaken)
-    );
-    teach(&mut learner, 201..1200, true);
+    request_at(&mut learner, 201, Request::Snapshot, Reason::SnapshotTaken);
+    learn_ticks(&mut learner, 201..1200, true);
     learner.state.active.rigid[0] += 0.1;
-    assert_eq!(
-        ask(&mut learner, 1200, Request::Rollback),
-        Some(Reason::RolledBack)
-    );
+    request_at(&mut learner, 1200, Request::Rollback, Reason::RolledBack);
     assert_eq!(learner.state.active, before);
 }
 
 #[test]
-fn after_an_emergency_stop_nothing_is_learnt_until_learning_is_switched_on_again() {
+fn an_emergency_stop_ends_when_learning_is_switched_off() {
     let mut learner = learner();
-    teach(&mut learner, 0..60, true);
-    assert_eq!(
-        ask(&mut learner, 60, Request::Stop),
-        Some(Reason::FrozenStopped)
-    );
+    learn_ticks(&mut learner, 0..60, true);
+    request_at(&mut learner, 60, Request::Stop, Reason::FrozenStopped);
     let before = (learner.state.estimate, learner.state.active);
-    teach(&mut learner, 60..120, true);
+    learn_ticks(&mut learner, 60..120, true);
     assert!((learner.state.estimate, learner.state.active) == before);
-    teach(&mut learner, 120..121, false);
-    teach(&mut learner, 121..130, true);
+    learn_ticks(&mut learner, 120..121, false);
+    learn_ticks(&mut learner, 121..130, true);
     assert!(learner.state.estimate != before.0);
 }
 
 #[test]
-fn what_ran_on_another_set_is_not_learnt_from_and_not_published() {
+fn samples_of_another_load_are_not_used() {
     let mut learner = learner();
-    teach(&mut learner, 0..60, true);
+    learn_ticks(&mut learner, 0..60, true);
     let mut exchange = Exchange::new();
     learner.publish(&mut exchange);
     exchange.published = None;
     let before = (learner.state.estimate, learner.state.statistics);
     for tick in 60..120 {
-        let mut foreign = lesson(tick, Some(measured(tick, 2.0, 20.0)), true);
+        let mut foreign = sample_of(tick, Some(measured(tick, 2.0, 20.0)), true);
         foreign.generation = 1;
         learner.learn(&foreign, &mut exchange);
         assert_eq!(exchange.published, None, "tick {tick}");
     }
     assert!((learner.state.estimate, learner.state.statistics) == before);
-    // The window of measurements has gone on meanwhile.
-    teach(&mut learner, 120..121, true);
+    // The window has filled meanwhile.
+    learn_ticks(&mut learner, 120..121, true);
     assert!(learner.state.statistics.accepted > before.1.accepted);
 }
 
 #[test]
-fn a_commit_that_belongs_to_a_set_of_before_does_not_commit_the_next() {
+fn a_pending_commit_ends_with_a_new_load() {
     let mut learner = learner();
     let mut exchange = Exchange::new();
-    learner.answer(0, Request::Commit);
+    learner.execute(0, Request::Commit);
     for tick in 0..6 {
-        learner.learn(&lesson(tick, None, true), &mut exchange);
+        learner.learn(&sample_of(tick, None, true), &mut exchange);
     }
     assert!(exchange.published.is_some_and(|set| set.commit));
-    // A load that met the learner in the middle of a lesson; the tick has not looked since.
+    // A load during a learning step, before the tick has adopted the set.
     exchange.reload = Some((1, ParameterSet::nominal::<Ur5>(9)));
     for tick in 6..12 {
-        let mut lesson = lesson(tick, None, true);
-        lesson.generation = 1;
-        learner.learn(&lesson, &mut exchange);
+        let mut sample = sample_of(tick, None, true);
+        sample.generation = 1;
+        learner.learn(&sample, &mut exchange);
     }
     let published = exchange.published.unwrap();
     assert_eq!((published.generation, published.commit), (1, false));

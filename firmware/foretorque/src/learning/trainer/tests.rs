@@ -10,7 +10,7 @@ fn silent() -> [JointNetwork; 1] {
     [JointNetwork::silent(4)]
 }
 
-/// Speeds that visit ±2 rad/s evenly in a mixed order, a friction the linear columns do not know, and noise.
+/// Row at speeds evenly spread over ±2 rad/s, with friction outside the linear columns, and noise.
 fn row(k: u32, height: f32) -> NetworkRow {
     let qd = 4.0 * (f64::from(k) * 0.618_033_988_75).fract() as f32 - 2.0;
     let word = k.wrapping_mul(0x9E37_79B9) ^ (k << 7);
@@ -23,31 +23,31 @@ fn row(k: u32, height: f32) -> NetworkRow {
 }
 
 #[test]
-fn a_network_that_explains_unseen_rows_is_believed_and_nothing_is_before_it_is_proven() {
+fn a_significantly_better_candidate_is_promoted_and_none_before() {
     let [mut active] = silent();
     let mut trainer = NetworkTrainer::new(&[active]);
-    let mut believed = None;
+    let mut promoted = None;
     for k in 0..20_000 {
-        let verdict = trainer.train(&CONFIG, 0, &row(k, 0.02), &mut active);
-        if let Some(NetworkVerdict::Promoted(ratio)) = verdict {
+        let decision = trainer.train(&CONFIG, 0, &row(k, 0.02), &mut active);
+        if let Some(NetworkDecision::Promoted(ratio)) = decision {
             assert!(ratio < PROMOTION_RATIO);
-            believed = believed.or(Some(k));
+            promoted = promoted.or(Some(k));
         }
-        assert_eq!(active == silent()[0], believed.is_none(), "row {k}");
+        assert_eq!(active == silent()[0], promoted.is_none(), "row {k}");
     }
     assert!(
-        believed.is_some_and(|k| (PROOF_ROWS - 1..2 * PROOF_ROWS).contains(&k)),
-        "{believed:?}"
+        promoted.is_some_and(|k| (PROMOTION_ROWS - 1..2 * PROMOTION_ROWS).contains(&k)),
+        "{promoted:?}"
     );
     for qd in [-1.5, -0.1, 0.1, 1.5] {
-        let said = active.forward(&network_inputs(qd))[0];
+        let output = active.forward(&network_inputs(qd))[0];
         let wanted = 0.02 * crate::math::tanh(qd * 5.0);
-        assert!((said - wanted).abs() < 0.003, "{said} at {qd}");
+        assert!((output - wanted).abs() < 0.003, "{output} at {qd}");
     }
 }
 
 #[test]
-fn where_the_linear_parameters_explain_everything_no_network_is_believed() {
+fn without_residual_no_network_is_promoted() {
     let [mut active] = silent();
     let mut trainer = NetworkTrainer::new(&[active]);
     for k in 0..60_000 {
@@ -57,29 +57,32 @@ fn where_the_linear_parameters_explain_everything_no_network_is_believed() {
 }
 
 #[test]
-fn what_is_plain_in_all_joints_is_believed_of_each_that_does_not_speak_against_it() {
-    // Half of a standard deviation of each joint's own, where all together are six.
-    let mut record = Record::NONE;
-    record.rows = PROOF_ROWS;
-    (record.active, record.trainee, record.silent) = (1000.0, 970.0, 1000.0);
-    (record.advantage.sum, record.advantage.scatter) = (30.0, 150.0);
+fn significance_of_all_joints_promotes_each_that_agrees() {
+    // Each joint has 2.4 standard deviations, all together 5.
+    let mut test = NetworkTest::NONE;
+    test.rows = PROMOTION_ROWS;
+    (test.active, test.candidate, test.silent) = (1000.0, 970.0, 1000.0);
+    test.advantage.total = PairedSum {
+        sum: 30.0,
+        squares: 150.0,
+    };
     let mut trainer = NetworkTrainer::new(&[silent()[0]; 6]);
-    trainer.record = [record; 6];
-    trainer.record[3].advantage.sum = 0.0;
+    trainer.test = [test; 6];
+    trainer.test[3].advantage.total.sum = 0.0;
     for joint in 0..6 {
         let mut active = silent()[0];
         let mut fresh = trainer;
-        let believed = fresh.judge(joint, &mut active).is_some();
-        assert_eq!(believed, joint != 3, "joint {joint}");
+        let promoted = fresh.decide(joint, &mut active).is_some();
+        assert_eq!(promoted, joint != 3, "joint {joint}");
     }
     let mut alone = NetworkTrainer::new(&silent());
-    alone.record = [record];
-    assert_eq!(alone.judge(0, &mut silent()[0]), None);
+    alone.test = [test];
+    assert_eq!(alone.decide(0, &mut silent()[0]), None);
 }
 
 #[test]
-fn what_is_left_for_tenths_of_a_second_is_one_piece_of_news() {
-    let (mut white, mut slow) = (Difference::NONE, Difference::NONE);
+fn rows_of_one_block_count_as_one_observation() {
+    let (mut white, mut slow) = (BlockSum::ZERO, BlockSum::ZERO);
     for k in 0..4096u32 {
         let sign = |k: u32| {
             if k.wrapping_mul(0x9E37_79B9) >> 31 == 1 {
@@ -95,11 +98,11 @@ fn what_is_left_for_tenths_of_a_second_is_one_piece_of_news() {
             slow.close_block();
         }
     }
-    assert!(white.proves(SIGNIFICANCE) && !slow.proves(SIGNIFICANCE));
+    assert!(white.total.is_above(SIGNIFICANCE) && !slow.total.is_above(SIGNIFICANCE));
 }
 
 #[test]
-fn a_network_that_harms_is_silenced_in_two_seconds() {
+fn a_harmful_network_is_silenced_in_two_seconds() {
     let [mut active] = silent();
     active.output_bias[0] = 0.02;
     let mut trainer = NetworkTrainer::new(&silent());
@@ -110,7 +113,7 @@ fn a_network_that_harms_is_silenced_in_two_seconds() {
 }
 
 #[test]
-fn without_doubt_about_the_output_layer_nothing_is_trained() {
+fn a_prior_deviation_of_zero_disables_training() {
     let config = TrainerConfig {
         output_sigma: 0.0,
         ..CONFIG
@@ -125,7 +128,7 @@ fn without_doubt_about_the_output_layer_nothing_is_trained() {
 }
 
 #[test]
-fn the_hidden_layer_goes_down_the_gradient() {
+fn the_hidden_layer_is_trained() {
     let mut trainer = NetworkTrainer::new(&silent());
     let config = TrainerConfig {
         hidden_rate: 0.01,
@@ -136,13 +139,13 @@ fn the_hidden_layer_goes_down_the_gradient() {
         trainer.train(&config, 0, &row(k, 0.02), &mut active);
     }
     assert_ne!(
-        trainer.trainee[0].hidden_weights,
+        trainer.candidate[0].hidden_weights,
         silent()[0].hidden_weights
     );
 }
 
 #[test]
-fn what_is_not_finite_teaches_nothing() {
+fn a_row_that_is_not_finite_is_ignored() {
     let [mut active] = silent();
     let mut trainer = NetworkTrainer::new(&[active]);
     trainer.train(&CONFIG, 0, &row(1, 0.02), &mut active);

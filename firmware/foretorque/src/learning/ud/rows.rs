@@ -1,9 +1,9 @@
-//! U, a few rows at once: the loops in which a lesson spends half of its time.
+//! Loops over U, several rows at once: half of the time of a learning step.
 
-use super::set;
-
-/// `each_row!(K < W { body })` runs the body for row K = 0 to W − 1, each time with `K` a constant: written out, the rows'
-/// running sums stay in registers whether the compiler unrolls loops or not. More rows than are written out do not compile.
+/// Unrolled loop `each_row!(K < W { body })` over K = 0 … W − 1, with `K` a constant in the body.
+///
+/// Written out, the running sums of the rows stay in registers even where the compiler does not unroll. A larger W does not
+/// compile.
 macro_rules! each_row {
     ($k:ident < $w:ident $body:block) => {
         each_row!($k < $w $body, 0 1 2 3 4 5 6 7)
@@ -17,8 +17,7 @@ macro_rules! each_row {
     };
 }
 
-/// `each_column!(j in start, end { body })` runs the body for each column, written out by fours: counting costs as much as a
-/// column's multiply-adds.
+/// Loop `each_column!(j in start, end { body })`, unrolled by four: loop overhead costs as much as a column.
 macro_rules! each_column {
     ($j:ident in $start:ident, $end:ident $body:block) => {
         let mut next = $start;
@@ -39,19 +38,19 @@ macro_rules! each_column {
     };
 }
 
-/// Rows of U worked on at once: their running sums fit the registers beside what they share.
+/// Rows of U updated at once: as many as the registers hold with their running sums.
 pub(super) const ROWS: usize = 4;
 
-/// λ and v of some columns.
-pub(super) struct Turns<'a> {
+/// λ and v of several columns.
+pub(super) struct ColumnUpdates<'a> {
     pub(super) lambda: &'a [f32],
     pub(super) v: &'a [f32],
 }
 
-impl Turns<'_> {
-    /// The columns from `start` on: `U_ij ← U_ij + λ_j b_i`, `b_i ← b_i + v_j U_ij` of before.
+impl ColumnUpdates<'_> {
+    /// Update of the columns from `start` on: `U_ij ← U_ij + λ_j b_i`, `b_i ← b_i + v_j U_ij` (old U).
     ///
-    /// * `part` the entries of a row that these columns are
+    /// * `part` entries of a row that belong to these columns
     #[inline(always)]
     pub(super) fn sweep<R, const W: usize>(
         &self,
@@ -66,7 +65,7 @@ impl Turns<'_> {
                 each_row!(K < W {
                     let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
                     if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
-                        turn_one(u, b, *lambda, *v);
+                        update_entry(u, b, *lambda, *v);
                     }
                 });
             }
@@ -74,10 +73,10 @@ impl Turns<'_> {
         *b = sums;
     }
 
-    /// As [`sweep`](Self::sweep) with rigid rows, number `block` of their kind, in compensated sums [Kahan 1965].
+    /// Update as [`sweep`](Self::sweep) of block `block` of the rigid rows, in compensated sums [Kahan 1965].
     ///
-    /// * `below` the rows behind them, left of whose diagonals lies what rounding has taken off. Columns that do not make
-    ///   another block at the end go without
+    /// * `below` the rows after the block; their lower triangles hold the compensation. The last `P % ROWS` columns are not
+    ///   compensated
     #[inline(always)]
     pub(super) fn sweep_compensated<const P: usize>(
         &self,
@@ -95,9 +94,9 @@ impl Turns<'_> {
                 if let (Some(lambda), Some(v)) = (lambda.get(C), v.get(C)) {
                     each_row!(K < ROWS {
                         let u = rows.get_mut(K).and_then(|row| entry(row, place, C));
-                        let lost = below.get_mut(C).and_then(|row| entry(row, block, K));
-                        if let (Some(u), Some(lost), Some(b)) = (u, lost, sums.get_mut(K)) {
-                            turn_one_compensated(u, lost, b, *lambda, *v);
+                        let compensation = below.get_mut(C).and_then(|row| entry(row, block, K));
+                        if let (Some(u), Some(compensation), Some(b)) = (u, compensation, sums.get_mut(K)) {
+                            update_entry_compensated(u, compensation, b, *lambda, *v);
                         }
                     });
                 }
@@ -107,7 +106,7 @@ impl Turns<'_> {
         self.sweep(rows, |row| row, P / ROWS * ROWS, b);
     }
 
-    /// The columns of the rows' own diagonals, the first of them at `start`; returns b behind them.
+    /// Update of the diagonal block of the rows, whose first column is `start`; returns b after it.
     #[inline(always)]
     pub(super) fn corner<R, const W: usize>(
         &self,
@@ -122,7 +121,7 @@ impl Turns<'_> {
                 each_row!(K < D {
                     let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
                     if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
-                        turn_one(u, b, *lambda, *v);
+                        update_entry(u, b, *lambda, *v);
                     }
                 });
                 set(&mut sums, D, *v);
@@ -132,7 +131,7 @@ impl Turns<'_> {
     }
 }
 
-/// `sum ← sum + Σ weight · row`, from entry `start` on.
+/// Weighted sum of rows, `sum ← sum + Σ weight · row`, from entry `start` on.
 #[inline(always)]
 pub(super) fn add_rows<R, const W: usize>(
     sum: &mut [f32],
@@ -154,23 +153,31 @@ pub(super) fn add_rows<R, const W: usize>(
     });
 }
 
-/// One entry of U, and the running sum of its row.
+/// Update of one entry of U and of the running sum of its row.
 #[inline(always)]
-fn turn_one(u: &mut f32, b: &mut f32, lambda: f32, v: f32) {
+fn update_entry(u: &mut f32, b: &mut f32, lambda: f32, v: f32) {
     let before = *u;
     *u = before + lambda * *b;
     *b += v * before;
 }
 
-/// The same, with what rounding takes off the entry kept in `lost` for the next time.
+/// [`update_entry`] with the rounding error of the entry carried in `compensation`.
 #[inline(always)]
-fn turn_one_compensated(u: &mut f32, lost: &mut f32, b: &mut f32, lambda: f32, v: f32) {
+fn update_entry_compensated(u: &mut f32, compensation: &mut f32, b: &mut f32, lambda: f32, v: f32) {
     let before = *u;
-    let step = *lost + lambda * *b;
+    let step = *compensation + lambda * *b;
     let after = before + step;
-    *lost = step - (after - before);
+    *compensation = step - (after - before);
     *u = after;
     *b += v * before;
+}
+
+/// Assignment of `value` to an entry, if it exists.
+#[inline(always)]
+pub(super) fn set(values: &mut [f32], index: usize, value: f32) {
+    if let Some(slot) = values.get_mut(index) {
+        *slot = value;
+    }
 }
 
 /// Entry `place` of block `block` of a row.

@@ -1,35 +1,35 @@
 use super::*;
 
-/// Takes in `rows` rows of joint 0, with its first friction column alone, and noise that changes from row to row.
-/// Returns the filter and the sum of what the rows say, `Σ φ²/R`.
+/// Filter after `rows` rows with the first friction column of joint 0 alone and varying noise, and its information
+/// `Σ φ²/R`.
 fn after(rows: u32) -> (UdFilter<2, 1>, f64) {
     let mut filter = UdFilter::new();
     let mut phi = LinearParameters::filled(0.0);
     let mut gain = LinearParameters::filled(0.0);
-    let mut said = 0.0;
+    let mut information = 0.0;
     for row in 0..rows {
         let weight = 0.5 + 0.01 * (row % 97) as f32;
         let variance = 0.7 + 0.013 * (row % 89) as f32;
         phi.friction[0][0] = weight;
         filter.update(0, &phi, variance, &mut gain);
-        said += f64::from(weight).powi(2) / f64::from(variance);
+        information += f64::from(weight).powi(2) / f64::from(variance);
     }
-    (filter, said)
+    (filter, information)
 }
 
 #[test]
-fn what_no_row_touches_stays_as_uncertain_as_it_was() {
+fn parameters_outside_all_rows_keep_their_variance() {
     let (filter, _) = after(100_000);
     let touched = 1;
     assert!(filter.diagonal().iter().skip(touched).all(|&d| d == 1.0));
 }
 
 #[test]
-fn after_many_rows_a_variance_is_what_they_say() {
+fn after_many_rows_the_variance_is_exact() {
     for (rows, limit) in [(10_000, 1e-6), (1_000_000, 1e-5), (10_000_000, 5e-3)] {
-        let (filter, said) = after(rows);
+        let (filter, information) = after(rows);
         let variance = f64::from(filter.diagonal().friction[0][0]);
-        let error = variance * (1.0 + said) - 1.0;
+        let error = variance * (1.0 + information) - 1.0;
         std::println!("{rows} rows: off by {error:.1e}");
         assert!(error.abs() < limit, "{rows} rows: {error}");
     }
@@ -52,7 +52,7 @@ fn a_row_of_any_size_leaves_the_diagonal_positive() {
     }
 }
 
-/// The factors in f64, by Bierman's columns: rows of U, and D.
+/// Factors in f64, updated by columns as by Bierman: rows of U, and D.
 struct Wide<const P: usize> {
     u: [[f64; P]; P],
     d: [f64; P],
@@ -89,7 +89,7 @@ impl<const P: usize> Wide<P> {
 }
 
 #[test]
-fn a_million_rows_do_not_wear_the_correlations() {
+fn a_million_rows_do_not_degrade_the_correlations() {
     const P: usize = 12;
     let (mut filter, mut wide) = (UdFilter::<1, P>::new(), Wide::<P>::new());
     let (mut gain, mut random) = (LinearParameters::filled(0.0), 1u32);
@@ -104,7 +104,7 @@ fn a_million_rows_do_not_wear_the_correlations() {
     }
     let mut worst = 0.0_f64;
     for (block, (row, exact)) in filter.rigid.iter().zip(&wide.u).enumerate() {
-        // What lies in the rows' own corner goes without compensation.
+        // Diagonal blocks are not compensated.
         for j in (block / ROWS + 1) * ROWS..P {
             worst = worst.max((f64::from(row[j]) - exact[j]).abs());
         }

@@ -5,15 +5,6 @@
 //! calls of each row, then the number of ticks of the long run, of which one line `name least sum most` leaves.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
-/// An arm without round numbers, from the acceptance tests: sparsity must not be mistaken for skill.
-#[cfg(target_os = "none")]
-#[expect(
-    dead_code,
-    unreachable_pub,
-    reason = "written by the generator for a library"
-)]
-#[path = "../../../../../tests/tests/calibrated/arm.rs"]
-mod calibrated;
 #[cfg(target_os = "none")]
 mod long_run;
 #[cfg(target_os = "none")]

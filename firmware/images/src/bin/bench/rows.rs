@@ -7,8 +7,8 @@ use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::dynamics::{friction, regressor, regressor_row, rnea};
 use foretorque::learning::network_inputs;
 use foretorque::math;
+use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
 
-use crate::calibrated::{self, Ur5Calibrated};
 use crate::stage::Stage;
 
 /// One measured function.
@@ -36,7 +36,7 @@ rows! {
     empty(_) ();
     sin_cos(s) s.sin_cos = math::sin_cos(s.angle);
     rnea_ur5(s) s.tau = rnea::<Ur5, JOINTS, PARAMETERS>(&s.set.rigid, &s.motion);
-    rnea_calibrated(s) s.tau = rnea::<Ur5Calibrated, JOINTS, { calibrated::PARAMETERS }>(
+    rnea_calibrated(s) s.tau = rnea::<Ur5Calibrated, JOINTS, { ur5_calibrated::PARAMETERS }>(
         &s.calibrated, &s.motion,
     );
     rnea_7dof(s) s.panda_tau =

@@ -14,9 +14,8 @@ use foretorque::learning::LearningSample;
 use foretorque::limits::Flags;
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
+use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
 use nalgebra::SVector;
-
-use crate::calibrated::{self, Ur5Calibrated};
 
 /// Period of the tick, s.
 const PERIOD: f32 = 1e-3;
@@ -41,7 +40,7 @@ pub(crate) struct Stage {
     pub(crate) step: StepParameters,
     pub(crate) set: ParameterSet,
     pub(crate) paper: BpNetwork<18, 32, 6>,
-    pub(crate) calibrated: BaseParameters<{ calibrated::PARAMETERS }>,
+    pub(crate) calibrated: BaseParameters<{ ur5_calibrated::PARAMETERS }>,
     pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
     pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
     pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,

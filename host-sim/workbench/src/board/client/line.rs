@@ -7,7 +7,7 @@ use foretorque_link::wire::{
 };
 use std::time::{Duration, Instant};
 
-/// How often a question that may be asked twice without harm is asked.
+/// Largest number of times that an idempotent request is sent.
 const ATTEMPTS: usize = 3;
 /// How long one hello is waited for while a board may still be booting.
 const HELLO_TIMEOUT: Duration = Duration::from_millis(300);

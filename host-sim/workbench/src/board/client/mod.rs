@@ -33,19 +33,19 @@ pub enum BoardShares<const N: usize> {
 pub struct TickReply<const N: usize> {
     /// Counter of the tick.
     pub tick: u32,
-    /// What happened.
+    /// Flags of the tick.
     pub flags: Flags,
     /// Whether torque leaves the board, and why not.
     pub safety: SafetyStatus,
     /// The torque, N × N·m, bit for bit; zero unless the board is armed.
     pub total: JointVector<N>,
-    /// What it is made of.
+    /// Shares of the torque.
     pub shares: BoardShares<N>,
     /// Where the excitation stands and what it asks of the arm, if the board plays one.
     pub excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
-/// What the host saw of the link.
+/// Counts of the link, seen from the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCount {
     /// Frames sent.
@@ -80,7 +80,7 @@ pub struct Client<const N: usize> {
     safety: SafetyStatus,
     /// The desired motion that the board knows, without a measurement.
     presented: Option<SampleFrame<N>>,
-    /// What it told unasked.
+    /// Telemetry that the board sent unasked.
     telemetry: Vec<TelemetryFrame>,
     key: Option<WriteKey>,
 }
@@ -164,7 +164,7 @@ impl<const N: usize> Client<N> {
         &self.hello
     }
 
-    /// What the host saw of the link so far.
+    /// Counts of the link so far.
     pub fn link_count(&self) -> LinkCount {
         self.count
     }

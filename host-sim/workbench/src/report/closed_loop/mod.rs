@@ -54,7 +54,7 @@ pub struct ClosedLoopReport {
     pub learning: bool,
     /// RMS position error, mean of the joints, mrad.
     pub tracking_rms_mrad: f64,
-    /// The same joint by joint.
+    /// RMS tracking error of each joint, mrad.
     pub tracking_rms_joint_mrad: Vec<f64>,
     /// Largest position error of every joint, mrad.
     pub tracking_peak_joint_mrad: Vec<f64>,

@@ -1,0 +1,221 @@
+//! Work on one block: change detection, and the payload during and after a payload test.
+
+use super::row::joint_attenuation;
+use super::{Learner, increment};
+use crate::arm::Arm;
+use crate::dynamics::{
+    BaseParameters, COGGING_COLUMNS, FrictionParameters, friction, regressor_row, rnea,
+};
+use crate::joint::JointVector;
+use crate::learning::change_detection::Block;
+use crate::learning::conditioning::{AVERAGED, ConditionedSample};
+use crate::learning::estimator::joint_friction_row;
+use crate::learning::payload::{payload_base, payload_row, payload_torque};
+use crate::learning::quality::Phase;
+use crate::math::sqrt;
+
+/// Range of a joint's usual block variance, in units of the configured noise. White noise leaves a tenth in a block of ten.
+const BLOCK_RANGE: (f32, f32) = (0.1, 400.0);
+/// Bound of a block's square, in units of the usual variance: changes to be detected are not usual.
+const BLOCK_CLIP: f32 = 4.0;
+/// Memory of the usual variance, blocks; the first ones are averaged.
+const BLOCK_MEMORY: u32 = 256;
+/// Correlation length of the friction error, blocks: 1 s. Averaging blocks does not reduce this error, so its variance
+/// counts as many times.
+const FRICTION_CORRELATION: f32 = 100.0;
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
+    /// One tick of learning: average the block, process one joint of the last block, learn one row of `joint`.
+    ///
+    /// * returns the torque change of the joint by the estimate, in units of its limit; `None` if it is unknown
+    #[inline(never)]
+    pub(super) fn process_sample(
+        &mut self,
+        tick: u32,
+        joint: usize,
+        sample: &ConditionedSample<N>,
+    ) -> Option<f32> {
+        if !is_plausible::<A, N, P>(sample, self.config.acceleration_limit) {
+            self.state.supervisor.reset_blocks();
+            increment(&mut self.state.statistics.rejected);
+            return None;
+        }
+        let residual = self.residual_torque(sample);
+        let gate = self.config.velocity_gate;
+        let length = self.config.supervisor.block_ticks;
+        let supervisor = &mut self.state.supervisor;
+        let average = &mut supervisor.block_average;
+        if let Some(block) = average.push(&sample.motion, &residual, gate, length) {
+            supervisor.pending_block = Some((block, 0));
+        }
+        if let Some((block, turn)) = supervisor.pending_block {
+            supervisor.pending_block = (turn + 1 < N).then_some((block, turn + 1));
+            self.process_block(tick, turn, &block);
+            if turn + 1 == N {
+                self.decide(tick);
+            }
+        }
+        self.learn_row(tick, joint, sample)
+    }
+
+    /// Residual torque of the estimate without payload, N × N·m.
+    #[inline(never)]
+    fn residual_torque(&self, sample: &ConditionedSample<N>) -> JointVector<N> {
+        let state = &self.state;
+        let estimate = state.estimate.parameters();
+        let mut drives = estimate.friction.map(FrictionParameters);
+        // Cogging removed by the motion filter is in the torque as far as the active set commands it.
+        let active = drives.iter_mut().zip(&state.active.friction);
+        for (joint, ((drive, active), &qd)) in active.zip(sample.motion.qd.iter()).enumerate() {
+            let gain = joint_attenuation::<A, N, P>(joint, qd, self.config.inv_period);
+            for column in COGGING_COLUMNS {
+                let active = active[column];
+                drive[column] = active + gain * (drive[column] - active);
+            }
+        }
+        let rigid = BaseParameters::<P>::from(estimate.rigid);
+        sample.tau
+            - rnea::<A, N, P>(&rigid, &sample.motion)
+            - friction::<A, N, P>(&drives, &sample.motion.q, &sample.motion.qd)
+    }
+
+    /// Process `joint` of `block`: a row of the payload test, or change detection and update of the payload filter.
+    #[inline(never)]
+    fn process_block(&mut self, tick: u32, joint: usize, block: &Block<N>) {
+        if self.only_joint.is_some_and(|only| only != joint) {
+            // Friction of other joints is not learnt here, so their residuals are no evidence.
+            return;
+        }
+        let config = &self.config.supervisor;
+        let phase = self.state.phase();
+        // The estimate pauses meanwhile, so the tick has time for the prediction variance.
+        let friction_variance =
+            if phase == Phase::PayloadTest || self.state.supervisor.updates_payload(config) {
+                self.friction_prediction_variance(joint, block)
+            } else {
+                0.0
+            };
+        let state = &mut self.state;
+        let (Some(true), Some(&tau), Some(limits), Some(&measured), Some(&innovation)) = (
+            block.moving.get(joint),
+            block.residual.get(joint),
+            A::LIMITS.get(joint),
+            state.estimate.variance().get(joint),
+            state.innovation_variance.get(joint),
+        ) else {
+            return;
+        };
+        let row = regressor_row::<A, N, P>(joint, &block.motion).data.0[0];
+        let row = payload_row::<A, N, P>(&row);
+        let unit = self.config.noise * limits.torque;
+        let supervisor = &mut state.supervisor;
+        let Some((usual, blocks)) = supervisor.block_variance.get_mut(joint) else {
+            return;
+        };
+        let inflated =
+            unit * sqrt(config.block_inflation * *usual + FRICTION_CORRELATION * friction_variance);
+        match phase {
+            Phase::PayloadTest => {
+                // Thresholds are in variances of one measurement, not of a mean.
+                let sigma = unit * sqrt(AVERAGED as f32 * measured);
+                let payload = &supervisor.payload;
+                let test = &mut supervisor.payload_test;
+                test.add_row(payload, &row, tau, sigma, inflated);
+            }
+            Phase::Healthy => {
+                let residual = (tau - payload_torque(&supervisor.payload, &row)) / unit;
+                let expected = *usual + innovation - measured;
+                update_block_variance(usual, blocks, residual * residual);
+                if supervisor.updates_payload(config) {
+                    supervisor.payload_filter.update(&row, tau, inflated);
+                }
+                let z = residual / sqrt(expected);
+                if let Some(sum) = supervisor.detector.push(&config.detector, joint, z) {
+                    self.start_payload_test(tick, joint, sum);
+                }
+            }
+            Phase::Relearning | Phase::Stopped => {}
+        }
+    }
+
+    /// Prediction variance of the friction torque of `joint` in the motion of `block`, in units of the configured noise.
+    #[inline(never)]
+    fn friction_prediction_variance(&self, joint: usize, block: &Block<N>) -> f32 {
+        let (Some(mut phi), Some(sigma), Some(limits)) = (
+            joint_friction_row::<A, N, P>(joint, &block.motion),
+            self.config.friction_sigma.get(joint),
+            A::LIMITS.get(joint),
+        ) else {
+            return 0.0;
+        };
+        let inverse = 1.0 / (self.config.noise * limits.torque);
+        for (phi, sigma) in phi.iter_mut().zip(sigma.0) {
+            *phi *= sigma * inverse;
+        }
+        let filter = self.state.estimate.filter();
+        filter.friction_prediction_variance(joint, &phi)
+    }
+
+    /// Decision after the last joint of a block: end of the payload test, or update of the payload in the torque.
+    #[inline(never)]
+    fn decide(&mut self, tick: u32) {
+        let config = &self.config.supervisor;
+        let phase = self.state.phase();
+        let supervisor = &mut self.state.supervisor;
+        match phase {
+            Phase::PayloadTest => {
+                let mut usual = 0.0;
+                let joints = supervisor.block_variance.iter();
+                for ((square, _), measured) in joints.zip(self.state.estimate.variance()) {
+                    usual += square / (AVERAGED as f32 * measured * N as f32);
+                }
+                let carries_payload = supervisor.carries_payload();
+                let single = self.only_joint.is_some();
+                let test = &mut supervisor.payload_test;
+                if let Some(decision) = test.decide(config, carries_payload, single, usual) {
+                    self.end_payload_test(tick, decision);
+                }
+            }
+            Phase::Healthy => {
+                if supervisor.updates_payload(config) {
+                    supervisor.payload = supervisor.payload_filter.payload();
+                    supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
+                }
+                if supervisor.carries_payload() {
+                    supervisor.blocks_carried = supervisor.blocks_carried.saturating_add(1);
+                }
+            }
+            Phase::Relearning | Phase::Stopped => {}
+        }
+    }
+}
+
+/// Update the usual variance with the `square` of one block; `blocks` is the number of blocks behind it.
+fn update_block_variance(usual: &mut f32, blocks: &mut u32, square: f32) {
+    let young = *blocks < BLOCK_MEMORY;
+    *blocks += u32::from(young);
+    let most = if young {
+        BLOCK_RANGE.1
+    } else {
+        BLOCK_CLIP * *usual
+    };
+    let counted = if square < most { square } else { most };
+    *usual += (counted - *usual) / *blocks as f32;
+    if *usual < BLOCK_RANGE.0 {
+        *usual = BLOCK_RANGE.0;
+    }
+}
+
+/// True if the arm can move and load its joints as in `sample`. An encoder error shows in the acceleration first.
+fn is_plausible<A: Arm<N, P>, const N: usize, const P: usize>(
+    sample: &ConditionedSample<N>,
+    acceleration_limit: f32,
+) -> bool {
+    let motion = sample.motion.qd.iter().zip(sample.motion.qdd.iter());
+    let mut joints = motion.zip(sample.tau.iter()).zip(&A::LIMITS);
+    joints.all(|(((qd, qdd), tau), limits)| {
+        qd.abs() <= 2.0 * limits.velocity
+            && qdd.abs() <= acceleration_limit
+            && tau.abs() <= 2.0 * limits.torque
+    })
+}

@@ -1,0 +1,116 @@
+use crate::arm::Arm;
+use crate::learning::change_detection::DetectorConfig;
+use crate::learning::error::{ConfigError, check_positive};
+use crate::learning::payload::{MAX_COM_DISTANCE, rated_payload};
+
+/// Thresholds of the learning supervisor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SupervisorConfig {
+    /// Length of a block, ticks: about 10 ms.
+    pub block_ticks: u32,
+    /// Change detection.
+    pub detector: DetectorConfig,
+    /// Largest mass of a payload, kg.
+    pub max_payload_mass: f32,
+    /// Smallest mass of a payload, kg.
+    pub min_payload_mass: f32,
+    /// Largest distance of a payload's centre of mass from the origin of the last link, m.
+    pub max_com_distance: f32,
+    /// Largest standard deviation of the mass of a promoted payload, kg.
+    pub max_mass_sigma: f32,
+    /// Factor on the usual block variance in the payload filter, because consecutive blocks are correlated.
+    pub block_inflation: f32,
+    /// Largest ratio of mean square residuals, hypothesis to active set, that promotes a hypothesis.
+    pub residual_ratio: f32,
+    /// Mean square residual that counts as fully explained, in variances of a measurement.
+    pub quiet_level: f32,
+    /// Consecutive blocks for which a condition of the payload test has to hold.
+    pub decision_blocks: u32,
+    /// Length of a payload test without decision, blocks; then the hypothesis is refused.
+    pub timeout_blocks: u32,
+    /// Blocks after promotion for which the payload filter runs on.
+    pub payload_update_blocks: u32,
+    /// Least rows of a paired test: 0.2 s.
+    pub test_rows: u32,
+    /// Significance of a paired test, standard deviations.
+    pub test_sigmas: f32,
+    /// Rows between two commits.
+    pub commit_rows: u32,
+    /// Smallest deviation of a common gain of all torques from 1 that indicates sensors or drives.
+    pub gain_error: f32,
+    /// Trust below which the flag is set.
+    pub trust_floor: f32,
+}
+
+/// Least length of a paired test, s: residuals of real arms are correlated over tenths of a second, so time counts, not
+/// rows.
+const TEST_S: f32 = 0.2;
+/// Least rows of a paired test on a slow board.
+const MIN_TEST_ROWS: u32 = 100;
+
+impl SupervisorConfig {
+    /// Defaults for an arm.
+    ///
+    /// * `inv_period` ticks per second, 1/s
+    pub const fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
+        let block_ticks = (0.01 * inv_period + 0.5) as u32;
+        // Each joint of a block is processed in a tick of its own.
+        let shortest = N as u32 + 1;
+        let test_rows = (TEST_S * inv_period + 0.5) as u32;
+        Self {
+            block_ticks: if block_ticks > shortest {
+                block_ticks
+            } else {
+                shortest
+            },
+            detector: DetectorConfig {
+                clip: 9.5,
+                drift: 3.2,
+                threshold: 25.0,
+            },
+            max_payload_mass: const { 1.2 * rated_payload::<A, N, P>() },
+            min_payload_mass: 0.25,
+            max_com_distance: MAX_COM_DISTANCE,
+            max_mass_sigma: 0.15,
+            block_inflation: 5.0,
+            residual_ratio: 0.6,
+            quiet_level: 0.5,
+            decision_blocks: 5,
+            timeout_blocks: 300,
+            payload_update_blocks: 1000,
+            test_rows: if test_rows > MIN_TEST_ROWS {
+                test_rows
+            } else {
+                MIN_TEST_ROWS
+            },
+            test_sigmas: 3.0,
+            commit_rows: 8000,
+            gain_error: 0.08,
+            trust_floor: 0.7,
+        }
+    }
+
+    /// Check of every field.
+    ///
+    /// Errors: the first field that is not positive and finite.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        check_positive([
+            ("supervisor.detector.clip", self.detector.clip),
+            ("supervisor.detector.drift", self.detector.drift),
+            ("supervisor.detector.threshold", self.detector.threshold),
+            ("supervisor.max_payload_mass", self.max_payload_mass),
+            ("supervisor.min_payload_mass", self.min_payload_mass),
+            ("supervisor.max_com_distance", self.max_com_distance),
+            ("supervisor.max_mass_sigma", self.max_mass_sigma),
+            ("supervisor.block_inflation", self.block_inflation),
+            ("supervisor.residual_ratio", self.residual_ratio),
+            ("supervisor.quiet_level", self.quiet_level),
+            ("supervisor.test_sigmas", self.test_sigmas),
+            ("supervisor.gain_error", self.gain_error),
+            ("supervisor.trust_floor", self.trust_floor),
+            ("supervisor.block_ticks", self.block_ticks as f32),
+            ("supervisor.decision_blocks", self.decision_blocks as f32),
+            ("supervisor.timeout_blocks", self.timeout_blocks as f32),
+        ])
+    }
+}

@@ -1,0 +1,135 @@
+//! State of the learning supervisor. Its transitions are in `learner/transitions.rs`, its state diagram on the page of
+//! [`learning`](crate::learning).
+
+pub(super) mod config;
+pub(super) mod paired_test;
+pub(super) mod payload_test;
+
+use super::change_detection::{Block, BlockAverage, ChangeDetector};
+use super::parameters::LinearParameters;
+use super::payload::{NO_PAYLOAD, Payload, PayloadFilter, payload_sigma};
+use crate::dynamics::BaseParameters;
+use crate::joint::zero_vector;
+use config::SupervisorConfig;
+use paired_test::PairedTest;
+use payload_test::PayloadHypothesisTest;
+
+/// Linear parameters and payload of one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Checkpoint<const N: usize, const P: usize> {
+    pub(super) estimate: LinearParameters<N, P>,
+    pub(super) active: LinearParameters<N, P>,
+    pub(super) committed: LinearParameters<N, P>,
+    pub(super) payload: Payload,
+}
+
+/// Time under a payload after which the estimate is updated again, blocks: 30 s.
+const LONG_CARRIED_BLOCKS: u32 = 3000;
+/// Rows of a paired test without decision after which networks are trained on the residual of the active set.
+const TRAINING_ROWS: u32 = 4096;
+
+/// State of the supervisor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Supervisor<const N: usize, const P: usize> {
+    pub(super) detector: ChangeDetector<N>,
+    pub(super) block_average: BlockAverage<N>,
+    /// Block in progress, one joint a tick, and its next joint.
+    pub(super) pending_block: Option<(Block<N>, usize)>,
+    /// Payload in the torque, and its base parameters.
+    pub(super) payload: Payload,
+    pub(super) payload_base: BaseParameters<P>,
+    /// Payload filter after promotion.
+    pub(super) payload_filter: PayloadFilter,
+    pub(super) blocks_carried: u32,
+    pub(super) payload_test: PayloadHypothesisTest,
+    /// Usual mean square of each joint's blocks, in units of the configured noise, and the number of blocks behind it.
+    pub(super) block_variance: [(f32, u32); N],
+    /// Checkpoint of before the payload in the torque.
+    pub(super) before_payload: Option<Checkpoint<N, P>>,
+    /// Newer and older checkpoint; an alarm returns to the older one, because it comes after the change.
+    pub(super) checkpoints: [Checkpoint<N, P>; 2],
+    /// Estimate against committed set.
+    pub(super) paired_test: PairedTest<N>,
+    pub(super) committed: LinearParameters<N, P>,
+    /// True while the active set follows the estimate.
+    pub(super) following: bool,
+    /// Rows since the last commit while following.
+    pub(super) rows_followed: u32,
+    /// Remaining ticks of relearning.
+    pub(super) relearning_ticks: u32,
+    /// Next friction column whose variance is raised at the begin of relearning.
+    pub(super) next_raised: usize,
+    /// True while a common gain of all torques is found.
+    pub(super) gain_fault: bool,
+}
+
+impl<const N: usize, const P: usize> Supervisor<N, P> {
+    /// State with `set` active, committed and estimated, and without payload.
+    pub(super) const fn new(config: &SupervisorConfig, set: &LinearParameters<N, P>) -> Self {
+        let checkpoint = Checkpoint {
+            estimate: *set,
+            active: *set,
+            committed: *set,
+            payload: NO_PAYLOAD,
+        };
+        Self {
+            detector: ChangeDetector::new(),
+            block_average: BlockAverage::new(),
+            pending_block: None,
+            payload: NO_PAYLOAD,
+            payload_base: zero_vector(),
+            payload_filter: PayloadFilter::new(
+                &NO_PAYLOAD,
+                &payload_sigma(config.max_payload_mass),
+            ),
+            blocks_carried: 0,
+            payload_test: PayloadHypothesisTest::new(config, &NO_PAYLOAD),
+            block_variance: [(1.0, 0); N],
+            before_payload: None,
+            checkpoints: [checkpoint; 2],
+            paired_test: PairedTest::NONE,
+            committed: *set,
+            following: false,
+            rows_followed: 0,
+            relearning_ticks: 0,
+            next_raised: usize::MAX,
+            gain_fault: false,
+        }
+    }
+
+    /// True with a payload in the torque.
+    pub(super) fn carries_payload(&self) -> bool {
+        self.before_payload.is_some()
+    }
+
+    /// True if the residual of the active set may train networks.
+    pub(super) fn trains_networks(&self) -> bool {
+        let settled = self.following || self.paired_test.rows() >= TRAINING_ROWS;
+        settled && !self.gain_fault && self.relearning_ticks == 0
+    }
+
+    /// True if the payload in the torque is still updated.
+    pub(super) fn updates_payload(&self, config: &SupervisorConfig) -> bool {
+        self.carries_payload() && self.blocks_carried < config.payload_update_blocks
+    }
+
+    /// True if the estimate pauses under a payload.
+    ///
+    /// A release restores the parameters of before the payload. Rows learnt meanwhile would be lost, but the covariance
+    /// would keep their information.
+    pub(super) fn pauses_estimate(&self) -> bool {
+        self.carries_payload() && self.blocks_carried < LONG_CARRIED_BLOCKS
+    }
+
+    /// Discard incomplete blocks.
+    pub(super) fn reset_blocks(&mut self) {
+        self.block_average.reset();
+        self.pending_block = None;
+    }
+
+    /// Restart the paired test; the active set stops following the estimate.
+    pub(super) fn restart_test(&mut self) {
+        self.paired_test = PairedTest::NONE;
+        self.following = false;
+    }
+}
