@@ -1,9 +1,9 @@
 //! The long run: everything that is asked of one board, before, while and after it learns.
 
+use super::config::{DemoConfig, PAGE_POINTS};
 use super::record::{LearningPoint, Tracking, ValidationPoint};
 use super::setup::Setup;
 use super::stages::{ErrorCurve, ReplyBits, error_of, learn, predictions, track};
-use super::config::{DemoConfig, PAGE_POINTS};
 use crate::{Progress, StudyError};
 use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::board::Client;

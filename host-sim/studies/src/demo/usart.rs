@@ -1,9 +1,9 @@
 //! The part on the flashable firmware, over its USART.
 
-use super::setup::Setup;
-use super::stages::{ReplyBits, error_of, learn, predictions};
 use super::config::DemoConfig;
 use super::record::{LinkFigures, UsartFigures};
+use super::setup::Setup;
+use super::stages::{ReplyBits, error_of, learn, predictions};
 use crate::{Progress, StudyError};
 use foretorque_workbench::board::Client;
 

@@ -1,7 +1,7 @@
 //! One draw of the robustness study: an arm, its noisy torques on the excitation, every method, an unseen path.
 
-use foretorque::arm::ur5::JOINTS;
 use crate::StudyError;
+use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{
@@ -317,7 +317,8 @@ mod tests {
     #[test]
     fn exact_torques_give_an_exact_model_of_possible_bodies() {
         let robot = Robot::load("ur5").expect("built in");
-        let excitation = serde_json::from_str(crate::paper::config::PRECOMPUTED).expect("precomputed");
+        let excitation =
+            serde_json::from_str(crate::paper::config::PRECOMPUTED).expect("precomputed");
         let mut bench = Bench::new(robot, &excitation, 2500).expect("six joints");
         bench.models[0].methods = &[MethodName::Consistent];
         bench.models[1].methods = &[];

@@ -1,7 +1,7 @@
 //! Curves of the steps, for figures and tables.
 
-use foretorque::arm::ur5::JOINTS;
 use super::rigid::Sample;
+use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
 use std::io;

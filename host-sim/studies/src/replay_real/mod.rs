@@ -116,7 +116,6 @@ impl Board {
     }
 }
 
-
 /// Plays a stretch to the board. `history` holds the sets of the last ten seconds.
 fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Predictions {
     let nominal = Set::nominal::<Ur5>(1);

@@ -4,6 +4,7 @@ mod line;
 mod torque;
 
 use super::{BoardError, Transport};
+use answer::{nobody, refused};
 use foretorque::arm::Arm;
 use foretorque::feedforward::{Shares, Torque};
 use foretorque::joint::{JointMotion, JointVector};
@@ -17,7 +18,6 @@ use foretorque_link::wire::{
     TelemetryFrame,
 };
 use foretorque_link::write_key::WriteKey;
-use answer::{nobody, refused};
 use std::time::Duration;
 
 /// Shares of the torque of one tick, N·m.
