@@ -11,7 +11,7 @@
 // Joints of the arm that this library was built for.
 #define FORETORQUE_JOINTS 6
 
-// What came of a call.
+// Result of a call.
 enum ForetorqueStatus
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -69,7 +69,7 @@ typedef struct ForetorqueTorque {
   float friction_nm[FORETORQUE_JOINTS];
   // Network share, clipped, N m.
   float network_nm[FORETORQUE_JOINTS];
-  // What happened, as bits; see docs/board.md.
+  // Flags of the tick, as bits; see docs/safety.md.
   uint32_t flags;
   // Counter of the tick.
   uint32_t tick;
