@@ -31,7 +31,7 @@ fn report(link: Box<dyn Transport>, ticks: u32) -> Result<(), Box<dyn std::error
     }
     let statistics = client.statistics()?;
     println!(
-        "  tick {:?}, lesson {:?}, byte {:?}, late sets {}",
+        "  tick {:?}, learning {:?}, byte {:?}, late sets {}",
         statistics.tick_cost, statistics.learn_cost, statistics.receive_cost, statistics.late_sets
     );
     Ok(())

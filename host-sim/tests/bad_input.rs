@@ -11,27 +11,27 @@ use std::time::{Duration, Instant};
 
 const COLUMNS: [(&str, &str); 3] = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2")];
 
-fn command(room: &Path, arguments: &str) -> Command {
+fn command(directory: &Path, arguments: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
     command
-        .current_dir(room)
+        .current_dir(directory)
         .args(arguments.split_whitespace())
         .stdin(Stdio::null());
     command
 }
 
 /// An empty directory for one test.
-fn room(name: &str) -> PathBuf {
-    let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("bad-{name}"));
-    let _ = fs::remove_dir_all(&room);
-    fs::create_dir_all(&room).expect("the directory of the tests can be written");
-    room
+fn directory(name: &str) -> PathBuf {
+    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("bad-{name}"));
+    let _ = fs::remove_dir_all(&directory);
+    fs::create_dir_all(&directory).expect("the directory of the tests can be written");
+    directory
 }
 
 /// All files below a directory, with what they hold.
-fn files(room: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut found = Vec::new();
-    for entry in fs::read_dir(room).expect("it is there") {
+    for entry in fs::read_dir(directory).expect("it is there") {
         let path = entry.expect("it is there").path();
         if path.is_dir() {
             found.extend(files(&path));
@@ -46,14 +46,17 @@ fn files(room: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 
 /// The one line of a program that failed.
 fn line(arguments: &str, output: &Output) -> String {
-    let said = String::from_utf8(output.stderr.clone()).expect("it speaks UTF-8");
+    let stderr = String::from_utf8(output.stderr.clone()).expect("it speaks UTF-8");
     assert!(!output.status.success(), "`{arguments}` went well");
     assert!(output.status.code().is_some(), "`{arguments}` was killed");
-    assert_eq!(said.lines().count(), 1, "`{arguments}` said {said}");
-    assert!(said.starts_with("error: "), "`{arguments}` said {said}");
-    assert!(!said.contains("panicked"), "`{arguments}` said {said}");
+    assert_eq!(stderr.lines().count(), 1, "`{arguments}` wrote {stderr}");
+    assert!(
+        stderr.starts_with("error: "),
+        "`{arguments}` wrote {stderr}"
+    );
+    assert!(!stderr.contains("panicked"), "`{arguments}` wrote {stderr}");
     assert!(output.stdout.is_empty(), "`{arguments}` wrote to stdout");
-    said
+    stderr
 }
 
 /// A table of two still UR5 states, 1 ms apart, with one change.
@@ -83,7 +86,7 @@ fn with_torques(rows: &mut [Vec<String>]) {
 
 #[test]
 fn bad_input_is_told_in_one_line_and_leaves_nothing() {
-    let room = room("input");
+    let directory = directory("input");
     let set = |row: usize, column: usize, text: &'static str| {
         move |rows: &mut Vec<Vec<String>>| rows[row][column] = text.to_owned()
     };
@@ -105,43 +108,48 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ("file", String::new()),
         ("bank.bin", "no bank at all".to_owned()),
     ] {
-        fs::write(room.join(name), text).expect("it can be written");
+        fs::write(directory.join(name), text).expect("it can be written");
     }
-    let before = files(&room);
+    let before = files(&directory);
     for (arguments, words) in mistyped() {
-        let output = command(&room, &arguments).output().expect("it starts");
-        let said = line(&arguments, &output);
+        let output = command(&directory, &arguments).output().expect("it starts");
+        let stderr = line(&arguments, &output);
         for word in words {
-            assert!(said.contains(word), "`{arguments}` said {said}");
+            assert!(stderr.contains(word), "`{arguments}` wrote {stderr}");
         }
-        assert!(files(&room) == before, "`{arguments}` left something");
-        assert!(!room.join("out").exists(), "`{arguments}` left a directory");
+        assert!(files(&directory) == before, "`{arguments}` left something");
+        assert!(
+            !directory.join("out").exists(),
+            "`{arguments}` left a directory"
+        );
     }
 }
 
 #[test]
 fn a_missing_emulator_is_told_in_one_line() {
-    let room = room("emulator");
-    fs::write(room.join("good.csv"), table(|_| {})).expect("it can be written");
+    let directory = directory("emulator");
+    fs::write(directory.join("good.csv"), table(|_| {})).expect("it can be written");
     assert!(Image::Bulk.default_elf().is_file(), "the firmware is built");
-    let before = files(&room);
+    let before = files(&directory);
     for arguments in [
         "torque --robot ur5 --board qemu --in good.csv --out tau.csv",
         "run --robot ur5 --board qemu-usart --trajectory validation --out out",
         "experiment demo --out out",
     ] {
-        let output = command(&room, arguments).env("PATH", &room).output();
-        let said = line(arguments, &output.expect("it starts"));
-        assert!(said.contains("qemu-system-arm"), "{said}");
-        assert!(files(&room) == before, "`{arguments}` left something");
+        let output = command(&directory, arguments)
+            .env("PATH", &directory)
+            .output();
+        let stderr = line(arguments, &output.expect("it starts"));
+        assert!(stderr.contains("qemu-system-arm"), "{stderr}");
+        assert!(files(&directory) == before, "`{arguments}` left something");
     }
 }
 
 #[test]
 fn a_terminal_that_hangs_up_is_no_failure() {
-    let room = room("pipe");
+    let directory = directory("pipe");
     let made = command(
-        &room,
+        &directory,
         "run --robot ur5 --trajectory validation --duration-s 0.1 --out out",
     );
     let hung_up = |mut command: Command| {
@@ -154,14 +162,17 @@ fn a_terminal_that_hangs_up_is_no_failure() {
             .expect("it starts")
             .wait_with_output()
             .expect("it ends");
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(
-            output.status.success() && said.is_empty(),
-            "{command:?}: {said}"
+            output.status.success() && stderr.is_empty(),
+            "{command:?}: {stderr}"
         );
     };
     hung_up(made);
-    assert!(room.join("out/report.html").is_file(), "the work is done");
+    assert!(
+        directory.join("out/report.html").is_file(),
+        "the work is done"
+    );
     for arguments in [
         "--help",
         "--version",
@@ -169,9 +180,12 @@ fn a_terminal_that_hangs_up_is_no_failure() {
         "bank out/bank.bin",
         "experiment demo --board native --learning-s 1 --usart-learning-s 1 --out demo",
     ] {
-        hung_up(command(&room, arguments));
+        hung_up(command(&directory, arguments));
     }
-    assert!(room.join("demo/report.json").is_file(), "the work is done");
+    assert!(
+        directory.join("demo/report.json").is_file(),
+        "the work is done"
+    );
 }
 
 /// Process id of an emulator that `child` started and that has run for a while (clock ticks of processor time).
@@ -199,8 +213,8 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
         ),
         ("experiment", "experiment demo --out out"),
     ] {
-        let room = room(&format!("dying-{name}"));
-        let mut child = command(&room, arguments)
+        let directory = directory(&format!("dying-{name}"));
+        let mut child = command(&directory, arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -220,8 +234,11 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
         let emulator = nix::unistd::Pid::from_raw(emulator);
         nix::sys::signal::kill(emulator, nix::sys::signal::Signal::SIGKILL).expect("it is ours");
         let output = child.wait_with_output().expect("it ends");
-        let said = line(arguments, &output);
-        assert!(said.contains("qemu") && said.contains("died"), "{said}");
-        assert!(files(&room).is_empty(), "{:?}", files(&room));
+        let stderr = line(arguments, &output);
+        assert!(
+            stderr.contains("qemu") && stderr.contains("died"),
+            "{stderr}"
+        );
+        assert!(files(&directory).is_empty(), "{:?}", files(&directory));
     }
 }

@@ -49,10 +49,10 @@ fn emulated() -> Client<N> {
 }
 
 /// Reply of the board in one tick: torque bit for bit, state, desired motion.
-type Said = (Vec<u32>, Option<(ExcitationState, JointMotion<N>)>);
+type Reply = (Vec<u32>, Option<(ExcitationState, JointMotion<N>)>);
 
 /// Plays it on an arm that follows within the resolution of the link, and is `late` in joint 3 from tick 2000 on.
-fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
+fn play(client: &mut Client<N>, late: f32) -> Vec<Reply> {
     client.load_excitation(&program()).expect("it is taken");
     let beside = excitation().at::<N>(0.0).q.add_scalar(-0.1);
     let mut desired = JointMotion {
@@ -71,7 +71,7 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
         .excitation(ExcitationCommand::Start)
         .expect("it may be started");
     client.learning(true).expect("the board learns");
-    let mut said = Vec::new();
+    let mut replies = Vec::new();
     for tick in 0..TICKS {
         let mut q = desired.q;
         if tick >= 2000 {
@@ -89,13 +89,13 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Said> {
             desired = motion;
         }
         let torque = reply.total.iter().map(|tau| tau.to_bits()).collect();
-        said.push((torque, reply.excited));
+        replies.push((torque, reply.excited));
     }
-    said
+    replies
 }
 
-fn stages(said: &[Said]) -> Vec<Option<ExcitationState>> {
-    let mut stages: Vec<_> = said
+fn stages(replies: &[Reply]) -> Vec<Option<ExcitationState>> {
+    let mut stages: Vec<_> = replies
         .iter()
         .map(|(_, e)| e.map(|(stage, _)| stage))
         .collect();
@@ -105,16 +105,16 @@ fn stages(said: &[Said]) -> Vec<Option<ExcitationState>> {
 
 #[test]
 fn the_board_plays_the_series_of_the_file_the_same_natively_and_emulated() {
-    let said = play(&mut native(), 0.0);
+    let replies = play(&mut native(), 0.0);
     let expected = [
         None,
         Some(ExcitationState::Approaching),
         Some(ExcitationState::Playing),
         Some(ExcitationState::Holding),
     ];
-    assert_eq!(stages(&said), expected);
+    assert_eq!(stages(&replies), expected);
     let series = excitation();
-    let playing: Vec<_> = said
+    let playing: Vec<_> = replies
         .iter()
         .filter_map(|(_, excited)| excited.filter(|(stage, _)| *stage == ExcitationState::Playing))
         .collect();
@@ -129,16 +129,19 @@ fn the_board_plays_the_series_of_the_file_the_same_natively_and_emulated() {
         assert!(apart(&motion.qd, exact.qd) < 1e-5, "tick {k}");
         assert!(apart(&motion.qdd, exact.qdd) < 1.1e-3, "tick {k}");
     }
-    assert!(play(&mut emulated(), 0.0) == said, "the emulator says else");
+    assert!(
+        play(&mut emulated(), 0.0) == replies,
+        "the emulator differs"
+    );
 }
 
 #[test]
 fn an_arm_that_does_not_follow_is_told_in_the_reply_and_brought_to_rest() {
     let mut client = native();
-    let said = play(&mut client, 0.06);
+    let replies = play(&mut client, 0.06);
     let aborted = Some(ExcitationState::Aborted(AbortReason::Tracking(2)));
-    assert_eq!(stages(&said).last(), Some(&aborted));
-    let (_, end) = said
+    assert_eq!(stages(&replies).last(), Some(&aborted));
+    let (_, end) = replies
         .last()
         .and_then(|(_, excited)| *excited)
         .expect("in charge");

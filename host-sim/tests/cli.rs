@@ -6,20 +6,20 @@ use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::{JointMotion, JointVector};
-use program::{fails, files, host_sim, room, states, succeeds};
+use program::{directory, fails, files, host_sim, states, succeeds};
 use std::fs;
 use std::path::Path;
 
 #[test]
 fn torque_is_that_of_the_firmware_for_every_arm_it_knows() {
     fn check<A: Arm<N, P>, const N: usize, const P: usize>() {
-        let room = room(&format!("torque-{}", A::NAME));
-        fs::write(room.join("states.csv"), states(N)).expect("it can be written");
+        let directory = directory(&format!("torque-{}", A::NAME));
+        fs::write(directory.join("states.csv"), states(N)).expect("it can be written");
         succeeds(
-            &room,
+            &directory,
             &format!("torque --robot {} --in states.csv --out tau.csv", A::NAME),
         );
-        let table = fs::read_to_string(room.join("tau.csv")).expect("it was written");
+        let table = fs::read_to_string(directory.join("tau.csv")).expect("it was written");
         let rows: Vec<&str> = table.lines().skip(1).collect();
         assert_eq!(rows.len(), 2);
         let beta = nalgebra::SVector::from(A::NOMINAL);
@@ -44,12 +44,12 @@ fn torque_is_that_of_the_firmware_for_every_arm_it_knows() {
 
 #[test]
 fn an_arm_of_seven_joints_runs_in_a_closed_loop_and_learns() {
-    let room = room("panda-run");
+    let directory = directory("panda-run");
     succeeds(
-        &room,
+        &directory,
         "run --robot panda --trajectory validation --duration-s 0.5 --learn --out out",
     );
-    let report = fs::read_to_string(room.join("out/report.json")).expect("it was written");
+    let report = fs::read_to_string(directory.join("out/report.json")).expect("it was written");
     let report: serde_json::Value = serde_json::from_str(&report).expect("it is JSON");
     assert_eq!(report["robot"], "panda");
     assert_eq!(report["ticks"], 500);
@@ -57,62 +57,68 @@ fn an_arm_of_seven_joints_runs_in_a_closed_loop_and_learns() {
         report["tracking_rms_joint_mrad"].as_array().map(Vec::len),
         Some(7)
     );
-    let said = succeeds(&room, "bank out/bank.bin");
+    let stderr = succeeds(&directory, "bank out/bank.bin");
     assert!(
-        said.contains("usable    yes, on a board that drives panda"),
-        "{said}"
+        stderr.contains("usable    yes, on a board that drives panda"),
+        "{stderr}"
     );
 }
 
 #[test]
 fn a_robot_without_an_arm_in_the_firmware_is_refused_by_name() {
-    let room = room("no-arm");
+    let directory = directory("no-arm");
     let ur5 = include_str!("../robots/ur5.toml");
     let other = ur5.replacen("name = \"ur5\"", "name = \"ur99\"", 1);
-    fs::write(room.join("other.toml"), other).expect("it can be written");
-    fs::write(room.join("states.csv"), states(6)).expect("it can be written");
-    let said = fails(
-        &room,
+    fs::write(directory.join("other.toml"), other).expect("it can be written");
+    fs::write(directory.join("states.csv"), states(6)).expect("it can be written");
+    let stderr = fails(
+        &directory,
         "torque --robot other.toml --in states.csv --out tau.csv",
     );
     assert!(
-        said.contains("'ur99'") && said.contains("only ur5 and panda"),
-        "{said}"
+        stderr.contains("'ur99'") && stderr.contains("only ur5 and panda"),
+        "{stderr}"
     );
-    let said = fails(&room, "torque --robot ur7 --in states.csv --out tau.csv");
-    assert!(said.contains("unknown robot 'ur7'"), "{said}");
+    let stderr = fails(
+        &directory,
+        "torque --robot ur7 --in states.csv --out tau.csv",
+    );
+    assert!(stderr.contains("unknown robot 'ur7'"), "{stderr}");
     // Another geometry under the name of an arm.
     let panda =
         include_str!("../robots/panda.urdf").replacen("xyz=\"0 0 0.333\"", "xyz=\"0 0 0.334\"", 1);
-    fs::write(room.join("panda.urdf"), panda).expect("it can be written");
-    let said = fails(
-        &room,
+    fs::write(directory.join("panda.urdf"), panda).expect("it can be written");
+    let stderr = fails(
+        &directory,
         "torque --robot panda.urdf --in states.csv --out tau.csv",
     );
-    assert!(said.contains("different arms of that name"), "{said}");
-    assert!(!room.join("tau.csv").exists());
+    assert!(stderr.contains("different arms of that name"), "{stderr}");
+    assert!(!directory.join("tau.csv").exists());
 }
 
 #[test]
 fn an_arm_module_is_generated_from_a_urdf() {
-    let room = room("generate");
+    let directory = directory("generate");
     let urdf = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/panda.urdf");
-    succeeds(&room, &format!("generate --urdf {urdf} --out panda.rs"));
-    let written = fs::read_to_string(room.join("panda.rs")).expect("it was written");
+    succeeds(
+        &directory,
+        &format!("generate --urdf {urdf} --out panda.rs"),
+    );
+    let written = fs::read_to_string(directory.join("panda.rs")).expect("it was written");
     assert!(
         written == include_str!("../../firmware/foretorque/src/arm/panda.rs"),
         "the committed module is another one"
     );
-    succeeds(&room, "generate --robot ur5 --out ur5.rs");
-    let written = fs::read_to_string(room.join("ur5.rs")).expect("it was written");
+    succeeds(&directory, "generate --robot ur5 --out ur5.rs");
+    let written = fs::read_to_string(directory.join("ur5.rs")).expect("it was written");
     assert!(written == include_str!("../../firmware/foretorque/src/arm/ur5.rs"));
 }
 
 #[test]
 fn a_urdf_that_is_none_or_has_no_such_link_is_refused() {
-    let room = room("bad-urdf");
+    let directory = directory("bad-urdf");
     let urdf = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/panda.urdf");
-    fs::write(room.join("broken.urdf"), "<robot><link").expect("it can be written");
+    fs::write(directory.join("broken.urdf"), "<robot><link").expect("it can be written");
     for (arguments, named) in [
         ("generate --urdf missing.urdf --out arm.rs", "missing.urdf"),
         ("generate --urdf broken.urdf --out arm.rs", "broken.urdf"),
@@ -129,52 +135,52 @@ fn a_urdf_that_is_none_or_has_no_such_link_is_refused() {
             "Arm-1.rs",
         ),
     ] {
-        let said = fails(&room, arguments);
-        assert!(said.contains(named), "{said}");
+        let stderr = fails(&directory, arguments);
+        assert!(stderr.contains(named), "{stderr}");
     }
-    assert_eq!(files(&room), ["broken.urdf"]);
+    assert_eq!(files(&directory), ["broken.urdf"]);
     // What belongs to a URDF is refused without one.
-    let output = host_sim(&room, "generate --robot ur5 --tip tool --out arm.rs");
+    let output = host_sim(&directory, "generate --robot ur5 --tip tool --out arm.rs");
     assert!(!output.status.success());
-    let said = String::from_utf8(output.stderr).expect("it speaks UTF-8");
-    assert!(said.contains("--tip"), "{said}");
+    let stderr = String::from_utf8(output.stderr).expect("it speaks UTF-8");
+    assert!(stderr.contains("--tip"), "{stderr}");
 }
 
 #[test]
 fn a_path_of_the_tool_is_played_wherever_a_trajectory_is() {
-    let room = room("tool-path");
+    let directory = directory("tool-path");
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("paths/ur5.toml");
-    fs::copy(&path, room.join("path.toml")).expect("copies");
+    fs::copy(&path, directory.join("path.toml")).expect("copies");
     succeeds(
-        &room,
+        &directory,
         "torque --robot ur5 --trajectory path.toml --out tau.csv",
     );
-    let rows = fs::read_to_string(room.join("tau.csv")).expect("is text");
+    let rows = fs::read_to_string(directory.join("tau.csv")).expect("is text");
     assert_eq!(rows.lines().count(), 8502, "8.5 s, a row each millisecond");
     succeeds(
-        &room,
+        &directory,
         "simulate --robot ur5 --trajectory path.toml --duration-s 0.2 --out log.csv",
     );
     succeeds(
-        &room,
+        &directory,
         "run --robot ur5 --trajectory path.toml --duration-s 0.2 --out out",
     );
     let text = fs::read_to_string(&path).expect("is text");
     let far = text.replace("-0.5, -0.05, 0.3", "-1.5, -0.05, 0.3");
-    fs::write(room.join("far.toml"), far).expect("writes");
+    fs::write(directory.join("far.toml"), far).expect("writes");
     for command in ["torque --out x.csv", "simulate --out x.csv", "run --out x"] {
-        let said = fails(
-            &room,
+        let stderr = fails(
+            &directory,
             &format!("{command} --robot ur5 --trajectory far.toml"),
         );
         let waypoint =
             "far.toml: move 3 (via), point 2, tool at (-1.500, -0.050, 0.300) m: out of reach";
-        assert!(said.contains(waypoint), "{said}");
+        assert!(stderr.contains(waypoint), "{stderr}");
     }
-    assert!(!files(&room).iter().any(|name| name.starts_with('x')));
-    let said = fails(
-        &room,
+    assert!(!files(&directory).iter().any(|name| name.starts_with('x')));
+    let stderr = fails(
+        &directory,
         "torque --robot ur5 --in a.csv --trajectory path.toml --out x.csv",
     );
-    assert!(said.contains("cannot be used with"), "{said}");
+    assert!(stderr.contains("cannot be used with"), "{stderr}");
 }

@@ -1,4 +1,4 @@
-//! The program with boards on a serial port and in the emulator, and what it says of a board it cannot use.
+//! The program with boards on a serial port and in the emulator, and its messages about boards it cannot use.
 
 mod program;
 
@@ -7,7 +7,7 @@ use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::wire::PROTOCOL_VERSION;
 use foretorque_workbench::board::{Native, Transport};
-use program::{fails, files, room, states, succeeds};
+use program::{directory, fails, files, states, succeeds};
 use serialport::{SerialPort, TTYPort};
 use std::fs;
 use std::io::{Read, Write};
@@ -45,7 +45,7 @@ impl PlayedBoard {
                     .receive(&mut buffer, Duration::ZERO)
                     .expect("the board lives");
                 for frame in buffer[..count].split_inclusive(|&byte| byte == 0) {
-                    // A host that has heard enough hangs up.
+                    // A host that has received enough hangs up.
                     let _ = line.write_all(&change(frame));
                 }
             }
@@ -89,12 +89,12 @@ fn of_the_next_version(frame: &[u8]) -> Vec<u8> {
 
 #[test]
 fn a_board_that_drives_another_robot_is_refused() {
-    let room = room("other-robot");
-    fs::write(room.join("states.csv"), states(6)).expect("it can be written");
+    let directory = directory("other-robot");
+    fs::write(directory.join("states.csv"), states(6)).expect("it can be written");
     let native = Native::<Panda, 7, 48>::new().expect("the arm's limits are usable");
     let board = PlayedBoard::start(native, <[u8]>::to_vec);
-    let said = fails(
-        &room,
+    let stderr = fails(
+        &directory,
         &format!(
             "torque --robot ur5 --board serial:{} --in states.csv --out tau.csv",
             board.port
@@ -105,74 +105,77 @@ fn a_board_that_drives_another_robot_is_refused() {
         Panda::HASH,
         Ur5::HASH
     );
-    assert!(said.contains(&wanted), "{said}");
-    assert_eq!(files(&room), ["states.csv"]);
+    assert!(stderr.contains(&wanted), "{stderr}");
+    assert_eq!(files(&directory), ["states.csv"]);
 }
 
 #[test]
 fn a_board_on_a_serial_port_computes_torque() {
-    let room = room("serial");
-    fs::write(room.join("states.csv"), states(6)).expect("it can be written");
+    let directory = directory("serial");
+    fs::write(directory.join("states.csv"), states(6)).expect("it can be written");
     let native = Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable");
     let board = PlayedBoard::start(native, <[u8]>::to_vec);
     succeeds(
-        &room,
+        &directory,
         &format!(
             "torque --robot ur5 --board serial:{} --in states.csv --out tau.csv",
             board.port
         ),
     );
-    succeeds(&room, "torque --robot ur5 --in states.csv --out native.csv");
-    let [serial, native] =
-        ["tau.csv", "native.csv"].map(|name| fs::read(room.join(name)).expect("it was written"));
+    succeeds(
+        &directory,
+        "torque --robot ur5 --in states.csv --out native.csv",
+    );
+    let [serial, native] = ["tau.csv", "native.csv"]
+        .map(|name| fs::read(directory.join(name)).expect("it was written"));
     assert!(serial == native, "the port changes nothing");
 }
 
 #[test]
 fn a_board_of_another_protocol_version_is_refused() {
-    let room = room("other-version");
+    let directory = directory("other-version");
     let native = Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable");
     let board = PlayedBoard::start(native, of_the_next_version);
-    let said = fails(
-        &room,
+    let stderr = fails(
+        &directory,
         &format!(
             "run --robot ur5 --board serial:{} --trajectory validation --out out",
             board.port
         ),
     );
     assert!(
-        said.contains(&format!(
+        stderr.contains(&format!(
             "the board speaks protocol version {}, this program version {PROTOCOL_VERSION}",
             PROTOCOL_VERSION + 1
         )),
-        "{said}"
+        "{stderr}"
     );
-    assert_eq!(files(&room), Vec::<String>::new());
+    assert_eq!(files(&directory), Vec::<String>::new());
 }
 
 #[test]
 fn the_emulated_board_says_that_it_drives_another_robot() {
-    let room = room("emulated-panda");
-    fs::write(room.join("states.csv"), states(7)).expect("it can be written");
+    let directory = directory("emulated-panda");
+    fs::write(directory.join("states.csv"), states(7)).expect("it can be written");
     for board in ["qemu", "qemu-usart"] {
-        let said = fails(
-            &room,
+        let stderr = fails(
+            &directory,
             &format!("torque --robot panda --board {board} --in states.csv --out tau.csv"),
         );
-        assert!(said.contains("the board drives ur5"), "{said}");
-        assert!(said.contains("not panda"), "{said}");
+        assert!(stderr.contains("the board drives ur5"), "{stderr}");
+        assert!(stderr.contains("not panda"), "{stderr}");
     }
-    assert_eq!(files(&room), ["states.csv"]);
+    assert_eq!(files(&directory), ["states.csv"]);
 }
 
 #[test]
 fn the_log_of_the_flashable_firmware_is_text() {
-    let room = room("log");
+    let directory = directory("log");
     succeeds(
-        &room,
+        &directory,
         "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log logs/board.log",
     );
-    let log = fs::read_to_string(room.join("logs/board.log")).expect("it was written");
+    let log = fs::read_to_string(directory.join("logs/board.log")).expect("it was written");
     let hello = format!(
         "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
         Ur5::HASH
@@ -194,13 +197,13 @@ fn the_log_of_the_flashable_firmware_is_text() {
         "{log}"
     );
     assert_eq!(lines.len(), 4);
-    let mut made = files(&room);
+    let mut made = files(&directory);
     made.sort();
     assert_eq!(made, ["logs", "out"]);
-    assert_eq!(files(&room.join("logs")), ["board.log"]);
-    let said = fails(
-        &room,
+    assert_eq!(files(&directory.join("logs")), ["board.log"]);
+    let stderr = fails(
+        &directory,
         "run --robot ur5 --trajectory validation --out out --log board.log",
     );
-    assert!(said.contains("--log: board native has none"), "{said}");
+    assert!(stderr.contains("--log: board native has none"), "{stderr}");
 }

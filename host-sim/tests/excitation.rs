@@ -1,4 +1,4 @@
-//! The optimised excitation keeps its limits on a grid that the search never saw, and says so truthfully.
+//! The optimised excitation keeps its limits on a grid that the search never saw, and its certificate is true.
 
 use foretorque_studies::excitation::recount;
 use foretorque_workbench::excitation::{
@@ -141,17 +141,17 @@ fn what_cannot_be_done_ends_with_one_line_and_a_failure() {
             .output()
             .expect("runs");
         assert!(!run.status.success(), "{arguments:?}");
-        let said = String::from_utf8_lossy(&run.stderr);
-        let first = said.lines().next().unwrap_or_default();
-        assert!(first.contains(message), "{arguments:?}: {said}");
+        let stderr = String::from_utf8_lossy(&run.stderr);
+        let first = stderr.lines().next().unwrap_or_default();
+        assert!(first.contains(message), "{arguments:?}: {stderr}");
         assert!(!out.exists(), "{arguments:?} leaves files");
     }
 }
 
 #[test]
 fn limits_that_no_excitation_can_keep_are_named_in_one_line() {
-    let room = std::env::temp_dir().join(format!("foretorque-limits-{}", std::process::id()));
-    std::fs::create_dir_all(&room).expect("can be written");
+    let directory = std::env::temp_dir().join(format!("foretorque-limits-{}", std::process::id()));
+    std::fs::create_dir_all(&directory).expect("can be written");
     let ur5 = include_str!("../robots/ur5.toml");
     // Of the shoulder, whose torque against gravity no path of this arm keeps below 1 N·m.
     let (before, after) = ur5
@@ -159,7 +159,7 @@ fn limits_that_no_excitation_can_keep_are_named_in_one_line() {
         .expect("the description gives a limit");
     let (middle, rest) = after.split_once("torque_nm = 150").expect("of joint 2 too");
     let weak = format!("{before}torque_nm = 150{middle}torque_nm = 1{rest}");
-    std::fs::write(room.join("weak.toml"), weak).expect("can be written");
+    std::fs::write(directory.join("weak.toml"), weak).expect("can be written");
     for (arguments, message) in [
         (
             ["--robot", "weak.toml", "--range-rad", "3"],
@@ -175,19 +175,19 @@ fn limits_that_no_excitation_can_keep_are_named_in_one_line() {
         ),
     ] {
         let run = Command::new(env!("CARGO_BIN_EXE_host-sim"))
-            .current_dir(&room)
+            .current_dir(&directory)
             .args(["excite", "--starts", "1", "--iterations", "8", "--out", "x"])
             .args(arguments)
             .output()
             .expect("runs");
-        let said = String::from_utf8_lossy(&run.stderr);
-        assert_eq!(run.status.code(), Some(1), "{arguments:?}: {said}");
-        assert_eq!(said.lines().count(), 1, "{arguments:?}: {said}");
+        let stderr = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(1), "{arguments:?}: {stderr}");
+        assert_eq!(stderr.lines().count(), 1, "{arguments:?}: {stderr}");
         assert!(
-            said.starts_with("error: ") && said.contains(message),
-            "{said}"
+            stderr.starts_with("error: ") && stderr.contains(message),
+            "{stderr}"
         );
-        assert!(!room.join("x").exists(), "{arguments:?} leaves files");
+        assert!(!directory.join("x").exists(), "{arguments:?} leaves files");
     }
-    std::fs::remove_dir_all(&room).expect("can be taken away");
+    std::fs::remove_dir_all(&directory).expect("can be taken away");
 }

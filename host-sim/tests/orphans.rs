@@ -78,9 +78,9 @@ fn start(board: &str, out: &PathBuf) -> Child {
 
 #[test]
 fn an_emulator_ends_with_the_program_however_that_ends() {
-    let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("orphans");
-    let _ = fs::remove_dir_all(&room);
-    fs::create_dir_all(&room).expect("the test has a directory");
+    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("orphans");
+    let _ = fs::remove_dir_all(&directory);
+    fs::create_dir_all(&directory).expect("the test has a directory");
     let quick = QuickConfig {
         candidates: 1,
         ..QuickConfig::default()
@@ -97,7 +97,7 @@ fn an_emulator_ends_with_the_program_however_that_ends() {
     .into_iter()
     .enumerate()
     {
-        let out = room.join(format!("{place}"));
+        let out = directory.join(format!("{place}"));
         fs::write(out.with_extension("json"), &excitation).expect("the directory is ours");
         let mut program = start(board, &out);
         let id = program.id() as i32;

@@ -4,31 +4,37 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-fn room(name: &str) -> PathBuf {
-    let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("studies-{name}"));
-    let _ = fs::remove_dir_all(&room);
-    fs::create_dir_all(&room).expect("the directory of the tests can be written");
-    room
+fn directory(name: &str) -> PathBuf {
+    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("studies-{name}"));
+    let _ = fs::remove_dir_all(&directory);
+    fs::create_dir_all(&directory).expect("the directory of the tests can be written");
+    directory
 }
 
-fn host_sim(room: &Path, arguments: &str) -> Output {
+fn host_sim(directory: &Path, arguments: &str) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
-    command.current_dir(room).args(arguments.split_whitespace());
+    command
+        .current_dir(directory)
+        .args(arguments.split_whitespace());
     command.output().expect("the program starts")
 }
 
-fn succeeds(room: &Path, arguments: &str) {
-    let output = host_sim(room, arguments);
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "`{arguments}` said {said}");
+fn succeeds(directory: &Path, arguments: &str) {
+    let output = host_sim(directory, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "`{arguments}` wrote {stderr}");
 }
 
-fn fails(room: &Path, arguments: &str) -> String {
-    let output = host_sim(room, arguments);
-    let said = String::from_utf8(output.stderr).expect("it speaks UTF-8");
-    assert_eq!(output.status.code(), Some(1), "`{arguments}` said {said}");
-    assert_eq!(said.lines().count(), 1, "one line: {said}");
-    said
+fn fails(directory: &Path, arguments: &str) -> String {
+    let output = host_sim(directory, arguments);
+    let stderr = String::from_utf8(output.stderr).expect("it speaks UTF-8");
+    assert_eq!(
+        output.status.code(),
+        Some(1),
+        "`{arguments}` wrote {stderr}"
+    );
+    assert_eq!(stderr.lines().count(), 1, "one line: {stderr}");
+    stderr
 }
 
 fn text(path: &Path) -> String {
@@ -36,19 +42,22 @@ fn text(path: &Path) -> String {
 }
 
 /// Runs `study` over seeds 3 and 4 at once, and in two jobs whose records are concatenated in the wrong order.
-fn whole_and_in_jobs(room: &Path, study: &str) -> String {
-    succeeds(room, &format!("{study} --seed 3 --seeds 2 --out whole"));
+fn whole_and_in_jobs(directory: &Path, study: &str) -> String {
+    succeeds(
+        directory,
+        &format!("{study} --seed 3 --seeds 2 --out whole"),
+    );
     for seed in [3, 4] {
         let job = format!("{study} --seed {seed} --seeds 1 --records {seed}.jsonl");
-        succeeds(room, &job);
+        succeeds(directory, &job);
     }
-    let records = text(&room.join("4.jsonl")) + &text(&room.join("3.jsonl"));
-    fs::write(room.join("all.jsonl"), records).expect("it can be written");
+    let records = text(&directory.join("4.jsonl")) + &text(&directory.join("3.jsonl"));
+    fs::write(directory.join("all.jsonl"), records).expect("it can be written");
     let study = format!("{study} --seeds 2 --from all.jsonl");
-    succeeds(room, &format!("{study} --seed 3 --out jobs"));
-    let whole = text(&room.join("whole/report.json"));
-    assert_eq!(whole, text(&room.join("jobs/report.json")));
-    let error = fails(room, &format!("{study} --seed 4 --out x"));
+    succeeds(directory, &format!("{study} --seed 3 --out jobs"));
+    let whole = text(&directory.join("whole/report.json"));
+    assert_eq!(whole, text(&directory.join("jobs/report.json")));
+    let error = fails(directory, &format!("{study} --seed 4 --out x"));
     assert!(error.contains("all.jsonl: "), "{error}");
     assert!(error.contains("records are missing"), "{error}");
     whole
@@ -56,8 +65,8 @@ fn whole_and_in_jobs(room: &Path, study: &str) -> String {
 
 #[test]
 fn the_papers_experiment_is_whole_in_one_run_and_in_jobs() {
-    let room = room("paper");
-    let whole = whole_and_in_jobs(&room, "experiment paper --quick");
+    let directory = directory("paper");
+    let whole = whole_and_in_jobs(&directory, "experiment paper --quick");
     let figures = [
         "fig3-excitation.svg",
         "fig6-predicted-torques.svg",
@@ -66,8 +75,8 @@ fn the_papers_experiment_is_whole_in_one_run_and_in_jobs() {
         "efficiency.svg",
     ];
     for figure in figures {
-        let svg = text(&room.join("whole").join(figure));
-        assert_eq!(svg, text(&room.join("jobs").join(figure)), "{figure}");
+        let svg = text(&directory.join("whole").join(figure));
+        assert_eq!(svg, text(&directory.join("jobs").join(figure)), "{figure}");
         assert!(
             svg.starts_with("<svg xmlns=") && !svg.contains("var("),
             "{figure}"
@@ -97,12 +106,12 @@ fn the_papers_experiment_is_whole_in_one_run_and_in_jobs() {
 
 #[test]
 fn the_excitation_campaign_is_whole_in_one_run_and_in_jobs() {
-    let room = room("excitation");
+    let directory = directory("excitation");
     let study = "experiment excitation --quick";
-    let whole = whole_and_in_jobs(&room, study);
+    let whole = whole_and_in_jobs(&directory, study);
     assert_eq!(
-        text(&room.join("whole/report.html")),
-        text(&room.join("jobs/report.html"))
+        text(&directory.join("whole/report.html")),
+        text(&directory.join("jobs/report.html"))
     );
     let report: serde_json::Value = serde_json::from_str(&whole).expect("is JSON");
     assert_eq!(report["violations"], 0);
@@ -142,8 +151,8 @@ fn the_excitation_campaign_is_whole_in_one_run_and_in_jobs() {
             "nowhere.txt",
         ),
     ] {
-        let said = fails(&room, arguments);
-        assert!(said.contains(message), "{said}");
+        let stderr = fails(&directory, arguments);
+        assert!(stderr.contains(message), "{stderr}");
     }
-    assert!(!room.join("x").exists());
+    assert!(!directory.join("x").exists());
 }

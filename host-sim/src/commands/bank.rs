@@ -191,6 +191,6 @@ pub(super) fn read(path: &Path) -> Result<ParameterBank, Failure> {
 
 /// The bytes of a bank file.
 pub(super) fn bytes(bank: &ParameterBank) -> Result<Vec<u8>, Failure> {
-    let mut room = vec![0; ParameterBank::MAX_BYTES];
-    Ok(bank.encode(&mut room)?.to_vec())
+    let mut buffer = vec![0; ParameterBank::MAX_BYTES];
+    Ok(bank.encode(&mut buffer)?.to_vec())
 }

@@ -107,7 +107,7 @@ impl BoardChoice {
         Ok(())
     }
 
-    /// Version of the compiler that made the board's code, as its ELF says.
+    /// Version of the compiler of the board's code, from its ELF.
     pub(super) fn toolchain(&self) -> String {
         let elf = match self {
             Self::Native => std::env::current_exe().ok(),
@@ -150,7 +150,7 @@ pub(super) trait OnArm {
     ) -> Result<Self::Output, Failure>;
 }
 
-/// Does `work` with the firmware's arm of the robot called `name`. Which of these arms a board drives, the board says.
+/// Does `work` with the firmware's arm of the robot called `name`. The hello of a board names its arm.
 ///
 /// Errors: unknown robot, one without an arm in the firmware, or another geometry under the name of one; those of the
 /// work.

@@ -81,7 +81,7 @@ enum Command {
     Faults(faults::Arguments),
 }
 
-/// Reads the command line and does what it says. Asking for help or the version ends the process.
+/// Reads the command line and executes it. Asking for help or the version ends the process.
 ///
 /// Errors: whatever stopped the command.
 pub(crate) fn run() -> Result<(), Failure> {

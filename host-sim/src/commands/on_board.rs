@@ -57,7 +57,7 @@ fn beside<const N: usize>(series: &Excitation, robot: &Robot) -> Joints<N> {
     q
 }
 
-/// After tick `tick`, in which the board said `stage` or had not begun: it has come to its end.
+/// True after tick `tick`, whose reply had `stage` or none, if the excitation has come to its end.
 ///
 /// Errors: a board that broke it off, refused it after its check, or never began.
 pub(super) fn has_ended<const N: usize>(

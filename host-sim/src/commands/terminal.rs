@@ -7,7 +7,7 @@ use std::io::{self, Write};
 ///
 /// Errors: any other that the system gives, such as a full disk.
 pub(super) fn say(line: impl Display) -> io::Result<()> {
-    heard(writeln!(io::stdout(), "{line}"))
+    received(writeln!(io::stdout(), "{line}"))
 }
 
 /// Writes the line that a command failed with to stderr, as far as somebody listens.
@@ -34,7 +34,7 @@ fn quoted(word: &str) -> String {
     }
 }
 
-fn heard(written: io::Result<()>) -> io::Result<()> {
+fn received(written: io::Result<()>) -> io::Result<()> {
     match written {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(error) => Err(io::Error::new(error.kind(), format!("stdout: {error}"))),
@@ -61,8 +61,8 @@ mod tests {
 
     #[test]
     fn a_closed_pipe_is_no_failure_and_a_full_disk_is_one() {
-        assert!(heard(Err(io::ErrorKind::BrokenPipe.into())).is_ok());
-        let full = heard(Err(io::ErrorKind::StorageFull.into())).expect_err("not silenced");
+        assert!(received(Err(io::ErrorKind::BrokenPipe.into())).is_ok());
+        let full = received(Err(io::ErrorKind::StorageFull.into())).expect_err("not silenced");
         assert!(full.to_string().starts_with("stdout: "), "{full}");
     }
 }

@@ -1,4 +1,4 @@
-//! The way out of the firmware: whatever fails, the torque goes off, and the restarted board says why it restarted.
+//! The way out of the firmware: whatever fails, the torque goes off, and the restarted board reports why it restarted.
 //!
 //! `faults` is a firmware that carries the fault handlers of the flashable one and fails on request.
 
@@ -12,7 +12,7 @@ fn fail(name: &str, crash: Crash) -> (ResetReason, u32) {
     let mut trial = Trial::start(trace).unwrap_or_else(|error| panic!("{error}"));
     let hello = |trial: &mut Trial| {
         let hello = trial.hello().expect("the board lives");
-        hello.expect("the board says hello")
+        hello.expect("the board sends its hello")
     };
     let first = hello(&mut trial);
     assert_eq!(
@@ -32,7 +32,7 @@ fn fail(name: &str, crash: Crash) -> (ResetReason, u32) {
         [false, true, false, false, true],
         "the torque goes off before the reset"
     );
-    // And what was kept is told once: a board that fails again gives the new reason.
+    // The kept reason is reported once: a board that fails again gives the new reason.
     trial.fail(Crash::Panic).expect("the board listens");
     assert_eq!(hello(&mut trial).reset_reason, ResetReason::Panic);
     (second.reset_reason, second.counter_hz)

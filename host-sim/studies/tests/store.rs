@@ -10,8 +10,8 @@ use foretorque_workbench::board::flash::SimulatedFlash;
 const SEED: u64 = 1;
 
 fn loaded<const S: usize>(store: &mut Store<SimulatedFlash<S>>) -> Result<Vec<u8>, StoreError> {
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    store.load(Ur5::HASH, &mut room).map(<[u8]>::to_vec)
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec)
 }
 
 #[test]

@@ -1,43 +1,49 @@
-//! The program in a room of its own, as its users call it.
+//! The program in a directory of its own, as its users call it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// An empty directory for one test.
-pub(crate) fn room(name: &str) -> PathBuf {
-    let room = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
-    let _ = fs::remove_dir_all(&room);
-    fs::create_dir_all(&room).expect("the directory of the tests can be written");
-    room
+pub(crate) fn directory(name: &str) -> PathBuf {
+    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
+    let _ = fs::remove_dir_all(&directory);
+    fs::create_dir_all(&directory).expect("the directory of the tests can be written");
+    directory
 }
 
-pub(crate) fn host_sim(room: &Path, arguments: &str) -> Output {
+pub(crate) fn host_sim(directory: &Path, arguments: &str) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
-    command.current_dir(room).args(arguments.split_whitespace());
+    command
+        .current_dir(directory)
+        .args(arguments.split_whitespace());
     command.output().expect("the program starts")
 }
 
-pub(crate) fn succeeds(room: &Path, arguments: &str) -> String {
-    let output = host_sim(room, arguments);
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "`{arguments}` said {said}");
+pub(crate) fn succeeds(directory: &Path, arguments: &str) -> String {
+    let output = host_sim(directory, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "`{arguments}` wrote {stderr}");
     String::from_utf8(output.stdout).expect("it speaks UTF-8")
 }
 
 /// The one line that the program fails with.
-pub(crate) fn fails(room: &Path, arguments: &str) -> String {
-    let output = host_sim(room, arguments);
-    let said = String::from_utf8(output.stderr).expect("it speaks UTF-8");
-    assert_eq!(output.status.code(), Some(1), "`{arguments}` said {said}");
-    assert!(said.starts_with("error: "), "{said}");
-    assert_eq!(said.lines().count(), 1, "one line: {said}");
-    said
+pub(crate) fn fails(directory: &Path, arguments: &str) -> String {
+    let output = host_sim(directory, arguments);
+    let stderr = String::from_utf8(output.stderr).expect("it speaks UTF-8");
+    assert_eq!(
+        output.status.code(),
+        Some(1),
+        "`{arguments}` wrote {stderr}"
+    );
+    assert!(stderr.starts_with("error: "), "{stderr}");
+    assert_eq!(stderr.lines().count(), 1, "one line: {stderr}");
+    stderr
 }
 
 /// Names of the files in a directory.
-pub(crate) fn files(room: &Path) -> Vec<String> {
-    let entries = fs::read_dir(room).expect("it is there");
+pub(crate) fn files(directory: &Path) -> Vec<String> {
+    let entries = fs::read_dir(directory).expect("it is there");
     let name = |entry: std::io::Result<fs::DirEntry>| entry.expect("it is there").file_name();
     entries
         .map(|entry| name(entry).to_string_lossy().into_owned())

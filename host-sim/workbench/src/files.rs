@@ -50,7 +50,7 @@ pub struct WholeFile {
 impl WholeFile {
     /// Opens the file's unfinished version, creating the directories above it.
     ///
-    /// Errors: whatever the file system says, with the path in the message.
+    /// Errors: the file system's, with the path in the message.
     pub fn create(target: &Path) -> io::Result<Self> {
         let above = target.ancestors().skip(1);
         let missing = above.take_while(|path| !path.as_os_str().is_empty() && !path.exists());
@@ -82,7 +82,7 @@ impl WholeFile {
 
     /// Gives the complete file its name.
     ///
-    /// Errors: whatever the file system says; the file's earlier version is then untouched.
+    /// Errors: the file system's; the file's earlier version is then untouched.
     pub fn finish(mut self) -> io::Result<()> {
         if let Some(writer) = self.writer.take() {
             writer
@@ -122,7 +122,7 @@ impl Drop for WholeFile {
 
 /// Writes `contents` to `target` as a whole.
 ///
-/// Errors: whatever the file system says, with the path in the message.
+/// Errors: the file system's, with the path in the message.
 pub fn write_whole(target: &Path, contents: &[u8]) -> io::Result<()> {
     let mut file = WholeFile::create(target)?;
     file.write_all(contents)?;

@@ -103,7 +103,7 @@ fn columns(field: Field, joints: usize) -> Vec<String> {
     }
 }
 
-/// Numbers of one field; its bytes have the length the field says.
+/// Numbers of one field; its bytes have the length of the field.
 fn numbers(field: Field, bytes: &[u8]) -> Vec<f64> {
     let word = |place: usize| -> [u8; 4] { std::array::from_fn(|k| bytes[place + k]) };
     let float = |place| f64::from(f32::from_le_bytes(word(place)));

@@ -14,7 +14,7 @@ use talk::{PATIENCE, Talk, credible, sample};
 
 const BOOT: Duration = Duration::from_secs(5);
 
-/// Starts the emulator. A firmware that is not built fails the test with the line that says how to build it.
+/// Starts the emulator. A firmware that is not built fails the test with the command that builds it.
 fn emulator(image: Image) -> Emulator {
     started(&QemuOptions::new(image))
 }
@@ -252,12 +252,12 @@ fn a_frame_of_the_board_fits_the_answer_it_is_for() {
     let mut talk = Talk::begin(emulator(Image::Joint));
     let frame = talk.ask(&HostMessage::Hello);
     let mut decoder = Decoder::new();
-    let heard = frame.iter().find_map(|&byte| {
+    let received = frame.iter().find_map(|&byte| {
         decoder
             .push(byte)
             .map(|frame| frame.map(|frame| frame.message::<BoardMessage<JOINTS>>()))
     });
-    assert!(matches!(heard, Some(Ok(Ok(BoardMessage::Hello(_))))));
+    assert!(matches!(received, Some(Ok(Ok(BoardMessage::Hello(_))))));
 }
 
 #[test]

@@ -42,7 +42,7 @@ fn a_board_with_nothing_plugged_in_refuses_to_arm_and_says_why() {
     assert_eq!(trial.client.safety().state, SafetyState::Fault);
     assert_eq!(trial.client.safety().reason, SafetyReason::Drive);
     assert_eq!(trial.refusal(), SafetyReason::Drive);
-    trial.client.clear_fault().expect("it is heard");
+    trial.client.clear_fault().expect("it is received");
     assert_eq!(trial.refusal(), SafetyReason::Drive, "it is still there");
     trial.is_off();
     let log = trial.log();
@@ -173,7 +173,7 @@ fn silence_ends_the_pulses() {
     let trace = fs::read_to_string(&trial.trace).expect("the emulator writes a trace");
     let on = |line| matches!(written(line), Some(("GPIOB", 0x18, bits)) if bits == 1 << 8);
     assert!(trace.lines().any(on), "it was armed");
-    // The time of the emulator moves on when somebody talks to it, in leaps; what is said here is no sample.
+    // The time of the emulator moves on with traffic on its link, in leaps; this traffic has no sample.
     let silence = (0..10_000).find(|_| {
         trial.client.statistics().expect("counters");
         !trial.stage().enabled

@@ -126,7 +126,7 @@ fn a_board_paced_by_its_timer_ends_the_torque_when_samples_stay_away() {
     trial.client.sample(&sample()).expect("a torque");
     let pins = trial.lines("GPIOB");
     assert!(pins.iter().any(|line| line.contains(ON)), "it was armed");
-    // The time of the emulator moves on when somebody talks to it; what is said here is no sample.
+    // The time of the emulator moves on with traffic on its link; this traffic has no sample.
     let silence = (0..10_000).find(|_| {
         trial.client.statistics().expect("counters");
         !trial.enabled()
@@ -143,11 +143,11 @@ fn a_board_paced_by_its_timer_ends_the_torque_when_samples_stay_away() {
 fn a_restart_disarms_and_keeps_the_latched_fault() {
     let mut trial = Trial::start("restart");
     trial.arm();
-    trial.client.reboot().expect("it is heard");
+    trial.client.reboot().expect("it is received");
     let error = trial
         .client
         .statistics()
-        .expect_err("the board says hello anew");
+        .expect_err("the board sends its hello anew");
     assert!(
         matches!(error, BoardError::Restarted(ResetReason::Software)),
         "{error}"
@@ -160,11 +160,11 @@ fn a_restart_disarms_and_keeps_the_latched_fault() {
     }
     trial.arm();
     trial.client.stop().expect("it obeys");
-    trial.client.reboot().expect("it is heard");
+    trial.client.reboot().expect("it is received");
     trial
         .client
         .statistics()
-        .expect_err("the board says hello anew");
+        .expect_err("the board sends its hello anew");
     assert_eq!(trial.client.safety().reason, SafetyReason::Stopped);
     assert_eq!(refusal(&mut trial), SafetyReason::Stopped);
     trial.client.clear_fault().expect("the torque is off");
@@ -184,7 +184,7 @@ fn hung(symbol: &str) -> PathBuf {
 
 /// Feeds of the watchdog (RM0090 21.4.1) that the emulator saw.
 fn feeds(trial: &Trial) -> usize {
-    // The emulator knows the page at 0x4000_3000 by the name of a neighbour that other chips have there.
+    // The emulator calls the page at 0x4000_3000 by the name of a neighbour that other chips have there.
     let lines = trial.lines("I2S2ext");
     let fed = |line: &&String| line.contains("offset 0x000") && line.contains("aaaa");
     lines.iter().filter(fed).count()
@@ -209,7 +209,7 @@ fn the_watchdog_goes_hungry_when_the_learner_hangs_although_the_tick_goes_on() {
     let mut options = QemuOptions::new(Image::Joint);
     options.elf = hung("EXTI2");
     let mut trial = Trial::of("hungry", options);
-    trial.client.wait_for_lessons(false);
+    trial.client.wait_for_learning(false);
     let start = feeds(&trial);
     for _ in 0..100 {
         trial.client.sample(&sample()).expect("the tick goes on");

@@ -90,11 +90,11 @@ impl Transport for Parrot {
         }
     }
 
-    fn receive(&mut self, room: &mut [u8], _: Duration) -> io::Result<usize> {
-        let count = room.len().min(self.1.len());
+    fn receive(&mut self, buffer: &mut [u8], _: Duration) -> io::Result<usize> {
+        let count = buffer.len().min(self.1.len());
         self.1
             .drain(..count)
-            .zip(room)
+            .zip(buffer)
             .for_each(|(b, slot)| *slot = b);
         Ok(count)
     }
@@ -133,21 +133,21 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
     let mut learner = Learner::<Ur5, N, P>::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap();
     let mut exchange = foretorque::learning::Exchange::new();
     for _ in 0..ARM_SAMPLES {
-        let heard = foretorque_link::wire::SampleFrame::new(&sample(0)).sample(&[0.0; N]);
+        let received = foretorque_link::wire::SampleFrame::new(&sample(0)).sample(&[0.0; N]);
         bare.adopt(&mut exchange);
-        bare.step(&heard);
+        bare.step(&received);
         // A disarmed board holds the torque back.
         bare.applied(&JointVector::zeros());
-        learner.learn(&bare.learning_sample(heard.measured), &mut exchange);
+        learner.learn(&bare.learning_sample(received.measured), &mut exchange);
     }
     bare.set_learning(true);
     for k in 0..4000 {
         // What the scaled integers make of the sample is what both see.
         let frame = foretorque_link::wire::SampleFrame::new(&sample(k));
-        let heard = frame.sample(&[0.0; N]);
+        let received = frame.sample(&[0.0; N]);
         bare.adopt(&mut exchange);
-        let torque = bare.step(&heard);
-        learner.learn(&bare.learning_sample(heard.measured), &mut exchange);
+        let torque = bare.step(&received);
+        learner.learn(&bare.learning_sample(received.measured), &mut exchange);
         let reply = client.sample_frame(&frame).unwrap();
         assert_eq!(reply.tick, torque.tick);
         assert_eq!(reply.flags, torque.flags);

@@ -22,8 +22,7 @@ pub const MAX_BRIDGED: usize = 4;
 
 /// Torque samples averaged around the middle of the window.
 ///
-/// A joint has one row in N ticks, so a mean of five uses nearly all samples of an arm of six joints for the price of one
-/// row. Over ±2 ticks the torque is a straight line. Cogging is not: it loses a tenth of its amplitude at 1.5 rad/s and
+/// A joint has one row in N ticks. With six joints a mean of five uses nearly all samples, for the price of one row. Over ±2 ticks the torque is a straight line. Cogging is not: it loses a tenth of its amplitude at 1.5 rad/s and
 /// 202 cycles a turn.
 pub(super) const AVERAGED: usize = 5;
 /// Torques stored, so that they are delayed as much as the motion.

@@ -9,7 +9,7 @@
 //! | set | content | written by | read by | changes |
 //! |---|---|---|---|---|
 //! | nominal | rigid body of the description | `host-sim generate`, as constants of the [arm](crate::arm) | first prior, load friction | with a new build |
-//! | prior | start of learning | tick, on load | estimator, trainer | at every load |
+//! | prior | start of learning | learner, on load | estimate and networks at their start | at every load |
 //! | loaded | set of the last load | tick, on load | tick: origin of the learnt change | at every load |
 //! | active | parameters of the torque | supervisor; adopted by the tick | tick | at most once a round |
 //! | committed | last set accepted as a whole | supervisor, on commit; tick, on load | tick: fallback, centre of the bound on learnt change; paired test: reference | on commit, at every load |

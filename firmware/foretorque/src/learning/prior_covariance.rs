@@ -1,7 +1,7 @@
 //! Prior covariance of the base parameters.
 //!
-//! Uncertainty belongs to links: mass, centre of mass, inertia, rotor. A base parameter is a sum over several links, so
-//! one uncertain property of a link is a factor d of the covariance that spans many base parameters:
+//! Uncertainty belongs to links: mass, centre of mass, inertia, rotor. A base parameter is a sum over several links. One
+//! uncertain property of a link is therefore a factor d of the covariance over many base parameters:
 //!
 //! ```text
 //! P = Σ d dᵀ + floor²     d = base map · change of the standard parameters by one standard deviation of the property

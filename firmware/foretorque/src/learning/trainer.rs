@@ -148,6 +148,14 @@ impl<const N: usize> NetworkTrainer<N> {
         }
     }
 
+    /// Restart with `networks` as candidates, in place.
+    #[inline(never)]
+    pub(super) fn reset(&mut self, networks: &[JointNetwork; N]) {
+        self.candidate = *networks;
+        self.filter.fill(DenseUdFilter::new([0.0; OUTPUTS]));
+        self.test.fill(NetworkTest::NONE);
+    }
+
     /// Train with one row of `joint`; a row that is not finite is ignored.
     ///
     /// * `active` active network, replaced by a promotion or silencing

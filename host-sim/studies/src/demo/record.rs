@@ -136,7 +136,7 @@ pub struct LearningPoint {
 pub struct TickPhases {
     /// Learning off.
     pub frozen: BoardCost,
-    /// Learning on: the tick also hands its lesson over and adopts learnt sets.
+    /// Learning on: the tick also hands its learning sample over and adopts learnt sets.
     pub learning: BoardCost,
 }
 

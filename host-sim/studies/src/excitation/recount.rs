@@ -13,7 +13,7 @@ pub struct Recount {
     pub points: u32,
     /// Limits missed: position, velocity, acceleration, torque, table, distance of links.
     pub violations: u64,
-    /// Velocities, accelerations and torques beyond what the certificate says is the worst.
+    /// Velocities, accelerations and torques beyond the certificate's worst.
     pub beyond_certificate: u64,
 }
 

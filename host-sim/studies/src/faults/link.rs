@@ -1,4 +1,4 @@
-//! Faults of the line and of what is said on it, with a host that works through them: it keeps sending samples, and arms the
+//! Faults of the line and of its messages, with a host that works through them: it keeps sending samples, and arms the
 //! board again whenever that has disarmed itself.
 
 use super::Campaign;
@@ -66,7 +66,7 @@ impl Host {
             .collect()
     }
 
-    /// A sample of this tick. Its answer waits for the lesson, which the reference has learnt before its next frame.
+    /// A sample of this tick. Its answer waits for the learning step, which the reference finishes before its next frame.
     fn message(&self, sample: &JointSample<JOINTS>) -> HostMessage<JOINTS> {
         let frame = SampleFrame::new(sample).in_period(self.tick as u8);
         HostMessage::Sample(frame.answered_after_learning())
@@ -208,7 +208,7 @@ fn spoil(sample: &mut JointSample<JOINTS>, random: &mut ChaCha8Rng) {
     rows[random.random_range(0..5)][joint] = strange(random);
 }
 
-/// Sound frames of other protocol versions, of another number of joints, and with messages that nobody knows.
+/// Sound frames of other protocol versions, of another number of joints, and with unknown messages.
 pub fn foreign_frames(
     transport: Box<dyn Transport>,
     ticks: u32,
@@ -241,13 +241,13 @@ fn foreign(random: &mut ChaCha8Rng) -> Vec<u8> {
         desired: motion,
         measured: None,
     };
-    let mut room = [0; MAX_FRAME];
+    let mut buffer = [0; MAX_FRAME];
     let other = HostMessage::<7>::Sample(SampleFrame::new(&sample));
-    let frame = encode(sequence, &other, &mut room).unwrap_or_default();
+    let frame = encode(sequence, &other, &mut buffer).unwrap_or_default();
     if random.random() {
         return frame.to_vec();
     }
-    // Another version, or a message that nobody knows: sealed anew by hand.
+    // Another version, or an unknown message: sealed anew by hand.
     let mut content = frame.to_vec();
     let length = cobs::decode_in_place(&mut content[..frame.len() - 1]).unwrap_or(0);
     content.truncate(length.saturating_sub(4));
@@ -281,7 +281,7 @@ mod tests {
     #[test]
     fn a_torque_that_the_reference_does_not_give_is_wrong() {
         let mut host = host();
-        // A sample of which the reference never hears moves the slew of the board alone.
+        // A sample that the reference never receives moves the slew of the board alone.
         let mut sample = host.sample();
         sample.desired.qdd = JointVector::repeat(5.0);
         let message = host.message(&sample);

@@ -83,9 +83,9 @@ impl Trial {
     /// The next hello on the line; `None` when none comes in time.
     pub fn hello(&mut self) -> Result<Option<BoardHello>, EmulatorError> {
         let mut decoder = Decoder::new();
-        let mut room = [0; 1];
-        while self.emulator.read(&mut room, PATIENCE)? == 1 {
-            if let Some(Ok(frame)) = decoder.push(room[0])
+        let mut buffer = [0; 1];
+        while self.emulator.read(&mut buffer, PATIENCE)? == 1 {
+            if let Some(Ok(frame)) = decoder.push(buffer[0])
                 && let Ok(BoardMessage::<JOINTS>::Hello(hello)) = frame.message()
             {
                 return Ok(Some(hello));
@@ -101,7 +101,7 @@ impl Trial {
 
     /// States of the torque enable so far: true for on.
     pub fn switched(&self) -> Vec<bool> {
-        // A trace that is not there yet tells of nothing.
+        // A trace that is not there yet has no changes.
         let trace = fs::read_to_string(&self.trace).unwrap_or_default();
         let pins = trace.lines().filter(|line| line.contains("GPIOB"));
         pins.filter_map(|line| match () {
@@ -121,9 +121,9 @@ pub fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campaign, Emu
     for _ in 0..times {
         let before = trial.switched().len();
         trial.fail(crash)?;
-        let told = trial.hello()?.map(|hello| hello.reset_reason);
+        let reported = trial.hello()?.map(|hello| hello.reset_reason);
         campaign.injected += 1;
-        campaign.recovered += u64::from(told == Some(crash.reason()));
+        campaign.recovered += u64::from(reported == Some(crash.reason()));
         // Off on the way out; off by the constructor after the restart.
         let switched = trial.switched();
         let off = switched.get(before..before + 2) == Some(&[false, false]);

@@ -42,7 +42,7 @@ pub struct Campaign {
     pub torques: u64,
     /// Faults that no counter of the board shows.
     pub unnoticed: u64,
-    /// Intact frames, at most, until one was heard again.
+    /// Intact frames, at most, until one was received again.
     pub frames_to_resynchronise: u32,
 }
 

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 /// How long an answer is waited for.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Most bytes that are read at once.
-const ROOM: usize = 4096;
+const BUFFER: usize = 4096;
 
 /// One frame on its way, and what the reference shall make of it.
 #[derive(Clone, Debug)]
@@ -27,9 +27,9 @@ pub(super) struct Frame {
 pub(super) struct Round {
     /// Answers of the board, without hellos and markers.
     pub(super) answers: Vec<BoardMessage<JOINTS>>,
-    /// Intact frames after the damage until one was heard: 1 or 2.
+    /// Intact frames after the damage until one was received: 1 or 2.
     pub(super) resynchronised: u32,
-    /// A counter of the board says that something was wrong.
+    /// A counter of the board has counted an error.
     pub(super) noticed: bool,
 }
 
@@ -39,7 +39,7 @@ pub(super) struct Rig {
     reference: Native<Ur5, JOINTS, PARAMETERS>,
     sequence: u16,
     decoder: Decoder,
-    heard: Decoder,
+    received: Decoder,
     /// Frame sent last under each number.
     sent: Vec<Option<Frame>>,
     errors: u64,
@@ -56,7 +56,7 @@ impl Rig {
             reference: reference().map_err(|_| BoardError::UnexpectedAnswer)?,
             sequence: 0,
             decoder: Decoder::new(),
-            heard: Decoder::new(),
+            received: Decoder::new(),
             sent: vec![None; 1 << 16],
             errors: 0,
             wrong_torques: 0,
@@ -70,8 +70,8 @@ impl Rig {
     /// The frame of a message under the next number.
     pub(super) fn frame(&mut self, message: &HostMessage<JOINTS>) -> Frame {
         self.sequence = self.sequence.checked_add(1).unwrap_or(1);
-        let mut room = [0; MAX_FRAME];
-        let bytes = encode(self.sequence, message, &mut room).unwrap_or_default();
+        let mut buffer = [0; MAX_FRAME];
+        let bytes = encode(self.sequence, message, &mut buffer).unwrap_or_default();
         let frame = Frame {
             sequence: self.sequence,
             bytes: bytes.to_vec(),
@@ -115,7 +115,7 @@ impl Rig {
         let deadline = Instant::now() + PATIENCE;
         loop {
             for (sequence, message) in self.listen()? {
-                // What the board says unasked.
+                // Unasked messages of the board.
                 if sequence == 0 {
                     continue;
                 }
@@ -147,11 +147,11 @@ impl Rig {
 
     /// The messages that have come.
     fn listen(&mut self) -> Result<Vec<(u16, BoardMessage<JOINTS>)>, BoardError> {
-        let mut room = [0; ROOM];
-        let count = self.transport.receive(&mut room, PATIENCE);
+        let mut buffer = [0; BUFFER];
+        let count = self.transport.receive(&mut buffer, PATIENCE);
         let count = count.map_err(|error| BoardError::Closed(self.transport.name(), error))?;
         let mut messages = Vec::new();
-        for &byte in room.get(..count).unwrap_or_default() {
+        for &byte in buffer.get(..count).unwrap_or_default() {
             if let Some(frame) = self.decoder.push(byte) {
                 let frame = frame.map_err(|_| BoardError::UnexpectedAnswer)?;
                 let message = frame.message().map_err(|_| BoardError::UnexpectedAnswer)?;
@@ -193,14 +193,17 @@ impl Rig {
     fn refer(&mut self, frame: &Frame) -> Result<Option<BoardMessage<JOINTS>>, BoardError> {
         let gone = |error| BoardError::Closed("reference".into(), error);
         self.reference.send(&frame.bytes).map_err(gone)?;
-        let mut room = [0; FrameBuffer::CAPACITY];
-        let count = self.reference.receive(&mut room, PATIENCE).map_err(gone)?;
+        let mut buffer = [0; FrameBuffer::CAPACITY];
+        let count = self
+            .reference
+            .receive(&mut buffer, PATIENCE)
+            .map_err(gone)?;
         let mut answer = None;
-        for &byte in room.get(..count).unwrap_or_default() {
-            if let Some(Ok(heard)) = self.heard.push(byte)
-                && heard.sequence == frame.sequence
+        for &byte in buffer.get(..count).unwrap_or_default() {
+            if let Some(Ok(received)) = self.received.push(byte)
+                && received.sequence == frame.sequence
             {
-                answer = heard.message().ok();
+                answer = received.message().ok();
             }
         }
         Ok(answer)
@@ -244,8 +247,8 @@ fn bytes(sequence: u16, message: &BoardMessage<JOINTS>) -> Vec<u8> {
             *value = f32::NAN;
         }
     }
-    let mut room = [0; MAX_FRAME];
-    encode(sequence, &message, &mut room)
+    let mut buffer = [0; MAX_FRAME];
+    encode(sequence, &message, &mut buffer)
         .unwrap_or_default()
         .to_vec()
 }

@@ -22,14 +22,14 @@ pub fn set(number: u32) -> Vec<u8> {
     if let Some(column) = bank.columns.first_mut() {
         column.value = number as f32;
     }
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    bank.encode(&mut room).map_or(Vec::new(), <[u8]>::to_vec)
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    bank.encode(&mut buffer).map_or(Vec::new(), <[u8]>::to_vec)
 }
 
 /// The newest set that the store loads.
 fn load<const S: usize>(store: &mut Store<Flash<S>>) -> Result<Vec<u8>, StoreError> {
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    store.load(Ur5::HASH, &mut room).map(<[u8]>::to_vec)
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec)
 }
 
 /// A store in new flash after sets 1 to `saves`.
@@ -59,7 +59,7 @@ pub fn power_cuts<const S: usize>(
             for torn in Torn::SECTOR {
                 let mut store = Store::new(base.flash().clone());
                 store.flash_mut().cut_after(step, torn);
-                let told = store.save(Ur5::HASH, &new).is_ok();
+                let reported = store.save(Ur5::HASH, &new).is_ok();
                 store.flash_mut().power_on();
                 campaign.injected += 1;
                 let kept = match load(&mut store) {
@@ -67,7 +67,7 @@ pub fn power_cuts<const S: usize>(
                     Err(StoreError::Empty | StoreError::Damaged) => saves == 0,
                     Err(_) => false,
                 };
-                campaign.lost_sets += u64::from(!kept || told);
+                campaign.lost_sets += u64::from(!kept || reported);
                 let newest = set(saves + 2);
                 let again = store.save(Ur5::HASH, &newest).is_ok()
                     && load(&mut store).as_ref() == Ok(&newest);

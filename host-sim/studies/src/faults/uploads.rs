@@ -182,8 +182,8 @@ fn spoilt_bank(bad: BadUpload, number: u32, random: &mut ChaCha8Rng) -> Vec<u8> 
         }
         BadUpload::Interrupted | BadUpload::Reset => return bytes,
     }
-    let mut room = [0; ParameterBank::MAX_BYTES];
-    bank.encode(&mut room).map_or(bytes, <[u8]>::to_vec)
+    let mut buffer = [0; ParameterBank::MAX_BYTES];
+    bank.encode(&mut buffer).map_or(bytes, <[u8]>::to_vec)
 }
 
 #[cfg(test)]

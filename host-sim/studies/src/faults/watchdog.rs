@@ -85,7 +85,7 @@ fn restarted() -> Result<(bool, bool), ConfigError> {
             &mut answer,
             &mut NoLocalSensor,
         );
-        heard(answer.as_bytes())
+        received(answer.as_bytes())
     };
     let mut quiet = true;
     for message in [
@@ -100,14 +100,17 @@ fn restarted() -> Result<(bool, bool), ConfigError> {
             quiet &= torque.total.iter().all(|&torque| torque == 0.0);
         }
     }
-    let told = session.safety().state == SafetyState::Fault
+    let reported = session.safety().state == SafetyState::Fault
         && session.safety().reason == SafetyReason::Restarted;
     let cleared = ask(&HostMessage::ClearFault, &mut session) == Some(BoardMessage::Ack);
     let armed = ask(&HostMessage::Arm, &mut session) == Some(BoardMessage::Ack);
-    Ok((quiet, told && cleared && armed && session.torque_enabled()))
+    Ok((
+        quiet,
+        reported && cleared && armed && session.torque_enabled(),
+    ))
 }
 
-fn heard(bytes: &[u8]) -> Option<BoardMessage<JOINTS>> {
+fn received(bytes: &[u8]) -> Option<BoardMessage<JOINTS>> {
     let mut decoder = Decoder::new();
     let mut message = None;
     for &byte in bytes {

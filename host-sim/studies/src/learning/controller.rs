@@ -75,8 +75,8 @@ impl Controller {
     /// rounds it.
     pub(super) fn tick(&mut self, sample: Option<&JointSample<N>>) -> Torque<N> {
         self.feedforward.adopt(&mut self.exchange);
-        let heard = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
-        let sample = self.safety.admit(heard, 1, SafetyReason::None);
+        let received = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
+        let sample = self.safety.admit(received, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feedforward.step(sample),
             None => self.feedforward.step_stale(),
@@ -85,8 +85,8 @@ impl Controller {
         self.feedforward.applied(&torque.total);
         if self.learning {
             let measured = sample.and_then(|sample| sample.measured);
-            let lesson = self.feedforward.learning_sample(measured);
-            self.learner.learn(&lesson, &mut self.exchange);
+            let learning_sample = self.feedforward.learning_sample(measured);
+            self.learner.learn(&learning_sample, &mut self.exchange);
         }
         torque
     }

@@ -1,4 +1,4 @@
-//! The Cramér–Rao bound of a payload estimate that knows everything else.
+//! The Cramér–Rao bound of a payload estimate with everything else given.
 
 use super::setup::{N, P};
 use foretorque::arm::Arm;

@@ -57,7 +57,7 @@ pub struct SoakReport {
     pub late_sets_count: u32,
     /// Error on the unseen path at the end, moving rows.
     pub last_nrmse_moving_percent: f64,
-    /// Decisions of the guard by reason.
+    /// Decisions of the supervisor by reason.
     pub decisions_count: BTreeMap<String, u32>,
     /// Ticks compared with the board, and those in which a torque had other bits.
     pub board_ticks_count: usize,

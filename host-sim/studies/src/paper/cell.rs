@@ -155,7 +155,7 @@ impl Bench {
 
     /// Draws, trains, judges.
     ///
-    /// Errors: none but a description that is not the UR5. A method that finds no model is told in the record.
+    /// Errors: none but a description that is not the UR5. A method that finds no model is in the record.
     pub(super) fn draw(&self, cell: &Cell) -> Result<CellRecord, StudyError> {
         let quiet = PlantConfig {
             torque_noise: 0.0,

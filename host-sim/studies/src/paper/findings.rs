@@ -108,11 +108,11 @@ fn failures(conditions: &[Condition]) -> Option<String> {
         *failed.entry(name).or_default() += count;
     }
     let draws: usize = conditions.iter().map(|c| c.draws).sum();
-    let told: Vec<String> = failed
+    let reported: Vec<String> = failed
         .iter()
         .map(|(name, count)| format!("{name} in {count} of {draws} draws"))
         .collect();
-    (!told.is_empty()).then(|| format!("Found no model: {}.", told.join(", ")))
+    (!reported.is_empty()).then(|| format!("Found no model: {}.", reported.join(", ")))
 }
 
 /// Rows that the methods need: the fewest with which the error is at most twice that with all rows.
@@ -191,7 +191,7 @@ fn ratios(conditions: &[&Condition], of: &str, over: &str) -> Option<(f64, f64, 
 
 fn verdict(ratio: f64) -> &'static str {
     if ratio < 1.0 - EQUAL {
-        "it is the more robust of the two, as the paper says"
+        "it is the more robust of the two, as the paper claims"
     } else if ratio <= 1.0 + EQUAL {
         "it is neither more nor less robust, and the paper's claim is not confirmed"
     } else {
@@ -239,13 +239,13 @@ mod tests {
 
     #[test]
     fn the_verdict_follows_the_figures_whichever_way_they_go() {
-        for (physical, says) in [
-            (0.005, "more robust of the two, as the paper says"),
+        for (physical, claim) in [
+            (0.005, "more robust of the two, as the paper claims"),
             (0.01, "claim is not confirmed"),
             (0.02, "claim is refuted"),
         ] {
             let (mean, ..) = ratios(&[&condition(physical)], "bp_physical", "wls").expect("both");
-            assert!(verdict(mean).contains(says), "{physical}");
+            assert!(verdict(mean).contains(claim), "{physical}");
         }
     }
 

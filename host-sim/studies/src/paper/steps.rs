@@ -25,7 +25,7 @@ const TICK_S: f64 = 1e-3;
 const PATH_STEP_S: f64 = 0.01;
 /// Largest step of a joint from its prediction, rad.
 const JUMP_RAD: f64 = 0.05;
-/// Epochs at which the loss curves are told.
+/// Epochs of the loss curves.
 const EPOCHS: [usize; 14] = [
     1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000,
 ];

@@ -1,4 +1,4 @@
-//! The logs as the board meets them, row by row, and what batch least squares on the other paths says of them.
+//! The logs row by row, with the torques of batch least squares on the other paths.
 
 use super::record::{GATE_RAD_S, N};
 use crate::real_ur5::{PATHS, columns};

@@ -78,8 +78,8 @@ impl Board {
             None => self.feedforward.step_stale(),
         };
         let measured = sample.and_then(|sample| sample.measured);
-        let lesson = self.feedforward.learning_sample(measured);
-        self.learner.learn(&lesson, &mut self.exchange);
+        let sample = self.feedforward.learning_sample(measured);
+        self.learner.learn(&sample, &mut self.exchange);
         self.ticks += 1;
         self.clipped += u32::from(torque.flags.contains(Flags::LEARNED_CLIPPED));
         let log = &self.feedforward.state().report.decisions;

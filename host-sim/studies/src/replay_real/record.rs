@@ -48,7 +48,7 @@ pub struct ReplayReport {
     pub aged_10_s_vs_plain_wls_ratio: f64,
     /// The longest of the paths' times to 1.1, s.
     pub within_1_1_worst_s: Option<f64>,
-    /// Decisions of the guard by reason.
+    /// Decisions of the supervisor by reason.
     pub decisions_count: BTreeMap<String, u32>,
     /// Ticks in which what was learnt was cut.
     pub learned_clipped_ticks_count: u32,

@@ -24,7 +24,7 @@ const KEPT_LINES: usize = 60;
 #[derive(Debug)]
 pub(crate) struct Guarded {
     child: Child,
-    said: Arc<Mutex<VecDeque<String>>>,
+    lines: Arc<Mutex<VecDeque<String>>>,
     reader: Option<std::thread::JoinHandle<()>>,
     /// Where the calling thread was allowed to run before it joined the emulator on one core.
     affinity: Option<CpuSet>,
@@ -60,15 +60,15 @@ impl Guarded {
         unsafe { command.pre_exec(prepare) };
         let mut child = spawn(command)?;
         drop(kept);
-        let said = Arc::new(Mutex::new(VecDeque::new()));
+        let lines = Arc::new(Mutex::new(VecDeque::new()));
         let reader = child
             .stderr
             .take()
-            .map(|stderr| listen(stderr, Arc::clone(&said)));
+            .map(|stderr| listen(stderr, Arc::clone(&lines)));
         let affinity = core.map(stay_on).transpose()?;
         Ok(Self {
             child,
-            said,
+            lines,
             reader,
             affinity,
         })
@@ -94,7 +94,7 @@ impl Guarded {
         }
     }
 
-    /// Waits for what an emulator that has ended may still have said.
+    /// Waits for the last lines of an emulator that has ended.
     fn hear_out(&mut self) {
         if let Some(reader) = self.reader.take() {
             let _ = reader.join();
@@ -103,9 +103,9 @@ impl Guarded {
 
     /// Last message of the emulator about itself on stderr, else its last line: when it gives up it also lists all registers.
     pub(crate) fn last_words(&self) -> Option<String> {
-        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = said.iter().rev().find(|line| line.starts_with("qemu"));
-        own.or(said.back()).cloned()
+        let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = lines.iter().rev().find(|line| line.starts_with("qemu"));
+        own.or(lines.back()).cloned()
     }
 }
 
@@ -143,18 +143,18 @@ fn spawn(command: Command) -> io::Result<Child> {
 }
 
 /// Keeps the last lines of the emulator's stderr.
-fn listen(stderr: ChildStderr, said: Arc<Mutex<VecDeque<String>>>) -> std::thread::JoinHandle<()> {
+fn listen(stderr: ChildStderr, lines: Arc<Mutex<VecDeque<String>>>) -> std::thread::JoinHandle<()> {
     std::thread::spawn(move || {
         for line in BufReader::new(stderr).lines().map_while(Result::ok) {
-            // Said at every start: the pace of virtual time is set by the link, not by a timer.
+            // Written at every start: the pace of virtual time is set by the link, not by a timer.
             if line.contains("icount sleep disabled and no active timers") {
                 continue;
             }
-            let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
-            if said.len() == KEPT_LINES {
-                said.pop_front();
+            let mut lines = lines.lock().unwrap_or_else(PoisonError::into_inner);
+            if lines.len() == KEPT_LINES {
+                lines.pop_front();
             }
-            said.push_back(line);
+            lines.push_back(line);
         }
     })
 }

@@ -22,7 +22,7 @@ const SECTORS: usize = 2;
 pub enum FlashError {
     /// The power went, now or before.
     NoPower,
-    /// The sector is protected, and the flash says so.
+    /// The sector is protected, and the flash reports it.
     Protected,
     /// Beyond the end, or not on a word.
     Address(NorFlashErrorKind),
@@ -42,7 +42,7 @@ impl NorFlashError for FlashError {
 pub enum Torn {
     /// The step has not begun.
     Before,
-    /// The step is complete; nobody was told.
+    /// The step is complete, without an answer.
     After,
     /// Every bit for itself has changed or not.
     Bits,
@@ -159,7 +159,7 @@ impl<const SECTOR: usize> SimulatedFlash<SECTOR> {
         self.protection = protection;
     }
 
-    /// Wears the flash: `bits` of them anywhere in `places` will become what chance says, whatever is written or erased
+    /// Wears the flash: `bits` of them anywhere in `places` take random values, whatever is written or erased
     /// there. What is kept there today stays.
     pub fn wear(&mut self, places: std::ops::Range<usize>, bits: usize) {
         for _ in 0..bits {

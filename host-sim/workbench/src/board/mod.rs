@@ -26,19 +26,19 @@ pub trait Transport {
 
     /// Sends all of `bytes`.
     ///
-    /// Errors: the link is gone; a board that died says so in the error's text.
+    /// Errors: the link is gone; the error of a board that died has the reason.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
 
     /// The host keeps the board's time at the other end: a sample a period, whatever the board is doing. Elsewhere the next
-    /// sample comes when the one before is answered, and the answer waits until its lesson is learnt.
+    /// sample comes when the one before is answered, and the answer waits for the learning step.
     fn keeps_time(&self) -> bool {
         false
     }
 
-    /// Waits at most `timeout` for bytes and puts what there is into `room`. 0 = nothing came.
+    /// Waits at most `timeout` for bytes and puts them into `buffer`. 0 = nothing came.
     ///
-    /// Errors: the link is gone; a board that died says so in the error's text.
-    fn receive(&mut self, room: &mut [u8], timeout: Duration) -> io::Result<usize>;
+    /// Errors: the link is gone; the error of a board that died has the reason.
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
 }
 
 /// Why a conversation with a board failed.

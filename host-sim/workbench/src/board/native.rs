@@ -9,7 +9,7 @@ use std::time::Duration;
 
 /// The board in this process: the firmware's own session and learner behind the very same frames.
 ///
-/// The learner works through its lesson right after each reply, as it does on the board that simulates in bulk.
+/// The learner takes its learning sample right after each reply, as it does on the board that simulates in bulk.
 pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
     session: Session<A, N, P>,
     mailboxes: Mailboxes<N, P>,
@@ -19,7 +19,7 @@ pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
-    /// A board that has just booted and said hello.
+    /// A board that has just booted and sent its hello.
     ///
     /// Errors: the first limit of the arm that cannot work.
     pub fn new() -> Result<Self, ConfigError> {
@@ -74,9 +74,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
         Ok(())
     }
 
-    fn receive(&mut self, room: &mut [u8], _timeout: Duration) -> io::Result<usize> {
-        let count = room.len().min(self.waiting.len());
-        for (slot, byte) in room.iter_mut().zip(self.waiting.drain(..count)) {
+    fn receive(&mut self, buffer: &mut [u8], _timeout: Duration) -> io::Result<usize> {
+        let count = buffer.len().min(self.waiting.len());
+        for (slot, byte) in buffer.iter_mut().zip(self.waiting.drain(..count)) {
             *slot = byte;
         }
         Ok(count)

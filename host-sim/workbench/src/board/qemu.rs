@@ -111,8 +111,8 @@ pub enum EmulatorError {
     /// It ended while it was needed: how, and its last words.
     #[error("the emulator died: {0}")]
     Died(String),
-    /// It said no hello after start-up.
-    #[error("the emulated board said no hello within {:.1} s: is the ELF a firmware of this project?", .0.as_secs_f64())]
+    /// It sent no hello after start-up.
+    #[error("the emulated board sent no hello within {:.1} s: is the ELF a firmware of this project?", .0.as_secs_f64())]
     NoHello(Duration),
     /// It takes no bytes.
     #[error("the emulated board took no bytes for {:.1} s", .0.as_secs_f64())]
@@ -136,7 +136,7 @@ pub struct Emulator {
 }
 
 impl Emulator {
-    /// Starts the emulator and waits for the first byte of the board's hello, before which the board hears nothing.
+    /// Starts the emulator and waits for the first byte of the board's hello, before which the board receives nothing.
     ///
     /// Errors: every variant of [`EmulatorError`], and then no emulator is left.
     pub fn start(options: &QemuOptions) -> Result<Self, EmulatorError> {
@@ -194,11 +194,11 @@ impl Emulator {
         for end in std::iter::once(&emulator.to_board).chain(&emulator.from_board) {
             fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
         }
-        let mut room = [0; 256];
-        match emulator.read(&mut room, options.boot)? {
+        let mut buffer = [0; 256];
+        match emulator.read(&mut buffer, options.boot)? {
             0 => Err(EmulatorError::NoHello(options.boot)),
             count => {
-                emulator.greeting.extend_from_slice(&room[..count]);
+                emulator.greeting.extend_from_slice(&buffer[..count]);
                 Ok(emulator)
             }
         }
@@ -279,7 +279,7 @@ impl Emulator {
                 let last = self
                     .process
                     .last_words()
-                    .unwrap_or_else(|| "it said nothing".into());
+                    .unwrap_or_else(|| "without a message".into());
                 EmulatorError::Died(format!("{status}; {last}"))
             }
             _ => link(error),
@@ -296,8 +296,8 @@ impl Transport for Emulator {
         self.write(bytes).map_err(io::Error::other)
     }
 
-    fn receive(&mut self, room: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.read(room, timeout).map_err(io::Error::other)
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.read(buffer, timeout).map_err(io::Error::other)
     }
 }
 

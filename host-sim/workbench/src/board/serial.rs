@@ -47,7 +47,7 @@ impl Serial {
     pub fn open(path: &str, baud: u32) -> Result<Self, SerialError> {
         let opened = serialport::new(path, baud).timeout(PATIENCE).open();
         let port = opened.map_err(|error| refusal(path, &error))?;
-        // What a predecessor left unread is none of ours; a port that cannot forget it says so at the first read.
+        // What a predecessor left unread is none of ours; a port that cannot discard it fails at the first read.
         let _ = port.clear(serialport::ClearBuffer::Input);
         Ok(Self {
             port,
@@ -72,11 +72,11 @@ impl Transport for Serial {
         self.port.write_all(bytes)
     }
 
-    fn receive(&mut self, room: &mut [u8], timeout: Duration) -> io::Result<usize> {
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         if self.port.timeout() != timeout {
             self.port.set_timeout(timeout)?;
         }
-        match self.port.read(room) {
+        match self.port.read(buffer) {
             Ok(0) => Err(io::Error::new(
                 io::ErrorKind::UnexpectedEof,
                 "the port was unplugged",
@@ -139,22 +139,22 @@ mod tests {
         let path = end.name().expect("it has a name");
         drop(end);
         let mut serial = Serial::open(&path, 115_200).expect("it is free");
-        let mut room = [0; 8];
+        let mut buffer = [0; 8];
         assert_eq!(
             serial
-                .receive(&mut room, Duration::from_millis(10))
+                .receive(&mut buffer, Duration::from_millis(10))
                 .unwrap(),
             0
         );
         serial.send(&[1, 0, 13]).unwrap();
-        let mut heard = [0; 3];
-        board.read_exact(&mut heard).unwrap();
-        assert_eq!(heard, [1, 0, 13]);
+        let mut received = [0; 3];
+        board.read_exact(&mut received).unwrap();
+        assert_eq!(received, [1, 0, 13]);
         board.write_all(&[9, 10]).unwrap();
         assert_eq!(
-            serial.receive(&mut room, Duration::from_secs(1)).unwrap(),
+            serial.receive(&mut buffer, Duration::from_secs(1)).unwrap(),
             2
         );
-        assert_eq!(room[..2], [9, 10]);
+        assert_eq!(buffer[..2], [9, 10]);
     }
 }

@@ -64,7 +64,7 @@ pub struct ClosedLoop<'t, const N: usize> {
 
 impl<'t, const N: usize> ClosedLoop<'t, N> {
     /// Puts the arm down at rest at the start of `trajectory` and arms the board, which is shown the arm standing there.
-    /// The first tick's feed-forward is what the board says of the first desired motion.
+    /// The first tick's feed-forward is the board's for the first desired motion.
     ///
     /// Errors: the board's, and its refusal to be armed.
     pub fn new(

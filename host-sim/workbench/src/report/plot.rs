@@ -225,8 +225,8 @@ fn ranges(panel: &Panel) -> ((f64, f64), (f64, f64)) {
         if low > high {
             (0.0, 1.0)
         } else {
-            let room = ((high - low) * share).max(1e-9);
-            (low - room, high + room)
+            let margin = ((high - low) * share).max(1e-9);
+            (low - margin, high + margin)
         }
     };
     let (x, mut y) = (widen(x, 0.0), widen(y, 0.06));

@@ -10,10 +10,10 @@ pub(crate) fn patched(elf: &Path, name: &str, patches: &[(&str, Vec<u16>)]) -> P
     let mut bytes = fs::read(elf).expect("the firmware is built: `cargo firmware`");
     for (part, code) in patches {
         let code: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
-        let (place, room) = function(&bytes, part);
+        let (place, buffer) = function(&bytes, part);
         assert!(
-            code.len() <= room,
-            "{part} has {room} bytes, {} are needed",
+            code.len() <= buffer,
+            "{part} has {buffer} bytes, {} are needed",
             code.len()
         );
         bytes[place..place + code.len()].copy_from_slice(&code);
@@ -42,7 +42,7 @@ fn function(bytes: &[u8], part: &str) -> (usize, usize) {
     let [symbol] = found.as_slice() else {
         panic!("{} functions are called {part}", found.len());
     };
-    // Bit 0 of the address of a function says that it is Thumb code.
+    // Bit 0 of the address of a function marks Thumb code.
     let address = symbol.st_value & !1;
     let section = elf
         .section_headers()

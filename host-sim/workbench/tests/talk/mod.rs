@@ -60,7 +60,7 @@ pub(crate) struct Talk<T> {
 }
 
 impl<T: Transport> Talk<T> {
-    /// After the board's own hello, which says where the board runs and is not compared.
+    /// After the board's own hello, which depends on the board and is not compared.
     pub(crate) fn begin(link: T) -> Self {
         let mut talk = Self {
             link,
@@ -96,8 +96,8 @@ impl<T: Transport> Talk<T> {
                 .expect("the board lives");
             assert_eq!(count, 1, "the board answers in time");
             frame.push(byte[0]);
-            if let Some(heard) = decoder.push(byte[0]) {
-                return (heard.expect("no bit is lost").sequence, frame);
+            if let Some(received) = decoder.push(byte[0]) {
+                return (received.expect("no bit is lost").sequence, frame);
             }
         }
     }
@@ -114,23 +114,23 @@ impl<T: Transport> Talk<T> {
             reply: ReplyMode::Full,
             ..Configuration::default()
         };
-        let mut said = self.ask(&HostMessage::Configure(configuration));
+        let mut message = self.ask(&HostMessage::Configure(configuration));
         // The learner is done before the next sample comes, however busy this machine is.
         let patient = |k| SampleFrame::new(&sample(k)).answered_after_learning();
         for _ in 0..ARM_SAMPLES {
-            said.extend(self.ask(&HostMessage::Sample(patient(0))));
+            message.extend(self.ask(&HostMessage::Sample(patient(0))));
         }
-        said.extend(self.ask(&HostMessage::Arm));
-        said.extend(self.ask(&HostMessage::Learning { on: true }));
+        message.extend(self.ask(&HostMessage::Arm));
+        message.extend(self.ask(&HostMessage::Learning { on: true }));
         for k in 0..ticks {
             if !LOST.contains(&(k % EVERY)) {
-                said.extend(self.ask(&HostMessage::Sample(patient(k).in_period(k as u8))));
+                message.extend(self.ask(&HostMessage::Sample(patient(k).in_period(k as u8))));
             }
         }
-        said.extend(self.ask(&HostMessage::BankRead {
+        message.extend(self.ask(&HostMessage::BankRead {
             source: BankSource::Live,
             offset: 0,
         }));
-        said
+        message
     }
 }

@@ -233,8 +233,8 @@ fn friction_prediction_variance_is_that_of_a_friction_row() {
     }
 }
 
-/// Row and torque of an arm without friction, as with a torque sensor behind the gear, and a correlated disturbance of 2 %
-/// of the limit over tenths of a second.
+/// Row and torque of an arm without friction, as with a torque sensor behind the gear. A disturbance of 2 % of the limit
+/// lasts for tenths of a second.
 fn frictionless(
     tick: u32,
     joint: usize,

@@ -119,7 +119,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 range: MotionRange::NONE,
                 statistics: LearnerStatistics::NONE,
                 report: LearnerReport::new(),
-                supervisor: Supervisor::new(&config.supervisor, &LinearParameters::filled(0.0)),
+                supervisor: Supervisor::new(&config.supervisor),
                 trainer: NetworkTrainer::new(&zero.network),
                 monitor: Monitor::new(),
                 snapshot: None,
@@ -274,8 +274,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         state.estimate.reset(prior);
         state.range = MotionRange::NONE;
         state.innovation_variance = [1.0; N];
-        state.supervisor = Supervisor::new(&self.config.supervisor, &LinearParameters::of(prior));
-        state.trainer = NetworkTrainer::new(&prior.network);
+        let set = LinearParameters::of(prior);
+        state.supervisor.restart(&self.config.supervisor, &set);
+        state.trainer.reset(&prior.network);
         state.monitor = Monitor::new();
         state.snapshot = None;
         state.commit_due = false;

@@ -25,7 +25,7 @@ enum RowOutcome {
 }
 
 /// Torque row of one joint with its measurement.
-struct JointRow<const N: usize, const P: usize> {
+struct JointRow<'a, const N: usize, const P: usize> {
     tick: u32,
     joint: usize,
     /// Torque limit, N·m.
@@ -36,7 +36,7 @@ struct JointRow<const N: usize, const P: usize> {
     tau: f32,
     /// Torque of the payload, N·m.
     payload: f32,
-    columns: LinearParameters<N, P>,
+    columns: &'a LinearParameters<N, P>,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
@@ -89,7 +89,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             qd,
             tau,
             payload,
-            columns,
+            columns: &columns,
         };
         let outcome = if qd.abs() >= self.config.velocity_gate {
             self.use_row(&row, sample)
@@ -112,7 +112,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// Use the row of a moving joint: quality always; estimate, paired test, network and range while learning.
-    fn use_row(&mut self, row: &JointRow<N, P>, sample: &ConditionedSample<N>) -> RowOutcome {
+    fn use_row(&mut self, row: &JointRow<'_, N, P>, sample: &ConditionedSample<N>) -> RowOutcome {
         let joint = row.joint;
         let inv_limit = 1.0 / row.limit;
         let state = &mut self.state;
@@ -138,7 +138,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if !state.phase().learns() || state.supervisor.pauses_estimate() {
             return RowOutcome::Frozen;
         }
-        let mut columns = row.columns;
+        let mut columns = *row.columns;
         let gain = joint_attenuation::<A, N, P>(joint, row.qd, self.config.inv_period);
         let commanded = columns.attenuate_cogging(joint, gain, &active);
         let tau = row.tau - row.payload - commanded;

@@ -64,12 +64,14 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> Supervisor<N, P> {
-    /// State with `set` active, committed and estimated, and without payload.
-    pub(super) const fn new(config: &SupervisorConfig, set: &LinearParameters<N, P>) -> Self {
+    /// State without payload, with parameters of zero; inlined, it is built in its place and not on the stack.
+    #[inline(always)]
+    pub(super) const fn new(config: &SupervisorConfig) -> Self {
+        let zero = LinearParameters::filled(0.0);
         let checkpoint = Checkpoint {
-            estimate: *set,
-            active: *set,
-            committed: *set,
+            estimate: zero,
+            active: zero,
+            committed: zero,
             payload: NO_PAYLOAD,
         };
         Self {
@@ -88,12 +90,23 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
             before_payload: None,
             checkpoints: [checkpoint; 2],
             paired_test: PairedTest::NONE,
-            committed: *set,
+            committed: zero,
             following: false,
             rows_followed: 0,
             relearning_ticks: 0,
             next_raised: usize::MAX,
             gain_fault: false,
+        }
+    }
+
+    /// Restart with `set` active, committed and estimated, and without payload; in place, to spare the stack.
+    pub(super) fn restart(&mut self, config: &SupervisorConfig, set: &LinearParameters<N, P>) {
+        *self = Self::new(config);
+        self.committed = *set;
+        for checkpoint in &mut self.checkpoints {
+            checkpoint.estimate = *set;
+            checkpoint.active = *set;
+            checkpoint.committed = *set;
         }
     }
 

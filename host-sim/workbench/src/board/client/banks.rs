@@ -16,8 +16,8 @@ impl<const N: usize> Client<N> {
     /// Disarms the board, sends `bank` and has the board take it over, whole or not at all. Learning must be off.
     pub fn upload_bank(&mut self, bank: &ParameterBank) -> Result<(), BoardError> {
         self.bring_to_rest()?;
-        let mut room = [0; ParameterBank::MAX_BYTES];
-        let bytes = bank.encode(&mut room).map_err(BoardError::Bank)?;
+        let mut buffer = [0; ParameterBank::MAX_BYTES];
+        let bytes = bank.encode(&mut buffer).map_err(BoardError::Bank)?;
         let mac = self.signature(bytes)?;
         self.upload(bytes)?;
         // Not asked twice: the first commit ends the upload, so a second would be refused although the first was good.
@@ -49,9 +49,9 @@ impl<const N: usize> Client<N> {
     /// Sends `program` and has the board take it over, whole or not at all. Learning must be off; the board's check runs
     /// in the ticks that follow.
     pub fn load_excitation(&mut self, program: &ExcitationProgram<N>) -> Result<(), BoardError> {
-        let mut room = [0; ParameterBank::MAX_BYTES];
+        let mut buffer = [0; ParameterBank::MAX_BYTES];
         let bytes = program
-            .encode(&mut room)
+            .encode(&mut buffer)
             .expect("an excitation of few joints is shorter than a bank");
         let mac = self.signature(bytes)?;
         self.upload(bytes)?;

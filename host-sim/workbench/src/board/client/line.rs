@@ -13,14 +13,14 @@ const HELLO_TIMEOUT: Duration = Duration::from_millis(300);
 impl<const N: usize> Client<N> {
     pub(super) fn greet(&mut self, boot: Duration) -> Result<BoardHello, BoardError> {
         let deadline = Instant::now() + boot;
-        // Whatever a predecessor left half said on the line ends here.
+        // An unfinished frame of a predecessor ends here.
         self.transmit(&[0])?;
         loop {
             let sequence = self.post(&HostMessage::Hello)?;
             match self.wait_for(sequence, HELLO_TIMEOUT) {
                 Ok(BoardMessage::Hello(hello)) => return Ok(hello),
                 Ok(_) => return Err(BoardError::UnexpectedAnswer),
-                // The board has just booted, and may not have heard the question.
+                // The board has just booted, and may not have received the question.
                 Err(BoardError::Timeout(_) | BoardError::Restarted(_))
                     if Instant::now() < deadline => {}
                 Err(error) => return Err(error),
@@ -45,7 +45,7 @@ impl<const N: usize> Client<N> {
     }
 
     pub(super) fn post(&mut self, message: &HostMessage<N>) -> Result<u16, BoardError> {
-        // Number 0 is the board's own: what it says unasked.
+        // Number 0 is the board's own, for unasked messages.
         self.sequence = self.sequence.checked_add(1).unwrap_or(1);
         self.request.clear();
         self.request

@@ -73,13 +73,13 @@ pub struct Client<const N: usize> {
     timeout: Duration,
     /// Number of the period of the next sample.
     period: u8,
-    /// Answers come after the lesson.
+    /// Answers come after the learning step.
     patient: bool,
     count: LinkCount,
     hello: BoardHello,
-    /// The board as its last reply told it.
+    /// Safety state of the last reply.
     safety: SafetyStatus,
-    /// The desired motion that the board knows, without a measurement.
+    /// The desired motion of the last sample, without a measurement.
     presented: Option<SampleFrame<N>>,
     /// Telemetry that the board sent unasked.
     telemetry: Vec<TelemetryFrame>,
@@ -151,11 +151,11 @@ impl<const N: usize> Client<N> {
 
     /// Whether the torque of a sample is answered only when its lesson is learnt, so that what the board learns does not depend
     /// on when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
-    pub fn wait_for_lessons(&mut self, patient: bool) {
+    pub fn wait_for_learning(&mut self, patient: bool) {
         self.patient = patient;
     }
 
-    /// Lets a period go by without a sample: the board hears of it with the next one.
+    /// Lets a period go by without a sample: the number of the next one shows it.
     pub fn skip_period(&mut self) {
         self.period = self.period.wrapping_add(1);
     }
@@ -187,7 +187,7 @@ impl<const N: usize> Client<N> {
         std::mem::take(&mut self.telemetry)
     }
 
-    /// Starts the board's processor anew. Says nothing of whether it came back: greet it again.
+    /// Starts the board's processor anew. It has to be greeted again.
     pub fn reboot(&mut self) -> Result<(), BoardError> {
         self.post(&HostMessage::Reboot)?;
         Ok(())

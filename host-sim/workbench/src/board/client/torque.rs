@@ -69,12 +69,12 @@ impl<const N: usize> Client<N> {
         Ok(reply)
     }
 
-    /// Whether torque leaves the board, and why not, as it last said.
+    /// Safety state of the last reply.
     pub fn safety(&self) -> SafetyStatus {
         self.safety
     }
 
-    /// Shows the board `sample` until it has heard enough, then arms it: its torque counts from the next sample on.
+    /// Sends `sample` until the board has received enough of them, then arms it: its torque counts from the next sample on.
     ///
     /// Errors: as for every command; [`BoardError::Refused`] with the reason why the board must not be armed.
     pub fn arm(&mut self, sample: &JointSample<N>) -> Result<(), BoardError> {

@@ -117,7 +117,7 @@ fn tables(report: &ClosedLoopReport, command: &str) -> [Section; 4] {
         ("missed deadlines and overruns", link.overruns),
         ("late learnt sets", report.late_sets),
         (
-            "learning samples without room",
+            "learning samples without buffer",
             report.learning_samples_lost,
         ),
     ];
