@@ -1,5 +1,4 @@
-//! What the program says of input it cannot use, of a terminal that hangs up, and of a board that dies: one line, no
-//! panic, nothing half written.
+//! Messages about unusable input, a terminal that hangs up, and a board that dies: one line, no panic, nothing half written.
 
 mod mistyped;
 

@@ -48,7 +48,7 @@ fn emulated() -> Client<N> {
     client(Box::new(emulator.unwrap_or_else(|error| panic!("{error}"))))
 }
 
-/// What the board said in one tick: torque bit for bit, stage, desired motion.
+/// Reply of the board in one tick: torque bit for bit, state, desired motion.
 type Said = (Vec<u32>, Option<(ExcitationState, JointMotion<N>)>);
 
 /// Plays it on an arm that follows within the resolution of the link, and is `late` in joint 3 from tick 2000 on.

@@ -9,13 +9,13 @@ use std::fs;
 use anyhow::{Context as _, Result, bail};
 
 use crate::shell::root;
-use crate::words::tracked;
+use crate::words::files;
 
 /// Prints the imports of every circle; fails if there is one.
 pub(crate) fn run() -> Result<()> {
-    let packages = tracked("*Cargo.toml")?;
+    let packages = files("Cargo.toml")?;
     let mut crates = BTreeMap::<String, Vec<(String, String)>>::new();
-    for path in tracked("*.rs")? {
+    for path in files(".rs")? {
         let homes = packages
             .iter()
             .map(|package| package.trim_end_matches("Cargo.toml"));
@@ -41,8 +41,8 @@ pub(crate) fn run() -> Result<()> {
         }
     }
     let mut count = 0;
-    for (home, files) in crates {
-        for circle in Crate::new(files).circles() {
+    for (home, sources) in crates {
+        for circle in Crate::new(sources).circles() {
             count += 1;
             println!("circle in {home}");
             circle

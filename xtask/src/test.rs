@@ -12,6 +12,7 @@ use crate::outside;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
 use crate::toolchain::{self, Tools};
+use crate::words;
 
 /// Result of a gate.
 struct Outcome {
@@ -53,6 +54,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         foretorque_cost::check_firmware(&toolchain::elves())
     }));
     outcomes.push(pass("crate outside", || outside::gate(tools)));
+    outcomes.push(pass("words", words::run));
     outcomes.push(pass("library for C", || {
         capi::bring_compiler()?;
         capi::build(tools)

@@ -4,7 +4,7 @@ use std::fs;
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::shell::{capture, command, root};
+use crate::shell::root;
 
 /// Beginnings of a doc comment that name no quantity.
 const BEGINNINGS: [&str; 6] = [
@@ -26,7 +26,7 @@ const PAGE_MEAN: f64 = 20.0;
 /// Prints one line for each place that breaks the rule; fails if there is one.
 pub(crate) fn run() -> Result<()> {
     let mut broken = Vec::new();
-    for path in tracked("*.rs")? {
+    for path in files(".rs")? {
         for (line, first) in bad_first_lines(&read(&path)?) {
             broken.push(format!(
                 "{path}:{line}: a doc comment begins with `{first}`"
@@ -40,9 +40,10 @@ pub(crate) fn run() -> Result<()> {
             "README.md:1: {words} words, at most {README_WORDS}"
         ));
     }
-    broken.extend(long_winded("README.md", &readme, README_MEAN));
-    for path in tracked("docs/*.md")? {
-        broken.extend(long_winded(&path, &read(&path)?, PAGE_MEAN));
+    broken.extend(too_long("README.md", &readme, README_MEAN));
+    let pages = files(".md")?;
+    for path in pages.iter().filter(|path| path.starts_with("docs/")) {
+        broken.extend(too_long(path, &read(path)?, PAGE_MEAN));
     }
     for line in &broken {
         println!("{line}");
@@ -54,12 +55,23 @@ pub(crate) fn run() -> Result<()> {
     Ok(())
 }
 
-/// Files under version control, from the workspace's root.
-pub(crate) fn tracked(pattern: &str) -> Result<Vec<String>> {
-    let list = capture(command("git").args(["ls-files", pattern]));
-    let list = list.context("`git ls-files` failed")?;
-    let files = list.lines().map(str::to_owned);
-    Ok(files.filter(|path| root().join(path).exists()).collect())
+/// Sorted paths of the files whose names end in `end`, from the workspace's root; build and hidden directories are left out.
+pub(crate) fn files(end: &str) -> Result<Vec<String>> {
+    let (mut found, mut open) = (Vec::new(), vec![String::new()]);
+    while let Some(directory) = open.pop() {
+        for entry in fs::read_dir(root().join(&directory))? {
+            let entry = entry?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let (path, kind) = (format!("{directory}{name}"), entry.file_type()?);
+            if kind.is_dir() && name != "target" && !name.starts_with('.') {
+                open.push(path + "/");
+            } else if kind.is_file() && name.ends_with(end) {
+                found.push(path);
+            }
+        }
+    }
+    found.sort();
+    Ok(found)
 }
 
 fn read(path: &str) -> Result<String> {
@@ -87,7 +99,7 @@ fn bad_first_lines(text: &str) -> Vec<(usize, &'static str)> {
 }
 
 /// A page whose mean sentence is longer than `limit`, with the line of its longest sentence.
-fn long_winded(path: &str, text: &str, limit: f64) -> Option<String> {
+fn too_long(path: &str, text: &str, limit: f64) -> Option<String> {
     let sentences = sentences(text);
     let words: usize = sentences.iter().map(|(_, words)| words).sum();
     let mean = words as f64 / sentences.len().max(1) as f64;
@@ -200,8 +212,8 @@ mod tests {
         let expected = [(3, 3), (4, 9), (6, 5), (7, 2), (14, 2), (14, 2), (17, 1)];
         assert_eq!(sentences(text), expected);
         let page = "Two words. Four words are here.";
-        assert_eq!(long_winded("a.md", page, 3.0), None);
-        let line = long_winded("a.md", page, 2.5).unwrap();
+        assert_eq!(too_long("a.md", page, 3.0), None);
+        let line = too_long("a.md", page, 2.5).unwrap();
         assert!(line.starts_with("a.md:1: 3.0 words"), "{line}");
     }
 }

@@ -28,7 +28,7 @@ const _: () = assert!(FORETORQUE_JOINTS == JOINTS);
 /// Shortest and longest period of the tick, s, as on the boards' link.
 const PERIODS_S: core::ops::RangeInclusive<f32> = 1e-4..=0.1;
 
-/// What came of a call.
+/// Result of a call.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ForetorqueStatus {
@@ -78,7 +78,7 @@ pub struct ForetorqueTorque {
     pub friction_nm: [f32; FORETORQUE_JOINTS],
     /// Network share, clipped, N m.
     pub network_nm: [f32; FORETORQUE_JOINTS],
-    /// What happened, as bits; see docs/board.md.
+    /// Flags of the tick, as bits; see docs/safety.md.
     pub flags: u32,
     /// Counter of the tick.
     pub tick: u32,
@@ -89,7 +89,7 @@ pub struct Foretorque {
     feed_forward: FeedForward,
     learner: Learner,
     exchange: Exchange,
-    /// What the last tick has to teach, until the learner takes it.
+    /// Learning sample of the last tick, until the learner takes it.
     lesson: Option<LearningSample<JOINTS>>,
     bank: ParameterBank,
     /// Room for a bank on its way in, which is not believed before all of it is.

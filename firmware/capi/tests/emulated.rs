@@ -44,7 +44,7 @@ fn line(values: &[f32]) -> String {
     words.join(" ")
 }
 
-/// What main.c does, here.
+/// The computation of main.c on the host.
 fn native() -> Vec<String> {
     let mut memory = vec![0_u64; foretorque_size().div_ceil(8)];
     let zero = [0.0; FORETORQUE_JOINTS];

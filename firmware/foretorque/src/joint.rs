@@ -1,4 +1,4 @@
-//! What is known of the joints at one instant.
+//! Motion and measurement of the joints at one instant.
 
 use nalgebra::{ArrayStorage, SVector};
 
@@ -32,7 +32,7 @@ impl<const N: usize> JointMotion<N> {
     }
 }
 
-/// What the sensors of the arm said at one instant. Velocity and acceleration are derived on the board.
+/// Sensor values of the arm at one instant. Velocity and acceleration are derived on the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointMeasurement<const N: usize> {
     /// Joint positions, N × rad.
@@ -46,6 +46,6 @@ pub struct JointMeasurement<const N: usize> {
 pub struct JointSample<const N: usize> {
     /// The motion the arm shall have in the tick in which the answered torque takes effect.
     pub desired: JointMotion<N>,
-    /// What the arm did; `None` when no fresh measurement came with the sample.
+    /// Measurement of the arm; `None` when no fresh one came with the sample.
     pub measured: Option<JointMeasurement<N>>,
 }

@@ -2,7 +2,7 @@
 
 use core::ops::{BitOr, BitOrAssign};
 
-/// What happened in one tick, as a set of bits. The bit positions are part of the wire format.
+/// Flags of one tick, as a set of bits. The bit positions are part of the wire format.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Flags(pub u16);
@@ -16,7 +16,7 @@ impl Flags {
     pub const SLEWED: Self = Self(1 << 1);
     /// A network share was cut to its bound.
     pub const NETWORK_CLIPPED: Self = Self(1 << 2);
-    /// What was learnt since the last committed set was cut to its bound.
+    /// The learnt part since the last committed set was cut to its bound.
     pub const LEARNED_CLIPPED: Self = Self(1 << 3);
     /// No usable sample came in this tick: the last torque is held, or is on its way to zero.
     pub const STALE_SAMPLE: Self = Self(1 << 4);

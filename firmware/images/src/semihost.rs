@@ -5,7 +5,7 @@ use cortex_m_semihosting::{debug, nr, syscall1};
 /// Modes of SYS_OPEN: "rb" and "wb" (Arm semihosting specification, section 6.13).
 const READ: usize = 1;
 const WRITE: usize = 5;
-/// What SYS_OPEN answers when it cannot.
+/// Result of a failed SYS_OPEN.
 const NO_HANDLE: usize = usize::MAX;
 /// Longest command line: program and two names.
 const COMMAND_LINE: usize = 256;

@@ -31,7 +31,7 @@ pub(super) struct Arguments {
 /// Arguments that `simulate` and `run` share.
 #[derive(Debug, Args)]
 pub(super) struct MotionArguments {
-    /// A table with t_s, q, qd, qdd; an excitation (.json); a path of the tool (.toml, see docs/trajectories.md); or
+    /// A table with t_s, q, qd, qdd; an excitation (.json); a path of the tool (.toml, see docs/identification.md); or
     /// `validation`, a seeded path through via points
     #[arg(long, value_name = "FILE|validation")]
     trajectory: String,

@@ -35,7 +35,7 @@ pub(crate) fn fails(room: &Path, arguments: &str) -> String {
     said
 }
 
-/// What lies in a directory.
+/// Names of the files in a directory.
 pub(crate) fn files(room: &Path) -> Vec<String> {
     let entries = fs::read_dir(room).expect("it is there");
     let name = |entry: std::io::Result<fs::DirEntry>| entry.expect("it is there").file_name();

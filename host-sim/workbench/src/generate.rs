@@ -1,145 +1,121 @@
 //! Writes the constants of an arm as a module of the firmware.
 
+use crate::dynamics::BaseMapTerm;
 use crate::files::{at, write_whole};
-use crate::robot::{LINK_PARAMETERS, Robot};
+use crate::robot::{Joint, LINK_PARAMETERS, Robot};
 use foretorque::arm::{LinkColumns, Placement, identity};
-use std::fmt::Write;
 use std::path::Path;
 
 /// Source text of the firmware module for a robot: geometry, base-parameter map, limits, nominal parameters.
 ///
-/// The text is data; nobody has to read it. It is left unformatted on purpose (`rustfmt::skip`), a row a line.
+/// The text is data, left unformatted on purpose (`rustfmt::skip`), a row a line.
 pub fn arm_module(robot: &Robot) -> String {
     let map = robot.base_map();
-    let type_name = camel_case(&robot.name);
-    let mut out = String::new();
-    // Writing into a String cannot fail.
-    let mut line = |text: &str| {
-        let _ = writeln!(out, "{text}");
-    };
-    line(&format!(
-        "//! Constants of `{}`, written by `host-sim generate` from its description. Change that, not this.",
-        robot.name
-    ));
-    line("");
-    line("use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};");
-    line("");
-    line("/// Number of joints.");
-    line(&format!(
-        "pub const JOINTS: usize = {};",
-        robot.joint_count()
-    ));
-    line("/// Number of base parameters: inertial ones, then rotor inertias.");
-    line(&format!("pub const PARAMETERS: usize = {};", map.rank()));
-    line("");
-    line(&format!("/// The arm `{}`.", robot.name));
-    line("#[derive(Clone, Copy, Debug, PartialEq, Eq)]");
-    line(&format!("pub struct {type_name};"));
-    line("");
-    for (quantity, path, parameters) in [
-        (
-            "Feed-forward",
-            "feedforward::FeedForward",
-            format!("{type_name}, JOINTS, PARAMETERS"),
-        ),
-        (
-            "Learner",
-            "learning::Learner",
-            format!("{type_name}, JOINTS, PARAMETERS"),
-        ),
-        (
-            "Learner configuration",
-            "learning::LearnerConfig",
-            "JOINTS, PARAMETERS".into(),
-        ),
-        (
-            "Parameter set",
-            "learning::ParameterSet",
-            "JOINTS, PARAMETERS".into(),
-        ),
+    let (name, arm) = (&robot.name, camel_case(&robot.name));
+    let (joints, parameters) = (robot.joint_count(), map.rank());
+    let sizes = "JOINTS, PARAMETERS";
+    let with_arm = format!("{arm}, {sizes}");
+    let aliases = [
+        ("Feed-forward", "feedforward", "FeedForward", &*with_arm),
+        ("Learner", "learning", "Learner", &with_arm),
+        ("Learner configuration", "learning", "LearnerConfig", sizes),
+        ("Parameter set", "learning", "ParameterSet", sizes),
         (
             "Exchange between feed-forward and learner",
-            "learning::Exchange",
-            "JOINTS, PARAMETERS".into(),
+            "learning",
+            "Exchange",
+            sizes,
         ),
-    ] {
-        let name = path.rsplit("::").next().unwrap_or(path);
-        line(&format!("/// {quantity} of this arm."));
-        line(&format!(
-            "pub type {name} = foretorque::{path}<{parameters}>;"
-        ));
-    }
-    line("");
-    line("#[rustfmt::skip]");
-    line(&format!("impl Arm<JOINTS, PARAMETERS> for {type_name} {{"));
-    line(&format!("    const NAME: &'static str = {:?};", robot.name));
-    line(&format!(
-        "    const GRAVITY: [f32; 3] = {:?};",
-        gravity(robot)
-    ));
-    line("    const PLACEMENTS: [Placement; JOINTS] = [");
-    for placement in placements(robot) {
-        line(&format!("        {placement:?},"));
-    }
-    line("    ];");
-    line("    const COLUMNS: [LinkColumns; JOINTS] = [");
-    for columns in link_columns(robot, &map.columns) {
-        line(&format!("        {columns:?},"));
-    }
-    line("    ];");
-    line("    const BASE_MAP: &'static [BaseTerm] = &[");
-    for term in &map.terms {
-        let weight = term.weight as f32;
-        line(&format!(
-            "        BaseTerm::new({}, {}, {weight:?}),",
-            term.base, term.standard
-        ));
-    }
-    line("    ];");
-    line("    const LIMITS: [JointLimits; JOINTS] = [");
-    for joint in &robot.joints {
-        let (lower, upper) = joint.limits.position;
-        line(&format!(
-            "        JointLimits {{ position: ({}, {}), velocity: {}, torque: {} }},",
-            number(lower),
-            number(upper),
-            number(joint.limits.velocity),
-            number(joint.limits.torque)
-        ));
-    }
-    line("    ];");
-    let cycles = robot
-        .joints
-        .iter()
-        .map(|joint| joint.friction.cogging_cycles_rev as f32);
-    if cycles.clone().any(|cycles| cycles != 0.0) {
-        let cycles: Vec<f32> = cycles.collect();
-        line(&format!(
-            "    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};"
-        ));
-    }
-    line("    const NOMINAL: [f32; PARAMETERS] = [");
-    for value in map.base_parameters(robot) {
-        line(&format!("        {:?},", value as f32));
-    }
-    line("    ];");
-    line(&format!(
-        "    const LINKS: [[f32; {LINK_PARAMETERS}]; JOINTS] = ["
-    ));
-    for joint in &robot.joints {
-        let link = joint.link.standard_parameters();
-        // As of the placements: −0 is 0.
-        line(&format!(
-            "        {:?},",
-            link.map(|value| value as f32 + 0.0)
-        ));
-    }
-    line("    ];");
-    let rotors = robot.joints.iter().map(|joint| joint.drive.rotor_inertia);
-    let rotors: Vec<f32> = rotors.map(|inertia| inertia as f32).collect();
-    line(&format!("    const ROTORS: [f32; JOINTS] = {rotors:?};"));
-    line("}");
-    out
+    ];
+    let aliases = aliases.map(|(quantity, module, alias, generics)| {
+        format!("/// {quantity} of this arm.\npub type {alias} = foretorque::{module}::{alias}<{generics}>;\n")
+    });
+    let rows = |rows: Vec<String>| -> String {
+        let row = |row| format!("        {row},\n");
+        rows.into_iter().map(row).collect()
+    };
+    let placed = rows(placements(robot).iter().map(|p| format!("{p:?}")).collect());
+    let columns = link_columns(robot, &map.columns);
+    let columns = rows(columns.iter().map(|c| format!("{c:?}")).collect());
+    let term = |t: &BaseMapTerm| {
+        format!(
+            "BaseTerm::new({}, {}, {:?})",
+            t.base, t.standard, t.weight as f32
+        )
+    };
+    let terms = rows(map.terms.iter().map(term).collect());
+    let limits = |joint: &Joint| {
+        let [lower, upper, velocity, torque] = [
+            joint.limits.position.0,
+            joint.limits.position.1,
+            joint.limits.velocity,
+            joint.limits.torque,
+        ]
+        .map(number);
+        format!(
+            "JointLimits {{ position: ({lower}, {upper}), velocity: {velocity}, torque: {torque} }}"
+        )
+    };
+    let limits = rows(robot.joints.iter().map(limits).collect());
+    let each = |of: fn(&Joint) -> f64| -> Vec<f32> {
+        robot.joints.iter().map(|joint| of(joint) as f32).collect()
+    };
+    let cycles = each(|joint| joint.friction.cogging_cycles_rev);
+    let cogging = if cycles.iter().any(|cycles| *cycles != 0.0) {
+        format!("    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};\n")
+    } else {
+        String::new()
+    };
+    let base = map.base_parameters(robot).into_iter();
+    let nominal = rows(base.map(|value| format!("{:?}", value as f32)).collect());
+    // As of the placements: −0 is 0.
+    let link = |joint: &Joint| joint.link.standard_parameters().map(|x| x as f32 + 0.0);
+    let links = rows(
+        robot
+            .joints
+            .iter()
+            .map(|joint| format!("{:?}", link(joint)))
+            .collect(),
+    );
+    let rotors = each(|joint| joint.drive.rotor_inertia);
+    format!(
+        "\
+//! Constants of `{name}`, written by `host-sim generate` from its description. Change that, not this.
+
+use foretorque::arm::{{Arm, BaseTerm, JointLimits, LinkColumns, Placement}};
+
+/// Number of joints.
+pub const JOINTS: usize = {joints};
+/// Number of base parameters: inertial ones, then rotor inertias.
+pub const PARAMETERS: usize = {parameters};
+
+/// The arm `{name}`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct {arm};
+
+{aliases}
+#[rustfmt::skip]
+impl Arm<JOINTS, PARAMETERS> for {arm} {{
+    const NAME: &'static str = {name:?};
+    const GRAVITY: [f32; 3] = {gravity:?};
+    const PLACEMENTS: [Placement; JOINTS] = [
+{placed}    ];
+    const COLUMNS: [LinkColumns; JOINTS] = [
+{columns}    ];
+    const BASE_MAP: &'static [BaseTerm] = &[
+{terms}    ];
+    const LIMITS: [JointLimits; JOINTS] = [
+{limits}    ];
+{cogging}    const NOMINAL: [f32; PARAMETERS] = [
+{nominal}    ];
+    const LINKS: [[f32; {LINK_PARAMETERS}]; JOINTS] = [
+{links}    ];
+    const ROTORS: [f32; JOINTS] = {rotors:?};
+}}
+",
+        aliases = aliases.concat(),
+        gravity = gravity(robot),
+    )
 }
 
 /// Writes the module of a robot to `file` and declares it in the `mod.rs` beside it, if there is one.
@@ -209,7 +185,7 @@ fn gravity(robot: &Robot) -> [f32; 3] {
 }
 
 fn placements(robot: &Robot) -> Vec<Placement> {
-    let single = |joint: &crate::robot::Joint| {
+    let single = |joint: &Joint| {
         let rot = joint.placement.rot_parent_child.map(|entry| entry as f32);
         Placement {
             rot_parent_child: std::array::from_fn(|row| std::array::from_fn(|col| rot[(row, col)])),
@@ -240,26 +216,10 @@ fn number(value: f64) -> String {
         let sign = if value < 0.0 { "-" } else { "" };
         return format!("{sign}core::f32::consts::{name}");
     }
-    let known = [
-        E,
-        FRAC_1_PI,
-        FRAC_1_SQRT_2,
-        FRAC_2_PI,
-        FRAC_2_SQRT_PI,
-        FRAC_PI_2,
-        FRAC_PI_3,
-        FRAC_PI_4,
-        FRAC_PI_6,
-        FRAC_PI_8,
-        LN_2,
-        LN_10,
-        LOG2_10,
-        LOG2_E,
-        LOG10_2,
-        LOG10_E,
-        PI,
-        SQRT_2,
-        TAU,
+    #[rustfmt::skip]
+    let known: [f32; 19] = [
+        E, FRAC_1_PI, FRAC_1_SQRT_2, FRAC_2_PI, FRAC_2_SQRT_PI, FRAC_PI_2, FRAC_PI_3, FRAC_PI_4, FRAC_PI_6,
+        FRAC_PI_8, LN_2, LN_10, LOG2_10, LOG2_E, LOG10_2, LOG10_E, PI, SQRT_2, TAU,
     ];
     if known.iter().any(|named| (named - value.abs()).abs() < 5e-3) {
         format!("f32::from_bits({:#010x} /* {value} */)", value.to_bits())

@@ -3,14 +3,14 @@
 #![no_std]
 #![no_main]
 
-#[path = "../../src/arms/random_2_a.rs"]
+#[path = "../../../firmware/foretorque/src/arm/panda.rs"]
 mod arm;
 
 use core::arch::asm;
 use core::cell::RefCell;
 use core::hint::black_box;
 
-use arm::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Random2A};
+use arm::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Panda};
 use critical_section::{Mutex, RawRestoreState};
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMotion, JointSample};
@@ -46,10 +46,10 @@ extern "C" fn _start() -> ! {
 }
 
 fn run() -> Option<()> {
-    let set = ParameterSet::nominal::<Random2A>(1);
-    let config = FeedForwardConfig::for_arm::<Random2A, _>(1e-3);
+    let set = ParameterSet::nominal::<Panda>(1);
+    let config = FeedForwardConfig::for_arm::<Panda, _>(1e-3);
     let mut feed_forward = FeedForward::new(config, set).ok()?;
-    let mut learner = Learner::new(LearnerConfig::for_arm::<Random2A>(1e-3), set).ok()?;
+    let mut learner = Learner::new(LearnerConfig::for_arm::<Panda>(1e-3), set).ok()?;
     loop {
         let sample = black_box(JointSample {
             desired: JointMotion::zero(),

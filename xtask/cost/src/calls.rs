@@ -1,46 +1,21 @@
 //! The functions that code of a linked ELF can reach from an entry, and the depth of their stack.
 //!
 //! Sound as far as it succeeds: every path through every function is followed, conditional instructions both ways. A
-//! target or stack movement that the code does not fix is an [`Unknown`], never a guess.
+//! target or stack movement that the code does not fix is unknown, never a guess.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::ops::Range;
 
 use crate::image::Image;
 use crate::thumb::{Class, Flow, Stack};
 
-/// A place that the walk could not decide.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Unknown {
-    function: String,
-    address: u32,
-    kind: Kind,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Kind {
-    IndirectCall,
-    IndirectJump,
-    UnknownStack,
-    TwoDepths,
-    NoCode,
-    Recursion,
-}
-
-impl fmt::Display for Unknown {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let verb = match self.kind {
-            Kind::IndirectCall => "calls through a pointer",
-            Kind::IndirectJump => "jumps through a pointer",
-            Kind::UnknownStack => "moves the stack by an amount the code does not fix",
-            Kind::TwoDepths => "reaches one place with two depths of stack",
-            Kind::NoCode => "leads to no code",
-            Kind::Recursion => "calls itself, directly or through others",
-        };
-        write!(f, "{} {verb} at {:#010x}", self.function, self.address)
-    }
-}
+/// Reasons of an unknown.
+const INDIRECT_CALL: &str = "calls through a pointer";
+const INDIRECT_JUMP: &str = "jumps through a pointer";
+const UNKNOWN_STACK: &str = "moves the stack by an amount the code does not fix";
+const TWO_DEPTHS: &str = "reaches one place with two depths of stack";
+const NO_CODE: &str = "leads to no code";
+const RECURSION: &str = "calls itself, directly or through others";
 
 /// One function by itself.
 #[derive(Clone, Debug, Default)]
@@ -56,8 +31,8 @@ struct Node {
 pub(crate) struct Walk<'a> {
     image: &'a Image,
     nodes: BTreeMap<u32, Node>,
-    /// Empty if the walk is complete.
-    pub(crate) unknowns: BTreeSet<Unknown>,
+    /// Places the walk could not decide, with their reasons; empty if the walk is complete.
+    pub(crate) unknowns: BTreeSet<String>,
 }
 
 /// The deepest stack, and the functions on the path there with the stack of each.
@@ -131,7 +106,7 @@ impl<'a> Walk<'a> {
             return depth.clone();
         }
         if above.contains(&entry) {
-            self.unknown(entry, entry, Kind::Recursion);
+            self.unknown(entry, entry, RECURSION);
             return Depth::default();
         }
         let node = self.nodes.get(&entry).cloned().unwrap_or_default();
@@ -158,20 +133,16 @@ impl<'a> Walk<'a> {
         name.map_or_else(|| format!("{address:#010x}"), str::to_owned)
     }
 
-    fn unknown(&mut self, entry: u32, address: u32, kind: Kind) {
-        let function = self.name(entry);
-        self.unknowns.insert(Unknown {
-            function,
-            address,
-            kind,
-        });
+    fn unknown(&mut self, entry: u32, address: u32, reason: &str) {
+        let unknown = format!("{} {reason} at {address:#010x}", self.name(entry));
+        self.unknowns.insert(unknown);
     }
 
     /// Follows every path through the function at `entry`.
     fn function(&mut self, entry: u32) -> Node {
         let mut node = Node::default();
         let Some(code) = self.image.at(entry).map(|f| f.code.clone()) else {
-            self.unknown(entry, entry, Kind::NoCode);
+            self.unknown(entry, entry, NO_CODE);
             return node;
         };
         // Places still to visit: address, depth of the stack, conditional instructions left.
@@ -186,12 +157,12 @@ impl<'a> Walk<'a> {
                 None => {}
                 Some(before) if before == depth => continue,
                 Some(_) => {
-                    self.unknown(entry, address, Kind::TwoDepths);
+                    self.unknown(entry, address, TWO_DEPTHS);
                     continue;
                 }
             }
             let Some(instruction) = self.image.instruction(address) else {
-                self.unknown(entry, address, Kind::NoCode);
+                self.unknown(entry, address, NO_CODE);
                 continue;
             };
             let next = address + instruction.size;
@@ -199,7 +170,7 @@ impl<'a> Walk<'a> {
                 Stack::Kept => depth,
                 Stack::Moved(bytes) => depth.saturating_add_signed(-bytes),
                 Stack::Lost => {
-                    self.unknown(entry, address, Kind::UnknownStack);
+                    self.unknown(entry, address, UNKNOWN_STACK);
                     depth
                 }
             };
@@ -215,8 +186,8 @@ impl<'a> Walk<'a> {
                 Flow::Call(target) => {
                     node.calls.insert((target, after));
                 }
-                Flow::CallIndirect => self.unknown(entry, address, Kind::IndirectCall),
-                Flow::JumpIndirect => self.unknown(entry, address, Kind::IndirectJump),
+                Flow::CallIndirect => self.unknown(entry, address, INDIRECT_CALL),
+                Flow::JumpIndirect => self.unknown(entry, address, INDIRECT_JUMP),
                 Flow::Table { halfwords } => targets = self.table(address, halfwords, &code),
             }
             for &target in &targets {
@@ -279,13 +250,16 @@ mod tests {
         [0xF7FF, 0xF800 | half as u16 & 0x7FF]
     }
 
-    fn depth_and_unknowns(image: &Image) -> (u32, Vec<Kind>) {
+    /// The depth, and the reason of the unknown if there is one.
+    fn depth_and_unknown(image: &Image) -> (u32, String) {
         let mut walk = Walk::from(image, &[CALLER]);
         let bytes = walk.depth(CALLER).bytes;
-        (
-            bytes,
-            walk.unknowns.iter().map(|unknown| unknown.kind).collect(),
-        )
+        let reasons = walk
+            .unknowns
+            .iter()
+            .flat_map(|unknown| unknown.split(" at ").next());
+        let reasons = reasons.map(|reason| reason.trim_start_matches("caller "));
+        (bytes, reasons.collect())
     }
 
     #[test]
@@ -294,7 +268,7 @@ mod tests {
         // push {r4, lr}; bl leaf; pop {r4, pc}
         let caller = [0xB510, high, low, 0xBD10];
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknowns(&image), (8 + 16, vec![]));
+        assert_eq!(depth_and_unknown(&image), (8 + 16, String::new()));
         let walk = Walk::from(&image, &[CALLER]);
         assert_eq!(walk.path_to("leaf", &[CALLER]), ["caller", "leaf"]);
     }
@@ -306,7 +280,7 @@ mod tests {
         let half = LEAF.wrapping_sub(CALLER + 6 + 4) >> 1;
         caller[3] |= half as u16 & 0x7FF;
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknowns(&image), (16, vec![]));
+        assert_eq!(depth_and_unknown(&image), (16, String::new()));
     }
 
     #[test]
@@ -314,7 +288,7 @@ mod tests {
         // push {r4, lr}; blx r0; pop {r4, pc}
         let caller = [0xB510, 0x4780, 0xBD10];
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknowns(&image), (8, vec![Kind::IndirectCall]));
+        assert_eq!(depth_and_unknown(&image), (8, INDIRECT_CALL.into()));
     }
 
     #[test]
@@ -322,17 +296,17 @@ mod tests {
         let [high, low] = call(CALLER + 2, CALLER);
         let itself = [0xB510, high, low, 0xBD10];
         let image = Image::of_code(&[("caller", CALLER, &itself)]);
-        assert_eq!(depth_and_unknowns(&image).1, [Kind::Recursion]);
+        assert_eq!(depth_and_unknown(&image).1, RECURSION);
         // sub.w sp, sp, r0; bx lr
         let image = Image::of_code(&[("caller", CALLER, &[0xEBAD, 0x0D00, 0x4770])]);
-        assert_eq!(depth_and_unknowns(&image).1, [Kind::UnknownStack]);
+        assert_eq!(depth_and_unknown(&image).1, UNKNOWN_STACK);
     }
 
     #[test]
     fn what_follows_a_conditional_return_is_followed_too() {
         // it eq; bxeq lr; push {r4, lr}; pop {r4, pc}
         let image = Image::of_code(&[("caller", CALLER, &[0xBF08, 0x4770, 0xB510, 0xBD10])]);
-        assert_eq!(depth_and_unknowns(&image), (8, vec![]));
+        assert_eq!(depth_and_unknown(&image), (8, String::new()));
     }
 
     #[test]
@@ -344,10 +318,10 @@ mod tests {
             0xB510, 0xBD10, // push {r4, lr}; pop {r4, pc}
         ];
         let image = Image::of_code(&[("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknowns(&image), (8, vec![]));
+        assert_eq!(depth_and_unknown(&image), (8, String::new()));
         // tbb [pc, r0] with three cases, the first of them a return, and a byte of padding
         let caller = [0xE8DF, 0xF000, 0x0302, 0x0002, 0x4770, 0xB510, 0xBD10];
         let image = Image::of_code(&[("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknowns(&image), (8, vec![]));
+        assert_eq!(depth_and_unknown(&image), (8, String::new()));
     }
 }

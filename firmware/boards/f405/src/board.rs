@@ -1,4 +1,4 @@
-//! What a board with this chip has of its own.
+//! Properties of a board with this chip.
 
 use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::pac::{GPIOA, GPIOB};
@@ -31,9 +31,9 @@ pub trait Board: Send + 'static {
     fn start_pins(ports: Ports, rcc: &mut Rcc);
 }
 
-/// What the board drives itself, called by the tick's task.
+/// Hardware that the board drives itself, called by the tick's task.
 pub trait Drive: Sized + Send {
-    /// What measures the own joint.
+    /// Sensor of the own joint.
     type Own: LocalSensor;
 
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
@@ -42,7 +42,7 @@ pub trait Drive: Sized + Send {
     /// Before the ticks of a round: tells the session what is wrong out there.
     fn watch(&mut self, session: &mut BoardSession);
 
-    /// What measures the own joint.
+    /// Sensor of the own joint.
     fn own(&mut self) -> &mut Self::Own;
 
     /// After a tick: enable and torque command are what the session says.

@@ -35,7 +35,7 @@ pub const LINK_BYTES_S: u32 = LINK_BAUD / 10;
 
 /// Instructions that the board counts for receiving a byte, at most. A test in the emulator holds them to it.
 pub const RECEIVE_INSTRUCTIONS: u64 = 60;
-/// What it cannot count, in cycles: entry and exit of the exception (12 each, ARM DDI 0439, 3.9), and the 36 instructions
+/// Cycles that the counter misses: entry and exit of the exception (12 each, ARM DDI 0439, 3.9), and the 36 instructions
 /// around the counter's two readings, which save registers and keep the account.
 pub const RECEIVE_OVERHEAD: u64 = 24 + 36;
 

@@ -20,7 +20,7 @@ pub enum ClockSource {
 /// Result of the bring-up.
 #[derive(Clone, Copy, Debug)]
 pub struct Clocks {
-    /// What it comes from.
+    /// Source of the clock.
     pub source: ClockSource,
     /// Processor and SysTick clock, Hz.
     pub cpu_hz: u32,

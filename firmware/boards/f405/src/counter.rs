@@ -1,4 +1,4 @@
-//! What a stretch of code costs: processor cycles on silicon, executed instructions in the emulator.
+//! Cost counter: processor cycles on silicon, executed instructions in the emulator.
 
 use core::arch::asm;
 use core::sync::atomic::{AtomicU8, Ordering};

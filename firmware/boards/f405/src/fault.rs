@@ -33,8 +33,8 @@ pub enum Reason {
     Asked = 6,
 }
 
-/// What is kept over a reset: a mark, reason, place, and their check word. The linker leaves the section alone at
-/// start-up, and a reset does not clear the RAM (RM0090 6.1).
+/// Record kept over a reset: a mark, reason, place, and their check word. The linker leaves the section alone at start-up,
+/// and a reset does not clear the RAM (RM0090 6.1).
 #[unsafe(link_section = ".uninit.reason")]
 static mut KEPT: MaybeUninit<[u32; 4]> = MaybeUninit::uninit();
 

@@ -13,7 +13,7 @@ pub const RECEIVE_RING: usize = 1024;
 /// Bytes waiting to be sent.
 pub const TRANSMIT_RING: usize = 1024;
 
-/// What the receive interrupt saw. Written there only; everybody may read.
+/// Counters of the receive interrupt. Written there only; every task may read them.
 #[derive(Debug)]
 pub struct ReceiveCounters {
     /// Bytes moved into the ring.
@@ -165,7 +165,7 @@ pub fn receive_cost() -> Cost {
     }
 }
 
-/// When the last frame ended, on the board's counter.
+/// End of the last frame, on the board's counter.
 static ENDED_AT: AtomicU32 = AtomicU32::new(0);
 
 /// Counts since the last frame ended.

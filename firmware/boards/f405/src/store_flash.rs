@@ -12,7 +12,7 @@ use stm32f4xx_hal::pac::FLASH;
 
 use crate::chip::{FLASH_POLLS, STORE_SECTOR, STORE_SECTOR_BYTES};
 
-/// What opens the control register (RM0090 3.6.1).
+/// Keys that unlock the control register (RM0090 3.6.1).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 /// Bytes programmed at once: 32-bit parallelism, for 2.7 to 3.6 V (RM0090 3.6.2).
 const WORD: usize = 4;

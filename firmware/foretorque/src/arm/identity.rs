@@ -1,4 +1,4 @@
-//! What makes two arms the same to both ends of a link.
+//! Identity of an arm for both ends of a link.
 
 use super::{LinkColumns, Placement};
 

@@ -6,7 +6,7 @@ mod columns;
 pub use columns::{
     COGGING_COLUMNS, DISSIPATION_BOUNDS, FRICTION_COLUMNS, FrictionBound, FrictionColumn,
     FrictionParameters, FrictionPoint, FrictionPrior, FrictionProperties, RANDOM_WALK_COLUMNS,
-    Real, friction_prior,
+    Real, SHEAR_WIDTH, STRIBECK_WIDTH, friction_prior,
 };
 
 use super::{BaseParameters, gravity_torque};

@@ -14,7 +14,8 @@ pub use closed_form::{mass_matrix, velocity_torque};
 pub use friction::{
     COGGING_COLUMNS, DISSIPATION_BOUNDS, FRICTION_COLUMNS, FrictionBound, FrictionColumn,
     FrictionParameters, FrictionPoint, FrictionPrior, FrictionProperties, RANDOM_WALK_COLUMNS,
-    Real, SIGN_WIDTH, SmoothedSign, cogging, friction, friction_load, friction_prior, friction_row,
+    Real, SHEAR_WIDTH, SIGN_WIDTH, STRIBECK_WIDTH, SmoothedSign, cogging, friction, friction_load,
+    friction_prior, friction_row,
 };
 pub use link::is_angle;
 pub use regressor::{regressor, regressor_row};

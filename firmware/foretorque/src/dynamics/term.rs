@@ -6,7 +6,7 @@
 
 use core::ops::{Add, Mul, Neg, Sub};
 
-/// What is known of a scalar before the program runs.
+/// Compile-time knowledge about a scalar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Zero,

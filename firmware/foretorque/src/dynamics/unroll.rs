@@ -20,7 +20,7 @@ macro_rules! outward {
     };
 }
 
-/// The same from joint N − 1 down to 0.
+/// Unrolled loop from joint N − 1 down to 0.
 macro_rules! inward {
     ($i:ident < $n:ident $body:block) => {
         each!($i < $n $body, 7 6 5 4 3 2 1 0)

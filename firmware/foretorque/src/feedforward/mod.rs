@@ -33,7 +33,7 @@ pub struct Torque<const N: usize> {
     pub total: JointVector<N>,
     /// Its shares, before limits.
     pub shares: Shares<N>,
-    /// What happened.
+    /// Flags of the tick.
     pub flags: Flags,
     /// Counter of the tick.
     pub tick: u32,
@@ -188,7 +188,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         self.state.learning = enabled;
     }
 
-    /// What survives from tick to tick: active and committed set, counters.
+    /// State between ticks: active and committed set, counters.
     pub fn state(&self) -> &FeedForwardState<N, P> {
         &self.state
     }

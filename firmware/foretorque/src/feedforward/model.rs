@@ -125,7 +125,7 @@ impl<const N: usize> TickMotion<N> {
     }
 }
 
-/// What friction and network of one joint make of one speed.
+/// Friction basis and network output of one joint at one speed.
 #[derive(Clone, Copy)]
 pub(super) struct AtSpeed {
     columns: [f32; FRICTION_COLUMNS],

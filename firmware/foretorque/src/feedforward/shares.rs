@@ -20,7 +20,7 @@ pub struct Shares<const N: usize> {
     pub rigid: JointVector<N>,
     /// Friction torque.
     pub friction: JointVector<N>,
-    /// What the network adds, clipped.
+    /// Share of the network, clipped.
     pub network: JointVector<N>,
 }
 
@@ -62,7 +62,7 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     }
 }
 
-/// What the networks say at joint speeds `qd`, cut to their bound, N × N·m.
+/// Network shares at joint speeds `qd`, cut to their bound, N × N·m.
 #[inline(never)]
 fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
     networks: &[JointNetwork; N],
@@ -77,7 +77,7 @@ fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
     shares
 }
 
-/// What the network of one joint says, cut to its bound, N·m.
+/// Network share of one joint, cut to its bound, N·m.
 #[inline]
 pub(super) fn network_share(
     network: &JointNetwork,
@@ -99,14 +99,14 @@ pub(super) struct JointShares {
     pub(super) network: f32,
 }
 
-/// What is left of the shares of a joint after the checks, N·m.
+/// Shares of a joint after the checks, N·m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Selected {
     /// The active set's shares, each replaced by the committed set's where it was not sound.
     pub(super) shares: JointShares,
     /// Sum of the committed set's shares.
     pub(super) reference: f32,
-    /// What was learnt since, within its bound.
+    /// Learnt part, within its bound.
     pub(super) learned: f32,
 }
 

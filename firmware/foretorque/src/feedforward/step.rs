@@ -8,7 +8,7 @@ use crate::joint::{JointSample, JointVector};
 use crate::learning::{Exchange, LearnerReport, MotionRange, ParameterSet};
 use crate::limits::{Flags, cut, limit};
 
-/// What survives from tick to tick.
+/// State between ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardState<const N: usize, const P: usize> {
     /// The set the torque is computed from.
@@ -19,11 +19,11 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     pub tick: u32,
     /// Learning is switched on.
     pub learning: bool,
-    /// How often a set was not there when it was to be adopted.
+    /// Number of sets that were missing at the tick of their adoption.
     pub late_sets: u32,
-    /// What the guard told with the set in force.
+    /// Report of the supervisor that came with the set in force.
     pub report: LearnerReport<N>,
-    /// What the payload adds to the base parameters.
+    /// Base parameters that the payload adds.
     pub payload: BaseParameters<P>,
     /// Torque of the payload in the last tick, after its bound, N × N·m; part of the rigid-body share.
     pub payload_torque: JointVector<N>,
@@ -33,7 +33,7 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     loaded: Loaded<N, P>,
     active_difference: Difference<N, P>,
     committed_difference: Difference<N, P>,
-    /// What was learnt, payload included, in the torque of the last tick, and the sum it was part of.
+    /// Learnt part in the torque of the last tick, payload included, and the sum it was part of.
     learned: Option<JointVector<N>>,
     sum: JointVector<N>,
     /// The committed set is another one since the last tick.
@@ -128,7 +128,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardScratch<const N: usize> {
     motion: TickMotion<N>,
-    /// What the gears carry as far as friction is reckoned with it, N × N·m.
+    /// Gear load as the friction model uses it, N × N·m.
     load: JointVector<N>,
     /// Torques of the loaded set and of the payload for the motion as it is wanted, and of what the active and the
     /// committed set have learnt, for the motion that was learnt; N × N·m each.
@@ -136,7 +136,7 @@ pub struct FeedForwardScratch<const N: usize> {
     payload: JointVector<N>,
     active: JointVector<N>,
     committed: JointVector<N>,
-    /// What was learnt, payload included, within all its bounds, N × N·m.
+    /// Learnt part, payload included, within all its bounds, N × N·m.
     learned: JointVector<N>,
 }
 

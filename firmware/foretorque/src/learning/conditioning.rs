@@ -34,7 +34,7 @@ const TORQUES: usize = DELAY + 1 + AVERAGED / 2;
 pub struct ConditionedSample<const N: usize> {
     /// Position, velocity and acceleration of the fitted quadratic.
     pub motion: JointMotion<N>,
-    /// Mean of [`AVERAGED`] torques around that instant; noise of means without common samples is white.
+    /// Mean of five torques around that instant; noise of means without common samples is white.
     pub tau: JointVector<N>,
 }
 

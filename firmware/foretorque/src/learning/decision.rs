@@ -76,7 +76,7 @@ pub struct Decision {
 pub const DECISION_CAPACITY: usize = 8;
 
 /// Optional [`Decision`]. All-zero memory is a valid value, because boards initialise the learner's static with zeros.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Slot {
     tick: u32,
     reason: Option<Reason>,
@@ -94,7 +94,7 @@ impl Slot {
 }
 
 /// Ring of the newest decisions, with their number.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DecisionLog {
     ring: [Slot; DECISION_CAPACITY],
     count: u32,
@@ -145,12 +145,6 @@ impl DecisionLog {
     /// Newest decision.
     pub fn newest(&self) -> Option<Decision> {
         self.get(self.count.wrapping_sub(1))
-    }
-}
-
-impl Default for DecisionLog {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

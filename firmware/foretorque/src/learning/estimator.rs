@@ -117,7 +117,8 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Cost: as much as one row, and nothing when all are added.
     pub(super) fn add_prior_factors<A: Arm<N, P>>(&mut self) -> bool {
         if self.factors_added == 0 {
-            self.filter.set_rigid_variances(&prior_floor::<A, N, P>());
+            let floor = const { prior_floor::<A, N, P>() };
+            self.filter.set_rigid_variances(&floor);
         }
         for _ in 0..FACTORS_PER_TICK {
             let Some(mut factor) = prior_factor::<A, N, P>(self.factors_added) else {
@@ -225,24 +226,8 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             self.factors_added = 0;
             return None;
         }
-
-        let squared = innovation * innovation;
-        let beyond = squared > MEDIAN_SQUARED * variance;
-        let (lower, upper) = VARIANCE_RANGE;
-        let step = if *effective_rows < EFFECTIVE_ROWS {
-            // Only the noise part of an innovation is evidence of noise.
-            let noise_part = *measured / variance;
-            *effective_rows += noise_part;
-            1.0 + VARIANCE_GAIN * noise_part / *effective_rows
-        } else {
-            VARIANCE_STEP
-        };
-        let grown = if beyond {
-            *measured * step
-        } else {
-            *measured / step
-        };
-        *measured = grown.clamp(lower, upper);
+        let beyond = innovation * innovation > MEDIAN_SQUARED * variance;
+        update_variance(measured, effective_rows, variance, beyond);
         let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
         self.move_by(&sigma, &gain, clipped / variance);
         self.project(&sigma, joint, &mut gain);
@@ -259,15 +244,11 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         gain: &LinearParameters<N, P>,
         step: f32,
     ) {
-        let parts = sigma.parts().into_iter().zip(gain.parts());
-        let moving = self.parameters.parts_mut().into_iter();
-        for ((theta, compensation), (sigma, gain)) in
-            moving.zip(self.compensation.parts_mut()).zip(parts)
-        {
-            let columns = sigma.iter().zip(gain);
-            for ((theta, compensation), (&sigma, &gain)) in
-                theta.iter_mut().zip(compensation).zip(columns)
-            {
+        let [theta, lost] = [&mut self.parameters, &mut self.compensation].map(|it| it.parts_mut());
+        let parts = theta.into_iter().zip(lost).zip(sigma.parts());
+        for (((theta, compensation), sigma), gain) in parts.zip(gain.parts()) {
+            let columns = theta.iter_mut().zip(compensation).zip(sigma).zip(gain);
+            for (((theta, compensation), sigma), gain) in columns {
                 let step = sigma * gain * step + *compensation;
                 let moved = *theta + step;
                 *compensation = step - (moved - *theta);
@@ -285,7 +266,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// violated one, so explained rows stay explained. Clipping the column alone leaves a residual. The next row repeats the
     /// step, and the correlated columns drift away.
     ///
-    /// Cost: [`DISSIPATION_BOUNDS`] times the columns; [`UdFilter::friction_gain`] for each violated bound, `MAX_PROJECTIONS` at most.
+    /// Cost: one product for each bound; [`UdFilter::friction_gain`] for each violated one, `MAX_PROJECTIONS` at most.
     fn project(
         &mut self,
         sigma: &LinearParameters<N, P>,
@@ -329,6 +310,28 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             self.move_by(sigma, gain, step);
         }
     }
+}
+
+/// Update of the `measured` variance of a joint by one innovation.
+///
+/// * `variance` its expected variance      * `beyond` true if it exceeds the median
+#[inline(always)]
+fn update_variance(measured: &mut f32, effective_rows: &mut f32, variance: f32, beyond: bool) {
+    let step = if *effective_rows < EFFECTIVE_ROWS {
+        // Only the noise part of an innovation is evidence of noise.
+        let noise_part = *measured / variance;
+        *effective_rows += noise_part;
+        1.0 + VARIANCE_GAIN * noise_part / *effective_rows
+    } else {
+        VARIANCE_STEP
+    };
+    let (lower, upper) = VARIANCE_RANGE;
+    let next = if beyond {
+        *measured * step
+    } else {
+        *measured / step
+    };
+    *measured = next.clamp(lower, upper);
 }
 
 #[cfg(test)]

@@ -40,7 +40,7 @@ impl<const N: usize> MotionRange<N> {
 }
 
 /// Report of the learner, published with every set.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LearnerReport<const N: usize> {
     /// Agreement of the active set with the measured torques.
     pub quality: ModelQuality<N>,
@@ -55,12 +55,6 @@ impl<const N: usize> LearnerReport<N> {
             quality: ModelQuality::new(),
             decisions: DecisionLog::new(),
         }
-    }
-}
-
-impl<const N: usize> Default for LearnerReport<N> {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -130,7 +124,7 @@ impl core::fmt::Display for RequestPending {
 impl core::error::Error for RequestPending {}
 
 /// Mailbox between tick and learner, their only shared state; each locks it for one copy.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Exchange<const N: usize, const P: usize> {
     /// Finished set, from the learner to the tick.
     pub published: Option<Publication<N, P>>,
@@ -159,12 +153,6 @@ impl<const N: usize, const P: usize> Exchange<N, P> {
         }
         self.request = Some((number, request));
         Ok(())
-    }
-}
-
-impl<const N: usize, const P: usize> Default for Exchange<N, P> {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

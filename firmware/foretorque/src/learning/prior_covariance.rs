@@ -45,8 +45,14 @@ pub fn prior_factor<A: Arm<N, P>, const N: usize, const P: usize>(
 }
 
 /// Variances of the floor, in units of the prior variances.
-pub fn prior_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
-    const { relative_floor::<A, N, P>() }
+pub const fn prior_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
+    let (mut floor, sigma) = (floor_squared::<A, N, P>(), rigid_sigma::<A, N, P>());
+    let mut column = 0;
+    while column < P {
+        floor[column] /= sigma[column] * sigma[column];
+        column += 1;
+    }
+    floor
 }
 
 /// Prior standard deviations of the base parameters, in their units.
@@ -68,16 +74,6 @@ pub(super) const fn rigid_sigma<A: Arm<N, P>, const N: usize, const P: usize>() 
         column += 1;
     }
     square
-}
-
-const fn relative_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
-    let (mut floor, sigma) = (floor_squared::<A, N, P>(), rigid_sigma::<A, N, P>());
-    let mut column = 0;
-    while column < P {
-        floor[column] /= sigma[column] * sigma[column];
-        column += 1;
-    }
-    floor
 }
 
 /// Squares of the floor, in the units of the base parameters.

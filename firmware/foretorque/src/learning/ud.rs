@@ -4,7 +4,7 @@ use super::parameters::{LinearParameters, dot};
 use crate::dynamics::FRICTION_COLUMNS;
 use core::array::{from_mut, from_ref};
 use core::mem::take;
-use rows::{ColumnUpdates, ROWS, add_rows};
+use rows::{ColumnUpdates, ROWS, add_rows, set};
 
 /// Non-zero part of a torque row: friction of its joint and rigid body.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,10 +62,9 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     ///              D_j ← D_j α/α'     λ_j = −f_j/α     U_ij ← U_ij + λ_j b_i     b_i ← b_i + v_j U_ij (old)     b_j = v_j
     /// ```
     ///
-    /// Departure from Bierman, who updates U by columns: f needs only the old U, and f gives all v and λ before U changes.
-    /// The rows of U are then independent, b_i is a running sum along row i, and several rows share v_j and λ_j in
-    /// registers. f is cheap, because φ is sparse: it has friction of its joint alone, and no link before the joint. A
-    /// column with f = 0 stays as it is.
+    /// Departure from Bierman, who updates U by columns: f gives all v and λ before U changes. The rows of U are then
+    /// independent, b_i is a running sum along row i, and several rows share v_j and λ_j in registers. f is cheap, because
+    /// φ is sparse: friction of its joint alone, and no link before the joint.
     ///
     /// * `gain` becomes P φ with the old P; divided by the returned S it is the Kalman gain
     /// * returns `S = φᵀ P φ + variance`, the variance of the innovation; NaN if there is no such joint
@@ -293,13 +292,9 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let mut c = noise;
         for (j, d) in diagonal.iter_mut().enumerate().take(column + 1).rev() {
             let a_j = direction.get(j).copied().unwrap_or(0.0);
-            let step = add_to_diagonal(&mut c, a_j, d);
-            for (row, a) in rows.iter_mut().zip(direction.iter_mut()).take(j) {
-                if let Some(u) = row.own.get_mut(j) {
-                    *a -= a_j * *u;
-                    *u += step * *a;
-                }
-            }
+            let entries = rows.iter_mut().zip(direction.iter_mut()).take(j);
+            let entries = entries.filter_map(|(row, a)| Some((row.own.get_mut(j)?, a)));
+            add_column(&mut c, a_j, d, entries);
         }
     }
 
@@ -325,13 +320,9 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             if a_j == 0.0 {
                 continue;
             }
-            let step = add_to_diagonal(&mut c, a_j, d);
-            for (row, a) in self.rigid.iter_mut().zip(direction.iter_mut()).take(j) {
-                if let Some(u) = row.get_mut(j) {
-                    *a -= a_j * *u;
-                    *u += step * *a;
-                }
-            }
+            let entries = self.rigid.iter_mut().zip(direction.iter_mut()).take(j);
+            let entries = entries.filter_map(|(row, a)| Some((row.get_mut(j)?, a)));
+            add_column(&mut c, a_j, d, entries);
         }
     }
 
@@ -387,15 +378,23 @@ impl Alpha {
 /// Factor that keeps D positive for any row: a row leaves at least 2⁻²¹ of D, more than rounding can take.
 const ALMOST_ONE: f32 = 1.0 - 4.0 * f32::EPSILON;
 
-/// One column of the rank-one update `P + c a aᵀ`: new D_j and c; returns `c a_j / D_j'`.
+/// Column j of the rank-one update `P + c a aᵀ`; `entries` are U_ij and a_i of the rows above the diagonal.
 #[inline(always)]
-fn add_to_diagonal(c: &mut f32, a_j: f32, d: &mut f32) -> f32 {
+fn add_column<'a>(
+    c: &mut f32,
+    a_j: f32,
+    d: &mut f32,
+    entries: impl Iterator<Item = (&'a mut f32, &'a mut f32)>,
+) {
     let before = *d;
     *d = before + *c * a_j * a_j;
     let inverse = 1.0 / *d;
     let step = *c * a_j * inverse;
+    for (u, a) in entries {
+        *a -= a_j * *u;
+        *u += step * *a;
+    }
     *c *= before * inverse;
-    step
 }
 
 /// Sum Σ u² d.
@@ -405,13 +404,6 @@ fn weighted_squares(row: &[f32], diagonal: &[f32]) -> f32 {
         sum += u * u * d;
     }
     sum
-}
-
-#[inline(always)]
-fn set(values: &mut [f32], index: usize, value: f32) {
-    if let Some(slot) = values.get_mut(index) {
-        *slot = value;
-    }
 }
 
 #[cfg(test)]

@@ -79,7 +79,7 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         network
     }
 
-    /// The same hidden layer under an output layer of zeros.
+    /// This hidden layer under an output layer of zeros.
     pub fn silenced(mut self) -> Self {
         self.output_weights = SMatrix::zeros();
         self.output_bias = SVector::zeros();
@@ -199,7 +199,7 @@ pub(super) fn unset<const R: usize>() -> SVector<f32, R> {
     SVector::from([-0.0; R])
 }
 
-/// What is left of `column` after whole blocks of `BLOCK` rows.
+/// Rest of `column` after whole blocks of `BLOCK` rows.
 #[inline(always)]
 fn tail<const BLOCK: usize>(column: &[f32]) -> &[f32] {
     column.as_chunks::<BLOCK>().1
@@ -243,8 +243,8 @@ const fn arranged(entries: usize) -> bool {
     entries >= 64
 }
 
-/// The same reference; into a large matrix of `entries` it is one of which the compiler knows nothing any more, so that
-/// what is read through it stays on its side of [`loaded`].
+/// Opaque copy of a reference; into a large matrix of `entries` the compiler can deduce nothing about it, so that a value
+/// read through it stays on its side of [`loaded`].
 #[inline(always)]
 pub(super) fn opaque<T>(reference: T, entries: usize) -> T {
     if arranged(entries) {

@@ -70,7 +70,7 @@ fn descend_block<const B: usize, const R: usize, const C: usize>(
     }
 }
 
-/// What one column has of a block of rows, in a matrix of `entries`.
+/// One column of a block of rows, in a matrix of `entries`.
 #[inline(always)]
 fn descend_column<const B: usize>(
     weights: &mut [f32; B],

@@ -3,7 +3,7 @@
 use super::record::{LearningPoint, Tracking, ValidationPoint};
 use super::setup::Setup;
 use super::stages::{ErrorCurve, ReplyBits, error_of, learn, predictions, track};
-use super::{DemoConfig, PAGE_POINTS};
+use super::config::{DemoConfig, PAGE_POINTS};
 use crate::{Progress, StudyError};
 use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::board::Client;

@@ -1,5 +1,6 @@
 //! The main job: start from a wrong prior, learn on the board in closed loop, freeze, play a path nobody has seen.
 
+mod config;
 mod long_run;
 mod page;
 mod record;
@@ -7,6 +8,7 @@ mod setup;
 mod stages;
 mod usart;
 
+pub use config::DemoConfig;
 pub use record::{
     BeforeAfter, DemoReport, LearningPoint, LinkFigures, TickPhases, Tracking, UsartFigures,
 };
@@ -17,49 +19,6 @@ use foretorque_workbench::board::Client;
 use foretorque_workbench::robot::Robot;
 use record::DemoCurves;
 use setup::Setup;
-
-/// Size of the job.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DemoConfig {
-    /// Seed of plant, prior, paths and noise.
-    pub seed: u64,
-    /// Period of the tick, s.
-    pub period_s: f64,
-    /// Arm time with learning on, long run, s.
-    pub learning_s: f64,
-    /// Arm time with learning on, flashable firmware, s.
-    pub usart_learning_s: f64,
-    /// Length of the unseen path that is played, s.
-    pub validation_s: f64,
-    /// Bandwidth of the PD controller, Hz.
-    pub pd_bandwidth_hz: f64,
-    /// Random candidates of the excitation.
-    pub excitation_candidates: usize,
-}
-
-impl Default for DemoConfig {
-    fn default() -> Self {
-        Self {
-            seed: 1,
-            period_s: 1e-3,
-            learning_s: 80.0,
-            usart_learning_s: 5.0,
-            validation_s: 30.0,
-            pd_bandwidth_hz: 6.0,
-            excitation_candidates: 100,
-        }
-    }
-}
-
-impl DemoConfig {
-    /// Number of ticks in `duration_s`.
-    fn ticks(&self, duration_s: f64) -> usize {
-        (duration_s / self.period_s).round() as usize
-    }
-}
-
-/// Points of curves that the page shows.
-const PAGE_POINTS: usize = 3000;
 
 /// Runs the job on the first board, and its shorter part on the flashable firmware that the second connects to.
 ///

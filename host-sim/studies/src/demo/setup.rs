@@ -1,6 +1,6 @@
 //! The setup of every board of the job: arm, controller, paths and the wrong prior.
 
-use super::DemoConfig;
+use super::config::DemoConfig;
 use crate::prior::bank_of;
 use crate::{Progress, StudyError};
 use foretorque::arm::Arm;

@@ -1,6 +1,6 @@
 //! The stages that a board goes through: it is asked along a path, it tracks, it learns.
 
-use super::PAGE_POINTS;
+use super::config::PAGE_POINTS;
 use super::setup::Setup;
 use crate::{Progress, StudyError};
 use foretorque::feedforward::Torque;

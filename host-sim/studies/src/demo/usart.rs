@@ -2,7 +2,8 @@
 
 use super::setup::Setup;
 use super::stages::{ReplyBits, error_of, learn, predictions};
-use super::{DemoConfig, LinkFigures, UsartFigures};
+use super::config::DemoConfig;
+use super::record::{LinkFigures, UsartFigures};
 use crate::{Progress, StudyError};
 use foretorque_workbench::board::Client;
 

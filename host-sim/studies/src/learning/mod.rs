@@ -9,6 +9,7 @@ mod emulated;
 mod figures;
 mod identified;
 mod page;
+mod record;
 mod recorder;
 mod scenario;
 mod setup;
@@ -18,16 +19,16 @@ mod twin;
 
 pub use bars::Comparison;
 pub use emulated::EmulatedReport;
+pub use record::{LearningReport, ScenarioReport};
 
 use crate::{Outcome, Progress, StudyError};
 use drive::{Board, Run};
-use figures::{Figures, Traces, figures};
+use figures::{Traces, figures};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::parallel::{cores, in_parallel};
 use identified::Starts;
 use scenario::Scenario;
-use serde::Serialize;
 use setup::Setup;
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -46,38 +47,6 @@ pub struct LearningConfig {
     pub only: Option<String>,
     /// The short form of every scenario.
     pub quick: bool,
-}
-
-/// One scenario at one bandwidth.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ScenarioReport {
-    /// Seed.
-    pub seed: u64,
-    /// Ticks of the learning run.
-    pub ticks: usize,
-    /// Time, s, and error of the active set on the unseen path, moving rows, %.
-    pub nrmse_moving_percent: Vec<(f64, f64)>,
-    /// NRMSE over moving rows of the board that never learns.
-    pub frozen_nrmse_moving_percent: Vec<(f64, f64)>,
-    /// Figures, units in the keys; `null` where there is none.
-    pub figures: Figures,
-    /// Checksum of all torques of the learning run, bit for bit.
-    pub torque_checksum: String,
-}
-
-/// `report.json`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LearningReport {
-    /// Version of this program.
-    pub version: String,
-    /// Seed.
-    pub seed: u64,
-    /// Scenarios by name.
-    pub scenarios: BTreeMap<String, ScenarioReport>,
-    /// Scenarios replayed on the board, by name; empty without a board.
-    pub emulated: BTreeMap<String, EmulatedReport>,
-    /// Figures against their bars.
-    pub outcomes: Vec<Comparison>,
 }
 
 /// A scenario in a loop of one bandwidth.

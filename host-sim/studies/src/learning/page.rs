@@ -1,6 +1,6 @@
 //! `report.html` and text: figures against their bars, and the curves behind them.
 
-use super::LearningReport;
+use super::record::LearningReport;
 use crate::Outcome;
 use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::report::plot::{Curve, Panel, PlotColor};

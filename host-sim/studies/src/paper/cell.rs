@@ -1,6 +1,6 @@
 //! One draw of the robustness study: an arm, its noisy torques on the excitation, every method, an unseen path.
 
-use super::JOINTS;
+use foretorque::arm::ur5::JOINTS;
 use crate::StudyError;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
@@ -19,6 +19,8 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Rows of one period of the excitation, of which 80 % are drawn for training.
+pub(super) const ROWS: usize = 2500;
 /// Size of an outlier, share of the torque limit: 20 standard deviations of 1 % noise.
 const OUTLIER: f64 = 0.2;
 /// Step of the unseen path, s.
@@ -315,7 +317,7 @@ mod tests {
     #[test]
     fn exact_torques_give_an_exact_model_of_possible_bodies() {
         let robot = Robot::load("ur5").expect("built in");
-        let excitation = serde_json::from_str(super::super::PRECOMPUTED).expect("precomputed");
+        let excitation = serde_json::from_str(crate::paper::config::PRECOMPUTED).expect("precomputed");
         let mut bench = Bench::new(robot, &excitation, 2500).expect("six joints");
         bench.models[0].methods = &[MethodName::Consistent];
         bench.models[1].methods = &[];

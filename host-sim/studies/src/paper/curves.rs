@@ -1,6 +1,6 @@
 //! Curves of the steps, for figures and tables.
 
-use super::JOINTS;
+use foretorque::arm::ur5::JOINTS;
 use super::rigid::Sample;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};

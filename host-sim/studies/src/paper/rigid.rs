@@ -1,6 +1,6 @@
 //! The known arm: its links alone, and the regressor of their base parameters (eq. 16).
 
-use super::JOINTS;
+use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::robot::{LINK_PARAMETERS, Robot};
 use nalgebra::{DMatrix, DVector};

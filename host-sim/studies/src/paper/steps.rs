@@ -1,9 +1,10 @@
 //! The paper's steps (1) to (4): known parameters, no friction, no rotors, no noise, 36 base parameters.
 
+use super::cell::ROWS;
 use super::curves::Curves;
 use super::rigid::{RigidBody, Rows, Sample};
-use super::{JOINTS, ROWS};
 use crate::StudyError;
+use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{ColumnSet, Layout};

@@ -1,6 +1,6 @@
 //! The logs as the board meets them, row by row, and what batch least squares on the other paths says of them.
 
-use super::{GATE_RAD_S, N};
+use super::record::{GATE_RAD_S, N};
 use crate::real_ur5::{PATHS, columns};
 use crate::{Progress, StudyError};
 use foretorque::joint::JointMeasurement;

@@ -2,93 +2,39 @@
 
 mod logs;
 mod page;
+mod record;
 mod scores;
 
 use crate::real_ur5::{PATHS, geometric_mean};
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::Arm;
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::arm::ur5::{PARAMETERS, Ur5};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Exchange, Learner, LearnerConfig};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
+pub use record::{PathScores, ReplayReport};
+
 use logs::Stretch;
+use record::{N, Predictions};
 use scores::Scores;
-use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
-const N: usize = JOINTS;
 const P: usize = PARAMETERS;
 /// Period of the logs, s.
 const PERIOD_S: f64 = 8e-3;
 /// Ticks in which a row is played, on a straight line from the row before. The board's filter is 31 ticks long: a quarter
 /// of a second at the pace of the logs, which hides the accelerations of fast paths; 62 ms at four times that pace.
 const TICKS_A_ROW: u16 = 4;
-/// A joint slower than this stands still, rad/s.
-const GATE_RAD_S: f64 = 0.05;
 /// Age of the parameters that are scored beside the newest, s.
 const AGE_S: f64 = 10.0;
 /// Length of the window in which the first error is watched, s of motion.
 const WINDOW_S: f64 = 2.0;
 /// The error of the reference times this is good enough, for the first time.
 const CLOSE: f64 = 1.1;
-
-/// Error of one path over that of a reference.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PathScores {
-    /// Its name.
-    pub path: String,
-    /// RMS error of every joint while it moves, N·m, of rich batch least squares on the other paths; `null` where it
-    /// never moves.
-    pub batch_rmse_moving_nm: Vec<Option<f64>>,
-    /// Over it: the error of the parameters as they were before each row.
-    pub newest_ratio: Vec<Option<f64>>,
-    /// Over it: the error of parameters 10 s old.
-    pub aged_ratio: Vec<Option<f64>>,
-    /// Over it: the error of the data sheet.
-    pub frozen_ratio: Vec<Option<f64>>,
-    /// Motion until the newest parameters are within 1.1 of it over 2 s, started from the data sheet on this path, s;
-    /// `null` if never.
-    pub within_1_1_after_s: Option<f64>,
-}
-
-/// `report.json`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ReplayReport {
-    /// Version of this program.
-    pub version: String,
-    /// The reference.
-    pub reference: String,
-    /// Geometric means over joints and paths of error over the reference's, moving rows: newest, 10 s old, data sheet.
-    pub newest_vs_rich_wls_ratio: f64,
-    /// See above. The first 10 s of the first log have no such parameters and are left out.
-    pub aged_10_s_vs_rich_wls_ratio: f64,
-    /// Ratio of 10-s-old parameters for boards that have learnt all other paths before each path, as the reference has.
-    pub aged_10_s_after_other_paths_vs_rich_wls_ratio: f64,
-    /// See above.
-    pub frozen_vs_rich_wls_ratio: f64,
-    /// Plain batch least squares over the reference.
-    pub plain_wls_vs_rich_wls_ratio: f64,
-    /// The aged parameters over plain batch least squares.
-    pub aged_10_s_vs_plain_wls_ratio: f64,
-    /// The longest of the paths' times to 1.1, s.
-    pub within_1_1_worst_s: Option<f64>,
-    /// Decisions of the guard by reason.
-    pub decisions_count: BTreeMap<String, u32>,
-    /// Ticks in which what was learnt was cut.
-    pub learned_clipped_ticks_count: u32,
-    /// Largest feed-forward torque asked with 30 rad/s² on one joint after another, over the torque limit.
-    pub torque_at_30_rad_s2_over_limit_ratio: f64,
-    /// Ticks, and rows learnt from.
-    pub ticks_count: u32,
-    /// See above.
-    pub rows_accepted_count: u32,
-    /// Path by path.
-    pub paths: Vec<PathScores>,
-}
 
 type Set = ParameterSet<N, P>;
 
@@ -170,13 +116,6 @@ impl Board {
     }
 }
 
-/// Torques of the parameters as they were before each row, of older ones, and of the data sheet, through the filter of
-/// the figures.
-struct Predictions {
-    newest: Vec<f64>,
-    aged: Vec<f64>,
-    frozen: Vec<f64>,
-}
 
 /// Plays a stretch to the board. `history` holds the sets of the last ten seconds.
 fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Predictions {

@@ -1,6 +1,6 @@
 //! `report.html` and text of the replay.
 
-use super::{PathScores, ReplayReport};
+use super::record::{PathScores, ReplayReport};
 use crate::Outcome;
 use crate::real_ur5::joint_rows;
 use foretorque_workbench::report::page::{Page, Section, ratio};

@@ -1,7 +1,7 @@
 //! Squared errors of the moving rows, joint by joint, and their quotients.
 
 use super::logs::{Row, Stretch};
-use super::{GATE_RAD_S, N, PathScores, Predictions};
+use super::record::{GATE_RAD_S, N, PathScores, Predictions};
 use crate::real_ur5::geometric_mean;
 
 /// Squared errors of one kind of prediction.

@@ -1,4 +1,4 @@
-//! The base parameters: which standard parameters torque can see, and how the others hide in them.
+//! Base parameters: the identifiable combinations of the standard parameters.
 
 use super::{Joints, ReferenceModel, State};
 use crate::robot::{LINK_PARAMETERS, Robot};
@@ -7,7 +7,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Random states behind the rank decision; each gives N equations, 4 times as many as there are unknowns.
-const STATES: usize = 44;
+pub(crate) const STATES: usize = 44;
 
 /// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Dependent
 /// columns leave about 1e-15 here, independent ones above 1e-3 (UR5).
@@ -140,17 +140,21 @@ impl Robot {
 }
 
 fn stacked_regressor<const N: usize>(model: &ReferenceModel<N>) -> DMatrix<f64> {
-    let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut w = DMatrix::zeros(STATES * N, (LINK_PARAMETERS + 1) * N);
-    for state in 0..STATES {
-        let mut draw = |size: f64| Joints::<N>::from_fn(|_, _| random.random_range(-size..=size));
-        // Velocities and accelerations of a size at which inertia, velocity and gravity terms weigh alike.
-        let sample = State {
-            q: draw(std::f64::consts::PI),
-            qd: draw(3.0),
-            qdd: draw(10.0),
-        };
-        model.regressor_into(&sample, &mut w, state * N);
+    for (k, state) in random_states(STATES).iter().enumerate() {
+        model.regressor_into(state, &mut w, k * N);
     }
     w
+}
+
+/// Seeded states at which inertia, velocity and gravity terms weigh alike.
+pub(crate) fn random_states<const N: usize>(count: usize) -> Vec<State<N>> {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut draw = |size: f64| Joints::from_fn(|_, _| random.random_range(-size..=size));
+    let states = (0..count).map(|_| State {
+        q: draw(std::f64::consts::PI),
+        qd: draw(3.0),
+        qdd: draw(10.0),
+    });
+    states.collect()
 }

@@ -17,13 +17,19 @@ pub struct State<const N: usize> {
     pub qdd: Joints<N>,
 }
 
+impl<const N: usize> State<N> {
+    /// Rest at `q`, rad.
+    pub fn rest(q: Joints<N>) -> Self {
+        let (qd, qdd) = (Joints::zeros(), Joints::zeros());
+        Self { q, qd, qdd }
+    }
+}
+
 /// One link: where its joint sits and how its mass is distributed.
 #[derive(Clone, Copy, Debug)]
 struct Body {
     placement: Placement,
-    mass: f64,
-    com: Vector3<f64>,
-    inertia_com: Matrix3<f64>,
+    link: Link,
     rotor_inertia: f64,
 }
 
@@ -48,19 +54,12 @@ struct Kinematics<const N: usize> {
 impl<const N: usize> ReferenceModel<N> {
     /// The model of a robot; `None` when it has not `N` joints.
     pub fn new(robot: &Robot) -> Option<Self> {
-        let bodies: Vec<Body> = robot
-            .joints
-            .iter()
-            .map(|joint| Body {
-                placement: joint.placement,
-                mass: joint.link.mass,
-                com: joint.link.com,
-                inertia_com: joint.link.inertia_com,
-                rotor_inertia: joint.drive.rotor_inertia,
-            })
-            .collect();
         Some(Self {
-            bodies: bodies.try_into().ok()?,
+            bodies: robot.each(|joint| Body {
+                placement: joint.placement,
+                link: joint.link,
+                rotor_inertia: joint.drive.rotor_inertia,
+            })?,
             gravity: robot.gravity,
         })
     }
@@ -69,15 +68,7 @@ impl<const N: usize> ReferenceModel<N> {
     pub fn with_payload(&self, payload: &Link) -> Self {
         let mut loaded = self.clone();
         if let Some(last) = loaded.bodies.last_mut() {
-            let hand = Link {
-                mass: last.mass,
-                com: last.com,
-                inertia_com: last.inertia_com,
-            };
-            let both = Link::lumped(&[hand, *payload]).unwrap_or(hand);
-            last.mass = both.mass;
-            last.com = both.com;
-            last.inertia_com = both.inertia_com;
+            last.link = Link::lumped(&[last.link, *payload]).unwrap_or(last.link);
         }
         loaded
     }
@@ -123,13 +114,13 @@ impl<const N: usize> ReferenceModel<N> {
         let mut mass = SMatrix::<f64, N, N>::zeros();
         for (k, body) in self.bodies.iter().enumerate() {
             let rot = &kinematics.rot[k];
-            let com = kinematics.origin[k] + rot * body.com;
-            let inertia = rot * body.inertia_com * rot.transpose();
+            let com = kinematics.origin[k] + rot * body.link.com;
+            let inertia = rot * body.link.inertia_com * rot.transpose();
             let mut partial = [Vector3::zeros(); N];
             for j in 0..=k {
                 let axis = &kinematics.axis[j];
                 partial[j] = axis.cross(&(com - kinematics.origin[j]));
-                let momentum = body.mass * partial[j];
+                let momentum = body.link.mass * partial[j];
                 let spin = inertia * axis;
                 for i in 0..=j {
                     mass[(i, j)] += partial[i].dot(&momentum) + kinematics.axis[i].dot(&spin);
@@ -160,13 +151,13 @@ impl<const N: usize> ReferenceModel<N> {
                 velocity += kinematics.omega[k - 1].cross(&lever);
             }
             let (rot, omega) = (&kinematics.rot[k], &kinematics.omega[k]);
-            let lever = rot * body.com;
+            let lever = rot * body.link.com;
             let speed = velocity + omega.cross(&lever);
             let spin = rot.transpose() * omega;
-            energy += 0.5 * body.mass * speed.norm_squared()
-                + 0.5 * spin.dot(&(body.inertia_com * spin))
+            energy += 0.5 * body.link.mass * speed.norm_squared()
+                + 0.5 * spin.dot(&(body.link.inertia_com * spin))
                 + 0.5 * body.rotor_inertia * qd[k] * qd[k]
-                - body.mass * self.gravity.dot(&(kinematics.origin[k] + lever));
+                - body.link.mass * self.gravity.dot(&(kinematics.origin[k] + lever));
         }
         energy
     }
@@ -175,7 +166,7 @@ impl<const N: usize> ReferenceModel<N> {
     /// `regressor · robot.standard_parameters() = inverse_dynamics`.
     ///
     /// Link wrench about its origin o, in the link frame, with `U = [α]× + [ω]×²`:
-    /// `F = m a + U (m c)`, `n_o = (m c) × a + I α + ω × I ω`; joint j feels `z_j · (n_o + (o − o_j) × F)`.
+    /// `F = m a + U (m c)`, `n_o = (m c) × a + I α + ω × I ω`; the torque of joint j is `z_j · (n_o + (o − o_j) × F)`.
     pub fn regressor(&self, state: &State<N>) -> DMatrix<f64> {
         let mut rows = DMatrix::zeros(N, (LINK_PARAMETERS + 1) * N);
         self.regressor_into(state, &mut rows, 0);
@@ -220,7 +211,7 @@ impl<const N: usize> ReferenceModel<N> {
         let mut origin = Vector3::zeros();
         let mut omega = Vector3::zeros();
         let mut alpha = Vector3::zeros();
-        // An arm at rest on a base that accelerates with −g feels the same forces as one in the field g.
+        // An arm at rest on a base that accelerates with −g has the same forces as one in the field g.
         let mut acceleration = -self.gravity;
         for (k, body) in self.bodies.iter().enumerate() {
             let step = rot * body.placement.origin;
@@ -247,15 +238,15 @@ impl<const N: usize> ReferenceModel<N> {
         for (k, body) in self.bodies.iter().enumerate() {
             let rot = &kinematics.rot[k];
             let (omega, alpha) = (&kinematics.omega[k], &kinematics.alpha[k]);
-            let lever = rot * body.com;
+            let lever = rot * body.link.com;
             let acceleration = kinematics.acceleration[k]
                 + alpha.cross(&lever)
                 + omega.cross(&omega.cross(&lever));
-            let force = body.mass * acceleration;
+            let force = body.link.mass * acceleration;
             let spin = rot.transpose() * omega;
             let moment = rot
-                * (body.inertia_com * (rot.transpose() * alpha)
-                    + spin.cross(&(body.inertia_com * spin)));
+                * (body.link.inertia_com * (rot.transpose() * alpha)
+                    + spin.cross(&(body.link.inertia_com * spin)));
             let com = kinematics.origin[k] + lever;
             for j in 0..=k {
                 let axis = &kinematics.axis[j];

@@ -1,4 +1,4 @@
-//! The reference dynamics: f64, in a formulation of its own, so that it can judge the firmware's recursion.
+//! The reference dynamics: f64, in a formulation of its own, as a reference for the firmware's recursion.
 //!
 //! The firmware runs Newton–Euler in link frames with moments about link origins. Here nothing is passed from link to
 //! link but world-frame kinematics: the Newton–Euler equations of every link, about its centre of mass, are projected on
@@ -7,8 +7,8 @@
 mod base_parameters;
 mod kane;
 
-pub(crate) use base_parameters::independent_columns;
 pub use base_parameters::{BaseMap, BaseMapTerm};
+pub(crate) use base_parameters::{STATES, independent_columns, random_states};
 pub use kane::{Joints, ReferenceModel, State};
 
 #[cfg(test)]

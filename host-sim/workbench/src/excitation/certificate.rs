@@ -1,20 +1,8 @@
-//! The certificate: every limit checked again on a fine grid, with bounds for what lies between its points.
+//! The certificate of an excitation: every limit with its worst value.
 
-use super::information::{Criterion, NOISE, SAMPLES, condition_number};
-use super::objective::Objective;
-use super::rates::{MotionBounds, TorqueRates};
-use super::rows::{Frames, Rows};
-use super::series::Extremes;
-use super::{Excitation, ExcitationError};
-use crate::dynamics::{Joints, ReferenceModel, State};
-use crate::metrics::MOVING_RAD_S;
-use crate::robot::Robot;
+use super::error::ExcitationError;
+use super::information::Criterion;
 use serde::Serialize;
-use std::f64::consts::TAU;
-
-/// Fewest points of a period that are checked; never farther apart than [`STEP_S`].
-const POINTS: usize = 10_000;
-const STEP_S: f64 = 1e-3;
 
 /// One limit, and the worst that the path makes of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -33,6 +21,63 @@ pub struct LimitCheck {
     pub margin: f64,
 }
 
+impl LimitCheck {
+    /// A value that must not exceed its limit.
+    pub(super) fn at_most(
+        limit: &'static str,
+        of: &str,
+        unit: &'static str,
+        value: (f64, f64),
+    ) -> Self {
+        let (worst, allowed) = value;
+        let margin = allowed - worst;
+        Self {
+            limit,
+            of: of.to_owned(),
+            unit,
+            worst,
+            allowed,
+            margin,
+        }
+    }
+
+    /// A value that must not fall below its limit.
+    pub(super) fn at_least(
+        limit: &'static str,
+        of: &str,
+        unit: &'static str,
+        value: (f64, f64),
+    ) -> Self {
+        let margin = value.0 - value.1;
+        Self {
+            margin,
+            ..Self::at_most(limit, of, unit, value)
+        }
+    }
+
+    /// Margin over the limit. Metres of clearance have no size of their own: against a tenth of a metre.
+    pub(super) fn relative_margin(&self) -> f64 {
+        self.margin / self.allowed.abs().max(0.1)
+    }
+
+    /// The error of a limit that is not kept.
+    pub(super) fn violation(&self) -> ExcitationError {
+        ExcitationError::Unkept {
+            limit: format!("{} of {}", self.limit, self.of),
+            reached: quantity(self.worst, self.unit),
+            required: quantity(self.allowed, self.unit),
+        }
+    }
+}
+
+/// A value with its unit; numbers without one stand alone.
+fn quantity(value: f64, unit: &str) -> String {
+    match unit {
+        "1" => format!("{value:.4}"),
+        unit => format!("{value:.4} {unit}"),
+    }
+}
+
 /// Limits that were checked before an excitation was handed out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Certificate {
@@ -40,7 +85,7 @@ pub struct Certificate {
     pub holds: bool,
     /// Points of one period that were checked.
     pub points: usize,
-    /// How values between the points are covered.
+    /// Bounds used between the points.
     pub between_points: &'static str,
     /// Every limit with its worst value.
     pub limits: Vec<LimitCheck>,
@@ -68,208 +113,10 @@ pub struct Certificate {
     pub version: &'static str,
 }
 
-/// Facts about the search that a certificate reports.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Provenance {
-    pub(super) criterion: Criterion,
-    pub(super) starts: usize,
-    pub(super) condition_limit: f64,
-    pub(super) range_rad: f64,
-}
-
-const BETWEEN: &str = "position, velocity, acceleration: K h^2/8 with K the bound of the second derivative of the series; \
-clearance and torque: h/2 times a bound of their rate of change around each point";
-const CONDITION_NOTE: &str = "raw SI base regressor of the links, first independent columns from left to right; it depends on \
-link frames and columns: compare with the same frames and columns only";
-
-/// Checks `excitation` against the limits of `robot`, its ranges no wider than ±`range_rad`.
-///
-/// Errors: a robot that has not `N` joints, an empty range, parameters that the path cannot tell apart.
-pub(super) fn certify<const N: usize>(
-    robot: &Robot,
-    excitation: &Excitation,
-    objective: &Objective<N>,
-    origin: &Provenance,
-) -> Result<Certificate, ExcitationError> {
-    let other_size = || ExcitationError::Shape {
-        problem: format!("{} joints where {N} are expected", robot.joint_count()),
-    };
-    let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
-    let step = excitation.period_s / points as f64;
-    let states: Vec<State<N>> = (0..points)
-        .map(|k| excitation.at(k as f64 * step))
-        .collect();
-    let mut limits = joint_limits(robot, excitation, points, origin.range_rad)?;
-    limits.extend(torque_limits(robot, excitation, &states, step).ok_or_else(other_size)?);
-    limits.extend(clearance_limits(excitation, objective, &states, step));
-
-    let board = Rows::<N>::new(robot, Frames::Board).ok_or_else(other_size)?;
-    let experiment = &objective.experiment;
-    // Every tenth point: sums over a smooth periodic function do not need more.
-    let sparse: Vec<State<N>> = states.iter().step_by(10).copied().collect();
-    let (condition_dh, worth) = experiment
-        .figures(&objective.rows, &sparse)
-        .ok_or(ExcitationError::Unseen)?;
-    let condition_board = condition_number(&board, &sparse);
-    if origin.criterion == Criterion::Constrained {
-        limits.push(LimitCheck {
-            limit: "condition number",
-            of: "base regressor of the links, standard DH frames".to_owned(),
-            unit: "1",
-            worst: condition_dh,
-            allowed: origin.condition_limit,
-            margin: origin.condition_limit - condition_dh,
-        });
-    }
-    Ok(Certificate {
-        holds: limits.iter().all(|check| check.margin >= 0.0),
-        points,
-        between_points: BETWEEN,
-        limits,
-        condition_number_columns: objective.rows.link_count(),
-        condition_number_dh: condition_dh,
-        condition_number_board: condition_board,
-        condition_number_note: CONDITION_NOTE,
-        predicted_nrmse_percent: 100.0 * worth.ln_error.exp(),
-        predicted_nrmse_note: format!(
-            "weighted least squares on {SAMPLES} samples at 1 kHz, white torque noise of {} % of the torque limits, base, \
-             rotor, viscous and Coulomb parameters ({} columns), task: 4 quintic via-point paths of 30 s; rows below {MOVING_RAD_S} \
-             rad/s left out on both sides",
-            100.0 * NOISE,
-            objective.rows.count()
-        ),
-        ln_spread: worth.ln_spread,
-        criterion: origin.criterion,
-        seed: excitation.seed,
-        starts: origin.starts,
-        version: env!("CARGO_PKG_VERSION"),
-    })
-}
-
-fn joint_limits(
-    robot: &Robot,
-    excitation: &Excitation,
-    points: usize,
-    range_rad: f64,
-) -> Result<Vec<LimitCheck>, ExcitationError> {
-    let rooms = Extremes::of_limits(robot, range_rad, 1.0)?;
-    let omega = TAU / excitation.period_s;
-    let mut checks = Vec::new();
-    for ((joint, series), room) in robot.joints.iter().zip(&excitation.joints).zip(&rooms) {
-        let seen = series.extremes(omega, points);
-        let mut push = |limit, unit, worst: f64, allowed: f64, margin| {
-            checks.push(LimitCheck {
-                limit,
-                of: joint.name.clone(),
-                unit,
-                worst,
-                allowed,
-                margin,
-            });
-        };
-        let (below, above) = (seen.q.0 - room.q.0, room.q.1 - seen.q.1);
-        if below < above {
-            push("position", "rad", seen.q.0, room.q.0, below);
-        } else {
-            push("position", "rad", seen.q.1, room.q.1, above);
-        }
-        push("velocity", "rad/s", seen.qd, room.qd, room.qd - seen.qd);
-        push(
-            "acceleration",
-            "rad/s^2",
-            seen.qdd,
-            room.qdd,
-            room.qdd - seen.qdd,
-        );
-    }
-    Ok(checks)
-}
-
-/// Bounds of the motion within half a step of `state`.
-fn around<const N: usize>(state: &State<N>, jerk: &Joints<N>, step: f64) -> MotionBounds<N> {
-    let qdd = state.qdd.abs() + jerk * (0.5 * step);
-    MotionBounds {
-        qd: state.qd.abs() + qdd * (0.5 * step),
-        qdd,
-        jerk: *jerk,
-    }
-}
-
-fn jerks<const N: usize>(excitation: &Excitation) -> Joints<N> {
-    let omega = TAU / excitation.period_s;
-    Joints::from_fn(|j, _| excitation.joints[j].higher_bounds(omega).0)
-}
-
-/// Rigid body and rotors exactly, friction at its largest.
-fn torque_limits<const N: usize>(
-    robot: &Robot,
-    excitation: &Excitation,
-    states: &[State<N>],
-    step: f64,
-) -> Option<Vec<LimitCheck>> {
-    let model = ReferenceModel::<N>::new(robot)?;
-    let rates = TorqueRates::<N>::new(robot)?;
-    let jerk = jerks(excitation);
-    let mut worst = Joints::<N>::zeros();
-    for state in states {
-        let bounds = around(state, &jerk, step);
-        let rigid = model.inverse_dynamics(state).abs() + rates.bound(&bounds) * (0.5 * step);
-        for (j, joint) in robot.joints.iter().enumerate() {
-            let friction = &joint.friction;
-            let drag = friction.viscous * bounds.qd[j]
-                + friction.coulomb * (1.0 + friction.stribeck_ratio)
-                + friction.cogging;
-            worst[j] = worst[j].max(rigid[j] + drag);
-        }
-    }
-    let check = |(j, joint): (usize, &crate::robot::Joint)| LimitCheck {
-        limit: "torque",
-        of: joint.name.clone(),
-        unit: "N*m",
-        worst: worst[j],
-        allowed: joint.limits.torque,
-        margin: joint.limits.torque - worst[j],
-    };
-    Some(robot.joints.iter().enumerate().map(check).collect())
-}
-
-fn clearance_limits<const N: usize>(
-    excitation: &Excitation,
-    objective: &Objective<N>,
-    states: &[State<N>],
-    step: f64,
-) -> Vec<LimitCheck> {
-    let clearances = &objective.clearances;
-    let jerk = jerks(excitation);
-    let mut worst = vec![f64::INFINITY; clearances.count()];
-    let mut distances = worst.clone();
-    for state in states {
-        clearances.write(&state.q, &mut distances);
-        let speeds = around(state, &jerk, step).qd;
-        for (index, distance) in distances.iter().enumerate() {
-            let between = clearances.rate(index, &speeds) * 0.5 * step;
-            worst[index] = worst[index].min(distance - between);
-        }
-    }
-    worst
-        .into_iter()
-        .enumerate()
-        .map(|(index, worst)| LimitCheck {
-            limit: "clearance",
-            of: clearances.name(index),
-            unit: "m",
-            worst,
-            allowed: clearances.asked,
-            margin: worst - clearances.asked,
-        })
-        .collect()
-}
-
 impl Certificate {
     /// The limit that is missed most, relative to its size.
     pub fn worst_limit(&self) -> Option<&LimitCheck> {
-        // Metres of clearance have no size of their own: against a tenth of a metre.
-        let relative = |check: &LimitCheck| check.margin / check.allowed.abs().max(0.1);
+        let relative = LimitCheck::relative_margin;
         self.limits
             .iter()
             .min_by(|a, b| relative(a).total_cmp(&relative(b)))

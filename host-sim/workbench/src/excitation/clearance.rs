@@ -19,8 +19,8 @@ pub(super) struct Clearances<const N: usize> {
     names: Vec<String>,
     pairs: Vec<Pair>,
     table_height: f64,
-    /// Distance asked for, m.
-    pub(super) asked: f64,
+    /// Required distance, m.
+    pub(super) required: f64,
     /// For each pair and joint: metres by which the distance changes, at most, for one radian.
     levers: Vec<[f64; N]>,
 }
@@ -29,7 +29,7 @@ impl<const N: usize> Clearances<N> {
     /// Links two or more apart keep clear of each other (neighbours share a joint housing), all but the first of the
     /// table (it carries the arm and keeps its height). `None` when the robot has not `N` joints.
     pub(super) fn new(robot: &Robot) -> Option<Self> {
-        let placements: Vec<Placement> = robot.joints.iter().map(|j| j.placement).collect();
+        let placements: [Placement; N] = robot.each(|joint| joint.placement)?;
         let capsules: Vec<Vec<Capsule>> = robot.joints.iter().map(|j| j.capsules.clone()).collect();
         let solid = |k: &usize| !capsules[*k].is_empty();
         let mut pairs = Vec::new();
@@ -40,7 +40,6 @@ impl<const N: usize> Clearances<N> {
             let outer = (inner + 2..N).filter(solid);
             pairs.extend(outer.map(|outer| Pair::Links { inner, outer }));
         }
-        let placements: [Placement; N] = placements.try_into().ok()?;
         let levers = pairs
             .iter()
             .map(|pair| {
@@ -68,7 +67,7 @@ impl<const N: usize> Clearances<N> {
             names: robot.joints.iter().map(|j| j.name.clone()).collect(),
             pairs,
             table_height: robot.workspace.table_height.unwrap_or(f64::NEG_INFINITY),
-            asked: robot.workspace.clearance,
+            required: robot.workspace.clearance,
             levers,
         })
     }
@@ -88,10 +87,10 @@ impl<const N: usize> Clearances<N> {
         }
     }
 
-    /// More than the distance `index` can be in any pose, m; infinity where the poses must tell.
+    /// Upper bound of the distance `index` over all poses, m; infinity for two links.
     ///
-    /// What hangs on the second joint is no higher than the first plus the stretched chain.
-    pub(super) fn most(&self, index: usize) -> f64 {
+    /// The links after the first joint rise no higher than that joint plus the stretched chain.
+    pub(super) fn upper_bound(&self, index: usize) -> f64 {
         let Pair::Table { link } = self.pairs[index] else {
             return f64::INFINITY;
         };
@@ -107,8 +106,8 @@ impl<const N: usize> Clearances<N> {
 
     /// Largest speed of the distance `index` at joint speeds bounded by `speeds`, m/s.
     ///
-    /// A turn of joint i by dq moves what hangs on it by at most dq times its distance from the axis, which no pose makes
-    /// longer than the stretched chain.
+    /// A turn of joint i by dq moves a carried point by at most dq times its distance from the axis. No pose makes that
+    /// distance longer than the stretched chain.
     pub(super) fn rate(&self, index: usize, speeds: &Joints<N>) -> f64 {
         let levers = self.levers[index].iter();
         levers.zip(speeds.iter()).map(|(r, qd)| r * qd.abs()).sum()
@@ -186,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn no_pose_keeps_more_than_the_most() {
+    fn no_pose_exceeds_the_upper_bound() {
         let clearances = ur5();
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         let mut distances = vec![0.0; clearances.count()];
@@ -195,11 +194,11 @@ mod tests {
             clearances.write(&q, &mut distances);
             for (i, distance) in distances.iter().enumerate() {
                 let name = clearances.name(i);
-                assert!(*distance <= clearances.most(i) + 1e-12, "{name}");
+                assert!(*distance <= clearances.upper_bound(i) + 1e-12, "{name}");
             }
         }
         // The stretched arm stands nearly that high.
-        let table = clearances.most(1);
+        let table = clearances.upper_bound(1);
         assert!(table.is_finite() && table < 1.0, "{table}");
     }
 

@@ -1,6 +1,6 @@
-//! Why there is no excitation.
+//! Errors of an excitation.
 
-/// Why an excitation was refused, or not found.
+/// Reason for which an excitation is refused, or not found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ExcitationError {
     /// It belongs to another robot.
@@ -8,7 +8,7 @@ pub enum ExcitationError {
     Robot {
         /// Robot of the file.
         found: String,
-        /// Robot asked for.
+        /// Robot expected.
         expected: String,
     },
     /// Another number of joints or harmonics than expected, or a coefficient or period that makes no sense.
@@ -23,21 +23,21 @@ pub enum ExcitationError {
         /// The joint, from 1.
         joint: usize,
     },
-    /// No pose at all is that far away.
+    /// No pose has that clearance.
     #[error(
-        "excitation: no path keeps all limits; in no pose is {of} clear by more than {most_m:.3} m, asked for {asked_m} m"
+        "excitation: no path keeps all limits; in no pose is {of} clear by more than {largest_m:.3} m, asked for {required_m} m"
     )]
     OutOfReach {
         /// Names of the two bodies.
         of: String,
-        /// More than can be had, m.
-        most_m: f64,
+        /// Upper bound of the clearance over all poses, m.
+        largest_m: f64,
         /// Distance that is required, m.
-        asked_m: f64,
+        required_m: f64,
     },
     /// No start of the search ended inside all limits.
     #[error(
-        "excitation: no path keeps all limits; the best one has {limit} {reached}, asked for {asked}"
+        "excitation: no path keeps all limits; the best one has {limit} {reached}, asked for {required}"
     )]
     Unkept {
         /// The limit that was missed by the best start.
@@ -45,9 +45,18 @@ pub enum ExcitationError {
         /// Value that was reached, with its unit.
         reached: String,
         /// Value that is required, with its unit.
-        asked: String,
+        required: String,
     },
-    /// Torque does not tell all parameters apart on any path that was tried.
+    /// Torque does not distinguish all parameters on any path that was tried.
     #[error("excitation: within these limits torque cannot see all base parameters")]
     Unseen,
+}
+
+impl ExcitationError {
+    /// The error of a robot that has not `expected` joints.
+    pub(super) fn joint_count(found: usize, expected: usize) -> Self {
+        Self::Shape {
+            problem: format!("{found} joints where {expected} are expected"),
+        }
+    }
 }

@@ -23,7 +23,7 @@ pub enum Criterion {
 
 /// Torque noise assumed, standard deviation as a share of the torque limit.
 pub(super) const NOISE: f64 = 0.01;
-/// Data assumed: 10 s at 1 kHz.
+/// Number of samples assumed: 10 s at 1 kHz.
 pub(super) const SAMPLES: f64 = 10_000.0;
 /// Width of the Coulomb columns' sign, rad/s, as in the firmware.
 pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
@@ -102,7 +102,7 @@ impl<const N: usize> Experiment<N> {
     }
 
     /// Figures of the path with the regressor rows `transposed` (one row a column, joints fastest); with `adjoint`, also
-    /// also d(shares · worth) / d(rows), added to it. `None` where parameters cannot be told apart.
+    /// d(shares · worth) / d(rows), added to it. `None` where parameters cannot be distinguished.
     ///
     /// With C the covariance, T the task and M = n/K Σ w wᵀ/σ²: error² = tr(C T), so
     /// `d ln error = −(C T C w / error²)·dw n/(K σ²)`; `d ln det M = 2 C w·dw …`;
@@ -183,7 +183,8 @@ impl<const N: usize> Experiment<N> {
         Some(worth)
     }
 
-    /// Condition number of the raw base regressor of the links, and what a path, given by its states, is worth; rows of joints that stand still count as unusable.
+    /// Condition number of the raw base regressor of the links, and the figures of the path through `states`; rows of joints
+    /// at rest count as unusable.
     pub(super) fn figures(&self, rows: &Rows<N>, states: &[State<N>]) -> Option<(f64, Worth)> {
         let mut transposed = transposed(rows, states);
         let condition = condition(&transposed, rows.link_count());

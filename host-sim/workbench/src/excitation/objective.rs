@@ -1,4 +1,4 @@
-//! The function a search makes small: the criterion, and a penalty for every limit that is not kept.
+//! Objective of the search: the criterion plus a penalty for every violated limit; and its descent by L-BFGS.
 
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, Worth};
@@ -6,10 +6,14 @@ use super::rows::Rows;
 use super::series::Extremes;
 use super::variables::{Bases, VARIABLES};
 use crate::dynamics::{Joints, State};
+use argmin::core::{CostFunction, Error, Executor, Gradient};
+use argmin::solver::linesearch::MoreThuenteLineSearch;
+use argmin::solver::quasinewton::LBFGS;
 use nalgebra::{DMatrix, DVector};
+use std::cell::RefCell;
 use std::f64::consts::TAU;
 
-/// Instants of a period on which a search looks at a path. The highest harmonic of the series has 50 a cycle.
+/// Instants of a period at which a search evaluates a path. The highest harmonic of the series has 50 a cycle.
 pub(super) const INSTANTS: usize = 250;
 /// A smoother sign than the certificate's, so that 250 instants resolve it, rad/s.
 const SIGN_WIDTH_RAD_S: f64 = 0.05;
@@ -25,7 +29,7 @@ pub(super) struct Objective<const N: usize> {
     pub(super) experiment: Experiment<N>,
     pub(super) clearances: Clearances<N>,
     /// Limits of the joints, as the search keeps them.
-    pub(super) rooms: Vec<Extremes>,
+    pub(super) limits: Vec<Extremes>,
     /// Torque limits less what friction beyond the columns may add, N·m.
     pub(super) torque: [f64; N],
     /// Nominal parameters of all columns.
@@ -33,74 +37,50 @@ pub(super) struct Objective<const N: usize> {
     pub(super) criterion: Criterion,
     pub(super) ln_condition_limit: f64,
     /// q, qd, qdd of each variable at each instant.
-    basis: Vec<[[f64; 3]; VARIABLES]>,
+    pub(super) basis: Vec<[[f64; 3]; VARIABLES]>,
 }
 
-/// How hard limits are pressed.
+/// q, qd, qdd of each variable at each instant of a period.
+pub(super) fn basis(bases: &Bases, period_s: f64) -> Vec<[[f64; 3]; VARIABLES]> {
+    let at = |k: usize, variable: usize| {
+        let mut one = [0.0; VARIABLES];
+        one[variable] = 1.0;
+        let t_s = period_s * k as f64 / INSTANTS as f64;
+        let (q, qd, qdd) = bases.series(&one).at(t_s, TAU / period_s);
+        [q, qd, qdd]
+    };
+    (0..INSTANTS)
+        .map(|k| std::array::from_fn(|variable| at(k, variable)))
+        .collect()
+}
+
+/// Weights and clearances of the penalties.
 #[derive(Clone, Debug)]
-pub(super) struct Pressure {
+pub(super) struct PenaltyWeights {
     /// Weight of the penalties.
     pub(super) weight: f64,
-    /// Distance asked for in each clearance, m: more than the limit, for what lies between the instants.
+    /// Required distance of each pair, m: the limit plus a margin for the time between the instants.
     pub(super) clearance: Vec<f64>,
 }
 
 impl<const N: usize> Objective<N> {
-    #[expect(clippy::too_many_arguments, reason = "one call, one constant model")]
-    pub(super) fn new(
-        rows: Rows<N>,
-        experiment: Experiment<N>,
-        clearances: Clearances<N>,
-        rooms: Vec<Extremes>,
-        torque: [f64; N],
-        parameters: DVector<f64>,
-        criterion: Criterion,
-        condition_limit: f64,
-        period_s: f64,
-    ) -> Self {
-        let (bases, omega) = (Bases::new(), TAU / period_s);
-        let basis = (0..INSTANTS)
-            .map(|k| {
-                std::array::from_fn(|variable| {
-                    let mut one = [0.0; VARIABLES];
-                    one[variable] = 1.0;
-                    let t_s = period_s * k as f64 / INSTANTS as f64;
-                    let (q, qd, qdd) = bases.series(&one).at(t_s, omega);
-                    [q, qd, qdd]
-                })
-            })
-            .collect();
-        Self {
-            rows,
-            experiment,
-            clearances,
-            rooms,
-            torque,
-            parameters,
-            criterion,
-            ln_condition_limit: condition_limit.ln(),
-            basis,
-        }
-    }
-
     fn state(&self, instant: usize, variables: &[f64]) -> State<N> {
-        let zero = Joints::zeros();
-        let (mut q, mut qd, mut qdd) = (zero, zero, zero);
+        let mut state = State::rest(Joints::zeros());
         for (j, own) in variables.chunks_exact(VARIABLES).enumerate() {
             for (x, [of_q, of_qd, of_qdd]) in own.iter().zip(&self.basis[instant]) {
-                q[j] += x * of_q;
-                qd[j] += x * of_qd;
-                qdd[j] += x * of_qdd;
+                state.q[j] += x * of_q;
+                state.qd[j] += x * of_qd;
+                state.qdd[j] += x * of_qdd;
             }
         }
-        State { q, qd, qdd }
+        state
     }
 
     /// Value at `variables` (9 a joint), and its gradient where `gradient` is given.
     pub(super) fn value(
         &self,
         variables: &[f64],
-        pressure: &Pressure,
+        penalties: &PenaltyWeights,
         gradient: Option<&mut [f64]>,
     ) -> f64 {
         let width = self.rows.count();
@@ -112,27 +92,27 @@ impl<const N: usize> Objective<N> {
         {
             self.rows.write(state, SIGN_WIDTH_RAD_S, block);
         }
-        let wanted = gradient.is_some();
-        let mut adjoint = DMatrix::zeros(width, if wanted { INSTANTS * N } else { 0 });
-        let shares = |worth: &Worth| self.shares(worth, pressure.weight).1;
-        let worth = self
-            .experiment
-            .worth(&transposed, shares, wanted.then_some(&mut adjoint));
+        let with_gradient = gradient.is_some();
+        let mut adjoint = DMatrix::zeros(width, if with_gradient { INSTANTS * N } else { 0 });
+        let shares = |worth: &Worth| self.shares(worth, penalties.weight).1;
+        let worth =
+            self.experiment
+                .worth(&transposed, shares, with_gradient.then_some(&mut adjoint));
         let Some(worth) = worth else {
             if let Some(gradient) = gradient {
                 gradient.fill(0.0);
             }
             return UNSEEN;
         };
-        let mut value = self.shares(&worth, pressure.weight).0;
+        let mut value = self.shares(&worth, penalties.weight).0;
         // Derivatives of the penalties with respect to q, qd, qdd at every instant.
         let mut slopes = vec![[[0.0; 3]; N]; INSTANTS];
-        let each = pressure.weight / INSTANTS as f64;
+        let each = penalties.weight / INSTANTS as f64;
         let mut distances = vec![0.0; self.clearances.count()];
         for (k, state) in states.iter().enumerate() {
             value += each * self.joint_penalty(state, each, &mut slopes[k]);
             value += each
-                * self.clearance_penalty(state, pressure, &mut distances, |j, slope| {
+                * self.clearance_penalty(state, penalties, &mut distances, |j, slope| {
                     slopes[k][j][0] += each * slope;
                 });
             for j in 0..N {
@@ -141,7 +121,7 @@ impl<const N: usize> Objective<N> {
                 let over = tau.abs() / self.torque[j] - 1.0;
                 if over > 0.0 {
                     value += each * over * over;
-                    if wanted {
+                    if with_gradient {
                         let slope = 2.0 * each * over * tau.signum() / self.torque[j];
                         adjoint
                             .column_mut(k * N + j)
@@ -193,16 +173,16 @@ impl<const N: usize> Objective<N> {
         (value, share)
     }
 
-    /// Squares of what exceeds the joints' limits, relative to them; `each` times the slopes is added to `slopes`.
+    /// Squared excess over the joints' limits, relative to them; `each` times the slopes is added to `slopes`.
     fn joint_penalty(&self, state: &State<N>, each: f64, slopes: &mut [[f64; 3]; N]) -> f64 {
         let mut penalty = 0.0;
-        for (j, room) in self.rooms.iter().enumerate() {
-            let half = 0.5 * (room.q.1 - room.q.0);
-            let from_middle = state.q[j] - 0.5 * (room.q.0 + room.q.1);
+        for (j, allowed) in self.limits.iter().enumerate() {
+            let half = 0.5 * (allowed.q.1 - allowed.q.0);
+            let from_middle = state.q[j] - 0.5 * (allowed.q.0 + allowed.q.1);
             let limited = [
                 (from_middle, half),
-                (state.qd[j], room.qd),
-                (state.qdd[j], room.qdd),
+                (state.qd[j], allowed.qd),
+                (state.qdd[j], allowed.qdd),
             ];
             for (d, (value, limit)) in limited.into_iter().enumerate() {
                 let over = value.abs() / limit - 1.0;
@@ -215,20 +195,20 @@ impl<const N: usize> Objective<N> {
         penalty
     }
 
-    /// Squares of what is missing in the clearances; `slope(joint, derivative)` is called where something is.
+    /// Squared shortfalls of the clearances; `slope(joint, derivative)` is called where one is not zero.
     fn clearance_penalty(
         &self,
         state: &State<N>,
-        pressure: &Pressure,
+        penalties: &PenaltyWeights,
         distances: &mut [f64],
         mut slope: impl FnMut(usize, f64),
     ) -> f64 {
         const STEP_RAD: f64 = 1e-6;
         let mut penalty = |q: &Joints<N>| -> f64 {
             self.clearances.write(q, distances);
-            let missing = distances.iter().zip(&pressure.clearance);
-            missing
-                .map(|(d, asked)| ((asked - d) / CLEARANCE_SCALE_M).max(0.0).powi(2))
+            let pairs = distances.iter().zip(&penalties.clearance);
+            pairs
+                .map(|(d, required)| ((required - d) / CLEARANCE_SCALE_M).max(0.0).powi(2))
                 .sum()
         };
         let here = penalty(&state.q);
@@ -276,5 +256,80 @@ impl<const N: usize> Objective<N> {
                 }
             }
         }
+    }
+}
+
+/// Pairs that the quasi-Newton method remembers.
+const MEMORY: usize = 20;
+
+/// The best point seen in at most `iterations` from `variables` on.
+pub(super) fn descend<const N: usize>(
+    objective: &Objective<N>,
+    penalties: &PenaltyWeights,
+    variables: Vec<f64>,
+    iterations: usize,
+) -> Vec<f64> {
+    let problem = Problem {
+        objective,
+        penalties,
+        last: RefCell::new(None),
+        best: RefCell::new((f64::INFINITY, variables.clone())),
+    };
+    let solver = LBFGS::new(MoreThuenteLineSearch::new(), MEMORY);
+    // A line search that finds no better point ends a round early; the best point seen counts either way.
+    let _ = Executor::new(&problem, solver)
+        .configure(|state| state.param(variables).max_iters(iterations as u64))
+        .timer(false)
+        .run();
+    problem.best.into_inner().1
+}
+
+/// Variables, value and gradient of one evaluation.
+type Evaluation = (Vec<f64>, f64, Vec<f64>);
+
+/// The objective in the form of the solver, which requests value and gradient in turn: one evaluation gives both.
+struct Problem<'a, const N: usize> {
+    objective: &'a Objective<N>,
+    penalties: &'a PenaltyWeights,
+    last: RefCell<Option<Evaluation>>,
+    best: RefCell<(f64, Vec<f64>)>,
+}
+
+impl<const N: usize> Problem<'_, N> {
+    fn evaluated<T>(&self, variables: &[f64], pick: impl Fn(f64, &[f64]) -> T) -> T {
+        if let Some((known, value, gradient)) = &*self.last.borrow()
+            && known == variables
+        {
+            return pick(*value, gradient);
+        }
+        let mut gradient = vec![0.0; variables.len()];
+        let value = self
+            .objective
+            .value(variables, self.penalties, Some(&mut gradient));
+        let picked = pick(value, &gradient);
+        let mut best = self.best.borrow_mut();
+        if value < best.0 {
+            *best = (value, variables.to_vec());
+        }
+        *self.last.borrow_mut() = Some((variables.to_vec(), value, gradient));
+        picked
+    }
+}
+
+impl<const N: usize> CostFunction for &Problem<'_, N> {
+    type Param = Vec<f64>;
+    type Output = f64;
+
+    fn cost(&self, variables: &Vec<f64>) -> Result<f64, Error> {
+        Ok(self.evaluated(variables, |value, _| value))
+    }
+}
+
+impl<const N: usize> Gradient for &Problem<'_, N> {
+    type Param = Vec<f64>;
+    type Gradient = Vec<f64>;
+
+    fn gradient(&self, variables: &Vec<f64>) -> Result<Vec<f64>, Error> {
+        Ok(self.evaluated(variables, |_, gradient| gradient.to_vec()))
     }
 }

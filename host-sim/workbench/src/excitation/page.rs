@@ -1,6 +1,7 @@
 //! The excitation as a page: the paper's Fig. 3, and the certificate.
 
-use super::{Certificate, Excitation};
+use super::certificate::Certificate;
+use super::path::Excitation;
 use crate::dynamics::{Joints, State};
 use crate::report::page::{Legend, Page, Section};
 use crate::report::plot::{self, Curve, Panel, PlotColor, PlotError};

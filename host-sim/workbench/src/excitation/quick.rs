@@ -1,10 +1,10 @@
-//! A quick excitation: the best of many random series, for jobs that must not wait for a search.
+//! A quick excitation: the best of many random series, without the time of a search.
 
+use super::error::ExcitationError;
+use super::path::Excitation;
 use super::rows::{Frames, Rows};
-use super::series::Extremes;
-use super::{Excitation, ExcitationError, JointSeries, ORDER};
+use super::series::{Extremes, JointSeries, ORDER};
 use crate::robot::Robot;
-use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
@@ -38,7 +38,7 @@ impl Default for QuickConfig {
 
 impl Excitation {
     /// Best of many random candidates: the one whose stacked base regressor, in the frames of the board, has the smallest
-    /// condition number. Keeps limits of position, speed and acceleration; knows nothing of table and links.
+    /// condition number. Keeps limits of position, speed and acceleration, and ignores table and links.
     ///
     /// Every candidate starts and ends at rest and is scaled radially into the limits, so that all are feasible.
     /// `progress` is called after every candidate.
@@ -50,17 +50,16 @@ impl Excitation {
         config: &QuickConfig,
         mut progress: impl FnMut(),
     ) -> Result<Self, ExcitationError> {
-        let rows = Rows::<N>::new(robot, Frames::Board).ok_or_else(|| ExcitationError::Shape {
-            problem: format!("{} joints where {N} are expected", robot.joint_count()),
-        })?;
-        let rooms = Extremes::of_limits(robot, config.range_rad, config.limit_share)?;
+        let rows = Rows::<N>::new(robot, Frames::Board)
+            .ok_or_else(|| ExcitationError::joint_count(robot.joint_count(), N))?;
+        let limits = Extremes::of_limits(robot, config.range_rad, config.limit_share)?;
         let omega = TAU / config.period_s;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut best: Option<(f64, Self)> = None;
         for _ in 0..config.candidates.max(1) {
-            let joints: Vec<JointSeries> = rooms
+            let joints: Vec<JointSeries> = limits
                 .iter()
-                .map(|room| JointSeries::random(room, omega, CHECK_POINTS, 1.0, &mut random))
+                .map(|limits| JointSeries::random(limits, omega, CHECK_POINTS, 1.0, &mut random))
                 .collect();
             let candidate = Self {
                 robot: robot.name.clone(),
@@ -84,17 +83,9 @@ impl Excitation {
     fn condition_number<const N: usize>(&self, rows: &Rows<N>) -> f64 {
         const INSTANTS: usize = 100;
         let rigid = rows.count() - 2 * N;
-        let mut block = vec![0.0; N * rows.count()];
-        let mut stacked = DMatrix::zeros(INSTANTS * N, rigid);
-        for k in 0..INSTANTS {
-            let state = self.at::<N>(self.period_s * k as f64 / INSTANTS as f64);
-            rows.write(&state, 1.0, &mut block);
-            for j in 0..N {
-                for c in 0..rigid {
-                    stacked[(k * N + j, c)] = block[j * rows.count() + c];
-                }
-            }
-        }
+        let instants = (0..INSTANTS).map(|k| self.at(self.period_s * k as f64 / INSTANTS as f64));
+        let stacked = rows.stacked(&instants.collect::<Vec<_>>());
+        let stacked = stacked.columns(0, rigid).into_owned();
         let values = stacked.tr_mul(&stacked).symmetric_eigenvalues();
         (values.max() / values.min().max(f64::MIN_POSITIVE)).sqrt()
     }
@@ -145,16 +136,16 @@ mod tests {
         }
         let omega = TAU / excitation.period_s;
         for series in &excitation.joints {
-            let seen = series.extremes(omega, CHECK_POINTS);
-            let used = (seen.qd / PI)
-                .max(seen.qdd / 10.0)
-                .max((seen.q.1 - seen.q.0) / (2.0 * PI));
+            let extremes = series.extremes(omega, CHECK_POINTS);
+            let used = (extremes.qd / PI)
+                .max(extremes.qdd / 10.0)
+                .max((extremes.q.1 - extremes.q.0) / (2.0 * PI));
             assert!((0.94..=0.9501).contains(&used), "{used}");
         }
     }
 
     #[test]
-    fn velocity_and_acceleration_are_derivatives_of_the_position_line() {
+    fn velocity_and_acceleration_are_derivatives_of_position() {
         let (_, excitation) = quick(2);
         let h = 1e-4;
         for k in 0..50 {

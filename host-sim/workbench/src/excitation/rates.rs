@@ -1,4 +1,4 @@
-//! How fast the drive torques can change: what lies between two instants of a certificate.
+//! Bounds of the rate of the drive torques, for the time between two points of a certificate.
 
 use crate::dynamics::Joints;
 use crate::robot::{Placement, Robot};
@@ -29,17 +29,13 @@ pub(super) struct MotionBounds<const N: usize> {
 impl<const N: usize> TorqueRates<N> {
     /// `None` when the robot has not `N` joints.
     pub(super) fn new(robot: &Robot) -> Option<Self> {
-        let each = |of: &dyn Fn(&crate::robot::Joint) -> f64| -> Option<[f64; N]> {
-            let values: Vec<f64> = robot.joints.iter().map(of).collect();
-            values.try_into().ok()
-        };
         let length = |placement: &Placement| Vector3::norm(&placement.origin);
         Some(Self {
-            mass: each(&|joint| joint.link.mass)?,
-            inertia: each(&|joint| joint.link.inertia_com.symmetric_eigenvalues().max())?,
-            rotor: each(&|joint| joint.drive.rotor_inertia)?,
-            com: each(&|joint| joint.link.com.norm())?,
-            step: each(&|joint| length(&joint.placement))?,
+            mass: robot.each(|joint| joint.link.mass)?,
+            inertia: robot.each(|joint| joint.link.inertia_com.symmetric_eigenvalues().max())?,
+            rotor: robot.each(|joint| joint.drive.rotor_inertia)?,
+            com: robot.each(|joint| joint.link.com.norm())?,
+            step: robot.each(|joint| length(&joint.placement))?,
             gravity: robot.gravity.norm(),
         })
     }

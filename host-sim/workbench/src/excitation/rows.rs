@@ -1,10 +1,8 @@
 //! Rows of the base regressor in the link frames of the description, with rotor and friction columns.
 
-use crate::dynamics::{Joints, ReferenceModel, State, independent_columns};
+use crate::dynamics::{ReferenceModel, STATES, State, independent_columns, random_states};
 use crate::robot::{LINK_PARAMETERS, Placement, Robot};
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Frames in which the inertial parameters of a link are expressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,7 +13,7 @@ pub(super) enum Frames {
     Board,
 }
 
-/// Regressor of rigid body and friction over the columns that torque can tell apart.
+/// Regressor of rigid body and friction over the independent columns.
 ///
 /// Columns: base parameters of the links, base rotor inertias, then a viscous and a Coulomb column a joint.
 #[derive(Clone, Debug)]
@@ -29,24 +27,15 @@ pub(super) struct Rows<const N: usize> {
     rotor_columns: Vec<usize>,
 }
 
-/// Random states behind the choice of the columns, as many as for the board's base map.
-const STATES: usize = 44;
-
 impl<const N: usize> Rows<N> {
     /// `None` when the robot has not `N` joints.
     pub(super) fn new(robot: &Robot, frames: Frames) -> Option<Self> {
-        let placements: Vec<Placement> = robot.joints.iter().map(|j| j.placement).collect();
-        let ends: Vec<Placement> = robot
-            .joints
-            .iter()
-            .map(|joint| match frames {
+        let mut rows = Self {
+            placements: robot.each(|joint| joint.placement)?,
+            frames: robot.each(|joint| match frames {
                 Frames::Dh => joint.dh_frame.unwrap_or_else(Placement::identity),
                 Frames::Board => Placement::identity(),
-            })
-            .collect();
-        let mut rows = Self {
-            placements: placements.try_into().ok()?,
-            frames: ends.try_into().ok()?,
+            })?,
             gravity: robot.gravity,
             link_columns: (0..N * LINK_PARAMETERS)
                 .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
@@ -151,7 +140,7 @@ impl<const N: usize> Rows<N> {
     }
 
     /// The rows of all `states`, stacked.
-    fn stacked(&self, states: &[State<N>]) -> DMatrix<f64> {
+    pub(super) fn stacked(&self, states: &[State<N>]) -> DMatrix<f64> {
         let width = self.count();
         let mut block = vec![0.0; N * width];
         let mut stacked = DMatrix::zeros(states.len() * N, width);
@@ -166,8 +155,8 @@ impl<const N: usize> Rows<N> {
         stacked
     }
 
-    /// Values of all columns' parameters for this robot: rigid ones by least squares from its exact torques (there is
-    /// nothing else they could be), friction from the description.
+    /// Values of all columns' parameters for this robot: rigid ones by least squares from its exact torques,
+    /// friction from the description.
     pub(super) fn parameters(&self, robot: &Robot) -> Option<DVector<f64>> {
         let model = ReferenceModel::<N>::new(robot)?;
         let rigid = self.link_columns.len() + self.rotor_columns.len();
@@ -190,27 +179,13 @@ impl<const N: usize> Rows<N> {
     }
 }
 
-/// States at which inertia, velocity and gravity terms weigh alike.
-fn random_states<const N: usize>(count: usize) -> Vec<State<N>> {
-    let mut random = ChaCha8Rng::seed_from_u64(1);
-    (0..count)
-        .map(|_| {
-            let mut draw = |size: f64| Joints::from_fn(|_, _| random.random_range(-size..=size));
-            State {
-                q: draw(std::f64::consts::PI),
-                qd: draw(3.0),
-                qdd: draw(10.0),
-            }
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::Joints;
 
     #[test]
-    fn ur5_has_36_link_columns_in_both_frames_and_they_give_its_torques() {
+    fn ur5_has_36_link_columns_in_both_frames() {
         let robot = Robot::load("ur5").expect("built in");
         let model = ReferenceModel::<6>::new(&robot).expect("six joints");
         for frames in [Frames::Dh, Frames::Board] {

@@ -1,14 +1,15 @@
-//! The search: seeded starts, a quasi-Newton method under growing pressure on the limits, a certificate for each result.
+//! The search: seeded starts, a quasi-Newton method with growing penalty weights, a certificate for each result.
 
-use super::certificate::{Certificate, Provenance, certify};
+use super::certificate::Certificate;
+use super::certify::{Provenance, certify};
 use super::clearance::Clearances;
-use super::descent::descend;
+use super::error::ExcitationError;
 use super::information::{Criterion, Experiment};
-use super::objective::{INSTANTS, Objective, Pressure};
+use super::objective::{INSTANTS, Objective, PenaltyWeights, basis, descend};
+use super::path::Excitation;
 use super::rows::{Frames, Rows};
-use super::series::Extremes;
+use super::series::{Extremes, JointSeries, ORDER};
 use super::variables::{Bases, VARIABLES};
-use super::{Excitation, ExcitationError, JointSeries, ORDER};
 use crate::dynamics::Joints;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
@@ -17,24 +18,24 @@ use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
 use std::num::NonZeroUsize;
 
-/// Share of the limits that a search uses: what lies between its instants takes 0.2 %.
+/// Share of the limits that a search uses: motion between its instants takes 0.2 %.
 const LIMIT_SHARE: f64 = 0.995;
 /// Share of the condition number's limit that a search uses.
 const CONDITION_SHARE: f64 = 0.998;
-/// Room for what lies between the points of the certificate: half its step at most, s.
+/// Half the largest step between the points of the certificate, s.
 const HALF_STEP_S: f64 = 0.5e-3;
-/// Weights of the penalties in the rounds that every start runs.
-const HEAT_WEIGHTS: [f64; 3] = [3.0, 30.0, 300.0];
-/// A round of those takes this fraction of the iterations.
-const HEAT_SHARE: usize = 8;
-/// One in so many starts goes on.
+/// Weights of the penalties in the coarse rounds, which every start runs.
+const COARSE_WEIGHTS: [f64; 3] = [3.0, 30.0, 300.0];
+/// A coarse round takes the iterations of a final round divided by this.
+const COARSE_DIVISOR: usize = 8;
+/// One start in this many enters the final rounds.
 const FINALIST_EVERY: usize = 4;
-/// Weights in the rounds of those that do. With the last, a limit that binds on one instant in fifty is exceeded by about
+/// Weights of the penalties in the final rounds. With the last, a limit that binds on one instant in fifty is exceeded by about
 /// 0.3 %.
 const FINAL_WEIGHTS: [f64; 2] = [3e3, 3e4];
-/// Rounds that press harder when the certificate finds a limit missed.
+/// Extra rounds with larger weights while the certificate reports a violated limit.
 const REPAIRS: usize = 4;
-/// Random candidates looked at for each start.
+/// Random candidates for each start.
 const POOL: usize = 8;
 
 /// Configuration of a search.
@@ -89,7 +90,7 @@ pub fn optimise<const N: usize>(
     let threads = config.threads.map_or_else(cores, NonZeroUsize::get);
     let starts = match given {
         Some(excitation) => vec![search.variables(excitation)],
-        None => search.starts()?,
+        None => search.starts(),
     };
     let finalists = starts.len().div_ceil(FINALIST_EVERY);
     let all = starts.len() + finalists;
@@ -99,11 +100,21 @@ pub fn optimise<const N: usize>(
         done += 1;
         progress(done, all);
     };
-    let mut heats = in_parallel(threads, &starts, |start| search.heat(start), &mut count);
+    let mut coarse = in_parallel(
+        threads,
+        &starts,
+        |start| search.coarse_search(start),
+        &mut count,
+    );
     // Stable: equal values keep the order of their starts.
-    heats.sort_by(|a, b| a.0.total_cmp(&b.0));
-    heats.truncate(finalists);
-    let mut results = in_parallel(threads, &heats, |heat| search.finish(&heat.1), &mut count);
+    coarse.sort_by(|a, b| a.0.total_cmp(&b.0));
+    coarse.truncate(finalists);
+    let mut results = in_parallel(
+        threads,
+        &coarse,
+        |(_, variables)| search.finish(variables),
+        &mut count,
+    );
     if let Some(excitation) = given {
         let kept = Excitation {
             seed: config.seed,
@@ -122,31 +133,30 @@ struct Search<'a, const N: usize> {
     objective: Objective<N>,
     bases: Bases,
     origin: Provenance,
-    /// Clearance asked for, with room for what lies between the certificate's points, m.
+    /// Required clearance plus a margin for the motion between the certificate's points, m.
     clearance: Vec<f64>,
 }
 
 impl<'a, const N: usize> Search<'a, N> {
     fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, ExcitationError> {
-        let other_size = || ExcitationError::Shape {
-            problem: format!("{} joints where {N} are expected", robot.joint_count()),
-        };
+        let other_size = || ExcitationError::joint_count(robot.joint_count(), N);
         let rows = Rows::<N>::new(robot, Frames::Dh).ok_or_else(other_size)?;
-        let rooms = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
+        let limits = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
         let clearances = Clearances::<N>::new(robot).ok_or_else(other_size)?;
         for index in 0..clearances.count() {
-            let (most_m, asked_m) = (clearances.most(index), clearances.asked);
-            if most_m < asked_m {
+            let (largest_m, required_m) = (clearances.upper_bound(index), clearances.required);
+            if largest_m < required_m {
                 return Err(ExcitationError::OutOfReach {
                     of: clearances.name(index),
-                    most_m,
-                    asked_m,
+                    largest_m,
+                    required_m,
                 });
             }
         }
-        let fastest = Joints::<N>::from_fn(|j, _| rooms[j].qd);
+        let fastest = Joints::<N>::from_fn(|j, _| limits[j].qd);
+        let base = clearances.required + 0.001;
         let clearance = (0..clearances.count())
-            .map(|index| clearances.asked + 0.001 + clearances.rate(index, &fastest) * HALF_STEP_S)
+            .map(|index| base + clearances.rate(index, &fastest) * HALF_STEP_S)
             .collect();
         let torque = std::array::from_fn(|j| {
             let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
@@ -156,21 +166,22 @@ impl<'a, const N: usize> Search<'a, N> {
         });
         let experiment = Experiment::new(robot, &rows).ok_or_else(other_size)?;
         let parameters = rows.parameters(robot).ok_or_else(other_size)?;
+        let bases = Bases::new();
         Ok(Self {
-            objective: Objective::new(
-                rows,
+            objective: Objective {
                 experiment,
                 clearances,
-                rooms,
+                limits,
                 torque,
                 parameters,
-                config.criterion,
-                config.condition_limit * CONDITION_SHARE,
-                config.period_s,
-            ),
+                criterion: config.criterion,
+                ln_condition_limit: (config.condition_limit * CONDITION_SHARE).ln(),
+                basis: basis(&bases, config.period_s),
+                rows,
+            },
             robot,
             config,
-            bases: Bases::new(),
+            bases,
             origin: Provenance {
                 criterion: config.criterion,
                 starts: config.starts,
@@ -182,97 +193,106 @@ impl<'a, const N: usize> Search<'a, N> {
     }
 
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
-    fn starts(&self) -> Result<Vec<Vec<f64>>, ExcitationError> {
+    fn starts(&self) -> Vec<Vec<f64>> {
         let omega = TAU / self.config.period_s;
-        let pressure = self.pressure(HEAT_WEIGHTS[0], 0.0);
+        let penalties = self.penalties(COARSE_WEIGHTS[0], 0.0);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
             .map(|stream| {
                 let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
                 random.set_stream(stream as u64);
                 let variables: Vec<f64> = self
                     .objective
-                    .rooms
+                    .limits
                     .iter()
-                    .flat_map(|room| {
+                    .flat_map(|limits| {
                         let share = random.random_range(0.4..1.0);
-                        let series = JointSeries::random(room, omega, INSTANTS, share, &mut random);
+                        let series =
+                            JointSeries::random(limits, omega, INSTANTS, share, &mut random);
                         self.bases.variables(&series)
                     })
                     .collect();
-                (self.objective.value(&variables, &pressure, None), variables)
+                let value = self.objective.value(&variables, &penalties, None);
+                (value, variables)
             })
             .collect();
         // Stable: equal values keep the order of their streams.
         pool.sort_by(|a, b| a.0.total_cmp(&b.0));
         pool.truncate(self.config.starts.max(1));
-        Ok(pool.into_iter().map(|(_, variables)| variables).collect())
+        pool.into_iter().map(|(_, variables)| variables).collect()
     }
 
     fn variables(&self, excitation: &Excitation) -> Vec<f64> {
-        let series = excitation.joints.iter();
-        series
-            .flat_map(|joint| self.bases.variables(joint))
-            .collect()
+        let variables = |joint| self.bases.variables(joint);
+        excitation.joints.iter().flat_map(variables).collect()
     }
 
-    fn pressure(&self, weight: f64, more_clearance: f64) -> Pressure {
-        Pressure {
+    fn penalties(&self, weight: f64, extra_clearance: f64) -> PenaltyWeights {
+        PenaltyWeights {
             weight,
-            clearance: self.clearance.iter().map(|c| c + more_clearance).collect(),
+            clearance: self.clearance.iter().map(|c| c + extra_clearance).collect(),
         }
     }
 
-    /// The first, soft rounds of a start: its value afterwards, and where it got to.
-    fn heat(&self, start: &[f64]) -> (f64, Vec<f64>) {
+    /// The coarse rounds of a start: value and variables at their end.
+    fn coarse_search(&self, start: &[f64]) -> (f64, Vec<f64>) {
         let mut variables = start.to_vec();
-        for weight in HEAT_WEIGHTS {
-            let iterations = self.config.iterations.div_ceil(HEAT_SHARE);
-            variables = self.descend(variables, &self.pressure(weight, 0.0), iterations);
+        for weight in COARSE_WEIGHTS {
+            let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
+            variables = descend(
+                &self.objective,
+                &self.penalties(weight, 0.0),
+                variables,
+                iterations,
+            );
         }
-        let last = self.pressure(HEAT_WEIGHTS[HEAT_WEIGHTS.len() - 1], 0.0);
+        let last = self.penalties(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1], 0.0);
         (self.objective.value(&variables, &last, None), variables)
     }
 
-    /// The last, hard rounds, to the certificate; pressed harder while a limit is missed.
-    fn finish(&self, heat: &[f64]) -> Result<Excitation, ExcitationError> {
-        let mut variables = heat.to_vec();
+    /// The final rounds and the certificate; repeated with larger weights while a limit is violated.
+    fn finish(&self, start: &[f64]) -> Result<Excitation, ExcitationError> {
+        let mut variables = start.to_vec();
         for weight in FINAL_WEIGHTS {
-            variables = self.descend(
+            variables = descend(
+                &self.objective,
+                &self.penalties(weight, 0.0),
                 variables,
-                &self.pressure(weight, 0.0),
                 self.config.iterations,
             );
         }
         let mut excitation = self.certified(self.fitted(&variables))?;
-        let last = FINAL_WEIGHTS[FINAL_WEIGHTS.len() - 1];
         for repair in 1..=REPAIRS {
-            if holds(&excitation) {
+            if excitation.certificate.as_ref().is_some_and(|c| c.holds) {
                 break;
             }
-            let pressure = self.pressure(last * 4.0_f64.powi(repair as i32), 0.001 * repair as f64);
-            variables = self.descend(variables, &pressure, self.config.iterations);
+            let penalties = self.penalties(
+                FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32),
+                0.001 * repair as f64,
+            );
+            variables = descend(
+                &self.objective,
+                &penalties,
+                variables,
+                self.config.iterations,
+            );
             excitation = self.certified(self.fitted(&variables))?;
         }
         Ok(excitation)
     }
 
-    fn descend(&self, variables: Vec<f64>, pressure: &Pressure, iterations: usize) -> Vec<f64> {
-        descend(&self.objective, pressure, variables, iterations)
-    }
-
-    /// The variables as a trajectory, what exceeds the joints' limits between the instants taken back.
+    /// The variables as a trajectory, shrunk where it exceeds the joints' limits between the instants.
     fn fitted(&self, variables: &[f64]) -> Excitation {
         let omega = TAU / self.config.period_s;
-        let room = |room: &Extremes| Extremes {
+        let full = |limits: &Extremes| Extremes {
             // From the search's share back to nearly the whole limit.
-            q: room.q,
-            qd: room.qd * (1.0 - 1e-6) / LIMIT_SHARE,
-            qdd: room.qdd * (1.0 - 1e-6) / LIMIT_SHARE,
+            q: limits.q,
+            qd: limits.qd * (1.0 - 1e-6) / LIMIT_SHARE,
+            qdd: limits.qdd * (1.0 - 1e-6) / LIMIT_SHARE,
         };
         let joints = variables
             .chunks_exact(VARIABLES)
-            .zip(&self.objective.rooms)
-            .map(|(own, limits)| self.bases.series(own).fitted(&room(limits), omega, 10_000))
+            .zip(&self.objective.limits)
+            .map(|(own, limits)| self.bases.series(own).fitted(&full(limits), omega, 10_000))
             .collect();
         Excitation {
             robot: self.robot.name.clone(),
@@ -322,14 +342,9 @@ impl<'a, const N: usize> Search<'a, N> {
                     best = Some((score, excitation));
                 }
             } else if let Some(check) = certificate.worst_limit() {
-                let short = -check.margin / check.allowed.abs().max(0.1);
+                let short = -check.relative_margin();
                 if missed.as_ref().is_none_or(|(least, _)| short < *least) {
-                    let error = ExcitationError::Unkept {
-                        limit: format!("{} of {}", check.limit, check.of),
-                        reached: quantity(check.worst, check.unit),
-                        asked: quantity(check.allowed, check.unit),
-                    };
-                    missed = Some((short, error));
+                    missed = Some((short, check.violation()));
                 }
             }
         }
@@ -341,18 +356,44 @@ impl<'a, const N: usize> Search<'a, N> {
     }
 }
 
-/// A value with its unit; numbers without one stand alone.
-fn quantity(value: f64, unit: &str) -> String {
-    match unit {
-        "1" => format!("{value:.4}"),
-        unit => format!("{value:.4} {unit}"),
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gradient_agrees_with_central_differences() {
+        let robot = Robot::load("ur5").expect("built in");
+        use Criterion::{Condition, Constrained, DOptimal, VOptimal};
+        for criterion in [Condition, DOptimal, VOptimal, Constrained] {
+            let config = SearchConfig {
+                criterion,
+                starts: 1,
+                ..SearchConfig::default()
+            };
+            let search = Search::<6>::new(&robot, &config).expect("six joints");
+            let start = search.starts().remove(0);
+            // Beyond the limits, so that every penalty takes part.
+            let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
+            let penalties = search.penalties(10.0, 0.0);
+            let mut gradient = vec![0.0; start.len()];
+            search
+                .objective
+                .value(&start, &penalties, Some(&mut gradient));
+            let size = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+            for v in 0..start.len() {
+                let h = 1e-5;
+                let at = |step: f64| {
+                    let mut moved = start.clone();
+                    moved[v] += step;
+                    search.objective.value(&moved, &penalties, None)
+                };
+                let expected = (at(h) - at(-h)) / (2.0 * h);
+                assert!(
+                    (gradient[v] - expected).abs() < 1e-4 * size,
+                    "{criterion:?}, variable {v}: {} {expected}",
+                    gradient[v]
+                );
+            }
+        }
     }
 }
-
-fn holds(excitation: &Excitation) -> bool {
-    let certificate = excitation.certificate.as_ref();
-    certificate.is_some_and(|certificate| certificate.holds)
-}
-
-#[cfg(test)]
-mod tests;

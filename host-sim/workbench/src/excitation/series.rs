@@ -1,6 +1,6 @@
-//! The finite Fourier series of one joint (eq. 17), and how it is brought inside limits.
+//! Finite Fourier series of one joint (eq. 17), and its scaling into limits.
 
-use super::ExcitationError;
+use super::error::ExcitationError;
 use crate::robot::Robot;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -39,7 +39,7 @@ impl Extremes {
         range_rad: f64,
         share: f64,
     ) -> Result<Vec<Self>, ExcitationError> {
-        let room = |(index, joint): (usize, &crate::robot::Joint)| {
+        let of_joint = |(index, joint): (usize, &crate::robot::Joint)| {
             let limits = &joint.limits;
             let low = limits.position.0.max(-range_rad);
             let high = limits.position.1.min(range_rad);
@@ -54,7 +54,7 @@ impl Extremes {
                 qdd: limits.acceleration * share,
             })
         };
-        robot.joints.iter().enumerate().map(room).collect()
+        robot.joints.iter().enumerate().map(of_joint).collect()
     }
 }
 
@@ -90,31 +90,31 @@ impl JointSeries {
     /// K h² / 8 between them.
     pub(super) fn extremes(&self, omega: f64, points: usize) -> Extremes {
         let step = TAU / omega / points as f64;
-        let mut seen = Extremes {
+        let mut extremes = Extremes {
             q: (f64::INFINITY, f64::NEG_INFINITY),
             qd: 0.0,
             qdd: 0.0,
         };
         for k in 0..points {
             let (q, qd, qdd) = self.at(k as f64 * step, omega);
-            seen.q = (seen.q.0.min(q), seen.q.1.max(q));
-            seen.qd = seen.qd.max(qd.abs());
-            seen.qdd = seen.qdd.max(qdd.abs());
+            extremes.q = (extremes.q.0.min(q), extremes.q.1.max(q));
+            extremes.qd = extremes.qd.max(qd.abs());
+            extremes.qdd = extremes.qdd.max(qdd.abs());
         }
         let (jerk, snap) = self.higher_bounds(omega);
         let between = step * step / 8.0;
-        seen.qdd += snap * between;
-        seen.qd += jerk * between;
-        seen.q.0 -= seen.qdd * between;
-        seen.q.1 += seen.qdd * between;
-        seen
+        extremes.qdd += snap * between;
+        extremes.qd += jerk * between;
+        extremes.q.0 -= extremes.qdd * between;
+        extremes.q.1 += extremes.qdd * between;
+        extremes
     }
 
-    /// A random series that rests at both ends and uses `share` of what some limit allows.
+    /// A random series that rests at both ends and uses `share` of its tightest limit.
     ///
     /// Rest at t = 0, and so at the period's end: Σ a_l = 0 and Σ l b_l = 0.
     pub(super) fn random(
-        room: &Extremes,
+        limits: &Extremes,
         omega: f64,
         points: usize,
         share: f64,
@@ -136,23 +136,26 @@ impl JointSeries {
             a_rad_s: a,
             b_rad_s: b,
         };
-        let seen = shape.extremes(omega, points);
-        let scale = share * room.scale(&seen);
-        // The offset is drawn from the room that the swing leaves.
-        let swing = (seen.q.1 - seen.q.0) * scale;
-        let left = ((room.q.1 - room.q.0) - swing).max(0.0);
+        let extremes = shape.extremes(omega, points);
+        let scale = share * limits.scale(&extremes);
+        // The offset is drawn from the range that the swing leaves free.
+        let swing = (extremes.q.1 - extremes.q.0) * scale;
+        let left = ((limits.q.1 - limits.q.0) - swing).max(0.0);
         Self {
-            q0_rad: room.q.0 - seen.q.0 * scale + left * random.random::<f64>(),
+            q0_rad: limits.q.0 - extremes.q.0 * scale + left * random.random::<f64>(),
             ..shape.scaled(scale)
         }
     }
 
-    /// This series inside `room`, its swing shrunk and its offset moved no more than needed.
-    pub(super) fn fitted(&self, room: &Extremes, omega: f64, points: usize) -> Self {
-        let seen = self.extremes(omega, points);
-        let scale = room.scale(&seen).min(1.0);
+    /// This series inside `limits`, its swing shrunk and its offset moved no more than needed.
+    pub(super) fn fitted(&self, limits: &Extremes, omega: f64, points: usize) -> Self {
+        let extremes = self.extremes(omega, points);
+        let scale = limits.scale(&extremes).min(1.0);
         let swing = |end: f64| (end - self.q0_rad) * scale;
-        let (low, high) = (room.q.0 - swing(seen.q.0), room.q.1 - swing(seen.q.1));
+        let (low, high) = (
+            limits.q.0 - swing(extremes.q.0),
+            limits.q.1 - swing(extremes.q.1),
+        );
         Self {
             q0_rad: self.q0_rad.max(low).min(high),
             ..self.scaled(scale)
@@ -170,11 +173,11 @@ impl JointSeries {
 }
 
 impl Extremes {
-    /// By how much a swing with the extremes `seen` may be multiplied.
-    fn scale(&self, seen: &Self) -> f64 {
-        let span = |room: &Self| room.q.1 - room.q.0;
-        (self.qd / seen.qd)
-            .min(self.qdd / seen.qdd)
-            .min(span(self) / span(seen))
+    /// Largest factor on a swing with the extremes `swing` that keeps these limits.
+    fn scale(&self, swing: &Self) -> f64 {
+        let span = |of: &Self| of.q.1 - of.q.0;
+        (self.qd / swing.qd)
+            .min(self.qdd / swing.qdd)
+            .min(span(self) / span(swing))
     }
 }

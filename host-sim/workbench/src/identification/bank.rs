@@ -5,6 +5,7 @@ use super::columns::Layout;
 use super::methods::Fit;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
+use foretorque::dynamics::COGGING_COLUMNS;
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::ParameterSet;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
@@ -39,8 +40,8 @@ pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
         column.deviation = deviations[place] as f32;
     }
     for (joint, amplitudes) in cogging.into_iter().flatten().enumerate() {
-        for (symbol, amplitude) in ["Gs", "Gc"].iter().zip(amplitudes) {
-            let name = format!("{symbol}{}", joint + 1);
+        for (column, amplitude) in COGGING_COLUMNS.into_iter().zip(amplitudes) {
+            let name = format!("{}{}", column.properties().symbol, joint + 1);
             let mut columns = bank.columns.iter_mut();
             let column = columns.find(|column| column.id.to_string() == name);
             // An arm without cogging has no such column and no amplitude either.

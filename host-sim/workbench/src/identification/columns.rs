@@ -3,85 +3,80 @@
 use super::error::UnknownName;
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::{LINK_PARAMETERS, Robot};
+use foretorque::dynamics::{FrictionColumn, FrictionPoint, SHEAR_WIDTH, STRIBECK_WIDTH};
 use nalgebra::{DMatrix, DVector};
 use std::fmt;
 use std::str::FromStr;
 
 /// Speed at which the smoothed sign of the Coulomb column has reached 76 %, rad/s, as on the board.
 pub(super) const SIGN_WIDTH_RAD_S: f64 = foretorque::dynamics::SIGN_WIDTH as f64;
-/// Width of the Stribeck peak, rad/s, as on the board.
-const STRIBECK_RAD_S: f64 = 0.09;
-/// Speed at which the shear-thinning column has fallen to a half, rad/s, as on the board.
-const SHEAR_RAD_S: f64 = 0.6;
 
 /// One friction term of a joint, linear in its parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrictionColumn {
-    /// `qd`
-    Viscous,
-    /// `tanh(qd / SIGN_WIDTH)`
-    Coulomb,
-    /// `1`
-    Offset,
-    /// `tanh(qd / SIGN_WIDTH) exp(−(qd / w)²)` with w = 0.09 rad/s
-    Stribeck,
-    /// `tanh(qd / SIGN_WIDTH) / (1 + (qd / w)²)` with w = 0.6 rad/s: shear thinning of the lubricant
-    ShearThinning,
+pub enum FrictionTerm {
+    /// A column of the board. `Load` is absent where gravity never moves the joint.
+    Board(FrictionColumn),
     /// `tanh(qd / SIGN_WIDTH) sqrt|qd|`
     Root,
     /// `qd³`
     Cubic,
-    /// `tanh(qd / SIGN_WIDTH) |G(q)|`, gravity torque of the description; absent where gravity never moves the joint
-    Load,
-    /// `sin(z q)`, z cycles a turn from the description
-    CoggingSine,
-    /// `cos(z q)`
-    CoggingCosine,
     /// `qd t`, t since the start of the log: viscous friction that changes as the drive warms up
     WarmUp,
 }
 
-use FrictionColumn::*;
+use FrictionTerm::*;
 
-impl FrictionColumn {
-    /// Symbol in a parameter bank, unit of the parameter, and whether the board has the column.
-    fn properties(self) -> (&'static str, &'static str, bool) {
+impl FrictionTerm {
+    /// Symbol, as in a parameter bank, and unit of the parameter.
+    fn symbol_and_unit(self) -> (&'static str, &'static str) {
         match self {
-            Viscous => ("Fv", "N·m·s/rad", true),
-            Coulomb => ("Fc", "N·m", true),
-            Offset => ("Fo", "N·m", true),
-            Stribeck => ("Fs", "N·m", true),
-            ShearThinning => ("Fb", "N·m", true),
-            Root => ("Fr", "N·m·(s/rad)^0.5", false),
-            Cubic => ("F3", "N·m·(s/rad)^3", false),
-            Load => ("Fl", "1", true),
-            CoggingSine => ("Gs", "N·m", true),
-            CoggingCosine => ("Gc", "N·m", true),
-            WarmUp => ("Fvt", "N·m/rad", false),
+            Board(column) => (column.properties().symbol, column.properties().unit),
+            Root => ("Fr", "N·m·(s/rad)^0.5"),
+            Cubic => ("F3", "N·m·(s/rad)^3"),
+            WarmUp => ("Fvt", "N·m/rad"),
         }
     }
 
     /// Viscous or Coulomb friction, which every drive has.
     pub(super) fn is_plain(self) -> bool {
-        matches!(self, Viscous | Coulomb)
+        matches!(
+            self,
+            Board(FrictionColumn::Viscous | FrictionColumn::Coulomb)
+        )
     }
 }
 
+const LOAD: FrictionTerm = Board(FrictionColumn::Load);
+
 /// A choice of friction terms.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ColumnSet(Vec<FrictionColumn>);
+pub struct ColumnSet(Vec<FrictionTerm>);
 
-/// Words of a column set and their columns.
-const WORDS: [(&str, &[FrictionColumn]); 8] = [
-    ("coulomb-viscous", &[Viscous, Coulomb]),
-    ("offset", &[Offset]),
-    ("stribeck", &[Stribeck, ShearThinning]),
-    ("sqrt", &[Root]),
-    ("cubic", &[Cubic]),
-    ("load", &[Load]),
-    ("cogging", &[CoggingSine, CoggingCosine]),
-    ("warm-up", &[WarmUp]),
+/// Order of the column sets, and so of the columns.
+const ORDER: [&str; 8] = [
+    "coulomb-viscous",
+    "offset",
+    "stribeck",
+    "sqrt",
+    "cubic",
+    "load",
+    "cogging",
+    "warm-up",
 ];
+
+/// Names of the column sets with their terms: sets of the board's columns, and those of the host.
+fn sets() -> Vec<(&'static str, Vec<FrictionTerm>)> {
+    let mut sets = Vec::from(ORDER.map(|name| (name, Vec::new())));
+    let board = FrictionColumn::ALL.map(|column| (column.properties().set, Board(column)));
+    let host = [("sqrt", Root), ("cubic", Cubic), ("warm-up", WarmUp)];
+    for (set, term) in board.into_iter().chain(host) {
+        match sets.iter_mut().find(|(name, _)| *name == set) {
+            Some((_, terms)) => terms.push(term),
+            None => sets.push((set, vec![term])),
+        }
+    }
+    sets
+}
 
 impl FromStr for ColumnSet {
     type Err = UnknownName;
@@ -90,18 +85,16 @@ impl FromStr for ColumnSet {
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         let mut set = Self::plain();
         for word in text.split('+').map(str::trim) {
-            let known = WORDS
-                .iter()
-                .filter(|(name, _)| [*name, "full"].contains(&word));
-            let found: Vec<FrictionColumn> =
-                known.flat_map(|(_, columns)| *columns).copied().collect();
+            let known = sets().into_iter();
+            let known = known.filter(|(name, _)| [*name, "full"].contains(&word));
+            let found: Vec<FrictionTerm> = known.flat_map(|(_, terms)| terms).collect();
             if found.is_empty() {
-                let names = WORDS.map(|(name, _)| name).join(", ");
-                return Err(UnknownName::Columns(word.to_owned(), names));
+                let names: Vec<&str> = sets().iter().map(|(name, _)| *name).collect();
+                return Err(UnknownName::Columns(word.to_owned(), names.join(", ")));
             }
-            for column in found {
-                if !set.0.contains(&column) {
-                    set.0.push(column);
+            for term in found {
+                if !set.0.contains(&term) {
+                    set.0.push(term);
                 }
             }
         }
@@ -112,20 +105,20 @@ impl FromStr for ColumnSet {
 impl ColumnSet {
     /// Viscous and Coulomb friction.
     pub fn plain() -> Self {
-        Self(WORDS[0].1.to_vec())
+        let terms = FrictionColumn::ALL.map(Board).into_iter();
+        Self(terms.filter(|term| term.is_plain()).collect())
     }
 
     /// The part of it that the board has, and the words for the rest.
     pub fn on_board(&self) -> (Self, Vec<&'static str>) {
-        let (known, other) = self.0.iter().partition(|column| column.properties().2);
+        let (known, other) = self.0.iter().partition(|term| matches!(term, Board(_)));
         (Self(known), Self(other).words())
     }
 
     fn words(&self) -> Vec<&'static str> {
-        let words = WORDS
-            .iter()
-            .filter(|(_, columns)| self.0.contains(&columns[0]));
-        words.map(|(name, _)| *name).collect()
+        let sets = sets().into_iter();
+        let chosen = sets.filter(|(_, terms)| self.0.contains(&terms[0]));
+        chosen.map(|(name, _)| name).collect()
     }
 }
 
@@ -143,7 +136,7 @@ pub struct Parameter {
     /// Unit.
     pub unit: &'static str,
     /// Friction term and joint, if it is one.
-    pub friction: Option<(FrictionColumn, usize)>,
+    pub friction: Option<(FrictionTerm, usize)>,
 }
 
 /// Order of the parameters, and the columns of each joint's equation.
@@ -159,8 +152,8 @@ pub struct Layout<const N: usize> {
     pub offset: [usize; N],
     /// Length of that row.
     pub width: usize,
-    /// Friction columns of each joint.
-    friction: [Vec<FrictionColumn>; N],
+    /// Friction terms of each joint.
+    friction: [Vec<FrictionTerm>; N],
     /// Standard parameter behind each base parameter.
     standard: Vec<usize>,
     model: ReferenceModel<N>,
@@ -211,18 +204,18 @@ impl<const N: usize> Layout<N> {
                 friction: None,
             });
         }
-        let friction = feels_gravity(&model).map(|feels| -> Vec<FrictionColumn> {
-            let columns = set.0.iter().copied();
-            columns.filter(|&column| feels || column != Load).collect()
+        let friction = feels_gravity(&model).map(|feels| -> Vec<FrictionTerm> {
+            let terms = set.0.iter().copied();
+            terms.filter(|&term| feels || term != LOAD).collect()
         });
         for (joint, active) in active.iter_mut().enumerate() {
-            for &column in &friction[joint] {
-                let (symbol, unit, _) = column.properties();
+            for &term in &friction[joint] {
+                let (symbol, unit) = term.symbol_and_unit();
                 active.push(parameters.len());
                 parameters.push(Parameter {
                     name: format!("{symbol}{}", joint + 1),
                     unit,
-                    friction: Some((column, joint)),
+                    friction: Some((term, joint)),
                 });
             }
         }
@@ -267,7 +260,7 @@ impl<const N: usize> Layout<N> {
 
     /// Widths w of two Gaussians `exp(−(qd / w)²)`, rad/s: height and area of the Stribeck and shear-thinning columns.
     pub(super) fn gaussian_widths(&self) -> [f64; 2] {
-        [STRIBECK_RAD_S, SHEAR_RAD_S * std::f64::consts::PI.sqrt()]
+        [STRIBECK_WIDTH, SHEAR_WIDTH * std::f64::consts::PI.sqrt()]
     }
 
     /// `[sin(z q), cos(z q)]` of every joint, z its cogging cycles a turn; zero where the description gives none.
@@ -290,7 +283,7 @@ impl<const N: usize> Layout<N> {
         table: &mut Vec<f64>,
     ) {
         self.model.regressor_into(state, scratch, 0);
-        let load = if self.friction.iter().any(|columns| columns.contains(&Load)) {
+        let load = if self.friction.iter().any(|terms| terms.contains(&LOAD)) {
             self.model.gravity_torques(&state.q)
         } else {
             Joints::zeros()
@@ -300,18 +293,19 @@ impl<const N: usize> Layout<N> {
             let active = &self.active[joint];
             let inertial = active[..active.len() - friction.len()].iter();
             table.extend(inertial.map(|&place| scratch[(joint, self.standard[place])]));
-            let sign = (qd / SIGN_WIDTH_RAD_S).tanh();
-            table.extend(friction.iter().map(|column| match column {
-                Viscous => qd,
-                Coulomb => sign,
-                Offset => 1.0,
-                Stribeck => sign * (-(qd / STRIBECK_RAD_S).powi(2)).exp(),
-                ShearThinning => sign / (1.0 + (qd / SHEAR_RAD_S).powi(2)),
-                Root => sign * qd.abs().sqrt(),
+            let (cogging_sin, cogging_cos) = (self.cogging[joint] * q).sin_cos();
+            let point = FrictionPoint {
+                qd,
+                sign: (qd / SIGN_WIDTH_RAD_S).tanh(),
+                load: load[joint],
+                cogging_sin,
+                cogging_cos,
+            };
+            let board = point.columns();
+            table.extend(friction.iter().map(|term| match term {
+                Board(column) => board[*column as usize],
+                Root => point.sign * qd.abs().sqrt(),
                 Cubic => qd.powi(3),
-                Load => sign * load[joint].abs(),
-                CoggingSine => (self.cogging[joint] * q).sin(),
-                CoggingCosine => (self.cogging[joint] * q).cos(),
                 WarmUp => qd * age_s,
             }));
         }
@@ -328,7 +322,7 @@ mod tests {
         let set = ColumnSet::from_str("coulomb-viscous+load").expect("known words");
         let layout = Layout::<6>::new(&robot, &set).expect("six joints");
         let friction = layout.parameters.iter().filter_map(|p| p.friction);
-        let load = friction.filter(|(column, _)| *column == Load);
+        let load = friction.filter(|(term, _)| *term == LOAD);
         let joints: Vec<usize> = load.map(|(_, joint)| joint).collect();
         // The first axis stands upright, the last one carries its link in the middle.
         assert_eq!(joints, [1, 2, 3, 4]);

@@ -13,11 +13,12 @@
 //! path-following Newton method minimises the whole. A conic solver from a library would need LAPACK for its semidefinite
 //! cones; 4 × 4 blocks need only the Cholesky factors of nalgebra.
 
-use super::columns::{FrictionColumn, Layout};
+use super::columns::{FrictionTerm::Board, Layout};
 use super::methods::Fit;
 use super::normal::solve;
 use crate::dynamics::BaseMap;
 use crate::robot::{LINK_PARAMETERS, Link, Robot};
+use foretorque::dynamics::FrictionColumn;
 use nalgebra::{DMatrix, DVector, Matrix4};
 
 /// A consistent fit, and the robot it describes.
@@ -173,8 +174,8 @@ impl Cone {
         for (k, parameter) in layout.parameters.iter().skip(layout.base).enumerate() {
             let friction = |joint: usize| &robot.joints[joint].friction;
             let described = match parameter.friction {
-                Some((FrictionColumn::Viscous, joint)) => friction(joint).viscous,
-                Some((FrictionColumn::Coulomb, joint)) => friction(joint).coulomb,
+                Some((Board(FrictionColumn::Viscous), joint)) => friction(joint).viscous,
+                Some((Board(FrictionColumn::Coulomb), joint)) => friction(joint).coulomb,
                 // Peaks, offsets and cogging have no sign; load friction has one, but no value in the description.
                 _ => continue,
             };
@@ -294,7 +295,8 @@ fn described<const N: usize>(robot: &Robot, layout: &Layout<N>, z: &DVector<f64>
         joint.drive.rotor_inertia = z[LINK_PARAMETERS * N + index];
         let of = |wanted: FrictionColumn| -> f64 {
             let mut own = layout.parameters.iter().skip(layout.base);
-            let place = own.position(|parameter| parameter.friction == Some((wanted, index)));
+            let place =
+                own.position(|parameter| parameter.friction == Some((Board(wanted), index)));
             place.map_or(0.0, |k| z[full + k])
         };
         let friction = &mut joint.friction;

@@ -10,10 +10,11 @@
 //! g_k ← d_kᵀ C_k⁻¹ d_k / γ_k,        γ_k = n_k − tr(C_k⁻¹ P_kk) / g_k,   P = (A + Λ)⁻¹
 //! ```
 
-use super::columns::{FrictionColumn, Layout};
+use super::columns::{FrictionTerm, Layout};
 use super::methods::Fit;
 use super::normal::{NormalEquations, solve};
 use crate::robot::Robot;
+use foretorque::dynamics::FrictionColumn;
 use nalgebra::{DMatrix, DVector};
 
 /// Standard deviation of the inertial parameters at g = 1, share of the description's.
@@ -113,19 +114,19 @@ fn inertial(robot: &Robot, base: usize) -> Option<Group> {
 
 /// One group for every kind of column but viscous and Coulomb friction, which every drive has.
 fn friction<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<Group> {
-    let mut kinds: Vec<FrictionColumn> = Vec::new();
+    let mut kinds: Vec<FrictionTerm> = Vec::new();
     for (kind, _) in layout.parameters.iter().filter_map(|p| p.friction) {
         if !kind.is_plain() && !kinds.contains(&kind) {
             kinds.push(kind);
         }
     }
-    let group = |kind: FrictionColumn| {
+    let group = |kind: FrictionTerm| {
         let (mut places, mut precision) = (Vec::new(), Vec::new());
         for (place, parameter) in layout.parameters.iter().enumerate() {
             if let Some((_, joint)) = parameter.friction.filter(|(own, _)| *own == kind) {
                 let unit = match kind {
                     // A share of the load already.
-                    FrictionColumn::Load => 1.0,
+                    FrictionTerm::Board(FrictionColumn::Load) => 1.0,
                     _ => robot.joints[joint].limits.torque,
                 };
                 places.push(place);

@@ -33,7 +33,7 @@ mod whole_log;
 
 pub use bank::bank_of_fit;
 pub use cogging::CoggingAmplitudes;
-pub use columns::{ColumnSet, FrictionColumn, Layout, Parameter};
+pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
 pub use dataset::SampleRow;
 pub use error::{IdentifyError, UnknownName};
 pub use filter::{Butterworth, despiked};

@@ -1,10 +1,11 @@
 //! Errors against known true parameters.
 
-use super::columns::{FrictionColumn, Layout};
+use super::columns::{FrictionTerm, Layout};
 use super::methods::Fit;
 use super::problem::TrainingData;
 use crate::robot::Robot;
 use crate::training::{Descent, PhysicalConfig};
+use foretorque::dynamics::FrictionColumn;
 use nalgebra::DVector;
 
 /// True parameters of the layout; `None` for a column that takes up friction of another kind.
@@ -12,9 +13,12 @@ pub(super) fn truths<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<O
     let base = robot.base_parameters();
     let mut out: Vec<Option<f64>> = base.into_iter().map(Some).collect();
     for parameter in layout.parameters.iter().skip(layout.base) {
-        out.push(parameter.friction.and_then(|(column, joint)| {
+        out.push(parameter.friction.and_then(|(term, joint)| {
             let friction = &robot.joints[joint].friction;
             let simple = friction.stribeck_ratio == 0.0;
+            let FrictionTerm::Board(column) = term else {
+                return Some(0.0);
+            };
             match column {
                 FrictionColumn::Viscous => simple.then_some(friction.viscous),
                 FrictionColumn::Coulomb => simple.then_some(friction.coulomb),

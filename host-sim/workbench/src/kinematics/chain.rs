@@ -27,9 +27,8 @@ struct Frames<const N: usize> {
 impl<const N: usize> Chain<N> {
     /// The arm with `tool` on its flange; `None` when the robot has not `N` joints.
     pub fn new(robot: &Robot, tool: &Placement) -> Option<Self> {
-        let placements: Vec<Placement> = robot.joints.iter().map(|j| j.placement).collect();
         Some(Self {
-            placements: placements.try_into().ok()?,
+            placements: robot.each(|joint| joint.placement)?,
             tip: robot.flange.then(tool),
         })
     }

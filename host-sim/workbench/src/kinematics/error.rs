@@ -1,6 +1,6 @@
-//! Why no joint positions put the tool where it is wanted.
+//! Errors of the inverse kinematics.
 
-/// Why a pose has no joint positions, or none to go on with.
+/// Reason for which a pose has no joint positions, or none that continues a branch.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum InverseError {
     /// The wrist would be farther from the shoulder than both links together are long.

@@ -1,4 +1,4 @@
-//! Events on the arm: payloads that come and go, pushes from outside.
+//! Events on the arm: payloads and external torques.
 
 use crate::dynamics::Joints;
 use crate::robot::Link;
@@ -8,30 +8,30 @@ use crate::robot::Link;
 pub struct Payload {
     /// The body, in the frame of the last link.
     pub body: Link,
-    /// Picked up at, s.
+    /// Pick-up time, s.
     pub from_s: f64,
-    /// Let go at, s.
+    /// Release time, s.
     pub to_s: f64,
 }
 
-/// A torque from outside on the joints: somebody leans on the arm, or it hits something.
+/// An external torque on the joints, for example a contact or a collision.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Push<const N: usize> {
     /// Torque on every joint while it lasts, N·m; positive accelerates +q.
     pub torque: Joints<N>,
-    /// It begins at, s.
+    /// Start, s.
     pub from_s: f64,
-    /// It has ended at, s.
+    /// End, s.
     pub to_s: f64,
 }
 
 /// Time in which a push rises, and falls again, s.
 const RISE_S: f64 = 0.01;
 
-/// All that will happen to an arm.
+/// All events of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Events<const N: usize> {
-    /// Payloads; the first one whose time it is counts.
+    /// Payloads; the first one whose interval contains the time counts.
     pub payloads: Vec<Payload>,
     /// Pushes; they add up.
     pub pushes: Vec<Push<N>>,
@@ -99,17 +99,13 @@ mod tests {
     }
 
     #[test]
-    fn a_payload_weighs_on_every_joint_by_its_lever_while_it_is_held_and_never_after() {
+    fn a_payload_loads_the_joints_only_while_it_is_held() {
         let body = Payload::cube(3.0, [0.02, -0.01, 0.05], 0.010, 0.020);
         let mut plant = arm(Events {
             payloads: vec![body],
             pushes: Vec::new(),
         });
-        let still = State {
-            q: Joints::<6>::zeros(),
-            qd: Joints::zeros(),
-            qdd: Joints::zeros(),
-        };
+        let still = State::rest(Joints::<6>::zeros());
         let before = plant.true_torque(&still);
         let mut loads = Vec::new();
         for _ in 0..30 {
@@ -120,7 +116,7 @@ mod tests {
             // The payload is looked at when a step begins: after tick 10 its first step has run.
             assert_eq!(*carried, (10..20).contains(&tick), "tick {tick}");
             if *carried {
-                // Stretched out, the shoulder feels the lever of 0.82 m and more.
+                // Stretched out, the shoulder carries a lever of 0.82 m and more.
                 assert!((torque[1] - before[1]).abs() > 3.0 * 9.81 * 0.75);
             } else {
                 assert!((torque - before).amax() < 1e-9);
@@ -129,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_push_moves_the_arm_and_leaves_the_torque_of_its_motion_alone() {
+    fn a_push_moves_the_arm_but_not_the_torque_of_a_motion() {
         let mut torque = Joints::zeros();
         torque[0] = 40.0;
         let push = Push {
@@ -148,11 +144,7 @@ mod tests {
         );
         assert_eq!(events.push_at(0.1), torque);
         let (mut pushed, mut left) = (arm(events), arm(Events::default()));
-        let hold = left.true_torque(&State {
-            q: Joints::zeros(),
-            qd: Joints::zeros(),
-            qdd: Joints::zeros(),
-        });
+        let hold = left.true_torque(&State::rest(Joints::zeros()));
         for _ in 0..150 {
             pushed.advance(&hold, 1e-3);
             left.advance(&hold, 1e-3);

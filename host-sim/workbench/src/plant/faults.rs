@@ -5,7 +5,7 @@ use crate::dynamics::Joints;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-/// Faults of the reports. The drives' own loops are not touched: they see what [`super::Plant::measure`] says.
+/// Faults of the reports. The drives' own loops use [`super::Plant::measure`] and are not affected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReportFaults {
     /// Factor on every reported torque: a wrong current sensor; negative = wrong sign.
@@ -16,7 +16,7 @@ pub struct ReportFaults {
     pub outlier_size: f64,
     /// Share of position values in which one of the encoder's upper bits has flipped.
     pub glitches: f64,
-    /// Share of reports that carry a number that is none.
+    /// Share of reports with a non-finite number.
     pub not_a_number: f64,
     /// Share of reports that never arrive.
     pub lost: f64,
@@ -91,7 +91,7 @@ impl ReportFaults {
     }
 }
 
-/// True with this probability. Draws nothing for what never happens, so that one fault does not shift another.
+/// True with this probability. Draws nothing at probability 0, so that one fault does not shift another.
 fn happens(probability: f64, random: &mut ChaCha8Rng) -> bool {
     probability > 0.0 && random.random::<f64>() < probability
 }
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn without_faults_a_report_is_the_measurement_and_the_noise_does_not_depend_on_faults() {
+    fn reports_equal_measurements_and_faults_keep_the_noise() {
         let clean = reports(ReportFaults::default());
         let bad = reports(ReportFaults {
             outliers: 0.01,
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_come_as_often_as_asked() {
+    fn faults_have_their_configured_shares() {
         let seen = reports(ReportFaults {
             torque_gain: -1.0,
             outliers: 0.01,
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_report_is_the_one_before_a_lost_one_is_none_and_a_broken_one_says_so() {
+    fn late_lost_and_broken_reports_have_their_shares() {
         let seen = reports(ReportFaults {
             lost: 0.05,
             late: 0.05,

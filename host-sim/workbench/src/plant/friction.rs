@@ -12,8 +12,8 @@ const SIGN_WIDTH_RAD_S: f64 = 0.005;
 /// ```text
 /// tau = d(t) v qd + (c (1 + s exp(−(qd / v_s)²)) + l |load|) tanh(qd / 0.005) + g sin(z q)
 /// ```
-/// with d(t) the warm-up drift and load the torque against gravity and velocity products. At qd = 0 the speed-dependent part is zero: a joint that stands still shows no friction
-/// and creeps under load instead of sticking.
+/// with d(t) the warm-up drift and load the torque against gravity and velocity products. At qd = 0 the speed-dependent
+/// part is zero: a joint at rest has no friction and creeps under load instead of sticking.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FrictionModel<const N: usize> {
     joints: [Friction; N],
@@ -25,9 +25,8 @@ pub(super) struct FrictionModel<const N: usize> {
 
 impl<const N: usize> FrictionModel<N> {
     pub(super) fn new(robot: &Robot, viscous_drift: f64, load: f64) -> Option<Self> {
-        let joints: Vec<Friction> = robot.joints.iter().map(|joint| joint.friction).collect();
         Some(Self {
-            joints: joints.try_into().ok()?,
+            joints: robot.each(|joint| joint.friction)?,
             viscous_drift,
             load,
         })
@@ -80,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn cogging_repeats_202_times_a_turn_drift_is_viscous_and_load_adds_coulomb_torque() {
+    fn cogging_is_periodic_drift_viscous_and_load_adds_coulomb() {
         let robot = Robot::load("ur5").expect("built in");
         let model = FrictionModel::<6>::new(&robot, 0.3 / 600.0, 0.0).expect("six joints");
         let q = Joints::<6>::repeat(0.3);

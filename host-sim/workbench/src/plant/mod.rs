@@ -1,4 +1,4 @@
-//! The simulated arm: rigid body, rotors, friction, sensors, and what may happen to it. f64, seeded, repeatable to the
+//! The simulated arm: rigid body, rotors, friction, sensors, events and faults. f64, seeded, repeatable to the
 //! last bit.
 
 mod events;
@@ -27,7 +27,7 @@ pub struct PlantConfig {
     pub viscous_drift: f64,
     /// Coulomb friction that grows with the load: share of the torque against gravity and velocity products.
     pub load_friction: f64,
-    /// Torque that the drives make, over the torque asked of them: the torque constants are wrong by this factor.
+    /// Ratio of delivered to commanded torque: error of the torque constants.
     pub drive_gain: f64,
 }
 
@@ -56,10 +56,10 @@ pub struct Measurement<const N: usize> {
 /// An arm that moves under joint torques.
 #[derive(Clone, Debug)]
 pub struct Plant<const N: usize> {
-    /// The arm with what it carries.
+    /// The arm with its payload.
     model: ReferenceModel<N>,
-    /// The arm with nothing in its hand.
-    bare: ReferenceModel<N>,
+    /// The arm without payload.
+    unloaded: ReferenceModel<N>,
     events: Events<N>,
     carried: Option<usize>,
     friction: FrictionModel<N>,
@@ -81,13 +81,13 @@ impl<const N: usize> Plant<N> {
     /// An arm at rest in q = 0; `None` when the robot has not `N` joints.
     pub fn new(robot: &Robot, config: PlantConfig, seed: u64) -> Option<Self> {
         let zero = Joints::zeros();
-        let bare = ReferenceModel::new(robot)?;
+        let unloaded = ReferenceModel::new(robot)?;
         // A stream of its own: an arm whose reports are damaged has the same noise as one whose are not.
         let mut fault_random = ChaCha8Rng::seed_from_u64(seed);
         fault_random.set_stream(1);
         Some(Self {
-            model: bare.clone(),
-            bare,
+            model: unloaded.clone(),
+            unloaded,
             events: Events::default(),
             carried: None,
             friction: FrictionModel::new(robot, config.viscous_drift, config.load_friction)?,
@@ -189,8 +189,9 @@ impl<const N: usize> Plant<N> {
         }
     }
 
-    /// Report of a measurement beyond the drives: damaged, an old one, or none. In `q` and `tau` as [`measure`](Self::measure)
-    /// [`measure`](Self::measure) gave them.
+    /// Report of a measurement beyond the drives: damaged, delayed, or lost.
+    ///
+    /// * `measured` result of [`measure`](Self::measure)
     pub fn report(&mut self, measured: &Measurement<N>) -> Option<Measurement<N>> {
         let fresh = self
             .faults
@@ -199,8 +200,7 @@ impl<const N: usize> Plant<N> {
         self.faults.delivered(fresh, before, &mut self.fault_random)
     }
 
-    /// The torque that must be asked of the drives for this motion, free of noise, at the arm's present age and with
-    /// what it carries, N·m.
+    /// Torque that the drives need for this motion, free of noise, at the arm's present age and payload, N·m.
     pub fn true_torque(&self, motion: &State<N>) -> Joints<N> {
         let bias = self.model.bias(&motion.q, &motion.qd);
         let (friction, _) = self
@@ -214,14 +214,14 @@ impl<const N: usize> Plant<N> {
         self.carried.and_then(|k| self.events.payloads.get(k))
     }
 
-    /// Makes the model that of the arm with what it carries at this time.
+    /// Updates the model to the payload at this time.
     fn pick_or_release(&mut self) {
         let carried = self.events.payload_at(self.t_s);
         if carried != self.carried {
             self.carried = carried;
             self.model = match self.carried() {
-                Some(payload) => self.bare.with_payload(&payload.body),
-                None => self.bare.clone(),
+                Some(payload) => self.unloaded.with_payload(&payload.body),
+                None => self.unloaded.clone(),
             };
         }
     }
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn the_step_of_8_khz_is_within_a_milliradian_of_a_step_16_times_finer() {
+    fn a_step_at_8_khz_is_within_a_milliradian_of_a_finer_one() {
         let fine = played(128_000.0);
         let coarse = (played(8000.0).q() - fine.q()).amax();
         let halved = (played(16_000.0).q() - fine.q()).amax();
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn sensors_round_to_encoder_counts_and_carry_one_percent_of_noise() {
+    fn sensors_round_to_counts_and_carry_one_percent_of_noise() {
         let robot = truth();
         let mut plant = Plant::<6>::new(&robot, PlantConfig::default(), 3).expect("six joints");
         plant.place(&Joints::repeat(0.123_456));

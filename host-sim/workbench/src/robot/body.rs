@@ -1,10 +1,12 @@
-//! Mass distributions: which ones exist, and how several become one.
+//! Mass distributions of links: checks, conversions, lumping, seeded perturbation.
 
-use super::{LINK_PARAMETERS, Link, Placement};
+use super::{LINK_PARAMETERS, Link, Placement, Robot};
 use nalgebra::{Matrix3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 impl Link {
-    /// Why no body has this inertia tensor (kg·m², about the centre of mass), if so.
+    /// Defect of an inertia tensor (kg·m², about the centre of mass) that no body has; `None` for a possible one.
     ///
     /// The principal moments of a body are positive, and none exceeds the sum of the others.
     pub fn inertia_problem(inertia: &Matrix3<f64>) -> Option<&'static str> {
@@ -68,4 +70,81 @@ impl Link {
             inertia_com: parts.iter().map(about_com).sum(),
         })
     }
+}
+
+/// Distance of a robot from its description.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Perturbation {
+    /// Largest relative change of masses, centres of mass and inertias.
+    pub inertial: f64,
+    /// Factor on every rotor inertia.
+    pub rotor: f64,
+    /// Factor on viscous and Coulomb friction.
+    pub friction: f64,
+    /// Keep the Stribeck peak and the cogging torque.
+    pub rich_friction: bool,
+}
+
+impl Perturbation {
+    /// The plant for acceptance: ±20 % on the inertial parameters, everything else as described.
+    pub const PLANT: Self = Self {
+        inertial: 0.2,
+        rotor: 1.0,
+        friction: 1.0,
+        rich_friction: true,
+    };
+
+    /// The wrong prior, relative to the plant: inertial parameters 20 % off, rotor inertia −20 %, viscous and Coulomb
+    /// friction −40 %, no Stribeck peak, no cogging.
+    pub const WRONG_PRIOR: Self = Self {
+        inertial: 0.2,
+        rotor: 0.8,
+        friction: 0.6,
+        rich_friction: false,
+    };
+}
+
+impl Robot {
+    /// This robot with its mass distribution and friction varied; the same seed gives the same robot.
+    ///
+    /// Every link stays a possible body. The plant for acceptance is `robot.perturbed(seed, &Perturbation::PLANT)`, the
+    /// wrong prior is that plant perturbed again by [`Perturbation::WRONG_PRIOR`] with another seed.
+    pub fn perturbed(&self, seed: u64, spec: &Perturbation) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut robot = self.clone();
+        for joint in &mut robot.joints {
+            joint.link = perturbed_link(&joint.link, spec.inertial, &mut random);
+            joint.drive.rotor_inertia *= spec.rotor;
+            joint.friction.viscous *= spec.friction;
+            joint.friction.coulomb *= spec.friction;
+            if !spec.rich_friction {
+                joint.friction.stribeck_ratio = 0.0;
+                joint.friction.cogging = 0.0;
+            }
+        }
+        robot
+    }
+}
+
+/// Mass and centre of mass move by up to `size` of themselves (the centre by up to `size` of its distance, in any
+/// direction). The second moments S of the mass become `A S Aᵀ` with `A = 1 + size/2 · noise`: S stays positive
+/// semi-definite, so the link stays a body, its moments move by about `size`, and off-diagonal entries appear.
+fn perturbed_link(link: &Link, size: f64, random: &mut ChaCha8Rng) -> Link {
+    let mass = link.mass * (1.0 + size * symmetric(random));
+    let direction = Vector3::from_fn(|_, _| symmetric(random));
+    let com = link.com + direction * (size * link.com.norm() / 3.0_f64.sqrt());
+    let shape = Matrix3::from_fn(|row, col| {
+        f64::from(u8::from(row == col)) + 0.5 * size * symmetric(random)
+    });
+    let moments = shape * link.second_moments() * shape.transpose();
+    Link {
+        mass,
+        com,
+        inertia_com: moments.trace() * Matrix3::identity() - moments,
+    }
+}
+
+/// Uniform in −1 … 1.
+fn symmetric(random: &mut ChaCha8Rng) -> f64 {
+    random.random_range(-1.0..=1.0)
 }

@@ -1,5 +1,5 @@
-//! From a name or a file to a robot: the project's own description or a URDF. The one place that knows both formats, so
-//! that neither of their rooms needs to know the other's file.
+//! From a name or a file to a robot: the project's own description or a URDF. Only this file
+//! imports both formats.
 
 use super::{Robot, RobotError, file};
 use crate::urdf::{self, Selection};

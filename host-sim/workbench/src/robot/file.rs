@@ -1,15 +1,105 @@
 //! The description file: TOML, units in the names of the fields.
 
-use super::schema::{
-    CapsuleFile, DhFile, DriveFile, FrameFile, FrictionFile, LimitsFile, LinkFile, RobotFile,
-    WorkspaceFile,
-};
 use super::{
-    Capsule, Drive, Friction, Joint, Limits, Link, MAX_JOINTS, Placement, Robot, RobotError,
-    Workspace,
+    Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
+    RobotError, Workspace,
 };
 use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RobotFile {
+    pub(super) name: String,
+    #[serde(default = "earth")]
+    pub(super) gravity_m_s2: [f64; 3],
+    pub(super) joints: Vec<JointFile>,
+    pub(super) flange: Option<FrameFile>,
+    #[serde(skip_serializing)]
+    pub(super) tool: Option<ToolFile>,
+    pub(super) log_columns: Option<LogColumns>,
+    #[serde(default)]
+    pub(super) workspace: Workspace,
+}
+
+/// Ends and radius in the frame of the link's mass distribution.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CapsuleFile {
+    pub(super) from_m: [f64; 3],
+    pub(super) to_m: [f64; 3],
+    pub(super) radius_m: f64,
+}
+
+/// Tool at the flange, in the flange's frame. Becomes part of the last link.
+#[derive(Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ToolFile {
+    pub(super) mass_kg: f64,
+    pub(super) com_m: [f64; 3],
+    pub(super) inertia_kg_m2: InertiaFile,
+    #[serde(default)]
+    pub(super) capsules: Vec<CapsuleFile>,
+}
+
+fn earth() -> [f64; 3] {
+    [0.0, 0.0, -9.81]
+}
+
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct JointFile {
+    pub(super) name: String,
+    pub(super) dh: Option<DhFile>,
+    pub(super) frame: Option<FrameFile>,
+    pub(super) link: LinkFile,
+    pub(super) drive: Drive,
+    pub(super) friction: Friction,
+    pub(super) limits: Limits,
+    #[serde(default)]
+    pub(super) capsules: Vec<CapsuleFile>,
+}
+
+/// A standard Denavit–Hartenberg row, `T = Rz(q) Tz(d) Tx(a) Rx(alpha)`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DhFile {
+    pub(super) d_m: f64,
+    pub(super) a_m: f64,
+    pub(super) alpha_rad: f64,
+}
+
+/// Joint frame in the frame before it, roll–pitch–yaw about fixed axes: `R = Rz(yaw) Ry(pitch) Rx(roll)`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FrameFile {
+    pub(super) xyz_m: [f64; 3],
+    pub(super) rpy_rad: [f64; 3],
+}
+
+/// Mass distribution in the DH frame of the link, or in the joint frame where the joint is given by a `frame`.
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LinkFile {
+    pub(super) mass_kg: f64,
+    pub(super) com_m: [f64; 3],
+    pub(super) inertia_kg_m2: InertiaFile,
+}
+
+#[derive(Clone, Copy, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct InertiaFile {
+    pub(super) xx: f64,
+    pub(super) yy: f64,
+    pub(super) zz: f64,
+    #[serde(default)]
+    pub(super) xy: f64,
+    #[serde(default)]
+    pub(super) xz: f64,
+    #[serde(default)]
+    pub(super) yz: f64,
+}
 
 /// Reads, checks and converts a description.
 pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
@@ -36,7 +126,7 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
         None => None,
     };
     let mut joints = Vec::with_capacity(raw.joints.len());
-    // What the DH row of the link before leaves to be done ahead of this joint's rotation.
+    // The part of the previous link's DH row that precedes this joint's rotation.
     let mut link_end = Placement::identity();
     for (index, joint) in raw.joints.iter().enumerate() {
         let at = |field: &str| format!("joints[{index}].{field}");
@@ -58,13 +148,15 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
                 return Err(check.error(&at("dh"), "give exactly one of 'dh' and 'frame'"));
             }
         };
+        let link = link_in_craig_frame(&joint.link, &end, &check, &at)?;
+        check_numbers(joint, &check, &at)?;
         joints.push(Joint {
             name: joint.name.clone(),
             placement,
-            link: link_in_craig_frame(&joint.link, &end, &check, &at)?,
-            drive: drive(&joint.drive, &check, &at)?,
-            friction: friction(&joint.friction, &check, &at)?,
-            limits: limits(&joint.limits, &check, &at)?,
+            link,
+            drive: joint.drive,
+            friction: joint.friction,
+            limits: joint.limits,
             capsules: capsules(&joint.capsules, &end, &check, &at)?,
             dh_frame: joint.dh.is_some().then_some(end),
         });
@@ -83,9 +175,14 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
         last.capsules
             .extend(capsules(&tool.capsules, &flange, &check, &at)?);
     }
-    let workspace = workspace(&raw.workspace, &check)?;
+    check.that(
+        raw.workspace.table_height.is_none_or(f64::is_finite),
+        "workspace.table_height_m",
+        "is not a finite number",
+    )?;
+    check.not_negative("workspace.clearance_m", raw.workspace.clearance)?;
     Ok(Robot {
-        workspace,
+        workspace: raw.workspace,
         name: raw.name,
         gravity: Vector3::from(raw.gravity_m_s2),
         joints,
@@ -140,76 +237,46 @@ fn link_in_craig_frame(
     Ok(in_dh_frame.placed(end))
 }
 
-fn drive(
-    drive: &DriveFile,
+/// Checks the numbers of drive, friction and limits.
+fn check_numbers(
+    joint: &JointFile,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
-) -> Result<Drive, RobotError> {
-    check.not_negative(&at("drive.rotor_inertia_kg_m2"), drive.rotor_inertia_kg_m2)?;
-    check.positive(&at("drive.gain_nm_a"), drive.gain_nm_a)?;
-    check.that(
-        (8..=32).contains(&drive.encoder_bits),
-        &at("drive.encoder_bits"),
-        "must be 8 to 32",
-    )?;
-    Ok(Drive {
-        rotor_inertia: drive.rotor_inertia_kg_m2,
-        gain: drive.gain_nm_a,
-        encoder_bits: drive.encoder_bits,
-    })
-}
-
-fn friction(
-    friction: &FrictionFile,
-    check: &Check<'_>,
-    at: &dyn Fn(&str) -> String,
-) -> Result<Friction, RobotError> {
-    check.not_negative(&at("friction.viscous_nm_s_rad"), friction.viscous_nm_s_rad)?;
-    check.not_negative(&at("friction.coulomb_nm"), friction.coulomb_nm)?;
-    check.not_negative(&at("friction.stribeck_ratio"), friction.stribeck_ratio)?;
-    check.positive(
-        &at("friction.stribeck_velocity_rad_s"),
-        friction.stribeck_velocity_rad_s,
-    )?;
-    check.not_negative(&at("friction.cogging_nm"), friction.cogging_nm)?;
-    check.not_negative(
-        &at("friction.cogging_cycles_rev"),
-        friction.cogging_cycles_rev,
-    )?;
-    Ok(Friction {
-        viscous: friction.viscous_nm_s_rad,
-        coulomb: friction.coulomb_nm,
-        stribeck_ratio: friction.stribeck_ratio,
-        stribeck_velocity: friction.stribeck_velocity_rad_s,
-        cogging: friction.cogging_nm,
-        cogging_cycles_rev: friction.cogging_cycles_rev,
-    })
-}
-
-fn limits(
-    limits: &LimitsFile,
-    check: &Check<'_>,
-    at: &dyn Fn(&str) -> String,
-) -> Result<Limits, RobotError> {
-    let [lower, upper] = limits.position_rad;
-    check.finite(&at("limits.position_rad"), &limits.position_rad)?;
-    check.that(
-        lower < upper,
-        &at("limits.position_rad"),
-        "lower end must be below upper end",
-    )?;
-    check.positive(&at("limits.velocity_rad_s"), limits.velocity_rad_s)?;
-    check.positive(
-        &at("limits.acceleration_rad_s2"),
-        limits.acceleration_rad_s2,
-    )?;
-    check.positive(&at("limits.torque_nm"), limits.torque_nm)?;
-    Ok(Limits {
-        position: (lower, upper),
-        velocity: limits.velocity_rad_s,
-        acceleration: limits.acceleration_rad_s2,
-        torque: limits.torque_nm,
-    })
+) -> Result<(), RobotError> {
+    let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
+    for (field, value, positive) in [
+        ("drive.rotor_inertia_kg_m2", drive.rotor_inertia, false),
+        ("drive.gain_nm_a", drive.gain, true),
+        ("friction.viscous_nm_s_rad", friction.viscous, false),
+        ("friction.coulomb_nm", friction.coulomb, false),
+        ("friction.stribeck_ratio", friction.stribeck_ratio, false),
+        (
+            "friction.stribeck_velocity_rad_s",
+            friction.stribeck_velocity,
+            true,
+        ),
+        ("friction.cogging_nm", friction.cogging, false),
+        (
+            "friction.cogging_cycles_rev",
+            friction.cogging_cycles_rev,
+            false,
+        ),
+        ("limits.velocity_rad_s", limits.velocity, true),
+        ("limits.acceleration_rad_s2", limits.acceleration, true),
+        ("limits.torque_nm", limits.torque, true),
+    ] {
+        if positive {
+            check.positive(&at(field), value)?;
+        } else {
+            check.not_negative(&at(field), value)?;
+        }
+    }
+    let bits = (8..=32).contains(&drive.encoder_bits);
+    check.that(bits, &at("drive.encoder_bits"), "must be 8 to 32")?;
+    let (lower, upper) = limits.position;
+    let field = at("limits.position_rad");
+    check.finite(&field, &[lower, upper])?;
+    check.that(lower < upper, &field, "lower end must be below upper end")
 }
 
 fn capsules(
@@ -231,20 +298,6 @@ fn capsules(
             })
         })
         .collect()
-}
-
-fn workspace(workspace: &WorkspaceFile, check: &Check<'_>) -> Result<Workspace, RobotError> {
-    let height = workspace.table_height_m;
-    check.that(
-        height.is_none_or(f64::is_finite),
-        "workspace.table_height_m",
-        "is not a finite number",
-    )?;
-    check.not_negative("workspace.clearance_m", workspace.clearance_m)?;
-    Ok(Workspace {
-        table_height: height,
-        clearance: workspace.clearance_m,
-    })
 }
 
 /// Turns a violated condition into an error that names file and field.

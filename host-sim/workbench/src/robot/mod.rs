@@ -1,4 +1,4 @@
-//! A robot as its description file tells it, brought into the frames of the firmware.
+//! A robot from its description file, in the frames of the firmware.
 //!
 //! Everything here is in Craig's link frames (Craig 2005, section 3.4): z of frame i runs along joint axis i, and frame i
 //! is a constant [`Placement`] in frame i−1 followed by `Rz(q_i)`. Standard Denavit–Hartenberg rows are converted once,
@@ -7,16 +7,14 @@
 mod body;
 mod description;
 mod file;
-mod perturbation;
-mod placement;
-mod schema;
-mod shape;
+mod geometry;
 mod write;
 
-pub use perturbation::Perturbation;
-pub use shape::{Capsule, Workspace, segment_distance};
+pub use body::Perturbation;
+pub use geometry::{Capsule, Placement, Workspace, segment_distance};
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Number of standard inertial parameters of a link, in the order of eq. 14.
 pub const LINK_PARAMETERS: usize = 10;
@@ -24,7 +22,7 @@ pub const LINK_PARAMETERS: usize = 10;
 /// Most joints an arm may have: as many as a bank of the board holds.
 pub const MAX_JOINTS: usize = foretorque_link::bank::MAX_JOINTS;
 
-/// Why a robot description was refused.
+/// Reason for which a robot description is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RobotError {
     /// Neither a built-in name nor a readable file.
@@ -34,10 +32,10 @@ pub enum RobotError {
         name: String,
         /// The built-in names, joined by commas.
         known: String,
-        /// Why it could not be read as a file.
+        /// Reason for which the file cannot be read.
         reason: String,
     },
-    /// The file is not a robot description at all.
+    /// The file is not a robot description.
     #[error("{file}: {reason}")]
     Syntax {
         /// File or built-in name.
@@ -63,15 +61,6 @@ pub enum RobotError {
     },
 }
 
-/// Constant placement of a frame in the frame before it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placement {
-    /// Rotation that maps child coordinates (at q = 0) into the parent frame.
-    pub rot_parent_child: Matrix3<f64>,
-    /// Origin of the child frame, expressed in the parent frame, m.
-    pub origin: Vector3<f64>,
-}
-
 /// Mass distribution of one link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
@@ -84,43 +73,58 @@ pub struct Link {
 }
 
 /// The drive of one joint.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Drive {
     /// Rotor inertia reflected to the link side, kg·m².
+    #[serde(rename = "rotor_inertia_kg_m2", default)]
     pub rotor_inertia: f64,
     /// Joint torque a motor current makes, N·m/A.
+    #[serde(rename = "gain_nm_a", default = "one")]
     pub gain: f64,
     /// Resolution of the joint encoder, bits a revolution.
     pub encoder_bits: u32,
 }
 
 /// True friction of one joint, as the simulated plant has it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Friction {
     /// Viscous coefficient, N·m·s/rad.
+    #[serde(rename = "viscous_nm_s_rad")]
     pub viscous: f64,
     /// Coulomb torque, N·m.
+    #[serde(rename = "coulomb_nm")]
     pub coulomb: f64,
     /// Stribeck peak above Coulomb, as a share of it.
+    #[serde(default)]
     pub stribeck_ratio: f64,
     /// Velocity at which the Stribeck peak has decayed to 1/e, rad/s.
+    #[serde(rename = "stribeck_velocity_rad_s", default = "one")]
     pub stribeck_velocity: f64,
     /// Amplitude of the cogging torque, N·m.
+    #[serde(rename = "cogging_nm", default)]
     pub cogging: f64,
     /// Cogging periods in one turn of the joint.
+    #[serde(default)]
     pub cogging_cycles_rev: f64,
 }
 
 /// Limits of one joint.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Limits {
     /// Lower and upper end of the range, rad.
+    #[serde(rename = "position_rad")]
     pub position: (f64, f64),
     /// Largest speed, rad/s.
+    #[serde(rename = "velocity_rad_s")]
     pub velocity: f64,
-    /// Largest acceleration asked for by trajectories, rad/s².
+    /// Largest acceleration of trajectories, rad/s².
+    #[serde(rename = "acceleration_rad_s2")]
     pub acceleration: f64,
     /// Largest torque, N·m.
+    #[serde(rename = "torque_nm")]
     pub torque: f64,
 }
 
@@ -145,8 +149,8 @@ pub struct Joint {
     pub dh_frame: Option<Placement>,
 }
 
-/// How columns of a foreign log are called; `{}` stands for the joint number, counted from 1.
-#[derive(Clone, Debug, Default, PartialEq, serde::Deserialize, serde::Serialize)]
+/// Column names of a foreign log; `{}` stands for the joint number, counted from 1.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogColumns {
     /// Time, s.
@@ -180,10 +184,20 @@ pub struct Robot {
     pub workspace: Workspace,
 }
 
+fn one() -> f64 {
+    1.0
+}
+
 impl Robot {
     /// Number of joints.
     pub fn joint_count(&self) -> usize {
         self.joints.len()
+    }
+
+    /// One value for each joint; `None` when the robot has not `N` joints.
+    pub fn each<T, const N: usize>(&self, of: impl FnMut(&Joint) -> T) -> Option<[T; N]> {
+        let values: Vec<T> = self.joints.iter().map(of).collect();
+        values.try_into().ok()
     }
 
     /// Standard parameters of every link, then the rotor inertia of every joint: 10 N + N values, SI.

@@ -3,7 +3,7 @@ use super::*;
 const UR5: &str = include_str!("../../../robots/ur5.toml");
 
 #[test]
-fn ur5_reaches_where_its_data_sheet_says_when_stretched_out() {
+fn stretched_ur5_reaches_as_its_data_sheet_states() {
     // All joints at zero: x = a2 + a3, y = −d4 − d6, z = d1 − d5 (standard DH table of the UR5).
     let robot = Robot::load("ur5").unwrap();
     let flange = robot
@@ -44,62 +44,25 @@ fn perturbed_links_stay_bodies_and_repeat_with_their_seed() {
 
 #[test]
 fn bad_descriptions_are_refused_with_file_and_field() {
-    let cases = [
-        (
-            "mass_kg = 3.7",
-            "mass_kg = -3.7",
-            "t: joints[0].link.mass_kg: is -3.7, must be positive",
-        ),
-        (
-            "mass_kg = 3.7",
-            "mass_kg = nan",
-            "t: joints[0].link.mass_kg: is NaN, must be positive",
-        ),
-        (
-            "mass_kg = 3.7",
-            "mass = 3.7",
-            "t: line 22: unknown field `mass`, expected one of `mass_kg`, `com_m`, `inertia_kg_m2`",
-        ),
-        (
-            "xx = 0.0149",
-            "xx = 0.9",
-            "t: joints[1].link.inertia_kg_m2: breaks the triangle inequality: no body has these principal moments",
-        ),
-        (
-            "xz = 0.0034",
-            "xz = 0.034",
-            "t: joints[2].link.inertia_kg_m2: is not positive definite",
-        ),
-        (
-            "encoder_bits = 17",
-            "encoder_bits = 3",
-            "t: joints[0].drive.encoder_bits: must be 8 to 32",
-        ),
-        (
-            "[-6.283185307179586, ",
-            "[7.0, ",
-            "t: joints[0].limits.position_rad: lower end must be below upper end",
-        ),
-        (
-            "dh = { d_m = 0.089159, a_m = 0.0, alpha_rad = 1.5707963267948966 }",
-            "",
-            "t: joints[0].dh: give exactly one of 'dh' and 'frame'",
-        ),
-        (
-            "name = \"ur5\"",
-            "name = \"UR 5\"",
-            "t: name: must be lower-case letters, digits and underscores, a letter first",
-        ),
-        (
-            "torque_nm = 150.0",
-            "torque_nm = 0",
-            "t: joints[0].limits.torque_nm: is 0, must be positive",
-        ),
-    ];
-    for (good, bad, message) in cases {
+    // Text of the UR5's file, its replacement, message.
+    let cases = "
+        mass_kg = 3.7 | mass_kg = -3.7 | joints[0].link.mass_kg: is -3.7, must be positive
+        mass_kg = 3.7 | mass_kg = nan | joints[0].link.mass_kg: is NaN, must be positive
+        mass_kg = 3.7 | mass = 3.7 | line 22: unknown field `mass`, expected one of `mass_kg`, `com_m`, `inertia_kg_m2`
+        xx = 0.0149 | xx = 0.9 | joints[1].link.inertia_kg_m2: breaks the triangle inequality: no body has these principal moments
+        xz = 0.0034 | xz = 0.034 | joints[2].link.inertia_kg_m2: is not positive definite
+        encoder_bits = 17 | encoder_bits = 3 | joints[0].drive.encoder_bits: must be 8 to 32
+        [-6.283185307179586, | [7.0, | joints[0].limits.position_rad: lower end must be below upper end
+        dh = { d_m = 0.089159, a_m = 0.0, alpha_rad = 1.5707963267948966 } | | joints[0].dh: give exactly one of 'dh' and 'frame'
+        name = \"ur5\" | name = \"UR 5\" | name: must be lower-case letters, digits and underscores, a letter first
+        torque_nm = 150.0 | torque_nm = 0 | joints[0].limits.torque_nm: is 0, must be positive";
+    for case in cases.trim().lines() {
+        let [good, bad, message] = case.split('|').map(str::trim).collect::<Vec<_>>()[..] else {
+            panic!("three columns: {case}");
+        };
         assert!(UR5.contains(good), "{good}");
         let error = Robot::parse("t", &UR5.replacen(good, bad, 1)).unwrap_err();
-        assert_eq!(error.to_string(), message);
+        assert_eq!(error.to_string(), format!("t: {message}"));
     }
     let missing = Robot::load("no_such_robot").unwrap_err().to_string();
     assert!(missing.starts_with("unknown robot 'no_such_robot': not one of [ur5, panda]"));

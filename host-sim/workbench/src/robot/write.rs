@@ -1,17 +1,14 @@
 //! A robot as a description file again.
 
-use super::schema::{
-    CapsuleFile, DhFile, DriveFile, FrameFile, FrictionFile, InertiaFile, JointFile, LimitsFile,
-    LinkFile, RobotFile, WorkspaceFile,
-};
+use super::file::{CapsuleFile, DhFile, FrameFile, InertiaFile, JointFile, LinkFile, RobotFile};
 use super::{Joint, Link, Placement, Robot};
 use nalgebra::{Rotation3, Vector3};
 
 impl Robot {
-    /// The description file of this robot: what [`Robot::parse`] reads back, to rounding. Joints that came with a
+    /// The description file of this robot, which [`Robot::parse`] reads back to rounding. Joints that came with a
     /// Denavit–Hartenberg row keep it, and their links stand in its frame; all others are given by their joint frames.
     ///
-    /// Errors: what the serialiser says.
+    /// Errors: those of the serialiser.
     ///
     /// ```
     /// use foretorque_workbench::robot::Robot;
@@ -36,10 +33,7 @@ impl Robot {
             tool: None,
             flange: (flange != Placement::identity()).then(|| frame_file(&flange)),
             log_columns: self.log_columns.clone(),
-            workspace: WorkspaceFile {
-                table_height_m: self.workspace.table_height,
-                clearance_m: self.workspace.clearance,
-            },
+            workspace: self.workspace,
         })
     }
 }
@@ -52,7 +46,6 @@ fn joint_file(joint: &Joint, here: &Placement) -> JointFile {
     let capsule_end = |point: Vector3<f64>| -> [f64; 3] {
         (in_end.origin + in_end.rot_parent_child * point).into()
     };
-    let (friction, limits) = (&joint.friction, &joint.limits);
     JointFile {
         name: joint.name.clone(),
         dh: joint.dh_frame.map(|end| DhFile {
@@ -62,25 +55,9 @@ fn joint_file(joint: &Joint, here: &Placement) -> JointFile {
         }),
         frame: joint.dh_frame.is_none().then(|| frame_file(here)),
         link: link_file(&link),
-        drive: DriveFile {
-            rotor_inertia_kg_m2: joint.drive.rotor_inertia,
-            gain_nm_a: joint.drive.gain,
-            encoder_bits: joint.drive.encoder_bits,
-        },
-        friction: FrictionFile {
-            viscous_nm_s_rad: friction.viscous,
-            coulomb_nm: friction.coulomb,
-            stribeck_ratio: friction.stribeck_ratio,
-            stribeck_velocity_rad_s: friction.stribeck_velocity,
-            cogging_nm: friction.cogging,
-            cogging_cycles_rev: friction.cogging_cycles_rev,
-        },
-        limits: LimitsFile {
-            position_rad: limits.position.into(),
-            velocity_rad_s: limits.velocity,
-            acceleration_rad_s2: limits.acceleration,
-            torque_nm: limits.torque,
-        },
+        drive: joint.drive,
+        friction: joint.friction,
+        limits: joint.limits,
         capsules: joint
             .capsules
             .iter()

@@ -3,7 +3,7 @@
 use crate::dynamics::State;
 use crate::robot::Robot;
 
-/// A motion that asks a joint for more than it can do.
+/// A motion beyond the limits of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"

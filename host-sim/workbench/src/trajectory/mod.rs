@@ -1,6 +1,6 @@
 //! Motions to play: the excitation, a via-point validation path, a path of the tool, or samples from a table.
 //!
-//! [`Trajectory`] is what is played; `source` reads it from a file; `limits` judges it.
+//! [`Trajectory`] is what is played; `source` reads it from a file; `limits` checks it.
 
 pub mod cartesian;
 mod limits;
@@ -21,14 +21,15 @@ use via::ViaPath;
 pub const VALIDATION_S: f64 = 30.0;
 /// Fastest joint of the validation path, rad/s.
 pub const VALIDATION_PEAK_RAD_S: f64 = 2.7;
-/// Something to play, with its own clock.
+
+/// A motion to play, with its own clock.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Trajectory<const N: usize> {
     /// Fourier series, repeated for as long as asked.
     Excitation {
         /// The series.
         series: Excitation,
-        /// How long it is played, s.
+        /// Playing time, s.
         duration_s: f64,
     },
     /// Quintics through via points.
@@ -62,7 +63,7 @@ impl<const N: usize> Trajectory<N> {
         )
     }
 
-    /// How long it lasts, s.
+    /// Duration, s.
     pub fn duration_s(&self) -> f64 {
         match self {
             Self::Excitation { duration_s, .. } => *duration_s,
@@ -80,26 +81,20 @@ impl<const N: usize> Trajectory<N> {
             Self::Sampled(samples) => {
                 // Half a microsecond of slack: a sample due now must not be missed by rounding.
                 let next = samples.partition_point(|(due_s, _)| *due_s <= t_s + 5e-7);
-                let zero = State {
-                    q: Joints::zeros(),
-                    qd: Joints::zeros(),
-                    qdd: Joints::zeros(),
-                };
                 samples
                     .get(next.saturating_sub(1))
-                    .map_or(zero, |(_, state)| *state)
+                    .map_or(State::rest(Joints::zeros()), |(_, state)| *state)
             }
         };
         if t_s > end_s + 5e-7 {
-            state.qd = Joints::zeros();
-            state.qdd = Joints::zeros();
+            state = State::rest(state.q);
         }
         state
     }
 
     /// Every motion keeps the joints' limits of position, speed and acceleration.
     ///
-    /// * `period_s` step in which a series or a path is looked at; of a table every row is
+    /// * `period_s` sampling step of a series or a path; of a table every row is checked
     ///
     /// Errors: the first motion that does not.
     pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), BeyondLimits> {
@@ -118,7 +113,7 @@ impl<const N: usize> Trajectory<N> {
         }
     }
 
-    /// Number of ticks of `period_s` it lasts.
+    /// Duration in ticks of `period_s`.
     pub fn ticks(&self, period_s: f64) -> usize {
         (self.duration_s() / period_s).round() as usize
     }
@@ -151,11 +146,7 @@ mod tests {
     #[test]
     fn a_motion_beyond_a_limit_is_named_with_joint_and_time() {
         let robot = Robot::load("ur5").expect("built in");
-        let still = State {
-            q: Joints::<6>::zeros(),
-            qd: Joints::zeros(),
-            qdd: Joints::zeros(),
-        };
+        let still = State::rest(Joints::<6>::zeros());
         let (mut far, mut fast, mut hard) = (still, still, still);
         far.q[1] = -6.4;
         fast.qd[2] = -3.2;

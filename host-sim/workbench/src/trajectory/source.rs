@@ -1,4 +1,4 @@
-//! Where a trajectory comes from: what the commands accept as `--trajectory`.
+//! Sources of a trajectory: the argument `--trajectory` of the commands.
 
 use super::Trajectory;
 use super::cartesian::{self, CartesianError};
@@ -10,7 +10,7 @@ use crate::table::{StateReader, TableError, TimeColumn};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a trajectory cannot be played.
+/// Reason for which a trajectory cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
     /// The file cannot be read.
@@ -54,12 +54,12 @@ pub enum TrajectoryError {
 }
 
 impl<const N: usize> Trajectory<N> {
-    /// Loads the argument of `--trajectory`: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with time, q,
+    /// Loads the argument of `--trajectory`: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
     /// time, q, qd and qdd. Limits are checked.
     ///
     /// * `seed` of the validation path
     /// * `duration_s` for which an excitation is repeated; one period where it is `None`
-    /// * `period_s` step in which limits are looked at and paths of the tool are laid out
+    /// * `period_s` step of the limit checks and of the samples of a tool path
     ///
     /// Errors: [`TrajectoryError`], one line that names the file.
     pub fn load(

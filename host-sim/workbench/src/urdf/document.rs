@@ -7,8 +7,8 @@ use roxmltree::Node;
 use std::f64::consts::FRAC_PI_2;
 
 /// Angles this close to a multiple of π/2 are that multiple. URDF files write right angles as 1.5708 or 1.57079632679;
-/// taken literally, such an arm has inertial parameters that are independent by a hair, which no torque sensor can
-/// tell apart and f32 cannot carry, and pays for every entry that ought to be zero.
+/// taken literally, such an arm has nearly dependent inertial parameters, which neither a torque sensor nor f32
+/// resolves, and its zero entries cost multiplications.
 const RIGHT_ANGLE_TOLERANCE: f64 = 1e-5;
 
 /// All links and joints of a file.
@@ -172,7 +172,7 @@ fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), UrdfProblem> {
     let xyz = vector(node, "xyz")?.unwrap_or_default();
     let written = vector(node, "rpy")?.unwrap_or_default();
     let rpy = written.map(squared);
-    // Up to 1e-9 rad is the rounding of a number that was meant to be exact, and not worth a word.
+    // Up to 1e-9 rad is rounding of an exact number: no note.
     let moved = (rpy - written).amax() > 1e-9;
     Ok((Placement::from_xyz_rpy(xyz, rpy), moved))
 }

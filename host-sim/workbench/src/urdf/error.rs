@@ -1,6 +1,6 @@
-//! Why a URDF was refused.
+//! Errors of a URDF file.
 
-/// A URDF was refused.
+/// Refusal of a URDF.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{file}: {problem}")]
 pub struct UrdfError {
@@ -35,7 +35,7 @@ pub enum UrdfProblem {
     UnknownLink {
         /// The name.
         link: String,
-        /// Who names it: a joint or an option.
+        /// The joint or option that names it.
         named_by: String,
     },
     /// Two links or joints have the same name.
@@ -92,7 +92,7 @@ pub enum UrdfProblem {
     },
 }
 
-/// Why a joint cannot be part of an arm.
+/// Defect of a joint of the arm.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointProblem {
     /// It is not revolute; the type as written.

@@ -5,7 +5,7 @@
 //! Everything bolted to a moving link by fixed joints becomes part of that link. What hangs on the tip link, and what
 //! moves beside the path, is left out and listed in [`Import::notes`].
 //!
-//! A URDF says nothing about drives, and its friction model is viscous plus Coulomb: rotor inertia is 0, the gain is
+//! A URDF has no drives, and its friction model is viscous plus Coulomb: rotor inertia is 0, the gain is
 //! 1 N·m/A. The base frame is that of the base link, gravity along its −z.
 
 mod chain;
@@ -29,7 +29,7 @@ pub struct Selection<'a> {
     pub tip: Option<&'a str>,
 }
 
-/// An arm, and what the file did not say about it.
+/// An arm, and the assumptions made for missing properties.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Import {
     /// The arm.

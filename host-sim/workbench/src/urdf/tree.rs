@@ -5,7 +5,7 @@ use super::{Selection, UrdfProblem};
 use crate::robot::{Link, Placement};
 use nalgebra::Matrix3;
 
-/// Links and joints by index; every joint knows its links, every link the joints it carries.
+/// Links and joints by index, with the links of every joint and the joints of every link.
 pub(super) struct Tree<'a> {
     document: &'a Document,
     parent: Vec<usize>,

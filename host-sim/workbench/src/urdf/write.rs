@@ -2,68 +2,65 @@
 
 use crate::robot::{Placement, Robot};
 use nalgebra::Rotation3;
-use std::fmt::Write;
 
 /// The URDF of an arm: joint frames are Craig's link frames, axes their z, link inertias about the centres of mass.
 ///
 /// A URDF has no place for rotor inertias, drive gains, Stribeck friction and ripple: the TOML description
 /// ([`Robot::to_toml`]) keeps them.
 pub fn write(robot: &Robot) -> String {
-    let mut out = String::new();
-    let mut line = |text: std::fmt::Arguments<'_>| {
-        // Writing to a string cannot fail.
-        let _ = writeln!(out, "{text}");
-    };
-    line(format_args!("<?xml version=\"1.0\"?>"));
-    line(format_args!("<robot name=\"{}\">", escaped(&robot.name)));
-    line(format_args!("  <link name=\"base\"/>"));
+    let mut out = format!(
+        "<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n  <link name=\"base\"/>\n",
+        escaped(&robot.name)
+    );
     let mut parent = "base".to_owned();
     for (index, joint) in robot.joints.iter().enumerate() {
         let child = format!("link{}", index + 1);
-        let limits = &joint.limits;
-        line(format_args!(
-            "  <joint name=\"{}\" type=\"revolute\">",
-            escaped(&joint.name)
-        ));
-        line(format_args!(
-            "    <parent link=\"{parent}\"/> <child link=\"{child}\"/> <axis xyz=\"0 0 1\"/>"
-        ));
-        line(format_args!("    {}", origin(&joint.placement)));
-        line(format_args!(
-            "    <limit lower=\"{}\" upper=\"{}\" velocity=\"{}\" effort=\"{}\" acceleration=\"{}\"/>",
-            limits.position.0,
-            limits.position.1,
-            limits.velocity,
-            limits.torque,
-            limits.acceleration
-        ));
-        line(format_args!(
-            "    <dynamics damping=\"{}\" friction=\"{}\"/>",
-            joint.friction.viscous, joint.friction.coulomb
-        ));
-        line(format_args!("  </joint>"));
-        let (com, i) = (&joint.link.com, &joint.link.inertia_com);
-        line(format_args!("  <link name=\"{child}\"><inertial>"));
-        line(format_args!(
-            "    <origin xyz=\"{} {} {}\" rpy=\"0 0 0\"/> <mass value=\"{}\"/>",
-            com.x, com.y, com.z, joint.link.mass
-        ));
-        line(format_args!(
-            "    <inertia ixx=\"{}\" iyy=\"{}\" izz=\"{}\" ixy=\"{}\" ixz=\"{}\" iyz=\"{}\"/>",
-            i.m11, i.m22, i.m33, i.m12, i.m13, i.m23
-        ));
-        line(format_args!("  </inertial></link>"));
+        let (limits, friction, link) = (&joint.limits, &joint.friction, &joint.link);
+        let (com, i) = (&link.com, &link.inertia_com);
+        out += &format!(
+            r#"  <joint name="{name}" type="revolute">
+    <parent link="{parent}"/> <child link="{child}"/> <axis xyz="0 0 1"/>
+    {origin}
+    <limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="{torque}" acceleration="{acceleration}"/>
+    <dynamics damping="{viscous}" friction="{coulomb}"/>
+  </joint>
+  <link name="{child}"><inertial>
+    <origin xyz="{x} {y} {z}" rpy="0 0 0"/> <mass value="{mass}"/>
+    <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="{ixy}" ixz="{ixz}" iyz="{iyz}"/>
+  </inertial></link>
+"#,
+            name = escaped(&joint.name),
+            origin = origin(&joint.placement),
+            lower = limits.position.0,
+            upper = limits.position.1,
+            velocity = limits.velocity,
+            torque = limits.torque,
+            acceleration = limits.acceleration,
+            viscous = friction.viscous,
+            coulomb = friction.coulomb,
+            x = com.x,
+            y = com.y,
+            z = com.z,
+            mass = link.mass,
+            ixx = i.m11,
+            iyy = i.m22,
+            izz = i.m33,
+            ixy = i.m12,
+            ixz = i.m13,
+            iyz = i.m23,
+        );
         parent = child;
     }
-    line(format_args!("  <joint name=\"flange\" type=\"fixed\">"));
-    line(format_args!(
-        "    <parent link=\"{parent}\"/> <child link=\"flange\"/>"
-    ));
-    line(format_args!("    {}", origin(&robot.flange)));
-    line(format_args!("  </joint>"));
-    line(format_args!("  <link name=\"flange\"/>"));
-    line(format_args!("</robot>"));
-    out
+    let flange = origin(&robot.flange);
+    out + &format!(
+        r#"  <joint name="flange" type="fixed">
+    <parent link="{parent}"/> <child link="flange"/>
+    {flange}
+  </joint>
+  <link name="flange"/>
+</robot>
+"#
+    )
 }
 
 fn origin(frame: &Placement) -> String {

@@ -1,4 +1,4 @@
-//! What this board drives itself: its joint, by a motor stage, and measured by an encoder.
+//! The board's own joint: a motor stage drives it, an encoder measures it.
 
 use core::cell::Cell;
 
@@ -16,7 +16,7 @@ use super::{ENCODER, JOINT, SCALE, TURN};
 use crate::board::{Drive, JOINTS};
 use crate::rooms::BoardSession;
 
-/// What is wrong with stage and encoder, for the log, which nobody writes in the tick.
+/// Errors of stage and encoder, for the log, which the tick does not write.
 #[derive(Clone, Copy, PartialEq)]
 struct Troubles {
     stage: Option<StageError>,

@@ -6,7 +6,7 @@ use stm32f4xx_hal::pac::spi1::RegisterBlock;
 
 use super::{ENCODER_DIVIDER, ENCODER_POLLS, EncoderBus, SELECT_CYCLES, pins};
 
-/// What [`exchange`] returns when no byte came: beyond every byte.
+/// Result of [`exchange`] without a byte: beyond every byte.
 const NONE: u32 = 1 << 8;
 
 /// The encoder on its bus.

@@ -77,7 +77,7 @@ pub enum FrictionPrior {
     Torque(f32),
     /// Part of the joint's torque limit at its velocity limit.
     TorqueAtFullSpeed(f32),
-    /// The same for every joint, in the unit of the parameter.
+    /// One value for every joint, in the unit of the parameter.
     Fixed(f32),
 }
 
@@ -123,6 +123,11 @@ pub struct FrictionProperties {
     /// Periodic in the position; only on joints with cogging cycles.
     pub cogging: bool,
 }
+
+/// Width of the Stribeck peak, rad/s.
+pub const STRIBECK_WIDTH: f64 = 0.09;
+/// Velocity at which shear thinning has halved its torque, rad/s.
+pub const SHEAR_WIDTH: f64 = 0.6;
 
 macro_rules! friction_columns {
     ($(
@@ -208,7 +213,7 @@ friction_columns! {
     /// With viscous friction, Coulomb friction and shear thinning beside it, 0.09 rad/s meets a peak of 0.08 to 0.10 rad/s
     /// to within 6 % of its height from 0.05 rad/s on, one of 0.07 or 0.12 rad/s to within 14 %.
     Stribeck {
-        basis: |x| x.sign * x.qd.over(0.09).gaussian(),
+        basis: |x| x.sign * x.qd.over(STRIBECK_WIDTH).gaussian(),
         symbol: "Fs",
         unit: "N·m",
         set: "stribeck",
@@ -224,7 +229,7 @@ friction_columns! {
     /// On a real UR5 it reaches from tenths of a rad/s to more than one; the width of the column matters little there.
     ShearThinning {
         basis: |x| {
-            let ratio = x.qd.over(0.6);
+            let ratio = x.qd.over(SHEAR_WIDTH);
             x.sign / (T::ONE + ratio * ratio)
         },
         symbol: "Fb",

@@ -7,7 +7,7 @@ use crate::learning::{Decision, PayloadEstimate, Phase, Reason};
 /// Centre of mass of the payloads: 5 cm beyond the flange and aside, in the frame of the last link, m.
 const COM: [f32; 3] = [0.02, -0.01, 0.1323];
 
-/// What a cube in the hand adds to the base parameters.
+/// Base parameters that a cube in the hand adds.
 fn cube(mass: f32) -> BaseParameters<P> {
     let side = (mass / 2600.0).cbrt();
     let mut links = [LinkInertia::NONE; N];
@@ -51,7 +51,7 @@ impl Cell {
         (sample, torque)
     }
 
-    /// What was decided since the last look.
+    /// Decisions since the last call.
     fn decisions(&mut self) -> Vec<Decision> {
         let log = self.board.learner.state().report.decisions;
         let new = (self.read..log.count()).filter_map(|index| log.get(index));

@@ -22,7 +22,7 @@ const VISCOUS: [f64; N] = [12.0, 13.0, 9.0, 1.8, 1.6, 1.4];
 const COULOMB: [f64; N] = [7.0, 8.0, 5.5, 1.2, 1.1, 0.9];
 const COGGING: [f64; N] = [0.5, 0.5, 0.5, 0.15, 0.15, 0.15];
 
-/// What the drives have beside viscous and Coulomb friction.
+/// Friction of the drives beside viscous and Coulomb friction.
 #[derive(Clone, Copy, Debug)]
 struct Drive {
     /// Height of the Stribeck peak, as a part of the Coulomb torque.
@@ -145,7 +145,7 @@ fn loaded_torque(beta: &BaseParameters<P>, motion: &JointMotion<N>, drive: Drive
     })
 }
 
-/// What the board believes at first: inertial parameters 20 % off either way, rotors −20 %, friction −40 %.
+/// Parameters that the board starts from: inertial parameters 20 % off either way, rotors −20 %, friction −40 %.
 fn wrong_prior(seed: u64) -> Set {
     let mut dice = Dice(seed);
     let mut set = Set::nominal::<Ur5>(1);

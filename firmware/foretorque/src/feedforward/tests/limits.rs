@@ -1,4 +1,4 @@
-//! What no motion, no model and no change of model can make the torque do.
+//! Bounds of the torque for any motion, any model and any change of model.
 
 use super::*;
 

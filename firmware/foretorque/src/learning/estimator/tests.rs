@@ -1,5 +1,6 @@
 use super::*;
 use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
+use crate::dynamics::{FrictionColumn, FrictionParameters};
 use crate::joint::{JointMotion, JointVector};
 use std::vec::Vec;
 
@@ -80,6 +81,19 @@ impl Twin {
     }
 }
 
+/// True friction of every joint.
+fn friction_truth() -> FrictionParameters {
+    FrictionParameters::NONE
+        .with(FrictionColumn::Viscous, 2.0)
+        .with(FrictionColumn::Coulomb, 3.0)
+        .with(FrictionColumn::Stribeck, 0.5)
+        .with(FrictionColumn::ShearThinning, 0.5)
+        .with(FrictionColumn::Load, 0.05)
+        .with(FrictionColumn::Offset, -0.3)
+        .with(FrictionColumn::CoggingSine, 0.2)
+        .with(FrictionColumn::CoggingCosine, -0.1)
+}
+
 /// Prior covariance in units of the prior standard deviations: uncorrelated friction, then base parameters.
 fn prior_covariance(n: usize) -> Vec<Vec<f64>> {
     let floor = prior_floor::<Ur5, N, P>();
@@ -129,7 +143,7 @@ fn row_and_torque(tick: u32, joint: usize, random: &mut u64) -> (LinearParameter
     let mut truth = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1));
     truth.rigid = truth.rigid.map(|theta| 1.1 * theta);
     let row = torque_row::<Ur5, N, P>(joint, &ConditionedSample { motion, tau });
-    truth.friction = [[2.0, 3.0, 0.5, 0.5, 0.05, -0.3, 0.2, -0.1]; N];
+    truth.friction = [friction_truth().0; N];
     let noise: f64 = (0..12)
         .map(|_| {
             *random = random
@@ -208,7 +222,7 @@ fn friction_prediction_variance_is_that_of_a_friction_row() {
     }
     for joint in 0..N {
         let mut phi = LinearParameters::filled(0.0);
-        phi.friction[joint] = [0.7, 1.0, 0.1, 0.4, 2.0, 1.0, 0.6, -0.8];
+        phi.friction[joint] = friction_row(202.0, 0.4, 0.7, 2.0);
         let predicted = filter.friction_prediction_variance(joint, &phi.friction[joint]);
         let variance = { filter }.update(joint, &phi, 1.0, &mut gain);
         assert!(predicted > 1e-3, "{joint}: {predicted}");

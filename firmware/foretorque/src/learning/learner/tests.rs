@@ -249,7 +249,8 @@ fn an_invalid_configuration_is_refused() {
     );
 }
 
-fn request_at(learner: &mut Learner<Ur5, N, P>, tick: u32, request: Request) -> Option<Reason> {
+/// Request at `tick` that takes effect with its sample, with the decision `reason`.
+fn request_at(learner: &mut Learner<Ur5, N, P>, tick: u32, request: Request, reason: Reason) {
     let mut exchange = Exchange::new();
     exchange.post_request(1, request).unwrap();
     assert!(exchange.post_request(1, request).is_err());
@@ -259,30 +260,20 @@ fn request_at(learner: &mut Learner<Ur5, N, P>, tick: u32, request: Request) -> 
     sample.requests = 1;
     learner.collect(&sample, &mut exchange);
     assert_eq!(exchange.request, None);
-    let newest = learner.state.report.decisions.newest()?;
-    assert_eq!(newest.tick, tick);
-    Some(newest.reason)
+    let newest = learner.state.report.decisions.newest().unwrap();
+    assert_eq!((newest.tick, newest.reason), (tick, reason));
 }
 
 #[test]
 fn a_rollback_restores_the_snapshot_bit_for_bit() {
     let mut learner = learner();
     learn_ticks(&mut learner, 0..200, true);
-    assert_eq!(
-        request_at(&mut learner, 200, Request::Rollback),
-        Some(Reason::RequestRefused)
-    );
+    request_at(&mut learner, 200, Request::Rollback, Reason::RequestRefused);
     let before = learner.state.active;
-    assert_eq!(
-        request_at(&mut learner, 201, Request::Snapshot),
-        Some(Reason::SnapshotTaken)
-    );
+    request_at(&mut learner, 201, Request::Snapshot, Reason::SnapshotTaken);
     learn_ticks(&mut learner, 201..1200, true);
     learner.state.active.rigid[0] += 0.1;
-    assert_eq!(
-        request_at(&mut learner, 1200, Request::Rollback),
-        Some(Reason::RolledBack)
-    );
+    request_at(&mut learner, 1200, Request::Rollback, Reason::RolledBack);
     assert_eq!(learner.state.active, before);
 }
 
@@ -290,10 +281,7 @@ fn a_rollback_restores_the_snapshot_bit_for_bit() {
 fn an_emergency_stop_ends_when_learning_is_switched_off() {
     let mut learner = learner();
     learn_ticks(&mut learner, 0..60, true);
-    assert_eq!(
-        request_at(&mut learner, 60, Request::Stop),
-        Some(Reason::FrozenStopped)
-    );
+    request_at(&mut learner, 60, Request::Stop, Reason::FrozenStopped);
     let before = (learner.state.estimate, learner.state.active);
     learn_ticks(&mut learner, 60..120, true);
     assert!((learner.state.estimate, learner.state.active) == before);

@@ -2,37 +2,37 @@
 
 /// Sum of paired differences d and of their squares, `t = Σ d / √Σ d²`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::learning) struct PairedSum {
-    pub(in crate::learning) sum: f32,
-    pub(in crate::learning) squares: f32,
+pub(crate) struct PairedSum {
+    pub(crate) sum: f32,
+    pub(crate) squares: f32,
 }
 
 impl PairedSum {
     /// Sums of zero.
-    pub(in crate::learning) const ZERO: Self = Self {
+    pub(crate) const ZERO: Self = Self {
         sum: 0.0,
         squares: 0.0,
     };
 
     /// Multiply both sums by `factor`.
-    pub(in crate::learning) fn fade(&mut self, factor: f32) {
+    pub(crate) fn fade(&mut self, factor: f32) {
         self.sum *= factor;
         self.squares *= factor;
     }
 
     /// Add the difference `d`.
-    pub(in crate::learning) fn add(&mut self, d: f32) {
+    pub(crate) fn add(&mut self, d: f32) {
         self.sum += d;
         self.squares += d * d;
     }
 
     /// True if t > `sigmas`.
-    pub(in crate::learning) fn is_above(&self, sigmas: f32) -> bool {
+    pub(crate) fn is_above(&self, sigmas: f32) -> bool {
         self.signed_square() > sigmas * sigmas * self.squares
     }
 
     /// True if t < −`sigmas`.
-    pub(in crate::learning) fn is_below(&self, sigmas: f32) -> bool {
+    pub(crate) fn is_below(&self, sigmas: f32) -> bool {
         -self.signed_square() > sigmas * sigmas * self.squares
     }
 
@@ -52,7 +52,7 @@ impl PairedSum {
 /// Joints share parameters, so rows of one joint are no evidence for the torques of the others. A better candidate must
 /// pass on every joint, or leave the torque of the joint as it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::learning) struct PairedTest<const N: usize> {
+pub(crate) struct PairedTest<const N: usize> {
     advantage: PairedSum,
     /// Sums of squared residuals.
     reference: f32,
@@ -95,7 +95,7 @@ const TIMEOUT_FACTOR: f32 = 12.0;
 
 impl<const N: usize> PairedTest<N> {
     /// Test without rows.
-    pub(in crate::learning) const NONE: Self = Self {
+    pub(crate) const NONE: Self = Self {
         advantage: PairedSum::ZERO,
         reference: 0.0,
         candidate: 0.0,
@@ -116,7 +116,7 @@ impl<const N: usize> PairedTest<N> {
     ///
     /// * `measured` torque      * `reference` torque of the reference      * `candidate_residual` residual of the candidate
     /// * `sigma` standard deviation, in units of the joint's torque limit
-    pub(in crate::learning) fn add_row(
+    pub(crate) fn add_row(
         &mut self,
         joint: usize,
         measured: f32,
@@ -160,7 +160,7 @@ impl<const N: usize> PairedTest<N> {
     }
 
     /// Record the torque `change` by the candidate on `joint` at standstill, in units of its torque limit.
-    pub(in crate::learning) fn add_standstill(&mut self, joint: usize, change: f32) {
+    pub(crate) fn add_standstill(&mut self, joint: usize, change: f32) {
         if let Some(test) = self.joints.get_mut(joint) {
             // The largest one: a change that swings through zero counts.
             let change = change.abs();
@@ -172,7 +172,7 @@ impl<const N: usize> PairedTest<N> {
 
     /// True if every joint passes: with at least `rows` rows it is not worse by `sigmas` standard deviations, with fewer
     /// its torque at standstill hardly changes.
-    pub(in crate::learning) fn joints_pass(&self, rows: f32, sigmas: f32) -> bool {
+    pub(crate) fn joints_pass(&self, rows: f32, sigmas: f32) -> bool {
         let most = if self.rows as f32 > TIMEOUT_FACTOR * rows {
             UNTESTED_LIMIT_LATE
         } else {
@@ -188,22 +188,22 @@ impl<const N: usize> PairedTest<N> {
     }
 
     /// Number of rows.
-    pub(in crate::learning) fn rows(&self) -> u32 {
+    pub(crate) fn rows(&self) -> u32 {
         self.rows
     }
 
     /// True if the candidate is better by `sigmas` standard deviations.
-    pub(in crate::learning) fn is_better(&self, sigmas: f32) -> bool {
+    pub(crate) fn is_better(&self, sigmas: f32) -> bool {
         self.advantage.is_above(sigmas)
     }
 
     /// True if the candidate is worse by `sigmas` standard deviations.
-    pub(in crate::learning) fn is_worse(&self, sigmas: f32) -> bool {
+    pub(crate) fn is_worse(&self, sigmas: f32) -> bool {
         self.advantage.is_below(sigmas)
     }
 
     /// Ratio of mean square residuals, candidate to reference; 1 without rows.
-    pub(in crate::learning) fn ratio(&self) -> f32 {
+    pub(crate) fn ratio(&self) -> f32 {
         if self.reference > 0.0 {
             self.candidate / self.reference
         } else {
@@ -212,7 +212,7 @@ impl<const N: usize> PairedTest<N> {
     }
 
     /// True if the measured torques are opposed to those of the reference: sensors or drives have the wrong sign.
-    pub(in crate::learning) fn is_reversed(&self) -> bool {
+    pub(crate) fn is_reversed(&self) -> bool {
         self.cross_torque < 0.0
     }
 
@@ -221,7 +221,7 @@ impl<const N: usize> PairedTest<N> {
     /// A common gain is an error of sensors or drives, not of the arm.
     ///
     /// * `error` least deviation of the gain from 1
-    pub(in crate::learning) fn common_gain(&self, error: f32) -> Option<f32> {
+    pub(crate) fn common_gain(&self, error: f32) -> Option<f32> {
         if self.modelled.partial_cmp(&0.0) != Some(core::cmp::Ordering::Greater) {
             return None;
         }

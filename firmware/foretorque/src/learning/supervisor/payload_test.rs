@@ -8,7 +8,7 @@ use crate::learning::payload::{
 
 /// Result of a payload test.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::learning) enum PayloadDecision {
+pub(crate) enum PayloadDecision {
     /// The hypothesis becomes the payload in the torque.
     Promote,
     /// The hand is empty again.
@@ -29,12 +29,12 @@ const MIN_ROWS: f32 = 8.0;
 const MIN_ROWS_SINGLE: f32 = 3.0;
 /// Part of the mean square residual of a large disturbance that a hypothesis may leave.
 const REMAINDER: f32 = 0.02;
-/// Multiple of the usual mean square of blocks that may remain after a disturbance: no real arm is explained to the noise.
+/// Multiple of the usual mean square of blocks that may remain after a disturbance, because no model of a real arm reaches the noise.
 const USUAL_FACTOR: f32 = 2.0;
 
 /// Test of a payload hypothesis. Squares are in variances of a measurement and fade with each block.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::learning) struct PayloadHypothesisTest {
+pub(crate) struct PayloadHypothesisTest {
     filter: PayloadFilter,
     blocks: u32,
     rows: f32,
@@ -50,7 +50,7 @@ pub(in crate::learning) struct PayloadHypothesisTest {
 
 impl PayloadHypothesisTest {
     /// Test without blocks, with the hypothesis at `payload`.
-    pub(in crate::learning) const fn new(config: &SupervisorConfig, payload: &Payload) -> Self {
+    pub(crate) const fn new(config: &SupervisorConfig, payload: &Payload) -> Self {
         Self {
             filter: PayloadFilter::new(payload, &payload_sigma(config.max_payload_mass)),
             blocks: 0,
@@ -69,7 +69,7 @@ impl PayloadHypothesisTest {
     /// * `payload` payload in the torque      * `sigma` standard deviation of a measurement, N·m
     /// * `inflated` standard deviation for the payload filter, N·m
     #[inline(never)]
-    pub(in crate::learning) fn add_row(
+    pub(crate) fn add_row(
         &mut self,
         payload: &Payload,
         row: &Payload,
@@ -95,7 +95,7 @@ impl PayloadHypothesisTest {
     /// * `carries_payload` a payload is in the torque      * `single` the learner has rows of one joint only
     /// * `usual` mean square of undisturbed blocks, mean over the joints, in variances of a measurement
     #[inline(never)]
-    pub(in crate::learning) fn decide(
+    pub(crate) fn decide(
         &mut self,
         config: &SupervisorConfig,
         carries_payload: bool,
@@ -176,12 +176,12 @@ impl PayloadHypothesisTest {
     }
 
     /// Payload filter of the hypothesis.
-    pub(in crate::learning) fn filter(&self) -> &PayloadFilter {
+    pub(crate) fn filter(&self) -> &PayloadFilter {
         &self.filter
     }
 
     /// Number of blocks since the alarm.
-    pub(in crate::learning) fn blocks(&self) -> u32 {
+    pub(crate) fn blocks(&self) -> u32 {
         self.blocks
     }
 }

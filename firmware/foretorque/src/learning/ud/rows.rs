@@ -1,7 +1,5 @@
 //! Loops over U, several rows at once: half of the time of a learning step.
 
-use super::set;
-
 /// Unrolled loop `each_row!(K < W { body })` over K = 0 … W − 1, with `K` a constant in the body.
 ///
 /// Written out, the running sums of the rows stay in registers even where the compiler does not unroll. A larger W does not
@@ -172,6 +170,14 @@ fn update_entry_compensated(u: &mut f32, compensation: &mut f32, b: &mut f32, la
     *compensation = step - (after - before);
     *u = after;
     *b += v * before;
+}
+
+/// Assignment of `value` to an entry, if it exists.
+#[inline(always)]
+pub(super) fn set(values: &mut [f32], index: usize, value: f32) {
+    if let Some(slot) = values.get_mut(index) {
+        *slot = value;
+    }
 }
 
 /// Entry `place` of block `block` of a row.

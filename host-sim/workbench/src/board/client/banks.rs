@@ -1,6 +1,6 @@
 //! Banks and excitations: up, down, and in the board's store.
 
-use super::line::{acknowledged, refused};
+use super::answer::{acknowledged, refused};
 use super::{BoardError, Client};
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::excitation::ExcitationProgram;

@@ -1,3 +1,4 @@
+mod answer;
 mod banks;
 mod line;
 mod torque;
@@ -16,7 +17,7 @@ use foretorque_link::wire::{
     TelemetryFrame,
 };
 use foretorque_link::write_key::WriteKey;
-use line::{nobody, refused};
+use answer::{nobody, refused};
 use std::time::Duration;
 
 /// Shares of the torque of one tick, N·m.

@@ -1,6 +1,6 @@
 //! Samples in, torques out, and what lets the torque flow.
 
-use super::line::refused;
+use super::answer::refused;
 use super::{BoardError, BoardShares, Client, TickReply};
 use foretorque::feedforward::Torque;
 use foretorque::joint::JointSample;

@@ -1,10 +1,12 @@
-//! The file of a path: TOML, units in the names of the fields. `docs/trajectories.md` tells the format.
+//! The file of a path: TOML, units in the names of the fields. `docs/identification.md` describes the format.
 
-use super::curve::Curve;
-use super::error::CartesianError;
+use super::curve::{Curve, Way};
+use crate::kinematics::InverseError;
 use crate::robot::Placement;
+use crate::trajectory::limits::BeyondLimits;
 use nalgebra::Vector3;
 use serde::Deserialize;
+use std::fmt;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -43,12 +45,12 @@ struct CircleFile {
     carry: bool,
 }
 
-/// A path as the file tells it.
+/// A path in the file's terms.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Path {
     /// The tool's tip in the flange.
     pub(super) tool: Placement,
-    /// Joint positions, rad, near which the start's solution is wanted.
+    /// Joint positions, rad, near the solution of the start.
     pub(super) near_q: Option<Vec<f64>>,
     pub(super) start: Placement,
     pub(super) moves: Vec<Move>,
@@ -59,33 +61,6 @@ pub(super) struct Path {
 pub(super) struct Move {
     pub(super) way: Way,
     pub(super) curve: Curve,
-}
-
-/// The way of a move.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Way {
-    /// Straight, turning about one axis.
-    Line(Placement),
-    /// About an axis through `centre` along `normal` (length 1), by `turn` rad; `carry` turns the tool along.
-    Circle {
-        centre: Vector3<f64>,
-        normal: Vector3<f64>,
-        turn: f64,
-        carry: bool,
-    },
-    /// Through points at even times without stopping.
-    Via(Vec<Placement>),
-}
-
-impl Way {
-    /// Its name in the file.
-    pub(super) fn name(&self) -> &'static str {
-        match self {
-            Self::Line(_) => "line",
-            Self::Circle { .. } => "circle",
-            Self::Via(_) => "via",
-        }
-    }
 }
 
 /// Longest move, s: an hour of ticks is 3.6 million rows.
@@ -198,4 +173,69 @@ fn finite(name: &str, values: &[f64]) -> Result<(), CartesianError> {
     } else {
         Err(field(name, "is not a finite number"))
     }
+}
+
+/// Position of an error on the path.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spot {
+    /// The waypoint or move, as the file counts: `start`, `move 2 (circle)`, `move 3 (via), point 2`.
+    pub waypoint: String,
+    /// Time on the path, s; `None` for the waypoint itself.
+    pub t_s: Option<f64>,
+    /// Target of the tool there, base frame, m.
+    pub target: Vector3<f64>,
+}
+
+impl fmt::Display for Spot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.waypoint)?;
+        if let Some(t_s) = self.t_s {
+            write!(f, " at {t_s:.3} s")?;
+        }
+        let [x, y, z] = self.target.into();
+        write!(f, ", tool at ({x:.3}, {y:.3}, {z:.3}) m")
+    }
+}
+
+/// Reason for which a path of the tool cannot be played.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CartesianError {
+    /// The file is no path.
+    #[error("line {line}: {reason}")]
+    Syntax {
+        /// Line, from 1.
+        line: usize,
+        /// First complaint of the parser.
+        reason: String,
+    },
+    /// A value is missing or makes no sense.
+    #[error("{field}: {problem}")]
+    Field {
+        /// The field, for example `move[2].duration_s`, moves from 1.
+        field: String,
+        /// Reason.
+        problem: String,
+    },
+    /// The robot has another number of joints than expected.
+    #[error("the robot has not {expected} joints")]
+    Joints {
+        /// Joints expected.
+        expected: usize,
+    },
+    /// No joint positions put the tool there.
+    #[error("{spot}: {error}")]
+    Kinematics {
+        /// Where.
+        spot: Spot,
+        /// Why.
+        error: InverseError,
+    },
+    /// The joints could, but not within their limits.
+    #[error("{spot}: {error}")]
+    Limits {
+        /// Where.
+        spot: Spot,
+        /// Which joint.
+        error: BeyondLimits,
+    },
 }

@@ -4,10 +4,8 @@
 //! and accelerations tick by tick, every limit checked).
 
 mod curve;
-mod error;
 mod file;
 mod plan;
-mod rotation;
 
-pub use error::{CartesianError, Spot};
+pub use file::{CartesianError, Spot};
 pub use plan::plan;

@@ -1,6 +1,71 @@
-//! Volume of an arm, and its obstacles.
+//! Placements of frames, capsules around links, and the workspace.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+/// Direction cosines this close to 0 and ±1, and lengths (m) this close to 0, are meant to be exact: a right angle
+/// written in decimals must cost nothing on the board.
+const EXACT: f64 = 1e-12;
+
+/// Constant placement of a frame in the frame before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// Rotation that maps child coordinates (at q = 0) into the parent frame.
+    pub rot_parent_child: Matrix3<f64>,
+    /// Origin of the child frame, expressed in the parent frame, m.
+    pub origin: Vector3<f64>,
+}
+
+impl Placement {
+    /// The frame that coincides with its parent.
+    pub fn identity() -> Self {
+        Self {
+            rot_parent_child: Matrix3::identity(),
+            origin: Vector3::zeros(),
+        }
+    }
+
+    /// Origin `xyz` (m) in the parent; roll, pitch, yaw (rad) about its fixed axes, `R = Rz(yaw) Ry(pitch) Rx(roll)`.
+    pub fn from_xyz_rpy(xyz: Vector3<f64>, rpy: Vector3<f64>) -> Self {
+        let placement = Self {
+            rot_parent_child: Rotation3::from_euler_angles(rpy.x, rpy.y, rpy.z).into_inner(),
+            origin: xyz,
+        };
+        placement.snapped()
+    }
+
+    /// This placement followed by another one.
+    pub fn then(&self, next: &Self) -> Self {
+        Self {
+            rot_parent_child: self.rot_parent_child * next.rot_parent_child,
+            origin: self.origin + self.rot_parent_child * next.origin,
+        }
+    }
+
+    /// The parent placed in the child.
+    pub fn inverse(&self) -> Self {
+        let rot_child_parent = self.rot_parent_child.transpose();
+        Self {
+            rot_parent_child: rot_child_parent,
+            origin: -(rot_child_parent * self.origin),
+        }
+    }
+
+    /// This placement with near-exact zeros and ones rounded.
+    pub fn snapped(&self) -> Self {
+        Self {
+            rot_parent_child: self.rot_parent_child.map(|entry| {
+                let nearest = entry.round();
+                if (entry - nearest).abs() < EXACT {
+                    // Adding 0 turns −0 into 0.
+                    nearest + 0.0
+                } else {
+                    entry
+                }
+            }),
+            origin: self.origin.map(|x| if x.abs() < EXACT { 0.0 } else { x }),
+        }
+    }
+}
 
 /// A segment with a radius: all points within `radius` of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,11 +84,14 @@ impl Capsule {
 }
 
 /// Obstacles of the arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Workspace {
     /// Height of the table the base stands on, along the base's z, m.
+    #[serde(rename = "table_height_m")]
     pub table_height: Option<f64>,
     /// Distance that links keep from the table and from each other, m.
+    #[serde(rename = "clearance_m", default)]
     pub clearance: f64,
 }
 
@@ -55,7 +123,7 @@ mod tests {
     use rand::{Rng, SeedableRng};
 
     #[test]
-    fn no_pair_of_points_of_two_segments_is_closer_than_their_distance() {
+    fn no_two_points_are_closer_than_the_distance_of_segments() {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         let mut point = || Vector3::from_fn(|_, _| random.random_range(-1.0..1.0));
         for case in 0..500 {

@@ -1,0 +1,71 @@
+//! Figures of the replay.
+
+use foretorque::arm::ur5::JOINTS;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+pub(super) const N: usize = JOINTS;
+/// A joint slower than this stands still, rad/s.
+pub(super) const GATE_RAD_S: f64 = 0.05;
+
+/// Error of one path over that of a reference.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PathScores {
+    /// Its name.
+    pub path: String,
+    /// RMS error of every joint while it moves, N·m, of rich batch least squares on the other paths; `null` where it
+    /// never moves.
+    pub batch_rmse_moving_nm: Vec<Option<f64>>,
+    /// Over it: the error of the parameters as they were before each row.
+    pub newest_ratio: Vec<Option<f64>>,
+    /// Over it: the error of parameters 10 s old.
+    pub aged_ratio: Vec<Option<f64>>,
+    /// Over it: the error of the data sheet.
+    pub frozen_ratio: Vec<Option<f64>>,
+    /// Motion until the newest parameters are within 1.1 of it over 2 s, started from the data sheet on this path, s;
+    /// `null` if never.
+    pub within_1_1_after_s: Option<f64>,
+}
+
+/// `report.json`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ReplayReport {
+    /// Version of this program.
+    pub version: String,
+    /// The reference.
+    pub reference: String,
+    /// Geometric means over joints and paths of error over the reference's, moving rows: newest, 10 s old, data sheet.
+    pub newest_vs_rich_wls_ratio: f64,
+    /// See above. The first 10 s of the first log have no such parameters and are left out.
+    pub aged_10_s_vs_rich_wls_ratio: f64,
+    /// Ratio of 10-s-old parameters for boards that have learnt all other paths before each path, as the reference has.
+    pub aged_10_s_after_other_paths_vs_rich_wls_ratio: f64,
+    /// See above.
+    pub frozen_vs_rich_wls_ratio: f64,
+    /// Plain batch least squares over the reference.
+    pub plain_wls_vs_rich_wls_ratio: f64,
+    /// The aged parameters over plain batch least squares.
+    pub aged_10_s_vs_plain_wls_ratio: f64,
+    /// The longest of the paths' times to 1.1, s.
+    pub within_1_1_worst_s: Option<f64>,
+    /// Decisions of the guard by reason.
+    pub decisions_count: BTreeMap<String, u32>,
+    /// Ticks in which what was learnt was cut.
+    pub learned_clipped_ticks_count: u32,
+    /// Largest feed-forward torque asked with 30 rad/s² on one joint after another, over the torque limit.
+    pub torque_at_30_rad_s2_over_limit_ratio: f64,
+    /// Ticks, and rows learnt from.
+    pub ticks_count: u32,
+    /// See above.
+    pub rows_accepted_count: u32,
+    /// Path by path.
+    pub paths: Vec<PathScores>,
+}
+
+/// Torques of the parameters as they were before each row, of older ones, and of the data sheet, through the filter of
+/// the figures.
+pub(super) struct Predictions {
+    pub(super) newest: Vec<f64>,
+    pub(super) aged: Vec<f64>,
+    pub(super) frozen: Vec<f64>,
+}
