@@ -106,7 +106,7 @@ impl CostMeter {
 
     /// Takes one cost.
     pub fn note(&mut self, cost: u32) {
-        // Counting stops with `times`, so that the mean stays one; the maximum goes on.
+        // The sum stops with `times`, so that their quotient stays the mean; the maximum continues.
         if self.times < u32::MAX {
             self.times += 1;
             self.sum += u64::from(cost);

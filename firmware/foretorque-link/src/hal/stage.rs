@@ -281,7 +281,7 @@ mod tests {
 
     #[test]
     fn torque_is_scaled_and_limited() {
-        for (gain, asked, current, level, saturated) in [
+        for (gain, wanted, current, level, saturated) in [
             (10.0, 50.0, 5.0, 0.25, false),
             (-10.0, 50.0, -5.0, -0.25, false),
             (10.0, -150.0, -15.0, -0.75, false),
@@ -294,12 +294,12 @@ mod tests {
             };
             let mut stage = stage(scale, None, &[low(), high()], &[fault(false), fault(false)]);
             stage.enable().unwrap();
-            let driven = stage.drive(asked).unwrap();
-            assert!((driven.current_a - current).abs() < 1e-5, "{asked}");
-            assert_eq!(driven.saturated, saturated, "{asked}");
+            let driven = stage.drive(wanted).unwrap();
+            assert!((driven.current_a - current).abs() < 1e-5, "{wanted}");
+            assert_eq!(driven.saturated, saturated, "{wanted}");
             let levels = levels(stage);
             assert_eq!(levels[..2], [0.0, 0.0]);
-            assert!((levels[2] - level).abs() < 1e-6, "{asked}: {}", levels[2]);
+            assert!((levels[2] - level).abs() < 1e-6, "{wanted}: {}", levels[2]);
         }
     }
 
@@ -323,10 +323,10 @@ mod tests {
             (None, fault(false), f32::NAN, StageError::NotFinite),
             (None, fault(false), f32::INFINITY, StageError::NotFinite),
         ];
-        for (fails, seen, asked, error) in cases {
+        for (fails, seen, wanted, error) in cases {
             let mut stage = stage(SCALE, fails, &[low(), high(), low()], &[fault(false), seen]);
             stage.enable().unwrap();
-            assert_eq!(stage.drive(asked), Err(error));
+            assert_eq!(stage.drive(wanted), Err(error));
             assert!(!stage.is_enabled());
             assert_eq!(stage.drive(1.0), Err(StageError::Disabled));
             assert_eq!(levels(stage).last(), Some(&0.0), "{error}");

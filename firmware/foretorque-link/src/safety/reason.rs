@@ -16,79 +16,60 @@ pub enum SafetyState {
     Fault,
 }
 
-/// Reason why the torque is, or may soon be, less than requested. Variants are only ever appended: their index is the code
-/// on the wire and in the memory that outlives a reset.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum SafetyReason {
-    /// No fault.
+/// Declares the reasons with their texts, in the order of their codes.
+macro_rules! reasons {
+    ($($(#[$attribute:meta])* $reason:ident = $text:literal,)*) => {
+        /// Reason why the torque is, or may soon be, less than requested. Variants are only ever appended: their index is
+        /// the code on the wire and in the memory that outlives a reset.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub enum SafetyReason {
+            $(#[doc = $text] $(#[$attribute])* $reason,)*
+        }
+
+        impl SafetyReason {
+            /// Every reason, in the order of their codes.
+            pub const ALL: [Self; 20] = [$(Self::$reason),*];
+        }
+
+        impl fmt::Display for SafetyReason {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(match self {
+                    $(Self::$reason => $text,)*
+                })
+            }
+        }
+    };
+}
+
+reasons! {
     #[default]
-    None,
-    /// The host disarmed the board.
-    Disarmed,
-    /// No usable sample arrived for [`COMMAND_TIMEOUT_S`](super::COMMAND_TIMEOUT_S).
-    CommandTimeout,
-    /// The host commanded an emergency stop.
-    Stopped,
-    /// A number of the desired motion was not finite, or could not be sent as one.
-    DesiredNotFinite,
-    /// The desired position moved faster than the joint can.
-    DesiredJump,
-    /// A measured position or effort was not finite.
-    MeasuredNotFinite,
-    /// A measured position lies outside the joint's range.
-    PositionRange,
-    /// The measured position moved faster than the joint can.
-    PositionJump,
-    /// A measured effort exceeds three torque limits.
-    EffortRange,
-    /// A motor is warm: its torque limit is reduced.
-    MotorWarm,
-    /// A motor is too hot.
-    MotorHot,
-    /// The torque of the tick was not finite.
-    TorqueNotFinite,
-    /// The drive reported a fault.
-    Drive,
-    /// The firmware restarted itself: panic, processor fault, stack overflow or watchdog.
-    Restarted,
-    /// Too few fresh samples in a row with a plausible measured position.
-    NoSample,
-    /// The desired position is too far from the measured one.
-    TooFar,
-    /// The torque still ramps to zero.
-    StillRamping,
-    /// The torque command did not reach the board's own motor stage.
-    Stage,
-    /// The board's own encoder gives no position.
-    Encoder,
+    None = "no fault",
+    Disarmed = "disarmed by the host",
+    /// (Limit: [`COMMAND_TIMEOUT_S`](super::COMMAND_TIMEOUT_S).)
+    CommandTimeout = "no usable sample in time",
+    Stopped = "emergency stop",
+    DesiredNotFinite = "desired motion not finite",
+    DesiredJump = "desired position faster than the joint",
+    MeasuredNotFinite = "measured position or effort not finite",
+    PositionRange = "measured position out of range",
+    PositionJump = "measured position faster than the joint",
+    /// (Limit: three torque limits.)
+    EffortRange = "measured effort out of range",
+    MotorWarm = "motor warm, torque limit reduced",
+    MotorHot = "motor too hot",
+    TorqueNotFinite = "torque of the tick not finite",
+    Drive = "drive fault",
+    /// (Causes: panic, processor fault, stack overflow, watchdog.)
+    Restarted = "the firmware restarted itself",
+    NoSample = "too few fresh samples with a plausible measured position",
+    TooFar = "desired position too far from the measured one",
+    StillRamping = "torque still ramps to zero",
+    Stage = "the board's own motor stage accepts no command",
+    Encoder = "the board's own encoder gives no position",
 }
 
 impl SafetyReason {
-    /// Every reason, in the order of their codes.
-    pub const ALL: [Self; 20] = [
-        Self::None,
-        Self::Disarmed,
-        Self::CommandTimeout,
-        Self::Stopped,
-        Self::DesiredNotFinite,
-        Self::DesiredJump,
-        Self::MeasuredNotFinite,
-        Self::PositionRange,
-        Self::PositionJump,
-        Self::EffortRange,
-        Self::MotorWarm,
-        Self::MotorHot,
-        Self::TorqueNotFinite,
-        Self::Drive,
-        Self::Restarted,
-        Self::NoSample,
-        Self::TooFar,
-        Self::StillRamping,
-        Self::Stage,
-        Self::Encoder,
-    ];
-
     /// The code on the wire and in the memory that outlives a reset.
     pub const fn code(self) -> u8 {
         self as u8
@@ -105,33 +86,6 @@ impl Serialize for SafetyReason {
     /// Writes the code alone, as the derived implementation does in postcard; that one costs 44 bytes of flash a variant.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_unit_variant("SafetyReason", u32::from(self.code()), "")
-    }
-}
-
-impl fmt::Display for SafetyReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::None => "nothing is wrong",
-            Self::Disarmed => "disarmed by the host",
-            Self::CommandTimeout => "no usable sample in time",
-            Self::Stopped => "emergency stop",
-            Self::DesiredNotFinite => "desired motion not finite",
-            Self::DesiredJump => "desired position jumped",
-            Self::MeasuredNotFinite => "measurement not finite",
-            Self::PositionRange => "measured position out of range",
-            Self::PositionJump => "measured position jumped",
-            Self::EffortRange => "measured effort out of range",
-            Self::MotorWarm => "motor warm, torque limit reduced",
-            Self::MotorHot => "motor too hot",
-            Self::TorqueNotFinite => "torque not finite",
-            Self::Drive => "drive fault",
-            Self::Restarted => "the firmware restarted itself",
-            Self::NoSample => "no fresh sample with a plausible position",
-            Self::TooFar => "desired position too far from the measured one",
-            Self::StillRamping => "torque still ramps to zero",
-            Self::Stage => "motor stage takes no command",
-            Self::Encoder => "the board's encoder gives no position",
-        })
     }
 }
 

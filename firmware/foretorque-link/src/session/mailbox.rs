@@ -17,8 +17,8 @@ struct Restart<const N: usize, const P: usize> {
 /// Every lock is a copy at most. The learner's task is
 ///
 /// ```text
-/// while let Some(lesson) = lock(|mailboxes| mailboxes.learner.begin(&mut learner)) {
-///     learner.study(&lesson);                               // the tick may interrupt this
+/// while let Some(sample) = lock(|mailboxes| mailboxes.learner.begin(&mut learner)) {
+///     learner.study(&sample);                               // the tick may interrupt this
 ///     lock(|mailboxes| mailboxes.learner.finish(&mut learner, cost));
 /// }
 /// if lock(|mailboxes| mailboxes.learner.release_reply()) { … }    // wake the sender of replies
@@ -52,7 +52,7 @@ impl<const N: usize, const P: usize> Mailboxes<N, P> {
 
 /// Mailbox between tick and learner: learning samples one way, learnt sets the other.
 pub struct LearnerMailbox<const N: usize, const P: usize> {
-    lessons: Queue<LearningSample<N>, 16>,
+    samples: Queue<LearningSample<N>, 16>,
     pub(super) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
     /// The reply of a tick waits for its learning step.
@@ -65,7 +65,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
     /// An empty mailbox.
     pub const fn new() -> Self {
         Self {
-            lessons: Queue::new(),
+            samples: Queue::new(),
             exchange: Exchange::new(),
             restart: None,
             held: false,
@@ -76,7 +76,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
 
     /// Learning samples waiting.
     pub fn waiting(&self) -> usize {
-        self.lessons.len()
+        self.samples.len()
     }
 
     /// The content of the reply buffer must wait until the learner has called [`release_reply`](Self::release_reply).
@@ -86,7 +86,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
 
     /// Called by the learner after its last sample; true when everything is learnt and a reply has waited for it.
     pub fn release_reply(&mut self) -> bool {
-        self.lessons.is_empty() && core::mem::take(&mut self.held)
+        self.samples.is_empty() && core::mem::take(&mut self.held)
     }
 
     pub(super) fn hold_reply(&mut self) {
@@ -116,9 +116,9 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
             // learn nothing: the samples that follow do not belong to its set.
             let _ = learner.restart(LearnerConfig::for_arm::<A>(period_s), &set);
         }
-        let lesson = self.lessons.dequeue()?;
-        learner.collect(&lesson, &mut self.exchange);
-        Some(lesson)
+        let sample = self.samples.dequeue()?;
+        learner.collect(&sample, &mut self.exchange);
+        Some(sample)
     }
 
     /// Takes over the learner's result; `cost` in counts of the board's counter.
@@ -132,16 +132,16 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
 
     /// Learns from all samples waiting, where tick and learner take turns.
     pub fn work<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>, clock: &impl Clock) {
-        while let Some(lesson) = self.begin(learner) {
+        while let Some(sample) = self.begin(learner) {
             let start = clock.now();
-            learner.study(&lesson);
+            learner.study(&sample);
             self.finish(learner, clock.now().wrapping_sub(start));
         }
         self.release_reply();
     }
 
-    pub(super) fn post(&mut self, lesson: LearningSample<N>) {
-        if self.lessons.enqueue(lesson).is_err() {
+    pub(super) fn post(&mut self, sample: LearningSample<N>) {
+        if self.samples.enqueue(sample).is_err() {
             self.samples_lost = self.samples_lost.saturating_add(1);
         }
     }
@@ -149,7 +149,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
     /// Drops all samples and sets; the learner restarts from `set` at `period_s`.
     #[inline(never)]
     pub(super) fn restart(&mut self, period_s: f32, set: &ParameterSet<N, P>) {
-        while self.lessons.dequeue().is_some() {}
+        while self.samples.dequeue().is_some() {}
         self.exchange = Exchange::new();
         self.restart = Some(Restart {
             period_s,

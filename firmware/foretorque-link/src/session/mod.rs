@@ -146,7 +146,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.controller.safety().input_in_time()
     }
 
-    /// The host has asked for a restart of the processor.
+    /// The host has commanded a restart of the processor.
     pub fn reboot_wanted(&self) -> bool {
         self.reboot
     }
@@ -207,4 +207,4 @@ fn seconds(configuration: &Configuration) -> f32 {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -2,7 +2,7 @@
 
 use super::{Clock, LearnerMailbox, Mailboxes, Session};
 use crate::bank::ParameterBank;
-use crate::store::{Store, StoreError, StoreMailbox, StoreOrder, StoreState};
+use crate::store::{Store, StoreError, StoreMailbox, StoreOrder};
 use crate::wire::{BoardMessage, Capabilities, FrameBuffer, NackReason};
 use embedded_storage::nor_flash::NorFlash;
 use foretorque::arm::Arm;
@@ -10,14 +10,13 @@ use foretorque::arm::Arm;
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     /// Starts with the newest set that the store has for this arm; without one the bank of the firmware stays.
     ///
-    /// Cannot fail: the board runs in any case, and the state reports the error. To be called at boot, before the first
-    /// tick.
+    /// To be called at boot, before the first tick. Errors: the reason for that; the board runs in any case.
     #[inline(never)]
     pub fn boot_from<F: NorFlash>(
         &mut self,
         store: &mut Store<F>,
         mailbox: &mut LearnerMailbox<N, P>,
-    ) -> StoreState {
+    ) -> Result<(), StoreError> {
         let mut buffer = [0; ParameterBank::MAX_BYTES];
         let loaded = store.load(A::HASH, &mut buffer).and_then(|bytes| {
             // A session that has just booted refuses a set only for its content.
@@ -27,12 +26,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                     _ => StoreError::Damaged,
                 })
         });
-        let state = match loaded {
-            Ok(()) => StoreState::Loaded,
-            Err(error) => StoreState::Failed(error),
-        };
-        self.store = state.health();
-        state
+        self.store = self.store.after(StoreOrder::Restore, &loaded);
+        loaded
     }
 
     /// Brings the bank in `bytes` into force, all of it or nothing.
@@ -80,11 +75,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         let Some(done) = mailboxes.store.collect() else {
             return;
         };
-        let state = match done.outcome {
-            Ok(_) => StoreState::Saved,
-            Err(error) => StoreState::Failed(error),
-        };
-        self.store = self.store.after(done.order, state);
+        self.store = self.store.after(done.order, &done.outcome);
         let reply: Result<BoardMessage<N>, _> = match (done.order, done.outcome) {
             (_, Err(error)) => Err(NackReason::Store(error)),
             (StoreOrder::Save, Ok(_)) => Ok(BoardMessage::Ack),

@@ -16,21 +16,6 @@ pub enum StoreOrder {
 
 /// State of the store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum StoreState {
-    /// The board has none, or it has not been used yet.
-    #[default]
-    Unused,
-    /// The set in force at boot, or the last one requested, came from it.
-    Loaded,
-    /// The last save succeeded.
-    Saved,
-    /// The last order failed; the board runs on from RAM.
-    Failed(StoreError),
-}
-
-/// State of the store, as the link reports it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StoreHealth {
     /// The board has none, or it has not been used yet.
     #[default]
@@ -46,25 +31,15 @@ pub enum StoreHealth {
     Failing,
 }
 
-impl StoreState {
-    /// The state as the link reports it.
-    pub const fn health(self) -> StoreHealth {
-        match self {
-            Self::Unused => StoreHealth::Unused,
-            Self::Loaded | Self::Saved => StoreHealth::Sound,
-            Self::Failed(StoreError::Empty) => StoreHealth::Empty,
-            Self::Failed(StoreError::NotKept | StoreError::Flash) => StoreHealth::Failing,
-            Self::Failed(_) => StoreHealth::Refused,
-        }
-    }
-}
-
 impl StoreHealth {
     /// The state after one more order: a flash that failed to store is not sound because it can be read.
-    pub(crate) const fn after(self, order: StoreOrder, state: StoreState) -> Self {
-        match (self, order) {
-            (Self::Failing, StoreOrder::Restore) => Self::Failing,
-            _ => state.health(),
+    pub(crate) fn after<T>(self, order: StoreOrder, outcome: &Result<T, StoreError>) -> Self {
+        match (self, order, outcome) {
+            (Self::Failing, StoreOrder::Restore, _) => Self::Failing,
+            (_, _, Ok(_)) => Self::Sound,
+            (_, _, Err(StoreError::Empty)) => Self::Empty,
+            (_, _, Err(StoreError::NotKept | StoreError::Flash)) => Self::Failing,
+            (_, _, Err(_)) => Self::Refused,
         }
     }
 }

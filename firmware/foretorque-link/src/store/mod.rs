@@ -22,7 +22,7 @@ mod mailbox;
 mod record;
 
 pub use log::Store;
-pub use mailbox::{StoreHealth, StoreJob, StoreMailbox, StoreOrder, StoreReply, StoreState};
+pub use mailbox::{StoreHealth, StoreJob, StoreMailbox, StoreOrder, StoreReply};
 pub use record::{HEADER_BYTES, SLOT_BYTES};
 
 use core::fmt;

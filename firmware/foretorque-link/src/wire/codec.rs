@@ -64,9 +64,9 @@ struct Cobs<'r> {
     buffer: &'r mut [u8],
     /// Bytes used.
     length: usize,
-    /// Place of the length byte of the block under way.
+    /// Place of the length byte of this block.
     code: usize,
-    /// Value of that byte: one more than the bytes of the block.
+    /// Length byte of the block: one more than its bytes.
     run: u8,
 }
 

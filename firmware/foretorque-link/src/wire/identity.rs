@@ -122,7 +122,7 @@ pub struct BoardHello {
     /// Identity of the arm the firmware was built for.
     #[serde(with = "postcard::fixint::le")]
     pub arm_hash: u32,
-    /// Its name.
+    /// Name of the arm.
     pub arm: Name,
     /// Number of joints.
     pub joints: u8,
@@ -130,26 +130,26 @@ pub struct BoardHello {
     pub base_columns: u8,
     /// Version of the firmware.
     pub firmware: Name,
-    /// Capabilities of the board.
+    /// Capabilities, the write key included.
     pub capabilities: Capabilities,
     /// Unit of the cost counter.
     pub counter: CounterKind,
     /// Counts per second.
     #[serde(with = "postcard::fixint::le")]
     pub counter_hz: u32,
-    /// How it runs.
+    /// Configuration of the ticks.
     pub configuration: Configuration,
-    /// Why it started.
+    /// Cause of the last start.
     pub reset_reason: ResetReason,
-    /// Whether torque leaves, and why not; a fault kept over the reset is here.
+    /// Safety state and reason, a fault kept over the reset included.
     pub safety: SafetyStatus,
-    /// Counts of its counter from its first instructions to its first hello; 0 where there is no counter.
+    /// Counts from the first instructions to the first hello; 0 without a counter.
     #[serde(with = "postcard::fixint::le")]
     pub boot_counts: u32,
 }
 
 impl BoardHello {
-    /// Time from its first instructions to its first hello, µs; `None` where its counter tells no time.
+    /// Time from the first instructions to the first hello, µs; `None` where the counter gives no time.
     pub fn boot_us(&self) -> Option<u32> {
         let counts = u64::from(self.boot_counts) * 1_000_000;
         let time = counts.checked_div(u64::from(self.counter_hz))?;

@@ -27,7 +27,7 @@ pub use identity::{
 };
 pub use message::{BankSource, BoardMessage, HostMessage, NackReason};
 pub use record::{Field, TELEMETRY_BYTES, TelemetryFrame};
-pub use scaled::{Acceleration, Effort, I16, I24, Position, Velocity};
+pub use scaled::{Acceleration, Effort, Position, Scaled, Velocity};
 
 /// Version of the protocol; changes whenever a frame of the old version would be decoded differently or not at all.
 pub const PROTOCOL_VERSION: u8 = 3;

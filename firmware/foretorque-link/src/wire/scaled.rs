@@ -2,30 +2,26 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Signed 24-bit integer in units of 2^-BITS, little endian on the wire.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct I24<const BITS: u32>([u8; 3]);
-
-/// Signed 16-bit integer in units of 2^-BITS, little endian on the wire.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct I16<const BITS: u32>([u8; 2]);
+/// Signed integer of `BYTES` bytes in units of 2^-BITS, little endian on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Scaled<const BYTES: usize, const BITS: u32>(#[serde(with = "super::array")] [u8; BYTES]);
 
 /// Joint position, resolution 2^-20 rad (0.95 µrad, a fiftieth of a 17-bit encoder's count), range ±8 rad.
-pub type Position = I24<20>;
+pub type Position = Scaled<3, 20>;
 
 /// Joint velocity, resolution 2^-18 rad/s (3.8 µrad/s), range ±32 rad/s.
 ///
 /// Sixteen bits over ±16 rad/s would step by 0.5 mrad/s. At standstill the smoothed Coulomb torque has the slope
 /// F_c / 0.01 rad/s; with F_c = 8 N·m that step would be 0.4 N·m of torque noise. With 24 bits it is 3 mN·m.
-pub type Velocity = I24<18>;
+pub type Velocity = Scaled<3, 18>;
 
 /// Joint acceleration, resolution 2^-9 rad/s² (2 mrad/s²), range ±64 rad/s².
 ///
 /// Half a step at the 3 kg·m² of a stretched UR5's first joint is 3 mN·m, 2e-5 of the torque limit of this joint.
-pub type Acceleration = I16<9>;
+pub type Acceleration = Scaled<2, 9>;
 
 /// Joint torque in N·m or motor current in A, resolution 2^-14 (61 µN·m, 61 µA), range ±512.
-pub type Effort = I24<14>;
+pub type Effort = Scaled<3, 14>;
 
 /// Nearest integer, saturating; ties away from zero. `x` is not NaN.
 fn nearest(x: f32) -> i32 {
@@ -39,10 +35,11 @@ fn nearest(x: f32) -> i32 {
     }
 }
 
-impl<const BITS: u32> I24<BITS> {
+impl<const BYTES: usize, const BITS: u32> Scaled<BYTES, BITS> {
     /// Largest magnitude; the code below `-MAX_CODE` means "not a number".
-    const MAX_CODE: i32 = (1 << 23) - 1;
-    const NAN_CODE: i32 = -(1 << 23);
+    const MAX_CODE: i32 = i32::MAX >> Self::SHIFT;
+    const NAN_CODE: i32 = i32::MIN >> Self::SHIFT;
+    const SHIFT: usize = 32 - 8 * BYTES;
     const UNITS: f32 = (1u32 << BITS) as f32;
 
     /// Step between neighbouring values.
@@ -59,15 +56,21 @@ impl<const BITS: u32> I24<BITS> {
         } else {
             nearest(x * Self::UNITS).clamp(-Self::MAX_CODE, Self::MAX_CODE)
         };
-        let [a, b, c, _] = code.to_le_bytes();
-        Self([a, b, c])
+        let mut bytes = [0; BYTES];
+        for (byte, part) in bytes.iter_mut().zip(code.to_le_bytes()) {
+            *byte = part;
+        }
+        Self(bytes)
     }
 
     /// The value, exactly: 24 bits fit the mantissa of f32.
     pub fn decode(self) -> f32 {
-        let [a, b, c] = self.0;
-        // The code sits in the upper three bytes, so that the shift back carries the sign.
-        let code = i32::from_le_bytes([0, a, b, c]) >> 8;
+        // The code goes into the upper bytes, so that the shift back extends the sign.
+        let mut upper = [0; 4];
+        for (byte, part) in upper.iter_mut().rev().zip(self.0.into_iter().rev()) {
+            *byte = part;
+        }
+        let code = i32::from_le_bytes(upper) >> Self::SHIFT;
         if code == Self::NAN_CODE {
             f32::NAN
         } else {
@@ -76,32 +79,9 @@ impl<const BITS: u32> I24<BITS> {
     }
 }
 
-impl<const BITS: u32> I16<BITS> {
-    const MAX_CODE: i32 = i16::MAX as i32;
-    const UNITS: f32 = (1u32 << BITS) as f32;
-
-    /// Step between neighbouring values.
-    pub const RESOLUTION: f32 = 1.0 / Self::UNITS;
-    /// Largest value.
-    pub const MAX: f32 = Self::MAX_CODE as f32 / Self::UNITS;
-
-    /// The nearest code. Saturates at ±[`MAX`](Self::MAX); NaN stays NaN.
-    #[inline(never)]
-    pub fn encode(x: f32) -> Self {
-        let code = if x.is_nan() {
-            i16::MIN
-        } else {
-            nearest(x * Self::UNITS).clamp(-Self::MAX_CODE, Self::MAX_CODE) as i16
-        };
-        Self(code.to_le_bytes())
-    }
-
-    /// The value, exactly.
-    pub fn decode(self) -> f32 {
-        match i16::from_le_bytes(self.0) {
-            i16::MIN => f32::NAN,
-            code => f32::from(code) * Self::RESOLUTION,
-        }
+impl<const BYTES: usize, const BITS: u32> Default for Scaled<BYTES, BITS> {
+    fn default() -> Self {
+        Self([0; BYTES])
     }
 }
 

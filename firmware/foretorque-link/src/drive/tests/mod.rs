@@ -1,4 +1,4 @@
-//! A board with stage and encoder in the hands of the test; the tests are in the rooms below.
+//! A board with motor stage and encoder under test.
 
 mod encoder;
 mod stage;
@@ -8,15 +8,14 @@ use crate::hal::{
     AbsoluteEncoder, Chip, Direction, EncoderConfig, EncoderError, OutputError, TorqueScale,
 };
 use crate::safety::SafetyState;
-use crate::session::{BoardDescription, Mailboxes, NoClock};
+use crate::session::tests::{self as session, ACK, N, nack, torque};
+use crate::session::{BoardDescription, NoClock};
 use crate::wire::{
-    BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, HostMessage, NackReason,
-    Pacing, SampleFrame, TorqueFrame,
+    BoardMessage, Capabilities, HostMessage, NackReason, Pacing, SampleFrame, TorqueFrame,
 };
 use core::convert::Infallible;
 use embedded_hal::digital::ErrorType;
 use embedded_hal::spi::{ErrorKind, Operation, SpiDevice};
-use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::limits::Flags;
 use std::cell::RefCell;
@@ -31,23 +30,24 @@ const SCALE: TorqueScale = TorqueScale {
 };
 const FULL_SCALE_NM: f32 = 200.0;
 
-/// The hardware around the board, in the hands of the test.
+/// State of the motor stage's pins and output.
 #[derive(Default)]
 struct Bench {
     enabled: bool,
     fault: bool,
     levels: Vec<f32>,
-    output_gone: bool,
+    output_fails: bool,
 }
 
+/// Every pin and the output of the motor stage.
 #[derive(Clone, Default)]
-struct Hands(Rc<RefCell<Bench>>);
+struct Pins(Rc<RefCell<Bench>>);
 
-impl ErrorType for Hands {
+impl ErrorType for Pins {
     type Error = Infallible;
 }
 
-impl OutputPin for Hands {
+impl OutputPin for Pins {
     fn set_low(&mut self) -> Result<(), Infallible> {
         self.0.borrow_mut().enabled = false;
         Ok(())
@@ -59,7 +59,7 @@ impl OutputPin for Hands {
     }
 }
 
-impl InputPin for Hands {
+impl InputPin for Pins {
     fn is_high(&mut self) -> Result<bool, Infallible> {
         Ok(!self.0.borrow().fault)
     }
@@ -69,10 +69,10 @@ impl InputPin for Hands {
     }
 }
 
-impl TorqueOutput for Hands {
+impl TorqueOutput for Pins {
     fn command(&mut self, level: f32) -> Result<(), OutputError> {
         let mut bench = self.0.borrow_mut();
-        if bench.output_gone {
+        if bench.output_fails {
             return Err(OutputError::Bus(ErrorKind::Other));
         }
         bench.levels.push(level);
@@ -80,7 +80,7 @@ impl TorqueOutput for Hands {
     }
 }
 
-/// The chip on its bus, and in the hands of the test.
+/// The bus of a chip that the test holds too.
 #[derive(Clone)]
 struct Bus(Rc<RefCell<Chip>>);
 
@@ -94,21 +94,21 @@ impl SpiDevice for Bus {
     }
 }
 
-/// A board with a stage and an encoder, as its firmware runs it.
+/// A board with a stage and an encoder, in the order of calls of its firmware.
 struct Board {
-    session: Session<Ur5, N, P>,
-    mailboxes: Mailboxes<N, P>,
-    stage: JointStage<Hands, Hands, Hands>,
+    board: session::Board,
+    stage: JointStage<Pins, Pins, Pins>,
     encoder: JointEncoder<Bus>,
     chip: Rc<RefCell<Chip>>,
     bench: Rc<RefCell<Bench>>,
-    sequence: u16,
 }
 
 impl Board {
     fn new(turn: TurnReference) -> Self {
-        let (hands, chip) = (Hands::default(), Rc::new(RefCell::new(Chip::new(0))));
-        let stage = MotorStage::new(hands.clone(), hands.clone(), hands.clone(), SCALE).unwrap();
+        let mut description = BoardDescription::plain(NoClock);
+        description.capabilities = description.capabilities | Capabilities::TIMER;
+        let (pins, chip) = (Pins::default(), Rc::new(RefCell::new(Chip::new(0))));
+        let stage = MotorStage::new(pins.clone(), pins.clone(), pins.clone(), SCALE).unwrap();
         let config = EncoderConfig {
             zero_counts: 0,
             direction: Direction::Same,
@@ -117,38 +117,11 @@ impl Board {
         };
         let encoder = AbsoluteEncoder::new(Bus(chip.clone()), config).unwrap();
         Self {
-            session: Session::new(BoardDescription::plain(NoClock)).unwrap(),
-            mailboxes: Mailboxes::new(),
+            board: session::Board::described(description),
             stage: JointStage::new(stage, JOINT),
             encoder: JointEncoder::new(encoder, JOINT, turn),
             chip,
-            bench: hands.0,
-            sequence: 0,
-        }
-    }
-
-    /// Act on a received frame as the firmware does.
-    fn ask(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
-        self.sequence += 1;
-        let (mut frame, mut out) = (FrameBuffer::new(), FrameBuffer::new());
-        frame.push(self.sequence, &message).unwrap();
-        self.stage.check(&mut self.session);
-        let (mailboxes, sensor) = (&mut self.mailboxes, &mut self.encoder);
-        self.session
-            .receive(frame.as_bytes(), mailboxes, &mut out, sensor);
-        self.stage.apply(&mut self.session);
-        let mut decoder = Decoder::new();
-        let heard = out.as_bytes().iter().find_map(|&byte| {
-            let frame = decoder.push(byte)?;
-            Some(frame.unwrap().message().unwrap())
-        });
-        heard.unwrap()
-    }
-
-    fn sample(&mut self, sample: &JointSample<N>) -> TorqueFrame<N> {
-        match self.ask(HostMessage::Sample(SampleFrame::new(sample))) {
-            BoardMessage::Torque(torque) => torque,
-            other => panic!("{other:?}"),
+            bench: pins.0,
         }
     }
 
@@ -157,19 +130,49 @@ impl Board {
         for _ in 0..5 {
             assert_eq!(board.sample(&still(0.0)).total, [0.0; N]);
         }
-        assert_eq!(board.ask(HostMessage::Arm), BoardMessage::Ack);
-        for _ in 0..40 {
-            board.sample(&still(0.0));
-        }
-        assert!(board.bench.borrow().enabled);
+        assert_eq!(board.request(HostMessage::Arm), ACK);
+        board.samples(40);
+        assert!(board.enabled());
         board
     }
 
-    fn refusal(&mut self) -> SafetyReason {
-        match self.ask(HostMessage::Arm) {
-            BoardMessage::Nack(NackReason::Unsafe(reason)) => reason,
-            other => panic!("{other:?}"),
-        }
+    fn request(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
+        self.stage.check(&mut self.board.session);
+        let frame = self.board.numbered(&message);
+        let sensor = &mut self.encoder;
+        let mut replies = self.board.output(|session, mailboxes, out| {
+            session.receive(&frame, mailboxes, out, sensor);
+        });
+        self.stage.apply(&mut self.board.session);
+        replies.remove(0).1
+    }
+
+    /// One period of the timer.
+    fn timer(&mut self) {
+        let sensor = &mut self.encoder;
+        self.board.output(|session, mailboxes, out| {
+            session.timer_tick(mailboxes, out, sensor);
+        });
+        self.stage.apply(&mut self.board.session);
+    }
+
+    fn sample(&mut self, sample: &JointSample<N>) -> TorqueFrame<N> {
+        torque(&self.request(HostMessage::Sample(SampleFrame::new(sample))))
+    }
+
+    /// Samples of the arm at rest.
+    fn samples(&mut self, count: u32) {
+        (0..count).for_each(|_| _ = self.sample(&still(0.0)));
+    }
+
+    #[track_caller]
+    fn assert_refused(&mut self, reason: SafetyReason) {
+        let refused = nack(NackReason::Unsafe(reason));
+        assert_eq!(self.request(HostMessage::Arm), refused);
+    }
+
+    fn enabled(&self) -> bool {
+        self.bench.borrow().enabled
     }
 
     fn level(&self) -> f32 {
@@ -177,10 +180,10 @@ impl Board {
     }
 }
 
-/// The arm stretched out at rest, as the host knows it: its own figure for the joint is `told`, rad.
-fn still(told: f32) -> JointSample<N> {
+/// The stretched arm at rest; the host measures its joint at `host_q`, rad.
+fn still(host_q: f32) -> JointSample<N> {
     let mut q = JointVector::zeros();
-    q[JOINT] = told;
+    q[JOINT] = host_q;
     JointSample {
         desired: JointMotion::zero(),
         measured: Some(JointMeasurement {
@@ -188,9 +191,4 @@ fn still(told: f32) -> JointSample<N> {
             tau: JointVector::zeros(),
         }),
     }
-}
-
-/// The position the tick had, as the telemetry would say: judged by what the safety compares it with.
-fn far(board: &mut Board) -> bool {
-    board.refusal() == SafetyReason::TooFar
 }

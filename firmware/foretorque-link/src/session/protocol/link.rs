@@ -28,7 +28,7 @@ pub(in crate::session) struct LinkState {
 }
 
 impl LinkState {
-    /// Counters at zero; the sequence goes on after `last`.
+    /// Counters at zero; the sequence continues after `last`.
     pub(super) const fn new(last: Option<u16>) -> Self {
         Self {
             frames: 0,

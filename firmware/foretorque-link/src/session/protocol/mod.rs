@@ -45,7 +45,7 @@ impl Protocol {
         }
     }
 
-    /// Counters at zero, nothing under way; the sequence goes on after `sequence`.
+    /// Resets counters and transfers; the sequence continues after `sequence`.
     pub(super) fn reset(&mut self, sequence: u16) {
         self.decoder = Decoder::new();
         self.link = LinkState::new(Some(sequence));

@@ -44,8 +44,8 @@ impl Timed {
         torque.total = self.safety.release(&torque.total);
         self.feed_forward.applied(&torque.total);
         let measured = sample.and_then(|sample| sample.measured);
-        let lesson = self.feed_forward.learning_sample(measured);
-        self.learner.learn(&lesson, &mut self.exchange);
+        let learning_sample = self.feed_forward.learning_sample(measured);
+        self.learner.learn(&learning_sample, &mut self.exchange);
         torque
     }
 }
@@ -185,14 +185,14 @@ fn without_period_numbers_a_lost_sample_bends_the_motion() {
 
 #[test]
 fn a_lost_command_costs_no_learning_sample() {
-    let (mut whole, mut asked) = (Linked::armed(), Linked::armed());
+    let (mut whole, mut commanded) = (Linked::armed(), Linked::armed());
     for k in 0..100 {
         whole.sample(k);
-        asked.sample(k);
+        commanded.sample(k);
         // The number of a command that never arrived.
-        asked.board.sequence += 1;
+        commanded.board.sequence += 1;
     }
-    assert!(whole.board.learner.state() == asked.board.learner.state());
+    assert!(whole.board.learner.state() == commanded.board.learner.state());
 }
 
 #[test]

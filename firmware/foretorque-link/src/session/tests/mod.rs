@@ -25,11 +25,11 @@ use foretorque::limits::Flags;
 use std::boxed::Box;
 use std::vec::Vec;
 
-const N: usize = 6;
+pub(crate) const N: usize = 6;
 const P: usize = 40;
-const ACK: BoardMessage<N> = BoardMessage::Ack;
+pub(crate) const ACK: BoardMessage<N> = BoardMessage::Ack;
 
-const fn nack(reason: NackReason) -> BoardMessage<N> {
+pub(crate) const fn nack(reason: NackReason) -> BoardMessage<N> {
     BoardMessage::Nack(reason)
 }
 
@@ -37,11 +37,11 @@ const fn no_torque(reason: SafetyReason) -> BoardMessage<N> {
     nack(NackReason::Unsafe(reason))
 }
 
-type Replies = Vec<(u16, BoardMessage<N>)>;
+pub(crate) type Replies = Vec<(u16, BoardMessage<N>)>;
 
 /// A session with its mailboxes and learner.
-struct Board {
-    session: Box<Session<Ur5, N, P>>,
+pub(crate) struct Board {
+    pub(crate) session: Box<Session<Ur5, N, P>>,
     mailboxes: Box<Mailboxes<N, P>>,
     learner: Box<Learner<Ur5, N, P>>,
     sequence: u16,
@@ -54,7 +54,7 @@ impl Board {
         Self::described(description)
     }
 
-    fn described(description: BoardDescription) -> Self {
+    pub(crate) fn described(description: BoardDescription) -> Self {
         let session = Session::new(description).unwrap();
         let set = session.feed_forward().state().active;
         Self {
@@ -85,7 +85,7 @@ impl Board {
         })
     }
 
-    fn output(
+    pub(crate) fn output(
         &mut self,
         act: impl FnOnce(&mut Session<Ur5, N, P>, &mut Mailboxes<N, P>, &mut FrameBuffer),
     ) -> Replies {
@@ -94,10 +94,15 @@ impl Board {
         decoded(out.as_bytes())
     }
 
-    /// Sends a message under the next number.
-    fn send(&mut self, message: &HostMessage<N>) -> Replies {
+    /// The frame of a message under the next number.
+    pub(crate) fn numbered(&mut self, message: &HostMessage<N>) -> Vec<u8> {
         self.sequence += 1;
-        self.receive(&frame(self.sequence, message))
+        frame(self.sequence, message)
+    }
+
+    fn send(&mut self, message: &HostMessage<N>) -> Replies {
+        let frame = self.numbered(message);
+        self.receive(&frame)
     }
 
     /// The one reply to a message.
@@ -137,7 +142,7 @@ impl Board {
         replies.first().map(|(_, reply)| torque(reply))
     }
 
-    fn pace(&mut self, pacing: Pacing) {
+    pub(crate) fn pace(&mut self, pacing: Pacing) {
         self.acknowledged(HostMessage::Configure(Configuration {
             pacing,
             ..Configuration::default()
@@ -217,7 +222,7 @@ fn decoded(bytes: &[u8]) -> Replies {
     frames.collect()
 }
 
-fn torque(reply: &BoardMessage<N>) -> TorqueFrame<N> {
+pub(crate) fn torque(reply: &BoardMessage<N>) -> TorqueFrame<N> {
     match reply {
         BoardMessage::Torque(torque) => *torque,
         other => panic!("{other:?}"),

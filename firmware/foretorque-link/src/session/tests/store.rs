@@ -122,7 +122,8 @@ fn a_worn_flash_is_reported_until_a_save_succeeds() {
     let (mut board, mut store, worn) = storing();
     assert_eq!(board.statistics().store, StoreHealth::Unused);
     let learner = &mut board.mailboxes.learner;
-    board.session.boot_from(&mut store, learner);
+    let loaded = board.session.boot_from(&mut store, learner);
+    assert_eq!(loaded, Err(StoreError::Empty));
     assert_eq!(board.statistics().store, StoreHealth::Empty);
     let not_kept = nack(NackReason::Store(StoreError::NotKept));
     for (is_worn, message, reply, health) in [

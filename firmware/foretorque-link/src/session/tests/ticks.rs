@@ -82,8 +82,8 @@ fn a_set_learnt_before_a_restart_never_reaches_later_ticks() {
         board.learn();
     }
     board.sample(5);
-    let lesson = board.mailboxes.learner.begin(&mut board.learner).unwrap();
-    board.learner.study(&lesson);
+    let sample = board.mailboxes.learner.begin(&mut board.learner).unwrap();
+    board.learner.study(&sample);
     // The tick interrupts the learner here, at the end of a round.
     board.acknowledged(HostMessage::Learning { on: false });
     board.acknowledged(HostMessage::Reset);
@@ -117,11 +117,11 @@ fn a_waiting_reply_is_held_until_everything_is_learnt() {
     assert!(board.mailboxes.learner.holds_reply());
     // Two samples wait. A command interrupts the learner in the first one.
     for (interrupted, released) in [(true, false), (false, true)] {
-        let lesson = board.mailboxes.learner.begin(&mut board.learner).unwrap();
+        let sample = board.mailboxes.learner.begin(&mut board.learner).unwrap();
         if interrupted {
             board.request(HostMessage::Statistics);
         }
-        board.learner.study(&lesson);
+        board.learner.study(&sample);
         let mailbox = &mut board.mailboxes.learner;
         mailbox.finish(&mut board.learner, 0);
         assert_eq!(mailbox.release_reply(), released);

@@ -1,4 +1,4 @@
-//! Messages through the line, and what damage does to them.
+//! Messages over the link, whole and damaged.
 
 use super::any::{board_message, bytes, host_message};
 use super::*;
@@ -7,13 +7,13 @@ use proptest::prelude::*;
 
 proptest! {
     #[test]
-    fn every_host_message_comes_back(sequence: u16, message in host_message()) {
-        assert_comes_back(sequence, &message);
+    fn every_host_message_survives(sequence: u16, message in host_message()) {
+        assert_survives(sequence, &message);
     }
 
     #[test]
-    fn every_board_message_comes_back(sequence: u16, message in board_message()) {
-        assert_comes_back(sequence, &message);
+    fn every_board_message_survives(sequence: u16, message in board_message()) {
+        assert_survives(sequence, &message);
     }
 
     #[test]
@@ -28,17 +28,17 @@ proptest! {
             damaged[place] ^= 1 << bit;
         }
         let unharmed = damaged == frame;
-        // The delimiter of the damaged frame may be gone: then it swallows the one behind it, and no more.
+        // The delimiter of the damaged frame may be lost: then the next frame is lost too, and no more.
         damaged.extend(wire(8, &HostMessage::<N>::Statistics));
         damaged.extend(wire(9, &HostMessage::<N>::Hello));
-        let (good, _) = hear::<HostMessage<N>>(&damaged);
+        let (good, _) = receive::<HostMessage<N>>(&damaged);
         prop_assert_eq!(good.iter().any(|(sequence, _)| *sequence == 7), unharmed);
         prop_assert!(good.iter().all(|(sequence, _)| [7, 8, 9].contains(sequence)));
         prop_assert_eq!(good.last(), Some(&(9, HostMessage::Hello)));
     }
 
     #[test]
-    fn a_frame_cut_short_is_lost_and_the_next_one_but_one_is_not(
+    fn a_frame_cut_short_costs_at_most_the_next_one(
         message in host_message(),
         cut in any::<prop::sample::Index>(),
     ) {
@@ -46,29 +46,29 @@ proptest! {
         let mut line = frame[..cut.index(frame.len())].to_vec();
         line.extend(wire(8, &HostMessage::<N>::Statistics));
         line.extend(wire(9, &HostMessage::<N>::Hello));
-        let (good, _) = hear::<HostMessage<N>>(&line);
+        let (good, _) = receive::<HostMessage<N>>(&line);
         prop_assert!(good.iter().all(|(sequence, _)| *sequence != 7));
         prop_assert_eq!(good.last(), Some(&(9, HostMessage::Hello)));
     }
 
     #[test]
-    fn garbage_between_frames_costs_no_more_than_the_frame_it_touches(
+    fn garbage_costs_no_more_than_the_frame_it_touches(
         garbage in bytes(600),
         message in host_message(),
     ) {
         let mut line = garbage;
         line.extend(wire(1, &HostMessage::<N>::Hello));
         line.extend(wire(2, &message));
-        let (good, _) = hear::<HostMessage<N>>(&line);
+        let (good, _) = receive::<HostMessage<N>>(&line);
         let last = good.last().map(|(sequence, again)| (*sequence, wire(2, again)));
         prop_assert_eq!(last, Some((2, wire(2, &message))));
         prop_assert!(good.len() <= 2);
     }
 
     #[test]
-    fn a_frame_sent_twice_is_heard_twice_with_the_same_number(message in host_message()) {
+    fn a_repeated_frame_is_received_twice(message in host_message()) {
         let frame = wire(3, &message);
-        let (good, bad) = hear::<HostMessage<N>>(&[frame.clone(), frame].concat());
+        let (good, bad) = receive::<HostMessage<N>>(&[frame.clone(), frame].concat());
         prop_assert_eq!(good.iter().map(|(sequence, _)| *sequence).collect::<Vec<_>>(), [3, 3]);
         prop_assert!(bad.is_empty());
     }
@@ -79,7 +79,7 @@ proptest! {
         let version = PROTOCOL_VERSION.wrapping_add(ahead);
         let mut buffer = [0; MAX_FRAME];
         let frame = encode_as(version, 1, &message, &mut buffer).unwrap();
-        let (good, bad) = hear::<HostMessage<N>>(frame);
+        let (good, bad) = receive::<HostMessage<N>>(frame);
         prop_assert!(good.is_empty());
         prop_assert_eq!(bad, [DecodeError::ForeignVersion(version)]);
     }
@@ -91,17 +91,17 @@ fn a_sample_of_six_joints_is_none_of_seven() {
         desired: foretorque::joint::JointMotion::zero(),
         measured: None,
     });
-    let (good, bad) = hear::<HostMessage<7>>(&wire(1, &HostMessage::Sample(six)));
+    let (good, bad) = receive::<HostMessage<7>>(&wire(1, &HostMessage::Sample(six)));
     assert!(good.is_empty());
     assert_eq!(bad, [DecodeError::Unknown]);
 }
 
 #[test]
-fn a_frame_longer_than_any_message_is_refused_and_the_next_one_heard() {
+fn an_overlong_frame_is_refused_and_the_next_one_received() {
     let mut line = [1; 3 * MAX_FRAME].to_vec();
     line.push(0);
     line.extend(wire(4, &HostMessage::<N>::Hello));
-    let (good, bad) = hear::<HostMessage<N>>(&line);
+    let (good, bad) = receive::<HostMessage<N>>(&line);
     assert_eq!(bad, [DecodeError::Framing]);
     assert_eq!(good, [(4, HostMessage::Hello)]);
 }

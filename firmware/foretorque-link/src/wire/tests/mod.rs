@@ -1,4 +1,4 @@
-//! Helpers of the tests of the wire.
+//! Helpers of the tests of the wire format.
 
 mod any;
 mod line;
@@ -17,8 +17,8 @@ fn wire<M: Serialize>(sequence: u16, message: &M) -> Vec<u8> {
     encode(sequence, message, &mut buffer).unwrap().to_vec()
 }
 
-/// Everything a receiver makes of `bytes`: what came whole, and what was refused.
-fn hear<M: DeserializeOwned>(bytes: &[u8]) -> (Vec<(u16, M)>, Vec<DecodeError>) {
+/// The messages in `bytes`, and the errors of the frames that were refused.
+fn receive<M: DeserializeOwned>(bytes: &[u8]) -> (Vec<(u16, M)>, Vec<DecodeError>) {
     let mut decoder = Decoder::new();
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     for &byte in bytes {
@@ -34,19 +34,19 @@ fn hear<M: DeserializeOwned>(bytes: &[u8]) -> (Vec<(u16, M)>, Vec<DecodeError>) 
     (good, bad)
 }
 
-/// Bits are compared, not numbers: NaN must come through as the NaN it is.
-fn assert_comes_back<M: Serialize + DeserializeOwned>(sequence: u16, message: &M) {
+/// Compares bits, so that NaN counts as equal to itself.
+fn assert_survives<M: Serialize + DeserializeOwned>(sequence: u16, message: &M) {
     let frame = wire(sequence, message);
     assert!(frame.len() <= MAX_FRAME);
     assert_eq!(
         frame.iter().position(|&byte| byte == 0),
         Some(frame.len() - 1)
     );
-    let (good, bad) = hear::<M>(&frame);
+    let (good, bad) = receive::<M>(&frame);
     assert!(bad.is_empty());
-    let [(heard, again)] = good.as_slice() else {
+    let [(number, again)] = good.as_slice() else {
         panic!("one frame in, {} out", good.len());
     };
-    assert_eq!(*heard, sequence);
+    assert_eq!(*number, sequence);
     assert_eq!(wire(sequence, again), frame);
 }
