@@ -41,7 +41,7 @@ impl<const N: usize> SafetyLimits<N> {
     /// The limits of an arm for ticks of `period_s`, s.
     pub fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
         let of = |value: fn(&foretorque::arm::JointLimits) -> f32| {
-            JointVector::from(A::LIMITS.map(|limits| value(&limits)))
+            JointVector::from(A::limits().map(|limits| value(&limits)))
         };
         let torque = of(|limits| limits.torque);
         Self {

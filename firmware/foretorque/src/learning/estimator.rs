@@ -60,7 +60,7 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
     motion: &JointMotion<N>,
 ) -> Option<[f32; FRICTION_COLUMNS]> {
     let loads = friction_load::<A, N, P>(&motion.q);
-    let (&cycles, &load) = (A::COGGING_CYCLES.get(joint)?, loads.get(joint)?);
+    let (&cycles, &load) = (A::cogging_cycles().get(joint)?, loads.get(joint)?);
     let (&q, &qd) = (motion.q.get(joint)?, motion.qd.get(joint)?);
     Some(friction_row(cycles, q, qd, load))
 }
@@ -117,7 +117,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Cost: as much as one row, and nothing when all are added.
     pub(super) fn add_prior_factors<A: Arm<N, P>>(&mut self) -> bool {
         if self.factors_added == 0 {
-            let floor = const { prior_floor::<A, N, P>() };
+            let floor = prior_floor::<A, N, P>();
             self.filter.set_rigid_variances(&floor);
         }
         for _ in 0..FACTORS_PER_TICK {

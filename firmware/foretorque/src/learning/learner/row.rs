@@ -70,7 +70,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         sample: &ConditionedSample<N>,
     ) -> (RowOutcome, Option<f32>) {
         let (Some(limits), Some(&qd), Some(&tau)) = (
-            A::LIMITS.get(joint),
+            A::limits().get(joint),
             sample.motion.qd.get(joint),
             sample.tau.get(joint),
         ) else {
@@ -198,7 +198,7 @@ pub(super) fn joint_attenuation<A: Arm<N, P>, const N: usize, const P: usize>(
     qd: f32,
     inv_period: f32,
 ) -> f32 {
-    let cycles = A::COGGING_CYCLES.get(joint).copied().unwrap_or(0.0);
+    let cycles = A::cogging_cycles().get(joint).copied().unwrap_or(0.0);
     cogging_attenuation(cycles * qd / inv_period)
 }
 

@@ -52,7 +52,7 @@ impl SupervisorConfig {
     /// Defaults for an arm.
     ///
     /// * `inv_period` ticks per second, 1/s
-    pub const fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
+    pub fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
         let block_ticks = (0.01 * inv_period + 0.5) as u32;
         // Each joint of a block is processed in a tick of its own.
         let shortest = N as u32 + 1;
@@ -68,7 +68,7 @@ impl SupervisorConfig {
                 drift: 3.2,
                 threshold: 25.0,
             },
-            max_payload_mass: const { 1.2 * rated_payload::<A, N, P>() },
+            max_payload_mass: 1.2 * rated_payload::<A, N, P>(),
             min_payload_mass: 0.25,
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.15,
