@@ -31,7 +31,12 @@ pub(crate) fn gate(tools: Tools) -> Result<()> {
         }
         let mut build = tools.board.tool("cargo");
         build.args(["build", "--release", "--locked", "--target", target]);
-        build.args(["--target-dir", "target/outside", "--manifest-path", manifest]);
+        build.args([
+            "--target-dir",
+            "target/outside",
+            "--manifest-path",
+            manifest,
+        ]);
         shell::run(&mut build)?;
     }
     let mut tree = tools.board.tool("cargo");
