@@ -39,7 +39,7 @@
 //! }
 //! # Ok::<(), foretorque::learning::ConfigError>(())
 //! ```
-//! The folder `examples/` holds complete programs: `tick` (learning on the host), `payload`, and `own_arm`.
+//! The folder `examples/` holds complete programs: `tick`, `payload` (learning on the host), `own_arm` and `rtic`.
 //!
 //! # Modules
 //! Dependencies point down the table only.
