@@ -1,7 +1,10 @@
 use super::*;
 use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
+use crate::dynamics::DISSIPATION_BOUNDS;
 use crate::dynamics::{FrictionColumn, FrictionParameters};
 use crate::joint::{JointMotion, JointVector};
+use crate::learning::parameters::dot;
+use core::array::from_fn;
 use std::vec::Vec;
 
 const WIDTH: usize = FRICTION_COLUMNS;
@@ -44,17 +47,14 @@ impl Twin {
         for (theta, gain) in self.theta.iter_mut().zip(&gain) {
             *theta += gain * z.clamp(-3.0, 3.0) / s.sqrt();
         }
-        for _ in 0..MAX_PROJECTIONS {
-            if !self.project(WIDTH * joint) {
-                break;
-            }
-        }
+        self.project(WIDTH * joint);
     }
 
-    /// Projection onto the worst violated bound of the friction columns from `first` on; true if there was one.
-    fn project(&mut self, first: usize) -> bool {
+    /// Most likely estimate within the bounds of the friction columns from `first` on.
+    fn project(&mut self, first: usize) {
         let n = self.theta.len();
-        let mut worst = (f64::from(TOLERANCE), std::vec![0.0; n]);
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (mut directions, mut values, mut images) = (Vec::new(), Vec::new(), Vec::new());
         for bound in &DISSIPATION_BOUNDS {
             let mut direction = std::vec![0.0; n];
             let mut value = 0.0;
@@ -62,22 +62,39 @@ impl Twin {
                 direction[k] = f64::from(a) * self.sigma[k];
                 value += f64::from(a) * (self.start[k] + self.sigma[k] * self.theta[k]);
             }
-            let deviation = direction.iter().map(|a| a * a).sum::<f64>().sqrt();
+            let deviation = dot(&direction, &direction).sqrt();
             direction.iter_mut().for_each(|a| *a /= deviation);
-            if -value / deviation > worst.0 {
-                worst = (-value / deviation, direction);
+            images.push(
+                self.p
+                    .iter()
+                    .map(|row| dot(row, &direction))
+                    .collect::<Vec<f64>>(),
+            );
+            directions.push(direction);
+            values.push(value / deviation);
+        }
+        if values.iter().all(|&value| value > -1e-4) {
+            return;
+        }
+        let product = |i: usize, k: usize| dot(&directions[i], &images[k]);
+        let products: [[f64; 5]; 5] = from_fn(|i| from_fn(|k| product(i, k)));
+        let mut lambda = [0.0f64; 5];
+        for _ in 0..10_000 {
+            let before = lambda;
+            for i in 0..lambda.len() {
+                let inside = values[i] + dot(&products[i], &lambda);
+                lambda[i] = (lambda[i] - inside / products[i][i]).max(0.0);
+            }
+            if lambda.iter().zip(before).all(|(a, b)| (a - b).abs() < 1e-9) {
+                break;
             }
         }
-        let (violation, direction) = worst;
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let gain: Vec<f64> = self.p.iter().map(|row| dot(row, &direction)).collect();
-        let variance = dot(&gain, &direction);
-        if variance > 0.0 {
-            for (theta, gain) in self.theta.iter_mut().zip(&gain) {
-                *theta += gain * violation / variance;
-            }
+        for (lambda, image) in lambda.iter().zip(&images) {
+            self.theta
+                .iter_mut()
+                .zip(image)
+                .for_each(|(theta, p)| *theta += lambda * p);
         }
-        variance > 0.0
     }
 }
 
@@ -277,7 +294,10 @@ fn friction_at_its_bound_leaves_correlated_columns_in_place() {
             for bound in &DISSIPATION_BOUNDS {
                 let violation =
                     -dot(bound, &friction) / dot(&bound.map(f32::abs), &sigma.friction[joint]);
-                assert!(violation <= 0.3, "tick {tick}, joint {joint}: {friction:?}");
+                assert!(
+                    violation <= 1e-2,
+                    "tick {tick}, joint {joint}: {friction:?}"
+                );
             }
             if tick > 60_000 {
                 worst = worst.max(friction[1] / limit);
