@@ -1,4 +1,5 @@
 mod bounds;
+mod correlation;
 
 use super::conditioning::{AVERAGED, ConditionedSample};
 use super::config::LearnerConfig;
@@ -13,6 +14,7 @@ use crate::joint::JointMotion;
 use crate::limits::cut;
 use crate::math::sqrt;
 use bounds::{BOUNDED, Violation};
+use correlation::NoiseCorrelation;
 
 /// Square of the median of |z| for a normal z, at which the measured variance settles.
 const MEDIAN_SQUARED: f32 = 0.6745 * 0.6745;
@@ -65,13 +67,14 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// Recursive estimate of the linear parameters: a Kalman filter with factored covariance.
 ///
 /// ```text
-/// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ_i ← θ_i + σ_i (Pφ)_i clip(z, ±k) / √S
+/// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ ← θ + σ Pφ clip(z, ±k) √S / (S + (ρ − 1) R)
 /// ```
 /// * σ: configured noise of the joint's torque; σ_i: prior standard deviation of a parameter
 /// * P starts as the [prior covariance](prior_factor) for base parameters and as I for friction
 /// * process noise: a random walk of friction up to the prior variance; one column a row, in turn, with the noise of all.
 ///   Nothing is forgotten exponentially
 /// * R: measured variance of the joint, at which half of the |z| exceed 0.6745
+/// * ρ: correlation of the joint's rows, from batch means; the update of P has ρ R in place of R
 /// * k: innovations beyond it count as k [Huber 1964]
 ///
 /// Each row ends at the most likely estimate within the sign bounds of the joint's friction. Nothing else bounds the estimate; the tick bounds the
@@ -85,6 +88,8 @@ pub struct Estimator<const N: usize, const P: usize> {
     variance: [f32; N],
     /// Rows behind each variance; a row counts by the part of its innovation variance that is noise.
     effective_rows: [f32; N],
+    /// Correlation of the rows of each joint.
+    correlation: [NoiseCorrelation; N],
     /// Place in [`RANDOM_WALK_COLUMNS`] of the process noise with the next row of each joint.
     random_walk_turn: [usize; N],
     /// Prior factors already in the covariance.
@@ -135,6 +140,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             filter: UdFilter::new(),
             variance: [FIRST_VARIANCE; N],
             effective_rows: [FIRST_ROWS; N],
+            correlation: [NoiseCorrelation::new(); N],
             random_walk_turn: [0; N],
             factors_added: 0,
         }
@@ -146,6 +152,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
         self.effective_rows = [FIRST_ROWS; N];
+        self.correlation = [NoiseCorrelation::new(); N];
         self.random_walk_turn = [0; N];
         self.factors_added = 0;
     }
@@ -216,7 +223,10 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         scale(phi.friction.get_mut(joint)?, sigma.friction.get(joint)?);
         scale(&mut phi.rigid, &sigma.rigid);
         let mut gain = LinearParameters::filled(0.0);
-        let variance = self.filter.update(joint, &phi, *measured, &mut gain);
+        let correlation = self.correlation.get_mut(joint)?;
+        let inflated = correlation.factor() * *measured;
+        let total = self.filter.update(joint, &phi, inflated, &mut gain);
+        let variance = total - inflated + *measured;
         if !(variance > 0.0 && variance.is_finite()) {
             // The factors are lost; the covariance returns to the prior, the estimate stays.
             self.filter.reset();
@@ -224,9 +234,13 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             return None;
         }
         let beyond = innovation * innovation > MEDIAN_SQUARED * variance;
+        let noise = *measured;
         update_variance(measured, effective_rows, variance, beyond);
-        let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
-        let mut step = clipped / variance;
+        let sigma_innovation = sqrt(variance);
+        let z = innovation / sigma_innovation;
+        correlation.add(z, noise / variance, config.block_rows());
+        let (clipped, _) = cut(innovation, config.outlier_sigmas * sigma_innovation);
+        let mut step = clipped / total;
         self.bound(&sigma, joint, &mut gain, &mut step);
         self.move_by(&sigma, &gain, step);
         Some(Correction {

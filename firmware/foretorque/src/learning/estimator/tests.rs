@@ -21,7 +21,14 @@ struct Twin {
 }
 
 impl Twin {
-    fn correct(&mut self, joint: usize, phi: &[f64], innovation: f64, process_noise: f64) {
+    fn correct(
+        &mut self,
+        joint: usize,
+        phi: &[f64],
+        innovation: f64,
+        process_noise: f64,
+        factor: f64,
+    ) {
         let turn = self.visits[joint] % RANDOM_WALK_COLUMNS.len();
         let k = WIDTH * joint + RANDOM_WALK_COLUMNS[turn] as usize;
         self.visits[joint] += 1;
@@ -30,10 +37,11 @@ impl Twin {
         }
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
-        let s = dot(&gain, phi) + self.variance[joint];
+        let total = dot(&gain, phi) + factor * self.variance[joint];
+        let s = total - (factor - 1.0) * self.variance[joint];
         for (row, a) in self.p.iter_mut().zip(&gain) {
             for (p, b) in row.iter_mut().zip(&gain) {
-                *p -= a * b / s;
+                *p -= a * b / total;
             }
         }
         let z = innovation / s.sqrt();
@@ -45,7 +53,7 @@ impl Twin {
         }
         self.variance[joint] *= if up { step } else { 1.0 / step };
         for (theta, gain) in self.theta.iter_mut().zip(&gain) {
-            *theta += gain * z.clamp(-3.0, 3.0) / s.sqrt();
+            *theta += gain * z.clamp(-3.0, 3.0) * s.sqrt() / total;
         }
         self.project(WIDTH * joint);
     }
@@ -197,6 +205,7 @@ fn a_million_rows_agree_with_exact_arithmetic() {
         let joint = tick as usize % N;
         let limit = Ur5::LIMITS[joint].torque;
         let (row, tau) = row_and_torque(tick, joint, &mut random);
+        let factor = f64::from(estimator.correlation[joint].factor());
         let before = estimator.correct(&config, joint, limit, &row, tau);
         assert!(before.is_some());
         let unit = f64::from(config.noise * limit);
@@ -213,6 +222,7 @@ fn a_million_rows_agree_with_exact_arithmetic() {
             &phi,
             innovation / unit,
             f64::from(config.process_noise),
+            factor,
         );
         if tick % 1000 == 999 {
             let numbers = estimator.parameters().iter().zip(start.iter());
@@ -306,4 +316,36 @@ fn friction_at_its_bound_leaves_correlated_columns_in_place() {
         std::println!("Coulomb torque up to {worst:.4} of the limit");
         assert!(worst < 0.02, "{worst}");
     }
+}
+
+#[test]
+fn correlated_rows_leave_the_variance_that_the_estimate_has() {
+    let config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
+    let prior = ParameterSet::nominal::<Ur5>(1);
+    let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
+    let (mut random, mut drifts, mut squares, mut count) = (5, [0.0; N], 0.0f32, 0.0f32);
+    for tick in 0..240_000 {
+        let joint = tick as usize % N;
+        let limit = Ur5::LIMITS[joint].torque;
+        let (row, tau) = frictionless(tick, joint, &mut random, &mut drifts[joint]);
+        if tick > 60_000 && tick % 97 == 0 {
+            let truth = 1.1 * dot(&row.rigid, &LinearParameters::of(&prior).rigid);
+            let unit = 1.0 / (config.noise * limit);
+            let mut phi = row;
+            let scaled = phi
+                .iter_mut()
+                .zip(config.sigma().iter().copied().collect::<Vec<f32>>());
+            scaled.for_each(|(phi, sigma)| *phi *= sigma * unit);
+            let mut filter = *estimator.filter();
+            let mut gain = LinearParameters::filled(0.0);
+            let variance = filter.update(joint, &phi, 1e-3, &mut gain);
+            let error = (row.dot(estimator.parameters()) - truth) * unit;
+            squares += error * error / variance;
+            count += 1.0;
+        }
+        estimator.correct(&config, joint, limit, &row, tau);
+    }
+    let ratio = squares / count;
+    std::println!("square of the error of a torque over its variance: {ratio:.2}");
+    assert!((0.2..5.0).contains(&ratio), "{ratio}");
 }
