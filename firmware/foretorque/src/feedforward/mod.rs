@@ -22,7 +22,9 @@ pub use step::{FeedForwardScratch, FeedForwardState, adopt, step, step_stale};
 
 use crate::arm::Arm;
 use crate::joint::{JointMeasurement, JointSample, JointVector};
-use crate::learning::{ConfigError, Exchange, LearningSample, Request, RequestPending};
+use crate::learning::{
+    ConfigError, Exchange, LearningSample, Request, RequestPending, StartDeviations,
+};
 use crate::limits::Flags;
 use core::marker::PhantomData;
 
@@ -152,11 +154,21 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         adopt(&mut self.state, exchange);
     }
 
-    /// Makes `set` active and committed from the next tick on, and sends it to the learner.
+    /// Make `set` active and committed from the next tick on, and send it to the learner with prior deviations.
     pub fn load(&mut self, set: ParameterSet<N, P>, exchange: &mut Exchange<N, P>) {
+        self.load_with(set, StartDeviations::PRIOR, exchange);
+    }
+
+    /// [`load`](Self::load) with the deviations of the set, from which learning starts.
+    pub fn load_with(
+        &mut self,
+        set: ParameterSet<N, P>,
+        start: StartDeviations<N, P>,
+        exchange: &mut Exchange<N, P>,
+    ) {
         self.state.load(&set);
         exchange.published = None;
-        exchange.reload = Some((self.state.generation, set));
+        exchange.reload = Some((self.state.generation, set, start));
     }
 
     /// Replaces the configuration from the next tick on; the state stays.
