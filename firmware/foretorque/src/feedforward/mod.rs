@@ -17,8 +17,8 @@ pub use crate::learning::{
     JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
 };
 pub use config::FeedForwardConfig;
-pub use shares::{LEARNED_BOUND, Shares, evaluate};
-pub use step::{FeedForwardScratch, FeedForwardState, adopt, step, step_stale};
+pub use shares::{LEARNED_BOUND, Shares, evaluate, gravity};
+pub use step::{FeedForwardScratch, FeedForwardState, adopt, pause, step, step_stale};
 
 use crate::arm::Arm;
 use crate::joint::{JointMeasurement, JointSample, JointVector};
@@ -114,6 +114,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     /// A tick without a sample; see [`step_stale`].
     pub fn step_stale(&mut self) -> Torque<N> {
         step_stale(&self.config, &mut self.state)
+    }
+
+    /// A period in which no tick runs; see [`pause`].
+    pub fn pause(&mut self) -> Torque<N> {
+        pause(&self.config, &mut self.state)
     }
 
     /// Learning sample of the tick that has just run; to be called once after every step.
