@@ -1,0 +1,88 @@
+//! Packed integers of frames: scaling, saturation, rounding error.
+
+/// Flags of one command: what did not fit its field.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Saturation(pub u8);
+
+impl Saturation {
+    /// Position out of the field's range.
+    pub const POSITION: Self = Self(1);
+    /// Velocity out of the field's range.
+    pub const VELOCITY: Self = Self(1 << 1);
+    /// Torque beyond the profile's limit or the field's range.
+    pub const TORQUE: Self = Self(1 << 2);
+    /// Stiffness out of the field's range.
+    pub const KP: Self = Self(1 << 3);
+    /// Damping out of the field's range.
+    pub const KD: Self = Self(1 << 4);
+    /// A value is not finite, or the protocol has no such command: no torque.
+    pub const REFUSED: Self = Self(1 << 7);
+
+    /// No flag is set.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Every flag of `other` is set.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Sets the flags of `other`.
+    pub const fn insert(&mut self, other: Self) {
+        self.0 |= other.0;
+    }
+
+    /// `value` within ±`limit`; sets `flag` where it was not.
+    pub(super) fn clamp(&mut self, value: f32, limit: f32, flag: Self) -> f32 {
+        self.clamp_in(value, -limit, limit, flag)
+    }
+
+    /// `value` within `low` and `high`; sets `flag` where it was not.
+    pub(super) fn clamp_in(&mut self, value: f32, low: f32, high: f32, flag: Self) -> f32 {
+        if value < low {
+            self.insert(flag);
+            low
+        } else if value > high {
+            self.insert(flag);
+            high
+        } else {
+            value
+        }
+    }
+}
+
+/// Rounding errors of one joint's last command, carried over to its next one, in steps of their fields.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Carry {
+    pub(super) velocity: f32,
+    pub(super) torque: f32,
+}
+
+/// Integer nearest to `value`, halves away from zero.
+pub(super) fn nearest(value: f32) -> i32 {
+    // The cast truncates and saturates.
+    (if value < 0.0 {
+        value - 0.5
+    } else {
+        value + 0.5
+    }) as i32
+}
+
+/// Integer nearest to `value + carry` within `low` and `high`; keeps the rounding error in `carry`.
+pub(super) fn carried(value: f32, carry: &mut f32, low: i32, high: i32) -> i32 {
+    let wanted = value + *carry;
+    let code = nearest(wanted).clamp(low, high);
+    *carry = (wanted - code as f32).clamp(-0.5, 0.5);
+    code
+}
+
+/// Code of `value` in a field of `steps` steps from −`scale` to +`scale`, not rounded.
+pub(super) fn centred(value: f32, scale: f32, steps: u16) -> f32 {
+    (value + scale) * f32::from(steps) / (2.0 * scale)
+}
+
+/// Value of a code of such a field.
+pub(super) fn from_centred(code: u16, scale: f32, steps: u16) -> f32 {
+    f32::from(code) * (2.0 * scale) / f32::from(steps) - scale
+}
