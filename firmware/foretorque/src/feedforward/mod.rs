@@ -1,4 +1,4 @@
-//! The one room where dynamics, network and learning meet.
+//! The tick: rigid body, friction and network in one bounded torque.
 //!
 //! `tau = rigid(β) + friction(φ) + network(w)` of the *active* set for the *desired* motion, each share checked and
 //! bounded on its own, then limits.
@@ -105,8 +105,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
     }
 
-    /// Tells the feed-forward what became of its torque, N × N·m, finite: the next tick slews from there. A torque that was
-    /// held back does not come all at once when it is let through.
+    /// Sets the torque that the drives got, N × N·m, finite: the next tick slews from there. A torque that was
+    /// held back does not come all at once when it is released.
     pub fn applied(&mut self, total: &JointVector<N>) {
         self.state.last.total = *total;
     }
@@ -116,7 +116,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         step_stale(&self.config, &mut self.state)
     }
 
-    /// The lesson of the tick that has just run; to be called once after every step.
+    /// Learning sample of the tick that has just run; to be called once after every step.
     pub fn learning_sample(&self, measured: Option<JointMeasurement<N>>) -> LearningSample<N> {
         LearningSample {
             tick: self.state.last.tick,
@@ -149,7 +149,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         exchange.request = Some((self.state.requests, request));
     }
 
-    /// Takes a finished set from the desk; to be called before every step. See [`adopt`].
+    /// Adopts a published set; to be called before every step. See [`adopt`].
     pub fn adopt(&mut self, exchange: &mut Exchange<N, P>) {
         adopt(&mut self.state, exchange);
     }

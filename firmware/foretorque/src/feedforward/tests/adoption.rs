@@ -64,7 +64,7 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
         (loaded, loaded)
     );
     assert_eq!(exchange.reload, Some((1, loaded, StartDeviations::PRIOR)));
-    // The learner was still busy with a lesson from before the load.
+    // The learner was still busy with a learning sample from before the load.
     exchange.published = Some(finished(5, set()));
     for _ in 0..6 {
         tick.adopt(&mut exchange);
