@@ -13,6 +13,7 @@ use crate::learning::exchange::{
 };
 use crate::learning::parameters::{JointNetwork, LinearParameters, ParameterSet};
 use crate::learning::quality::{ModelQuality, Monitor, Phase};
+use crate::learning::shares::LearntShare;
 use crate::learning::start_deviations::StartDeviations;
 use crate::learning::supervisor::{Learnt, Supervisor};
 use crate::learning::trainer::NetworkTrainer;
@@ -192,7 +193,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     pub(crate) fn set_active(&mut self, set: &ParameterSet<N, P>) {
         self.state.active = *set;
         self.state.supervisor.learnt.set = LinearParameters::of(set);
-        self.state.supervisor.learnt.share = crate::learning::LearntShare::FULL;
+        self.state.supervisor.learnt.share = LearntShare::FULL;
     }
 
     /// Process one sample: [`collect`](Self::collect), [`study`](Self::study), [`publish`](Self::publish).
@@ -308,6 +309,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 }
 
 impl<const N: usize, const P: usize> LearnerState<N, P> {
+    /// Share of the learnt set in the torque.
+    pub fn share(&self) -> &LearntShare<N> {
+        &self.supervisor.learnt.share
+    }
+
     /// Learnt linear parameters, with the networks of the torque.
     fn learnt_set(&self) -> ParameterSet<N, P> {
         let mut set = self.active;
