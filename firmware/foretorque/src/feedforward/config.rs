@@ -6,7 +6,7 @@ use crate::learning::{ConfigError, payload_bound};
 pub struct FeedForwardConfig<const N: usize> {
     /// Limits of the joints; a desired motion outside them is cut to them, a torque too.
     pub limits: [JointLimits; N],
-    /// Largest desired acceleration that is believed, rad/s²; beyond it the motion is cut.
+    /// Largest plausible desired acceleration, rad/s²; beyond it the motion is cut.
     pub acceleration_limit: f32,
     /// Largest change of the torque in one tick, N × N·m.
     pub slew_per_tick: [f32; N],

@@ -141,7 +141,7 @@ pub struct FeedForwardScratch<const N: usize> {
 }
 
 impl<const N: usize> FeedForwardScratch<N> {
-    /// Room for one tick.
+    /// Working memory of one tick.
     pub fn new() -> Self {
         Self {
             motion: TickMotion::zero(),
@@ -339,7 +339,7 @@ fn finish<const N: usize, const P: usize>(
     state.last
 }
 
-/// Takes a finished set from the desk, if the tick to come is one at which sets are taken: `tick % N == N / 2`.
+/// Adopts a published set if the tick to come is one at which sets are adopted: `tick % N == N / 2`.
 ///
 /// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
 /// learning is on, counts as late; what was learnt from another set than the one loaded last is dropped.

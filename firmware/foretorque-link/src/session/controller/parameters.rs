@@ -104,7 +104,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.newest = None;
         self.ticked = false;
         self.gaps = SampleGaps::new();
-        mailbox.restart(period_s, set);
+        mailbox.restart(period_s, set, self.bank.start_deviations::<A, N, P>());
         Ok(())
     }
 
@@ -136,7 +136,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.feed_forward
             .configure(config)
             .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
-        self.feed_forward.load(set, &mut mailbox.exchange);
+        let start = self.incoming.start_deviations::<A, N, P>();
+        self.feed_forward
+            .load_with(set, start, &mut mailbox.exchange);
         self.gains = gains;
         core::mem::swap(&mut self.bank, &mut self.incoming);
         Ok(())
