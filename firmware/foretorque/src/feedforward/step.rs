@@ -6,7 +6,8 @@ use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, cogging, friction_load, is_angle, rnea};
 use crate::joint::{JointSample, JointVector};
 use crate::learning::{
-    Exchange, LearnerReport, LearntShare, LinearParameters, MotionRange, ParameterSet,
+    Exchange, LearnerReport, LearningSample, LearntShare, LinearParameters, MotionRange,
+    ParameterSet,
 };
 use crate::limits::{Flags, cut, limit};
 
@@ -352,7 +353,7 @@ fn finish<const N: usize, const P: usize>(
     state.last.flags = flags;
     state.last.tick = state.tick;
     state.adoption = Flags::NONE;
-    state.tick = state.tick.wrapping_add(1);
+    state.tick = LearningSample::<N>::tick_after(state.tick);
     state.last
 }
 
@@ -369,8 +370,9 @@ pub fn adopt<const N: usize, const P: usize>(
     if state.tick % rounds != rounds / 2 {
         return;
     }
-    let due = state.tick.wrapping_sub(rounds / 2 + 1);
-    // Nothing is due from a round that was cut short, by a start or a load or where the counter wraps.
+    let due = state.tick.checked_sub(rounds / 2 + 1);
+    let due = due.unwrap_or(LearningSample::<N>::LAST_TICK);
+    // Nothing is due from a round that was cut short by a start or a load.
     let whole = state.rounds_without_set == 0 && due % rounds == rounds - 1;
     state.rounds_without_set = state.rounds_without_set.saturating_sub(1);
     let expected = state.learning && whole;

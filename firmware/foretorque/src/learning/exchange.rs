@@ -24,6 +24,18 @@ pub struct LearningSample<const N: usize> {
     pub flags: Flags,
 }
 
+impl<const N: usize> LearningSample<N> {
+    /// Ticks after which the counter may wrap: whole rounds of `N`, and whole periods of all that the learner does at times.
+    pub(crate) const WHOLE_TICKS: u32 = 16_000 * N as u32;
+    /// Last value of the counter of the tick.
+    pub(crate) const LAST_TICK: u32 = u32::MAX / Self::WHOLE_TICKS * Self::WHOLE_TICKS - 1;
+
+    /// Counter of the tick after `tick`.
+    pub(crate) const fn tick_after(tick: u32) -> u32 {
+        if tick >= Self::LAST_TICK { 0 } else { tick + 1 }
+    }
+}
+
 /// Range of motion for which the model has been learnt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionRange<const N: usize> {

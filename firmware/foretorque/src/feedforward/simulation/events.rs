@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::arm::{LinkInertia, base_parameters};
-use crate::learning::{Decision, PayloadEstimate, Phase, Reason};
+use crate::learning::{Decision, PayloadEstimate, Phase, Reason, Request};
 
 /// Centre of mass of the payloads: 5 cm beyond the flange and aside, in the frame of the last link, m.
 const COM: [f32; 3] = [0.02, -0.01, 0.1323];
@@ -30,12 +30,21 @@ struct Cell {
 impl Cell {
     /// A board that has learnt the arm for 14 s.
     fn settled() -> Self {
+        Self::settled_from(0)
+    }
+
+    /// The same with a counter of the tick that begins at `first`.
+    fn settled_from(first: u32) -> Self {
         let mut cell = Self {
             board: Board::new(wrong_prior(1), 0),
             plant: Plant::new(AS_IT_IS),
             tick: 0,
             read: 0,
         };
+        let state = &mut cell.board.feedforward.state;
+        state.tick = first;
+        // Loads and requests wrap as well.
+        (state.generation, state.requests) = (first, first);
         cell.board.feedforward.set_learning(true);
         for _ in 0..14_000 {
             cell.step();
@@ -315,4 +324,55 @@ fn a_board_of_one_joint_hears_what_happens_to_that_joint_and_to_no_other() {
     let quality = cell.board.learner.state().report.quality;
     assert_eq!(quality.phase, Phase::Healthy);
     assert_eq!(quality.payload, PayloadEstimate::default());
+}
+
+/// Torques of a board that learns, picks up 2 kg, takes a request and a load, with a counter that begins at `first`.
+fn life(first: u32) -> (Vec<[u32; N]>, u32) {
+    let mut cell = Cell::settled_from(first);
+    let mut torques = Vec::new();
+    let mut carried = 0.0_f32;
+    for k in 0..4500 {
+        match k {
+            500 => cell.plant.body += cube(2.0),
+            3500 => cell.plant.body -= cube(2.0),
+            4100 => {
+                let Board {
+                    feedforward,
+                    exchange,
+                    ..
+                } = &mut cell.board;
+                feedforward.request(Request::Rollback, exchange).unwrap();
+            }
+            4200 => {
+                let set = *cell.board.active();
+                cell.board.feedforward.load(set, &mut cell.board.exchange);
+            }
+            _ => {}
+        }
+        let (_, torque) = cell.step();
+        torques.push(torque.total.map(f32::to_bits).into());
+        carried = carried.max(cell.board.feedforward.state().payload_torque.amax());
+    }
+    assert!(carried > 5.0, "the payload is in the torque: {carried} N·m");
+    (torques, cell.board.feedforward.state().tick)
+}
+
+/// The counters of ticks, loads and requests wrap without an effect: after 2³¹ and 2³² ticks, while the board learns,
+/// carries, rolls back and loads.
+#[test]
+fn across_every_wrap_the_torques_are_those_of_an_unwrapped_twin() {
+    let wrap = LearningSample::<N>::LAST_TICK + 1;
+    // Where the board learns, at the ends of a round, and where it carries, rolls back and loads.
+    let places = [9000, 14_499, 14_503, 16_300, 18_101, 18_201].map(|after| wrap - after);
+    for first in [(1 << 31) - 9000, (1 << 31) - 16_300]
+        .into_iter()
+        .chain(places)
+    {
+        // The same place in all that happens at times.
+        let (twin, _) = life(first % LearningSample::<N>::WHOLE_TICKS);
+        let (wrapped, last) = life(first);
+        assert!(last > 1 << 31 || last < first, "{last:#x} is beyond a wrap");
+        let differs = twin.iter().zip(wrapped).position(|(a, b)| *a != b);
+        assert_eq!(differs, None, "from {first:#x}");
+    }
 }

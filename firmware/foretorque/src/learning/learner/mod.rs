@@ -230,7 +230,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if sample.tick != self.state.next_tick {
             self.state.window.reset();
         }
-        self.state.next_tick = sample.tick.wrapping_add(1);
+        self.state.next_tick = LearningSample::<N>::tick_after(sample.tick);
         self.state.window.push(sample.measured.as_ref());
         let joint = sample.tick as usize % N;
         let mut step = None;
