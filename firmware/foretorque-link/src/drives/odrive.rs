@@ -249,3 +249,23 @@ pub(super) fn reply_scale(
         frames,
     );
 }
+
+/// Adds to the torque of a motion command: `torque`, N·m, where it is an f32, else `steps`; saturates.
+pub(super) fn add_torque(frame: &mut Frame, torque: f32, steps: i32) {
+    let kind = (frame.id & 0x1f) as u16;
+    match (kind, frame.bytes_mut()) {
+        (command::POSITION, [_, _, _, _, _, _, t0, t1]) => {
+            let sum = i32::from(i16::from_le_bytes([*t0, *t1])) + steps;
+            let sum = sum.clamp((-i16::MAX).into(), i16::MAX.into()) as i16;
+            [*t0, *t1] = sum.to_le_bytes();
+        }
+        (command::VELOCITY, [_, _, _, _, t0, t1, t2, t3])
+        | (command::TORQUE, [t0, t1, t2, t3, ..]) => {
+            let sum = f32::from_le_bytes([*t0, *t1, *t2, *t3]) + torque;
+            if sum.is_finite() {
+                [*t0, *t1, *t2, *t3] = sum.to_le_bytes();
+            }
+        }
+        _ => {}
+    }
+}
