@@ -65,16 +65,15 @@ pub fn read_line(line: &[u8]) -> Option<Frame> {
         }
         _ => line,
     };
-    let mut words = line
-        .split(u8::is_ascii_whitespace)
-        .filter(|word| !word.is_empty());
+    // A frame without data has two spaces in a row.
+    let mut words = line.split(|letter| *letter == b' ');
     match words.next()? {
         b"can" => (words.next()? == b"send").then_some(())?,
         b"rcv" => {}
         _ => return None,
     }
     let mut id = 0_u32;
-    for &letter in words.next().filter(|word| word.len() <= 8)? {
+    for &letter in words.next().filter(|word| matches!(word.len(), 1..=8))? {
         id = id << 4 | value(letter)?;
     }
     let (mut data, hex) = (
@@ -85,9 +84,15 @@ pub fn read_line(line: &[u8]) -> Option<Frame> {
         let &[high, low] = pair else { return None };
         data.push((value(high)? << 4 | value(low)?) as u8).ok()?;
     }
-    let mut flags = words.flatten().copied();
-    let fd = flags.clone().any(|flag| flag == b'F');
-    let extended = id > Frame::STANDARD_MAX || flags.any(|flag| flag == b'E');
+    let (mut fd, mut extended) = (false, id > Frame::STANDARD_MAX);
+    for flag in words.flatten() {
+        match flag {
+            b'F' => fd = true,
+            b'E' => extended = true,
+            b'e' | b'b' | b'B' | b'f' => {}
+            _ => return None,
+        }
+    }
     if id > Frame::EXTENDED_MAX || data.len() > 8 && !fd {
         return None;
     }
