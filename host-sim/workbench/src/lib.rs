@@ -1,6 +1,7 @@
 //! Workbench of foretorque: robots, plant, excitation, boards, identification and reports. It knows no study.
 
 pub mod board;
+pub mod bus;
 pub mod closed_loop;
 pub mod dynamics;
 pub mod excitation;
