@@ -9,7 +9,7 @@
 //!
 //! Sources: bgkatz/motorcontrol `can.cpp`; Damiao's DM-J manual.
 
-use super::quantity::{carried, centred, from_centred, nearest};
+use super::quantity::{carried, centred, code_of, from_centred, nearest};
 use super::{
     Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Ranges,
     Request, Saturation, Scale, push,
@@ -30,11 +30,13 @@ pub(super) fn command(
     carry: &mut Carry,
     flags: &mut Saturation,
 ) -> [u8; 8] {
-    let position = flags.clamp(command.position, ranges.position, Saturation::POSITION);
-    let velocity = flags.clamp(command.velocity, ranges.velocity, Saturation::VELOCITY);
-    let torque = flags.clamp(command.torque, ranges.torque, Saturation::TORQUE);
-    let kp = flags.clamp_in(command.kp, 0.0, ranges.kp, Saturation::KP);
-    let kd = flags.clamp_in(command.kd, 0.0, ranges.kd, Saturation::KD);
+    let JointCommand {
+        position,
+        velocity,
+        torque,
+        kp,
+        kd,
+    } = ranges.clamp(command, flags);
     let coarse = i32::from(COARSE);
     let p = nearest(centred(position, ranges.position, FINE)) as u16;
     let v = carried(
@@ -91,12 +93,9 @@ fn measured(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
 }
 
 fn measurement(ranges: &Ranges, reply: &JointReply) -> [u8; 5] {
-    let code = |value: Option<f32>, scale: f32, steps: u16| {
-        nearest(centred(value.unwrap_or_default(), scale, steps)).clamp(0, steps.into()) as u16
-    };
-    let [p0, p1] = code(reply.position, ranges.position, FINE).to_be_bytes();
-    let v = code(reply.velocity, ranges.velocity, COARSE);
-    let t = code(reply.torque, ranges.torque, COARSE);
+    let [p0, p1] = code_of(reply.position, ranges.position, FINE).to_be_bytes();
+    let v = code_of(reply.velocity, ranges.velocity, COARSE);
+    let t = code_of(reply.torque, ranges.torque, COARSE);
     [
         p0,
         p1,

@@ -11,16 +11,23 @@
 //! Where a field has few bits, [`Carry`] adds the rounding error of one frame to the next. The mean torque of successive
 //! frames is then the commanded one, also for zero, which a field of ± full scale over 4095 steps cannot express.
 
+mod cia402;
+mod cybergear;
 mod frame;
 mod mit;
+mod moteus;
+mod odrive;
 mod profile;
 mod quantity;
 
 pub use frame::Frame;
 pub use profile::{
-    Cia402, Cia402Mode, DriveProfile, Moteus, Odrive, ProfileError, Protocol, Ranges,
+    Cia402, ControlMode, DriveProfile, Moteus, Odrive, ProfileError, Protocol, Ranges, Resolution,
 };
 pub use quantity::{Carry, Saturation};
+
+/// Radians of a turn.
+const TURN: f32 = core::f32::consts::TAU;
 
 /// Frames of one call, in the order to send them.
 pub type Frames = heapless::Vec<Frame, 4>;
@@ -38,6 +45,22 @@ pub struct JointCommand {
     pub kp: f32,
     /// Damping, N·m·s/rad; without effect where [`DriveProfile::carries_gains`] is false.
     pub kd: f32,
+}
+
+impl JointCommand {
+    /// Every field is finite.
+    pub fn is_finite(&self) -> bool {
+        let Self {
+            position,
+            velocity,
+            torque,
+            kp,
+            kd,
+        } = self;
+        [position, velocity, torque, kp, kd]
+            .iter()
+            .all(|value| value.is_finite())
+    }
 }
 
 /// State of a drive.
@@ -67,6 +90,17 @@ pub struct JointReply {
     pub state: Option<DriveState>,
 }
 
+impl JointReply {
+    /// Takes over every quantity that `newer` carries.
+    pub fn update(&mut self, newer: &Self) {
+        self.position = newer.position.or(self.position);
+        self.velocity = newer.velocity.or(self.velocity);
+        self.torque = newer.torque.or(self.torque);
+        self.temperature = newer.temperature.or(self.temperature);
+        self.state = newer.state.or(self.state);
+    }
+}
+
 /// Scale of a profile that the drive itself can report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
@@ -74,7 +108,8 @@ pub enum Scale {
     Position,
     /// Damiao: V_MAX, rad/s.
     Velocity,
-    /// Damiao: T_MAX, N·m. ODrive: `input_torque_scale`. CiA 402: rated torque, N·m.
+    /// Damiao: T_MAX, N·m. CyberGear and RobStride: `limit_torque`, N·m. ODrive: `input_torque_scale`, counts per N·m.
+    /// CiA 402: rated torque, N·m.
     Torque,
 }
 
@@ -123,29 +158,33 @@ impl DriveProfile {
         frames: &mut Frames,
     ) -> Saturation {
         let mut flags = Saturation::default();
-        let values = [
-            command.position,
-            command.velocity,
-            command.torque,
-            command.kp,
-            command.kd,
-        ];
-        if values.iter().any(|value| !value.is_finite()) {
-            *carry = Carry::default();
-            self.order(Order::Disable, frames);
-            return Saturation::REFUSED;
-        }
         let limited = JointCommand {
             torque: flags.clamp(command.torque, self.torque_limit, Saturation::TORQUE),
             ..*command
         };
         let drive = self.in_drive(&limited);
+        if !(command.is_finite() && drive.is_finite()) {
+            *carry = Carry::default();
+            self.order(Order::Disable, frames);
+            return Saturation::REFUSED;
+        }
         match &self.protocol {
             Protocol::MiniCheetah(ranges) | Protocol::Damiao(ranges) => {
                 let data = mit::command(ranges, &drive, carry, &mut flags);
                 push(frames, Frame::standard(self.id.into(), &data));
             }
-            _ => flags = Saturation::REFUSED,
+            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+                cybergear::command(self, ranges, &drive, carry, &mut flags, frames);
+            }
+            Protocol::Moteus(scales) => {
+                moteus::command(self, scales, &drive, carry, &mut flags, frames);
+            }
+            Protocol::Odrive(scales) => {
+                odrive::command(self, scales, &drive, carry, &mut flags, frames);
+            }
+            Protocol::Cia402(scales) => {
+                cia402::command(self, scales, &drive, carry, &mut flags, frames);
+            }
         }
         flags
     }
@@ -155,7 +194,12 @@ impl DriveProfile {
         match &self.protocol {
             Protocol::MiniCheetah(_) => mit::order(self, order, false, frames),
             Protocol::Damiao(_) => mit::order(self, order, true, frames),
-            _ => false,
+            Protocol::CyberGear(_) | Protocol::RobStride(_) => {
+                cybergear::order(self, order, frames)
+            }
+            Protocol::Moteus(scales) => moteus::order(self, scales, order, frames),
+            Protocol::Odrive(scales) => odrive::order(self, scales, order, frames),
+            Protocol::Cia402(scales) => cia402::order(self, scales, order, frames),
         }
     }
 
@@ -164,7 +208,12 @@ impl DriveProfile {
         let event = match &self.protocol {
             Protocol::MiniCheetah(ranges) => mit::decode_mini_cheetah(self, ranges, frame),
             Protocol::Damiao(ranges) => mit::decode_damiao(self, ranges, frame),
-            _ => None,
+            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+                cybergear::decode(self, ranges, frame)
+            }
+            Protocol::Moteus(_) => moteus::decode(self, frame),
+            Protocol::Odrive(scales) => odrive::decode(self, scales, frame),
+            Protocol::Cia402(scales) => cia402::decode(self, scales, frame),
         }?;
         Some(match event {
             Event::Reply(reply) => Event::Reply(self.reply_of_joint(&reply)),
@@ -177,7 +226,12 @@ impl DriveProfile {
         let request = match &self.protocol {
             Protocol::MiniCheetah(ranges) => mit::accept(self, ranges, false, frame),
             Protocol::Damiao(ranges) => mit::accept(self, ranges, true, frame),
-            _ => None,
+            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+                cybergear::accept(self, ranges, frame)
+            }
+            Protocol::Moteus(scales) => moteus::accept(self, scales, frame),
+            Protocol::Odrive(scales) => odrive::accept(self, scales, frame),
+            Protocol::Cia402(scales) => cia402::accept(self, scales, frame),
         }?;
         Some(match request {
             Request::Command(command) => Request::Command(self.in_joint(&command)),
@@ -200,14 +254,25 @@ impl DriveProfile {
         match &self.protocol {
             Protocol::MiniCheetah(ranges) => mit::reply_mini_cheetah(self, ranges, &drive, frames),
             Protocol::Damiao(ranges) => mit::reply_damiao(self, ranges, &drive, frames),
-            _ => {}
+            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+                cybergear::reply(self, ranges, &drive, frames);
+            }
+            Protocol::Moteus(scales) => moteus::reply(self, scales, &drive, frames),
+            Protocol::Odrive(_) => odrive::reply(self, &drive, frames),
+            Protocol::Cia402(scales) => cia402::reply(self, scales, &drive, frames),
         }
     }
 
     /// Appends the frame by which this drive reports a scale, in the unit of the profile's field.
     pub fn reply_scale(&self, scale: Scale, value: f32, frames: &mut Frames) {
-        if let Protocol::Damiao(_) = self.protocol {
-            mit::reply_register(self, scale, value, frames);
+        match &self.protocol {
+            Protocol::Damiao(_) => mit::reply_register(self, scale, value, frames),
+            Protocol::CyberGear(_) | Protocol::RobStride(_) => {
+                cybergear::reply_scale(self, value, frames);
+            }
+            Protocol::Odrive(scales) => odrive::reply_scale(self, scales, value, frames),
+            Protocol::Cia402(_) => cia402::reply_scale(self, value, frames),
+            Protocol::MiniCheetah(_) | Protocol::Moteus(_) => {}
         }
     }
 

@@ -53,12 +53,28 @@ pub struct Moteus {
     pub kd: f32,
     /// Time without a command until the drive times out (register 0x027), s.
     pub watchdog_s: f32,
+    /// Form of position, velocity, torque and gain scales, in commands and replies.
+    pub resolution: Resolution,
+}
+
+/// Form of a moteus register on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Resolution {
+    /// 10⁻⁴ turns, 0.00025 turns/s, 0.01 N·m.
+    Int16,
+    /// 10⁻⁵ turns, 10⁻⁵ turns/s, 0.001 N·m.
+    Int32,
+    /// Without a step.
+    F32,
 }
 
 /// Scales of an ODrive axis. Its gains are configured in the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Odrive {
+    /// Input that commands set: position and torque, velocity and torque, or torque alone.
+    pub mode: ControlMode,
     /// Counts of `Vel_FF` per turn/s (`input_vel_scale`; 1000 as shipped).
     pub velocity_scale: f32,
     /// Counts of `Torque_FF` per N·m (`input_torque_scale`; 1000 as shipped).
@@ -74,22 +90,22 @@ pub struct Odrive {
 #[serde(deny_unknown_fields)]
 pub struct Cia402 {
     /// Mode of operation.
-    pub mode: Cia402Mode,
+    pub mode: ControlMode,
     /// Counts of position per turn; of velocity per turn/s.
     pub counts_per_turn: f32,
     /// Rated torque (6076h), N·m; the frames carry thousandths of it.
     pub rated_torque: f32,
 }
 
-/// Cyclic synchronous mode of operation.
+/// Controlled quantity; in the first two the torque of a command is a feed-forward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Cia402Mode {
-    /// Position (mode 8): 6040h, 607Ah, 60B2h.
+pub enum ControlMode {
+    /// Position. CiA 402: cyclic synchronous position mode, 8.
     Position,
-    /// Velocity (mode 9): 6040h, 60FFh, 60B2h.
+    /// Velocity. CiA 402: cyclic synchronous velocity mode, 9.
     Velocity,
-    /// Torque (mode 10): 6040h, 6071h.
+    /// Torque. CiA 402: cyclic synchronous torque mode, 10.
     Torque,
 }
 
@@ -216,7 +232,10 @@ impl DriveProfile {
             | Protocol::CyberGear(r)
             | Protocol::RobStride(r) => r.torque,
             Protocol::Moteus(_) => 1e4,
-            Protocol::Odrive(o) => f32::from(i16::MAX) / o.torque_scale,
+            Protocol::Odrive(o) if o.mode == ControlMode::Position => {
+                f32::from(i16::MAX) / o.torque_scale
+            }
+            Protocol::Odrive(_) => 1e4,
             Protocol::Cia402(c) => f32::from(i16::MAX) * 1e-3 * c.rated_torque,
         };
         drive * self.gear
@@ -227,8 +246,12 @@ impl DriveProfile {
         let drive = match self.protocol {
             Protocol::MiniCheetah(r) | Protocol::Damiao(r) => 2.0 * r.torque / 4095.0,
             Protocol::CyberGear(r) | Protocol::RobStride(r) => 2.0 * r.torque / 65535.0,
-            // Both report f32.
-            Protocol::Moteus(_) | Protocol::Odrive(_) => 0.0,
+            Protocol::Moteus(m) => match m.resolution {
+                Resolution::Int16 => 1e-2,
+                Resolution::Int32 => 1e-3,
+                Resolution::F32 => 0.0,
+            },
+            Protocol::Odrive(_) => 0.0,
             Protocol::Cia402(c) => 1e-3 * c.rated_torque,
         };
         drive * self.gear
@@ -237,6 +260,11 @@ impl DriveProfile {
     /// The frames carry stiffness and damping; elsewhere they are configured in the drive.
     pub const fn carries_gains(&self) -> bool {
         !matches!(self.protocol, Protocol::Odrive(_) | Protocol::Cia402(_))
+    }
+
+    /// The first command after [`super::Order::Enable`] turns the torque on, not the order itself.
+    pub const fn enabled_by_command(&self) -> bool {
+        matches!(self.protocol, Protocol::Moteus(_) | Protocol::Cia402(_))
     }
 
     /// A command in the coordinates of the drive.

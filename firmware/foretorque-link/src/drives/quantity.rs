@@ -1,5 +1,7 @@
 //! Packed integers of frames: scaling, saturation, rounding error.
 
+use super::{JointCommand, Ranges};
+
 /// Flags of one command: what did not fit its field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Saturation(pub u8);
@@ -85,4 +87,36 @@ pub(super) fn centred(value: f32, scale: f32, steps: u16) -> f32 {
 /// Value of a code of such a field.
 pub(super) fn from_centred(code: u16, scale: f32, steps: u16) -> f32 {
     f32::from(code) * (2.0 * scale) / f32::from(steps) - scale
+}
+
+/// Code of a measured value in such a field; an absent one counts as 0.
+pub(super) fn code_of(value: Option<f32>, scale: f32, steps: u16) -> u16 {
+    nearest(centred(value.unwrap_or_default(), scale, steps)).clamp(0, steps.into()) as u16
+}
+
+/// Eight bytes of two numbers, little endian.
+pub(super) fn pair(first: f32, second: f32) -> [u8; 8] {
+    let ([a0, a1, a2, a3], [b0, b1, b2, b3]) = (first.to_le_bytes(), second.to_le_bytes());
+    [a0, a1, a2, a3, b0, b1, b2, b3]
+}
+
+/// The two numbers of eight bytes, little endian.
+pub(super) fn unpair([a0, a1, a2, a3, b0, b1, b2, b3]: [u8; 8]) -> (f32, f32) {
+    (
+        f32::from_le_bytes([a0, a1, a2, a3]),
+        f32::from_le_bytes([b0, b1, b2, b3]),
+    )
+}
+
+impl Ranges {
+    /// A command in the coordinates of the drive within the fields; sets the flags of what was not.
+    pub(super) fn clamp(&self, command: &JointCommand, flags: &mut Saturation) -> JointCommand {
+        JointCommand {
+            position: flags.clamp(command.position, self.position, Saturation::POSITION),
+            velocity: flags.clamp(command.velocity, self.velocity, Saturation::VELOCITY),
+            torque: flags.clamp(command.torque, self.torque, Saturation::TORQUE),
+            kp: flags.clamp_in(command.kp, 0.0, self.kp, Saturation::KP),
+            kd: flags.clamp_in(command.kd, 0.0, self.kd, Saturation::KD),
+        }
+    }
 }
