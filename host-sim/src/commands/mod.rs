@@ -12,6 +12,7 @@ mod faults;
 mod generate;
 mod identify;
 mod key;
+mod log_options;
 mod motion_log;
 mod on_board;
 mod progress;

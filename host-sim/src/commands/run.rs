@@ -84,9 +84,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 impl Arguments {
     /// Where the emulator puts the raw log.
     fn stream(&self) -> Option<PathBuf> {
-        self.log
-            .as_ref()
-            .map(|log| log.with_added_extension("defmt"))
+        let mut stream = self.log.clone()?.into_os_string();
+        stream.push(".defmt");
+        Some(stream.into())
     }
 }
 

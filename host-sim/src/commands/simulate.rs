@@ -11,7 +11,7 @@ use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};
 
-/// Let the simulated arm play a trajectory under PD control, and log what its sensors say
+/// Let the simulated arm play a trajectory under PD control, and log its sensors
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {

@@ -7,7 +7,7 @@ use std::io;
 use std::path::Path;
 use std::str::FromStr;
 
-/// Which fields a board shall tell, and how often.
+/// Fields that a board shall report, and their rates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Selection {
     /// Sum of the fields' bits.

@@ -125,7 +125,7 @@ impl<const N: usize> BusConfig<N> {
 
     /// Limits of the arm, the torque tightened to the profile's.
     pub fn safety_limits<A: Arm<N, P>, const P: usize>(&self) -> SafetyLimits<N> {
-        let mut limits = SafetyLimits::for_arm::<A, P>(self.period_s);
+        let mut limits = SafetyLimits::for_arm::<A, P>((self.period_s * 1e6 + 0.5) as u32);
         for (torque, joint) in limits.torque.iter_mut().zip(&self.joints) {
             *torque = torque.min(joint.drive.torque_limit);
         }
@@ -229,6 +229,14 @@ impl BusJoint {
         })
     }
 
+    /// The drive reports a limit in the place of the scale of its torque.
+    pub(super) fn reports_limit(&self) -> bool {
+        matches!(
+            self.drive.protocol,
+            Protocol::CyberGear(_) | Protocol::RobStride(_)
+        )
+    }
+
     /// Scale of the profile, in the unit in which the drive reports it.
     pub(super) fn scale(&self, scale: Scale) -> Option<f32> {
         match (self.drive.protocol, scale) {
@@ -236,6 +244,10 @@ impl BusJoint {
             (Protocol::Cia402(cia402), Scale::Torque) => Some(cia402.rated_torque),
             (_, Scale::Position) => self.ranges().map(|ranges| ranges.position),
             (_, Scale::Velocity) => self.ranges().map(|ranges| ranges.velocity),
+            // These report a limit, which the loop must not exceed, and not the scale of the frame.
+            (Protocol::CyberGear(_) | Protocol::RobStride(_), Scale::Torque) => {
+                Some(self.drive.torque_limit / self.drive.gear)
+            }
             (_, Scale::Torque) => self.ranges().map(|ranges| ranges.torque),
         }
     }

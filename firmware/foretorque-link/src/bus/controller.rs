@@ -9,6 +9,7 @@ use foretorque::arm::Arm;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{ParameterSet, Request, RequestPending};
+use foretorque::limits::Flags;
 
 /// Weight of a period that lacks a reply; a whole one takes back 1. So one in five is too many.
 const LOSS_WEIGHT: u16 = 4;
@@ -272,6 +273,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         mailbox: &mut LearnerMailbox<N, P>,
         mut send: impl FnMut(u8, &Frame),
     ) -> BusTick<N> {
+        self.safety.period();
         self.feed_forward.adopt(mailbox.exchange());
         let measured = self.close_period();
         self.supervise();
@@ -284,6 +286,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
             Some(sample) => self.feed_forward.step(sample),
             None => self.feed_forward.step_stale(),
         };
+        // Without the share that carries it, a joint falls.
+        if torque.flags.contains(Flags::GRAVITY_LOST) {
+            self.safety.check(SafetyReason::GravityLost);
+        }
         torque.total = self.safety.release(&torque.total);
         self.feed_forward.applied(&torque.total);
         let used = sample.as_ref().and_then(|sample| sample.measured);

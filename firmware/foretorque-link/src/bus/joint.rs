@@ -106,7 +106,8 @@ impl JointLink {
                 let Some(profile) = joint.scale(scale) else {
                     return;
                 };
-                let equal = (value - profile).abs() <= 1e-3 * profile;
+                let above = joint.reports_limit() && scale == Scale::Torque && value > profile;
+                let equal = above || (value - profile).abs() <= 1e-3 * profile;
                 let check = if equal {
                     ScaleCheck::Equal
                 } else {

@@ -133,7 +133,7 @@ pub(super) struct AtSpeed {
 }
 
 impl AtSpeed {
-    /// Room for it.
+    /// Uninitialised memory of it.
     pub(super) const NONE: Self = Self {
         columns: [0.0; FRICTION_COLUMNS],
         inputs: SVector::from_array_storage(ArrayStorage([[0.0; NETWORK_INPUTS]])),
@@ -157,8 +157,8 @@ impl AtSpeed {
 }
 
 impl<const N: usize, const P: usize> Difference<N, P> {
-    /// The shares of `joint` by a set that differs from the loaded one by `self`: to what the loaded one says for the
-    /// motion as it is wanted, in `rigid` and `friction`, comes what was learnt, for the motion that was learnt.
+    /// Shares of `joint` of a set that differs from the loaded one by `self`: the loaded set's `rigid` and `friction` for
+    /// the desired motion, plus the learnt difference for the motion inside the learnt range.
     ///
     /// * `rigid` torque of the loaded rigid body and of what was learnt of it, N·m
     #[inline]

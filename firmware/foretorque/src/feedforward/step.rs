@@ -141,7 +141,7 @@ pub struct FeedForwardScratch<const N: usize> {
 }
 
 impl<const N: usize> FeedForwardScratch<N> {
-    /// Room for one tick.
+    /// Working memory of one tick.
     pub fn new() -> Self {
         Self {
             motion: TickMotion::zero(),
@@ -269,6 +269,18 @@ pub fn step_stale<const N: usize, const P: usize>(
     hold(config, state, Flags::NO_MEASUREMENT)
 }
 
+/// A period without a tick, because samples pace the board and none came: torque and flags as those of [`step_stale`]. The
+/// counter stays where it is.
+pub fn pause<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+) -> Torque<N> {
+    let (tick, adoption) = (state.tick, state.adoption);
+    let torque = hold(config, state, Flags::NO_MEASUREMENT);
+    (state.tick, state.adoption) = (tick, adoption);
+    torque
+}
+
 /// Where a joint will be when the torque acts, for the cogging, rad: a tracking error of a few milliradians turns its
 /// phase, so the measured position counts, carried on at the desired speed.
 #[inline]
@@ -327,7 +339,7 @@ fn finish<const N: usize, const P: usize>(
     state.last
 }
 
-/// Takes a finished set from the desk, if the tick to come is one at which sets are taken: `tick % N == N / 2`.
+/// Adopts a published set if the tick to come is one at which sets are adopted: `tick % N == N / 2`.
 ///
 /// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
 /// learning is on, counts as late; what was learnt from another set than the one loaded last is dropped.

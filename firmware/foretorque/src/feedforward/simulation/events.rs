@@ -1,4 +1,4 @@
-//! Payloads and collisions: what the guard believes, and how fast.
+//! Payloads and collisions: decisions of the supervisor, and their delay.
 
 use super::*;
 use crate::arm::{LinkInertia, base_parameters};
@@ -142,14 +142,14 @@ fn a_payload_is_in_the_torque_in_a_quarter_of_a_second_and_out_again_when_it_is_
         for _ in 0..times {
             let (onset, weighed) = carry(&mut cell, mass);
             onsets.push(onset);
-            // 14 s after a wrong prior the shoulder is not known to better than 0.4 N·m: 50 g at its lever.
+            // 14 s after a wrong prior the shoulder's uncertainty is 0.4 N·m: 50 g at its lever.
             let allowed = (0.02 * mass).max(0.05);
             assert!(
                 (weighed.mass - mass).abs() < allowed,
                 "{mass} kg: {weighed:?}"
             );
             for (found, true_one) in weighed.com.iter().zip(COM) {
-                // 10 mm at 3 kg: what the wrists' torques are known to is a first moment, not a length.
+                // 10 mm at 3 kg: the wrists' torques determine a first moment, not a length.
                 let allowed = 0.03 / mass;
                 assert!((found - true_one).abs() < allowed, "{mass} kg: {weighed:?}");
             }

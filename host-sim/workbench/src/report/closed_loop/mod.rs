@@ -70,7 +70,7 @@ pub struct ClosedLoopReport {
     pub link: LinkReport,
     /// Learnt sets that came late.
     pub late_sets: u32,
-    /// Learning samples that found no room.
+    /// Learning samples lost to a full queue.
     pub learning_samples_lost: u32,
     /// From the board's first instructions to its hello, µs; nothing where its counter is no clock.
     pub boot_us: Option<u32>,
