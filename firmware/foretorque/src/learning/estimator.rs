@@ -5,6 +5,7 @@ use super::conditioning::{AVERAGED, ConditionedSample};
 use super::config::LearnerConfig;
 use super::parameters::{LinearParameters, ParameterSet};
 use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
+use super::start_deviations::StartDeviations;
 use super::ud::UdFilter;
 use crate::arm::Arm;
 use crate::dynamics::{
@@ -70,7 +71,8 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ ← θ + σ Pφ clip(z, ±k) √S / (S + (ρ − 1) R)
 /// ```
 /// * σ: configured noise of the joint's torque; σ_i: prior standard deviation of a parameter
-/// * P starts as the [prior covariance](prior_factor) for base parameters and as I for friction
+/// * P starts as the [prior covariance](prior_factor) for base parameters and as I for friction, scaled by the
+///   [`StartDeviations`] of the set
 /// * process noise: a random walk of friction up to the prior variance; one column a row, in turn, with the noise of all.
 ///   Nothing is forgotten exponentially
 /// * R: measured variance of the joint, at which half of the |z| exceed 0.6745
@@ -92,6 +94,7 @@ pub struct Estimator<const N: usize, const P: usize> {
     correlation: [NoiseCorrelation; N],
     /// Place in [`RANDOM_WALK_COLUMNS`] of the process noise with the next row of each joint.
     random_walk_turn: [usize; N],
+    start: StartDeviations<N, P>,
     /// Prior factors already in the covariance.
     factors_added: usize,
 }
@@ -118,14 +121,26 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     ///
     /// Cost: as much as one row, and nothing when all are added.
     pub(super) fn add_prior_factors<A: Arm<N, P>>(&mut self) -> bool {
+        if self.factors_added == prior_factor_count(N) {
+            return true;
+        }
+        let parts = self.start.parts();
         if self.factors_added == 0 {
-            let floor = const { prior_floor::<A, N, P>() };
-            self.filter.set_rigid_variances(&floor);
+            let mut variances = LinearParameters::filled(1.0);
+            variances.rigid = const { prior_floor::<A, N, P>() };
+            for (variance, part) in variances.iter_mut().zip(parts.iter()) {
+                *variance *= part * part;
+            }
+            self.filter.set_variances(&variances);
         }
         for _ in 0..FACTORS_PER_TICK {
             let Some(mut factor) = prior_factor::<A, N, P>(self.factors_added) else {
                 break;
             };
+            factor
+                .iter_mut()
+                .zip(&parts.rigid)
+                .for_each(|(d, part)| *d *= part);
             self.filter.add_rigid_factor(&mut factor);
             self.factors_added += 1;
         }
@@ -142,18 +157,20 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             effective_rows: [FIRST_ROWS; N],
             correlation: [NoiseCorrelation::new(); N],
             random_walk_turn: [0; N],
+            start: StartDeviations::PRIOR,
             factors_added: 0,
         }
     }
 
-    /// Restart from `prior`, in place.
-    pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>) {
+    /// Restart from `prior` with its deviations, in place.
+    pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>, start: &StartDeviations<N, P>) {
         self.move_to(&LinearParameters::of(prior));
         self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
         self.effective_rows = [FIRST_ROWS; N];
         self.correlation = [NoiseCorrelation::new(); N];
         self.random_walk_turn = [0; N];
+        self.start = *start;
         self.factors_added = 0;
     }
 

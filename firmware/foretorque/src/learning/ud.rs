@@ -342,11 +342,11 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         }
     }
 
-    /// Set the variances of the base parameters, in units of the prior variances.
+    /// Set the variances, in units of the prior variances.
     ///
     /// Assumes: no correlations, as after a reset.
-    pub(super) fn set_rigid_variances(&mut self, variances: &[f32; P]) {
-        self.diagonal.rigid = *variances;
+    pub(super) fn set_variances(&mut self, variances: &LinearParameters<N, P>) {
+        self.diagonal = *variances;
     }
 
     /// Add the prior factor `direction` of the base parameters: P + d dᵀ, as

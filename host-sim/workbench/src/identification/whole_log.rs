@@ -18,7 +18,7 @@ const ARRIVAL_PERIODS: f64 = 0.5;
 /// Largest jitter of a clock that counts as even, RMS, share of a period.
 const EVEN: f64 = 0.05;
 
-/// What the stamps of a log are good for.
+/// Use of the stamps of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Clock {
     /// Rows are evenly spaced, but for lost ones.
@@ -328,7 +328,7 @@ mod tests {
         stamped(name, times_s, times_s)
     }
 
-    /// The same with other stamps.
+    /// A log with given stamps.
     fn stamped(name: &str, times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow<1>>, WholeLog<1>) {
         let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
         let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
