@@ -35,7 +35,7 @@ impl PlayedBoard {
         let player = std::thread::spawn(move || {
             let mut buffer = [0; 1024];
             while !ended.load(Ordering::Relaxed) {
-                // Nothing to hear, or nobody at the other end yet.
+                // Nothing received, or no process at the other end yet.
                 let Ok(count) = line.read(&mut buffer) else {
                     std::thread::sleep(Duration::from_millis(1));
                     continue;

@@ -1,4 +1,4 @@
-//! A crate outside this workspace, as a user has one: it links for two cores, and what comes along stays little.
+//! Crates outside this workspace, as a user has them: they link, few crates come along, and the library can be packaged.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -8,8 +8,12 @@ use anyhow::{Context as _, Result, bail, ensure};
 use crate::shell;
 use crate::toolchain::{TARGET, Toolchain, Tools};
 
-/// Folder of the crate.
-const CRATE: &str = "tests/outside";
+/// Manifest of a user's crate with its own arm and critical section.
+const OWN_ARM: &str = "firmware/foretorque/examples/own_arm/Cargo.toml";
+/// Manifest of a user's RTIC application.
+const RTIC: &str = "firmware/foretorque/examples/rtic/Cargo.toml";
+/// Packages that others can depend on, in the order of publication.
+const PUBLISHABLE: [&str; 2] = ["foretorque", "foretorque-link"];
 /// Cortex-M33 with FPU, which rustup installs on request.
 const OTHER_TARGET: &str = "thumbv8m.main-none-eabihf";
 /// Crates that the user of the library gets at most, the user's own included.
@@ -17,33 +21,38 @@ const MOST_CRATES: usize = 30;
 /// Parts of the names of crates that belong to a board or an executor.
 const FOREIGN: [&str; 4] = ["cortex-m", "stm32", "rtic", "embassy"];
 
-/// Links the crate for [`TARGET`], and for [`OTHER_TARGET`] where its core is installed; counts its crates.
+/// Links both crates for [`TARGET`], the first one for [`OTHER_TARGET`] too where its core is installed; counts its crates
+/// and packages the publishable ones.
 pub(crate) fn gate(tools: Tools) -> Result<()> {
-    for target in [TARGET, OTHER_TARGET] {
+    for (manifest, target) in [(OWN_ARM, TARGET), (OWN_ARM, OTHER_TARGET), (RTIC, TARGET)] {
         if target != TARGET && !installed(tools.board, target)? {
             println!("skipped for {target}: `rustup target add {target}` installs its core");
             continue;
         }
         let mut build = tools.board.tool("cargo");
         build.args(["build", "--release", "--locked", "--target", target]);
-        build.args(["--target-dir", "target/outside"]);
-        shell::run(
-            build
-                .arg("--manifest-path")
-                .arg(format!("{CRATE}/Cargo.toml")),
-        )?;
+        build.args([
+            "--target-dir",
+            "target/outside",
+            "--manifest-path",
+            manifest,
+        ]);
+        shell::run(&mut build)?;
     }
     let mut tree = tools.board.tool("cargo");
-    tree.args([
-        "tree", "--locked", "--target", TARGET, "-e", "normal", "--prefix", "none",
-    ]);
-    tree.arg("--manifest-path")
-        .arg(format!("{CRATE}/Cargo.toml"));
+    tree.args(["tree", "--locked", "--target", TARGET, "-e", "normal"]);
+    tree.args(["--prefix", "none", "--manifest-path", OWN_ARM]);
     let output = tree.output().context("cannot start `cargo tree`")?;
     ensure!(output.status.success(), "`cargo tree` failed");
     let count = judge(&String::from_utf8_lossy(&output.stdout))?;
     println!("a crate outside links with {count} crates");
-    Ok(())
+
+    let mut package = tools.host.tool("cargo");
+    package.args(["package", "--quiet", "--allow-dirty", "--no-verify"]);
+    for name in PUBLISHABLE {
+        package.args(["-p", name]);
+    }
+    shell::run(&mut package)
 }
 
 /// The core of `target` is there.
@@ -79,7 +88,7 @@ mod tests {
 
     #[test]
     fn a_crate_counts_once() {
-        let tree = "outside v0.1.0 (/x)\nforetorque v0.1.0 (/y)\nlibm v0.2.16\nlibm v0.2.16 (*)\n";
+        let tree = "own_arm v0.1.0 (/x)\nforetorque v0.1.0 (/y)\nlibm v0.2.16\nlibm v0.2.16 (*)\n";
         assert_eq!(judge(tree).unwrap(), 3);
     }
 
@@ -88,6 +97,6 @@ mod tests {
         let many: String = (0..MOST_CRATES).map(|n| format!("a{n} v1.0.0\n")).collect();
         assert!(judge(&format!("{many}foretorque v0.1.0\n")).is_err());
         assert!(judge("foretorque v0.1.0\ncortex-m-rt v0.7.5\n").is_err());
-        assert!(judge("outside v0.1.0\n").is_err());
+        assert!(judge("own_arm v0.1.0\n").is_err());
     }
 }

@@ -7,13 +7,11 @@ fn main() {
     if std::env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
         return;
     }
-    // link.x of cortex-m-rt says INCLUDE memory.x.
-    let package = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    println!(
-        "cargo::rerun-if-changed={}",
-        package.join("memory.x").display()
-    );
-    println!("cargo::rustc-link-search={}", package.display());
+    // link.x of cortex-m-rt includes memory.x.
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../..");
+    let map = root.join("memory.x");
+    println!("cargo::rerun-if-changed={}", map.display());
+    println!("cargo::rustc-link-search={}", root.display());
     println!("cargo::rustc-link-arg-bins=-Tlink.x");
     // The script of the log keeps the table of its messages in a section the board never loads.
     println!("cargo::rustc-link-arg-bins=-Tdefmt.x");

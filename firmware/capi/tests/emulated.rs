@@ -1,4 +1,4 @@
-//! The C program in the emulator says the same bits as the library in this process.
+//! The C program in the emulator gives the same bits as the library in this process.
 //!
 //! `cargo xtask test` builds it first, `cargo xtask capi` does so alone.
 

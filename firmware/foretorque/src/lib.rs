@@ -6,33 +6,73 @@
 //! tau = rigid(beta) + friction(phi) + network(w)
 //! ```
 //!
-//! and in the slack of the tick the three parameter sets follow what the arm shows. The method is that of Y. Zhong,
-//! *Identification of Robot Dynamic Parameters Based on BP Neural Network*; "eq." in these pages counts its equations.
+//! The rest of the period is for learning: a recursive estimator updates the base parameters and the friction, and
+//! incremental back-propagation updates the network. The method is that of Y. Zhong, *Identification of Robot Dynamic
+//! Parameters Based on BP Neural Network*; "eq." on these pages counts its equations.
 //!
-//! # Storeys, from the ground up
-//! | room | what it knows |
+//! The crate is for control engineers with a serial arm of one to eight revolute joints, and drives that accept a torque
+//! beside their own position loop. It needs the desired motion one period ahead, and the position and torque of every
+//! joint in every period.
+//!
+//! # Example
+//! ```
+//! use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
+//! use foretorque::feedforward::FeedForwardConfig;
+//! use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+//!
+//! const PERIOD_S: f32 = 1e-3;
+//! let set = ParameterSet::nominal::<Ur5>(1);
+//! let mut feedforward = FeedForward::new(FeedForwardConfig::for_arm::<Ur5, _>(PERIOD_S), set)?;
+//! let mut learner = Learner::new(LearnerConfig::for_arm::<Ur5>(PERIOD_S), set)?;
+//! let mut exchange = Exchange::new();
+//! feedforward.set_learning(true);
+//!
+//! for _tick in 0..1000 {
+//!     // From the drives: position, rad, and torque on the link side, N·m.
+//!     let measured = Some(JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() });
+//!     let desired = JointMotion::zero();
+//!     feedforward.adopt(&mut exchange);
+//!     let torque = feedforward.step(&JointSample { desired, measured });
+//!     // `torque.total` goes to the drives now; learning uses the rest of the period.
+//!     learner.learn(&feedforward.learning_sample(measured), &mut exchange);
+//!     assert!(torque.total.iter().all(|tau| tau.is_finite()));
+//! }
+//! # Ok::<(), foretorque::learning::ConfigError>(())
+//! ```
+//! The folder `examples/` holds complete programs: `tick`, `payload` (learning on the host), `own_arm` and `rtic`.
+//!
+//! # Modules
+//! Dependencies point down the table only.
+//!
+//! | module | content |
 //! |---|---|
 //! | [`math`] | f32 kernels: sine and cosine, tanh, exp |
-//! | [`joint`], [`arm`] | what is known of the joints; an arm as constants |
-//! | [`dynamics`] | rigid-body torque, regressor rows, friction: nothing of learning |
-//! | [`network`] | the back-propagation network and its gradient: nothing of robots |
-//! | [`learning`] | incremental updates of the parameters, published whole |
+//! | [`joint`], [`arm`] | joint vectors and samples; an arm as constants |
+//! | [`dynamics`] | rigid-body torque (recursive Newton–Euler), regressor rows, friction |
+//! | [`network`] | the back-propagation network and its gradient |
+//! | [`learning`] | recursive estimation, supervision, payload, training of the networks |
 //! | [`feedforward`], [`limits`] | the tick: shares, checks, limits, flags |
 //!
-//! Doors open downwards only. What touches the world outside the tick is in the crate `foretorque-link`. Nothing allocates, nothing blocks, and no input makes the tick panic or answer a torque
-//! that is not finite.
+//! Wire format, parameter banks, storage and the safety state machine are in the crate `foretorque-link`.
+//!
+//! # Guarantees
+//! * `no_std`, no allocation, no `unsafe`; memory is of fixed size.
+//! * A tick takes fixed time. No input makes it panic, and every torque is finite and within the arm's limits.
+//! * The learnt part of a torque is bounded, visible on its own, and removable in one call.
+//! * Host and Cortex-M4F compute the same bits.
+//!
+//! # Features
+//! * `defmt`: errors, flags and requests implement `defmt::Format`. Off by default.
 //!
 //! # Conventions
-//! | what | convention |
+//! | quantity | convention |
 //! |---|---|
-//! | units | SI without a suffix inside; unit suffixes at every edge |
+//! | units | SI without a suffix inside; unit suffixes at every interface |
 //! | frames | Craig 2005: z of frame i along joint axis i, a constant placement in frame i−1, then Rz(q_i) |
 //! | parameters | m, m·x, m·y, m·z, Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the link frame's origin, tensor entries (eq. 14) |
 //! | base set | first independent columns from left to right, rotor inertias after the links |
-//! | sign | torque is positive when it accelerates +q: what the drive must supply, link side |
-//! | gravity | along −z of the base unless the arm says otherwise |
-//!
-//! The worked example is [`feedforward::FeedForward`].
+//! | sign | torque is positive when it accelerates +q: the torque that the drive must supply, link side |
+//! | gravity | along −z of the base unless the arm's constants give another direction |
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
-/// How long a board may take to say its first hello.
+/// Longest time to a board's first hello.
 const BOOT: Duration = Duration::from_secs(10);
 
 /// Boards that a command may name.

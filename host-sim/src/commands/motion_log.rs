@@ -1,4 +1,4 @@
-//! The log of a simulated arm: what its sensors say, and what was asked of it.
+//! The log of a simulated arm: sensor readings and desired motion.
 
 use foretorque_workbench::closed_loop::TickRecord;
 use foretorque_workbench::dynamics::Joints;

@@ -12,7 +12,7 @@ pub(super) fn say(line: impl Display) -> io::Result<()> {
 
 /// Writes the line that a command failed with to stderr, as far as somebody listens.
 pub(crate) fn complain(failure: impl Display) {
-    // There is no one left to tell that telling failed.
+    // No reader is left for an error message.
     let _ = writeln!(io::stderr(), "error: {failure}");
 }
 

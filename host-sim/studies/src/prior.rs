@@ -6,7 +6,7 @@ use foretorque::learning::ParameterSet;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_workbench::robot::Robot;
 
-/// The parameter bank of a robot taken at its word: rigid body, viscous and Coulomb friction, networks that say nothing.
+/// The parameter bank of a robot as described: rigid body, viscous and Coulomb friction, networks with zero output.
 ///
 /// Assumes: `robot` has the geometry of `A`; only its masses and friction may differ from the description.
 pub fn bank_of<A: Arm<N, P>, const N: usize, const P: usize>(robot: &Robot) -> ParameterBank {

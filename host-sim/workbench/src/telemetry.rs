@@ -7,7 +7,7 @@ use std::io;
 use std::path::Path;
 use std::str::FromStr;
 
-/// Which fields a board shall tell, and how often.
+/// Fields that a board shall report, and their rates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Selection {
     /// Sum of the fields' bits.
@@ -171,7 +171,9 @@ impl Recorder {
             let Some((tick, fields, row)) = &mut self.open else {
                 continue;
             };
-            for (field, bytes) in frame.fields(self.joints) {
+            let chosen = self.selection.fields;
+            let wanted = frame.fields(self.joints);
+            for (field, bytes) in wanted.filter(|(field, _)| chosen & field.bit() != 0) {
                 *fields |= field.bit();
                 row.extend(numbers(field, bytes));
             }

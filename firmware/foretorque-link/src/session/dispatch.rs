@@ -67,6 +67,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         match message {
             HostMessage::Hello => {
                 controller.interrupt_samples();
+                // A host that begins anew inherits no torque.
+                controller.disarm();
                 return Ok(Some(self.hello()));
             }
             // A tick; `receive` runs it.
@@ -156,6 +158,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::Reboot => {
                 board.require(Capabilities::REBOOT)?;
+                controller.at_rest()?;
                 self.reboot = true;
             }
             HostMessage::ExcitationLoad { length, crc, mac } => {

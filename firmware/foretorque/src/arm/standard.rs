@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, SVector, Vector3};
 /// Mass distribution of one link as a data sheet gives it.
 ///
 /// Frame: that of the link, z along its own joint axis, origin on it, turning with the link; at q = 0 it lies in the
-/// frame of the link before as [`Arm::PLACEMENTS`] says. Figures in the frame at the far end of a link, as standard
+/// frame of the link before of [`Arm::PLACEMENTS`]. Figures in the frame at the far end of a link, as standard
 /// Denavit–Hartenberg tables have them, are converted where a description is read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkInertia {

@@ -53,7 +53,7 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     tau
 }
 
-/// Gravity torques G(q), N × N·m: what [`rnea`] says of an arm at rest. Craig 2005, section 6.5, with v̇ = −g of the base
+/// Gravity torques G(q), N × N·m: [`rnea`] of an arm at rest. Craig 2005, section 6.5, with v̇ = −g of the base
 /// carried outward: F = m v̇, n = (m c) × v̇.
 ///
 /// * `beta` base parameters, order of [`Arm::COLUMNS`]

@@ -1,4 +1,4 @@
-//! Scalars and vectors that know while compiling which of their entries are 0 or ±1.
+//! Scalars and vectors whose types carry which entries are 0 or ±1.
 //!
 //! IEEE arithmetic lets no compiler drop `x · 0` (x may be ∞) or `x + 0` (x may be −0). A [`Term`] carries that knowledge
 //! beside the value: once the recursions over the joints are unrolled and inlined, its kind is a constant everywhere, the

@@ -5,13 +5,16 @@ use super::shares::{Shares, select};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, cogging, friction_load, is_angle, rnea};
 use crate::joint::{JointSample, JointVector};
-use crate::learning::{Exchange, LearnerReport, MotionRange, ParameterSet};
+use crate::learning::{
+    Exchange, LearnerReport, LearningSample, LearntShare, LinearParameters, MotionRange,
+    ParameterSet,
+};
 use crate::limits::{Flags, cut, limit};
 
 /// State between ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardState<const N: usize, const P: usize> {
-    /// The set the torque is computed from.
+    /// The single set nearest to the torque: loaded and learnt parameters by their shares.
     pub active: ParameterSet<N, P>,
     /// The set that stands in for it: the one that was last loaded or committed.
     pub committed: ParameterSet<N, P>,
@@ -111,16 +114,23 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.rounds_without_set = ROUNDS_WITHOUT_SET;
     }
 
-    pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>) {
+    /// Bring the learnt `set` into the torque with its `share`.
+    pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>, share: &LearntShare<N>) {
         self.active_difference
-            .update(set, &self.active, &self.loaded);
+            .update(set, &share.joint, &self.active, &self.loaded);
         self.active = *set;
+        let loaded = LinearParameters {
+            friction: self.loaded.friction.map(|joint| joint.0),
+            rigid: self.loaded.rigid.data.0[0],
+        };
+        let blend = share.blend(&loaded, &LinearParameters::of(set));
+        blend.write(&mut self.active);
     }
 
-    pub(super) fn set_committed(&mut self, set: &ParameterSet<N, P>) {
-        self.committed_difference
-            .update(set, &self.committed, &self.loaded);
-        self.committed = *set;
+    /// Make what is active the fallback, and the centre of the bound on learnt change.
+    pub(super) fn commit(&mut self) {
+        self.committed = self.active;
+        self.committed_difference = self.active_difference;
     }
 }
 
@@ -141,7 +151,7 @@ pub struct FeedForwardScratch<const N: usize> {
 }
 
 impl<const N: usize> FeedForwardScratch<N> {
-    /// Room for one tick.
+    /// Working memory of one tick.
     pub fn new() -> Self {
         Self {
             motion: TickMotion::zero(),
@@ -215,7 +225,11 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         let friction = speeds[0].friction(&state.loaded.friction[joint]);
         let active = state.active_difference.shares(
             joint,
-            (scratch.loaded[joint] + scratch.active[joint], friction),
+            (
+                scratch.loaded[joint]
+                    + state.active_difference.share[joint] * scratch.active[joint],
+                friction,
+            ),
             &state.active.network[joint],
             &speeds,
             limits.torque,
@@ -223,7 +237,11 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         );
         let committed = state.committed_difference.shares(
             joint,
-            (scratch.loaded[joint] + scratch.committed[joint], friction),
+            (
+                scratch.loaded[joint]
+                    + state.committed_difference.share[joint] * scratch.committed[joint],
+                friction,
+            ),
             &state.committed.network[joint],
             &speeds,
             limits.torque,
@@ -267,6 +285,18 @@ pub fn step_stale<const N: usize, const P: usize>(
     state: &mut FeedForwardState<N, P>,
 ) -> Torque<N> {
     hold(config, state, Flags::NO_MEASUREMENT)
+}
+
+/// A period without a tick, because samples pace the board and none came: torque and flags as those of [`step_stale`]. The
+/// counter stays where it is.
+pub fn pause<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+) -> Torque<N> {
+    let (tick, adoption) = (state.tick, state.adoption);
+    let torque = hold(config, state, Flags::NO_MEASUREMENT);
+    (state.tick, state.adoption) = (tick, adoption);
+    torque
 }
 
 /// Where a joint will be when the torque acts, for the cogging, rad: a tracking error of a few milliradians turns its
@@ -323,11 +353,11 @@ fn finish<const N: usize, const P: usize>(
     state.last.flags = flags;
     state.last.tick = state.tick;
     state.adoption = Flags::NONE;
-    state.tick = state.tick.wrapping_add(1);
+    state.tick = LearningSample::<N>::tick_after(state.tick);
     state.last
 }
 
-/// Takes a finished set from the desk, if the tick to come is one at which sets are taken: `tick % N == N / 2`.
+/// Adopts a published set if the tick to come is one at which sets are adopted: `tick % N == N / 2`.
 ///
 /// The round of `N` ticks that ended `N / 2 + 1` ticks before is due then. A set of an earlier round, or none while
 /// learning is on, counts as late; what was learnt from another set than the one loaded last is dropped.
@@ -340,17 +370,18 @@ pub fn adopt<const N: usize, const P: usize>(
     if state.tick % rounds != rounds / 2 {
         return;
     }
-    let due = state.tick.wrapping_sub(rounds / 2 + 1);
-    // Nothing is due from a round that was cut short, by a start or a load or where the counter wraps.
+    let due = state.tick.checked_sub(rounds / 2 + 1);
+    let due = due.unwrap_or(LearningSample::<N>::LAST_TICK);
+    // Nothing is due from a round that was cut short by a start or a load.
     let whole = state.rounds_without_set == 0 && due % rounds == rounds - 1;
     state.rounds_without_set = state.rounds_without_set.saturating_sub(1);
     let expected = state.learning && whole;
     match &exchange.published {
         // Equal, not later: ticks half the range of their counter apart have no order.
         Some(finished) if finished.generation == state.generation => {
-            state.set_active(&finished.set);
+            state.set_active(&finished.set, &finished.share);
             if finished.commit {
-                state.set_committed(&finished.set);
+                state.commit();
                 state.recommitted = true;
             }
             state.payload = finished.payload;

@@ -64,10 +64,10 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
         network
     }
 
-    /// A random hidden layer under an output layer of zeros: the network says nothing until it has learnt something.
+    /// A random hidden layer under an output layer of zeros: the output is zero until something is learnt.
     ///
     /// The second half of the units mirrors the first. With `relu(u) − relu(−u) = u` and `relu(u) + relu(−u) = |u|` the
-    /// output layer alone can then say any odd and any even function of the units' inputs, whatever the seed.
+    /// output layer alone can then form any odd and any even function of the units' inputs, whatever the seed.
     pub fn silent(seed: u32) -> Self {
         let mut network = Self::silent_from(&mut RandomStart::new(seed));
         for weights in &mut network.hidden_weights.data.0 {
@@ -193,7 +193,7 @@ fn layer<const R: usize, const C: usize>(
     }
 }
 
-/// Room for what will be written: −0, not 0, which would be a call of memset.
+/// Memory that is written before it is read: −0, not 0, which would be a call of memset.
 #[inline(always)]
 pub(super) fn unset<const R: usize>() -> SVector<f32, R> {
     SVector::from([-0.0; R])

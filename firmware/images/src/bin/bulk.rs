@@ -51,7 +51,7 @@ mod run {
             let Some(bytes) = streams.read(&mut buffer) else {
                 return Some(());
             };
-            // In pieces, as the flashable firmware takes them: a piece cannot ask for more than the replies have room for.
+            // In pieces, as the flashable firmware takes them: a piece cannot ask for more than the replies can carry.
             for piece in bytes.chunks(CHUNK) {
                 session.receive(piece, &mut mailboxes, &mut out, &mut NoLocalSensor);
                 if !out.is_empty() && !streams.write(out.as_bytes()) {
@@ -63,7 +63,7 @@ mod run {
         }
     }
 
-    /// Says nothing of where: the emulator's exit status tells the host, and a debugger the rest.
+    /// Reports no place: the host gets the emulator's exit status, a debugger shows the rest.
     #[panic_handler]
     fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
         exit(false)

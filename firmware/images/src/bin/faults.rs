@@ -1,6 +1,6 @@
 //! Fails on request, to prove the way out: the fault handlers of the flashable firmware, and nothing else of it.
 //!
-//! After start-up it switches the torque enable on, says hello, and waits for one letter on the link. Not for flashing:
+//! After start-up it switches the torque enable on, sends its hello, and waits for one letter on the link. Not for flashing:
 //! a firmware that drives an arm has no command to fail.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
@@ -36,7 +36,7 @@ mod trial {
             firmware: Name::new(),
             capabilities: Capabilities::default(),
             counter: CounterKind::None,
-            // There is no counter; its room carries what the fault handler kept.
+            // There is no counter; its field carries the record of the fault handler.
             counter_hz: place,
             configuration: Configuration::default(),
             reset_reason: fault::reset_reason(kept, &chip.RCC),
@@ -68,7 +68,7 @@ mod trial {
         link.dr().read().bits() as u8
     }
 
-    /// Fails as `letter` says; any other letter is ignored.
+    /// Fails in the way of `letter`; any other letter is ignored.
     fn fail(letter: u8) {
         match letter {
             b'p' => panic!(),

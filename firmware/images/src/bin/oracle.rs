@@ -84,7 +84,7 @@ mod run {
         streams.write(&value.to_le_bytes()).then_some(())
     }
 
-    /// The exit status tells the host, a debugger the rest.
+    /// The host gets the exit status; a debugger shows the rest.
     #[panic_handler]
     fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
         exit(false)

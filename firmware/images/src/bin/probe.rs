@@ -46,7 +46,7 @@ mod proof {
         let mut out = black_box(FrameBuffer::new());
         let mut bytes = black_box([0u8; 64]);
         loop {
-            // Everything the link can say: decode, tick, bank, statistics, reset.
+            // Every message of the link: decode, tick, bank, statistics, reset.
             session.receive(
                 black_box(&bytes),
                 &mut mailboxes,

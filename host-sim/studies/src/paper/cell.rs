@@ -49,7 +49,7 @@ pub enum FrictionKind {
     None,
     /// Friction that every linear model here can represent.
     CoulombViscous,
-    /// A Stribeck peak on top, which the plain columns cannot say.
+    /// A Stribeck peak on top, which the plain columns cannot form.
     Stribeck,
 }
 
@@ -122,7 +122,7 @@ struct Model {
 /// Inputs that all draws share.
 #[derive(Clone, Debug)]
 pub(super) struct Bench {
-    /// The description: what the methods know of the arm.
+    /// The description of the arm that the methods get.
     pub(super) robot: Robot,
     states: Vec<State<JOINTS>>,
     models: [Model; 2],

@@ -61,7 +61,7 @@ pub enum Torn {
 }
 
 impl Torn {
-    /// The ways that tell something for the programming of a word.
+    /// Interruptions to try while a word is programmed.
     pub const WORD: [Self; 4] = [Self::Before, Self::After, Self::Bits, Self::Unstable];
     /// All ways, for the erasing of a sector.
     pub const SECTOR: [Self; 9] = [

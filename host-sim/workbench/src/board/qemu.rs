@@ -66,7 +66,7 @@ pub struct QemuOptions {
     /// Core shared by the emulator and the calling thread: they take turns, and waking a neighbour core costs more
     /// than the turn itself. `None` leaves both where they are.
     pub core: Option<usize>,
-    /// How long the board may take to say its first byte.
+    /// Longest time to the board's first byte.
     pub boot: Duration,
     /// File for the raw defmt stream of the flashable firmware.
     pub log: Option<PathBuf>,

@@ -116,7 +116,7 @@ pub(super) fn style_sheet() -> String {
         .collect()
 }
 
-/// A drawing in the light colours, for viewers that know no style sheet.
+/// A drawing in the light colours, for viewers without style sheets.
 pub(super) fn coloured(drawing: &str) -> String {
     placeholders().fold(drawing.to_owned(), |drawing, (hex, variable)| {
         drawing.replace(&format!("\"{hex}\""), &format!("\"{}\"", light(&variable)))

@@ -14,11 +14,18 @@ use foretorque::joint::JointMotion;
 use foretorque::learning::{ParameterSet, Request};
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
+    /// Errors: torque flows.
+    pub(in crate::session) fn at_rest(&self) -> Result<(), NackReason> {
+        match self.safety.at_rest() {
+            true => Ok(()),
+            false => Err(NackReason::Armed),
+        }
+    }
+
     /// Parameters may be written: no torque flows, and learning is off.
     pub(in crate::session) fn writable(&self) -> Result<(), NackReason> {
-        if !self.safety.at_rest() {
-            Err(NackReason::Armed)
-        } else if self.feed_forward.state().learning {
+        self.at_rest()?;
+        if self.feed_forward.state().learning {
             Err(NackReason::LearningOn)
         } else {
             Ok(())
@@ -60,9 +67,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         &mut self,
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
-        if !self.safety.at_rest() {
-            return Err(NackReason::Armed);
-        }
+        self.at_rest()?;
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         self.bank.describe::<A, N, P>();
         self.bank.refresh::<A, N, P>(&set);
@@ -88,13 +93,28 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.feed_forward
             .restart(config, set)
             .map_err(|_| NackReason::Period)?;
+        // Another pacing may stop the timer.
+        if self.configuration.pacing != configuration.pacing {
+            self.credit = None;
+        }
         self.configuration = configuration;
         self.player = Player::new::<A, P>(configuration.period_us);
-        self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
+        self.safety
+            .restart(SafetyLimits::for_arm::<A, P>(configuration.period_us));
         self.newest = None;
+        self.ticked = false;
         self.gaps = SampleGaps::new();
-        mailbox.restart(period_s, set);
+        mailbox.restart(period_s, set, self.bank.start_deviations::<A, N, P>());
         Ok(())
+    }
+
+    #[cfg(test)]
+    pub(in crate::session) fn load_set(
+        &mut self,
+        set: ParameterSet<N, P>,
+        exchange: &mut foretorque::learning::Exchange<N, P>,
+    ) {
+        self.feed_forward.load(set, exchange);
     }
 
     /// Buffer of the next bank, to be filled before [`take_over`](Self::take_over).
@@ -116,7 +136,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.feed_forward
             .configure(config)
             .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
-        self.feed_forward.load(set, &mut mailbox.exchange);
+        let start = self.incoming.start_deviations::<A, N, P>();
+        self.feed_forward
+            .load_with(set, start, &mut mailbox.exchange);
         self.gains = gains;
         core::mem::swap(&mut self.bank, &mut self.incoming);
         Ok(())

@@ -8,6 +8,7 @@ mod line;
 mod store;
 mod streams;
 mod ticks;
+mod time;
 
 use super::*;
 use crate::bank::NETWORK_SEED;
@@ -96,7 +97,7 @@ impl Board {
 
     /// The frame of a message under the next number.
     pub(crate) fn numbered(&mut self, message: &HostMessage<N>) -> Vec<u8> {
-        self.sequence += 1;
+        self.sequence = self.sequence.checked_add(1).unwrap_or(1);
         frame(self.sequence, message)
     }
 
@@ -230,7 +231,7 @@ pub(crate) fn torque(reply: &BoardMessage<N>) -> TorqueFrame<N> {
 }
 
 fn sample(k: u32) -> JointSample<N> {
-    let t = k as f32 * 5e-3;
+    let t = k as f32 * 3e-3;
     let q = JointVector::from_fn(|j, _| (t + j as f32).sin());
     JointSample {
         desired: JointMotion {

@@ -1,4 +1,4 @@
-//! Does it learn? Feed-forward and learner together, on torques of an arm whose parameters they do not know.
+//! Feed-forward and learner together, on torques of an arm with other parameters than theirs.
 //!
 //! The plant here is the rigid-body model itself with other parameters, and friction with a Stribeck curve of another
 //! width than the linear columns have, and cogging. Measured positions are rounded as a 17-bit encoder does; torque carries noise.
@@ -207,7 +207,7 @@ impl Plant {
     }
 }
 
-/// Feed-forward, learner and the lessons between them, worked through `delay` ticks late.
+/// Feed-forward, learner and the learning samples between them, used `delay` ticks late.
 struct Board {
     feedforward: FeedForward<Ur5, N, P>,
     learner: Learner<Ur5, N, P>,

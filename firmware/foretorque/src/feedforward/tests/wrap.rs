@@ -34,7 +34,7 @@ impl Bench {
         self.tick.step(&sample(motion(0.0))).flags
     }
 
-    /// Ticks whose lessons wait until the learner gets to them.
+    /// Ticks whose learning samples wait for the learner.
     fn run_ahead(&mut self, ticks: u32) -> Vec<LearningSample<N>> {
         let lessons = (0..ticks).map(|_| {
             self.step();
@@ -80,7 +80,7 @@ fn moved(by: f32) -> Set {
 /// runs from the tick `then` on.
 fn broken(first: u32, then: u32) -> Vec<&'static str> {
     let mut bench = Bench::new();
-    // A set is loaded while lessons from before it wait.
+    // A set is loaded while learning samples from before it wait.
     bench.tick.state.tick = first.wrapping_sub(3);
     let before = bench.run_ahead(3);
     bench.tick.load(moved(1.0), &mut bench.exchange);
@@ -97,7 +97,7 @@ fn broken(first: u32, then: u32) -> Vec<&'static str> {
     let state = bench.tick.state();
     let (active, put_down) = (state.active, state.payload_torque.amax() == 0.0);
     let kept = bench.carries_out(Request::Snapshot, Reason::SnapshotTaken, first, then);
-    *bench.learner.active_mut() = moved(2.0);
+    bench.learner.set_active(&moved(2.0));
     let commits = bench.carries_out(Request::Commit, Reason::Committed, first, then);
     let committed = bench.tick.state().committed;
     let rolls_back = bench.carries_out(Request::Rollback, Reason::RolledBack, first, then);

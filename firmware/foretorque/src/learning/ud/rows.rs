@@ -6,7 +6,7 @@
 /// compile.
 macro_rules! each_row {
     ($k:ident < $w:ident $body:block) => {
-        each_row!($k < $w $body, 0 1 2 3 4 5 6 7)
+        each_row!($k < $w $body, 0 1 2 3 4 5 6 7 8 9 10 11)
     };
     ($k:ident < $w:ident $body:block, $($row:literal)*) => {
         const { assert!($w <= [$($row),*].len()) };

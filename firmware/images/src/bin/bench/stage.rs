@@ -120,7 +120,7 @@ impl Stage {
         };
         for _ in 0..WARM_UP {
             stage.vary();
-            // With learning off a lesson only fills the window of measurements.
+            // With learning off a learning step only fills the window of measurements.
             stage.lesson.enabled = false;
             stage.learner.learn(&stage.lesson, &mut stage.exchange);
         }

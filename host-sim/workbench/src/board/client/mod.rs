@@ -149,7 +149,7 @@ impl<const N: usize> Client<N> {
         self.timeout = timeout;
     }
 
-    /// Whether the torque of a sample is answered only when its lesson is learnt, so that what the board learns does not depend
+    /// Whether the torque of a sample is answered only when its learning step is done, so that what the board learns does not depend
     /// on when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
     pub fn wait_for_learning(&mut self, patient: bool) {
         self.patient = patient;
@@ -160,7 +160,7 @@ impl<const N: usize> Client<N> {
         self.period = self.period.wrapping_add(1);
     }
 
-    /// Who the board said it is.
+    /// Identity from the board's hello.
     pub fn hello(&self) -> &BoardHello {
         &self.hello
     }

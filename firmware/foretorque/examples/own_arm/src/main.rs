@@ -1,9 +1,11 @@
-//! A firmware of somebody else: foretorque with a critical section of its own, and an arm of its own. It links, and that
-//! is all: no board starts it.
+//! Firmware of a crate outside the workspace: an arm of its own, a critical section of its own. It shows that the library
+//! links without a board or an executor; it has no vector table, so no board starts it.
+//!
+//! `src/arm.rs` of your crate is the output of `host-sim generate --urdf FILE --out src/arm.rs`; the Panda stands for it here.
 #![no_std]
 #![no_main]
 
-#[path = "../../../firmware/foretorque/src/arm/panda.rs"]
+#[path = "../../../src/arm/panda.rs"]
 mod arm;
 
 use core::arch::asm;
