@@ -1,4 +1,4 @@
-//! Learning from one torque row: quality, estimate, paired test, network candidate.
+//! Learning from one torque row: quality, estimate, evidence for the shares, network candidate.
 
 use super::{Learner, increment};
 use crate::arm::Arm;
@@ -112,7 +112,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         (outcome, Some(step * inv_limit))
     }
 
-    /// Use the row of a moving joint: quality always; estimate, paired test, network and range while learning.
+    /// Use the row of a moving joint: quality always; estimate, evidence, network and range while learning.
     fn use_row(&mut self, row: &JointRow<'_, N, P>, sample: &ConditionedSample<N>) -> RowOutcome {
         let joint = row.joint;
         let inv_limit = 1.0 / row.limit;
@@ -140,7 +140,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 shares: [rigid * inv_limit, friction * inv_limit, network],
             },
         );
-        if !state.phase().learns() || state.supervisor.pauses_estimate() {
+        if !state.phase().learns() || state.supervisor.pauses_estimate(&self.config.supervisor) {
             return RowOutcome::Frozen;
         }
         let mut columns = *row.columns;
@@ -175,7 +175,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Train the network candidate of `joint`, and record a promotion or silencing.
     fn train_network(&mut self, tick: u32, joint: usize, row: &NetworkRow) {
         let state = &mut self.state;
-        if !state.supervisor.trains_network(joint) {
+        if !state
+            .supervisor
+            .trains_network(&self.config.supervisor, joint)
+        {
             return;
         }
         let Some(active) = state.active.network.get_mut(joint) else {
