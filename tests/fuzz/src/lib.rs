@@ -3,9 +3,11 @@
 //! A checksum stops a fuzzer at once. After an even first byte, therefore, the input is sealed as a correct sender
 //! would have done it, and the reader behind the checksum gets the bytes that the fuzzer wanted it to get.
 
+mod drives;
 mod flash;
 mod seeds;
 
+pub use drives::drives;
 pub use seeds::{plant, seeds};
 
 use crc::{CRC_32_ISO_HDLC, Crc};
@@ -30,12 +32,16 @@ use std::fmt::Debug;
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
+/// Name of a target, and the target.
+pub type Target = (&'static str, fn(&[u8]));
+
 /// The targets by name.
-pub const TARGETS: [(&str, fn(&[u8])); 4] = [
+pub const TARGETS: [Target; 5] = [
     ("decoder", decoder),
     ("bank", bank),
     ("session", session),
     ("store", store),
+    ("drives", drives),
 ];
 
 /// One sealed frame: version, sequence, `message`, checksum, COBS, delimiter.

@@ -23,6 +23,7 @@ pub fn seeds(target: &str) -> Vec<Vec<u8>> {
         bytes(&ParameterBank::nominal::<Panda, 7, 48>()),
     ];
     match target {
+        "drives" => crate::drives::frames(),
         "bank" => banks
             .iter()
             .flat_map(|bank| {

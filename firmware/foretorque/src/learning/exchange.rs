@@ -1,6 +1,7 @@
 use super::decision::DecisionLog;
 use super::parameters::ParameterSet;
 use super::quality::ModelQuality;
+use super::shares::LearntShare;
 use super::start_deviations::StartDeviations;
 use crate::dynamics::BaseParameters;
 use crate::joint::JointMeasurement;
@@ -78,13 +79,15 @@ pub struct Publication<const N: usize, const P: usize> {
     pub closed: u32,
     /// Number of the load that the set was learnt from; after another load it is discarded.
     pub generation: u32,
-    /// New active set.
+    /// Learnt set, with the networks of the torque.
     pub set: ParameterSet<N, P>,
+    /// Its share in the torque.
+    pub share: LearntShare<N>,
     /// Base parameters of the payload, to be added to those of the set.
     pub payload: BaseParameters<P>,
     /// Range of motion for which the set has been learnt.
     pub range: MotionRange<N>,
-    /// True if the set becomes the committed one as well.
+    /// True if set and share become the committed ones as well.
     pub commit: bool,
     /// Report of the learner.
     pub report: LearnerReport<N>,

@@ -62,6 +62,7 @@ mod parameters;
 mod payload;
 mod prior_covariance;
 mod quality;
+mod shares;
 mod start_deviations;
 mod supervisor;
 mod trainer;
@@ -87,6 +88,7 @@ pub use parameters::{
 pub use payload::{payload_bound, rated_payload};
 pub use prior_covariance::{prior_factor, prior_factor_count, prior_floor};
 pub use quality::{ModelQuality, PayloadEstimate, Phase};
+pub use shares::LearntShare;
 pub use start_deviations::StartDeviations;
 pub use supervisor::config::SupervisorConfig;
 pub use trainer::TrainerConfig;

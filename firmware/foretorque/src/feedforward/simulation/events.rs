@@ -124,16 +124,17 @@ fn carry(cell: &mut Cell, mass: f32) -> (u32, PayloadEstimate) {
             break;
         }
     }
-    // The set of the release is in force two rounds later.
+    // The set of the release is in force within two rounds; learning continues from it.
+    let mut restored = false;
     for _ in 0..2 * N {
         cell.step();
+        restored |= before.contains(&cell.board.active().rigid);
     }
     let put_down = cell.decisions();
     assert!(has(&put_down, Reason::Released), "{mass} kg: {put_down:?}");
     assert_eq!(cell.payload(), PayloadEstimate::default());
     assert_eq!(cell.board.feedforward.state().payload.amax(), 0.0);
-    let restored = cell.board.active().rigid;
-    assert!(before.contains(&restored), "{picked:?} {put_down:?}");
+    assert!(restored, "{picked:?} {put_down:?}");
     for _ in 0..2500 {
         cell.step();
     }
@@ -221,6 +222,46 @@ fn a_torque_sensor_of_the_wrong_sign_changes_no_torque() {
     }
     assert_eq!(board.active().rigid, wrong_prior(1).rigid);
     assert_eq!(board.active().friction, wrong_prior(1).friction);
+    let newest = board.learner.state().report.decisions.get(0);
+    assert_eq!(
+        newest.map(|decision| decision.reason),
+        Some(Reason::Reversed)
+    );
+}
+
+#[test]
+fn the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right() {
+    let prior = wrong_prior(1);
+    let mut board = Board::new(prior, 0);
+    let mut config = LearnerConfig::for_arm::<Ur5>(PERIOD as f32);
+    // Without alarms: the shares alone react.
+    config.supervisor.detector.threshold = 1e9;
+    board.learner = Learner::new(config, prior).unwrap();
+    let mut plant = Plant::new(AS_IT_IS);
+    board.feedforward.set_learning(true);
+    let reasons = |board: &Board| {
+        let log = board.learner.state().report.decisions;
+        let all = (0..log.count()).filter_map(|index| log.get(index));
+        all.map(|decision| decision.reason).collect::<Vec<_>>()
+    };
+    for tick in 0..3000 {
+        board.tick(&plant.sample(tick));
+    }
+    assert!(reasons(&board).contains(&Reason::Followed));
+    assert!(!reasons(&board).contains(&Reason::RolledBack));
+    let share = board.learner.state().share().joint;
+    assert!(share.iter().all(|share| *share > 0.9), "{share:?}");
+    let mut least = 1.0f32;
+    for tick in 3000..8000 {
+        let mut sample = plant.sample(tick);
+        if let Some(measured) = &mut sample.measured {
+            measured.tau = evaluate::<Ur5, N, P>(&prior, &sample.desired).total;
+        }
+        board.tick(&sample);
+        least = least.min(board.learner.state().share().rigid);
+    }
+    // The estimate returns to it as well.
+    assert!(least < 0.5, "{least}");
 }
 
 #[test]

@@ -30,23 +30,15 @@ pub struct SupervisorConfig {
     pub timeout_blocks: u32,
     /// Blocks after promotion for which the payload filter runs on.
     pub payload_update_blocks: u32,
-    /// Least rows of a paired test: 0.2 s.
-    pub test_rows: u32,
-    /// Significance of a paired test, standard deviations.
-    pub test_sigmas: f32,
-    /// Rows between two commits.
-    pub commit_rows: u32,
-    /// Smallest deviation of a common gain of all torques from 1 that indicates sensors or drives.
-    pub gain_error: f32,
+    /// Memory of the evidence for the learnt shares, s: longer than a path takes to show a joint its range.
+    pub share_memory_s: f32,
+    /// Length of relearning, ticks: 5 s, several times the memory of the measured variance.
+    pub relearning_ticks: u32,
+    /// Ticks between two commits while following: 8 s.
+    pub commit_ticks: u32,
     /// Trust below which the flag is set.
     pub trust_floor: f32,
 }
-
-/// Least length of a paired test, s: residuals of real arms are correlated over tenths of a second, so time counts, not
-/// rows.
-const TEST_S: f32 = 0.2;
-/// Least rows of a paired test on a slow board.
-const MIN_TEST_ROWS: u32 = 100;
 
 impl SupervisorConfig {
     /// Defaults for an arm.
@@ -56,7 +48,6 @@ impl SupervisorConfig {
         let block_ticks = (0.01 * inv_period + 0.5) as u32;
         // Each joint of a block is processed in a tick of its own.
         let shortest = N as u32 + 1;
-        let test_rows = (TEST_S * inv_period + 0.5) as u32;
         Self {
             block_ticks: if block_ticks > shortest {
                 block_ticks
@@ -78,14 +69,9 @@ impl SupervisorConfig {
             decision_blocks: 5,
             timeout_blocks: 300,
             payload_update_blocks: 1000,
-            test_rows: if test_rows > MIN_TEST_ROWS {
-                test_rows
-            } else {
-                MIN_TEST_ROWS
-            },
-            test_sigmas: 3.0,
-            commit_rows: 8000,
-            gain_error: 0.08,
+            share_memory_s: 10.0,
+            relearning_ticks: (5.0 * inv_period) as u32,
+            commit_ticks: (8.0 * inv_period) as u32,
             trust_floor: 0.7,
         }
     }
@@ -105,8 +91,7 @@ impl SupervisorConfig {
             ("supervisor.block_inflation", self.block_inflation),
             ("supervisor.residual_ratio", self.residual_ratio),
             ("supervisor.quiet_level", self.quiet_level),
-            ("supervisor.test_sigmas", self.test_sigmas),
-            ("supervisor.gain_error", self.gain_error),
+            ("supervisor.share_memory_s", self.share_memory_s),
             ("supervisor.trust_floor", self.trust_floor),
             ("supervisor.block_ticks", self.block_ticks as f32),
             ("supervisor.decision_blocks", self.decision_blocks as f32),
