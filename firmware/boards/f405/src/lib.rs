@@ -1,4 +1,4 @@
-//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host nothing but [`chip`] is there.
+//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`chip`] and [`can`] are there.
 //!
 //! | module | contents |
 //! |---|---|
@@ -6,6 +6,7 @@
 //! | `board` | what a board has of its own |
 //! | `odrive_v3`, `pyboard`, `pyboard_drive` | the boards |
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
+//! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
 //! | `link`, `ring` | serial link, and the queues of its bytes |
 //! | `rooms` | session and learner in static memory |
@@ -13,6 +14,7 @@
 //! Another board is a file beside these and a binary that names it.
 #![no_std]
 
+pub mod can;
 pub mod chip;
 
 #[cfg(target_os = "none")]
