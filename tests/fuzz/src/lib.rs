@@ -15,7 +15,7 @@ use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::session::{
-    BoardDescription, LearnerMailbox, Mailboxes, NoClock, NoLocalSensor, Session,
+    BoardDescription, Housekeeping, Mailboxes, NoClock, NoLocalSensor, Session,
 };
 use foretorque_link::store::Store;
 use foretorque_link::wire::{
@@ -165,9 +165,13 @@ pub fn session(input: &[u8]) {
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
     let (mut mailboxes, mut out) = (Mailboxes::new(), FrameBuffer::new());
+    let mut housekeeping = Box::new(Housekeeping::<Ur5, 6, 40>::new(None));
     let mut listener = Decoder::new();
     for piece in line(input).chunks(64) {
         session.receive(piece, &mut mailboxes, &mut out, &mut NoLocalSensor);
+        if housekeeping.work(&mut mailboxes.parameters) {
+            session.poll_parameters(&mut mailboxes, &mut out);
+        }
         for &byte in out.as_bytes() {
             let Some(frame) = listener.push(byte) else {
                 continue;
@@ -191,7 +195,9 @@ pub fn store(input: &[u8]) {
     let before = store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec);
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
-    let loaded = session.boot_from(&mut store, &mut LearnerMailbox::new());
+    let mut housekeeping = Box::new(Housekeeping::new(Some(store)));
+    let loaded = session.boot_from(&mut housekeeping, &mut Mailboxes::new());
+    let store = housekeeping.store_mut().expect("it has one");
     assert!(before.is_ok() || loaded.is_err());
     let bytes = input.get(..64).unwrap_or(input);
     match store.save(Ur5::HASH, bytes) {

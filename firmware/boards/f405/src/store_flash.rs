@@ -18,7 +18,7 @@ const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 const WORD: usize = 4;
 
 /// The two sectors, as one piece of flash that begins at 0.
-pub(crate) struct StoreFlash {
+pub struct StoreFlash {
     registers: FLASH,
 }
 

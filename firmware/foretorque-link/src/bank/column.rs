@@ -1,4 +1,6 @@
+use super::{MAX_COLUMNS, MAX_JOINTS};
 use core::fmt;
+use core::marker::PhantomData;
 use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn};
 use serde::{Deserialize, Serialize};
@@ -32,7 +34,7 @@ impl ColumnKind {
     pub const ROTOR: Self = Self(ROTOR);
 
     /// Friction columns of a joint in the order of [`FrictionColumn::ALL`].
-    pub(super) const FRICTION: [Self; FRICTION_COLUMNS] = {
+    const FRICTION: [Self; FRICTION_COLUMNS] = {
         let mut kinds = [Self::ROTOR; FRICTION_COLUMNS];
         let mut k = 0;
         while k < FRICTION_COLUMNS {
@@ -102,23 +104,55 @@ impl fmt::Display for ColumnId {
     }
 }
 
-/// The base columns of an arm in their order: inertial ones link by link, then rotor inertias.
-pub fn rigid_columns<A: Arm<N, P>, const N: usize, const P: usize>()
--> impl Iterator<Item = ColumnId> {
-    let links = A::COLUMNS
-        .into_iter()
-        .enumerate()
-        .flat_map(|(joint, link)| {
-            let kinds = (0..).map(ColumnKind).zip(link.inertial);
-            kinds.filter_map(move |(kind, there)| there.then_some(id(kind, joint)))
-        });
-    let rotors = A::COLUMNS.into_iter().enumerate();
-    links.chain(
-        rotors.filter_map(|(joint, link)| link.rotor.then_some(id(ColumnKind::ROTOR, joint))),
-    )
+/// The columns of an arm in their order: inertial ones link by link, rotor inertias, then friction joint by joint.
+pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> &'static [ColumnId] {
+    let table = const { &Table::<A, N, P>::COLUMNS };
+    table.get(..P + FRICTION_COLUMNS * N).unwrap_or_default()
 }
 
-pub(super) fn id(kind: ColumnKind, joint: usize) -> ColumnId {
+struct Table<A, const N: usize, const P: usize>(PhantomData<A>);
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Table<A, N, P> {
+    const COLUMNS: [ColumnId; MAX_COLUMNS] = {
+        assert!(N <= MAX_JOINTS && P + FRICTION_COLUMNS * N <= MAX_COLUMNS);
+        let mut columns = [id(ColumnKind::ROTOR, 0); MAX_COLUMNS];
+        let mut place = 0;
+        let mut joint = 0;
+        while joint < N {
+            let mut kind = 0;
+            while kind < LINK_PARAMETERS {
+                if A::COLUMNS[joint].inertial[kind] {
+                    columns[place] = id(ColumnKind(kind as u8), joint);
+                    place += 1;
+                }
+                kind += 1;
+            }
+            joint += 1;
+        }
+        joint = 0;
+        while joint < N {
+            if A::COLUMNS[joint].rotor {
+                columns[place] = id(ColumnKind::ROTOR, joint);
+                place += 1;
+            }
+            joint += 1;
+        }
+        assert!(place == P);
+        joint = 0;
+        while joint < N {
+            let mut kind = 0;
+            while kind < FRICTION_COLUMNS {
+                columns[place] = id(ColumnKind::FRICTION[kind], joint);
+                place += 1;
+                kind += 1;
+            }
+            joint += 1;
+        }
+        columns
+    };
+}
+
+const fn id(kind: ColumnKind, joint: usize) -> ColumnId {
     ColumnId {
         kind,
         joint: joint as u8,

@@ -1,5 +1,6 @@
 //! Messages of the host to protocol and controller.
 
+use super::mailbox::{Order, Upload};
 use super::protocol::Received;
 use super::{Clock, LocalSensor, Mailboxes, Session};
 use crate::wire::{
@@ -57,15 +58,20 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         message: HostMessage<N>,
         mailboxes: &mut Mailboxes<N, P>,
     ) -> Result<Option<BoardMessage<N>>, NackReason> {
+        let Mailboxes {
+            learner: mailbox,
+            parameters,
+        } = mailboxes;
         let Self {
             board,
             protocol,
             controller,
             ..
         } = self;
-        let mailbox = &mut mailboxes.learner;
         match message {
             HostMessage::Hello => {
+                // Another host may be sending: it does not inherit the torque.
+                controller.disarm();
                 controller.interrupt_samples();
                 return Ok(Some(self.hello()));
             }
@@ -75,6 +81,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 return Ok(Some(BoardMessage::Evaluated(controller.evaluate(&motion))));
             }
             HostMessage::Configure(wanted) => {
+                parameters.undisturbed()?;
                 controller.configurable(&wanted)?;
                 if wanted.pacing == Pacing::SysTick {
                     board.require(Capabilities::TIMER)?;
@@ -85,63 +92,85 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Learning { on } => {
                 if on {
                     board.require(Capabilities::LEARNING)?;
+                    parameters.undisturbed()?;
                     // An upload is refused while learning: half of one must not wait until learning ends.
-                    protocol.transfer.abort();
+                    parameters.transfer.abort();
                 }
                 controller.set_learning(on);
             }
             HostMessage::BankWrite { offset, bytes } => {
                 controller.writable()?;
-                protocol.transfer.write(offset, &bytes)?;
+                parameters.idle()?;
+                parameters.transfer.write(offset, &bytes)?;
             }
             HostMessage::BankCommit { length, crc, mac } => {
                 controller.writable()?;
-                protocol.authorise(board.write_key.as_ref(), mac, A::HASH)?;
-                protocol
-                    .transfer
-                    .commit(length, crc, controller.incoming())?;
-                controller.take_over(mailbox)?;
+                parameters.idle()?;
+                parameters.transfer.end(length)?;
+                let signature = protocol.signature(board.write_key.as_ref(), mac)?;
+                let order = Order::Commit(Upload { crc, signature });
+                return self.order(sequence, order, parameters);
             }
-            HostMessage::BankRead { source, offset } => {
-                if offset == 0 {
-                    let bank = match source {
-                        BankSource::Live => controller.active_bank(),
-                        BankSource::Committed => controller.committed_bank(),
-                        BankSource::Stored => {
-                            self.restore_from_store(sequence, true, &mut mailboxes.store)?;
-                            return Ok(None);
-                        }
-                    };
-                    protocol.transfer.hold_bank(bank)?;
-                }
-                return protocol.transfer.chunk(offset).map(Some);
+            HostMessage::ExcitationLoad { length, crc, mac } => {
+                controller.writable()?;
+                parameters.idle()?;
+                parameters.transfer.end(length)?;
+                let signature = protocol.signature(board.write_key.as_ref(), mac)?;
+                let order = Order::Excitation(Upload { crc, signature });
+                return self.order(sequence, order, parameters);
+            }
+            HostMessage::BankRead { source, offset: 0 } => {
+                parameters.idle()?;
+                let state = controller.feed_forward().state();
+                let set = match source {
+                    BankSource::Live => &state.active,
+                    BankSource::Committed => &state.committed,
+                    BankSource::Stored => {
+                        return self.order(sequence, Order::ReadStored, parameters);
+                    }
+                };
+                parameters.read(sequence, Order::Read, set)?;
+                return Ok(None);
+            }
+            HostMessage::BankRead { offset, .. } => {
+                parameters.idle()?;
+                return parameters.transfer.chunk(offset).map(Some);
             }
             HostMessage::Statistics => {
                 let statistics = self.statistics(mailbox);
                 return Ok(Some(BoardMessage::Statistics(statistics)));
             }
             HostMessage::Reset => {
-                controller.reset(mailbox)?;
-                protocol.reset(sequence);
+                controller.at_rest()?;
+                parameters.post(sequence, Order::Reset)?;
+                return Ok(None);
             }
             HostMessage::Arm => {
                 // The processor stands still while the flash is written.
-                if mailboxes.store.is_busy() {
-                    return Err(NackReason::Busy);
-                }
+                parameters.undisturbed()?;
                 controller.arm()?;
             }
-            HostMessage::Disarm => controller.disarm(),
-            HostMessage::Stop => controller.stop(mailbox),
-            HostMessage::ClearFault => controller.clear_fault()?,
-            HostMessage::Request { code } => controller.request(code, mailbox)?,
+            HostMessage::Disarm => {
+                controller.disarm();
+            }
+            HostMessage::Stop => {
+                controller.stop(mailbox);
+            }
+            HostMessage::ClearFault => {
+                controller.clear_fault()?;
+            }
+            HostMessage::Request { code } => {
+                controller.request(code, mailbox)?;
+            }
             HostMessage::Save => {
-                self.save_to_store(sequence, &mut mailboxes.store)?;
+                board.require(Capabilities::STORE)?;
+                controller.writable()?;
+                let committed = &controller.feed_forward().state().committed;
+                parameters.read(sequence, Order::Save, committed)?;
                 return Ok(None);
             }
             HostMessage::Restore => {
-                self.restore_from_store(sequence, false, &mut mailboxes.store)?;
-                return Ok(None);
+                return self.order(sequence, Order::Restore, parameters);
             }
             HostMessage::Telemetry { fields, every } => {
                 let allowance = self.allowance();
@@ -155,13 +184,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 return Ok(Some(BoardMessage::Challenge { nonce }));
             }
             HostMessage::Reboot => {
+                controller.at_rest()?;
                 board.require(Capabilities::REBOOT)?;
                 self.reboot = true;
-            }
-            HostMessage::ExcitationLoad { length, crc, mac } => {
-                controller.writable()?;
-                protocol.authorise(board.write_key.as_ref(), mac, A::HASH)?;
-                controller.load_excitation(&protocol.transfer.program(length, crc)?)?;
             }
             HostMessage::Excitation(command) => {
                 let state = controller.excite(command)?;

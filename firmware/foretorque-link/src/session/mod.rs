@@ -9,15 +9,16 @@
 mod board;
 mod controller;
 mod dispatch;
+mod housekeeping;
 mod mailbox;
 mod protocol;
 mod statistics;
 mod store;
 
 pub use board::{BoardDescription, Clock, LocalSensor, NoClock, NoLocalSensor};
-pub use mailbox::{LearnerMailbox, Mailboxes};
+pub use housekeeping::{Housekeeping, NoFlash};
+pub use mailbox::{LearnerMailbox, Mailboxes, ParameterMailbox};
 
-use crate::bank::ParameterBank;
 use crate::safety::{SafetyReason, SafetyStatus};
 use crate::store::StoreHealth;
 use crate::telemetry::Cost;
@@ -51,8 +52,6 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     protocol: Protocol,
     controller: Controller<A, N, P>,
     store: StoreHealth,
-    /// The set that the store returns next is for the host to read only.
-    read_only: bool,
     receive_cost: Cost,
     reply_latency: Cost,
     watchdog_feeds: u32,
@@ -87,18 +86,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             board,
             protocol: Protocol::new(),
             store: StoreHealth::Unused,
-            read_only: false,
             receive_cost: Cost::default(),
             reply_latency: Cost::default(),
             watchdog_feeds: 0,
             boot_counts: 0,
             reboot: false,
         }
-    }
-
-    /// The bank in force, as it was loaded, with the values of the active set.
-    pub fn bank(&mut self) -> &ParameterBank {
-        self.controller.active_bank()
     }
 
     /// Period, pacing and reply mode; the owner sets the timer by it.

@@ -1,7 +1,9 @@
 use super::Transport;
 use foretorque::arm::Arm;
 use foretorque::learning::{ConfigError, Learner, LearnerConfig};
-use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
+use foretorque_link::session::{
+    BoardDescription, Housekeeping, Mailboxes, NoClock, NoLocalSensor, Session,
+};
 use foretorque_link::wire::FrameBuffer;
 use std::collections::VecDeque;
 use std::io;
@@ -13,6 +15,7 @@ use std::time::Duration;
 pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
     session: Session<A, N, P>,
     mailboxes: Mailboxes<N, P>,
+    housekeeping: Housekeeping<A, N, P>,
     learner: Learner<A, N, P>,
     out: FrameBuffer,
     waiting: VecDeque<u8>,
@@ -30,6 +33,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
         let mut native = Self {
             session,
             mailboxes: Mailboxes::new(),
+            housekeeping: Housekeeping::new(None),
             learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
             out: FrameBuffer::new(),
             waiting: VecDeque::new(),
@@ -68,6 +72,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
                 &mut self.out,
                 &mut NoLocalSensor,
             );
+            if self.housekeeping.work(&mut self.mailboxes.parameters) {
+                self.session
+                    .poll_parameters(&mut self.mailboxes, &mut self.out);
+            }
             self.flush();
             self.mailboxes.learner.work(&mut self.learner, &NoClock);
         }

@@ -4,7 +4,7 @@ mod parameters;
 mod sample_gaps;
 
 use super::{Clock, LearnerMailbox, LocalSensor, seconds};
-use crate::bank::{NETWORK_SEED, ParameterBank};
+use crate::bank::{JointBounds, NETWORK_SEED};
 use crate::excitation::{ExcitationState, Player};
 use crate::safety::{Safety, SafetyLimits, SafetyReason, SafetyStatus};
 use crate::telemetry::CostMeter;
@@ -68,9 +68,8 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     player: Player<N>,
     /// Drive gains, N × N·m/A.
     gains: [f32; N],
-    bank: ParameterBank,
-    /// Buffer of the next bank, which is not in force before all of it is checked.
-    incoming: ParameterBank,
+    /// Limits of the bank in force.
+    bounds: [JointBounds; N],
     /// The newest sample that no timer tick has used yet, with its sequence number.
     newest: Option<(u16, SampleFrame<N>)>,
     gaps: SampleGaps,
@@ -96,8 +95,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             safety: Safety::new(limits, first_fault),
             player: Player::new::<A, P>(configuration.period_us),
             gains: [0.0; N],
-            bank: ParameterBank::nominal::<A, N, P>(),
-            incoming: ParameterBank::empty(),
+            bounds: JointBounds::widest::<A, N, P>(),
             newest: None,
             gaps: SampleGaps::new(),
             last_sequence: 0,

@@ -8,6 +8,7 @@ pub(super) use link::LinkState;
 pub(super) use telemetry::{Instant, Stream};
 pub(super) use transfer::Transfer;
 
+use super::mailbox::Signature;
 use crate::wire::{
     BoardMessage, DecodeError, Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason,
 };
@@ -26,7 +27,6 @@ pub(super) enum Received<const N: usize> {
 pub(super) struct Protocol {
     decoder: Decoder,
     pub(super) link: LinkState,
-    pub(super) transfer: Transfer,
     pub(super) stream: Stream,
     /// The challenge that the next signature has to cover.
     challenge: Option<[u8; MAC_BYTES]>,
@@ -38,18 +38,16 @@ impl Protocol {
         Self {
             decoder: Decoder::new(),
             link: LinkState::new(None),
-            transfer: Transfer::new(),
             stream: Stream::new(),
             challenge: None,
             challenges: 0,
         }
     }
 
-    /// Resets counters and transfers; the sequence continues after `sequence`.
-    pub(super) fn reset(&mut self, sequence: u16) {
+    /// Resets counters and telemetry; the sequence continues.
+    pub(super) fn reset(&mut self) {
         self.decoder = Decoder::new();
-        self.link = LinkState::new(Some(sequence));
-        self.transfer.abort();
+        self.link.reset();
         self.stream.end();
     }
 
@@ -60,8 +58,8 @@ impl Protocol {
         match received {
             Ok((sequence, message)) => {
                 let restart = matches!(message, HostMessage::Hello);
-                // A stop that arrives late or twice still acts.
-                let urgent = matches!(message, HostMessage::Stop);
+                // These act also where they arrive late or twice: they only ever end the torque.
+                let urgent = matches!(message, HostMessage::Stop | HostMessage::Disarm);
                 let forward = self.link.accept(sequence, restart) == Order::Forward;
                 (forward || urgent).then_some(Received::Message(sequence, message))
             }
@@ -98,29 +96,20 @@ impl Protocol {
         nonce
     }
 
-    /// Checks the signature of the upload where there is a write key. The challenge is used up; a refused upload is over.
+    /// The signature that the housekeeping has to verify; `None` without a write key. The challenge is used up.
     ///
-    /// Errors: [`NackReason::Key`].
-    #[inline(never)]
-    pub(super) fn authorise(
+    /// Errors: [`NackReason::Key`] without challenge or signature.
+    pub(super) fn signature(
         &mut self,
         key: Option<&WriteKey>,
         mac: Option<[u8; MAC_BYTES]>,
-        arm_hash: u32,
-    ) -> Result<(), NackReason> {
-        let Some(key) = key else {
-            return Ok(());
+    ) -> Result<Option<Signature>, NackReason> {
+        let Some(&key) = key else {
+            return Ok(None);
         };
-        let verified = match (self.challenge.take(), mac) {
-            (Some(nonce), Some(mac)) => {
-                key.verifies(&mac, &nonce, arm_hash, self.transfer.received())
-            }
-            _ => false,
-        };
-        if verified {
-            return Ok(());
+        match (self.challenge.take(), mac) {
+            (Some(nonce), Some(mac)) => Ok(Some(Signature { key, nonce, mac })),
+            _ => Err(NackReason::Key),
         }
-        self.transfer.abort();
-        Err(NackReason::Key)
     }
 }
