@@ -24,7 +24,7 @@ use foretorque_link::session::{BoardDescription, Mailboxes};
 use foretorque_link::store::Store;
 use foretorque_link::telemetry::CostMeter;
 use foretorque_link::wire::size::LinkCapacity;
-use foretorque_link::wire::{Capabilities, FrameBuffer, MAX_FRAME};
+use foretorque_link::wire::{Capabilities, ClockSource, FrameBuffer, MAX_FRAME};
 use heapless::spsc::Queue;
 use rtic::Mutex;
 use stm32f4xx_hal::pac::{self, Interrupt};
@@ -33,7 +33,7 @@ use stm32f4xx_hal::prelude::*;
 use crate::arm::{Arm, BoardHousekeeping, BoardLearner, BoardMailboxes, BoardSession};
 use crate::board::{Board, Drive as _, Ports};
 use crate::chip::LINK_BYTES_S;
-use crate::clock::{self, ClockSource};
+use crate::clock;
 use crate::counter::{self, Counter};
 use crate::fault::{self, Reason};
 use crate::key_slot;
@@ -41,7 +41,7 @@ use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
 use crate::log;
 use crate::ring::{self, Receiver, Sender};
 use crate::statics::{init_learner, init_session};
-use crate::store_flash::StoreFlash;
+use crate::store_flash::{Registers, StoreFlash};
 use crate::tick_timer::{self, TickTimer};
 use crate::watchdog::{self, TASKS, Watchdog};
 
@@ -110,8 +110,9 @@ pub fn start<B: Board>(
     let reset_reason = fault::reset_reason(reason, &chip.RCC);
     let kept = fault::latched();
     let clocks = clock::start(&chip.RCC, &chip.FLASH, B::CRYSTAL_HZ);
-    let seed = key_slot::seed(&chip.RNG, &chip.RCC);
-    let emulated = clocks.source == ClockSource::Emulated;
+    let emulated = clocks.source == ClockSource::Virtual;
+    let seed = key_slot::seed(&chip.RNG, &chip.RCC, emulated);
+    let status = clock::status(&clocks, &chip.FLASH);
 
     chip.RCC.apb1enr().modify(|_, w| {
         w.usart2en()
@@ -161,6 +162,7 @@ pub fn start<B: Board>(
         link: LinkCapacity::stream(LINK_BYTES_S),
         write_key: key_slot::write_key(),
         seed,
+        chip: status,
         ..BoardDescription::plain(Counter)
     };
     let Some(session) = init_session(&mut statics.session, description) else {
@@ -168,7 +170,7 @@ pub fn start<B: Board>(
     };
     let mailboxes = statics.mailboxes.write(Mailboxes::new());
     let housekeeping = &mut statics.housekeeping;
-    housekeeping.start(Some(Store::new(StoreFlash::new(chip.FLASH))));
+    housekeeping.start(Some(Store::new(StoreFlash::new(Registers(chip.FLASH)))));
     let stored = session.boot_from(housekeeping, mailboxes);
     defmt::info!("store: {}", stored);
     let period_s = session.configuration().period_us as f32 * 1e-6;

@@ -1,4 +1,4 @@
-//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host nothing but [`chip`] is there.
+//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`chip`] and [`flash_driver`] are there.
 //!
 //! | module | contents |
 //! |---|---|
@@ -9,12 +9,13 @@
 //! | `fault` | fault handlers, and what is kept over a reset |
 //! | `link`, `ring` | serial link, and the queues of its bytes |
 //! | `statics` | session and learner in static memory |
-//! | `key_slot`, `store_flash`, `tick_timer`, `watchdog` | write key, flash, timer and watchdog of the chip |
+//! | `flash_driver`, `key_slot`, `store_flash`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
 //!
 //! Another board is a file beside these and a binary that names it.
 #![no_std]
 
 pub mod chip;
+pub mod flash_driver;
 
 #[cfg(target_os = "none")]
 pub mod app;
@@ -49,7 +50,7 @@ pub mod ring;
 #[cfg(target_os = "none")]
 pub mod statics;
 #[cfg(target_os = "none")]
-mod store_flash;
+pub mod store_flash;
 #[cfg(target_os = "none")]
 mod tick_timer;
 #[cfg(target_os = "none")]

@@ -40,6 +40,17 @@ impl<const N: usize, const P: usize> Parameters<N, P> {
 }
 
 impl ParameterBank {
+    /// Configuration of ticks of `period_s`, s: the arm's limits, tightened by those of the bank.
+    ///
+    /// Errors: [`BankError::Limit`] where torque or slew limit is not positive or exceeds [`FeedForwardConfig::for_arm`], or
+    /// the bound of the network differs from that of this firmware.
+    pub fn feed_forward_config<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        period_s: f32,
+    ) -> Result<FeedForwardConfig<N>, BankError> {
+        config::<A, N, P>(&self.limits, period_s)
+    }
+
     /// Everything of the bank that the tick uses, checked.
     ///
     /// Errors: the first reason why the bank does not fit `A`.

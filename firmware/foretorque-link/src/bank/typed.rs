@@ -1,7 +1,6 @@
 //! Conversion between the self-describing bank and the typed set of one arm.
 
 use super::column::columns;
-use super::parameters::config;
 use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
 use super::{MAX_COLUMNS, MAX_WEIGHTS};
 use crate::wire::Name;
@@ -159,17 +158,6 @@ impl ParameterBank {
             };
         }
         Ok(gains)
-    }
-
-    /// Configuration of ticks of `period_s`, s: the arm's limits, tightened by those of the bank.
-    ///
-    /// Errors: [`BankError::Limit`] where torque or slew limit is not positive or exceeds [`FeedForwardConfig::for_arm`], or
-    /// the bound of the network differs from that of this firmware.
-    pub fn feed_forward_config<A: Arm<N, P>, const N: usize, const P: usize>(
-        &self,
-        period_s: f32,
-    ) -> Result<FeedForwardConfig<N>, BankError> {
-        config::<A, N, P>(&self.limits, period_s)
     }
 }
 

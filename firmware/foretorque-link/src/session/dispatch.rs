@@ -1,5 +1,6 @@
 //! Messages of the host to protocol and controller.
 
+use super::board::SAVE_INTERVAL_US;
 use super::mailbox::{Order, Upload};
 use super::protocol::Received;
 use super::{Clock, LocalSensor, Mailboxes, Session};
@@ -68,6 +69,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             controller,
             ..
         } = self;
+        if board.write_key.is_some()
+            && let Some(order) = message.protected()
+        {
+            protocol.permitted(order)?;
+        }
         match message {
             HostMessage::Hello => {
                 // Another host may be sending: it does not inherit the torque.
@@ -83,6 +89,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Configure(wanted) => {
                 parameters.undisturbed()?;
                 controller.configurable(&wanted)?;
+                board.sustains(wanted.period_us)?;
                 if wanted.pacing == Pacing::SysTick {
                     board.require(Capabilities::TIMER)?;
                 }
@@ -148,6 +155,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Arm => {
                 // The processor stands still while the flash is written.
                 parameters.undisturbed()?;
+                board.sustains(controller.configuration().period_us)?;
                 controller.arm()?;
             }
             HostMessage::Disarm => {
@@ -165,8 +173,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Save => {
                 board.require(Capabilities::STORE)?;
                 controller.writable()?;
+                if board.require(Capabilities::TIMER).is_ok() {
+                    let left_us = SAVE_INTERVAL_US.saturating_sub(self.rested_us);
+                    let seconds = left_us.div_ceil(1_000_000) as u8;
+                    if seconds > 0 {
+                        return Err(NackReason::Wait { seconds });
+                    }
+                }
                 let committed = &controller.feed_forward().state().committed;
                 parameters.read(sequence, Order::Save, committed)?;
+                self.rested_us = 0;
                 return Ok(None);
             }
             HostMessage::Restore => {
@@ -180,8 +196,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::Challenge => {
                 let key = board.write_key.as_ref().ok_or(NackReason::NotCapable)?;
-                let nonce = protocol.challenge(key, &board.seed);
+                let seed = board.seed.as_ref().ok_or(NackReason::NotCapable)?;
+                let nonce = protocol.challenge(key, seed);
                 return Ok(Some(BoardMessage::Challenge { nonce }));
+            }
+            HostMessage::Unlock { order, mac } => {
+                let key = board.write_key.as_ref().ok_or(NackReason::NotCapable)?;
+                protocol.unlock(key, A::HASH, order, &mac)?;
             }
             HostMessage::Reboot => {
                 controller.at_rest()?;

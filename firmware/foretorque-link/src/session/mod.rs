@@ -57,6 +57,8 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     watchdog_feeds: u32,
     boot_counts: u32,
     reboot: bool,
+    /// Time since the last save by the board's timer, µs.
+    rested_us: u32,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
@@ -81,6 +83,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     #[inline(never)]
     fn around(board: BoardDescription<C>, feed_forward: FeedForward<A, N, P>) -> Self {
+        let rested_us = board.rested_us();
         Self {
             controller: Controller::new(feed_forward, board.first_fault()),
             board,
@@ -91,6 +94,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             watchdog_feeds: 0,
             boot_counts: 0,
             reboot: false,
+            rested_us,
         }
     }
 
@@ -166,6 +170,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         out: &mut FrameBuffer,
         sensor: &mut impl LocalSensor,
     ) {
+        let period_us = self.configuration().period_us;
+        self.rested_us = self.rested_us.saturating_add(period_us);
         let mailbox = &mut mailboxes.learner;
         let tick = self.controller.timer(mailbox, &self.board.clock, sensor);
         if let Some(tick) = tick {

@@ -18,7 +18,8 @@ mod trial {
     use foretorque_link::hal::TorqueEnable;
     use foretorque_link::safety::SafetyStatus;
     use foretorque_link::wire::{
-        BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, FrameBuffer, Name,
+        BoardHello, BoardMessage, Capabilities, ChipStatus, Configuration, CounterKind,
+        FrameBuffer, Name,
     };
     use stm32f4xx_hal::pac::{self, Interrupt, NVIC, USART2};
 
@@ -42,6 +43,7 @@ mod trial {
             reset_reason: fault::reset_reason(kept, &chip.RCC),
             safety: SafetyStatus::default(),
             boot_counts: 0,
+            chip: ChipStatus::VIRTUAL,
         };
         chip.RCC.apb1enr().modify(|_, w| w.usart2en().enabled());
         let link = chip.USART2;

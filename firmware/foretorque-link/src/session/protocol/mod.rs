@@ -31,6 +31,8 @@ pub(super) struct Protocol {
     /// The challenge that the next signature has to cover.
     challenge: Option<[u8; MAC_BYTES]>,
     challenges: u32,
+    /// The one protected order that the key has permitted.
+    permission: Option<[u8; 2]>,
 }
 
 impl Protocol {
@@ -41,6 +43,7 @@ impl Protocol {
             stream: Stream::new(),
             challenge: None,
             challenges: 0,
+            permission: None,
         }
     }
 
@@ -94,6 +97,31 @@ impl Protocol {
         self.challenges = self.challenges.wrapping_add(1);
         self.challenge = Some(nonce);
         nonce
+    }
+
+    /// Permits one order, if its signature is right. The challenge is used up.
+    ///
+    /// Errors: [`NackReason::Key`].
+    #[inline(never)]
+    pub(super) fn unlock(
+        &mut self,
+        key: &WriteKey,
+        arm_hash: u32,
+        order: [u8; 2],
+        mac: &[u8; MAC_BYTES],
+    ) -> Result<(), NackReason> {
+        let nonce = self.challenge.take().ok_or(NackReason::Key)?;
+        let right = key.permits(mac, &nonce, arm_hash, order);
+        self.permission = right.then_some(order);
+        right.then_some(()).ok_or(NackReason::Key)
+    }
+
+    /// Uses the permission of `order` up.
+    ///
+    /// Errors: [`NackReason::Key`] where there is none, or one of another order.
+    pub(super) fn permitted(&mut self, order: [u8; 2]) -> Result<(), NackReason> {
+        let permitted = self.permission.take() == Some(order);
+        permitted.then_some(()).ok_or(NackReason::Key)
     }
 
     /// The signature that the housekeeping has to verify; `None` without a write key. The challenge is used up.

@@ -186,3 +186,28 @@ fn a_save_stores_the_committed_set() {
     board.request(HostMessage::Save);
     assert_eq!(board.read_from(BankSource::Stored), committed);
 }
+
+#[test]
+fn saves_are_a_minute_apart_and_restarts_do_not_shorten_it() {
+    let board = |reset_reason| {
+        let mut board = Board::described(BoardDescription {
+            capabilities: Capabilities::STORE | Capabilities::TIMER,
+            reset_reason,
+            ..BoardDescription::plain(NoClock)
+        });
+        let flash = Flash(std::vec![0xFF; 2 * Flash::ERASE_SIZE], Rc::default());
+        board.housekeeping.start(Some(Store::new(flash)));
+        board
+    };
+    let wait = |seconds| nack(NackReason::Wait { seconds });
+    let mut powered = board(ResetReason::PowerOn);
+    assert_eq!(powered.request(HostMessage::Save), ACK);
+    assert_eq!(powered.request(HostMessage::Save), wait(60));
+    (0..59_000).for_each(|_| _ = powered.timer());
+    assert_eq!(powered.request(HostMessage::Save), wait(1));
+    (0..1_000).for_each(|_| _ = powered.timer());
+    assert_eq!(powered.request(HostMessage::Save), ACK);
+    for reason in [ResetReason::Software, ResetReason::Watchdog] {
+        assert_eq!(board(reason).request(HostMessage::Save), wait(60));
+    }
+}
