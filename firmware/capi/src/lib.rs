@@ -139,7 +139,8 @@ impl Foretorque {
             .feed_forward_config::<Arm, _, _>(self.period_s)
             .ok()?;
         self.feed_forward.configure(config).ok()?;
-        self.feed_forward.load(set, &mut self.exchange);
+        let start = self.incoming.start_deviations::<Arm, _, _>();
+        self.feed_forward.load_with(set, start, &mut self.exchange);
         core::mem::swap(&mut self.bank, &mut self.incoming);
         Some(())
     }

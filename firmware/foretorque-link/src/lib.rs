@@ -7,6 +7,7 @@
 //! | [`safety`] | state machine of the torque enable, limits |
 //! | [`excitation`] | Fourier series of eq. 17, checked and played by the board |
 //! | [`session`], [`telemetry`] | one connection to a host: protocol, controller, counters |
+//! | [`drives`] | codecs of CAN drives with a torque feed-forward, and their profiles |
 //! | [`hal`], [`drive`] | adapters of motor stage and encoder; the drive of one joint |
 //! | [`write_key`] | authentication of uploads |
 //!
@@ -17,6 +18,7 @@
 pub mod bank;
 mod division;
 pub mod drive;
+pub mod drives;
 pub mod excitation;
 pub mod hal;
 pub mod safety;

@@ -38,9 +38,11 @@ impl Flags {
     pub const WITHDRAWN: Self = Self(1 << 12);
     /// The torque of the payload was cut to its bound, or was no number and left out.
     pub const PAYLOAD_CLIPPED: Self = Self(1 << 13);
+    /// A joint has no sound rigid-body share, so nothing carries it.
+    pub const GRAVITY_LOST: Self = Self(1 << 14);
 
     /// Every flag with its name, from the lowest bit on.
-    pub const NAMED: [(Self, &'static str); 14] = [
+    pub const NAMED: [(Self, &'static str); 15] = [
         (Self::SATURATED, "saturated"),
         (Self::SLEWED, "slewed"),
         (Self::NETWORK_CLIPPED, "network_clipped"),
@@ -55,6 +57,7 @@ impl Flags {
         (Self::NO_MEASUREMENT, "no_measurement"),
         (Self::WITHDRAWN, "withdrawn"),
         (Self::PAYLOAD_CLIPPED, "payload_clipped"),
+        (Self::GRAVITY_LOST, "gravity_lost"),
     ];
 
     /// Its name in reports; empty for several flags, or none.

@@ -3,8 +3,9 @@
 use super::{Failure, unusable};
 use clap::Args;
 use foretorque_workbench::dynamics::Joints;
-use foretorque_workbench::plant::{Events, Payload, PlantConfig, Push, ReportFaults};
+use foretorque_workbench::plant::{Events, Payload, PlantConfig, PlantEffects, Push, ReportFaults};
 use std::ops::Range;
+use std::path::PathBuf;
 use std::str::FromStr;
 
 /// Options of `simulate` and `run`.
@@ -52,6 +53,9 @@ pub(super) struct DisturbanceArguments {
     /// Share of reports that are late: the one before comes in their place
     #[arg(long, default_value_t = 0.0)]
     late: f64,
+    /// Effects of real drives: elastic gears, backlash, sticking, drifting sensors, delays (see docs/identification.md)
+    #[arg(long, value_name = "FILE.toml")]
+    effects: Option<PathBuf>,
 }
 
 /// Something from one time to another, s.
@@ -146,6 +150,10 @@ impl DisturbanceArguments {
             viscous_drift: self.viscous_drift / 600.0,
             load_friction: self.load_friction,
             drive_gain: self.drive_gain,
+            effects: match &self.effects {
+                Some(file) => PlantEffects::load(file)?,
+                None => PlantEffects::default(),
+            },
             ..PlantConfig::default()
         })
     }

@@ -1,3 +1,4 @@
+use super::log_options::LogOptions;
 use super::terminal::say;
 use super::{Failure, unsupported, unusable};
 use clap::Args;
@@ -29,6 +30,8 @@ pub(super) struct Arguments {
     /// Log of an unseen path to validate on; may be given several times
     #[arg(long, value_name = "FILE")]
     validate: Vec<PathBuf>,
+    #[command(flatten)]
+    columns_of_log: LogOptions,
     /// Directory for report.json, report.html, parameters.bank, and robot.toml and robot.urdf of the consistent parameters
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -114,7 +117,8 @@ fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let robot = Robot::load(&arguments.robot)?;
+    let mut robot = Robot::load(&arguments.robot)?;
+    arguments.columns_of_log.apply(&mut robot)?;
     let config = config(arguments, &robot)?;
     match robot.joint_count() {
         6 => identify_arm::<6>(arguments, &robot, &config, |outcome| {

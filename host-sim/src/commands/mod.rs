@@ -11,6 +11,7 @@ mod faults;
 mod generate;
 mod identify;
 mod key;
+mod log_options;
 mod motion_log;
 mod on_board;
 mod progress;

@@ -3,16 +3,18 @@
 use super::typed::NETWORK_SEED;
 use super::{BankError, JointBounds, ParameterBank};
 use foretorque::arm::Arm;
-use foretorque::dynamics::{BaseParameters, friction as friction_torque, rnea};
+use foretorque::dynamics::{BaseParameters, FRICTION_COLUMNS, friction as friction_torque, rnea};
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::JointMotion;
-use foretorque::learning::ParameterSet;
+use foretorque::learning::{ParameterSet, StartDeviations};
 
 /// Parameters of a bank that the tick uses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters<const N: usize, const P: usize> {
     /// Model and networks.
     pub set: ParameterSet<N, P>,
+    /// Standard deviations from which learning starts.
+    pub start: StartDeviations<N, P>,
     /// Drive gains, N × N·m/A; 0 is unknown.
     pub gains: [f32; N],
     /// Limits of every joint.
@@ -24,6 +26,10 @@ impl<const N: usize, const P: usize> Parameters<N, P> {
     pub const fn zero() -> Self {
         Self {
             set: ParameterSet::zero(),
+            start: StartDeviations {
+                friction: [[0; FRICTION_COLUMNS]; N],
+                rigid: [0; P],
+            },
             gains: [0.0; N],
             bounds: [JointBounds::ZERO; N],
         }
@@ -33,6 +39,7 @@ impl<const N: usize, const P: usize> Parameters<N, P> {
     pub fn nominal<A: Arm<N, P>>() -> Self {
         Self {
             set: ParameterSet::nominal::<A>(NETWORK_SEED),
+            start: StartDeviations::PRIOR,
             gains: [0.0; N],
             bounds: JointBounds::widest::<A, N, P>(),
         }
@@ -66,7 +73,12 @@ impl ParameterBank {
         for (bounds, given) in bounds.iter_mut().zip(&self.limits) {
             *bounds = *given;
         }
-        Ok(Parameters { set, gains, bounds })
+        Ok(Parameters {
+            set,
+            start: self.start_deviations::<A, N, P>(),
+            gains,
+            bounds,
+        })
     }
 }
 

@@ -8,6 +8,7 @@ use foretorque::arm::Arm;
 use foretorque::feedforward::{FeedForwardConfig, NETWORK_BOUND};
 use foretorque::learning::{
     JointNetwork, LearnerConfig, LinearParameters, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
+    StartDeviations,
 };
 use heapless::Vec;
 
@@ -146,6 +147,23 @@ impl ParameterBank {
             }
         }
         Ok(set)
+    }
+
+    /// Standard deviations of the columns, from which learning starts; those of the prior where the bank lacks a column.
+    #[inline(never)]
+    pub fn start_deviations<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+    ) -> StartDeviations<N, P> {
+        let prior = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
+        let mut start = StartDeviations::PRIOR;
+        let parts = start.rigid.iter_mut();
+        let parts = parts.chain(start.friction.as_flattened_mut());
+        for ((&id, &prior), part) in columns::<A, N, P>().iter().zip(slots(&prior)).zip(parts) {
+            if let Some(column) = self.column(id) {
+                *part = StartDeviations::<N, P>::part(column.deviation, prior);
+            }
+        }
+        start
     }
 
     /// Drive gain of every joint, N·m/A; 0 is unknown. Errors: [`BankError::DriveGain`].

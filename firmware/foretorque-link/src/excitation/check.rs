@@ -1,5 +1,6 @@
 //! Check of an uploaded excitation: parameters at once, the series point by point over the ticks.
 
+use super::path_speed::{STOP_S, stop_s};
 use super::program::{ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
 use super::series::{JointSeries, PreparedSeries};
 use foretorque::joint::JointMotion;
@@ -33,7 +34,9 @@ pub(super) fn at_once<const N: usize>(
         if !series.coefficients().all(f32::is_finite) {
             return Err(ExcitationError::Number(joint as u8));
         }
-        if !bounds.within(allowed) {
+        // A stop within the certified acceleration must not take longer than a host waits for it.
+        let stops = stop_s(core::array::from_ref(bounds)) <= STOP_S.1;
+        if !(bounds.within(allowed) && stops) {
             return Err(ExcitationError::CertificateBeyondLimits(joint as u8));
         }
     }

@@ -4,7 +4,7 @@ use super::program::MotionBounds;
 /// Acceleration that stopping adds, parts of the certified one.
 pub(super) const STOP_SHARE: f32 = 0.5;
 /// Shortest and longest stopping time, s.
-const STOP_S: (f32, f32) = (0.25, 5.0);
+pub(super) const STOP_S: (f32, f32) = (0.25, 5.0);
 
 /// Path speed σ: 1, falling to 0 as a smooth step, or 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,17 +77,9 @@ impl PathSpeed {
 }
 
 /// Stopping time, s: a smooth step of duration T has a slope of 1.5 / T at most.
-fn stop_s<const N: usize>(certificate: &[MotionBounds; N]) -> f32 {
-    let mut longest = STOP_S.0;
-    for bounds in certificate {
-        let time = 1.5 * bounds.velocity_rad_s / (STOP_SHARE * bounds.acceleration_rad_s2);
-        if time > longest {
-            longest = time;
-        }
-    }
-    if longest > STOP_S.1 {
-        STOP_S.1
-    } else {
-        longest
-    }
+pub(super) fn stop_s<const N: usize>(certificate: &[MotionBounds; N]) -> f32 {
+    let times = certificate
+        .iter()
+        .map(|bounds| 1.5 * bounds.velocity_rad_s / (STOP_SHARE * bounds.acceleration_rad_s2));
+    times.fold(STOP_S.0, f32::max)
 }

@@ -1,9 +1,13 @@
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
 
-/// Time without a usable sample after which the torque ends and the board disarms, s. The feed-forward holds its torque for
-/// 10 ms and ramps it to zero before that.
-pub const COMMAND_TIMEOUT_S: f32 = 0.05;
+/// Time without a usable sample after which the torque ends and the board disarms, µs. The feed-forward holds its torque
+/// for 10 ms and ramps it to zero before that.
+pub const COMMAND_TIMEOUT_US: u32 = 50_000;
+/// Time without a plausible measurement after which the torque ends, µs.
+pub const MEASUREMENT_TIMEOUT_US: u32 = 100_000;
+/// Time without a temperature of a motor that reported one before, after which the motor counts as warm, µs.
+const TEMPERATURE_TIMEOUT_US: u32 = 10_000_000;
 /// Shortest time from zero to the torque limit, s: half that of the tick's own slew limit. No configuration is faster, and
 /// a sound tick never reaches it.
 const HARD_SLEW_TIME_S: f32 = 0.01;
@@ -33,13 +37,22 @@ pub struct SafetyLimits<const N: usize> {
     pub jump_margin: f32,
     /// Largest plausible measured torque, N × N·m.
     pub effort: JointVector<N>,
-    /// Ticks without a usable sample after which the torque ends.
+    /// Periods without a usable sample after which the torque ends.
     pub timeout_ticks: u32,
+    /// Periods that a brake takes to close, during which the torque of gravity is kept; 0 without a brake.
+    pub brake_ticks: u32,
+    /// Periods without a plausible measurement after which the torque ends.
+    pub measurement_ticks: u32,
+    /// Periods after which a temperature that no longer arrives counts as warm; twice as many at most.
+    pub temperature_ticks: u32,
 }
 
 impl<const N: usize> SafetyLimits<N> {
-    /// The limits of an arm for ticks of `period_s`, s.
-    pub fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
+    /// The limits of an arm for ticks of `period_us`, µs, which is not 0.
+    pub fn for_arm<A: Arm<N, P>, const P: usize>(period_us: u32) -> Self {
+        let period_s = period_us as f32 * 1e-6;
+        // At least the time: whole periods, and one that may have begun before.
+        let ticks = |time_us: u32| time_us.checked_div(period_us).unwrap_or_default() + 1;
         let of = |value: fn(&foretorque::arm::JointLimits) -> f32| {
             JointVector::from(A::LIMITS.map(|limits| value(&limits)))
         };
@@ -52,7 +65,10 @@ impl<const N: usize> SafetyLimits<N> {
             step_per_tick: of(|limits| limits.velocity) * (SPEED_MARGIN * period_s),
             jump_margin: JUMP_MARGIN,
             effort: torque * EFFORT_MARGIN,
-            timeout_ticks: (COMMAND_TIMEOUT_S / period_s) as u32 + 1,
+            timeout_ticks: ticks(COMMAND_TIMEOUT_US),
+            brake_ticks: 0,
+            measurement_ticks: ticks(MEASUREMENT_TIMEOUT_US),
+            temperature_ticks: ticks(TEMPERATURE_TIMEOUT_US),
         }
     }
 }

@@ -13,12 +13,13 @@
 mod input;
 mod limits;
 mod plausibility;
+pub mod promises;
 mod reason;
 mod task_check_in;
 mod thermal_derating;
 
 pub use input::{ARM_DISTANCE, ARM_SAMPLES};
-pub use limits::{COMMAND_TIMEOUT_S, SafetyLimits};
+pub use limits::{COMMAND_TIMEOUT_US, MEASUREMENT_TIMEOUT_US, SafetyLimits};
 pub use reason::{SafetyReason, SafetyState, SafetyStatus};
 pub use task_check_in::{Task, TaskCheckIn};
 pub use thermal_derating::{HOT_C, HYSTERESIS_C, WARM_C};
@@ -30,22 +31,26 @@ use thermal_derating::ThermalDerating;
 
 /// The safety of one board: state machine, hard limits, plausibility of the input.
 ///
-/// Every tick: [`admit`](Self::admit) the sample, compute, [`release`](Self::release) the torque.
+/// Every period of the board's own time: [`period`](Self::period). Every tick: [`admit`](Self::admit) the sample, compute,
+/// [`release`](Self::release) the torque. Ages and the slew limit count periods, plausibility counts samples, so neither
+/// depends on the number of calls. Where nothing but the samples keeps time, each of them is a period.
 ///
 /// ```
 /// use foretorque::arm::ur5::{JOINTS, Ur5};
 /// use foretorque_link::safety::{Safety, SafetyLimits, SafetyReason, SafetyState};
 /// use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-/// let mut safety = Safety::<JOINTS>::new(SafetyLimits::for_arm::<Ur5, _>(1e-3), SafetyReason::None);
+/// let mut safety = Safety::<JOINTS>::new(SafetyLimits::for_arm::<Ur5, _>(1000), SafetyReason::None);
 /// let still = JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() };
 /// let sample = JointSample { desired: JointMotion::zero(), measured: Some(still) };
 /// let torque = JointVector::<JOINTS>::repeat(1.0);
 /// assert_eq!(safety.arm(), Err(SafetyReason::NoSample));
 /// for _ in 0..3 {
+///     safety.period();
 ///     safety.admit(Some(sample), 1, SafetyReason::None);
 ///     assert_eq!(safety.release(&torque), JointVector::<JOINTS>::zeros());
 /// }
 /// assert_eq!(safety.arm(), Ok(()));
+/// safety.period();
 /// safety.admit(Some(sample), 1, SafetyReason::None);
 /// assert_eq!(safety.release(&torque), torque);
 /// ```
@@ -63,6 +68,11 @@ pub struct Safety<const N: usize> {
     derating: ThermalDerating<N>,
     /// Torque of the last tick within the limits, N × N·m.
     output: JointVector<N>,
+    /// Torque at the beginning of the period, from which the slew limit counts, N × N·m.
+    slewed_from: JointVector<N>,
+    /// Torque that is kept while a brake closes, N × N·m, and for how many periods more.
+    gravity: JointVector<N>,
+    braking: u32,
 }
 
 impl<const N: usize> Safety<N> {
@@ -80,6 +90,9 @@ impl<const N: usize> Safety<N> {
             input: InputState::new(),
             derating: ThermalDerating::new(),
             output: JointVector::zeros(),
+            slewed_from: JointVector::zeros(),
+            gravity: JointVector::zeros(),
+            braking: 0,
         }
     }
 
@@ -135,9 +148,19 @@ impl<const N: usize> Safety<N> {
         self.derating.record(joint, celsius);
     }
 
+    /// Takes one period of the board's own time: the input ages, and the torque may change by one more slew step.
+    pub fn period(&mut self) {
+        self.slewed_from = self.output;
+        self.input.age(&self.limits);
+        self.derating.age(self.limits.temperature_ticks);
+        if self.state == SafetyState::RampDown {
+            self.braking = self.braking.saturating_sub(1);
+        }
+    }
+
     /// The part of `sample` that the tick may use; `None` is no usable sample.
     ///
-    /// * `periods` periods since the sample before, as far as the link counts: samples may have been lost on the way
+    /// * `periods` periods since the sample before, as far as the host counts them: samples may have been lost on the way
     /// * `sensor` fault of the board's own sensor in this tick, [`SafetyReason::None`] without one
     ///
     /// An implausible measurement is dropped. A desired motion that jumps is no motion. One that is not finite passes,
@@ -155,17 +178,19 @@ impl<const N: usize> Safety<N> {
         admitted
     }
 
-    /// Ends the torque when the input gives reason to.
-    fn supervise(&mut self) {
+    /// Ends the torque when the input or a motor gives reason to.
+    pub fn supervise(&mut self) {
         if self.state != SafetyState::Armed {
             return;
         }
         if self.derating.hot() {
             self.trip(SafetyReason::MotorHot);
-        } else if self.input.too_implausible(&self.limits) {
-            self.trip(self.input.fault());
-        } else if self.input.timed_out(&self.limits) {
-            self.end(SafetyReason::CommandTimeout);
+        } else if let Some((reason, latches)) = self.input.ends_torque(&self.limits) {
+            if latches {
+                self.trip(reason);
+            } else {
+                self.end(reason);
+            }
         } else if self.unconfirmed && self.input.arrived() {
             // The arm or the desired motion may have moved since the samples that armed the board.
             match self.input.allows_torque() {
@@ -175,44 +200,70 @@ impl<const N: usize> Safety<N> {
         }
     }
 
-    /// Torque of this tick, N × N·m: `wanted` within the hard limits, a ramp to zero, or zero.
+    /// Latches `fault` and ends the torque, if it flows and `fault` is one.
+    pub fn check(&mut self, fault: SafetyReason) {
+        if fault != SafetyReason::None && self.state == SafetyState::Armed {
+            self.trip(fault);
+        }
+    }
+
+    /// Torque of this tick, N × N·m: `wanted` within the hard limits, a ramp to zero, or zero. All calls of one period
+    /// together change it by no more than one slew step.
     ///
     /// Finite for any bits in `wanted`.
     pub fn release(&mut self, wanted: &JointVector<N>) -> JointVector<N> {
-        if self.state == SafetyState::Armed && !wanted.iter().all(|torque| torque.is_finite()) {
-            self.trip(SafetyReason::TorqueNotFinite);
+        if !wanted.iter().all(|torque| torque.is_finite()) {
+            self.check(SafetyReason::TorqueNotFinite);
         }
-        let armed = self.state == SafetyState::Armed && !self.unconfirmed;
+        let armed = self.brake_released();
         let enabled = self.enabled();
+        let target = match (armed, self.braking) {
+            (true, _) => wanted,
+            (false, 0) => &JointVector::zeros(),
+            (false, _) => &self.gravity,
+        };
         let bounds = self
             .limits
             .torque
             .iter()
-            .zip(self.limits.slew_per_tick.iter());
-        let joints = self.output.iter_mut().zip(wanted.iter()).zip(bounds);
-        for (joint, ((output, &wanted), (&torque, &slew))) in joints.enumerate() {
-            let (target, _) = cut(wanted, torque * self.derating.factor(joint));
-            let target = if armed { target } else { 0.0 };
-            let (limited, _) = limit(target, *output, torque, slew);
+            .zip(self.limits.slew_per_tick.iter())
+            .zip(self.slewed_from.iter());
+        let joints = self.output.iter_mut().zip(target.iter()).zip(bounds);
+        for (joint, ((output, &target), ((&torque, &slew), &from))) in joints.enumerate() {
+            let (target, _) = cut(target, torque * self.derating.factor(joint));
+            let (limited, _) = limit(target, from, torque, slew);
             *output = if enabled { limited } else { 0.0 };
         }
-        if self.state == SafetyState::RampDown && self.output.iter().all(|&torque| torque == 0.0) {
+        let ended = self.state == SafetyState::RampDown && self.braking == 0;
+        if ended && self.output.iter().all(|&torque| torque == 0.0) {
             self.rest();
         }
         self.output
     }
 
-    /// Takes a period without a tick, because samples pace the board and none arrived. Ends the torque as
-    /// [`admit`](Self::admit) and [`release`](Self::release) would; without torque, samples grow too old to arm on.
-    pub fn silence(&mut self) {
-        if self.enabled() {
-            self.admit(None, 1, SafetyReason::None);
-            // Until the time-out the torque is that of the last reply.
-            let held = self.output;
-            self.release(&held);
-        } else {
-            self.input.age(&self.limits);
-        }
+    /// A brake may be open: torque flows, and is not about to end.
+    pub fn brake_released(&self) -> bool {
+        self.state == SafetyState::Armed && !self.unconfirmed
+    }
+
+    /// A brake closes, and the torque of gravity is kept meanwhile.
+    pub fn braking(&self) -> bool {
+        self.state == SafetyState::RampDown && self.braking > 0
+    }
+
+    /// Position measured last, N × rad.
+    pub fn measured_q(&self) -> Option<&JointVector<N>> {
+        self.input.measured_q()
+    }
+
+    /// Sets the torque that is kept while a brake closes, N × N·m; a joint without a finite one gets none.
+    pub fn keep(&mut self, gravity: &JointVector<N>) {
+        self.gravity = gravity.map(|torque| if torque.is_finite() { torque } else { 0.0 });
+    }
+
+    /// Sets the time that a brake takes to close, periods; 0 without a brake.
+    pub fn set_brake_ticks(&mut self, ticks: u32) {
+        self.limits.brake_ticks = ticks;
     }
 
     /// Lets torque through from the next sample on, if that is plausible and near too; else the board disarms again.
@@ -230,7 +281,7 @@ impl<const N: usize> Safety<N> {
             return Err(SafetyReason::MotorHot);
         }
         self.input.allows_arming()?;
-        self.input.clear_implausible();
+        self.input.clear_counts();
         self.state = SafetyState::Armed;
         self.unconfirmed = true;
         self.ended = SafetyReason::None;
@@ -248,6 +299,7 @@ impl<const N: usize> Safety<N> {
     pub fn torque_off(&mut self, fault: SafetyReason) {
         self.trip(fault);
         self.output = JointVector::zeros();
+        self.slewed_from = self.output;
         self.rest();
     }
 
@@ -294,7 +346,10 @@ impl<const N: usize> Safety<N> {
         self.ended = reason;
         if self.state == SafetyState::Armed {
             self.state = SafetyState::RampDown;
-            if self.output.iter().all(|&torque| torque == 0.0) {
+            // Before the first torque a brake is still closed.
+            let open = self.limits.brake_ticks > 0 && !self.unconfirmed;
+            self.braking = if open { self.limits.brake_ticks } else { 0 };
+            if !open && self.output.iter().all(|&torque| torque == 0.0) {
                 self.rest();
             }
         }

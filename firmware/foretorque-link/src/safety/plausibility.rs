@@ -1,7 +1,8 @@
 use super::{SafetyLimits, SafetyReason};
 use foretorque::joint::{JointSample, JointVector};
+use foretorque::limits::cut;
 
-/// Positions of the last sample, for the check of the next one.
+/// Positions that follow those of the samples no faster than a joint moves, for the check of the next sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlausibilityState<const N: usize> {
     desired: Option<JointVector<N>>,
@@ -28,8 +29,9 @@ impl<const N: usize> PlausibilityState<N> {
 
     /// Checks a sample that arrived `periods` after the one before.
     ///
-    /// A position is compared with the last one received, plausible or not: one that jumps and stays is refused once,
-    /// one that alternates at every jump.
+    /// A position may be [`jump_margin`](SafetyLimits::jump_margin) ahead of one that moves at the highest plausible speed:
+    /// a single step uses the margin up, and a speed above that one exceeds it soon. A position that jumps and stays is
+    /// refused once, one that alternates at every jump.
     pub(super) fn check(
         &mut self,
         limits: &SafetyLimits<N>,
@@ -40,10 +42,7 @@ impl<const N: usize> PlausibilityState<N> {
         let periods = periods.clamp(1, 10_000) as f32;
         let desired = &sample.desired;
         let finite = all_finite(&desired.q) && all_finite(&desired.qd) && all_finite(&desired.qdd);
-        let jumped = finite && jumps(limits, &self.desired, &desired.q, periods);
-        if finite {
-            self.desired = Some(desired.q);
-        }
+        let jumped = finite && follow(limits, &mut self.desired, &desired.q, periods);
         Verdict {
             desired: first(&[
                 (!finite, SafetyReason::DesiredNotFinite),
@@ -53,10 +52,16 @@ impl<const N: usize> PlausibilityState<N> {
         }
     }
 
-    /// The last measured position of every joint lies within `distance`, rad, of `desired`.
-    pub(super) fn near(&self, desired: &JointVector<N>, distance: f32) -> bool {
-        self.measured.is_some_and(|measured| {
-            let mut joints = desired.iter().zip(measured.iter());
+    /// Position measured last, N × rad, to the margin of a jump.
+    pub(super) fn measured_q(&self) -> Option<&JointVector<N>> {
+        self.measured.as_ref()
+    }
+
+    /// The measured position of every joint, or that measured last, lies within `distance`, rad, of the desired one.
+    pub(super) fn near(&self, sample: &JointSample<N>, distance: f32) -> bool {
+        let measured = sample.measured.as_ref().map(|measured| &measured.q);
+        measured.or(self.measured.as_ref()).is_some_and(|measured| {
+            let mut joints = sample.desired.q.iter().zip(measured.iter());
             joints.all(|(desired, measured)| (desired - measured).abs() <= distance)
         })
     }
@@ -79,13 +84,12 @@ impl<const N: usize> PlausibilityState<N> {
             .iter()
             .zip(limits.lowest.iter().zip(limits.highest.iter()))
             .any(|(q, (lowest, highest))| q < lowest || q > highest);
-        let jumped = jumps(limits, &self.measured, &measured.q, periods);
+        let jumped = follow(limits, &mut self.measured, &measured.q, periods);
         let strong = measured
             .tau
             .iter()
             .zip(limits.effort.iter())
             .any(|(tau, most)| tau.abs() > *most);
-        self.measured = Some(measured.q);
         first(&[
             (outside, SafetyReason::PositionRange),
             (jumped, SafetyReason::PositionJump),
@@ -94,17 +98,27 @@ impl<const N: usize> PlausibilityState<N> {
     }
 }
 
-fn jumps<const N: usize>(
+/// Moves `position` to `now` by no more than a joint can; true when the rest is a jump. Then it is at `now` all the same.
+// Has two callers, which share one copy.
+#[inline(never)]
+fn follow<const N: usize>(
     limits: &SafetyLimits<N>,
-    before: &Option<JointVector<N>>,
+    position: &mut Option<JointVector<N>>,
     now: &JointVector<N>,
     periods: f32,
 ) -> bool {
-    let Some(before) = before else { return false };
-    now.iter()
-        .zip(before.iter())
-        .zip(limits.step_per_tick.iter())
-        .any(|((now, before), step)| (now - before).abs() > step * periods + limits.jump_margin)
+    let position = position.get_or_insert(*now);
+    let mut jumped = false;
+    let joints = position.iter_mut().zip(now.iter());
+    for ((position, &now), step) in joints.zip(limits.step_per_tick.iter()) {
+        let (step, behind) = cut(now - *position, step * periods);
+        *position = if behind { *position + step } else { now };
+        jumped |= (now - *position).abs() > limits.jump_margin;
+    }
+    if jumped {
+        *position = *now;
+    }
+    jumped
 }
 
 fn all_finite<const N: usize>(vector: &JointVector<N>) -> bool {

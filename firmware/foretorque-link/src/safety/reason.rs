@@ -29,7 +29,7 @@ macro_rules! reasons {
 
         impl SafetyReason {
             /// Every reason, in the order of their codes.
-            pub const ALL: [Self; 20] = [$(Self::$reason),*];
+            pub const ALL: [Self; 23] = [$(Self::$reason),*];
         }
 
         impl fmt::Display for SafetyReason {
@@ -46,7 +46,7 @@ reasons! {
     #[default]
     None = "no fault",
     Disarmed = "disarmed by the host",
-    /// (Limit: [`COMMAND_TIMEOUT_S`](super::COMMAND_TIMEOUT_S).)
+    /// (Limit: [`COMMAND_TIMEOUT_US`](super::COMMAND_TIMEOUT_US).)
     CommandTimeout = "no usable sample in time",
     Stopped = "emergency stop",
     DesiredNotFinite = "desired motion not finite",
@@ -67,6 +67,11 @@ reasons! {
     StillRamping = "torque still ramps to zero",
     Stage = "the board's own motor stage accepts no command",
     Encoder = "the board's own encoder gives no position",
+    /// (Limit: [`MEASUREMENT_TIMEOUT_US`](super::MEASUREMENT_TIMEOUT_US).)
+    MeasurementTimeout = "no plausible measurement in time",
+    /// (Limit: [`ARM_DISTANCE`](super::ARM_DISTANCE).)
+    FollowingError = "measured position too far from the desired one",
+    GravityLost = "no sound rigid-body share for a joint",
 }
 
 impl SafetyReason {

@@ -8,7 +8,7 @@ type Change = fn(&mut JointSample<N>);
 const NO_FAULT: SafetyReason = SafetyReason::None;
 
 fn limits() -> SafetyLimits<N> {
-    SafetyLimits::for_arm::<Ur5, _>(1e-3)
+    SafetyLimits::for_arm::<Ur5, _>(1000)
 }
 
 fn torque(value: f32) -> JointVector<N> {
@@ -39,8 +39,17 @@ fn measured(sample: &mut JointSample<N>) -> &mut JointMeasurement<N> {
 }
 
 fn tick(safety: &mut Safety<N>, sample: Option<JointSample<N>>) -> JointVector<N> {
+    safety.period();
     safety.admit(sample, 1, NO_FAULT);
     safety.release(&torque(5.0))
+}
+
+/// A period in which samples pace the board and none arrives.
+fn silence(safety: &mut Safety<N>) {
+    safety.period();
+    safety.supervise();
+    let held = *safety.output();
+    safety.release(&held);
 }
 
 fn ticks(safety: &mut Safety<N>, count: u32, sample: Option<JointSample<N>>) {
@@ -126,12 +135,14 @@ fn a_sound_torque_passes_and_an_unsound_one_is_limited() {
     for k in 0..1000 {
         // As fast as the tick's own slew limit allows, half the hard one.
         let wanted = limits().torque * (0.9 * (k as f32 * 0.05).sin());
+        safety.period();
         safety.admit(Some(sample()), 1, NO_FAULT);
         let given = safety.release(&wanted);
         assert!(k < 20 || given == wanted, "tick {k}");
     }
     for absurd in [1e30, -1e30] {
         let before = *safety.output();
+        safety.period();
         safety.admit(Some(sample()), 1, NO_FAULT);
         let given = safety.release(&torque(absurd));
         for joint in 0..N {
@@ -260,6 +271,7 @@ fn heat_lowers_the_limit_and_ends_the_torque() {
     let mut safety = armed();
     safety.note_temperature(3, 90);
     for _ in 0..30 {
+        safety.period();
         safety.admit(Some(sample()), 1, NO_FAULT);
         safety.release(&torque(28.0));
     }
@@ -293,7 +305,7 @@ fn a_kept_fault_survives_a_restart_of_the_tick() {
 fn silence_between_pacing_samples_ends_the_torque() {
     let mut safety = armed();
     let periods = (0..1000).take_while(|_| {
-        safety.silence();
+        silence(&mut safety);
         safety.enabled()
     });
     assert!((50..60).contains(&periods.count()));
@@ -303,14 +315,14 @@ fn silence_between_pacing_samples_ends_the_torque() {
 #[test]
 fn silence_ages_a_disarmed_board_and_keeps_its_reasons() {
     let mut safety = ready();
-    (1..limits().timeout_ticks).for_each(|_| safety.silence());
+    (1..limits().timeout_ticks).for_each(|_| silence(&mut safety));
     let mut in_time = safety;
     assert_eq!(in_time.arm(), Ok(()));
-    safety.silence();
+    silence(&mut safety);
     assert_eq!(safety.arm(), Err(SafetyReason::NoSample));
     let mut implausible = ready();
     tick(&mut implausible, Some(changed(|s| measured(s).q[1] = -6.5)));
-    implausible.silence();
+    silence(&mut implausible);
     assert_eq!(implausible.arm(), Err(SafetyReason::PositionRange));
 }
 
@@ -320,16 +332,218 @@ fn a_board_just_armed_waits_for_a_sample() {
     assert_eq!(safety.arm(), Ok(()));
     for _ in 0..10 {
         assert_eq!(tick(&mut safety, None), torque(0.0));
-        safety.silence();
+        silence(&mut safety);
         assert_eq!(*safety.output(), torque(0.0));
         assert_eq!(safety.status().state, SafetyState::Armed);
     }
     let given = tick(&mut safety, Some(sample()));
     assert!(given.iter().all(|&torque| torque > 1.0));
-    // Once torque flows, the distance that refuses arming does not end it.
+    // Once torque flows, one sample far from the measured position does not end it.
     let far = changed(|s| s.desired.q[0] += 0.3);
     safety.admit(Some(far), 100, NO_FAULT);
     assert_eq!(safety.status().state, SafetyState::Armed);
+}
+
+/// The hard limits as docs/safety.md gives them.
+#[test]
+fn the_hard_limits_are_those_of_the_page() {
+    for (period_us, timeout, measurement, temperature) in [
+        (100, 501, 1001, 100_001),
+        (250, 201, 401, 40_001),
+        (1000, 51, 101, 10_001),
+        (1500, 34, 67, 6667),
+        (4000, 13, 26, 2501),
+        (20_000, 3, 6, 501),
+    ] {
+        let limits = SafetyLimits::<N>::for_arm::<Ur5, _>(period_us);
+        let ticks = (limits.timeout_ticks, limits.measurement_ticks);
+        assert_eq!(ticks, (timeout, measurement), "{period_us} µs");
+        assert_eq!(limits.temperature_ticks, temperature, "{period_us} µs");
+    }
+    let limits = limits();
+    assert_eq!((limits.torque[0], limits.torque[5]), (150.0, 28.0));
+    assert_eq!((limits.effort[0], limits.effort[5]), (450.0, 84.0));
+    assert!((limits.slew_per_tick[0] - 15.0).abs() < 1e-4);
+    assert!((limits.step_per_tick[0] - 1.5 * 3.14e-3).abs() < 1e-5);
+    assert!((limits.highest[0] - 6.3831854).abs() < 1e-5);
+    assert_eq!(
+        (limits.jump_margin, ARM_DISTANCE, ARM_SAMPLES),
+        (0.02, 0.2, 3)
+    );
+    assert_eq!((WARM_C, HOT_C, HYSTERESIS_C), (80, 100, 5));
+}
+
+/// M3: the hard slew limit is per unit of time.
+#[test]
+fn calls_of_one_period_share_one_slew_step() {
+    for calls in [1, 2, 5, 2080] {
+        let mut safety = armed();
+        let before = *safety.output();
+        safety.period();
+        for _ in 0..calls {
+            safety.admit(Some(sample()), 1, NO_FAULT);
+            safety.release(&torque(1e9));
+        }
+        assert!((safety.output() - before).amax() <= 1.0001 * limits().slew_per_tick.max());
+        safety.disarm();
+        safety.period();
+        let before = *safety.output();
+        (0..calls).for_each(|_| _ = safety.release(&torque(0.0)));
+        assert!((safety.output() - before).amax() <= 1.0001 * limits().slew_per_tick.max());
+    }
+}
+
+/// M2: implausibility counts samples, whatever the time between them.
+#[test]
+fn one_implausible_sample_in_three_latches_with_and_without_a_timer() {
+    for (one_in, latches) in [
+        (1, 51),
+        (2, 136),
+        (3, 306),
+        (4, 805),
+        (5, u32::MAX),
+        (6, u32::MAX),
+    ] {
+        // At two periods a sample, lasting ones end the torque by the age of the measurement.
+        let most = if one_in == 1 { 1 } else { 2 };
+        for periods in 0..=most {
+            let mut safety = armed();
+            let mut samples = 0_u32;
+            while safety.latched() == NO_FAULT && samples < 4000 {
+                let bad = samples.is_multiple_of(one_in);
+                let sample = changed(|s| measured(s).tau[5] = if bad { 90.0 } else { 0.0 });
+                (0..periods).for_each(|_| silence(&mut safety));
+                safety.admit(Some(sample), 1, NO_FAULT);
+                safety.release(&torque(5.0));
+                samples += 1;
+            }
+            let context = std::format!("one in {one_in}, {periods} periods a sample");
+            let far = samples.abs_diff(latches.min(4000));
+            assert!(far <= 8, "{context}: {samples}");
+        }
+    }
+}
+
+/// M10 (a): the margin of a jump counts once, not in every sample.
+#[test]
+fn a_speed_that_the_joint_cannot_have_is_a_jump() {
+    // Speeds in rad/s; the data sheet gives 3.14, and 1.5 times as much is plausible.
+    for (speed, plausible) in [
+        (3.1, true),
+        (4.6, true),
+        (5.0, false),
+        (10.0, false),
+        (24.5, false),
+    ] {
+        for of_measured in [false, true] {
+            let mut safety = armed();
+            let step = speed * 1e-3;
+            let mut moving = sample();
+            let mut jumps = 0;
+            for k in 0..600_u32 {
+                // There and back, within the range.
+                let sign = if (k / 150).is_multiple_of(2) {
+                    1.0
+                } else {
+                    -1.0
+                };
+                let q = if of_measured {
+                    &mut measured(&mut moving).q
+                } else {
+                    &mut moving.desired.q
+                };
+                q[0] += sign * step;
+                safety.period();
+                safety.admit(Some(moving), 1, NO_FAULT);
+                let jump = matches!(
+                    safety.status().reason,
+                    SafetyReason::PositionJump | SafetyReason::DesiredJump
+                );
+                jumps += u32::from(jump);
+            }
+            assert_eq!(jumps == 0, plausible, "{speed} rad/s: {jumps} jumps");
+            let fast = speed > 8.0;
+            let latched = safety.latched();
+            assert!(!fast || latched != NO_FAULT, "{speed} rad/s, {latched:?}");
+        }
+    }
+}
+
+/// M10 (b, c): no torque without measurements, or with the arm elsewhere.
+#[test]
+fn an_armed_board_needs_measurements_near_the_desired_position() {
+    use SafetyReason::{FollowingError, MeasurementTimeout};
+    let cases: [(Change, SafetyReason, u32, SafetyState); 3] = [
+        (
+            |s| s.measured = None,
+            MeasurementTimeout,
+            101,
+            SafetyState::Disarmed,
+        ),
+        (
+            |s| measured(s).q[2] += 0.21,
+            FollowingError,
+            51,
+            SafetyState::Fault,
+        ),
+        (
+            |s| measured(s).q[2] += 0.19,
+            NO_FAULT,
+            1000,
+            SafetyState::Armed,
+        ),
+    ];
+    for (change, reason, after, state) in cases {
+        let mut safety = armed();
+        // The arm leaves slowly.
+        safety.admit(Some(changed(change)), 50, NO_FAULT);
+        let changed = changed(change);
+        let mut periods = 1_u32;
+        while safety.status().state == SafetyState::Armed && periods < 1000 {
+            tick(&mut safety, Some(changed));
+            periods += 1;
+        }
+        assert!(periods.abs_diff(after) <= 1, "{reason:?} after {periods}");
+        ticks(&mut safety, 20, Some(changed));
+        assert_eq!(safety.status(), SafetyStatus { state, reason });
+    }
+}
+
+/// M8: a joint with a brake keeps the torque of gravity until it is closed.
+#[test]
+fn gravity_is_kept_while_the_brake_closes() {
+    use SafetyReason::{CommandTimeout, Disarmed, Drive, MotorHot, Stopped};
+    let gravity = JointVector::from_fn(|j, _| 2.0 - j as f32);
+    for reason in [Disarmed, CommandTimeout, MotorHot, Stopped, Drive] {
+        let mut safety = armed();
+        safety.set_brake_ticks(150);
+        safety.keep(&gravity);
+        assert!(safety.brake_released());
+        let received = (reason != CommandTimeout).then(sample);
+        match reason {
+            Disarmed => safety.disarm(),
+            CommandTimeout => ticks(&mut safety, limits().timeout_ticks, None),
+            MotorHot => {
+                safety.note_temperature(3, HOT_C);
+                safety.supervise();
+            }
+            _ => safety.torque_off(reason),
+        }
+        assert!(!safety.brake_released(), "{reason:?}");
+        let mut kept = 0;
+        let mut periods = 0;
+        while safety.enabled() {
+            let given = tick(&mut safety, received);
+            let hot = reason == MotorHot;
+            kept += u32::from((0..N).all(|j| given[j] == gravity[j] || (hot && j == 3)));
+            periods += 1;
+            assert!(periods < 200);
+        }
+        let at_once = matches!(reason, Stopped | Drive);
+        let wanted = if at_once { 0..=0 } else { 145..=150 };
+        assert!(wanted.contains(&kept), "{reason:?}: {kept} of {periods}");
+        assert_eq!(*safety.output(), torque(0.0));
+    }
 }
 
 proptest! {
@@ -351,12 +565,15 @@ proptest! {
                 5 => received = None,
                 6 => measured(received.as_mut().unwrap()).q[joint] = value,
                 7 => received.as_mut().unwrap().desired.qd[joint] = value,
-                8 => safety.silence(),
+                8 => silence(&mut safety),
                 9 => { safety.restart(limits()); allowed = false; }
                 _ => {}
             }
             let before = *safety.output();
+            safety.period();
             safety.admit(received, 1, NO_FAULT);
+            // Any number of calls is one step.
+            safety.release(&torque(-value));
             let given = safety.release(&torque(value));
             for joint in 0..N {
                 prop_assert!(given[joint].is_finite());

@@ -5,6 +5,8 @@ pub const WARM_C: i8 = 80;
 pub const HOT_C: i8 = 100;
 /// Surplus over the reading while a motor cools, °C, so that the limit does not oscillate.
 pub const HYSTERESIS_C: i8 = 5;
+/// Temperature as which a motor counts, at least, whose temperature no longer arrives, °C.
+const OVERDUE_C: i8 = 85;
 /// Plausible readings, °C; others come from a broken sensor.
 const PLAUSIBLE_C: core::ops::RangeInclusive<i8> = -40..=125;
 
@@ -13,6 +15,10 @@ const PLAUSIBLE_C: core::ops::RangeInclusive<i8> = -40..=125;
 pub(super) struct ThermalDerating<const N: usize> {
     /// Temperatures with hysteresis, °C; `None` is unknown, which limits nothing.
     effective_c: [Option<i8>; N],
+    /// Motors with a reading since the last look at the ages, a bit each.
+    read: u32,
+    /// Periods since then.
+    periods: u32,
 }
 
 impl<const N: usize> ThermalDerating<N> {
@@ -20,6 +26,26 @@ impl<const N: usize> ThermalDerating<N> {
     pub(super) const fn new() -> Self {
         Self {
             effective_c: [None; N],
+            read: 0,
+            periods: 0,
+        }
+    }
+
+    /// Takes one period of time. A motor without a reading for `overdue` to twice as many periods counts as warm, unless
+    /// its temperature was never known.
+    pub(super) fn age(&mut self, overdue: u32) {
+        self.periods += 1;
+        if self.periods < overdue {
+            return;
+        }
+        self.periods = 0;
+        let read = core::mem::take(&mut self.read);
+        for (joint, effective) in self.effective_c.iter_mut().enumerate() {
+            if let Some(celsius) = effective
+                && read >> (joint % 32) & 1 == 0
+            {
+                *celsius = OVERDUE_C.max(*celsius);
+            }
         }
     }
 
@@ -36,6 +62,7 @@ impl<const N: usize> ThermalDerating<N> {
             Some(before) => celsius.max(before.min(celsius.saturating_add(HYSTERESIS_C))),
             None => celsius,
         });
+        self.read |= 1 << (joint % 32);
     }
 
     /// Usable part of the torque limit of `joint`, 0 to 1.
@@ -90,5 +117,22 @@ mod tests {
             assert_eq!(derating.factor(1), factor, "{celsius} °C");
             assert_eq!(derating.factor(0), 1.0);
         }
+    }
+
+    #[test]
+    fn a_temperature_that_stops_arriving_counts_as_warm() {
+        let mut derating = ThermalDerating::<3>::new();
+        for k in 0..30 {
+            derating.record(0, 40);
+            if k < 10 {
+                derating.record(1, 40);
+            }
+            derating.age(10);
+            assert_eq!(derating.warm(), k >= 19, "period {k}");
+        }
+        assert_eq!([0, 1, 2].map(|j| derating.factor(j)), [1.0, 0.75, 1.0]);
+        // Cooler by more than the hysteresis.
+        derating.record(1, 40);
+        assert_eq!(derating.factor(1), 1.0);
     }
 }

@@ -31,6 +31,11 @@ impl Clock for NoClock {
 
 /// Sensor of the board's own joint, whose position replaces that of the sample.
 pub trait LocalSensor {
+    /// Time that the brake of the board's joints takes to close, µs; 0 without a brake.
+    ///
+    /// With one, the torque of gravity is kept for as long after a time-out, a disarming or a fault that ramps.
+    const BRAKE_CLOSE_US: u32 = 0;
+
     /// Writes the measured position into the sample. Called once in every tick, with the sample if one arrived.
     ///
     /// * `at_rest` no torque flows

@@ -79,6 +79,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 // Another host may be sending: it does not inherit the torque.
                 controller.disarm();
                 controller.interrupt_samples();
+                // A host that begins anew inherits no torque.
+                controller.disarm();
                 return Ok(Some(self.hello()));
             }
             // A tick; `receive` runs it.
@@ -207,6 +209,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Reboot => {
                 controller.at_rest()?;
                 board.require(Capabilities::REBOOT)?;
+                controller.at_rest()?;
                 self.reboot = true;
             }
             HostMessage::Excitation(command) => {

@@ -5,14 +5,17 @@ use crate::telemetry::{Cost, CostMeter};
 use crate::wire::{MAC_BYTES, NackReason};
 use crate::write_key::WriteKey;
 use foretorque::arm::Arm;
-use foretorque::learning::{Exchange, Learner, LearnerConfig, LearningSample, ParameterSet};
+use foretorque::learning::{
+    Exchange, Learner, LearnerConfig, LearningSample, ParameterSet, StartDeviations,
+};
 use heapless::spsc::Queue;
 
-/// Period and set from which the learner restarts.
+/// Period, and set with its deviations, from which the learner restarts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Restart<const N: usize, const P: usize> {
     period_s: f32,
     set: ParameterSet<N, P>,
+    start: StartDeviations<N, P>,
 }
 
 /// Everything that the tick shares with tasks of lower priority; on a board the one locked resource.
@@ -114,10 +117,15 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         &mut self,
         learner: &mut Learner<A, N, P>,
     ) -> Option<LearningSample<N>> {
-        if let Some(Restart { period_s, set }) = self.restart.take() {
+        if let Some(Restart {
+            period_s,
+            set,
+            start,
+        }) = self.restart.take()
+        {
             // The learner accepts the configuration of every period that the session accepts. If it refused one, it would
             // learn nothing: the samples that follow do not belong to its set.
-            let _ = learner.restart(LearnerConfig::for_arm::<A>(period_s), &set);
+            let _ = learner.restart_with(LearnerConfig::for_arm::<A>(period_s), &set, &start);
         }
         let sample = self.samples.dequeue()?;
         learner.collect(&sample, &mut self.exchange);
@@ -151,12 +159,18 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
 
     /// Drops all samples and sets; the learner restarts from `set` at `period_s`.
     #[inline(never)]
-    pub(super) fn restart(&mut self, period_s: f32, set: &ParameterSet<N, P>) {
+    pub(super) fn restart(
+        &mut self,
+        period_s: f32,
+        set: &ParameterSet<N, P>,
+        start: StartDeviations<N, P>,
+    ) {
         while self.samples.dequeue().is_some() {}
         self.exchange = Exchange::new();
         self.restart = Some(Restart {
             period_s,
             set: *set,
+            start,
         });
     }
 }

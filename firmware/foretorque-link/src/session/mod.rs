@@ -108,6 +108,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.controller.feed_forward()
     }
 
+    #[cfg(test)]
+    fn load_set(
+        &mut self,
+        set: foretorque::learning::ParameterSet<N, P>,
+        exchange: &mut foretorque::learning::Exchange<N, P>,
+    ) {
+        self.controller.load_set(set, exchange);
+    }
+
     /// Last reported motor temperatures, °C; -128 is unknown.
     pub fn temperatures_c(&self) -> &[i8; N] {
         self.controller.temperatures_c()
@@ -121,6 +130,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     /// The enable pin of the motor stage may be on.
     pub fn torque_enabled(&self) -> bool {
         self.controller.safety().enabled()
+    }
+
+    /// A brake of the motor may be open. It closes with the end of the torque and not after it.
+    pub fn brake_released(&self) -> bool {
+        self.controller.safety().brake_released()
     }
 
     /// Torque of the last tick within the hard limits, N × N·m: the command of a board's own motor stage.

@@ -47,7 +47,7 @@ impl SampleFlags {
 pub struct SampleFrame<const N: usize> {
     /// Flags and period number.
     pub flags: SampleFlags,
-    /// Motor temperature of joint `sequence % N`, °C, or [`NO_TEMPERATURE`](Self::NO_TEMPERATURE).
+    /// Motor temperature of joint `flags.period() % N`, °C, or [`NO_TEMPERATURE`](Self::NO_TEMPERATURE).
     pub temperature_c: i8,
     /// Desired positions for the tick in which the torque takes effect.
     #[serde(with = "super::array")]
@@ -110,7 +110,7 @@ impl<const N: usize> SampleFrame<N> {
         self
     }
 
-    /// Sets the motor temperature of joint `sequence % N`, °C.
+    /// Sets the motor temperature of joint `flags.period() % N`, °C.
     pub fn with_temperature(mut self, temperature_c: i8) -> Self {
         self.temperature_c = temperature_c;
         self

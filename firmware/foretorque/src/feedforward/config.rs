@@ -23,7 +23,7 @@ pub struct FeedForwardConfig<const N: usize> {
 
 /// Defaults of the tick: from zero to the torque limit in 20 ms, torque held for 10 ms without samples.
 const SLEW_TIME_S: f32 = 0.02;
-const HOLD_TIME_S: f32 = 0.01;
+const HOLD_TIME_US: u32 = 10_000;
 const ACCELERATION_LIMIT: f32 = 100.0;
 /// Largest step of what was learnt, in units of the torque limit.
 const LEARNED_STEP: f32 = 0.01;
@@ -50,7 +50,7 @@ impl<const N: usize> FeedForwardConfig<N> {
             // Measured at k, in effect from k + 1 to k + 2.
             lead: 1.5 * period_s,
             // At least one tick: a single lost sample must not make the torque dip.
-            hold_ticks: (HOLD_TIME_S / period_s) as u32 + 1,
+            hold_ticks: HOLD_TIME_US / whole_us(period_s) + 1,
         }
     }
 
@@ -82,4 +82,10 @@ impl<const N: usize> FeedForwardConfig<N> {
         }
         Ok(())
     }
+}
+
+/// `period_s`, s, in whole µs, at least 1: a quotient of seconds in f32 may lack its last tick.
+const fn whole_us(period_s: f32) -> u32 {
+    let us = (period_s * 1e6 + 0.5) as u32;
+    if us == 0 { 1 } else { us }
 }

@@ -17,12 +17,14 @@ pub use crate::learning::{
     JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
 };
 pub use config::FeedForwardConfig;
-pub use shares::{LEARNED_BOUND, Shares, evaluate};
-pub use step::{FeedForwardScratch, FeedForwardState, adopt, step, step_stale};
+pub use shares::{LEARNED_BOUND, Shares, evaluate, gravity};
+pub use step::{FeedForwardScratch, FeedForwardState, adopt, pause, step, step_stale};
 
 use crate::arm::Arm;
 use crate::joint::{JointMeasurement, JointSample, JointVector};
-use crate::learning::{ConfigError, Exchange, LearningSample, Request, RequestPending};
+use crate::learning::{
+    ConfigError, Exchange, LearningSample, Request, RequestPending, StartDeviations,
+};
 use crate::limits::Flags;
 use core::marker::PhantomData;
 
@@ -114,6 +116,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         step_stale(&self.config, &mut self.state)
     }
 
+    /// A period in which no tick runs; see [`pause`].
+    pub fn pause(&mut self) -> Torque<N> {
+        pause(&self.config, &mut self.state)
+    }
+
     /// Learning sample of the tick that has just run; to be called once after every step.
     pub fn learning_sample(&self, measured: Option<JointMeasurement<N>>) -> LearningSample<N> {
         LearningSample {
@@ -152,11 +159,21 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         adopt(&mut self.state, exchange);
     }
 
-    /// Makes `set` active and committed from the next tick on, and sends it to the learner.
+    /// Make `set` active and committed from the next tick on, and send it to the learner with prior deviations.
     pub fn load(&mut self, set: ParameterSet<N, P>, exchange: &mut Exchange<N, P>) {
+        self.load_with(set, StartDeviations::PRIOR, exchange);
+    }
+
+    /// [`load`](Self::load) with the deviations of the set, from which learning starts.
+    pub fn load_with(
+        &mut self,
+        set: ParameterSet<N, P>,
+        start: StartDeviations<N, P>,
+        exchange: &mut Exchange<N, P>,
+    ) {
         self.state.load(&set);
         exchange.published = None;
-        exchange.reload = Some((self.state.generation, set));
+        exchange.reload = Some((self.state.generation, set, start));
     }
 
     /// Replaces the configuration from the next tick on; the state stays.

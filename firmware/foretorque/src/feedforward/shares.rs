@@ -62,6 +62,19 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     }
 }
 
+/// Torque of gravity at the position `q`, N × rad, by the rigid bodies of `set`, N × N·m.
+#[inline(never)]
+pub fn gravity<A: Arm<N, P>, const N: usize, const P: usize>(
+    set: &ParameterSet<N, P>,
+    q: &JointVector<N>,
+) -> JointVector<N> {
+    let motion = JointMotion {
+        q: *q,
+        ..JointMotion::zero()
+    };
+    rnea::<A, N, P>(&set.rigid, &motion)
+}
+
 /// Network shares at joint speeds `qd`, cut to their bound, N × N·m.
 #[inline(never)]
 fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
@@ -119,7 +132,7 @@ pub(super) fn select(
     flags: &mut Flags,
 ) -> Selected {
     let (mut sum, mut reference) = (0.0, 0.0);
-    let mut sound = |active: f32, committed: f32, plausible: f32| {
+    let mut sound = |active: f32, committed: f32, plausible: f32, withdrawn: Flags| {
         let bound = plausible * torque_limit;
         // A comparison with a not-a-number is false: it counts as implausible.
         let committed_sound = committed.abs() <= bound;
@@ -130,7 +143,7 @@ pub(super) fn select(
             *flags |= if committed_sound {
                 Flags::SHARE_FALLBACK
             } else {
-                Flags::WITHDRAWN
+                withdrawn
             };
             share = if committed_sound { committed } else { 0.0 };
         }
@@ -140,9 +153,24 @@ pub(super) fn select(
         share
     };
     let shares = JointShares {
-        rigid: sound(active.rigid, committed.rigid, RIGID_PLAUSIBLE),
-        friction: sound(active.friction, committed.friction, FRICTION_PLAUSIBLE),
-        network: sound(active.network, committed.network, NETWORK_BOUND),
+        rigid: sound(
+            active.rigid,
+            committed.rigid,
+            RIGID_PLAUSIBLE,
+            Flags::WITHDRAWN | Flags::GRAVITY_LOST,
+        ),
+        friction: sound(
+            active.friction,
+            committed.friction,
+            FRICTION_PLAUSIBLE,
+            Flags::WITHDRAWN,
+        ),
+        network: sound(
+            active.network,
+            committed.network,
+            NETWORK_BOUND,
+            Flags::WITHDRAWN,
+        ),
     };
     let (learned, was_cut) = cut(sum - reference, LEARNED_BOUND * torque_limit);
     *flags |= Flags::when(was_cut, Flags::LEARNED_CLIPPED);

@@ -269,6 +269,18 @@ pub fn step_stale<const N: usize, const P: usize>(
     hold(config, state, Flags::NO_MEASUREMENT)
 }
 
+/// A period without a tick, because samples pace the board and none came: torque and flags as those of [`step_stale`]. The
+/// counter stays where it is.
+pub fn pause<const N: usize, const P: usize>(
+    config: &FeedForwardConfig<N>,
+    state: &mut FeedForwardState<N, P>,
+) -> Torque<N> {
+    let (tick, adoption) = (state.tick, state.adoption);
+    let torque = hold(config, state, Flags::NO_MEASUREMENT);
+    (state.tick, state.adoption) = (tick, adoption);
+    torque
+}
+
 /// Where a joint will be when the torque acts, for the cogging, rad: a tracking error of a few milliradians turns its
 /// phase, so the measured position counts, carried on at the desired speed.
 #[inline]

@@ -15,6 +15,9 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub noise: f32,
     /// Bound of an innovation, standard deviations; larger ones count as this many.
     pub outlier_sigmas: f32,
+    /// Time over which residuals are correlated at most, s: tenths of a second on real arms. Length of a block of rows that
+    /// counts as one observation.
+    pub correlation_s: f32,
     /// Process noise of friction for each row of the joint, in units of the prior variance.
     pub process_noise: f32,
     /// Largest torque change of any joint by a newly published set, in units of the torque limit.
@@ -51,6 +54,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             inv_period: 1.0 / period_s,
             noise: 0.01,
             outlier_sigmas: 3.0,
+            correlation_s: 0.5,
             process_noise: 1e-7,
             torque_step: 0.005,
             // Tables, so that a board does not compute them.
@@ -65,6 +69,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             },
             supervisor: SupervisorConfig::for_arm::<A, N, P>(1.0 / period_s),
         }
+    }
+
+    /// Rows of a joint in the correlation time.
+    pub(super) fn block_rows(&self) -> f32 {
+        self.correlation_s * self.inv_period / N as f32
     }
 
     /// Prior standard deviations of all linear parameters, in their units.
@@ -85,6 +94,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("velocity_gate", self.velocity_gate),
             ("acceleration_limit", self.acceleration_limit),
             ("outlier_sigmas", self.outlier_sigmas),
+            ("correlation_s", self.correlation_s),
             ("process_noise", self.process_noise),
             ("torque_step", self.torque_step),
             ("network.clip_sigmas", self.network.clip_sigmas),

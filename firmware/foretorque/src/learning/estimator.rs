@@ -1,16 +1,21 @@
+mod bounds;
+mod correlation;
+
 use super::conditioning::{AVERAGED, ConditionedSample};
 use super::config::LearnerConfig;
-use super::parameters::{LinearParameters, ParameterSet, dot};
+use super::parameters::{LinearParameters, ParameterSet};
 use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
+use super::start_deviations::StartDeviations;
 use super::ud::UdFilter;
 use crate::arm::Arm;
 use crate::dynamics::{
-    DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS, friction_load, friction_row,
-    regressor_row,
+    FRICTION_COLUMNS, RANDOM_WALK_COLUMNS, friction_load, friction_row, regressor_row,
 };
 use crate::joint::JointMotion;
 use crate::limits::cut;
 use crate::math::sqrt;
+use bounds::{BOUNDED, Violation};
+use correlation::NoiseCorrelation;
 
 /// Square of the median of |z| for a normal z, at which the measured variance settles.
 const MEDIAN_SQUARED: f32 = 0.6745 * 0.6745;
@@ -32,11 +37,6 @@ const FIRST_ROWS: f32 = 4.0;
 
 /// Prior factors added in one tick after a reset; all are added before the measurement window is full.
 const FACTORS_PER_TICK: usize = 3;
-
-/// Bounds projected onto in one row; more are violated at once only in the first rows of a joint.
-const MAX_PROJECTIONS: usize = 3;
-/// Violation of a bound attributed to rounding, prior standard deviations.
-const TOLERANCE: f32 = 1e-4;
 
 /// Torque row of one joint: N·m for each unit of each linear parameter.
 #[inline(never)]
@@ -68,16 +68,18 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// Recursive estimate of the linear parameters: a Kalman filter with factored covariance.
 ///
 /// ```text
-/// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ_i ← θ_i + σ_i (Pφ)_i clip(z, ±k) / √S
+/// e = (tau − rowᵀθ) / σ    φ_i = row_i σ_i / σ    S = φᵀPφ + R    z = e/√S    θ ← θ + σ Pφ clip(z, ±k) √S / (S + (ρ − 1) R)
 /// ```
 /// * σ: configured noise of the joint's torque; σ_i: prior standard deviation of a parameter
-/// * P starts as the [prior covariance](prior_factor) for base parameters and as I for friction
+/// * P starts as the [prior covariance](prior_factor) for base parameters and as I for friction, scaled by the
+///   [`StartDeviations`] of the set
 /// * process noise: a random walk of friction up to the prior variance; one column a row, in turn, with the noise of all.
 ///   Nothing is forgotten exponentially
 /// * R: measured variance of the joint, at which half of the |z| exceed 0.6745
+/// * ρ: correlation of the joint's rows, from batch means; the update of P has ρ R in place of R
 /// * k: innovations beyond it count as k [Huber 1964]
 ///
-/// Friction outside its sign bounds is projected onto them through P. Nothing else bounds the estimate; the tick bounds the
+/// Each row ends at the most likely estimate within the sign bounds of the joint's friction. Nothing else bounds the estimate; the tick bounds the
 /// torque.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimator<const N: usize, const P: usize> {
@@ -88,8 +90,11 @@ pub struct Estimator<const N: usize, const P: usize> {
     variance: [f32; N],
     /// Rows behind each variance; a row counts by the part of its innovation variance that is noise.
     effective_rows: [f32; N],
+    /// Correlation of the rows of each joint.
+    correlation: [NoiseCorrelation; N],
     /// Place in [`RANDOM_WALK_COLUMNS`] of the process noise with the next row of each joint.
     random_walk_turn: [usize; N],
+    start: StartDeviations<N, P>,
     /// Prior factors already in the covariance.
     factors_added: usize,
 }
@@ -116,14 +121,26 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     ///
     /// Cost: as much as one row, and nothing when all are added.
     pub(super) fn add_prior_factors<A: Arm<N, P>>(&mut self) -> bool {
+        if self.factors_added == prior_factor_count(N) {
+            return true;
+        }
+        let parts = self.start.parts();
         if self.factors_added == 0 {
-            let floor = const { prior_floor::<A, N, P>() };
-            self.filter.set_rigid_variances(&floor);
+            let mut variances = LinearParameters::filled(1.0);
+            variances.rigid = const { prior_floor::<A, N, P>() };
+            for (variance, part) in variances.iter_mut().zip(parts.iter()) {
+                *variance *= part * part;
+            }
+            self.filter.set_variances(&variances);
         }
         for _ in 0..FACTORS_PER_TICK {
             let Some(mut factor) = prior_factor::<A, N, P>(self.factors_added) else {
                 break;
             };
+            factor
+                .iter_mut()
+                .zip(&parts.rigid)
+                .for_each(|(d, part)| *d *= part);
             self.filter.add_rigid_factor(&mut factor);
             self.factors_added += 1;
         }
@@ -138,18 +155,22 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             filter: UdFilter::new(),
             variance: [FIRST_VARIANCE; N],
             effective_rows: [FIRST_ROWS; N],
+            correlation: [NoiseCorrelation::new(); N],
             random_walk_turn: [0; N],
+            start: StartDeviations::PRIOR,
             factors_added: 0,
         }
     }
 
-    /// Restart from `prior`, in place.
-    pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>) {
+    /// Restart from `prior` with its deviations, in place.
+    pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>, start: &StartDeviations<N, P>) {
         self.move_to(&LinearParameters::of(prior));
         self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
         self.effective_rows = [FIRST_ROWS; N];
+        self.correlation = [NoiseCorrelation::new(); N];
         self.random_walk_turn = [0; N];
+        self.start = *start;
         self.factors_added = 0;
     }
 
@@ -219,7 +240,10 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         scale(phi.friction.get_mut(joint)?, sigma.friction.get(joint)?);
         scale(&mut phi.rigid, &sigma.rigid);
         let mut gain = LinearParameters::filled(0.0);
-        let variance = self.filter.update(joint, &phi, *measured, &mut gain);
+        let correlation = self.correlation.get_mut(joint)?;
+        let inflated = correlation.factor() * *measured;
+        let total = self.filter.update(joint, &phi, inflated, &mut gain);
+        let variance = total - inflated + *measured;
         if !(variance > 0.0 && variance.is_finite()) {
             // The factors are lost; the covariance returns to the prior, the estimate stays.
             self.filter.reset();
@@ -227,10 +251,15 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             return None;
         }
         let beyond = innovation * innovation > MEDIAN_SQUARED * variance;
+        let noise = *measured;
         update_variance(measured, effective_rows, variance, beyond);
-        let (clipped, _) = cut(innovation, config.outlier_sigmas * sqrt(variance));
-        self.move_by(&sigma, &gain, clipped / variance);
-        self.project(&sigma, joint, &mut gain);
+        let sigma_innovation = sqrt(variance);
+        let z = innovation / sigma_innovation;
+        correlation.add(z, noise / variance, config.block_rows());
+        let (clipped, _) = cut(innovation, config.outlier_sigmas * sigma_innovation);
+        let mut step = clipped / total;
+        self.bound(&sigma, joint, &mut gain, &mut step);
+        self.move_by(&sigma, &gain, step);
         Some(Correction {
             residual: innovation * config.noise,
             variance,
@@ -257,57 +286,48 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         }
     }
 
-    /// Projection of the estimate onto the violated [`DISSIPATION_BOUNDS`] of `joint`, the worst first.
+    /// Add to a step the way to the most likely estimate within the [`DISSIPATION_BOUNDS`] of `joint`.
     ///
     /// ```text
-    /// θ ← θ − P a (aᵀθ) / (aᵀPa)     P stays
+    /// θ ← θ + P Aᵀ λ     P stays     λ: Violation::multipliers
     /// ```
-    /// The most likely estimate on the bound [Simon and Chia 2002, eq. 20, W = P⁻¹]: correlated columns move with the
-    /// violated one, so explained rows stay explained. Clipping the column alone leaves a residual. The next row repeats the
-    /// step, and the correlated columns drift away.
+    /// [Simon and Chia 2002, eq. 20, W = P⁻¹]. Correlated columns move with the violated one, so explained rows stay
+    /// explained. Clipping the column alone leaves a residual. The next row repeats the step, and the correlated columns
+    /// drift away.
     ///
-    /// Cost: one product for each bound; [`UdFilter::friction_gain`] for each violated one, `MAX_PROJECTIONS` at most.
-    fn project(
-        &mut self,
+    /// * `gain`, `step` θ moves by `sigma gain step`
+    ///
+    /// Cost: a product for each bound; in rows that violate one also [`UdFilter::friction_covariance`] and
+    /// [`UdFilter::add_friction_gain`].
+    ///
+    /// [`DISSIPATION_BOUNDS`]: crate::dynamics::DISSIPATION_BOUNDS
+    fn bound(
+        &self,
         sigma: &LinearParameters<N, P>,
         joint: usize,
         gain: &mut LinearParameters<N, P>,
+        step: &mut f32,
     ) {
-        let Some(sigma_own) = sigma.friction.get(joint) else {
+        let (Some(theta), Some(sigma), Some(own_gain)) = (
+            self.parameters.friction.get(joint),
+            sigma.friction.get(joint),
+            gain.friction.get(joint),
+        ) else {
             return;
         };
-        for _ in 0..MAX_PROJECTIONS {
-            let Some(own) = self.parameters.friction.get(joint) else {
-                return;
-            };
-            let mut direction = [0.0; FRICTION_COLUMNS];
-            let mut worst = TOLERANCE;
-            for bound in &DISSIPATION_BOUNDS {
-                let value = dot(bound, own);
-                if value >= 0.0 {
-                    continue;
-                }
-                let mut scaled = *bound;
-                for (a, sigma) in scaled.iter_mut().zip(sigma_own) {
-                    *a *= sigma;
-                }
-                let inv_deviation = 1.0 / sqrt(dot(&scaled, &scaled));
-                let violation = -value * inv_deviation;
-                // Infinite where no column of the bound is learnt: these stay.
-                if violation > worst && violation.is_finite() {
-                    worst = violation;
-                    direction = scaled.map(|a| a * inv_deviation);
-                }
-            }
-            if worst <= TOLERANCE {
-                return;
-            }
-            let variance = self.filter.friction_gain(joint, &direction, gain);
-            let step = worst / variance;
-            if !(variance > 0.0 && step.is_finite()) {
-                return;
-            }
-            self.move_by(sigma, gain, step);
+        let mut own = *theta;
+        for ((own, sigma), gain) in own.iter_mut().zip(sigma).zip(own_gain) {
+            *own += sigma * gain * *step;
+        }
+        let Some(violation) = Violation::of(&own, sigma) else {
+            return;
+        };
+        let covariance = self.filter.friction_covariance(joint, &BOUNDED);
+        let direction = violation.multipliers(&covariance);
+        if direction.iter().all(|a| a.is_finite()) {
+            gain.iter_mut().for_each(|gain| *gain *= *step);
+            *step = 1.0;
+            self.filter.add_friction_gain(joint, &direction, gain);
         }
     }
 }

@@ -1,6 +1,7 @@
 use super::decision::DecisionLog;
 use super::parameters::ParameterSet;
 use super::quality::ModelQuality;
+use super::start_deviations::StartDeviations;
 use crate::dynamics::BaseParameters;
 use crate::joint::JointMeasurement;
 use crate::limits::Flags;
@@ -128,8 +129,8 @@ impl core::error::Error for RequestPending {}
 pub struct Exchange<const N: usize, const P: usize> {
     /// Finished set, from the learner to the tick.
     pub published: Option<Publication<N, P>>,
-    /// Loaded set, from the tick to the learner, with the number of its load.
-    pub reload: Option<(u32, ParameterSet<N, P>)>,
+    /// Loaded set with its deviations, from the tick to the learner, and the number of its load.
+    pub reload: Option<(u32, ParameterSet<N, P>, StartDeviations<N, P>)>,
     /// Request to the learner, with its number.
     pub request: Option<(u32, Request)>,
 }

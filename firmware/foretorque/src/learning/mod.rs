@@ -62,6 +62,7 @@ mod parameters;
 mod payload;
 mod prior_covariance;
 mod quality;
+mod start_deviations;
 mod supervisor;
 mod trainer;
 mod ud;
@@ -86,6 +87,7 @@ pub use parameters::{
 pub use payload::{payload_bound, rated_payload};
 pub use prior_covariance::{prior_factor, prior_factor_count, prior_floor};
 pub use quality::{ModelQuality, PayloadEstimate, Phase};
+pub use start_deviations::StartDeviations;
 pub use supervisor::config::SupervisorConfig;
 pub use trainer::TrainerConfig;
 pub use ud::UdFilter;

@@ -19,6 +19,9 @@ const FACTORS_PER_LINK: usize = 11;
 const RELATIVE_SIGMA: f32 = 0.2;
 /// Standard deviation of a centre of mass along each axis: relative to its distance from the joint, and added to it, m.
 const COM_SIGMA: (f32, f32) = (0.05, 0.003);
+/// Acceleration torque of an unknown rotor, in units of the torque limit at [`FLOOR_ACCELERATION`]: descriptions often lack
+/// rotors.
+const ROTOR_TORQUE: f32 = 0.05;
 /// Torque of the floor, in units of the torque limit: the part of a base parameter's uncertainty that no link explains.
 const FLOOR: f32 = 1.5e-3;
 /// Acceleration that converts the floor of an inertia to a torque, rad/s².
@@ -137,7 +140,7 @@ const fn base_change<A: Arm<N, P>, const N: usize, const P: usize>(index: usize)
 struct LinkUncertainty {
     /// Standard parameters.
     link: [f32; LINK_PARAMETERS],
-    /// Rotor inertia, kg·m².
+    /// Standard deviation of the rotor inertia, kg·m².
     rotor: f32,
     /// Standard deviation of the centre of mass along an axis, m.
     shift: f32,
@@ -157,9 +160,11 @@ const fn link_uncertainty<A: Arm<N, P>, const N: usize, const P: usize>() -> [Li
         let [mass, x, y, z, xx, yy, zz, ..] = A::LINKS[joint];
         let inverse = if mass > 0.0 { 1.0 / mass } else { 0.0 };
         let square = (x * x + y * y + z * z) * inverse;
+        let known = RELATIVE_SIGMA * A::ROTORS[joint];
+        let unknown = ROTOR_TORQUE * A::LIMITS[joint].torque / FLOOR_ACCELERATION;
         links[joint] = LinkUncertainty {
             link: A::LINKS[joint],
-            rotor: A::ROTORS[joint],
+            rotor: sqrt(known * known + unknown * unknown),
             shift: COM_SIGMA.0 * sqrt(square * inverse) + COM_SIGMA.1,
             // Relative to the mean moment about the centre of mass.
             moment: RELATIVE_SIGMA * (xx + yy + zz - 2.0 * square) / 3.0,
@@ -201,7 +206,7 @@ impl LinkUncertainty {
             }
             4..=6 => change[kind] = self.moment,
             7..=9 => change[kind] = 0.5 * self.moment,
-            LINK_PARAMETERS => change[kind] = RELATIVE_SIGMA * self.rotor,
+            LINK_PARAMETERS => change[kind] = self.rotor,
             _ => {}
         }
         change

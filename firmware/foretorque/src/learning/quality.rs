@@ -50,8 +50,10 @@ pub struct ModelQuality<const N: usize> {
     /// Trust, 0 to 1; 1 until the arm has moved.
     ///
     /// ```text
-    /// trust = 1 − sqrt(mean_j (RMS residual_j / RMS torque_j)²), over the joints that have moved
+    /// trust = 1 − sqrt(max_j (residual_j² − noise_j²) / (torque_j² − noise_j² + floor²))     mean squares of moving joints
     /// ```
+    /// The worst joint decides. The noise is that of successive residuals: half the mean square of their differences, so
+    /// slow errors are no noise. The floor is the configured noise of a measurement.
     pub trust: f32,
     /// True if trust has fallen below the threshold.
     pub low_trust: bool,
@@ -91,6 +93,9 @@ const FADE: f32 = 1.0 - 1.0 / 512.0;
 /// Margin above the threshold at which the trust flag is cleared.
 const HYSTERESIS: f32 = 0.05;
 
+/// Least faded number of rows of a joint that decides the trust.
+const TRUST_ROWS: f32 = 16.0;
+
 /// One row of a joint under the active set, in units of the joint's torque limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Observation {
@@ -108,6 +113,9 @@ struct Sums {
     weight: f32,
     measured: f32,
     residual: f32,
+    /// Half the squares of differences of successive residuals, and the last residual.
+    noise: f32,
+    last: f32,
     shares: [f32; 3],
 }
 
@@ -127,6 +135,8 @@ impl<const N: usize> Monitor<N> {
             weight: 0.0,
             measured: 0.0,
             residual: 0.0,
+            noise: 0.0,
+            last: 0.0,
             shares: [0.0; 3],
         };
         Self {
@@ -175,14 +185,26 @@ impl<const N: usize> Monitor<N> {
         fade(&mut sums.weight, 1.0);
         fade(&mut sums.measured, row.measured);
         fade(&mut sums.residual, row.residual);
+        fade(
+            &mut sums.noise,
+            core::f32::consts::FRAC_1_SQRT_2 * (row.residual - sums.last),
+        );
+        sums.last = row.residual;
         for (sum, share) in sums.shares.iter_mut().zip(row.shares) {
             fade(sum, share);
         }
     }
 
     /// Update residuals, shares and trust of `quality`; returns the trust flag if it has changed.
-    pub(super) fn update_trust(&self, quality: &mut ModelQuality<N>, floor: f32) -> Option<bool> {
-        let mut ratios = 0.0;
+    ///
+    /// * `threshold` trust below which the flag is set      * `noise` configured noise, in units of the torque limit
+    pub(super) fn update_trust(
+        &self,
+        quality: &mut ModelQuality<N>,
+        threshold: f32,
+        noise: f32,
+    ) -> Option<bool> {
+        let mut worst = 0.0;
         let mut moved = 0.0;
         let mut shares = [0.0; 3];
         for (rms, sums) in quality.residual_rms.iter_mut().zip(&self.joints) {
@@ -194,8 +216,13 @@ impl<const N: usize> Monitor<N> {
             for (total, share) in shares.iter_mut().zip(sums.shares) {
                 *total += share * inverse;
             }
-            if sums.measured > 0.0 {
-                ratios += sums.residual / sums.measured;
+            let [wrong, needed] = [sums.residual, sums.measured].map(|sum| {
+                let square = (sum - sums.noise) * inverse;
+                if square > 0.0 { square } else { 0.0 }
+            });
+            let ratio = wrong / (needed + noise * noise);
+            if sums.weight >= TRUST_ROWS && ratio > worst {
+                worst = ratio;
             }
             moved += 1.0;
         }
@@ -203,13 +230,13 @@ impl<const N: usize> Monitor<N> {
             return None;
         }
         quality.share_rms = shares.map(|sum| libm::sqrtf(sum / moved));
-        let trust = 1.0 - libm::sqrtf(ratios / moved);
+        let trust = 1.0 - libm::sqrtf(worst);
         quality.trust = if trust > 0.0 { trust } else { 0.0 };
         let before = quality.low_trust;
         quality.low_trust = if before {
-            quality.trust < floor + HYSTERESIS
+            quality.trust < threshold + HYSTERESIS
         } else {
-            quality.trust < floor
+            quality.trust < threshold
         };
         (quality.low_trust != before).then_some(quality.low_trust)
     }
@@ -232,7 +259,7 @@ mod tests {
     fn loss_and_return_of_trust_are_reported_once() {
         let mut monitor = Monitor::<2>::new();
         let mut quality = ModelQuality::new();
-        assert_eq!(monitor.update_trust(&mut quality, 0.7), None);
+        assert_eq!(monitor.update_trust(&mut quality, 0.7, 0.01), None);
         assert_eq!(quality.trust, 1.0);
         let mut changes = std::vec::Vec::new();
         for round in 0..6000 {
@@ -243,12 +270,31 @@ mod tests {
             };
             monitor.add_row(0, &row(residual));
             monitor.add_row(1, &row(0.01));
-            changes.extend(monitor.update_trust(&mut quality, 0.7));
+            changes.extend(monitor.update_trust(&mut quality, 0.7, 0.01));
         }
         assert_eq!(changes, [true, false]);
         assert!(quality.trust > 0.9, "{quality:?}");
         assert!((quality.share_rms[0] - 0.2).abs() < 1e-3);
         assert!((quality.residual_rms[1] - 0.01).abs() < 1e-4);
+    }
+
+    #[test]
+    fn noise_costs_no_trust_and_one_wrong_joint_costs_it_all() {
+        let (mut monitor, mut quality) = (Monitor::<6>::new(), ModelQuality::new());
+        for round in 0..2000 {
+            let noise = if round % 2 == 0 { 0.2 } else { -0.2 };
+            monitor.add_row(0, &row(noise));
+            (1..6).for_each(|joint| monitor.add_row(joint, &row(0.01)));
+        }
+        monitor.update_trust(&mut quality, 0.7, 0.01);
+        assert!(quality.trust > 0.95, "{quality:?}");
+        for _ in 0..2000 {
+            (0..6).for_each(|joint| {
+                monitor.add_row(joint, &row(if joint == 1 { 0.15 } else { 0.01 }))
+            });
+        }
+        monitor.update_trust(&mut quality, 0.7, 0.01);
+        assert!(quality.trust < 0.55, "{quality:?}");
     }
 
     #[test]

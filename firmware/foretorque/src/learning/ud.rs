@@ -228,48 +228,92 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         variance
     }
 
-    /// Product P φ for a row with friction of `joint` only; the filter stays as it is.
+    /// Covariance of the friction columns `chosen` of `joint`, in units of the prior variances; 0 for the others.
     ///
     /// ```text
-    /// f = Uᵀφ     v = D f     P φ = U v     φᵀPφ = vᵀf
+    /// P_ik = Σ U_ij D_j U_kj
     /// ```
     ///
-    /// * `gain` becomes P φ, in units of the prior standard deviations
-    /// * returns φᵀPφ; 0 if there is no such joint
+    /// Cost: `(c + 1) / 2` products of length `FRICTION_COLUMNS + P` for each of the `c` columns chosen.
+    pub(super) fn friction_covariance(
+        &self,
+        joint: usize,
+        chosen: &[bool; FRICTION_COLUMNS],
+    ) -> [[f32; FRICTION_COLUMNS]; FRICTION_COLUMNS] {
+        let mut covariance = [[0.0; FRICTION_COLUMNS]; FRICTION_COLUMNS];
+        let (Some(rows), Some(diagonal)) =
+            (self.friction.get(joint), self.diagonal.friction.get(joint))
+        else {
+            return covariance;
+        };
+        for (i, row) in rows
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| chosen.get(*i) == Some(&true))
+        {
+            let mut scaled = *row;
+            set(&mut scaled.own, i, 1.0);
+            scale(&mut scaled.own, diagonal);
+            scale(&mut scaled.rigid, &self.diagonal.rigid);
+            for (k, other) in rows.iter().enumerate().take(i + 1) {
+                if chosen.get(k) == Some(&true) {
+                    // The unit diagonal is not stored.
+                    let unit = if k == i {
+                        scaled.own.get(i).copied().unwrap_or(0.0)
+                    } else {
+                        0.0
+                    };
+                    let product =
+                        unit + dot(&scaled.own, &other.own) + dot(&scaled.rigid, &other.rigid);
+                    for (row, column) in [(i, k), (k, i)] {
+                        if let Some(row) = covariance.get_mut(row) {
+                            set(row, column, product);
+                        }
+                    }
+                }
+            }
+        }
+        covariance
+    }
+
+    /// Add P φ to `gain`, for a row φ with friction `phi` of `joint` only; the filter stays as it is.
+    ///
+    /// ```text
+    /// v = D Uᵀφ     P φ = U v
+    /// ```
+    ///
+    /// * `gain` in units of the prior standard deviations
     ///
     /// Cost: `(N FRICTION_COLUMNS + P / 2) P` multiply-adds, no division.
-    pub(super) fn friction_gain(
+    #[inline(never)]
+    pub(super) fn add_friction_gain(
         &self,
         joint: usize,
         phi: &[f32; FRICTION_COLUMNS],
         gain: &mut LinearParameters<N, P>,
-    ) -> f32 {
-        let f = self.transposed_times(joint, phi, &[0.0; P]);
-        let mut v = f;
+    ) {
+        let mut v = self.transposed_times(joint, phi, &[0.0; P]);
         let Some(diagonal) = self.diagonal.friction.get(joint) else {
-            return 0.0;
+            return;
         };
-        let scale = |v: &mut [f32], d: &[f32]| v.iter_mut().zip(d).for_each(|(v, d)| *v *= d);
         scale(&mut v.own, diagonal);
         scale(&mut v.rigid, &self.diagonal.rigid);
-        for (place, (rows, gain)) in self.friction.iter().zip(&mut gain.friction).enumerate() {
-            for (row, gain) in rows.iter().zip(gain.iter_mut()) {
-                *gain = dot(&row.rigid, &v.rigid);
-                if place == joint {
-                    *gain += dot(&row.own, &v.own);
-                }
+        for (rows, gain) in self.friction.iter().zip(&mut gain.friction) {
+            for (row, gain) in rows.iter().zip(gain) {
+                *gain += dot(&row.rigid, &v.rigid);
             }
-            if place == joint {
-                gain.iter_mut().zip(&v.own).for_each(|(gain, v)| *gain += v);
+        }
+        if let (Some(rows), Some(gain)) = (self.friction.get(joint), gain.friction.get_mut(joint)) {
+            for ((row, gain), own) in rows.iter().zip(gain).zip(&v.own) {
+                *gain += dot(&row.own, &v.own) + own;
             }
         }
         // The lower triangle is compensation, not U.
         for (i, (row, gain)) in self.rigid.iter().zip(&mut gain.rigid).enumerate() {
             if let (Some([first, rest @ ..]), Some(row)) = (v.rigid.get(i..), row.get(i + 1..)) {
-                *gain = first + dot(row, rest);
+                *gain += first + dot(row, rest);
             }
         }
-        dot(&v.own, &f.own) + dot(&v.rigid, &f.rigid)
     }
 
     /// Add `noise` to the variance of friction column `column` of `joint`. [Agee and Turner 1972]
@@ -298,11 +342,11 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         }
     }
 
-    /// Set the variances of the base parameters, in units of the prior variances.
+    /// Set the variances, in units of the prior variances.
     ///
     /// Assumes: no correlations, as after a reset.
-    pub(super) fn set_rigid_variances(&mut self, variances: &[f32; P]) {
-        self.diagonal.rigid = *variances;
+    pub(super) fn set_variances(&mut self, variances: &LinearParameters<N, P>) {
+        self.diagonal = *variances;
     }
 
     /// Add the prior factor `direction` of the base parameters: P + d dᵀ, as
@@ -395,6 +439,12 @@ fn add_column<'a>(
         *u += step * *a;
     }
     *c *= before * inverse;
+}
+
+/// Product of two vectors, entry by entry.
+#[inline(always)]
+fn scale(vector: &mut [f32], by: &[f32]) {
+    vector.iter_mut().zip(by).for_each(|(x, by)| *x *= by);
 }
 
 /// Sum Σ u² d.

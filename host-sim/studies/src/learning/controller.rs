@@ -42,7 +42,7 @@ impl Controller {
             FeedForward::new(FeedForwardConfig::for_arm::<Ur5, P>(period_s), booted)?;
         feedforward.load(*set, &mut exchange);
         feedforward.set_learning(learning);
-        let limits = SafetyLimits::for_arm::<Ur5, P>(period_s);
+        let limits = SafetyLimits::for_arm::<Ur5, P>((PERIOD_S * 1e6).round() as u32);
         Ok(Self {
             safety: Safety::new(limits, SafetyReason::None),
             feedforward,
@@ -76,6 +76,7 @@ impl Controller {
     pub(super) fn tick(&mut self, sample: Option<&JointSample<N>>) -> Torque<N> {
         self.feedforward.adopt(&mut self.exchange);
         let received = sample.map(|sample| SampleFrame::new(sample).sample(&[0.0; N]));
+        self.safety.period();
         let sample = self.safety.admit(received, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feedforward.step(sample),

@@ -2,7 +2,7 @@
 
 use super::setup::{N, Setup};
 use foretorque_workbench::dynamics::Joints;
-use foretorque_workbench::plant::{Events, Payload, PlantConfig, Push, ReportFaults};
+use foretorque_workbench::plant::{Events, Payload, PlantConfig, PlantEffects, Push, ReportFaults};
 use foretorque_workbench::trajectory::Trajectory;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -89,6 +89,7 @@ const PLAIN: Scenario = Scenario {
         viscous_drift: 0.3 / 600.0,
         load_friction: 0.0,
         drive_gain: 1.0,
+        effects: PlantEffects::NONE,
     },
     viscous: 1.0,
     faults: ReportFaults {

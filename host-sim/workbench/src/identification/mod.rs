@@ -16,6 +16,8 @@ mod fourier;
 mod gains;
 mod holdout;
 mod log;
+#[cfg(test)]
+mod log_tests;
 mod methods;
 mod normal;
 mod page;

@@ -72,6 +72,7 @@ impl Preparation {
         notes: &mut Vec<String>,
     ) -> Self {
         let (reader, period_s, name) = (log.reader(), log.period_s(), path.display());
+        notes.extend(log.notes());
         if reader.has_currents() {
             notes.push(format!("{name}: torque is drive gain × motor current"));
         }

@@ -120,6 +120,7 @@ fn cut_into_stretches<const N: usize>(
             None => break,
         }
     }
+    notes.extend(log.reader().wraps());
     if log.lost() > 0 {
         notes.push(format!(
             "{name}: {} rows are missing according to its clock and were interpolated",

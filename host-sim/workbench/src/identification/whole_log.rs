@@ -15,18 +15,38 @@ pub(super) const GAP_PERIODS: f64 = 5.0;
 /// not a loss.
 const ARRIVAL_PERIODS: f64 = 0.5;
 
+/// Largest jitter of a clock that counts as even, RMS, share of a period.
+const EVEN: f64 = 0.05;
+
+/// Use of the stamps of a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Clock {
+    /// Rows are evenly spaced, but for lost ones.
+    Even,
+    /// Rows are evenly spaced, stamped on arrival.
+    Arrival,
+    /// Rows were taken at their uneven stamps.
+    Stamps,
+}
+
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
+/// Rows with an uneven clock are put on an even grid in the same way.
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog<const N: usize> {
     reader: LogReader<N>,
     preview: Vec<LogRow<N>>,
     period_s: f64,
-    timed_on_arrival: bool,
+    clock: Clock,
     last: Option<LogRow<N>>,
+    /// Time of the next row of the grid, s.
+    next_s: f64,
+    /// The row read last, still without a velocity.
+    ahead: [Option<LogRow<N>>; 2],
     waiting: VecDeque<LogRow<N>>,
     lost: usize,
+    notes: Vec<String>,
 }
 
 impl<const N: usize> WholeLog<N> {
@@ -42,21 +62,47 @@ impl<const N: usize> WholeLog<N> {
             first.push(row);
         }
         if first.len() < 3 {
-            return Err(TableProblem::Empty.at(path, None));
+            let problem = match first.len() {
+                0 => TableProblem::Empty,
+                rows => TableProblem::Short(rows),
+            };
+            return Err(problem.at(path, None));
         }
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let period_s = median(&mut steps);
+        let clock = clock(&first, period_s, reader.has_velocity());
         let mut log = Self {
+            notes: reader.notes().to_vec(),
             reader,
             preview: Vec::new(),
             period_s,
-            timed_on_arrival: steps.iter().any(|&step| step < ARRIVAL_PERIODS * period_s),
+            clock,
             last: None,
+            next_s: f64::NEG_INFINITY,
+            ahead: [None; 2],
             waiting: VecDeque::new(),
             lost: 0,
         };
+        if clock == Clock::Stamps {
+            let whole = steps.iter().filter(|step| **step <= GAP_PERIODS * period_s);
+            let (mut time_s, mut periods) = (0.0, 0.0);
+            for step in whole {
+                time_s += step;
+                periods += (step / period_s).round().max(1.0);
+            }
+            log.period_s = time_s / periods;
+            steps.sort_by(f64::total_cmp);
+            let ends = [0.05, 0.95].map(|part| steps[(part * steps.len() as f64) as usize] * 1e3);
+            log.notes.push(format!(
+                "{}: rows {:.1} to {:.1} ms apart were put on a grid of {:.2} ms by their stamps",
+                path.display(),
+                ends[0],
+                ends[1],
+                1e3 * log.period_s
+            ));
+        }
         for row in first {
-            log.take(row);
+            log.read(Some(row));
         }
         if log.lost > 0 {
             // The steps scatter about two lengths now, and their median lies at the edge of the shorter.
@@ -72,13 +118,18 @@ impl<const N: usize> WholeLog<N> {
         &self.reader
     }
 
+    /// Remarks on columns and clock.
+    pub(super) fn notes(&self) -> impl Iterator<Item = String> {
+        self.notes.iter().cloned()
+    }
+
     /// The first rows, those put in included.
     pub(super) fn preview(&self) -> &[LogRow<N>] {
         &self.preview
     }
 
     /// Time between two rows, s.
-    pub(super) fn period_s(&self) -> f64 {
+    pub fn period_s(&self) -> f64 {
         self.period_s
     }
 
@@ -91,10 +142,12 @@ impl<const N: usize> WholeLog<N> {
     ///
     /// Errors: [`TableError`] of that row, naming line and column.
     pub fn next_row(&mut self) -> Result<Option<LogRow<N>>, TableError> {
-        if self.waiting.is_empty()
-            && let Some(row) = self.reader.next_row()?
-        {
-            self.take(row);
+        while self.waiting.is_empty() {
+            let row = self.reader.next_row()?;
+            self.read(row);
+            if row.is_none() {
+                break;
+            }
         }
         Ok(self.waiting.pop_front())
     }
@@ -102,10 +155,46 @@ impl<const N: usize> WholeLog<N> {
     /// Periods in a step of time, s; 1 where the clock shows no loss.
     fn periods(&self, step_s: f64) -> f64 {
         let periods = step_s / self.period_s;
-        if self.timed_on_arrival || periods > GAP_PERIODS {
+        if self.clock != Clock::Even || periods > GAP_PERIODS {
             1.0
         } else {
             periods.round().max(1.0)
+        }
+    }
+
+    /// Queues what follows from the row read last, `None` at the end of the log.
+    fn read(&mut self, row: Option<LogRow<N>>) {
+        if self.clock != Clock::Stamps {
+            row.into_iter().for_each(|row| self.take(row));
+        } else if self.reader.has_velocity() {
+            row.into_iter().for_each(|row| self.regrid(row));
+        } else {
+            // The cubic needs velocities: slopes of the parabola through three rows, which is one row behind.
+            let [before, here] = self.ahead;
+            if let Some(mut here) = here {
+                here.qd = slopes(before.as_ref(), &here, row.as_ref());
+                self.regrid(here);
+            }
+            self.ahead = [here, row];
+        }
+    }
+
+    /// Queues the rows of the grid up to `row`.
+    fn regrid(&mut self, row: LogRow<N>) {
+        if let Some(last) = self.last.replace(row)
+            && row.t_s - last.t_s <= GAP_PERIODS * self.period_s
+        {
+            // A rounding error short of the row is the row.
+            while self.next_s <= row.t_s + 1e-9 * self.period_s {
+                let part = (self.next_s - last.t_s) / (row.t_s - last.t_s);
+                let mut between = between(&last, &row, part, true);
+                between.t_s = self.next_s;
+                self.waiting.push_back(between);
+                self.next_s += self.period_s;
+            }
+        } else {
+            self.waiting.push_back(row);
+            self.next_s = row.t_s + self.period_s;
         }
     }
 
@@ -123,6 +212,69 @@ impl<const N: usize> WholeLog<N> {
         }
         self.waiting.push_back(row);
     }
+}
+
+/// The clock of a log, from its first rows. Where steps are uneven and the log has velocities, these decide: stamps are
+/// true where dq = q̇ dt holds better with them than with even steps.
+fn clock<const N: usize>(rows: &[LogRow<N>], period_s: f64, has_velocity: bool) -> Clock {
+    let (mut jitter, mut count, mut shortest) = (0.0, 0.0, f64::INFINITY);
+    // Steps that scatter about two lengths have their median at the edge of the shorter.
+    let steps = rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
+    let whole = |step_s: f64| (step_s / period_s).round().max(1.0);
+    let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * period_s);
+    let sums = short.map(|step_s| (step_s, whole(step_s)));
+    let (time_s, periods) = sums.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
+    let period_s = if periods > 0.0 {
+        time_s / periods
+    } else {
+        period_s
+    };
+    // Squared errors of dq by the stamps and by even steps.
+    let (mut by_stamps, mut by_steps) = (0.0, 0.0);
+    for pair in rows.windows(2) {
+        let step_s = pair[1].t_s - pair[0].t_s;
+        let periods = step_s / period_s;
+        shortest = periods.min(shortest);
+        if periods > GAP_PERIODS {
+            continue;
+        }
+        let whole = periods.round().max(1.0);
+        jitter += (periods - whole).powi(2);
+        count += 1.0;
+        for joint in 0..N {
+            let qd = 0.5 * (pair[0].qd[joint] + pair[1].qd[joint]);
+            let dq = pair[1].q[joint] - pair[0].q[joint];
+            by_stamps += (dq - qd * step_s).powi(2);
+            by_steps += (dq - qd * whole * period_s).powi(2);
+        }
+    }
+    let on_arrival = shortest < ARRIVAL_PERIODS;
+    let uneven = (jitter / f64::max(count, 1.0)).sqrt() > EVEN;
+    match (uneven, has_velocity, on_arrival) {
+        (true, true, _) if by_stamps < 0.5 * by_steps => Clock::Stamps,
+        (true, false, false) => Clock::Stamps,
+        (_, _, true) => Clock::Arrival,
+        _ => Clock::Even,
+    }
+}
+
+/// Velocities at `here` by the parabola through it and its neighbours; by a straight line where one is missing.
+fn slopes<const N: usize>(
+    before: Option<&LogRow<N>>,
+    here: &LogRow<N>,
+    after: Option<&LogRow<N>>,
+) -> [f64; N] {
+    let slope = |a: &LogRow<N>, b: &LogRow<N>, j: usize| (b.q[j] - a.q[j]) / (b.t_s - a.t_s);
+    std::array::from_fn(|joint| match (before, after) {
+        (Some(before), Some(after)) => {
+            let (h0, h1) = (here.t_s - before.t_s, after.t_s - here.t_s);
+            let (s0, s1) = (slope(before, here, joint), slope(here, after, joint));
+            (h1 * s0 + h0 * s1) / (h0 + h1)
+        }
+        (Some(before), None) => slope(before, here, joint),
+        (None, Some(after)) => slope(here, after, joint),
+        (None, None) => 0.0,
+    })
 }
 
 /// The row that is `part` of the way from `a` to `b`.
@@ -173,11 +325,16 @@ mod tests {
 
     /// Rows of a log of one joint that moves on a cubic, at these times.
     fn read(name: &str, times_s: &[f64]) -> (Vec<LogRow<1>>, WholeLog<1>) {
+        stamped(name, times_s, times_s)
+    }
+
+    /// A log with given stamps.
+    fn stamped(name: &str, times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow<1>>, WholeLog<1>) {
         let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
         let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
-        for &t in times_s {
+        for (&t, stamp) in times_s.iter().zip(stamps_s) {
             let (q, qd) = motion(t);
-            text += &format!("{t},{q},{qd},{}\n", 3.0 * t);
+            text += &format!("{stamp},{q},{qd},{}\n", 3.0 * t);
         }
         std::fs::write(&path, text).expect("a directory for temporary files");
         let mut robot = Robot::load("ur5").expect("built in");
@@ -213,18 +370,40 @@ mod tests {
     }
 
     #[test]
+    fn an_uneven_clock_is_put_on_a_grid_by_its_stamps() {
+        let mut times = vec![0.0];
+        for k in 0..400 {
+            times.push(times[k] + if k % 2 == 0 { 10e-3 } else { 12e-3 });
+        }
+        let (rows, log) = read("uneven", &times);
+        assert!((log.period_s() - 11e-3).abs() < 1e-12);
+        assert!(log.notes().any(|note| note.contains("grid of 11.00 ms")));
+        for (k, row) in rows.iter().enumerate() {
+            let (q, _) = motion(row.t_s);
+            assert!((row.t_s - 11e-3 * k as f64).abs() < 1e-9);
+            assert!((row.q[0] - q).abs() < 1e-9, "{} at {}", row.q[0], row.t_s);
+        }
+        assert!(rows.len() > 398, "{}", rows.len());
+    }
+
+    #[test]
     fn a_log_without_losses_is_unchanged() {
         let even: Vec<f64> = (0..100).map(|k| 2e-3 * f64::from(k)).collect();
         // Timed on arrival: the second of every two came late, together with the next.
-        let bunched: Vec<f64> = (0..100)
-            .map(|k| 8e-3 * f64::from(k) + if k % 4 == 1 { 7.5e-3 } else { 0.0 })
-            .collect();
+        let sent: Vec<f64> = (0..100).map(|k| 8e-3 * f64::from(k)).collect();
+        let late = sent.iter().enumerate();
+        let bunched = late.map(|(k, t)| t + if k % 4 == 1 { 7.5e-3 } else { 0.0 });
+        let bunched: Vec<f64> = bunched.collect();
         let mut halted = even.clone();
         halted.iter_mut().skip(50).for_each(|t| *t += 1.0);
-        for (name, times) in [("even", even), ("bunched", bunched), ("halted", halted)] {
-            let (rows, log) = read(name, &times);
+        for (name, times, stamps) in [
+            ("even", even.clone(), even),
+            ("bunched", sent, bunched),
+            ("halted", halted.clone(), halted),
+        ] {
+            let (rows, log) = stamped(name, &times, &stamps);
             let read: Vec<f64> = rows.iter().map(|row| row.t_s).collect();
-            assert_eq!((read, log.lost()), (times, 0), "{name}");
+            assert_eq!((read, log.lost()), (stamps, 0), "{name}");
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Friction of the simulated drives.
 
+use super::PlantConfig;
 use crate::dynamics::Joints;
 use crate::robot::{Friction, Robot};
 
@@ -7,13 +8,19 @@ use crate::robot::{Friction, Robot};
 /// as moving, so that the truth is a true Coulomb torque there; the integrator takes its slope implicitly.
 const SIGN_WIDTH_RAD_S: f64 = 0.005;
 
+/// Friction power that warms a drive half way, share of torque limit times speed limit.
+const HALF_WARM_SHARE: f64 = 0.05;
+
 /// Friction of all joints: viscous with drift, Coulomb with a part under load, Stribeck peak, cogging.
 ///
 /// ```text
-/// tau = d(t) v qd + (c (1 + s exp(−(qd / v_s)²)) + l |load|) tanh(qd / 0.005) + g sin(z q)
+/// tau = d(t) w v qd + g(qd) tanh(qd / 0.005) + c_g sin(z q),   g(qd) = c (1 + s exp(−(qd / v_s)²)) + l |load|
 /// ```
-/// with d(t) the warm-up drift and load the torque against gravity and velocity products. At qd = 0 the speed-dependent
-/// part is zero: a joint at rest has no friction and creeps under load instead of sticking.
+/// with d(t) the drift, w the fall of viscous friction in a warm drive, and load the torque against gravity and velocity
+/// products. At qd = 0 the speed-dependent part is zero: a joint at rest has no friction and creeps under load.
+///
+/// With a presliding displacement x the Coulomb part is that of the LuGre model [Canudas de Wit 1995, eqs. 1–3]:
+/// `σ0 z + σ1 dz/dt`, `dz/dt = qd − σ0 |qd| / g(qd) z`, `σ0 = c / x`, `σ1 = sqrt(σ0 J)`: the joint sticks.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FrictionModel<const N: usize> {
     joints: [Friction; N],
@@ -21,54 +28,176 @@ pub(super) struct FrictionModel<const N: usize> {
     pub(super) viscous_drift: f64,
     /// Coulomb torque for each N·m of load.
     load: f64,
+    /// Stiffness σ0, N·m/rad, and damping σ1, N·m·s/rad, before a joint slides; `None` without presliding.
+    bristles: [Option<(f64, f64)>; N],
+    /// Fall of viscous friction in a warm drive, share; time constant, s; friction power of half of it, W.
+    warm_fall: f64,
+    warm_up_s: f64,
+    half_warm: [f64; N],
+}
+
+/// State of the friction.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct FrictionState<const N: usize> {
+    /// Deflection z of the bristles, rad, and divisor of its implicit step.
+    deflection: Joints<N>,
+    divisor: Joints<N>,
+    /// Warmth of every drive, 0 to 1.
+    warmth: Joints<N>,
+}
+
+impl<const N: usize> FrictionState<N> {
+    pub(super) fn new() -> Self {
+        Self {
+            deflection: Joints::zeros(),
+            divisor: Joints::repeat(1.0),
+            warmth: Joints::zeros(),
+        }
+    }
+
+    /// Ends a step of `h` s that has left the velocity at `qd`.
+    pub(super) fn advance(&mut self, qd: &Joints<N>, h: f64) {
+        self.deflection = (self.deflection + qd * h).component_div(&self.divisor);
+    }
 }
 
 impl<const N: usize> FrictionModel<N> {
-    pub(super) fn new(robot: &Robot, viscous_drift: f64, load: f64) -> Option<Self> {
+    pub(super) fn new(robot: &Robot, config: &PlantConfig) -> Option<Self> {
+        let effects = &config.effects;
+        let bristles = robot.each(|joint| {
+            let stiffness = joint.friction.coulomb / (1e-3 * effects.presliding_mrad);
+            (effects.presliding_mrad > 0.0)
+                .then_some((stiffness, (stiffness * joint.drive.rotor_inertia).sqrt()))
+        })?;
         Some(Self {
             joints: robot.each(|joint| joint.friction)?,
-            viscous_drift,
-            load,
+            viscous_drift: config.viscous_drift,
+            load: config.load_friction,
+            bristles,
+            warm_fall: effects.warm_viscous_fall,
+            warm_up_s: effects.warm_up_s,
+            half_warm: robot
+                .each(|joint| HALF_WARM_SHARE * joint.limits.torque * joint.limits.velocity)?,
         })
     }
 
-    /// Torque the drives must supply against friction, N·m, and its slope over the velocity, N·m·s/rad.
+    /// Torque the drives must supply against steady friction, N·m, and its slope over the velocity, N·m·s/rad.
     pub(super) fn torque_and_slope(
         &self,
         q: &Joints<N>,
         qd: &Joints<N>,
         load: &Joints<N>,
+        state: &FrictionState<N>,
         t_s: f64,
     ) -> (Joints<N>, Joints<N>) {
         let (mut torque, mut slope) = (Joints::zeros(), Joints::zeros());
-        for (j, friction) in self.joints.iter().enumerate() {
-            let viscous = friction.viscous * (1.0 + self.viscous_drift * t_s);
+        for j in 0..N {
+            let (viscous, coulomb, cogging) = self.parts(j, q, qd, load, state, t_s);
             let sign = (qd[j] / SIGN_WIDTH_RAD_S).tanh();
-            let ratio = qd[j] / friction.stribeck_velocity;
-            let peak = friction.stribeck_ratio * (-ratio * ratio).exp();
-            let cogging = friction.cogging * (friction.cogging_cycles_rev * q[j]).sin();
-            let coulomb = friction.coulomb * (1.0 + peak) + self.load * load[j].abs();
             torque[j] = viscous * qd[j] + coulomb * sign + cogging;
             // The falling flank of the Stribeck peak is left out of the slope: only what damps is taken implicitly.
             slope[j] = viscous + coulomb * (1.0 - sign * sign) / SIGN_WIDTH_RAD_S;
         }
         (torque, slope)
     }
+
+    /// Torque and slope at the begin of a step of `h` s; with presliding that of the deflected bristles.
+    ///
+    /// `z' = (z + h qd') / (1 + h σ0 |qd| / g)`: the new velocity qd' enters linearly, so the slope is exact.
+    pub(super) fn begin_step(
+        &self,
+        q: &Joints<N>,
+        qd: &Joints<N>,
+        load: &Joints<N>,
+        state: &mut FrictionState<N>,
+        (t_s, h): (f64, f64),
+    ) -> (Joints<N>, Joints<N>) {
+        let (mut torque, mut slope) = self.torque_and_slope(q, qd, load, state, t_s);
+        for j in 0..N {
+            let Some((stiffness, damping)) = self.bristles[j] else {
+                continue;
+            };
+            let (viscous, coulomb, cogging) = self.parts(j, q, qd, load, state, t_s);
+            // A joint without Coulomb friction has no bristles.
+            let divisor = 1.0 + h * stiffness * qd[j].abs() / coulomb.max(1e-9);
+            let z = state.deflection[j];
+            let next = (z + h * qd[j]) / divisor;
+            let bristles = stiffness * next + damping * (next - z) / h;
+            torque[j] = viscous * qd[j] + bristles + cogging;
+            slope[j] = viscous + (stiffness * h + damping) / divisor;
+            state.divisor[j] = divisor;
+        }
+        (torque, slope)
+    }
+
+    /// Warms the drives by the power of friction over `period_s`: `dw/dt = (p / (1 + p) − w) / T`.
+    pub(super) fn warm(
+        &self,
+        state: &mut FrictionState<N>,
+        friction: &Joints<N>,
+        qd: &Joints<N>,
+        period_s: f64,
+    ) {
+        if self.warm_up_s > 0.0 {
+            for j in 0..N {
+                let power = (friction[j] * qd[j]).abs() / self.half_warm[j];
+                let step = (period_s / self.warm_up_s).min(1.0);
+                state.warmth[j] += step * (power / (1.0 + power) - state.warmth[j]);
+            }
+        }
+    }
+
+    /// Viscous coefficient, Coulomb torque of a sliding joint and cogging torque of joint `j`.
+    fn parts(
+        &self,
+        j: usize,
+        q: &Joints<N>,
+        qd: &Joints<N>,
+        load: &Joints<N>,
+        state: &FrictionState<N>,
+        t_s: f64,
+    ) -> (f64, f64, f64) {
+        let friction = &self.joints[j];
+        let warm = 1.0 - self.warm_fall * state.warmth[j];
+        let viscous = friction.viscous * (1.0 + self.viscous_drift * t_s) * warm;
+        let ratio = qd[j] / friction.stribeck_velocity;
+        let peak = friction.stribeck_ratio * (-ratio * ratio).exp();
+        let cogging = friction.cogging * (friction.cogging_cycles_rev * q[j]).sin();
+        let coulomb = friction.coulomb * (1.0 + peak) + self.load * load[j].abs();
+        (viscous, coulomb, cogging)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::PlantEffects;
+
+    fn model(viscous_drift: f64, load_friction: f64, effects: PlantEffects) -> FrictionModel<6> {
+        let robot = Robot::load("ur5").expect("built in");
+        let config = PlantConfig {
+            viscous_drift,
+            load_friction,
+            effects,
+            ..PlantConfig::default()
+        };
+        FrictionModel::new(&robot, &config).expect("six joints")
+    }
+
+    fn steady(model: &FrictionModel<6>, q: &Joints<6>, qd: f64, load: f64, t_s: f64) -> Joints<6> {
+        let (qd, load) = (Joints::repeat(qd), Joints::repeat(load));
+        model
+            .torque_and_slope(q, &qd, &load, &FrictionState::new(), t_s)
+            .0
+    }
 
     #[test]
     fn friction_has_its_described_values_far_from_standstill() {
         let robot = Robot::load("ur5").expect("built in");
-        let model = FrictionModel::<6>::new(&robot, 0.0, 0.0).expect("six joints");
-        let zero = Joints::zeros();
-        let (still, _) = model.torque_and_slope(&zero, &zero, &Joints::zeros(), 0.0);
-        assert_eq!(still, zero);
-        let (fast, _) = model.torque_and_slope(&zero, &Joints::repeat(-2.0), &Joints::zeros(), 0.0);
-        let (slow, _) = model.torque_and_slope(&zero, &Joints::repeat(0.05), &Joints::zeros(), 0.0);
+        let (model, zero) = (model(0.0, 0.0, PlantEffects::default()), Joints::zeros());
+        assert_eq!(steady(&model, &zero, 0.0, 0.0, 0.0), zero);
+        let fast = steady(&model, &zero, -2.0, 0.0, 0.0);
+        let slow = steady(&model, &zero, 0.05, 0.0, 0.0);
         for (j, joint) in robot.joints.iter().enumerate() {
             let f = joint.friction;
             assert!((fast[j] + f.coulomb + 2.0 * f.viscous).abs() < 1e-9);
@@ -81,21 +210,77 @@ mod tests {
     #[test]
     fn cogging_is_periodic_drift_viscous_and_load_adds_coulomb() {
         let robot = Robot::load("ur5").expect("built in");
-        let model = FrictionModel::<6>::new(&robot, 0.3 / 600.0, 0.0).expect("six joints");
+        let drifting = model(0.3 / 600.0, 0.0, PlantEffects::default());
+        let loaded = model(0.0, 0.1, PlantEffects::default());
         let q = Joints::<6>::repeat(0.3);
         let turn = Joints::repeat(std::f64::consts::TAU / 202.0);
-        let qd = Joints::repeat(1.0);
-        let (here, _) = model.torque_and_slope(&q, &qd, &Joints::zeros(), 0.0);
-        let (next, _) = model.torque_and_slope(&(q + turn), &qd, &Joints::zeros(), 0.0);
-        let (half, _) = model.torque_and_slope(&(q + turn * 0.5), &qd, &Joints::zeros(), 0.0);
-        let (late, _) = model.torque_and_slope(&q, &qd, &Joints::zeros(), 600.0);
-        let loaded = FrictionModel::<6>::new(&robot, 0.0, 0.1).expect("six joints");
-        let (heavy, _) = loaded.torque_and_slope(&q, &qd, &Joints::repeat(-20.0), 0.0);
+        let here = steady(&drifting, &q, 1.0, 0.0, 0.0);
+        let next = steady(&drifting, &(q + turn), 1.0, 0.0, 0.0);
+        let half = steady(&drifting, &(q + turn * 0.5), 1.0, 0.0, 0.0);
+        let late = steady(&drifting, &q, 1.0, 0.0, 600.0);
+        let heavy = steady(&loaded, &q, 1.0, -20.0, 0.0);
         assert!((heavy - here - Joints::repeat(2.0)).amax() < 1e-9);
         assert!((here - next).amax() < 1e-9);
         assert!((here - half).amax() > 0.1);
         for (j, joint) in robot.joints.iter().enumerate() {
             assert!((late[j] - here[j] - 0.3 * joint.friction.viscous).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn bristles_hold_like_a_spring_and_slide_at_the_steady_torque() {
+        let effects = PlantEffects {
+            presliding_mrad: 0.5,
+            ..PlantEffects::default()
+        };
+        let (model, q, h) = (model(0.0, 0.0, effects), Joints::<6>::zeros(), 1.25e-4);
+        let (load, mut state) = (Joints::zeros(), FrictionState::new());
+        let mut run = |qd: f64, steps: usize| {
+            let (qd, mut torque) = (Joints::repeat(qd), Joints::zeros());
+            for _ in 0..steps {
+                torque = model.begin_step(&q, &qd, &load, &mut state, (0.0, h)).0;
+                state.advance(&qd, h);
+            }
+            torque
+        };
+        // 20 µrad at 10 mrad/s: far below the displacement of 0.5 mrad it is a spring.
+        let stretched = run(0.01, 16);
+        let sliding = run(1.0, 800);
+        let back = run(-1.0, 800);
+        let still = run(0.0, 8);
+        for j in 0..6 {
+            let friction = model.joints[j];
+            let (stiffness, damping) = model.bristles[j].expect("presliding");
+            assert!((stiffness - friction.coulomb / 0.5e-3).abs() < 1e-6);
+            let spring = stretched[j] - 0.01 * friction.viscous;
+            let expected = stiffness * 2e-5 + 0.01 * damping;
+            assert!((spring / expected - 1.0).abs() < 0.06, "{spring}");
+            assert!((sliding[j] - friction.viscous - friction.coulomb).abs() < 1e-3);
+            assert!((sliding[j] + back[j]).abs() < 1e-3);
+            // The bristles keep their torque at standstill.
+            assert!((still[j] + friction.coulomb).abs() < 1e-3, "{}", still[j]);
+        }
+    }
+
+    #[test]
+    fn a_drive_that_works_becomes_warm_and_loses_viscous_friction() {
+        let effects = PlantEffects {
+            warm_viscous_fall: 0.4,
+            warm_up_s: 100.0,
+            ..PlantEffects::default()
+        };
+        let (model, q) = (model(0.0, 0.0, effects), Joints::<6>::zeros());
+        let (qd, load) = (Joints::repeat(1.0), Joints::zeros());
+        let mut state = FrictionState::new();
+        let cold = model.torque_and_slope(&q, &qd, &load, &state, 0.0).0;
+        for _ in 0..1000 {
+            let now = model.torque_and_slope(&q, &qd, &load, &state, 0.0).0;
+            model.warm(&mut state, &now, &qd, 0.5);
+        }
+        let warm = model.torque_and_slope(&q, &qd, &load, &state, 0.0).0;
+        for j in 0..6 {
+            let fallen = (cold[j] - warm[j]) / model.joints[j].viscous;
+            assert!((0.1..0.4).contains(&fallen), "{fallen}");
         }
     }
 }

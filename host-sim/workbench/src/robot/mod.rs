@@ -8,10 +8,12 @@ mod body;
 mod description;
 mod file;
 mod geometry;
+mod log_columns;
 mod write;
 
 pub use body::Perturbation;
 pub use geometry::{Capsule, Placement, Workspace, segment_distance};
+pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -147,24 +149,6 @@ pub struct Joint {
     pub capsules: Vec<Capsule>,
     /// The standard DH frame of the link, at its far end, in the joint frame; `None` where the description gives no DH row.
     pub dh_frame: Option<Placement>,
-}
-
-/// Column names of a foreign log; `{}` stands for the joint number, counted from 1.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LogColumns {
-    /// Time, s.
-    pub t_s: Option<String>,
-    /// Positions, rad.
-    pub q_rad: Option<String>,
-    /// Velocities, rad/s.
-    pub qd_rad_s: Option<String>,
-    /// Accelerations, rad/s².
-    pub qdd_rad_s2: Option<String>,
-    /// Torques, N·m.
-    pub tau_nm: Option<String>,
-    /// Motor currents, A.
-    pub i_a: Option<String>,
 }
 
 /// A serial arm of revolute joints.

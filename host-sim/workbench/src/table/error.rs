@@ -42,12 +42,34 @@ pub enum TableProblem {
     /// Column and text of a field that is no finite number.
     #[error("column {0}: {1:?} is not a finite number")]
     NotANumber(String, String),
-    /// Time that does not come after the time of the row before, s.
-    #[error("column t_s: {0} does not come after {1}")]
-    Time(f64, f64),
+    /// Column and time that does not come after the time of the row before, both in the unit of the column.
+    #[error("column {0}: {1} does not come after {2}")]
+    Time(String, f64, f64),
     /// There is a header at most.
     #[error("no rows")]
     Empty,
+    /// So many rows, too few for a motion.
+    #[error("{0} rows, a motion needs 3 at least")]
+    Short(usize),
+    /// The first row holds so many numbers instead of names.
+    #[error("no header row, {0} numbers: name the columns by --names t_s,q1_rad,…")]
+    NoHeader(usize),
+    /// The columns found, and lines of a map to be completed.
+    #[error(
+        "no columns for time, positions and torques (t_s, q1_rad…, tau1_nm…) and none of a known source\n{0}"
+    )]
+    NoColumns(String),
+    /// The joints of the log, and of the robot.
+    #[error("the log has joints {0}, the robot {1}: name the columns by --columns-from FILE")]
+    OtherJoints(String, String),
+    /// Column, value and size beyond which no joint is.
+    #[error("column {0}: {1:e} is no measurement of a joint")]
+    Implausible(String, f64),
+    /// Column and angle, rad, of a jump that a joint with ends in its range cannot make.
+    #[error(
+        "column {0}: a jump of {1:.3} rad, a wrap that this joint with ends in its range cannot make"
+    )]
+    Wrap(String, f64),
 }
 
 impl TableProblem {

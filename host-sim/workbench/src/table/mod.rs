@@ -3,6 +3,7 @@
 //! `t_s`, then `q1_rad…`, `qd1_rad_s…`, `qdd1_rad_s2…`, `tau1_nm…`; further columns are ignored on reading. A name that
 //! ends in `.gz` is compressed. Every error names file, line and column.
 
+mod bag;
 mod error;
 mod rows;
 mod writer;

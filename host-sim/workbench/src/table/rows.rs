@@ -1,46 +1,127 @@
-//! Checked rows of a CSV file: as wide as the header, finite numbers, time ascending.
+//! Checked rows of a table: as wide as the header, finite numbers, time ascending.
 
+use super::bag::Messages;
 use super::{TableError, TableProblem, is_compressed};
 use crate::files::at;
 use flate2::read::MultiGzDecoder;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// Reads a CSV file row by row, in constant memory. A name that ends in `.gz` is decompressed.
+/// Reads a table row by row, in constant memory: CSV with any separator, or the joint states of a ROS 2 bag. A name that
+/// ends in `.gz` is decompressed.
 pub(crate) struct Rows {
     path: PathBuf,
-    reader: csv::Reader<Box<dyn Read + Send>>,
-    record: csv::ByteRecord,
+    source: Source,
     header: Vec<String>,
     previous_s: Option<f64>,
+    notes: Vec<String>,
 }
+
+enum Source {
+    Csv {
+        reader: Box<csv::Reader<Box<dyn BufRead + Send>>>,
+        record: csv::ByteRecord,
+        separator: u8,
+    },
+    Bag {
+        messages: Messages,
+        row: Vec<f64>,
+        count: u64,
+    },
+}
+
+/// Separators of a CSV file in the order in which they are looked for.
+const SEPARATORS: [u8; 4] = *b",;\t ";
 
 impl Rows {
     pub(crate) fn open(path: &Path) -> Result<Self, TableError> {
+        Self::named(path, &[])
+    }
+
+    /// Opens a table; a CSV file without a header row takes `names` as its header.
+    pub(crate) fn named(path: &Path, names: &[String]) -> Result<Self, TableError> {
+        if let Some((header, messages, notes)) = super::bag::open(path)? {
+            return Ok(Self {
+                path: path.to_owned(),
+                source: Source::Bag {
+                    messages,
+                    row: Vec::new(),
+                    count: 0,
+                },
+                header,
+                previous_s: None,
+                notes,
+            });
+        }
         let file = File::open(path).map_err(|error| at(path, error))?;
         let bytes: Box<dyn Read + Send> = if is_compressed(path) {
             Box::new(MultiGzDecoder::new(BufReader::new(file)))
         } else {
             Box::new(file)
         };
+        let mut bytes: Box<dyn BufRead + Send> = Box::new(BufReader::with_capacity(1 << 18, bytes));
+        let first = bytes.fill_buf().map_err(|error| at(path, error))?;
+        let first = first
+            .split(|byte| *byte == b'\n')
+            .next()
+            .unwrap_or_default();
+        let first = String::from_utf8_lossy(first).into_owned();
+        let separators = SEPARATORS.into_iter();
+        let separator = separators
+            .into_iter()
+            .find(|separator| first.trim().as_bytes().contains(separator))
+            .unwrap_or(b',');
+        let fields = first
+            .split(char::from(separator))
+            .filter(|field| !field.trim().is_empty());
+        let is_number = |field: &str| number(field.trim().as_bytes(), separator).is_some();
+        let numbers = !first.trim().is_empty() && fields.clone().all(is_number);
+        if numbers && names.is_empty() {
+            return Err(TableProblem::NoHeader(fields.count()).at(path, 1));
+        }
         let mut reader = csv::ReaderBuilder::new()
             .flexible(true)
+            .has_headers(!numbers)
+            .delimiter(separator)
             .trim(csv::Trim::Headers)
             .buffer_capacity(1 << 18)
             .from_reader(bytes);
-        let header = reader.headers().map_err(|error| unreadable(path, &error))?;
+        let header = if numbers {
+            names.to_vec()
+        } else {
+            let found = reader.headers().map_err(|error| unreadable(path, &error))?;
+            let found = found
+                .iter()
+                .map(|name| name.trim_start_matches(['#', '%', ' ']));
+            let found = found.filter(|name| separator != b' ' || !name.is_empty());
+            found.map(str::to_owned).collect()
+        };
         Ok(Self {
             path: path.to_owned(),
-            header: header.iter().map(str::to_owned).collect(),
-            reader,
-            record: csv::ByteRecord::new(),
+            header,
+            source: Source::Csv {
+                reader: Box::new(reader),
+                record: csv::ByteRecord::new(),
+                separator,
+            },
             previous_s: None,
+            notes: Vec::new(),
         })
     }
 
     pub(crate) fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Names of the columns.
+    pub(crate) fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    /// Remarks on what was read.
+    pub(crate) fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// Place of a column; `None` if the table does not have it.
@@ -76,29 +157,71 @@ impl Rows {
 
     /// Reads the next row; false at the end.
     pub(crate) fn advance(&mut self) -> Result<bool, TableError> {
-        let more = self.reader.read_byte_record(&mut self.record);
-        if !more.map_err(|error| unreadable(&self.path, &error))? {
-            return Ok(false);
-        }
-        if self.record.len() != self.header.len() {
-            let problem = TableProblem::Ragged(self.record.len(), self.header.len());
+        let fields = match &mut self.source {
+            Source::Bag {
+                messages,
+                row,
+                count,
+            } => {
+                let next = messages.next().transpose()?;
+                *count += 1;
+                let more = next.is_some();
+                *row = next.unwrap_or_default();
+                return Ok(more);
+            }
+            Source::Csv {
+                reader,
+                record,
+                separator,
+            } => {
+                let more = reader.read_byte_record(record);
+                if !more.map_err(|error| unreadable(&self.path, &error))? {
+                    return Ok(false);
+                }
+                // Several spaces in a row are one separator.
+                if *separator == b' ' && record.iter().any(<[u8]>::is_empty) {
+                    let position = record.position().cloned();
+                    *record = record.iter().filter(|field| !field.is_empty()).collect();
+                    record.set_position(position);
+                }
+                record.len()
+            }
+        };
+        if fields != self.header.len() {
+            let problem = TableProblem::Ragged(fields, self.header.len());
             return Err(problem.at(&self.path, self.line()));
         }
         Ok(true)
     }
 
-    /// Line of the row, from 1.
+    /// Line of the row, or number of the message, from 1.
     pub(crate) fn line(&self) -> u64 {
-        self.record.position().map_or(0, csv::Position::line)
+        match &self.source {
+            Source::Csv { record, .. } => record.position().map_or(0, csv::Position::line),
+            Source::Bag { count, .. } => *count,
+        }
     }
 
     /// The number in a column of the row.
     pub(crate) fn number(&self, column: usize) -> Result<f64, TableError> {
-        let field = self.record.get(column).unwrap_or_default();
-        let number = std::str::from_utf8(field).ok();
-        let number = number.and_then(|text| text.trim().parse::<f64>().ok());
-        number.filter(|value| value.is_finite()).ok_or_else(|| {
-            let text = String::from_utf8_lossy(field).trim().to_owned();
+        let (value, text) = match &self.source {
+            Source::Bag { row, .. } => {
+                let value = row.get(column).copied().unwrap_or(f64::NAN);
+                (value.is_finite().then_some(value), value.to_string())
+            }
+            Source::Csv {
+                record, separator, ..
+            } => {
+                let field = record.get(column).unwrap_or_default();
+                let value = number(field, *separator);
+                let text = match value {
+                    Some(_) => String::new(),
+                    None => String::from_utf8_lossy(field).trim().to_owned(),
+                };
+                (value, text)
+            }
+        };
+        value.ok_or_else(|| {
             TableProblem::NotANumber(self.header[column].clone(), text).at(&self.path, self.line())
         })
     }
@@ -108,11 +231,22 @@ impl Rows {
         let t_s = self.number(column)?;
         match self.previous_s.replace(t_s) {
             Some(previous_s) if t_s <= previous_s => {
-                Err(TableProblem::Time(t_s, previous_s).at(&self.path, self.line()))
+                let name = self.header[column].clone();
+                Err(TableProblem::Time(name, t_s, previous_s).at(&self.path, self.line()))
             }
             _ => Ok(t_s),
         }
     }
+}
+
+/// The finite number in a field. Where semicolons separate, the decimal sign may be a comma.
+fn number(field: &[u8], separator: u8) -> Option<f64> {
+    let text = std::str::from_utf8(field).ok()?.trim();
+    let parsed = match text.parse() {
+        Err(_) if separator == b';' => text.replacen(',', ".", 1).parse(),
+        parsed => parsed,
+    };
+    parsed.ok().filter(|value: &f64| value.is_finite())
 }
 
 fn unreadable(path: &Path, error: &csv::Error) -> TableError {

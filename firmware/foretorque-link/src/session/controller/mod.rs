@@ -13,9 +13,10 @@ use crate::wire::{
     SampleFrame, TorqueFrame,
 };
 use foretorque::arm::Arm;
-use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
-use foretorque::joint::{JointMotion, JointSample};
-use foretorque::learning::{ConfigError, ParameterSet};
+use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, gravity};
+use foretorque::joint::{JointMotion, JointSample, JointVector};
+use foretorque::learning::{ConfigError, ParameterSet, StartDeviations};
+use foretorque::limits::Flags;
 use sample_gaps::SampleGaps;
 
 /// Result of one tick, from which reply and telemetry are made.
@@ -60,6 +61,18 @@ pub(super) struct TickCounters {
     pub(super) cost: CostMeter,
 }
 
+/// Samples that may run in one period of the timer where samples pace the board: its own, and one that came early or late.
+/// The tick's slew limit is half of the hard one, so two sound ticks in a period are within that.
+const MAX_CREDIT: u8 = 2;
+
+/// A sample as it arrived.
+struct Arrived<const N: usize> {
+    sequence: u16,
+    sample: SampleFrame<N>,
+    /// Frames of any kind that the link had missed by then.
+    missed: u32,
+}
+
 /// State of one board's torque: parameters, player, safety, and what the ticks have seen of the samples.
 pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     configuration: Configuration,
@@ -70,8 +83,15 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     gains: [f32; N],
     /// Limits of the bank in force.
     bounds: [JointBounds; N],
-    /// The newest sample that no timer tick has used yet, with its sequence number.
-    newest: Option<(u16, SampleFrame<N>)>,
+    /// Deviations of the bank in force, from which learning starts.
+    start: StartDeviations<N, P>,
+    /// The newest sample that no tick has used yet.
+    newest: Option<Arrived<N>>,
+    /// Samples that may still run at once where samples pace the board; the timer adds one a period. `None` before the
+    /// timer's first period: then samples are all the time there is.
+    credit: Option<u8>,
+    /// A tick ran in this period.
+    ticked: bool,
     gaps: SampleGaps,
     last_sequence: u16,
     temperatures_c: [i8; N],
@@ -88,7 +108,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     #[inline(always)]
     pub(super) fn new(feed_forward: FeedForward<A, N, P>, first_fault: SafetyReason) -> Self {
         let configuration = Configuration::default();
-        let limits = SafetyLimits::for_arm::<A, P>(seconds(&configuration));
+        let limits = SafetyLimits::for_arm::<A, P>(configuration.period_us);
         Self {
             configuration,
             feed_forward,
@@ -96,7 +116,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             player: Player::new::<A, P>(configuration.period_us),
             gains: [0.0; N],
             bounds: JointBounds::widest::<A, N, P>(),
+            start: StartDeviations::PRIOR,
             newest: None,
+            credit: None,
+            ticked: false,
             gaps: SampleGaps::new(),
             last_sequence: 0,
             temperatures_c: [SampleFrame::<N>::NO_TEMPERATURE; N],
@@ -134,59 +157,102 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.gaps.interrupt();
     }
 
-    /// Takes a sample: runs the tick where samples pace the board, keeps the sample for the timer otherwise.
+    /// Takes a sample: runs the tick where samples pace the board, keeps the sample for the timer otherwise, and where more
+    /// samples arrive than periods pass.
     ///
     /// * `missed` frames of any kind that the link has missed so far
-    pub(super) fn sample(
+    pub(super) fn sample<S: LocalSensor>(
         &mut self,
         sequence: u16,
         sample: SampleFrame<N>,
         missed: u32,
         mailbox: &mut LearnerMailbox<N, P>,
         clock: &impl Clock,
-        sensor: &mut impl LocalSensor,
+        sensor: &mut S,
     ) -> Option<TickResult<N>> {
-        let joint = usize::from(sequence) % N;
+        let joint = usize::from(sample.flags.period()) % N;
         if let Some(slot) = self.temperatures_c.get_mut(joint) {
             *slot = sample.temperature_c;
         }
         self.safety.note_temperature(joint, sample.temperature_c);
-        match self.configuration.pacing {
-            Pacing::Link => {
-                let lost = self.gaps.lost(sample.flags, missed);
-                self.fill_lost_ticks(lost, mailbox);
-                Some(self.tick(Some((sequence, sample)), mailbox, clock, sensor))
-            }
-            Pacing::SysTick => {
-                if self.newest.replace((sequence, sample)).is_some() {
-                    self.counters.overtaken = self.counters.overtaken.saturating_add(1);
+        let runs = self.configuration.pacing == Pacing::Link
+            && match &mut self.credit {
+                None => {
+                    self.safety.period();
+                    true
                 }
-                None
-            }
+                Some(0) => false,
+                Some(credit) => {
+                    *credit -= 1;
+                    true
+                }
+            };
+        let arrived = Arrived {
+            sequence,
+            sample,
+            missed,
+        };
+        if runs {
+            return Some(self.tick(Some(arrived), mailbox, clock, sensor));
         }
+        if self.newest.replace(arrived).is_some() {
+            self.counters.overtaken = self.counters.overtaken.saturating_add(1);
+        }
+        None
     }
 
-    /// One period of the board's timer: the tick on the newest sample where the timer paces the board, the supervision of
-    /// silence otherwise.
-    pub(super) fn timer(
+    /// One period of the board's timer: the tick on the newest sample where the timer paces the board. Where samples pace
+    /// it, the tick on a sample that came too early, or the supervision of silence.
+    pub(super) fn timer<S: LocalSensor>(
         &mut self,
         mailbox: &mut LearnerMailbox<N, P>,
         clock: &impl Clock,
-        sensor: &mut impl LocalSensor,
+        sensor: &mut S,
     ) -> Option<TickResult<N>> {
-        match self.configuration.pacing {
-            Pacing::SysTick => {
-                let sample = self.newest.take();
-                if sample.is_none() {
-                    self.counters.stale = self.counters.stale.saturating_add(1);
-                }
-                Some(self.tick(sample, mailbox, clock, sensor))
+        self.safety.period();
+        let paced = self.configuration.pacing == Pacing::SysTick;
+        let sample = self.newest.take();
+        if paced && sample.is_none() {
+            self.counters.stale = self.counters.stale.saturating_add(1);
+        }
+        if paced || sample.is_some() {
+            self.ticked = false;
+            return Some(self.tick(sample, mailbox, clock, sensor));
+        }
+        let credit = self.credit.unwrap_or(MAX_CREDIT);
+        self.credit = Some(MAX_CREDIT.min(credit + 1));
+        self.safety.supervise();
+        let ticked = core::mem::take(&mut self.ticked);
+        if !self.safety.at_rest() {
+            let mut wanted = *self.safety.output();
+            if !ticked {
+                let torque = self.feed_forward.pause();
+                wanted = self.braced::<S>(&torque);
             }
-            Pacing::Link => {
-                self.safety.silence();
-                self.feed_forward.applied(self.safety.output());
-                None
+            self.safety.release(&wanted);
+        }
+        self.feed_forward.applied(self.safety.output());
+        None
+    }
+
+    /// The torque of a tick, or that of gravity in place of one that goes to zero, where a brake has to close first.
+    fn braced<S: LocalSensor>(&mut self, torque: &Torque<N>) -> JointVector<N> {
+        if S::BRAKE_CLOSE_US == 0 {
+            return torque.total;
+        }
+        let ticks = S::BRAKE_CLOSE_US.div_ceil(self.configuration.period_us);
+        self.safety.set_brake_ticks(ticks);
+        let withdrawn = torque
+            .flags
+            .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
+        match self.safety.measured_q() {
+            Some(q) if withdrawn || self.safety.braking() => {
+                let committed = &self.feed_forward.state().committed;
+                let gravity = gravity::<A, N, P>(committed, q);
+                self.safety.keep(&gravity);
+                if withdrawn { gravity } else { torque.total }
             }
+            _ => torque.total,
         }
     }
 
@@ -207,23 +273,32 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     }
 
     /// One tick. Its deadline is the period.
-    fn tick(
+    fn tick<S: LocalSensor>(
         &mut self,
-        sample: Option<(u16, SampleFrame<N>)>,
+        arrived: Option<Arrived<N>>,
         mailbox: &mut LearnerMailbox<N, P>,
         clock: &impl Clock,
-        sensor: &mut impl LocalSensor,
+        sensor: &mut S,
     ) -> TickResult<N> {
-        self.feed_forward.adopt(&mut mailbox.exchange);
-        // A host numbers its frames and sends one sample a period at most, so the numbers bound the age of the last one.
-        let before = self.last_sequence;
-        let periods = sample.map_or(1, |(sequence, _)| sequence.wrapping_sub(before));
-        if let Some((sequence, _)) = sample {
-            self.last_sequence = sequence;
+        let mut periods = 1;
+        if let Some(arrived) = &arrived {
+            self.last_sequence = arrived.sequence;
+            let gap = self.gaps.take(arrived.sample.flags, arrived.missed);
+            let paced = self.configuration.pacing == Pacing::SysTick;
+            periods = match paced || self.credit.is_some() {
+                true => gap.counted,
+                false => gap.most,
+            };
+            if !paced {
+                self.ticked = true;
+                self.fill_lost_ticks(gap.lost, mailbox);
+            }
         }
+        self.feed_forward.adopt(&mut mailbox.exchange);
+        let sample = arrived.map(|arrived| arrived.sample);
         let reply_waits =
-            sample.is_some_and(|(_, frame)| frame.flags.contains(SampleFlags::AFTER_LEARNING));
-        let mut sample = sample.map(|(_, frame)| frame.sample(&self.gains));
+            sample.is_some_and(|frame| frame.flags.contains(SampleFlags::AFTER_LEARNING));
+        let mut sample = sample.map(|frame| frame.sample(&self.gains));
         let sensor_fault = sensor.measure(sample.as_mut(), self.safety.at_rest());
         if sensor_fault != SafetyReason::None
             && let Some(sample) = &mut sample
@@ -234,13 +309,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         if let (Some(sample), Some(desired)) = (&mut sample, excited) {
             sample.desired = desired;
         }
-        let sample = self.safety.admit(sample, u32::from(periods), sensor_fault);
+        let sample = self.safety.admit(sample, periods, sensor_fault);
         let start = clock.now();
         let mut torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),
             None => self.feed_forward.step_stale(),
         };
-        torque.total = self.safety.release(&torque.total);
+        // Without the share that carries it, a joint falls.
+        if torque.flags.contains(Flags::GRAVITY_LOST) {
+            self.safety.check(SafetyReason::GravityLost);
+        }
+        let wanted = self.braced::<S>(&torque);
+        torque.total = self.safety.release(&wanted);
         let cost = clock.now().wrapping_sub(start);
         self.feed_forward.applied(&torque.total);
         self.counters.cost.note(cost);

@@ -14,6 +14,14 @@ use foretorque::joint::JointMotion;
 use foretorque::learning::{ParameterSet, Request};
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
+    /// Errors: torque flows.
+    pub(in crate::session) fn at_rest(&self) -> Result<(), NackReason> {
+        match self.safety.at_rest() {
+            true => Ok(()),
+            false => Err(NackReason::Armed),
+        }
+    }
+
     /// Parameters may be written: no torque flows, and learning is off.
     pub(in crate::session) fn writable(&self) -> Result<(), NackReason> {
         self.at_rest()?;
@@ -22,12 +30,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         } else {
             Ok(())
         }
-    }
-
-    /// Errors: [`NackReason::Armed`] while torque may flow.
-    pub(in crate::session) fn at_rest(&self) -> Result<(), NackReason> {
-        let at_rest = self.safety.at_rest();
-        at_rest.then_some(()).ok_or(NackReason::Armed)
     }
 
     pub(in crate::session) fn set_learning(&mut self, on: bool) {
@@ -68,6 +70,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     ) -> Result<(), NackReason> {
         self.at_rest()?;
         (self.gains, self.bounds) = (parameters.gains, parameters.bounds);
+        self.start = parameters.start;
         self.restart(Configuration::default(), &parameters.set, mailbox)?;
         self.temperatures_c = [SampleFrame::<N>::NO_TEMPERATURE; N];
         self.counters = TickCounters::default();
@@ -90,11 +93,23 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             .map_err(|_| NackReason::Period)?;
         self.configuration = configuration;
         self.player = Player::new::<A, P>(configuration.period_us);
-        self.safety.restart(SafetyLimits::for_arm::<A, P>(period_s));
+        self.safety
+            .restart(SafetyLimits::for_arm::<A, P>(configuration.period_us));
         self.newest = None;
+        self.credit = None;
+        self.ticked = false;
         self.gaps = SampleGaps::new();
-        mailbox.restart(period_s, set);
+        mailbox.restart(period_s, set, self.start);
         Ok(())
+    }
+
+    #[cfg(test)]
+    pub(in crate::session) fn load_set(
+        &mut self,
+        set: ParameterSet<N, P>,
+        exchange: &mut foretorque::learning::Exchange<N, P>,
+    ) {
+        self.feed_forward.load(set, exchange);
     }
 
     /// Brings parameters into force, all of them or nothing.
@@ -111,8 +126,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             .configure(config.map_err(NackReason::Bank)?)
             .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
         self.feed_forward
-            .load(parameters.set, &mut mailbox.exchange);
+            .load_with(parameters.set, parameters.start, &mut mailbox.exchange);
         (self.gains, self.bounds) = (parameters.gains, parameters.bounds);
+        self.start = parameters.start;
         Ok(())
     }
 

@@ -7,6 +7,25 @@ use foretorque::learning::MAX_BRIDGED;
 /// longer gap has no other effect. It also bounds the time of a tick, whatever the host sends.
 pub(super) const MAX_FILLED: u32 = MAX_BRIDGED as u32 + 1;
 
+/// Gap before a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Gap {
+    /// Periods without a sample, [`MAX_FILLED`] for more.
+    pub(super) lost: u32,
+    /// Periods since the sample before by the host's numbers.
+    pub(super) counted: u32,
+    /// The most that they can be as far as numbers show, for a board without a clock.
+    pub(super) most: u32,
+}
+
+impl Gap {
+    const NONE: Self = Self {
+        lost: 0,
+        counted: 1,
+        most: 1,
+    };
+}
+
 /// Gaps in the host's numbers of its periods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SampleGaps {
@@ -32,26 +51,36 @@ impl SampleGaps {
         self.interrupted = true;
     }
 
-    /// Takes the number of a sample; returns the periods without a sample before it, [`MAX_FILLED`] for more.
+    /// Takes the number of a sample; returns the gap before it.
     ///
     /// The link's sequence numbers would not do: a lost command is no lost sample, and a host that sends nothing in a
     /// period leaves out none of them.
     ///
     /// * `missed` frames of any kind that the link has missed so far
-    pub(super) fn lost(&mut self, flags: SampleFlags, missed: u32) -> u32 {
+    pub(super) fn take(&mut self, flags: SampleFlags, missed: u32) -> Gap {
         let number = flags.period();
         let newly_missed = missed.wrapping_sub(core::mem::replace(&mut self.missed, missed));
         let interrupted = core::mem::take(&mut self.interrupted);
         let Some(last) = self.last.replace(number) else {
-            return 0;
+            return Gap::NONE;
         };
-        let ahead = number.wrapping_sub(last) % SampleFlags::PERIODS;
+        let ahead = u32::from(number.wrapping_sub(last) % SampleFlags::PERIODS);
         // As many frames may hide a whole round of the numbers.
         let hidden_round = newly_missed >= u32::from(SampleFlags::PERIODS) - 1;
-        if interrupted || hidden_round {
-            return MAX_FILLED;
+        let lost = match interrupted || hidden_round {
+            true => MAX_FILLED,
+            false => ahead.saturating_sub(1).min(MAX_FILLED),
+        };
+        let most = match (interrupted, hidden_round || ahead == 0) {
+            (true, _) => u32::MAX,
+            (false, true) => newly_missed.saturating_add(1),
+            (false, false) => ahead,
+        };
+        Gap {
+            lost,
+            counted: if interrupted { 1 } else { ahead },
+            most,
         }
-        u32::from(ahead.saturating_sub(1)).min(MAX_FILLED)
     }
 }
 
@@ -71,7 +100,7 @@ mod tests {
 
     fn lost(samples: &[(u8, u32)]) -> std::vec::Vec<u32> {
         let mut gaps = SampleGaps::new();
-        let lost = |&(period, missed)| gaps.lost(flags(period), missed);
+        let lost = |&(period, missed)| gaps.take(flags(period), missed).lost;
         samples.iter().map(lost).collect()
     }
 
@@ -93,10 +122,30 @@ mod tests {
         assert_eq!(lost(&[(1, 0), (2, 32), (3, 32)]), [0, MAX_FILLED, 0]);
         let mut gaps = SampleGaps::new();
         gaps.interrupt();
-        assert_eq!(gaps.lost(flags(1), 0), 0, "there was nothing before");
+        assert_eq!(gaps.take(flags(1), 0).lost, 0, "there was nothing before");
         gaps.interrupt();
-        assert_eq!(gaps.lost(flags(2), 0), MAX_FILLED);
-        assert_eq!(gaps.lost(flags(3), 0), 0);
+        assert_eq!(gaps.take(flags(2), 0).lost, MAX_FILLED);
+        assert_eq!(gaps.take(flags(3), 0).lost, 0);
+    }
+
+    #[test]
+    fn periods_are_those_of_the_samples_own_numbers() {
+        let mut gaps = SampleGaps::new();
+        let mut take = |period, missed| {
+            let gap = gaps.take(flags(period), missed);
+            (gap.counted, gap.most)
+        };
+        assert_eq!(
+            [take(1, 0), take(2, 30), take(5, 32)],
+            [(1, 1), (1, 1), (3, 3)]
+        );
+        // A host that does not count, and more missed frames than its numbers can show.
+        assert_eq!(
+            [take(5, 32), take(5, 34), take(6, 70)],
+            [(0, 1), (0, 3), (1, 37)]
+        );
+        gaps.interrupt();
+        assert_eq!(gaps.take(flags(9), 70).most, u32::MAX);
     }
 
     #[test]

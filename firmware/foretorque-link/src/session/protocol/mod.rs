@@ -61,7 +61,7 @@ impl Protocol {
         match received {
             Ok((sequence, message)) => {
                 let restart = matches!(message, HostMessage::Hello);
-                // These act also where they arrive late or twice: they only ever end the torque.
+                // A stop or a disarming that arrives late or twice still acts.
                 let urgent = matches!(message, HostMessage::Stop | HostMessage::Disarm);
                 let forward = self.link.accept(sequence, restart) == Order::Forward;
                 (forward || urgent).then_some(Received::Message(sequence, message))

@@ -58,3 +58,23 @@ fn a_damaged_or_endless_bank_is_refused() {
     assert_eq!(beyond, nack(NackReason::TooLong));
     assert_eq!(board.read(), before);
 }
+
+#[test]
+fn the_deviations_of_a_bank_reach_the_learner() {
+    let start = |factor: f32| {
+        let mut bank = ParameterBank::nominal::<Ur5, N, P>();
+        let columns = bank.columns.iter_mut();
+        columns.for_each(|column| column.deviation *= factor);
+        let mut buffer = [0; ParameterBank::MAX_BYTES];
+        let bytes = bank.encode(&mut buffer).unwrap();
+        let mut board = Board::new();
+        board.write(bytes);
+        assert_eq!(board.commit(bytes), ACK);
+        board.sample(0);
+        board.learn();
+        board.learner.state().estimate.filter().diagonal().friction[2][1]
+    };
+    assert_eq!(start(1.0), 1.0);
+    assert!((start(0.1) - 0.09).abs() < 2e-3);
+    assert!((start(1e-6) - 0.0025).abs() < 1e-4);
+}

@@ -18,7 +18,7 @@ impl Timed {
     fn armed() -> Self {
         let set = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
         let config = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
-        let limits = SafetyLimits::for_arm::<Ur5, P>(1e-3);
+        let limits = SafetyLimits::for_arm::<Ur5, P>(1000);
         let mut timed = Self {
             safety: Safety::new(limits, SafetyReason::None),
             feed_forward: FeedForward::new(config, set).unwrap(),
@@ -36,6 +36,7 @@ impl Timed {
     fn tick(&mut self, sample: Option<u32>) -> Torque<N> {
         let sample = sample.map(|k| SampleFrame::new(&swinging(k)).sample(&[0.0; N]));
         self.feed_forward.adopt(&mut self.exchange);
+        self.safety.period();
         let sample = self.safety.admit(sample, 1, SafetyReason::None);
         let mut torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),

@@ -8,6 +8,7 @@ mod line;
 mod store;
 mod streams;
 mod ticks;
+mod time;
 
 use super::*;
 use crate::bank::{NETWORK_SEED, ParameterBank};
@@ -231,7 +232,7 @@ pub(crate) fn torque(reply: &BoardMessage<N>) -> TorqueFrame<N> {
 }
 
 fn sample(k: u32) -> JointSample<N> {
-    let t = k as f32 * 5e-3;
+    let t = k as f32 * 3e-3;
     let q = JointVector::from_fn(|j, _| (t + j as f32).sin());
     JointSample {
         desired: JointMotion {

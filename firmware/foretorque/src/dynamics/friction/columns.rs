@@ -256,14 +256,14 @@ friction_columns! {
         random_walk: false,
         cogging: false,
     }
-    /// Constant torque of the drive.
+    /// Constant torque of the drive: the zero of its current sensor, a dress pack.
     Offset {
         basis: |_x| T::ONE,
         symbol: "Fo",
         unit: "N·m",
         set: "offset",
         bank_kind: 15,
-        prior: FrictionPrior::Torque(0.005),
+        prior: FrictionPrior::Torque(0.015),
         bound: FrictionBound::None,
         random_walk: false,
         cogging: false,

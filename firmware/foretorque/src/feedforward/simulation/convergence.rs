@@ -35,10 +35,10 @@ fn curve(prior: Set, drive: Drive, seconds: u32) -> Vec<f64> {
         let sample = plant.sample(tick);
         let before = *board.active();
         let torque = board.tick(&sample);
-        assert!(
-            !torque.flags.contains(Flags::LEARNED_CLIPPED),
-            "tick {tick}"
-        );
+        // Without any friction in the description the bound on learnt change may bite before the first commit.
+        let bounded = torque.flags.contains(Flags::LEARNED_CLIPPED);
+        let described = prior.friction != [FrictionParameters::NONE; N];
+        assert!(!bounded || !described && tick < 9000, "tick {tick}");
         if torque.flags.contains(Flags::SET_ADOPTED) {
             let [old, new] = [&before, board.active()]
                 .map(|set| evaluate::<Ur5, N, P>(set, &sample.desired).total);
@@ -188,4 +188,14 @@ fn a_frozen_board_gives_the_same_torque_for_the_same_motion_for_ever() {
         );
     }
     assert_eq!(*board.active(), frozen);
+}
+
+#[test]
+fn a_description_without_rotors_and_friction_becomes_an_arm() {
+    let mut prior = wrong_prior(1);
+    prior.friction = [FrictionParameters::NONE; N];
+    prior.rigid.as_mut_slice()[36..].fill(0.0);
+    let curve = curve(prior, AS_IT_IS, 15);
+    assert!(curve[4] < 0.027, "{}", curve[4]);
+    assert!(curve[15] < 0.01, "{}", curve[15]);
 }

@@ -1,6 +1,7 @@
 //! How a learnt or loaded set comes to count.
 
 use super::*;
+use crate::learning::StartDeviations;
 
 #[test]
 fn a_set_is_adopted_at_the_middle_of_the_next_round_and_at_no_other_tick() {
@@ -62,7 +63,7 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
         (tick.state().active, tick.state().committed),
         (loaded, loaded)
     );
-    assert_eq!(exchange.reload, Some((1, loaded)));
+    assert_eq!(exchange.reload, Some((1, loaded, StartDeviations::PRIOR)));
     // The learner was still busy with a learning sample from before the load.
     exchange.published = Some(finished(5, set()));
     for _ in 0..6 {

@@ -13,6 +13,7 @@ use crate::learning::exchange::{
 };
 use crate::learning::parameters::{LinearParameters, ParameterSet};
 use crate::learning::quality::{ModelQuality, Monitor, Phase};
+use crate::learning::start_deviations::StartDeviations;
 use crate::learning::supervisor::Supervisor;
 use crate::learning::trainer::NetworkTrainer;
 use core::marker::PhantomData;
@@ -138,15 +139,27 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
     }
 
-    /// Restart from `prior`, as [`new`](Self::new), in place.
+    /// Restart from `prior` with prior deviations, as [`new`](Self::new), in place.
     ///
-    /// Assumes: no sample of a tick before the restart follows.
-    /// Errors: the first invalid field of `config`, with the learner unchanged.
-    #[inline(never)]
+    /// Errors: as [`restart_with`](Self::restart_with).
     pub fn restart(
         &mut self,
         config: LearnerConfig<N, P>,
         prior: &ParameterSet<N, P>,
+    ) -> Result<(), ConfigError> {
+        self.restart_with(config, prior, &StartDeviations::PRIOR)
+    }
+
+    /// Restart from `prior` with the deviations `start`, in place.
+    ///
+    /// Assumes: no sample of a tick before the restart follows.
+    /// Errors: the first invalid field of `config`, with the learner unchanged.
+    #[inline(never)]
+    pub fn restart_with(
+        &mut self,
+        config: LearnerConfig<N, P>,
+        prior: &ParameterSet<N, P>,
+        start: &StartDeviations<N, P>,
     ) -> Result<(), ConfigError> {
         config.validate()?;
         self.config = config;
@@ -155,7 +168,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.window.reset();
         self.state.next_tick = 0;
         self.state.generation = None;
-        self.start_from(prior);
+        self.start_from(prior, start);
         Ok(())
     }
 
@@ -192,9 +205,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     pub fn collect(&mut self, sample: &LearningSample<N>, exchange: &mut Exchange<N, P>) {
         // Older samples may still be queued. Counters wrap, so numbers are compared for equality only.
         let reload = &mut exchange.reload;
-        if let Some((generation, set)) = reload.take_if(|(number, _)| *number == sample.generation)
-        {
-            self.start_from(&set);
+        let due = reload.take_if(|(number, ..)| *number == sample.generation);
+        if let Some((generation, set, start)) = due {
+            self.start_from(&set, &start);
             self.state.generation = Some(generation);
         }
         let request = &mut exchange.request;
@@ -268,10 +281,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     #[inline(never)]
-    fn start_from(&mut self, prior: &ParameterSet<N, P>) {
+    fn start_from(&mut self, prior: &ParameterSet<N, P>, start: &StartDeviations<N, P>) {
         let state = &mut self.state;
         state.active = *prior;
-        state.estimate.reset(prior);
+        state.estimate.reset(prior, start);
         state.range = MotionRange::NONE;
         state.innovation_variance = [1.0; N];
         let set = LinearParameters::of(prior);

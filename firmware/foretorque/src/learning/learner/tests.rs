@@ -2,7 +2,7 @@ use super::*;
 use crate::arm::ur5::Ur5;
 use crate::dynamics::{DISSIPATION_BOUNDS, FrictionColumn};
 use crate::joint::{JointMeasurement, JointVector};
-use crate::learning::Request;
+use crate::learning::{Request, StartDeviations};
 use crate::limits::Flags;
 
 const N: usize = 6;
@@ -216,7 +216,7 @@ fn a_loaded_set_is_taken_with_its_first_sample() {
     let mut loaded = ParameterSet::nominal::<Ur5>(9);
     loaded.friction[0][FrictionColumn::Coulomb] = 3.0;
     let mut exchange = Exchange::new();
-    exchange.reload = Some((1, loaded));
+    exchange.reload = Some((1, loaded, StartDeviations::PRIOR));
     for tick in 40..44 {
         let mut sample = sample_of(tick, None, true);
         sample.generation = u32::from(tick >= 42);
@@ -224,6 +224,31 @@ fn a_loaded_set_is_taken_with_its_first_sample() {
         assert_eq!(learner.state.active == loaded, tick >= 42, "tick {tick}");
         assert_eq!(exchange.reload.is_none(), tick >= 42, "tick {tick}");
     }
+}
+
+#[test]
+fn a_well_known_parameter_moves_less_than_an_unknown_one() {
+    let moved = |joint: u8| {
+        let mut start = StartDeviations::PRIOR;
+        start.friction[3].fill(joint);
+        start.rigid.fill(joint);
+        let config = LearnerConfig::for_arm::<Ur5>(1e-3);
+        let mut learner = Learner::<Ur5, N, P>::empty(config);
+        learner.restart_with(config, &prior(), &start).unwrap();
+        learn_ticks(&mut learner, 0..300, true);
+        let (estimate, sigma) = (learner.state.estimate.parameters(), config.sigma());
+        let prior = LinearParameters::of(&prior());
+        let of = |of: &LinearParameters<N, P>| (of.friction[3][1], of.friction[0][1]);
+        let (own, other) = (of(estimate), of(&sigma));
+        let before = of(&prior);
+        (
+            (own.0 - before.0).abs() / other.0,
+            (own.1 - before.1).abs() / other.1,
+        )
+    };
+    let (known, unknown) = (moved(13), moved(255));
+    assert!(known.0 < 0.2 * unknown.0, "{known:?} {unknown:?}");
+    assert!(known.1 > 0.2 * unknown.1, "{known:?} {unknown:?}");
 }
 
 #[test]
@@ -320,7 +345,7 @@ fn a_pending_commit_ends_with_a_new_load() {
     }
     assert!(exchange.published.is_some_and(|set| set.commit));
     // A load during a learning step, before the tick has adopted the set.
-    exchange.reload = Some((1, ParameterSet::nominal::<Ur5>(9)));
+    exchange.reload = Some((1, ParameterSet::nominal::<Ur5>(9), StartDeviations::PRIOR));
     for tick in 6..12 {
         let mut sample = sample_of(tick, None, true);
         sample.generation = 1;

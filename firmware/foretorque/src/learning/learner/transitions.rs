@@ -12,7 +12,6 @@ use crate::learning::parameters::LinearParameters;
 use crate::learning::payload::{NO_PAYLOAD, payload_base, payload_estimate};
 use crate::learning::quality::{PayloadEstimate, Phase};
 use crate::learning::supervisor::Checkpoint;
-use crate::learning::supervisor::config::SupervisorConfig;
 use crate::learning::supervisor::paired_test::PairedTest;
 use crate::learning::supervisor::payload_test::{PayloadDecision, PayloadHypothesisTest};
 use crate::limits::Flags;
@@ -193,7 +192,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if state.phase() == Phase::Healthy && tick % CHECKPOINT_TICKS < N as u32 {
             state.take_checkpoint();
         }
-        state.update_quality(&self.config.supervisor, tick);
+        state.update_quality(&self.config, tick);
         state.closed_round = Some(tick);
     }
 }
@@ -356,7 +355,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     }
 
     /// Update payload, information and trust of the report.
-    fn update_quality(&mut self, config: &SupervisorConfig, tick: u32) {
+    fn update_quality(&mut self, config: &LearnerConfig<N, P>, tick: u32) {
         let supervisor = &self.supervisor;
         let quality = &mut self.report.quality;
         quality.payload = if supervisor.carries_payload() {
@@ -370,7 +369,10 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         if !round.is_multiple_of(TRUST_ROUNDS) {
             return;
         }
-        if let Some(lost) = self.monitor.update_trust(quality, config.trust_floor) {
+        if let Some(lost) =
+            self.monitor
+                .update_trust(quality, config.supervisor.trust_floor, config.noise)
+        {
             let reason = if lost {
                 Reason::TrustLost
             } else {

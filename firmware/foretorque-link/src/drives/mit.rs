@@ -1,0 +1,283 @@
+//! MIT frame of eight bytes, and the replies of Ben Katz' drive and of Damiao.
+//!
+//! | bytes | field |
+//! |---|---|
+//! | 0–1 | position, 16 bits, big endian, as all fields |
+//! | 2–3 | velocity, 12 bits; stiffness, upper 4 bits |
+//! | 4–5 | stiffness, lower 8 bits; damping, upper 8 bits |
+//! | 6–7 | damping, lower 4 bits; torque, 12 bits |
+//!
+//! Sources: bgkatz/motorcontrol `can.cpp`; Damiao's DM-J manual.
+
+use super::quantity::{carried, centred, code_of, from_centred, nearest};
+use super::{
+    Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Ranges,
+    Request, Saturation, Scale, push,
+};
+
+const FINE: u16 = 0xffff;
+const COARSE: u16 = 0xfff;
+/// Identifier of Damiao's register frames.
+const REGISTERS: u32 = 0x7ff;
+const READ: u8 = 0x33;
+/// First bytes of an order.
+const PREFIX: [u8; 7] = [0xff; 7];
+
+/// The eight bytes of a command in the coordinates of the drive.
+pub(super) fn command(
+    ranges: &Ranges,
+    command: &JointCommand,
+    carry: &mut Carry,
+    flags: &mut Saturation,
+) -> [u8; 8] {
+    let JointCommand {
+        position,
+        velocity,
+        torque,
+        kp,
+        kd,
+    } = ranges.clamp(command, flags);
+    let coarse = i32::from(COARSE);
+    let p = nearest(centred(position, ranges.position, FINE)) as u16;
+    let v = carried(
+        centred(velocity, ranges.velocity, COARSE),
+        &mut carry.velocity,
+        0,
+        coarse,
+    ) as u16;
+    let t = carried(
+        centred(torque, ranges.torque, COARSE),
+        &mut carry.torque,
+        0,
+        coarse,
+    ) as u16;
+    let kp = nearest(kp * f32::from(COARSE) / ranges.kp) as u16;
+    let kd = nearest(kd * f32::from(COARSE) / ranges.kd) as u16;
+    let data = pack(p, v, kp, kd, t);
+    if data.starts_with(&PREFIX) {
+        // Seven bytes of 0xff are the prefix of an order.
+        flags.insert(Saturation::POSITION);
+        return pack(p.saturating_sub(1), v, kp, kd, t);
+    }
+    data
+}
+
+fn pack(p: u16, v: u16, kp: u16, kd: u16, t: u16) -> [u8; 8] {
+    let [p0, p1] = p.to_be_bytes();
+    [
+        p0,
+        p1,
+        (v >> 4) as u8,
+        (v << 4) as u8 | (kp >> 8) as u8,
+        kp as u8,
+        (kd >> 4) as u8,
+        (kd << 4) as u8 | (t >> 8) as u8,
+        t as u8,
+    ]
+}
+
+/// Position, velocity and torque codes of a reply's five bytes.
+fn measured(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
+    let velocity = u16::from(v) << 4 | u16::from(vt) >> 4;
+    let torque = u16::from(vt & 0xf) << 8 | u16::from(t);
+    JointReply {
+        position: Some(from_centred(
+            u16::from_be_bytes([p0, p1]),
+            ranges.position,
+            FINE,
+        )),
+        velocity: Some(from_centred(velocity, ranges.velocity, COARSE)),
+        torque: Some(from_centred(torque, ranges.torque, COARSE)),
+        ..JointReply::default()
+    }
+}
+
+fn measurement(ranges: &Ranges, reply: &JointReply) -> [u8; 5] {
+    let [p0, p1] = code_of(reply.position, ranges.position, FINE).to_be_bytes();
+    let v = code_of(reply.velocity, ranges.velocity, COARSE);
+    let t = code_of(reply.torque, ranges.torque, COARSE);
+    [
+        p0,
+        p1,
+        (v >> 4) as u8,
+        (v << 4) as u8 | (t >> 8) as u8,
+        t as u8,
+    ]
+}
+
+/// Register of a range: 21 to 23.
+const fn register(scale: Scale) -> u8 {
+    match scale {
+        Scale::Position => 21,
+        Scale::Velocity => 22,
+        Scale::Torque => 23,
+    }
+}
+
+const fn scale_of(register: u8) -> Option<Scale> {
+    match register {
+        21 => Some(Scale::Position),
+        22 => Some(Scale::Velocity),
+        23 => Some(Scale::Torque),
+        _ => None,
+    }
+}
+
+/// Appends the frame of an order; `damiao`: with clearing of faults and with registers.
+pub(super) fn order(
+    profile: &DriveProfile,
+    order: Order,
+    damiao: bool,
+    frames: &mut Frames,
+) -> bool {
+    let last = match (order, damiao) {
+        (Order::Enable, _) => 0xfc,
+        (Order::Disable, _) => 0xfd,
+        (Order::SetZero, _) => 0xfe,
+        (Order::ClearFault, true) => 0xfb,
+        (Order::ReadScale(scale), true) => {
+            let [low, high] = profile.id.to_le_bytes();
+            let data = [low, high, READ, register(scale), 0, 0, 0, 0];
+            push(frames, Frame::standard(REGISTERS, &data));
+            return true;
+        }
+        (Order::Report, true) => {
+            let [low, high] = profile.id.to_le_bytes();
+            let data = [low, high, 0xcc, 0, 0, 0, 0, 0];
+            push(frames, Frame::standard(REGISTERS, &data));
+            return true;
+        }
+        (Order::ClearFault | Order::ReadScale(_) | Order::Report, false) => return false,
+    };
+    let data = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, last];
+    push(frames, Frame::standard(profile.id.into(), &data));
+    true
+}
+
+fn plain(frame: &Frame, id: u16) -> bool {
+    !frame.extended && !frame.remote && frame.id == u32::from(id)
+}
+
+pub(super) fn decode_mini_cheetah(
+    profile: &DriveProfile,
+    ranges: &Ranges,
+    frame: &Frame,
+) -> Option<Event> {
+    let (&[id, p0, p1, v, vt, t], _) = frame.bytes().split_first_chunk()?;
+    let own = plain(frame, profile.host_id) && u16::from(id) == profile.id;
+    own.then(|| Event::Reply(measured(ranges, [p0, p1, v, vt, t])))
+}
+
+pub(super) fn decode_damiao(
+    profile: &DriveProfile,
+    ranges: &Ranges,
+    frame: &Frame,
+) -> Option<Event> {
+    let data = frame.eight().filter(|_| plain(frame, profile.host_id))?;
+    let [low, high, kind, index, value @ ..] = data;
+    if kind == READ
+        && u16::from_le_bytes([low, high]) == profile.id
+        && let Some(scale) = scale_of(index)
+    {
+        let value = f32::from_le_bytes(value);
+        return value.is_finite().then_some(Event::Scale(scale, value));
+    }
+    let [first, p0, p1, v, vt, t, mosfet, rotor] = data;
+    if u16::from(first & 0xf) != profile.id & 0xf {
+        return None;
+    }
+    let state = match first >> 4 {
+        0 => DriveState::Disabled,
+        1 => DriveState::Enabled,
+        code => DriveState::Fault(code.into()),
+    };
+    let reply = JointReply {
+        temperature: Some(mosfet.max(rotor).into()),
+        state: Some(state),
+        ..measured(ranges, [p0, p1, v, vt, t])
+    };
+    Some(Event::Reply(reply))
+}
+
+pub(super) fn accept(
+    profile: &DriveProfile,
+    ranges: &Ranges,
+    damiao: bool,
+    frame: &Frame,
+) -> Option<Request> {
+    let data = frame.eight()?;
+    if damiao && plain(frame, REGISTERS as u16) {
+        let [low, high, kind, index, ..] = data;
+        let own = u16::from_le_bytes([low, high]) == profile.id;
+        let order = match kind {
+            READ => Order::ReadScale(scale_of(index)?),
+            0xcc => Order::Report,
+            _ => return None,
+        };
+        return own.then_some(Request::Order(order));
+    }
+    if !plain(frame, profile.id) {
+        return None;
+    }
+    let [p0, p1, v, vk, kp, kd, kt, t] = data;
+    if data.starts_with(&PREFIX) {
+        match t {
+            0xfc => return Some(Request::Order(Order::Enable)),
+            0xfd => return Some(Request::Order(Order::Disable)),
+            0xfe => return Some(Request::Order(Order::SetZero)),
+            0xfb if damiao => return Some(Request::Order(Order::ClearFault)),
+            _ => {}
+        }
+    }
+    let motion = measured(ranges, [p0, p1, v, vk & 0xf0 | kt & 0xf, t]);
+    let kp = u16::from(vk & 0xf) << 8 | u16::from(kp);
+    let kd = u16::from(kd) << 4 | u16::from(kt) >> 4;
+    Some(Request::Command(JointCommand {
+        position: motion.position.unwrap_or_default(),
+        velocity: motion.velocity.unwrap_or_default(),
+        torque: motion.torque.unwrap_or_default(),
+        kp: f32::from(kp) * ranges.kp / f32::from(COARSE),
+        kd: f32::from(kd) * ranges.kd / f32::from(COARSE),
+    }))
+}
+
+pub(super) fn reply_mini_cheetah(
+    profile: &DriveProfile,
+    ranges: &Ranges,
+    reply: &JointReply,
+    frames: &mut Frames,
+) {
+    let [p0, p1, v, vt, t] = measurement(ranges, reply);
+    let data = [profile.id as u8, p0, p1, v, vt, t];
+    push(frames, Frame::standard(profile.host_id.into(), &data));
+}
+
+pub(super) fn reply_damiao(
+    profile: &DriveProfile,
+    ranges: &Ranges,
+    reply: &JointReply,
+    frames: &mut Frames,
+) {
+    let status = match reply.state.unwrap_or_default() {
+        DriveState::Disabled => 0,
+        DriveState::Enabled => 1,
+        DriveState::Fault(code) => code.clamp(2, 15) as u8,
+    };
+    let [p0, p1, v, vt, t] = measurement(ranges, reply);
+    let celsius = reply.temperature.unwrap_or_default() as u8;
+    let first = status << 4 | profile.id as u8 & 0xf;
+    let data = [first, p0, p1, v, vt, t, celsius, celsius];
+    push(frames, Frame::standard(profile.host_id.into(), &data));
+}
+
+pub(super) fn reply_register(
+    profile: &DriveProfile,
+    scale: Scale,
+    value: f32,
+    frames: &mut Frames,
+) {
+    let [low, high] = profile.id.to_le_bytes();
+    let [v0, v1, v2, v3] = value.to_le_bytes();
+    let data = [low, high, READ, register(scale), v0, v1, v2, v3];
+    push(frames, Frame::standard(profile.host_id.into(), &data));
+}

@@ -1,0 +1,297 @@
+//! Codecs of CAN drives with a torque feed-forward: commands into frames, frames into replies, and back.
+//!
+//! ```text
+//! JointCommand ─ command ─► frames ─► bus ─► accept ─► Request       (a simulated drive)
+//! Event ◄─────── decode ◄── frames ◄─ bus ◄─ reply ◄── JointReply
+//! ```
+//! [`JointCommand`] and [`JointReply`] are in SI units in the coordinates of the joint; [`DriveProfile`] holds sign, zero,
+//! gear and scales. Nothing here waits, allocates or panics. A value out of range saturates and sets its flag. A command
+//! with a value that is not finite is refused: the frames then take the torque off.
+//!
+//! Where a field has few bits, [`Carry`] adds the rounding error of one frame to the next. The mean torque of successive
+//! frames is then the commanded one, also for zero, which a field of ± full scale over 4095 steps cannot express.
+
+mod cia402;
+mod cybergear;
+mod frame;
+mod mit;
+mod moteus;
+mod odrive;
+mod profile;
+mod quantity;
+
+pub use frame::Frame;
+pub use profile::{
+    Cia402, ControlMode, DriveProfile, Moteus, Odrive, ProfileError, Protocol, Ranges, Resolution,
+};
+pub use quantity::{Carry, Saturation};
+
+/// Radians of a turn.
+const TURN: f32 = core::f32::consts::TAU;
+
+/// Frames of one call, in the order to send them.
+pub type Frames = heapless::Vec<Frame, 4>;
+
+/// Command to one joint: `kp·(position − q) + kd·(velocity − q̇) + torque` is what the drive applies.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointCommand {
+    /// Desired position, rad.
+    pub position: f32,
+    /// Desired velocity, rad/s.
+    pub velocity: f32,
+    /// Torque feed-forward, N·m.
+    pub torque: f32,
+    /// Stiffness, N·m/rad; without effect where [`DriveProfile::carries_gains`] is false.
+    pub kp: f32,
+    /// Damping, N·m·s/rad; without effect where [`DriveProfile::carries_gains`] is false.
+    pub kd: f32,
+}
+
+impl JointCommand {
+    /// Every field is finite.
+    pub fn is_finite(&self) -> bool {
+        let Self {
+            position,
+            velocity,
+            torque,
+            kp,
+            kd,
+        } = self;
+        [position, velocity, torque, kp, kd]
+            .iter()
+            .all(|value| value.is_finite())
+    }
+}
+
+/// State of a drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DriveState {
+    /// No torque.
+    #[default]
+    Disabled,
+    /// Torque follows the commands.
+    Enabled,
+    /// Fault, with the code of the protocol; no torque.
+    Fault(u32),
+}
+
+/// Reply of a drive; a quantity that the frame does not carry is `None`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointReply {
+    /// Position, rad.
+    pub position: Option<f32>,
+    /// Velocity, rad/s.
+    pub velocity: Option<f32>,
+    /// Torque, N·m.
+    pub torque: Option<f32>,
+    /// Highest temperature of the frame, °C.
+    pub temperature: Option<f32>,
+    /// State.
+    pub state: Option<DriveState>,
+}
+
+impl JointReply {
+    /// Takes over every quantity that `newer` carries.
+    pub fn update(&mut self, newer: &Self) {
+        self.position = newer.position.or(self.position);
+        self.velocity = newer.velocity.or(self.velocity);
+        self.torque = newer.torque.or(self.torque);
+        self.temperature = newer.temperature.or(self.temperature);
+        self.state = newer.state.or(self.state);
+    }
+}
+
+/// Scale of a profile that the drive itself can report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// Damiao: P_MAX, rad.
+    Position,
+    /// Damiao: V_MAX, rad/s.
+    Velocity,
+    /// Damiao: T_MAX, N·m. CyberGear and RobStride: `limit_torque`, N·m. ODrive: `input_torque_scale`, counts per N·m.
+    /// CiA 402: rated torque, N·m.
+    Torque,
+}
+
+/// Content of a frame from a drive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// Measurement or state.
+    Reply(JointReply),
+    /// Scale read from the drive, in the unit of the profile's field.
+    Scale(Scale, f32),
+}
+
+/// Request to a drive other than a motion command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Torque on; the drive follows commands.
+    Enable,
+    /// Torque off.
+    Disable,
+    /// Clear a fault.
+    ClearFault,
+    /// Make the present position the zero of the drive.
+    SetZero,
+    /// Send a reply without a motion command.
+    Report,
+    /// Send a scale.
+    ReadScale(Scale),
+}
+
+/// Content of a frame to a drive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Request {
+    /// Motion command, in the coordinates of the joint.
+    Command(JointCommand),
+    /// Anything else.
+    Order(Order),
+}
+
+impl DriveProfile {
+    /// Appends the frames of a motion command. Flags of what saturated; [`Saturation::REFUSED`] where a value was not
+    /// finite, and then the frames take the torque off and `carry` is cleared.
+    pub fn command(
+        &self,
+        command: &JointCommand,
+        carry: &mut Carry,
+        frames: &mut Frames,
+    ) -> Saturation {
+        let mut flags = Saturation::default();
+        let limited = JointCommand {
+            torque: flags.clamp(command.torque, self.torque_limit, Saturation::TORQUE),
+            ..*command
+        };
+        let drive = self.in_drive(&limited);
+        if !(command.is_finite() && drive.is_finite()) {
+            *carry = Carry::default();
+            self.order(Order::Disable, frames);
+            return Saturation::REFUSED;
+        }
+        match &self.protocol {
+            Protocol::MiniCheetah(ranges) | Protocol::Damiao(ranges) => {
+                let data = mit::command(ranges, &drive, carry, &mut flags);
+                push(frames, Frame::standard(self.id.into(), &data));
+            }
+            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+                cybergear::command(self, ranges, &drive, carry, &mut flags, frames);
+            }
+            Protocol::Moteus(scales) => {
+                moteus::command(self, scales, &drive, carry, &mut flags, frames);
+            }
+            Protocol::Odrive(scales) => {
+                odrive::command(self, scales, &drive, carry, &mut flags, frames);
+            }
+            Protocol::Cia402(scales) => {
+                cia402::command(self, scales, &drive, carry, &mut flags, frames);
+            }
+        }
+        flags
+    }
+
+    /// Appends the frames of an order. `false`: the protocol has none for it.
+    pub fn order(&self, order: Order, frames: &mut Frames) -> bool {
+        match &self.protocol {
+            Protocol::MiniCheetah(_) => mit::order(self, order, false, frames),
+            Protocol::Damiao(_) => mit::order(self, order, true, frames),
+            Protocol::CyberGear(_) | Protocol::RobStride(_) => {
+                cybergear::order(self, order, frames)
+            }
+            Protocol::Moteus(scales) => moteus::order(self, scales, order, frames),
+            Protocol::Odrive(scales) => odrive::order(self, scales, order, frames),
+            Protocol::Cia402(scales) => cia402::order(self, scales, order, frames),
+        }
+    }
+
+    /// Content of a frame from this drive; `None` for any other frame.
+    pub fn decode(&self, frame: &Frame) -> Option<Event> {
+        let event = match &self.protocol {
+            Protocol::MiniCheetah(ranges) => mit::decode_mini_cheetah(self, ranges, frame),
+            Protocol::Damiao(ranges) => mit::decode_damiao(self, ranges, frame),
+            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+                cybergear::decode(self, ranges, frame)
+            }
+            Protocol::Moteus(_) => moteus::decode(self, frame),
+            Protocol::Odrive(scales) => odrive::decode(self, scales, frame),
+            Protocol::Cia402(scales) => cia402::decode(self, scales, frame),
+        }?;
+        Some(match event {
+            Event::Reply(reply) => Event::Reply(self.reply_of_joint(&reply)),
+            scale @ Event::Scale(..) => scale,
+        })
+    }
+
+    /// Content of a frame to this drive, as the drive reads it; `None` for any other frame.
+    pub fn accept(&self, frame: &Frame) -> Option<Request> {
+        let request = match &self.protocol {
+            Protocol::MiniCheetah(ranges) => mit::accept(self, ranges, false, frame),
+            Protocol::Damiao(ranges) => mit::accept(self, ranges, true, frame),
+            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+                cybergear::accept(self, ranges, frame)
+            }
+            Protocol::Moteus(scales) => moteus::accept(self, scales, frame),
+            Protocol::Odrive(scales) => odrive::accept(self, scales, frame),
+            Protocol::Cia402(scales) => cia402::accept(self, scales, frame),
+        }?;
+        Some(match request {
+            Request::Command(command) => Request::Command(self.in_joint(&command)),
+            order @ Request::Order(_) => order,
+        })
+    }
+
+    /// Appends the frames that this drive sends as its reply; an absent quantity counts as 0.
+    pub fn reply(&self, reply: &JointReply, frames: &mut Frames) {
+        let turn = self.sign * self.gear;
+        let position = (reply.position.unwrap_or_default() - self.zero) * turn;
+        let velocity = reply.velocity.unwrap_or_default() * turn;
+        let torque = reply.torque.unwrap_or_default() / turn;
+        let drive = JointReply {
+            position: Some(position),
+            velocity: Some(velocity),
+            torque: Some(torque),
+            ..*reply
+        };
+        match &self.protocol {
+            Protocol::MiniCheetah(ranges) => mit::reply_mini_cheetah(self, ranges, &drive, frames),
+            Protocol::Damiao(ranges) => mit::reply_damiao(self, ranges, &drive, frames),
+            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+                cybergear::reply(self, ranges, &drive, frames);
+            }
+            Protocol::Moteus(scales) => moteus::reply(self, scales, &drive, frames),
+            Protocol::Odrive(_) => odrive::reply(self, &drive, frames),
+            Protocol::Cia402(scales) => cia402::reply(self, scales, &drive, frames),
+        }
+    }
+
+    /// Appends the frame by which this drive reports a scale, in the unit of the profile's field.
+    pub fn reply_scale(&self, scale: Scale, value: f32, frames: &mut Frames) {
+        match &self.protocol {
+            Protocol::Damiao(_) => mit::reply_register(self, scale, value, frames),
+            Protocol::CyberGear(_) | Protocol::RobStride(_) => {
+                cybergear::reply_scale(self, value, frames);
+            }
+            Protocol::Odrive(scales) => odrive::reply_scale(self, scales, value, frames),
+            Protocol::Cia402(_) => cia402::reply_scale(self, value, frames),
+            Protocol::MiniCheetah(_) | Protocol::Moteus(_) => {}
+        }
+    }
+
+    fn reply_of_joint(&self, drive: &JointReply) -> JointReply {
+        let turn = self.sign * self.gear;
+        JointReply {
+            position: drive.position.map(|position| position / turn + self.zero),
+            velocity: drive.velocity.map(|velocity| velocity / turn),
+            torque: drive.torque.map(|torque| torque * turn),
+            ..*drive
+        }
+    }
+}
+
+/// Appends a frame; a call appends at most as many as [`Frames`] holds.
+fn push(frames: &mut Frames, frame: Frame) {
+    let pushed = frames.push(frame);
+    debug_assert!(pushed.is_ok(), "more frames than one call may append");
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,382 @@
+//! moteus: registers written and read by subframes of one CAN-FD frame, little endian.
+//!
+//! A command writes mode 10, position, velocity, torque and the scales of stiffness and damping (0x020 to 0x024), and the
+//! watchdog (0x027); it then reads mode, position, velocity and torque (0x000 to 0x003), temperature and fault (0x00e,
+//! 0x00f). Turns and turns/s at the output, N·m. Source: mjbots/moteus, docs/protocol.
+
+use super::quantity::{carried, nearest};
+use super::{
+    Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Moteus, Order,
+    Request, Resolution, Saturation, TURN, push,
+};
+
+/// Padding of a frame to the next length of CAN-FD: a subframe that does nothing.
+const NOP: u8 = 0x50;
+const WRITE: u8 = 0x00;
+const READ: u8 = 0x10;
+const REPLY: u8 = 0x20;
+const MODE: u32 = 0x000;
+const TEMPERATURE: u32 = 0x00e;
+const FAULT: u32 = 0x00f;
+const COMMAND: u32 = 0x020;
+const WATCHDOG: u32 = 0x027;
+/// Register that sets the output position; two bytes as a variable-length integer.
+const SET_OUTPUT: [u8; 2] = [0xb0, 0x02];
+const STOPPED: u8 = 0;
+const FAULTED: u8 = 1;
+const POSITION: u8 = 10;
+const TIMED_OUT: u8 = 11;
+
+/// Bytes of a frame while it is put together.
+type Bytes = heapless::Vec<u8, { Frame::CAPACITY }>;
+
+fn put(bytes: &mut Bytes, more: &[u8]) {
+    let fits = bytes.extend_from_slice(more);
+    debug_assert!(fits.is_ok(), "longer than a frame");
+}
+
+/// Steps of position, velocity and torque in turns, turns/s and N·m; 0 for f32.
+const fn steps(resolution: Resolution) -> [f32; 3] {
+    match resolution {
+        Resolution::Int16 => [1e-4, 2.5e-4, 1e-2],
+        Resolution::Int32 => [1e-5, 1e-5, 1e-3],
+        Resolution::F32 => [0.0; 3],
+    }
+}
+
+/// Bits 2 and 3 of a subframe's first byte, and bytes of a value.
+const fn form(resolution: Resolution) -> (u8, usize) {
+    match resolution {
+        Resolution::Int16 => (0x04, 2),
+        Resolution::Int32 => (0x08, 4),
+        Resolution::F32 => (0x0c, 4),
+    }
+}
+
+/// Appends one value in units of `step`. The most negative integer means "not given", so it is never sent.
+fn write(
+    bytes: &mut Bytes,
+    resolution: Resolution,
+    value: f32,
+    step: f32,
+    carry: &mut f32,
+) -> bool {
+    match resolution {
+        Resolution::F32 => {
+            put(bytes, &value.to_le_bytes());
+            false
+        }
+        Resolution::Int16 => {
+            let (value, most) = (value / step, i32::from(i16::MAX));
+            let code = carried(value, carry, -most, most) as i16;
+            put(bytes, &code.to_le_bytes());
+            value > most as f32 || value < -most as f32
+        }
+        Resolution::Int32 => {
+            let value = value / step;
+            let code = carried(value, carry, -i32::MAX, i32::MAX);
+            put(bytes, &code.to_le_bytes());
+            value >= 2_147_483_600.0 || value <= -2_147_483_600.0
+        }
+    }
+}
+
+fn query(bytes: &mut Bytes, resolution: Resolution) {
+    let (form, _) = form(resolution);
+    put(
+        bytes,
+        &[
+            READ | 1,
+            MODE as u8,
+            READ | form | 3,
+            1,
+            READ | 2,
+            TEMPERATURE as u8,
+        ],
+    );
+}
+
+fn send(profile: &DriveProfile, bytes: &[u8], frames: &mut Frames) {
+    let id = 0x8000 | u32::from(profile.host_id & 0x7f) << 8 | u32::from(profile.id & 0x7f);
+    push(frames, Frame::extended(id, bytes).into_fd(NOP));
+}
+
+pub(super) fn command(
+    profile: &DriveProfile,
+    scales: &Moteus,
+    motion: &JointCommand,
+    carry: &mut Carry,
+    flags: &mut Saturation,
+    frames: &mut Frames,
+) {
+    let resolution = scales.resolution;
+    let [position, velocity, torque] = steps(resolution);
+    let unit = match resolution {
+        Resolution::Int16 => 1.0 / 32767.0,
+        _ => 1.0 / 2_147_483_647.0,
+    };
+    let mut bytes = Bytes::new();
+    put(
+        &mut bytes,
+        &[
+            WRITE | 1,
+            MODE as u8,
+            POSITION,
+            WRITE | form(resolution).0,
+            5,
+            COMMAND as u8,
+        ],
+    );
+    let (mut none, kp) = (0.0, motion.kp * TURN / scales.kp);
+    let kd = motion.kd * TURN / scales.kd;
+    // Integers end at a scale of 1.
+    let most = if resolution == Resolution::F32 {
+        1e3
+    } else {
+        1.0
+    };
+    let kp = flags.clamp_in(kp, 0.0, most, Saturation::KP);
+    let kd = flags.clamp_in(kd, 0.0, most, Saturation::KD);
+    let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
+    let mut field = |value: f32, step: f32, carry: &mut f32, flag: Saturation| {
+        if write(&mut bytes, resolution, value, step, carry) {
+            flags.insert(flag);
+        }
+    };
+    field(turns, position, &mut none, Saturation::POSITION);
+    none = 0.0;
+    field(speed, velocity, &mut carry.velocity, Saturation::VELOCITY);
+    field(motion.torque, torque, &mut carry.torque, Saturation::TORQUE);
+    field(kp, unit, &mut none, Saturation::KP);
+    none = 0.0;
+    field(kd, unit, &mut none, Saturation::KD);
+    put(&mut bytes, &[WRITE | 0x0d, WATCHDOG as u8]);
+    put(&mut bytes, &scales.watchdog_s.to_le_bytes());
+    query(&mut bytes, resolution);
+    send(profile, &bytes, frames);
+}
+
+pub(super) fn order(
+    profile: &DriveProfile,
+    scales: &Moteus,
+    order: Order,
+    frames: &mut Frames,
+) -> bool {
+    let mut bytes = Bytes::new();
+    match order {
+        // Mode 0 also clears a fault and a time-out; the first command then turns the torque on.
+        Order::Enable | Order::Disable | Order::ClearFault => {
+            put(&mut bytes, &[WRITE | 1, MODE as u8, STOPPED]);
+        }
+        Order::SetZero => {
+            let [r0, r1] = SET_OUTPUT;
+            put(&mut bytes, &[WRITE | 0x0d, r0, r1, 0, 0, 0, 0]);
+        }
+        Order::Report => {}
+        Order::ReadScale(_) => return false,
+    }
+    query(&mut bytes, scales.resolution);
+    send(profile, &bytes, frames);
+    true
+}
+
+/// Value of one register in a subframe.
+#[derive(Clone, Copy)]
+enum Value {
+    Integer(i32, Resolution),
+    Byte(i8),
+    Float(f32),
+}
+
+impl Value {
+    /// In the unit of a register with these steps for 8, 16 and 32 bits; `None` where it is not given.
+    fn scaled(self, byte: f32, short: f32, long: f32) -> Option<f32> {
+        match self {
+            Self::Byte(i8::MIN) | Self::Integer(i32::MIN, Resolution::Int32) => None,
+            Self::Integer(value, Resolution::Int16) if value == i16::MIN.into() => None,
+            Self::Byte(value) => Some(f32::from(value) * byte),
+            Self::Integer(value, Resolution::Int16) => Some(value as f32 * short),
+            Self::Integer(value, _) => Some(value as f32 * long),
+            Self::Float(value) => value.is_finite().then_some(value),
+        }
+    }
+
+    fn count(self) -> u32 {
+        match self {
+            Self::Byte(value) => value.max(0) as u32,
+            Self::Integer(value, _) => value.max(0) as u32,
+            Self::Float(value) => value as u32,
+        }
+    }
+}
+
+fn varuint<'a>(bytes: &mut &'a [u8]) -> Option<u32> {
+    let mut value = 0_u32;
+    for shift in [0, 7, 14, 21, 28] {
+        let (&byte, rest): (&'a u8, _) = bytes.split_first()?;
+        *bytes = rest;
+        value |= u32::from(byte & 0x7f) << shift;
+        if byte & 0x80 == 0 {
+            return Some(value);
+        }
+    }
+    None
+}
+
+fn next(bytes: &mut &[u8], form: u8) -> Option<Value> {
+    fn take<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
+        let (&head, rest) = bytes.split_first_chunk()?;
+        *bytes = rest;
+        Some(head)
+    }
+    Some(match form {
+        0 => Value::Byte(i8::from_le_bytes(take(bytes)?)),
+        1 => Value::Integer(i16::from_le_bytes(take(bytes)?).into(), Resolution::Int16),
+        2 => Value::Integer(i32::from_le_bytes(take(bytes)?), Resolution::Int32),
+        _ => Value::Float(f32::from_le_bytes(take(bytes)?)),
+    })
+}
+
+/// Calls `register` with every value of `kind` in a frame; `false` where the frame ends in the middle of a subframe or
+/// has one of an unknown kind.
+fn each(mut bytes: &[u8], kind: u8, mut register: impl FnMut(u32, Value)) -> bool {
+    let mut walk = || {
+        while let Some((&first, rest)) = bytes.split_first() {
+            bytes = rest;
+            match first & 0xf0 {
+                _ if first == NOP => {}
+                family @ (WRITE | READ | REPLY) => {
+                    let count = match first & 3 {
+                        0 => varuint(&mut bytes)?,
+                        count => count.into(),
+                    };
+                    let start = varuint(&mut bytes)?;
+                    if family == READ {
+                        continue;
+                    }
+                    // A frame of 64 bytes has no room for more.
+                    for place in 0..count.min(64) {
+                        let value = next(&mut bytes, first >> 2 & 3)?;
+                        if family == kind {
+                            register(start.wrapping_add(place), value);
+                        }
+                    }
+                }
+                _ => return None,
+            }
+        }
+        Some(())
+    };
+    walk().is_some()
+}
+
+pub(super) fn decode(profile: &DriveProfile, frame: &Frame) -> Option<Event> {
+    let from = u32::from(profile.id & 0x7f) << 8 | u32::from(profile.host_id & 0x7f);
+    if frame.remote || frame.id & 0x7fff != from {
+        return None;
+    }
+    let mut reply = JointReply::default();
+    let (mut mode, mut fault, mut any) = (None, 0, false);
+    let whole = each(frame.bytes(), REPLY, |register, value| {
+        any = true;
+        match register {
+            MODE => mode = Some(value.count() as u8),
+            1 => reply.position = value.scaled(0.01, 1e-4, 1e-5).map(|turns| turns * TURN),
+            2 => reply.velocity = value.scaled(0.1, 2.5e-4, 1e-5).map(|turns| turns * TURN),
+            3 => reply.torque = value.scaled(0.5, 0.01, 1e-3),
+            TEMPERATURE => reply.temperature = value.scaled(1.0, 0.1, 1e-3),
+            FAULT => fault = value.count(),
+            _ => {}
+        }
+    });
+    reply.state = mode.map(|mode| match mode {
+        STOPPED => DriveState::Disabled,
+        FAULTED => DriveState::Fault(fault.max(1)),
+        TIMED_OUT => DriveState::Fault(TIMED_OUT.into()),
+        _ => DriveState::Enabled,
+    });
+    (whole && any).then_some(Event::Reply(reply))
+}
+
+pub(super) fn accept(profile: &DriveProfile, scales: &Moteus, frame: &Frame) -> Option<Request> {
+    if frame.remote || frame.id & 0x7f != u32::from(profile.id) || frame.id & 0x80 != 0 {
+        return None;
+    }
+    let mut motion = JointCommand {
+        kp: scales.kp / TURN,
+        kd: scales.kd / TURN,
+        ..JointCommand::default()
+    };
+    let (mut mode, mut zero, mut known) = (None, false, true);
+    let whole = each(frame.bytes(), WRITE, |register, value| {
+        let unit = value.scaled(1.0 / 127.0, 1.0 / 32767.0, 1.0 / 2_147_483_647.0);
+        match register {
+            MODE => mode = Some(value.count() as u8),
+            0x020 => match value.scaled(0.01, 1e-4, 1e-5) {
+                Some(turns) => motion.position = turns * TURN,
+                None => known = false,
+            },
+            0x021 => motion.velocity = value.scaled(0.1, 2.5e-4, 1e-5).unwrap_or(0.0) * TURN,
+            0x022 => motion.torque = value.scaled(0.5, 0.01, 1e-3).unwrap_or(0.0),
+            0x023 => motion.kp = unit.unwrap_or(1.0) * scales.kp / TURN,
+            0x024 => motion.kd = unit.unwrap_or(1.0) * scales.kd / TURN,
+            0x130 | 0x131 => zero = true,
+            _ => {}
+        }
+    });
+    match mode {
+        _ if !whole => None,
+        Some(POSITION) if known && motion.is_finite() => Some(Request::Command(motion)),
+        Some(STOPPED) => Some(Request::Order(Order::Disable)),
+        None if zero => Some(Request::Order(Order::SetZero)),
+        None => Some(Request::Order(Order::Report)),
+        Some(_) => None,
+    }
+}
+
+pub(super) fn reply(
+    profile: &DriveProfile,
+    scales: &Moteus,
+    reply: &JointReply,
+    frames: &mut Frames,
+) {
+    let resolution = scales.resolution;
+    let (mode, fault) = match reply.state.unwrap_or_default() {
+        DriveState::Disabled => (STOPPED, 0),
+        DriveState::Enabled => (POSITION, 0),
+        DriveState::Fault(11) => (TIMED_OUT, 0),
+        DriveState::Fault(code) => (FAULTED, code.clamp(1, 127) as u8),
+    };
+    let mut bytes = Bytes::new();
+    put(
+        &mut bytes,
+        &[
+            REPLY | 1,
+            MODE as u8,
+            mode,
+            REPLY | form(resolution).0 | 3,
+            1,
+        ],
+    );
+    let turns = |value: Option<f32>| value.unwrap_or_default() / TURN;
+    let values = [
+        turns(reply.position),
+        turns(reply.velocity),
+        reply.torque.unwrap_or_default(),
+    ];
+    for (value, step) in values.into_iter().zip(steps(resolution)) {
+        write(&mut bytes, resolution, value, step, &mut 0.0);
+    }
+    let celsius = nearest(reply.temperature.unwrap_or_default()).clamp(-127, 127) as i8;
+    put(
+        &mut bytes,
+        &[REPLY | 2, TEMPERATURE as u8, celsius as u8, fault],
+    );
+    let id = u32::from(profile.id & 0x7f) << 8 | u32::from(profile.host_id & 0x7f);
+    let frame = if id > Frame::STANDARD_MAX {
+        Frame::extended(id, &bytes)
+    } else {
+        Frame::standard(id, &bytes)
+    };
+    push(frames, frame.into_fd(NOP));
+}

@@ -1,0 +1,251 @@
+//! ODrive CANSimple: classic frames with the standard identifier `node << 5 | command`, little endian.
+//!
+//! Turns and turns/s of the axis' coordinate, N·m. `Set_Input_Pos` carries velocity and torque as scaled i16, the other
+//! two inputs as f32. Source: ODrive's CAN protocol and DBC, firmware 0.6.
+
+use super::quantity::{carried, pair, unpair};
+use super::{
+    Carry, ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply,
+    Odrive, Order, Request, Saturation, Scale, TURN, push,
+};
+
+/// Commands of the identifier.
+mod command {
+    pub(super) const HEARTBEAT: u16 = 0x01;
+    pub(super) const READ: u16 = 0x04;
+    pub(super) const VALUE: u16 = 0x05;
+    pub(super) const STATE: u16 = 0x07;
+    pub(super) const ESTIMATES: u16 = 0x09;
+    pub(super) const MODE: u16 = 0x0b;
+    pub(super) const POSITION: u16 = 0x0c;
+    pub(super) const VELOCITY: u16 = 0x0d;
+    pub(super) const TORQUE: u16 = 0x0e;
+    pub(super) const TEMPERATURE: u16 = 0x15;
+    pub(super) const CLEAR: u16 = 0x18;
+    pub(super) const ZERO: u16 = 0x19;
+    pub(super) const TORQUES: u16 = 0x1c;
+}
+
+const IDLE: u32 = 1;
+const CLOSED_LOOP: u32 = 8;
+
+fn id(profile: &DriveProfile, command: u16) -> u32 {
+    u32::from(profile.id << 5 | command)
+}
+
+fn send(profile: &DriveProfile, command: u16, bytes: &[u8], frames: &mut Frames) {
+    push(frames, Frame::standard(id(profile, command), bytes));
+}
+
+fn poll(profile: &DriveProfile, frames: &mut Frames) {
+    for command in [command::ESTIMATES, command::TORQUES] {
+        push(frames, Frame::remote(id(profile, command)));
+    }
+}
+
+pub(super) fn command(
+    profile: &DriveProfile,
+    scales: &Odrive,
+    motion: &JointCommand,
+    carry: &mut Carry,
+    flags: &mut Saturation,
+    frames: &mut Frames,
+) {
+    let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
+    match scales.mode {
+        ControlMode::Position => {
+            let most = f32::from(i16::MAX);
+            let mut code = |value: f32, carry: &mut f32, flag: Saturation| {
+                let value = flags.clamp(value, most, flag);
+                carried(value, carry, (-i16::MAX).into(), i16::MAX.into()) as i16
+            };
+            let speed = speed * scales.velocity_scale;
+            let torque = motion.torque * scales.torque_scale;
+            let speed = code(speed, &mut carry.velocity, Saturation::VELOCITY).to_le_bytes();
+            let torque = code(torque, &mut carry.torque, Saturation::TORQUE).to_le_bytes();
+            let ([p0, p1, p2, p3], [v0, v1], [t0, t1]) = (turns.to_le_bytes(), speed, torque);
+            let bytes = [p0, p1, p2, p3, v0, v1, t0, t1];
+            send(profile, command::POSITION, &bytes, frames);
+        }
+        ControlMode::Velocity => {
+            send(
+                profile,
+                command::VELOCITY,
+                &pair(speed, motion.torque),
+                frames,
+            );
+        }
+        ControlMode::Torque => {
+            send(
+                profile,
+                command::TORQUE,
+                &motion.torque.to_le_bytes(),
+                frames,
+            );
+        }
+    }
+    if scales.polled {
+        poll(profile, frames);
+    }
+}
+
+pub(super) fn order(
+    profile: &DriveProfile,
+    scales: &Odrive,
+    order: Order,
+    frames: &mut Frames,
+) -> bool {
+    match order {
+        Order::Enable => {
+            let control = match scales.mode {
+                ControlMode::Torque => 1_u8,
+                ControlMode::Velocity => 2,
+                ControlMode::Position => 3,
+            };
+            // Input mode 1: pass-through.
+            send(
+                profile,
+                command::MODE,
+                &[control, 0, 0, 0, 1, 0, 0, 0],
+                frames,
+            );
+            send(profile, command::STATE, &CLOSED_LOOP.to_le_bytes(), frames);
+        }
+        Order::Disable => send(profile, command::STATE, &IDLE.to_le_bytes(), frames),
+        Order::ClearFault => send(profile, command::CLEAR, &[0], frames),
+        Order::SetZero => send(profile, command::ZERO, &0_f32.to_le_bytes(), frames),
+        Order::Report => poll(profile, frames),
+        Order::ReadScale(Scale::Torque) if scales.torque_scale_endpoint != 0 => {
+            let [low, high] = scales.torque_scale_endpoint.to_le_bytes();
+            send(
+                profile,
+                command::READ,
+                &[0, low, high, 0, 0, 0, 0, 0],
+                frames,
+            );
+        }
+        Order::ReadScale(_) => return false,
+    }
+    true
+}
+
+pub(super) fn decode(profile: &DriveProfile, scales: &Odrive, frame: &Frame) -> Option<Event> {
+    let data = frame.eight().filter(|_| !frame.extended)?;
+    if frame.id >> 5 != u32::from(profile.id) {
+        return None;
+    }
+    let (first, second) = unpair(data);
+    let finite = |value: f32| value.is_finite().then_some(value);
+    let mut reply = JointReply::default();
+    match (frame.id & 0x1f) as u16 {
+        command::ESTIMATES => {
+            reply.position = finite(first * TURN);
+            reply.velocity = finite(second * TURN);
+        }
+        command::TORQUES => reply.torque = finite(second),
+        command::TEMPERATURE => {
+            let highest = if first > second { first } else { second };
+            reply.temperature = finite(highest);
+        }
+        command::HEARTBEAT => {
+            let [error @ .., state, _, _, _] = data;
+            reply.state = Some(match (u32::from_le_bytes(error), u32::from(state)) {
+                (0, CLOSED_LOOP) => DriveState::Enabled,
+                (0, _) => DriveState::Disabled,
+                (error, _) => DriveState::Fault(error),
+            });
+        }
+        command::VALUE => {
+            let [_, low, high, ..] = data;
+            let own = u16::from_le_bytes([low, high]) == scales.torque_scale_endpoint;
+            let value = finite(second).filter(|_| own && scales.torque_scale_endpoint != 0)?;
+            return Some(Event::Scale(Scale::Torque, value));
+        }
+        _ => return None,
+    }
+    Some(Event::Reply(reply))
+}
+
+pub(super) fn accept(profile: &DriveProfile, scales: &Odrive, frame: &Frame) -> Option<Request> {
+    if frame.extended || frame.id >> 5 != u32::from(profile.id) {
+        return None;
+    }
+    let kind = (frame.id & 0x1f) as u16;
+    if frame.remote {
+        // The drive answers the other remote frame, too, with the reply to this one.
+        return (kind == command::ESTIMATES).then_some(Request::Order(Order::Report));
+    }
+    let mut data = [0; 8];
+    data.iter_mut()
+        .zip(frame.bytes())
+        .for_each(|(to, from)| *to = *from);
+    let (first, second) = unpair(data);
+    let mut motion = JointCommand::default();
+    match (kind, frame.bytes().len()) {
+        (command::POSITION, 8) => {
+            let [_, _, _, _, v0, v1, t0, t1] = data;
+            motion.position = first * TURN;
+            motion.velocity =
+                f32::from(i16::from_le_bytes([v0, v1])) * TURN / scales.velocity_scale;
+            motion.torque = f32::from(i16::from_le_bytes([t0, t1])) / scales.torque_scale;
+        }
+        (command::VELOCITY, 8) => (motion.velocity, motion.torque) = (first * TURN, second),
+        (command::TORQUE, 4 | 8) => motion.torque = first,
+        (command::STATE, 4 | 8) => {
+            let [state @ .., _, _, _, _] = data;
+            return match u32::from_le_bytes(state) {
+                CLOSED_LOOP => Some(Request::Order(Order::Enable)),
+                IDLE => Some(Request::Order(Order::Disable)),
+                _ => None,
+            };
+        }
+        (command::CLEAR, _) => return Some(Request::Order(Order::ClearFault)),
+        (command::ZERO, 4 | 8) => return Some(Request::Order(Order::SetZero)),
+        (command::READ, 8) => {
+            let [_, low, high, ..] = data;
+            let own = u16::from_le_bytes([low, high]) == scales.torque_scale_endpoint;
+            return own.then_some(Request::Order(Order::ReadScale(Scale::Torque)));
+        }
+        _ => return None,
+    }
+    motion.is_finite().then_some(Request::Command(motion))
+}
+
+pub(super) fn reply(profile: &DriveProfile, reply: &JointReply, frames: &mut Frames) {
+    let turns = |value: Option<f32>| value.unwrap_or_default() / TURN;
+    let estimates = pair(turns(reply.position), turns(reply.velocity));
+    send(profile, command::ESTIMATES, &estimates, frames);
+    let torque = reply.torque.unwrap_or_default();
+    send(profile, command::TORQUES, &pair(torque, torque), frames);
+    let celsius = reply.temperature.unwrap_or_default();
+    send(
+        profile,
+        command::TEMPERATURE,
+        &pair(celsius, celsius),
+        frames,
+    );
+    let (error, state) = match reply.state.unwrap_or_default() {
+        DriveState::Disabled => (0, IDLE),
+        DriveState::Enabled => (0, CLOSED_LOOP),
+        DriveState::Fault(error) => (error.max(1), IDLE),
+    };
+    let [e0, e1, e2, e3] = error.to_le_bytes();
+    let bytes = [e0, e1, e2, e3, state as u8, 0, 0, 0];
+    send(profile, command::HEARTBEAT, &bytes, frames);
+}
+
+pub(super) fn reply_scale(
+    profile: &DriveProfile,
+    scales: &Odrive,
+    value: f32,
+    frames: &mut Frames,
+) {
+    let [low, high] = scales.torque_scale_endpoint.to_le_bytes();
+    let [v0, v1, v2, v3] = value.to_le_bytes();
+    send(
+        profile,
+        command::VALUE,
+        &[0, low, high, 0, v0, v1, v2, v3],
+        frames,
+    );
+}

@@ -1,0 +1,295 @@
+//! Profile of one drive: protocol, scales, and the place of its joint.
+
+use super::JointCommand;
+use core::fmt;
+use serde::{Deserialize, Serialize};
+
+/// Symmetric full scales of a frame with packed integers, in the coordinates of the drive: a field covers ± its scale.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ranges {
+    /// Position, rad.
+    pub position: f32,
+    /// Velocity, rad/s.
+    pub velocity: f32,
+    /// Torque, N·m.
+    pub torque: f32,
+    /// Largest stiffness, N·m/rad; the field begins at 0.
+    pub kp: f32,
+    /// Largest damping, N·m·s/rad; the field begins at 0.
+    pub kd: f32,
+}
+
+/// Protocol of a drive, with the scales of its fields.
+///
+/// Each scale must equal the one configured in the drive; [`super::DriveProfile::read_scale`] asks the drive for it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Protocol {
+    /// MIT frame of eight bytes; reply of bgkatz/motorcontrol: identifier, position, velocity, torque in six bytes.
+    MiniCheetah(Ranges),
+    /// MIT frame of eight bytes; reply of Damiao with status and two temperatures; the registers hold the ranges.
+    Damiao(Ranges),
+    /// CyberGear: extended identifier with the torque in bits 8 to 23.
+    CyberGear(Ranges),
+    /// RobStride: the frames of CyberGear, other ranges.
+    RobStride(Ranges),
+    /// moteus registers over CAN-FD or its UART text form.
+    Moteus(Moteus),
+    /// ODrive CANSimple.
+    Odrive(Odrive),
+    /// CiA 402 process data (EtherCAT, CANopen).
+    Cia402(Cia402),
+}
+
+/// Scales of a moteus drive.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Moteus {
+    /// Stiffness at a scale of 1 (`servo.pid_position.kp`), N·m per turn.
+    pub kp: f32,
+    /// Damping at a scale of 1 (`servo.pid_position.kd`), N·m·s per turn.
+    pub kd: f32,
+    /// Time without a command until the drive times out (register 0x027), s.
+    pub watchdog_s: f32,
+    /// Form of position, velocity, torque and gain scales, in commands and replies.
+    pub resolution: Resolution,
+}
+
+/// Form of a moteus register on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Resolution {
+    /// 10⁻⁴ turns, 0.00025 turns/s, 0.01 N·m.
+    Int16,
+    /// 10⁻⁵ turns, 10⁻⁵ turns/s, 0.001 N·m.
+    Int32,
+    /// Without a step.
+    F32,
+}
+
+/// Scales of an ODrive axis. Its gains are configured in the drive.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Odrive {
+    /// Input that commands set: position and torque, velocity and torque, or torque alone.
+    pub mode: ControlMode,
+    /// Counts of `Vel_FF` per turn/s (`input_vel_scale`; 1000 as shipped).
+    pub velocity_scale: f32,
+    /// Counts of `Torque_FF` per N·m (`input_torque_scale`; 1000 as shipped).
+    pub torque_scale: f32,
+    /// Endpoint of `input_torque_scale` in the firmware's `flat_endpoints.json`; 0 = not asked.
+    pub torque_scale_endpoint: u16,
+    /// Commands ask for the estimates by remote frames; otherwise the drive sends them at its own rate.
+    pub polled: bool,
+}
+
+/// Scales of a CiA 402 drive. Its gains are configured in the drive.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cia402 {
+    /// Mode of operation.
+    pub mode: ControlMode,
+    /// Counts of position per turn; of velocity per turn/s.
+    pub counts_per_turn: f32,
+    /// Rated torque (6076h), N·m; the frames carry thousandths of it.
+    pub rated_torque: f32,
+}
+
+/// Controlled quantity; in the first two the torque of a command is a feed-forward.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ControlMode {
+    /// Position. CiA 402: cyclic synchronous position mode, 8.
+    Position,
+    /// Velocity. CiA 402: cyclic synchronous velocity mode, 9.
+    Velocity,
+    /// Torque. CiA 402: cyclic synchronous torque mode, 10.
+    Torque,
+}
+
+/// Drive of one joint.
+///
+/// Coordinates: `drive position = sign·gear·(joint position − zero)`, `drive torque = sign·torque/gear`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriveProfile {
+    /// Protocol, with the scales of its fields.
+    pub protocol: Protocol,
+    /// Identifier of the drive on its bus (moteus and CyberGear: 1 to 127; ODrive: node, 0 to 62).
+    pub id: u16,
+    /// Identifier of the host, to which replies go: Damiao's master, CyberGear's host, moteus' source.
+    pub host_id: u16,
+    /// +1, or −1 where the drive counts against the joint.
+    pub sign: f32,
+    /// Position of the joint at position 0 of the drive, rad.
+    pub zero: f32,
+    /// Turns of the drive's coordinate per turn of the joint: 1 where the drive counts at its output.
+    pub gear: f32,
+    /// Largest torque commanded, N·m at the joint.
+    pub torque_limit: f32,
+}
+
+/// Field of a profile that is out of range or contradicts another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProfileError {
+    /// Name of the field.
+    pub field: &'static str,
+    /// Its value.
+    pub value: f32,
+    /// Admissible range, ends included.
+    pub range: (f32, f32),
+}
+
+impl fmt::Display for ProfileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            field,
+            value,
+            range,
+        } = self;
+        write!(
+            f,
+            "{field} is {value}, must be within {} and {}",
+            range.0, range.1
+        )
+    }
+}
+
+impl core::error::Error for ProfileError {}
+
+impl DriveProfile {
+    /// Check of every field. Errors: [`ProfileError`] of the first field that is not finite, out of range, or whose
+    /// torque the frame cannot carry.
+    pub fn check(&self) -> Result<(), ProfileError> {
+        const POSITIVE: (f32, f32) = (1e-6, 1e6);
+        let (ids, hosts) = match self.protocol {
+            Protocol::MiniCheetah(_) | Protocol::Damiao(_) => ((1.0, 2047.0), (0.0, 2047.0)),
+            Protocol::CyberGear(_) | Protocol::RobStride(_) => ((1.0, 127.0), (0.0, 255.0)),
+            Protocol::Moteus(_) => ((1.0, 127.0), (0.0, 127.0)),
+            Protocol::Odrive(_) => ((0.0, 62.0), (0.0, 2047.0)),
+            Protocol::Cia402(_) => ((1.0, 127.0), (0.0, 2047.0)),
+        };
+        let place = [
+            ("id", self.id.into(), ids),
+            ("host_id", self.host_id.into(), hosts),
+            ("sign", self.sign, (-1.0, 1.0)),
+            ("size of sign", self.sign * self.sign, (1.0, 1.0)),
+            ("zero", self.zero, (-1e3, 1e3)),
+            ("gear", self.gear, (1e-3, 1e4)),
+        ];
+        let scales: &[(&'static str, f32)] = match self.protocol {
+            Protocol::MiniCheetah(r)
+            | Protocol::Damiao(r)
+            | Protocol::CyberGear(r)
+            | Protocol::RobStride(r) => &[
+                ("position", r.position),
+                ("velocity", r.velocity),
+                ("torque", r.torque),
+                ("kp", r.kp),
+                ("kd", r.kd),
+            ],
+            Protocol::Moteus(m) => &[("kp", m.kp), ("kd", m.kd), ("watchdog_s", m.watchdog_s)],
+            Protocol::Odrive(o) => &[
+                ("velocity_scale", o.velocity_scale),
+                ("torque_scale", o.torque_scale),
+            ],
+            Protocol::Cia402(c) => &[
+                ("counts_per_turn", c.counts_per_turn),
+                ("rated_torque", c.rated_torque),
+            ],
+        };
+        let scales = scales
+            .iter()
+            .map(|&(field, value)| (field, value, POSITIVE));
+        for (field, value, range) in place.into_iter().chain(scales) {
+            if !(value >= range.0 && value <= range.1) {
+                return Err(ProfileError {
+                    field,
+                    value,
+                    range,
+                });
+            }
+        }
+        let range = (0.0, self.largest_torque());
+        if !(self.torque_limit > 0.0 && self.torque_limit <= range.1) {
+            let (field, value) = ("torque_limit", self.torque_limit);
+            return Err(ProfileError {
+                field,
+                value,
+                range,
+            });
+        }
+        Ok(())
+    }
+
+    /// Largest torque at the joint that a frame carries, N·m.
+    pub fn largest_torque(&self) -> f32 {
+        let drive = match self.protocol {
+            Protocol::MiniCheetah(r)
+            | Protocol::Damiao(r)
+            | Protocol::CyberGear(r)
+            | Protocol::RobStride(r) => r.torque,
+            Protocol::Moteus(_) => 1e4,
+            Protocol::Odrive(o) if o.mode == ControlMode::Position => {
+                f32::from(i16::MAX) / o.torque_scale
+            }
+            Protocol::Odrive(_) => 1e4,
+            Protocol::Cia402(c) => f32::from(i16::MAX) * 1e-3 * c.rated_torque,
+        };
+        drive * self.gear
+    }
+
+    /// Step of the reported torque at the joint, N·m: the reply's quantum. Rounding adds noise of this over √12.
+    pub fn torque_resolution(&self) -> f32 {
+        let drive = match self.protocol {
+            Protocol::MiniCheetah(r) | Protocol::Damiao(r) => 2.0 * r.torque / 4095.0,
+            Protocol::CyberGear(r) | Protocol::RobStride(r) => 2.0 * r.torque / 65535.0,
+            Protocol::Moteus(m) => match m.resolution {
+                Resolution::Int16 => 1e-2,
+                Resolution::Int32 => 1e-3,
+                Resolution::F32 => 0.0,
+            },
+            Protocol::Odrive(_) => 0.0,
+            Protocol::Cia402(c) => 1e-3 * c.rated_torque,
+        };
+        drive * self.gear
+    }
+
+    /// The frames carry stiffness and damping; elsewhere they are configured in the drive.
+    pub const fn carries_gains(&self) -> bool {
+        !matches!(self.protocol, Protocol::Odrive(_) | Protocol::Cia402(_))
+    }
+
+    /// The first command after [`super::Order::Enable`] turns the torque on, not the order itself.
+    pub const fn enabled_by_command(&self) -> bool {
+        matches!(self.protocol, Protocol::Moteus(_) | Protocol::Cia402(_))
+    }
+
+    /// A command in the coordinates of the drive.
+    pub(super) fn in_drive(&self, joint: &JointCommand) -> JointCommand {
+        let turn = self.sign * self.gear;
+        let square = self.gear * self.gear;
+        JointCommand {
+            position: (joint.position - self.zero) * turn,
+            velocity: joint.velocity * turn,
+            torque: joint.torque / turn,
+            kp: joint.kp / square,
+            kd: joint.kd / square,
+        }
+    }
+
+    /// A command in the coordinates of the joint.
+    pub(super) fn in_joint(&self, drive: &JointCommand) -> JointCommand {
+        let turn = self.sign * self.gear;
+        let square = self.gear * self.gear;
+        JointCommand {
+            position: drive.position / turn + self.zero,
+            velocity: drive.velocity / turn,
+            torque: drive.torque * turn,
+            kp: drive.kp * square,
+            kd: drive.kd * square,
+        }
+    }
+}

@@ -1,0 +1,389 @@
+//! Codecs: there and back within half a step, saturation, refusal, unbiased torque, arbitrary frames.
+
+use super::*;
+use proptest::prelude::*;
+
+const RANGES: Ranges = Ranges {
+    position: 12.5,
+    velocity: 30.0,
+    torque: 10.0,
+    kp: 500.0,
+    kd: 5.0,
+};
+
+const fn moteus(resolution: Resolution) -> Protocol {
+    Protocol::Moteus(Moteus {
+        kp: 4000.0,
+        kd: 40.0,
+        watchdog_s: 0.02,
+        resolution,
+    })
+}
+
+const fn odrive(mode: ControlMode) -> Protocol {
+    Protocol::Odrive(Odrive {
+        mode,
+        velocity_scale: 1000.0,
+        torque_scale: 1000.0,
+        torque_scale_endpoint: 300,
+        polled: true,
+    })
+}
+
+const fn cia402(mode: ControlMode) -> Protocol {
+    Protocol::Cia402(Cia402 {
+        mode,
+        counts_per_turn: 1_048_576.0,
+        rated_torque: 12.0,
+    })
+}
+
+/// Step of position, velocity, torque, kp and kd of each protocol; infinite where the command does not carry it.
+const PROTOCOLS: [(Protocol, [f32; 5]); 13] = {
+    const NO: f32 = f32::INFINITY;
+    const MIT: [f32; 5] = [
+        25.0 / 65535.0,
+        60.0 / 4095.0,
+        20.0 / 4095.0,
+        500.0 / 4095.0,
+        5.0 / 4095.0,
+    ];
+    const FINE: [f32; 5] = [
+        25.0 / 65535.0,
+        60.0 / 65535.0,
+        20.0 / 65535.0,
+        500.0 / 65535.0,
+        5.0 / 65535.0,
+    ];
+    const COUNT: f32 = TURN / 1_048_576.0;
+    [
+        (Protocol::MiniCheetah(RANGES), MIT),
+        (Protocol::Damiao(RANGES), MIT),
+        (Protocol::CyberGear(RANGES), FINE),
+        (Protocol::RobStride(RANGES), FINE),
+        (
+            moteus(Resolution::Int16),
+            [1e-4 * TURN, 2.5e-4 * TURN, 0.01, 0.02, 2e-4],
+        ),
+        (
+            moteus(Resolution::Int32),
+            [1e-5 * TURN, 1e-5 * TURN, 0.001, 1e-4, 1e-6],
+        ),
+        (moteus(Resolution::F32), [0.0; 5]),
+        (
+            odrive(ControlMode::Position),
+            [0.0, 1e-3 * TURN, 1e-3, NO, NO],
+        ),
+        (odrive(ControlMode::Velocity), [NO, 0.0, 0.0, NO, NO]),
+        (odrive(ControlMode::Torque), [NO, NO, 0.0, NO, NO]),
+        (cia402(ControlMode::Position), [COUNT, NO, 0.012, NO, NO]),
+        (cia402(ControlMode::Velocity), [NO, COUNT, 0.012, NO, NO]),
+        (cia402(ControlMode::Torque), [NO, NO, 0.012, NO, NO]),
+    ]
+};
+
+fn profile(protocol: Protocol) -> DriveProfile {
+    DriveProfile {
+        protocol,
+        id: 3,
+        host_id: 0x13,
+        sign: -1.0,
+        zero: 0.4,
+        gear: 1.0,
+        torque_limit: 9.0,
+    }
+}
+
+fn values(command: &JointCommand) -> [f32; 5] {
+    [
+        command.position,
+        command.velocity,
+        command.torque,
+        command.kp,
+        command.kd,
+    ]
+}
+
+fn motion([position, velocity, torque, kp, kd]: [f32; 5]) -> JointCommand {
+    JointCommand {
+        position,
+        velocity,
+        torque,
+        kp,
+        kd,
+    }
+}
+
+/// Flags and the command that the drive reads.
+fn sent(
+    profile: &DriveProfile,
+    command: &JointCommand,
+    carry: &mut Carry,
+) -> (Saturation, Option<Request>) {
+    let mut frames = Frames::new();
+    let flags = profile.command(command, carry, &mut frames);
+    (
+        flags,
+        frames.first().and_then(|frame| profile.accept(frame)),
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn commands_come_back_within_half_a_step(
+        position in -11.0_f32..11.0, velocity in -29.0_f32..29.0, torque in -8.9_f32..8.9,
+        kp in 0.0_f32..500.0, kd in 0.0_f32..5.0,
+    ) {
+        let command = motion([position, velocity, torque, kp, kd]);
+        for (protocol, steps) in PROTOCOLS {
+            let (flags, request) = sent(&profile(protocol), &command, &mut Carry::default());
+            prop_assert!(flags.is_empty(), "{protocol:?} {flags:?}");
+            let Some(Request::Command(read)) = request else { panic!("{protocol:?} {request:?}") };
+            for ((want, got), step) in values(&command).into_iter().zip(values(&read)).zip(steps) {
+                let most = 0.5 * step + 4e-6 * want.abs() + 3e-6;
+                prop_assert!(step.is_infinite() || (want - got).abs() <= most, "{protocol:?} {want} {got}");
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_wraps(fields in proptest::array::uniform5(proptest::num::f32::ANY)) {
+        let command = motion(fields);
+        for (protocol, steps) in PROTOCOLS {
+            let profile = profile(protocol);
+            let (flags, request) = sent(&profile, &command, &mut Carry::default());
+            let Some(Request::Command(read)) = request else {
+                prop_assert_eq!(flags, Saturation::REFUSED);
+                continue;
+            };
+            prop_assert!(read.is_finite() && read.torque.abs() <= 9.0 + 0.5 * steps[2], "{:?} {:?}", protocol, read);
+            if profile.carries_gains() {
+                prop_assert!(read.kp >= 0.0 && read.kd >= 0.0);
+            }
+            for (want, got) in values(&command).into_iter().zip(values(&read)) {
+                // A value that saturates keeps its side.
+                prop_assert!(want.abs() < 1.0 || got == 0.0 || want * got > 0.0 || want < 0.0 && got.abs() < 1.0);
+            }
+        }
+    }
+
+    #[test]
+    fn replies_come_back(
+        position in -11.0_f32..11.0, velocity in -29.0_f32..29.0, torque in -9.0_f32..9.0,
+        state in prop_oneof![Just(DriveState::Disabled), Just(DriveState::Enabled), Just(DriveState::Fault(8))],
+    ) {
+        for (protocol, steps) in PROTOCOLS {
+            let (profile, mut frames, mut read) = (profile(protocol), Frames::new(), JointReply::default());
+            let reply = JointReply {
+                position: Some(position),
+                velocity: Some(velocity),
+                torque: Some(torque),
+                temperature: Some(40.0),
+                state: Some(state),
+            };
+            profile.reply(&reply, &mut frames);
+            for frame in &frames {
+                let Some(Event::Reply(part)) = profile.decode(frame) else { panic!("{protocol:?} {frame:?}") };
+                read.update(&part);
+            }
+            let step = |place: usize| if steps[place].is_finite() { steps[place] } else { 1e-5 };
+            prop_assert!((read.position.unwrap() - position).abs() <= 0.5 * step(0) + 2e-5);
+            prop_assert!((read.velocity.unwrap() - velocity).abs() <= 0.5 * step(1) + 2e-5, "{:?}", protocol);
+            prop_assert!((read.torque.unwrap() - torque).abs() <= 0.5 * profile.torque_resolution() + 1e-5);
+            prop_assert!(matches!(protocol, Protocol::MiniCheetah(_)) || read.state == Some(state), "{:?}", protocol);
+        }
+    }
+
+    #[test]
+    fn arbitrary_frames_give_finite_values(
+        id in 0_u32..0x2000_0000, extended: bool, bytes in proptest::collection::vec(any::<u8>(), 0..64), near: bool,
+    ) {
+        for (protocol, _) in PROTOCOLS {
+            let profile = profile(protocol);
+            // Half of the frames carry an identifier of this drive.
+            let id = if near { id & 0x1f00_0000 | 0x0313 + (id & 0x780) } else { id };
+            let frame = if extended { Frame::extended(id, &bytes) } else { Frame::standard(id, &bytes) };
+            finite(&profile, &frame)?;
+        }
+    }
+}
+
+fn finite(profile: &DriveProfile, frame: &Frame) -> Result<(), TestCaseError> {
+    if let Some(Request::Command(command)) = profile.accept(frame) {
+        prop_assert!(command.is_finite(), "{frame:?} {command:?}");
+    }
+    match profile.decode(frame) {
+        Some(Event::Reply(reply)) => {
+            let values = [
+                reply.position,
+                reply.velocity,
+                reply.torque,
+                reply.temperature,
+            ];
+            prop_assert!(
+                values.into_iter().flatten().all(f32::is_finite),
+                "{frame:?} {reply:?}"
+            );
+        }
+        Some(Event::Scale(_, value)) => prop_assert!(value.is_finite()),
+        None => {}
+    }
+    Ok(())
+}
+
+#[test]
+fn torque_has_no_bias() {
+    for (protocol, _) in PROTOCOLS {
+        for torque in [0.0, 0.0013, -1.23456] {
+            let (profile, mut carry, count) = (profile(protocol), Carry::default(), 4096);
+            let command = JointCommand {
+                torque,
+                ..JointCommand::default()
+            };
+            let mut sum = 0.0;
+            for _ in 0..count {
+                match sent(&profile, &command, &mut carry).1 {
+                    Some(Request::Command(read)) => sum += f64::from(read.torque),
+                    other => panic!("{other:?}"),
+                }
+            }
+            let mean = sum / f64::from(count);
+            assert!(
+                (mean - f64::from(torque)).abs() < 1e-5,
+                "{protocol:?}: {mean} of {torque}"
+            );
+        }
+    }
+}
+
+#[test]
+fn values_that_are_not_finite_take_the_torque_off() {
+    for (protocol, _) in PROTOCOLS {
+        let command = JointCommand {
+            kd: f32::NAN,
+            ..JointCommand::default()
+        };
+        let (flags, request) = sent(&profile(protocol), &command, &mut Carry::default());
+        assert_eq!(flags, Saturation::REFUSED);
+        assert_eq!(
+            request,
+            Some(Request::Order(Order::Disable)),
+            "{protocol:?}"
+        );
+    }
+}
+
+#[test]
+fn full_scale_is_no_order() {
+    let profile = DriveProfile {
+        torque_limit: 10.0,
+        sign: 1.0,
+        zero: 0.0,
+        ..profile(Protocol::Damiao(RANGES))
+    };
+    // The torques whose codes end in FC, FD and FE.
+    for torque in [9.985_f32, 9.99, 9.995, 10.0] {
+        let (_, request) = sent(
+            &profile,
+            &motion([99.0, 99.0, torque, 999.0, 99.0]),
+            &mut Carry::default(),
+        );
+        assert!(matches!(request, Some(Request::Command(_))), "{request:?}");
+    }
+}
+
+#[test]
+fn orders_and_scales_come_back() {
+    use {Order::*, Scale::*};
+    let orders = [
+        Enable,
+        Disable,
+        ClearFault,
+        SetZero,
+        Report,
+        ReadScale(Position),
+        ReadScale(Velocity),
+        ReadScale(Torque),
+    ];
+    let mut without = std::string::String::new();
+    for (protocol, _) in PROTOCOLS {
+        for order in orders {
+            let (profile, mut frames) = (profile(protocol), Frames::new());
+            if !profile.order(order, &mut frames) {
+                without += &std::format!("{order:?} ");
+                continue;
+            }
+            let read = frames.iter().rev().find_map(|frame| profile.accept(frame));
+            // moteus: mode 0 for all three.
+            let alike = matches!(
+                (protocol, order),
+                (Protocol::Moteus(_), Enable | ClearFault)
+            );
+            assert_eq!(
+                read,
+                Some(Request::Order(if alike { Disable } else { order })),
+                "{protocol:?}"
+            );
+            if let ReadScale(scale) = order {
+                let mut frames = Frames::new();
+                profile.reply_scale(scale, 12.5, &mut frames);
+                assert_eq!(
+                    profile.decode(&frames[0]),
+                    Some(Event::Scale(scale, 12.5)),
+                    "{protocol:?}"
+                );
+            }
+        }
+    }
+    assert_eq!(
+        without.matches("Enable").count() + without.matches("Disable").count(),
+        0
+    );
+}
+
+#[test]
+fn profiles_that_contradict_themselves_are_refused() {
+    let good = profile(Protocol::Damiao(RANGES));
+    assert_eq!(good.check(), Ok(()));
+    for (profile, field) in [
+        (DriveProfile { sign: 0.5, ..good }, "size of sign"),
+        (
+            DriveProfile {
+                sign: f32::NAN,
+                ..good
+            },
+            "sign",
+        ),
+        (DriveProfile { gear: 0.0, ..good }, "gear"),
+        (
+            DriveProfile {
+                torque_limit: 10.1,
+                ..good
+            },
+            "torque_limit",
+        ),
+        (
+            DriveProfile {
+                torque_limit: f32::NAN,
+                ..good
+            },
+            "torque_limit",
+        ),
+        (DriveProfile { id: 0, ..good }, "id"),
+        (
+            DriveProfile {
+                id: 63,
+                ..profile(odrive(ControlMode::Position))
+            },
+            "id",
+        ),
+        (
+            profile(Protocol::Damiao(Ranges { kd: 0.0, ..RANGES })),
+            "kd",
+        ),
+    ] {
+        assert_eq!(profile.check().map_err(|error| error.field), Err(field));
+    }
+}

@@ -1,0 +1,402 @@
+//! The board's timer beside the samples, as on silicon: the promises of docs/safety.md in both pacings.
+
+use super::*;
+use crate::safety::promises::{Promises, Timing};
+use crate::session::LocalSensor;
+
+const PACINGS: [Pacing; 2] = [Pacing::Link, Pacing::SysTick];
+
+/// A board, its timer, a host that sends one sample a period, and the line between them.
+struct Timeline {
+    board: Board,
+    promises: Promises<N>,
+    /// Number of the sample of the next period, and of the first that has not arrived.
+    next: u32,
+    arrives: u32,
+    random: u32,
+}
+
+impl Timeline {
+    fn new(pacing: Pacing, seed: u32) -> Self {
+        let mut board = Board::new();
+        board.pace(pacing);
+        let limits = SafetyLimits::for_arm::<Ur5, P>(1000);
+        let promises = Promises::new(limits, board.session.feed_forward().config());
+        let mut timeline = Self {
+            board,
+            promises,
+            next: 0,
+            arrives: 0,
+            random: seed,
+        };
+        timeline.timer();
+        timeline
+    }
+
+    fn armed(pacing: Pacing) -> Self {
+        let mut timeline = Self::new(pacing, 1);
+        (0..ARM_SAMPLES).for_each(|_| timeline.period(Timing::Exact));
+        timeline.ask(HostMessage::Arm);
+        (0..50).for_each(|_| timeline.period(Timing::Exact));
+        assert!(timeline.torque() > 20.0, "{pacing:?}");
+        timeline
+    }
+
+    fn random(&mut self) -> u32 {
+        self.random = self
+            .random
+            .wrapping_mul(1_664_525)
+            .wrapping_add(1_013_904_223);
+        self.random >> 8
+    }
+
+    fn torque(&self) -> f32 {
+        self.board
+            .session
+            .torque_output()
+            .iter()
+            .map(|t| t.abs())
+            .sum()
+    }
+
+    fn state(&self) -> SafetyState {
+        self.board.session.safety().state
+    }
+
+    fn observe(&mut self, replies: &Replies) {
+        let used = replies.iter().any(|(_, reply)| {
+            let stale = |torque: &TorqueFrame<N>| Flags(torque.flags).contains(Flags::STALE_SAMPLE);
+            matches!(reply, BoardMessage::Torque(torque) if !stale(torque))
+        });
+        let session = &self.board.session;
+        let (torque, enabled) = (*session.torque_output(), session.torque_enabled());
+        let checked = self
+            .promises
+            .check(&torque, enabled, session.safety(), used);
+        assert_eq!(
+            checked,
+            Ok(()),
+            "sample {}, {}",
+            self.next,
+            session.safety()
+        );
+    }
+
+    fn timer(&mut self) -> usize {
+        self.promises.period();
+        let replies = self.board.timer();
+        self.observe(&replies);
+        replies.len()
+    }
+
+    fn ask(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
+        let arms = message == HostMessage::Arm;
+        let reply = self.board.request(message);
+        if arms && reply == ACK {
+            self.promises.permit();
+        }
+        self.observe(&Vec::new());
+        reply
+    }
+
+    fn send(&mut self, frame: SampleFrame<N>) -> usize {
+        let replies = self.board.send(&HostMessage::Sample(frame));
+        self.observe(&replies);
+        replies.len()
+    }
+
+    /// One period of host, line and timer.
+    fn period(&mut self, timing: Timing) {
+        self.next += 1;
+        let random = self.random();
+        let count = timing.arriving(self.next - self.arrives, random);
+        for _ in 0..count {
+            let frame = SampleFrame::new(&slow(self.arrives)).in_period(self.arrives as u8);
+            self.arrives += 1;
+            self.next = self.next.max(self.arrives);
+            self.send(frame);
+        }
+        self.timer();
+    }
+
+    /// A period in which the host sends nothing.
+    fn silence(&mut self) {
+        self.next += 1;
+        self.arrives = self.next;
+        self.timer();
+    }
+}
+
+/// A motion slow enough for a joint at any number of samples at once.
+fn slow(k: u32) -> JointSample<N> {
+    let t = k as f32 * 1e-3;
+    let q = JointVector::from_fn(|j, _| (t + j as f32).sin());
+    let mut sample = sample(0);
+    sample.desired.q = q;
+    sample.measured.as_mut().unwrap().q = q;
+    sample
+}
+
+#[test]
+fn every_promise_holds_at_every_timing_in_both_pacings() {
+    for (pacing, timing) in PACINGS
+        .into_iter()
+        .flat_map(|p| Timing::ALL.map(|t| (p, t)))
+    {
+        let mut torques = 0;
+        let mut timeline = Timeline::new(pacing, timing as u32);
+        let mut gap = 0;
+        for k in 0..3000_u32 {
+            if gap > 0 {
+                gap -= 1;
+                timeline.silence();
+            } else {
+                timeline.period(timing);
+            }
+            let random = timeline.random();
+            if timing == Timing::Silence && random.is_multiple_of(97) {
+                gap = random / 97 % 150;
+            }
+            match timeline.state() {
+                SafetyState::Disarmed if k % 5 == 0 => _ = timeline.ask(HostMessage::Arm),
+                SafetyState::Fault if k % 5 == 0 => _ = timeline.ask(HostMessage::ClearFault),
+                SafetyState::Armed if random % 1009 == 1 => _ = timeline.ask(HostMessage::Stop),
+                SafetyState::Armed if random % 499 == 2 => _ = timeline.ask(HostMessage::Disarm),
+                _ => {}
+            }
+            torques += u32::from(timeline.torque() > 10.0);
+        }
+        assert!(torques > 500, "{pacing:?}, {timing:?}: {torques} torques");
+    }
+}
+
+/// M1: one hold time for both pacings.
+#[test]
+fn a_silent_host_loses_its_torque_equally_fast_in_both_pacings() {
+    for pacing in PACINGS {
+        let mut timeline = Timeline::armed(pacing);
+        let full = timeline.torque();
+        let [mut falls, mut ends, mut leaves] = [0; 3];
+        for k in 1..=60 {
+            timeline.silence();
+            let torque = timeline.torque();
+            let first = |place: &mut u32, now: bool| {
+                if now && *place == 0 {
+                    *place = k;
+                }
+            };
+            first(&mut falls, torque < full);
+            first(&mut ends, torque == 0.0);
+            first(&mut leaves, timeline.state() != SafetyState::Armed);
+        }
+        // The page gives 10, 30 at most, and 50 ms.
+        assert!(
+            (11..=12).contains(&falls),
+            "{pacing:?}: falls after {falls}"
+        );
+        assert!(ends > falls && ends <= 33, "{pacing:?}: ends after {ends}");
+        assert!(
+            (50..=51).contains(&leaves),
+            "{pacing:?}: leaves after {leaves}"
+        );
+    }
+}
+
+/// M2: the timer takes no implausible sample back.
+#[test]
+fn one_implausible_sample_in_four_latches_in_both_pacings() {
+    for pacing in PACINGS {
+        let mut timeline = Timeline::armed(pacing);
+        for k in 0..900 {
+            let mut bad = slow(timeline.next);
+            timeline.next += 1;
+            if k % 4 == 0 {
+                bad.measured.as_mut().unwrap().tau[5] = 90.0;
+            }
+            timeline.send(SampleFrame::new(&bad));
+            timeline.timer();
+        }
+        let latched = timeline.board.session.latched_fault();
+        assert_eq!(latched, SafetyReason::EffortRange, "{pacing:?}");
+    }
+}
+
+/// M3: samples beyond their period are not fresh, and the torque of all of them is one slew step.
+#[test]
+fn a_burst_out_of_a_buffer_is_not_played_at_line_speed() {
+    for (pacing, at_once) in [(Pacing::Link, 2), (Pacing::SysTick, 0)] {
+        let mut timeline = Timeline::armed(pacing);
+        (0..8).for_each(|_| timeline.silence());
+        let before = timeline.board.statistics().overtaken;
+        timeline.promises.period();
+        timeline.board.timer();
+        let mut answered = 0;
+        for k in 0..20 {
+            answered += timeline.send(SampleFrame::new(&slow(50 + k)).in_period(k as u8));
+        }
+        assert_eq!(answered, at_once, "{pacing:?}");
+        assert_eq!(timeline.timer(), 1, "the newest runs with the timer");
+        let overtaken = timeline.board.statistics().overtaken - before;
+        assert_eq!(overtaken as usize, 19 - at_once, "{pacing:?}");
+    }
+}
+
+/// M10 (d): commands use up numbers of frames, but no time.
+#[test]
+fn commands_widen_no_plausibility_check() {
+    for pacing in PACINGS {
+        let mut timeline = Timeline::armed(pacing);
+        for _ in 0..200 {
+            timeline.ask(HostMessage::Statistics);
+        }
+        let mut moved = slow(timeline.arrives);
+        moved.measured.as_mut().unwrap().q[0] += 0.05;
+        let frame = SampleFrame::new(&moved).in_period(timeline.arrives as u8);
+        timeline.send(frame);
+        timeline.timer();
+        let reason = timeline.board.session.safety().reason;
+        assert_eq!(reason, SafetyReason::PositionJump, "{pacing:?}");
+    }
+}
+
+/// M11: temperatures reach every joint, whatever the numbers of frames.
+#[test]
+fn the_temperatures_of_all_joints_arrive_between_commands() {
+    for pacing in PACINGS {
+        let mut timeline = Timeline::new(pacing, 1);
+        for k in 0..N as u8 {
+            let frame = SampleFrame::new(&slow(0)).in_period(k);
+            timeline.send(frame.with_temperature(60 + k as i8));
+            timeline.timer();
+            timeline.ask(HostMessage::Statistics);
+        }
+        let temperatures = *timeline.board.session.temperatures_c();
+        assert_eq!(temperatures, [60, 61, 62, 63, 64, 65], "{pacing:?}");
+    }
+}
+
+#[test]
+fn a_reboot_waits_for_the_end_of_the_torque() {
+    let mut description = BoardDescription::plain(NoClock);
+    description.capabilities = Capabilities::REBOOT;
+    let mut board = Board::described(description);
+    board.arm();
+    assert_eq!(board.request(HostMessage::Reboot), nack(NackReason::Armed));
+    assert!(!board.session.reboot_wanted());
+    board.acknowledged(HostMessage::Disarm);
+    board.acknowledged(HostMessage::Reboot);
+    assert!(board.session.reboot_wanted());
+}
+
+#[test]
+fn a_repeated_disarm_and_another_hello_end_the_torque() {
+    let mut board = Board::armed();
+    let disarm = frame(board.sequence, &HostMessage::Disarm);
+    assert_eq!(board.receive(&disarm), [(board.sequence, ACK)]);
+    assert_eq!(board.session.safety().state, SafetyState::RampDown);
+    let mut board = Board::armed();
+    board.request(HostMessage::Hello);
+    assert_eq!(board.session.safety().state, SafetyState::RampDown);
+}
+
+/// A joint without its gravity share is a reason, not only a flag.
+#[test]
+fn an_armed_board_without_its_gravity_share_latches() {
+    for pacing in PACINGS {
+        let mut timeline = Timeline::armed(pacing);
+        let mut set = timeline.board.session.feed_forward().state().active;
+        set.rigid.fill(1e30);
+        let exchange = &mut timeline.board.mailboxes.learner.exchange;
+        timeline.board.session.load_set(set, exchange);
+        (0..20).for_each(|_| timeline.period(Timing::Exact));
+        let latched = timeline.board.session.latched_fault();
+        assert_eq!(latched, SafetyReason::GravityLost, "{pacing:?}");
+        assert_eq!(timeline.torque(), 0.0);
+    }
+}
+
+/// The brake of a board's joints.
+struct Braked;
+
+impl LocalSensor for Braked {
+    const BRAKE_CLOSE_US: u32 = 150_000;
+
+    fn measure<const N: usize>(&mut self, _: Option<&mut JointSample<N>>, _: bool) -> SafetyReason {
+        SafetyReason::None
+    }
+}
+
+/// M8: the torque of gravity at the measured position is kept until the brake is closed.
+#[test]
+fn a_board_with_a_brake_holds_the_arm_until_it_is_closed() {
+    for pacing in PACINGS {
+        for orderly in [false, true] {
+            let mut board = timed(pacing);
+            board.acknowledged(HostMessage::Arm);
+            let mut still = slow(0);
+            // More than gravity in the torque.
+            still.desired.qdd.fill(3.0);
+            let message = HostMessage::Sample(SampleFrame::new(&still));
+            let period = |board: &mut Board, sends: bool| {
+                let bytes = if sends {
+                    board.numbered(&message)
+                } else {
+                    Vec::new()
+                };
+                board.output(|session, mailboxes, out| {
+                    session.receive(&bytes, mailboxes, out, &mut Braked);
+                    session.timer_tick(mailboxes, out, &mut Braked);
+                });
+                let session = &board.session;
+                (
+                    *session.torque_output(),
+                    session.brake_released(),
+                    session.torque_enabled(),
+                )
+            };
+            (0..60).for_each(|_| assert!(period(&mut board, true).1));
+            let committed = board.session.feed_forward().state().committed;
+            let measured = SampleFrame::new(&still)
+                .sample(&[0.0; N])
+                .measured
+                .unwrap()
+                .q;
+            let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &measured);
+            if orderly {
+                board.acknowledged(HostMessage::Disarm);
+            }
+            let (mut released, mut kept, mut periods) = (0, 0, 0);
+            loop {
+                let (torque, open, enabled) = period(&mut board, orderly);
+                if !enabled {
+                    break;
+                }
+                released += u32::from(open);
+                kept += u32::from(torque == gravity);
+                periods += 1;
+                assert!(
+                    torque
+                        .iter()
+                        .zip(&gravity)
+                        .all(|(t, g)| t.abs() <= g.abs() + 15.0)
+                );
+                assert!(periods < 300, "{pacing:?}: the torque never ends");
+            }
+            // A silent host: held for 10 ms, gravity until the time-out and 150 ms more, 10 ms of ramp.
+            let (open, most) = if orderly { (0, 150) } else { (50, 192) };
+            let context = std::format!("{pacing:?}, {orderly}: {released} {kept} {periods}");
+            assert!(released.abs_diff(open) <= 1, "{context}");
+            assert!(kept <= most && kept + 15 >= most, "{context}");
+        }
+    }
+}
+
+/// A board with a timer beside the samples, ready to be armed.
+fn timed(pacing: Pacing) -> Board {
+    let mut board = Board::new();
+    board.pace(pacing);
+    for _ in 0..ARM_SAMPLES {
+        board.period(Some(slow(0)));
+    }
+    board
+}

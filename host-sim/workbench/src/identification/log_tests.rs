@@ -1,0 +1,389 @@
+//! One motion of a UR5 as every source writes it: the same rows.
+
+use super::{LogRow, WholeLog};
+use crate::robot::{LogColumns, Robot};
+use std::f64::consts::{PI, TAU};
+use std::fs;
+use std::path::PathBuf;
+
+const ROWS: usize = 60;
+
+/// A directory that goes with its test.
+struct Directory(PathBuf);
+
+impl Directory {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
+        fs::create_dir_all(&path).expect("creates");
+        Self(path)
+    }
+
+    /// Rows and notes of a log with this content.
+    fn read(
+        &self,
+        name: &str,
+        text: &str,
+        robot: &Robot,
+    ) -> Result<(Vec<LogRow<6>>, String), String> {
+        let path = self.0.join(name);
+        fs::write(&path, text).expect("writes");
+        read(&path, robot)
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+fn read<const N: usize>(
+    path: &std::path::Path,
+    robot: &Robot,
+) -> Result<(Vec<LogRow<N>>, String), String> {
+    let plain = |error: crate::table::TableError| {
+        let directory = path.parent().expect("has one").display().to_string() + "/";
+        error.to_string().replace(&directory, "")
+    };
+    let mut log = WholeLog::<N>::open(path, robot).map_err(plain)?;
+    let mut rows = Vec::new();
+    while let Some(row) = log.next_row().map_err(plain)? {
+        rows.push(row);
+    }
+    let mut notes: Vec<String> = log.notes().collect();
+    notes.extend(log.reader().wraps());
+    Ok((rows, notes.join("\n")))
+}
+
+fn ur5() -> Robot {
+    let mut robot = Robot::load("ur5").expect("built in");
+    robot.log_columns = None;
+    robot
+}
+
+/// Time, positions, velocities and torques of a row; joint 6 turns on.
+fn row(k: usize) -> (f64, [f64; 6], [f64; 6], [f64; 6]) {
+    let t = 0.25 * k as f64;
+    let joint = |j: usize| j as f64;
+    (
+        t,
+        std::array::from_fn(|j| {
+            if j == 5 {
+                0.5 * t
+            } else {
+                (t + joint(j)).sin()
+            }
+        }),
+        std::array::from_fn(|j| if j == 5 { 0.5 } else { (t + joint(j)).cos() }),
+        std::array::from_fn(|j| 10.0 * joint(j) + t),
+    )
+}
+
+/// A log with these column names and units.
+fn table(
+    names: [&dyn Fn(usize) -> String; 3],
+    time: &str,
+    separator: &str,
+    scale: [f64; 4],
+) -> String {
+    let [t_unit, q_unit, qd_unit, tau_unit] = scale;
+    let mut header = vec![time.to_owned()];
+    for name in names {
+        header.extend((0..6).map(name).filter(|name| !name.is_empty()));
+    }
+    let mut text = header.join(separator) + "\n";
+    for k in 0..ROWS {
+        let (t, q, qd, tau) = row(k);
+        let mut fields = vec![(t / t_unit).to_string()];
+        for (name, (values, unit)) in
+            names
+                .iter()
+                .zip([(q, q_unit), (qd, qd_unit), (tau, tau_unit)])
+        {
+            let there = (0..6).filter(|joint| !name(*joint).is_empty());
+            fields.extend(there.map(|joint| (values[joint] / unit).to_string()));
+        }
+        text += &(fields.join(separator) + "\n");
+    }
+    text
+}
+
+fn own() -> String {
+    let name =
+        |name: &'static str, unit: &'static str| move |j: usize| format!("{name}{}_{unit}", j + 1);
+    table(
+        [&name("q", "rad"), &name("qd", "rad_s"), &name("tau", "nm")],
+        "t_s",
+        ",",
+        [1.0; 4],
+    )
+}
+
+fn is_the_motion(rows: &[LogRow<6>], name: &str) {
+    assert_eq!(rows.len(), ROWS, "{name}");
+    for (k, found) in rows.iter().enumerate() {
+        let (t, q, qd, tau) = row(k);
+        let close = |a: &[f64; 6], b: &[f64; 6]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+        assert!((found.t_s - t).abs() < 1e-9, "{name}");
+        assert!(
+            close(&found.q, &q) && close(&found.tau, &tau),
+            "{name} row {k}: {found:?}"
+        );
+        assert!(
+            close(&found.qd, &qd) || found.qd == [0.0; 6],
+            "{name} row {k}"
+        );
+    }
+}
+
+#[test]
+fn every_source_gives_the_same_rows() {
+    let here = Directory::new("log-sources");
+    let zero = |pattern: &'static str| move |j: usize| pattern.replace("{0}", &j.to_string());
+    let joints: Vec<String> = ur5()
+        .joints
+        .iter()
+        .map(|joint| joint.name.clone())
+        .collect();
+    let named = |end: &'static str| {
+        let joints = joints.clone();
+        move |j: usize| format!("{}_joint/{end}", joints[j])
+    };
+    let degrees = [1.0, PI / 180.0, PI / 180.0, 1.0];
+    let dots = |end: &'static str| {
+        let joints = joints.clone();
+        move |j: usize| format!("{}.{end}", joints[j])
+    };
+    let semicolons = own().replace(',', ";").replace('.', ",");
+    let headless: String = own()
+        .lines()
+        .skip(1)
+        .map(|line| format!("{line}\n"))
+        .collect();
+    let rtde = [
+        zero("actual_q_{0}"),
+        zero("actual_qd_{0}"),
+        zero("actual_current_as_torque_{0}"),
+    ];
+    let franka = [
+        zero("state.q[{0}]"),
+        zero("state.dq[{0}]"),
+        zero("state.tau_J[{0}]"),
+    ];
+    let known = [
+        ("own.csv", own(), ""),
+        ("tabs.csv", own().replace(',', "\t"), ""),
+        ("excel.csv", semicolons, ""),
+        ("spaces.csv", own().replace(',', "   "), ""),
+        ("comment.csv", format!("# {}", own().replace(',', " ")), ""),
+        (
+            "rtde.csv",
+            table([&rtde[0], &rtde[1], &rtde[2]], "timestamp", " ", [1.0; 4]),
+            "columns of rtde",
+        ),
+        (
+            "franka.csv",
+            table(
+                [&franka[0], &franka[1], &franka[2]],
+                "time",
+                ",",
+                [1e-3, 1.0, 1.0, 1.0],
+            ),
+            "columns of franka",
+        ),
+        (
+            "ros.csv",
+            table(
+                [&named("position"), &named("velocity"), &named("effort")],
+                "t_s",
+                ",",
+                [1.0; 4],
+            ),
+            "joint shoulder_pan of the description is shoulder_pan_joint/position there",
+        ),
+        (
+            "lerobot.csv",
+            table(
+                [&dots("pos"), &dots("vel"), &dots("torque")],
+                "timestamp",
+                ",",
+                degrees,
+            ),
+            "columns of lerobot",
+        ),
+    ];
+    for (name, text, note) in known {
+        let (rows, notes) = here.read(name, &text, &ur5()).expect(name);
+        is_the_motion(&rows, name);
+        assert!(notes.contains(note), "{name}: {notes}");
+    }
+    let plain = [zero("a{0}"), zero("b{0}"), zero("c{0}")];
+    let plain = table(
+        [&plain[0], &plain[1], &plain[2]],
+        "T",
+        ",",
+        [1e-3, PI / 180.0, PI / 180.0, 1e-3],
+    );
+    let list = "[\"a0\", \"a1\", \"a2\", \"a3\", \"a4\", \"a5\"]";
+    let map = "t_s = \"T\"\nqd_rad_s = \"b{0}\"\ntau_nm = \"c{0}\"\nunits = \"t=ms,q=deg,tau=mNm\"\nq_rad = ";
+    for (text, names, columns) in [
+        (&plain, Vec::new(), format!("{map}\"a{{0}}\"")),
+        (&plain, Vec::new(), format!("{map}{list}")),
+        (
+            &headless,
+            own()
+                .lines()
+                .next()
+                .expect("header")
+                .split(',')
+                .map(str::to_owned)
+                .collect(),
+            String::new(),
+        ),
+    ] {
+        let mut robot = ur5();
+        let columns: LogColumns = toml::from_str(&columns).expect("a map");
+        robot.log_columns = Some(LogColumns { names, ..columns });
+        let (rows, _) = here.read("mapped.csv", text, &robot).expect("mapped");
+        is_the_motion(&rows, "mapped");
+    }
+}
+
+#[test]
+fn wrapped_angles_continue_on_continuous_joints_only() {
+    let here = Directory::new("log-wraps");
+    let mut text = own().lines().next().expect("header").to_owned() + "\n";
+    for k in 0..ROWS {
+        let (t, mut q, qd, tau) = row(k);
+        q[5] -= TAU * ((q[5] + PI) / TAU).floor();
+        let values = [&[t][..], &q, &qd, &tau].concat();
+        text += &(values
+            .iter()
+            .map(f64::to_string)
+            .collect::<Vec<_>>()
+            .join(",")
+            + "\n");
+    }
+    let (rows, notes) = here.read("wrapped.csv", &text, &ur5()).expect("continuous");
+    is_the_motion(&rows, "wrapped");
+    assert!(
+        notes.contains("angles un-wrapped: joint 6 1 times"),
+        "{notes}"
+    );
+    let mut limited = ur5();
+    limited.joints[5].limits.position = (-3.0, 3.0);
+    let refused = here
+        .read("wrapped.csv", &text, &limited)
+        .expect_err("limited");
+    assert!(
+        refused.starts_with("wrapped.csv:28: column q6_rad: a jump of -6.158 rad"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn logs_that_do_not_fit_are_refused_by_name() {
+    let here = Directory::new("log-refused");
+    let own = own();
+    let first = |count: usize| {
+        own.lines()
+            .take(count)
+            .map(|line| format!("{line}\n"))
+            .collect::<String>()
+    };
+    let foreign = own
+        .replace("t_s", "clock_time")
+        .replace("q", "jnt_pos")
+        .replace("tau", "load_torque");
+    let cases = [
+        (
+            "headless.csv",
+            first(5).split_once('\n').expect("rows").1.to_owned(),
+            "headless.csv:1: no header row, 19 numbers: name the columns by --names",
+        ),
+        (
+            "one.csv",
+            first(2),
+            "one.csv: 1 rows, a motion needs 3 at least",
+        ),
+        ("none.csv", first(1), "none.csv: no rows"),
+        (
+            "huge.csv",
+            first(9).replace("51.5", "1e300"),
+            "huge.csv:8: column tau6_nm: 1e300 is no measurement",
+        ),
+        (
+            "foreign.csv",
+            foreign,
+            "t_s = \"clock_time\"\nq_rad = \"jnt_pos{1}_rad\"\ntau_nm = \"load_torque{1}_nm\"",
+        ),
+        (
+            "other.csv",
+            own.replace("_rad,", "/position,").replace("_nm", "/effort"),
+            "the log has joints q1, q2, q3, q4, q5, q6, the robot shoulder_pan, ",
+        ),
+        (
+            "robot.parquet",
+            String::new(),
+            "robot.parquet: parquet is not read; write CSV: python3",
+        ),
+        (
+            "broken.db3",
+            "no database".to_owned(),
+            "broken.db3: no ROS 2 bag: file is not a database",
+        ),
+        ("broken.mcap", "no MCAP".to_owned(), "broken.mcap: no MCAP"),
+    ];
+    for (name, text, wanted) in cases {
+        let refused = here.read(name, &text, &ur5()).expect_err(name);
+        assert!(refused.contains(wanted), "{name}: {refused}");
+    }
+}
+
+#[test]
+fn bags_are_read_as_another_reader_reads_them() {
+    let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/ros2-bags");
+    fn same<const N: usize>(robot: &str, one: PathBuf, two: PathBuf, rows: usize) {
+        let robot = Robot::load(robot).expect("a robot");
+        let (one, _) = read::<N>(&one, &robot).expect("a bag");
+        let (two, _) = read::<N>(&two, &robot).expect("another reader's");
+        assert_eq!((one.len(), two.len()), (rows, rows));
+        for (a, b) in one.iter().zip(&two) {
+            assert_eq!((a.t_s, a.q, a.qd, a.tau), (b.t_s, b.q, b.qd, b.tau));
+        }
+    }
+    let ur10 = data.join("ur10.toml").display().to_string();
+    same::<6>(&ur10, data.join("ur10.db3"), data.join("ur10.csv.gz"), 3441);
+    same::<7>(
+        "panda",
+        data.join("panda.db3"),
+        data.join("panda.csv.gz"),
+        727,
+    );
+    same::<7>(
+        "panda",
+        data.join("panda.mcap"),
+        data.join("panda.csv.gz"),
+        727,
+    );
+    // A file that was cut reads up to its last whole chunk, and a cut database is refused.
+    let here = Directory::new("log-cut");
+    let whole = fs::read(data.join("panda.mcap")).expect("reads");
+    let cut = here.0.join("cut.mcap");
+    fs::write(&cut, &whole[..whole.len() / 2]).expect("writes");
+    let panda = Robot::load("panda").expect("built in");
+    let (rows, _) = match read::<7>(&cut, &panda) {
+        Ok(found) => found,
+        // The whole file is one chunk.
+        Err(refused) => {
+            assert!(refused.contains("cut.mcap"), "{refused}");
+            (Vec::new(), String::new())
+        }
+    };
+    assert!(rows.len() < 727);
+    let bag = fs::read(data.join("panda.db3")).expect("reads");
+    let cut = here.0.join("cut.db3");
+    fs::write(&cut, &bag[..bag.len() / 2]).expect("writes");
+    let refused = read::<7>(&cut, &panda).expect_err("malformed");
+    assert!(refused.contains("malformed"), "{refused}");
+}

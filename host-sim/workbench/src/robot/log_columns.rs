@@ -1,0 +1,319 @@
+//! Names and units of the columns of foreign logs.
+
+use super::RobotError;
+use crate::files::toml_complaint;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// Column names of one quantity of all joints.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(untagged)]
+pub enum ColumnNames {
+    /// One pattern: `{}` or `{1}` is the joint counted from 1, `{0}` from 0, `{name}` its name in the description.
+    Pattern(String),
+    /// One name a joint.
+    List(Vec<String>),
+}
+
+impl ColumnNames {
+    /// Column of a joint, counted from 0, of this name; `None` past the end of a list, or for a pattern that is the same
+    /// for all joints.
+    pub fn of(&self, joint: usize, name: &str) -> Option<String> {
+        match self {
+            Self::List(names) => names.get(joint).cloned(),
+            Self::Pattern(pattern) => {
+                let number = (joint + 1).to_string();
+                let column = pattern
+                    .replace("{}", &number)
+                    .replace("{1}", &number)
+                    .replace("{0}", &joint.to_string())
+                    .replace("{name}", name);
+                (column != *pattern).then_some(column)
+            }
+        }
+    }
+
+    /// Text around `{name}` in the pattern.
+    pub fn around_name(&self) -> Option<(&str, &str)> {
+        match self {
+            Self::Pattern(pattern) => pattern.split_once("{name}"),
+            Self::List(_) => None,
+        }
+    }
+}
+
+/// Quantity in the column of torques.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EffortKind {
+    /// Torque at the link side of the gear, N·m.
+    #[default]
+    Torque,
+    /// Motor current, A: times the drive gain of the description.
+    Current,
+    /// Torque of the motor before the gear, N·m: times the gear ratio.
+    Motor,
+}
+
+impl FromStr for EffortKind {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "torque" => Ok(Self::Torque),
+            "current" => Ok(Self::Current),
+            "motor" => Ok(Self::Motor),
+            _ => Err("not one of torque, current, motor".to_owned()),
+        }
+    }
+}
+
+/// Quantities of a log, in the order of [`Units`].
+const QUANTITIES: [&str; 6] = ["t", "q", "qd", "qdd", "tau", "i"];
+
+/// Units by quantity: place in [`QUANTITIES`], name, value in SI.
+const UNITS: [(usize, &str, f64); 21] = [
+    (0, "s", 1.0),
+    (0, "ms", 1e-3),
+    (0, "us", 1e-6),
+    (0, "ns", 1e-9),
+    (1, "rad", 1.0),
+    (1, "deg", std::f64::consts::PI / 180.0),
+    (1, "rev", std::f64::consts::TAU),
+    (2, "rad/s", 1.0),
+    (2, "deg/s", std::f64::consts::PI / 180.0),
+    (2, "rev/s", std::f64::consts::TAU),
+    (2, "rpm", std::f64::consts::TAU / 60.0),
+    (3, "rad/s2", 1.0),
+    (3, "deg/s2", std::f64::consts::PI / 180.0),
+    (3, "rev/s2", std::f64::consts::TAU),
+    (4, "Nm", 1.0),
+    (4, "mNm", 1e-3),
+    (4, "Nmm", 1e-3),
+    (4, "Ncm", 1e-2),
+    (4, "kNm", 1e3),
+    (5, "A", 1.0),
+    (5, "mA", 1e-3),
+];
+
+/// Value in SI of one unit of each quantity of a log, written `q=deg,t=ms`. Velocities and accelerations follow the unit
+/// of the positions unless they have their own.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Units {
+    text: String,
+    scale: [f64; 6],
+}
+
+impl Units {
+    /// SI value of one unit of time, position, velocity, acceleration, torque and current.
+    pub fn scale(&self) -> [f64; 6] {
+        self.scale
+    }
+}
+
+impl Default for Units {
+    fn default() -> Self {
+        Self {
+            text: String::new(),
+            scale: [1.0; 6],
+        }
+    }
+}
+
+impl FromStr for Units {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut found = [None; 6];
+        for part in text.split(',') {
+            let (quantity, unit) = part.split_once('=').unwrap_or((part, ""));
+            let Some(place) = QUANTITIES
+                .iter()
+                .position(|known| *known == quantity.trim())
+            else {
+                let known = QUANTITIES.join(", ");
+                return Err(format!("'{quantity}' is no quantity of a log: {known}"));
+            };
+            let units = || UNITS.iter().filter(|(of, ..)| *of == place);
+            let Some((.., scale)) = units().find(|(_, name, _)| *name == unit.trim()) else {
+                let known: Vec<&str> = units().map(|(_, name, _)| *name).collect();
+                return Err(format!(
+                    "'{unit}' is no unit of {quantity}: {}",
+                    known.join(", ")
+                ));
+            };
+            found[place] = Some(*scale);
+        }
+        let mut scale = found.map(|scale| scale.unwrap_or(1.0));
+        scale[2] = found[2].unwrap_or(scale[1]);
+        scale[3] = found[3].unwrap_or(scale[1]);
+        Ok(Self {
+            text: text.to_owned(),
+            scale,
+        })
+    }
+}
+
+impl TryFrom<String> for Units {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Units> for String {
+    fn from(units: Units) -> Self {
+        units.text
+    }
+}
+
+impl fmt::Display for Units {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+/// Columns of a foreign log.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LogColumns {
+    /// Header of files that have none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub names: Vec<String>,
+    /// Time.
+    pub t_s: Option<String>,
+    /// Positions.
+    pub q_rad: Option<ColumnNames>,
+    /// Velocities.
+    pub qd_rad_s: Option<ColumnNames>,
+    /// Accelerations.
+    pub qdd_rad_s2: Option<ColumnNames>,
+    /// Torques.
+    pub tau_nm: Option<ColumnNames>,
+    /// Motor currents.
+    pub i_a: Option<ColumnNames>,
+    /// Units of these columns; SI without.
+    pub units: Option<Units>,
+    /// Quantity in the columns of `tau_nm`; torque at the link without.
+    pub effort: Option<EffortKind>,
+    /// Turns of the motor a turn of the joint, for `effort = "motor"`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub gear_ratios: Vec<f64>,
+    /// Units of all logs, also of those with the project's own columns (`--units`).
+    #[serde(skip)]
+    pub all_units: Option<Units>,
+    /// The one known source whose columns are taken (`--columns-from`).
+    #[serde(skip)]
+    pub source: Option<String>,
+}
+
+/// Names of the known sources of logs.
+pub const LOG_SOURCES: [&str; 4] = ["ros", "rtde", "franka", "lerobot"];
+
+impl LogColumns {
+    /// Columns from a TOML file.
+    ///
+    /// Errors: [`RobotError`], naming the file and the line.
+    pub fn load(path: &str) -> Result<Self, RobotError> {
+        let syntax = |reason| RobotError::Syntax {
+            file: path.to_owned(),
+            reason,
+        };
+        let text = std::fs::read_to_string(path).map_err(|error| {
+            let known = LOG_SOURCES.join(", ");
+            syntax(format!("not one of {known}, and as a file: {error}"))
+        })?;
+        toml::from_str(&text).map_err(|error| {
+            let (line, reason) = toml_complaint(&text, &error);
+            syntax(format!("line {line}: {reason}"))
+        })
+    }
+
+    /// Columns of the known sources, by name. A source may write its columns in more than one way.
+    pub fn known() -> Vec<(&'static str, Self)> {
+        let source = |name, t: &str, [q, qd, tau, i]: [&str; 4], units: &str| {
+            let names = |pattern: &str| {
+                (!pattern.is_empty()).then(|| ColumnNames::Pattern(pattern.to_owned()))
+            };
+            let columns = Self {
+                t_s: Some(t.to_owned()),
+                q_rad: names(q),
+                qd_rad_s: names(qd),
+                tau_nm: names(tau),
+                i_a: names(i),
+                units: units.parse().ok(),
+                ..Self::default()
+            };
+            (name, columns)
+        };
+        let ros = ["{name}/position", "{name}/velocity", "{name}/effort", ""];
+        let in_plot = [
+            "/joint_states/{name}/position",
+            "/joint_states/{name}/velocity",
+            "/joint_states/{name}/effort",
+            "",
+        ];
+        let rtde = [
+            "actual_q_{0}",
+            "actual_qd_{0}",
+            "actual_current_as_torque_{0}",
+            "actual_current_{0}",
+        ];
+        let franka = ["state.q[{0}]", "state.dq[{0}]", "state.tau_J[{0}]", ""];
+        let franka_plain = ["q[{0}]", "dq[{0}]", "tau_J[{0}]", ""];
+        let lerobot = [
+            "observation.state.{name}.pos",
+            "observation.state.{name}.vel",
+            "observation.state.{name}.torque",
+            "",
+        ];
+        let lerobot_plain = ["{name}.pos", "{name}.vel", "{name}.torque", ""];
+        vec![
+            source("ros", "t_s", ros, "t=s"),
+            source("ros", "__time", in_plot, "t=s"),
+            source("rtde", "timestamp", rtde, "t=s"),
+            source("franka", "time", franka, "t=ms"),
+            source("franka", "time", franka_plain, "t=ms"),
+            source("lerobot", "timestamp", lerobot, "q=deg"),
+            source("lerobot", "timestamp", lerobot_plain, "q=deg"),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_columns_count_from_zero_or_one_or_carry_the_joint() {
+        for (pattern, wanted) in [
+            ("q{}", Some("q3")),
+            ("q{1}", Some("q3")),
+            ("q[{0}]", Some("q[2]")),
+            ("{name}/position", Some("elbow/position")),
+            ("q", None),
+        ] {
+            let names = ColumnNames::Pattern(pattern.to_owned());
+            assert_eq!(names.of(2, "elbow").as_deref(), wanted);
+        }
+        let list = ColumnNames::List(vec!["a".to_owned(), "b".to_owned()]);
+        assert_eq!(list.of(1, "x").as_deref(), Some("b"));
+        assert_eq!(list.of(2, "x"), None);
+    }
+
+    #[test]
+    fn units_are_read_and_velocities_follow_positions() {
+        let units: Units = "q=deg,t=ms,tau=mNm".parse().expect("known");
+        let degree = std::f64::consts::PI / 180.0;
+        assert_eq!(units.scale(), [1e-3, degree, degree, degree, 1e-3, 1.0]);
+        for wrong in ["q=grad", "speed=rad", "q", ""] {
+            assert!(wrong.parse::<Units>().is_err(), "{wrong}");
+        }
+        for (name, columns) in LogColumns::known() {
+            assert!(LOG_SOURCES.contains(&name) && columns.units.is_some());
+        }
+    }
+}
