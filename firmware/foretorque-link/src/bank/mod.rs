@@ -6,10 +6,13 @@
 mod column;
 mod error;
 mod format;
+mod parameters;
 mod typed;
 
-pub use column::{ColumnId, ColumnKind, NoColumnKind, rigid_columns};
+pub use column::{ColumnId, ColumnKind, NoColumnKind, columns};
 pub use error::BankError;
+pub use parameters::Parameters;
+pub(crate) use parameters::config as feed_forward_config;
 pub use typed::NETWORK_SEED;
 pub(crate) use typed::name;
 

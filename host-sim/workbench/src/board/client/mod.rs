@@ -189,6 +189,7 @@ impl<const N: usize> Client<N> {
 
     /// Starts the board's processor anew. It has to be greeted again.
     pub fn reboot(&mut self) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
         self.post(&HostMessage::Reboot)?;
         Ok(())
     }
