@@ -105,14 +105,11 @@ impl fmt::Display for ColumnId {
 /// The base columns of an arm in their order: inertial ones link by link, then rotor inertias.
 pub fn rigid_columns<A: Arm<N, P>, const N: usize, const P: usize>()
 -> impl Iterator<Item = ColumnId> {
-    let links = A::COLUMNS
-        .into_iter()
-        .enumerate()
-        .flat_map(|(joint, link)| {
-            let kinds = (0..).map(ColumnKind).zip(link.inertial);
-            kinds.filter_map(move |(kind, there)| there.then_some(id(kind, joint)))
-        });
-    let rotors = A::COLUMNS.into_iter().enumerate();
+    let links = A::columns().iter().enumerate().flat_map(|(joint, link)| {
+        let kinds = (0..).map(ColumnKind).zip(link.inertial);
+        kinds.filter_map(move |(kind, there)| there.then_some(id(kind, joint)))
+    });
+    let rotors = A::columns().iter().enumerate();
     links.chain(
         rotors.filter_map(|(joint, link)| link.rotor.then_some(id(ColumnKind::ROTOR, joint))),
     )

@@ -48,14 +48,14 @@ impl ParameterBank {
             value: 0.0,
             deviation,
         });
-        let bounds = A::LIMITS.into_iter().zip(slew_nm_s::<A, N, P>());
+        let bounds = A::limits().iter().zip(slew_nm_s::<A, N, P>());
         let bounds = bounds.map(|(limits, slew_nm_s)| JointBounds {
             torque_nm: limits.torque,
             slew_nm_s,
             network_share: NETWORK_BOUND,
         });
-        self.arm_hash = A::HASH;
-        self.arm = name(A::NAME);
+        self.arm_hash = A::hash();
+        self.arm = name(A::name());
         fill(&mut self.columns, columns);
         fill(&mut self.drive_gains_nm_a, core::iter::repeat_n(0.0, N));
         self.network = shape::<N>();
@@ -71,12 +71,12 @@ impl ParameterBank {
         set: &ParameterSet<N, P>,
     ) {
         let config = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
-        let rigid = rigid_columns::<A, N, P>().zip(set.rigid.as_slice().iter().copied());
-        let friction = friction_columns(&set.friction);
-        let deviations = config.rigid_sigma.into_iter();
-        let deviations = deviations
-            .chain(friction_columns(&config.friction_sigma).map(|(_, deviation)| deviation));
-        for ((id, value), deviation) in rigid.chain(friction).zip(deviations) {
+        let rigid = set.rigid.as_slice().iter().copied().zip(config.rigid_sigma);
+        let rigid = rigid_columns::<A, N, P>().zip(rigid);
+        let friction =
+            friction_columns(&set.friction).zip(friction_columns(&config.friction_sigma));
+        let friction = friction.map(|((id, value), (_, deviation))| (id, (value, deviation)));
+        for (id, (value, deviation)) in rigid.chain(friction) {
             match self.columns.iter_mut().find(|column| column.id == id) {
                 Some(column) => column.value = value,
                 None => {
@@ -102,7 +102,7 @@ impl ParameterBank {
     pub fn set<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> Result<ParameterSet<N, P>, BankError> {
-        if self.arm_hash != A::HASH {
+        if self.arm_hash != A::hash() {
             return Err(BankError::WrongArm {
                 found: self.arm_hash,
             });
@@ -142,7 +142,7 @@ impl ParameterBank {
     pub fn start_deviations<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> StartDeviations<N, P> {
-        let config = const { LearnerConfig::<N, P>::for_arm::<A>(1e-3) };
+        let config = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
         let mut start = StartDeviations::PRIOR;
         let rigid = rigid_columns::<A, N, P>().zip(config.rigid_sigma);
         let friction = friction_columns(&config.friction_sigma);

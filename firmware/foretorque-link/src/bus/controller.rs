@@ -440,7 +440,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
                 Some(held) => *held,
                 None => here,
             };
-            let bounds = A::LIMITS.get(index).map(|limits| limits.position);
+            let bounds = A::limits().get(index).map(|limits| limits.position);
             let (low, high) = bounds.unwrap_or_default();
             let value = |vector: &JointVector<N>| vector.get(index).copied().unwrap_or_default();
             let resting = JointCommand {

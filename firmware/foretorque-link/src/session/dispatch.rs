@@ -98,7 +98,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::BankCommit { length, crc, mac } => {
                 controller.writable()?;
-                protocol.authorise(board.write_key.as_ref(), mac, A::HASH)?;
+                protocol.authorise(board.write_key.as_ref(), mac, A::hash())?;
                 protocol
                     .transfer
                     .commit(length, crc, controller.incoming())?;
@@ -163,7 +163,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::ExcitationLoad { length, crc, mac } => {
                 controller.writable()?;
-                protocol.authorise(board.write_key.as_ref(), mac, A::HASH)?;
+                protocol.authorise(board.write_key.as_ref(), mac, A::hash())?;
                 controller.load_excitation(&protocol.transfer.program(length, crc)?)?;
             }
             HostMessage::Excitation(command) => {

@@ -18,7 +18,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), StoreError> {
         let mut buffer = [0; ParameterBank::MAX_BYTES];
-        let loaded = store.load(A::HASH, &mut buffer).and_then(|bytes| {
+        let loaded = store.load(A::hash(), &mut buffer).and_then(|bytes| {
             // A session that has just booted refuses a set only for its content.
             self.load_bank(bytes, mailbox)
                 .map_err(|reason| match reason {

@@ -1,5 +1,5 @@
-use super::Transport;
-use foretorque::arm::Arm;
+use super::{Described, Transport};
+use foretorque::arm::{Arm, ArmModel};
 use foretorque::learning::{ConfigError, Learner, LearnerConfig};
 use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
 use foretorque_link::wire::{Capabilities, FrameBuffer};
@@ -11,6 +11,7 @@ use std::time::Duration;
 ///
 /// The learner takes its learning sample right after each reply, as it does on the board that simulates in bulk.
 pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
+    arm: &'static ArmModel<N, P>,
     session: Session<A, N, P>,
     mailboxes: Mailboxes<N, P>,
     learner: Learner<A, N, P>,
@@ -48,6 +49,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let set = session.feed_forward().state().active;
         let mut native = Self {
+            arm: A::model(),
             session,
             mailboxes: Mailboxes::new(),
             learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
@@ -81,6 +83,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
     }
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        if A::COMPILED.is_none() {
+            Described::select(self.arm);
+        }
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
             self.session.receive(
                 frame,

@@ -6,9 +6,6 @@ use crate::learning::decision::Reason;
 use crate::learning::exchange::Request;
 use crate::learning::quality::Phase;
 
-/// Common share above which the active set counts as following the estimate, and below which it ceases to.
-const FOLLOWING: (f32, f32) = (0.5, 0.25);
-
 /// State of the supervisor's decisions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SupervisorState {
@@ -193,12 +190,8 @@ fn follow(
 ) -> (Action, Option<(Reason, f32)>) {
     let before = *state;
     state.reversed = reversed;
-    state.following = share
-        > if before.following {
-            FOLLOWING.1
-        } else {
-            FOLLOWING.0
-        };
+    let (begin, end) = config.following_share;
+    state.following = share > if before.following { end } else { begin };
     if !state.following {
         // The first commit comes early: the bound on learnt change is centred at the loaded set.
         state.commit_in = config.commit_ticks / 4;
