@@ -207,7 +207,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 protocol.unlock(key, A::hash(), order, &mac)?;
             }
             HostMessage::Reboot => {
-                controller.at_rest()?;
                 board.require(Capabilities::REBOOT)?;
                 controller.at_rest()?;
                 self.reboot = true;
