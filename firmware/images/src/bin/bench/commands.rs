@@ -90,7 +90,7 @@ impl Link {
         self.call += 1;
     }
 
-    /// What the tick's task does about it, without a tick.
+    /// Work of the tick's task for the command, without a tick.
     #[inline(always)]
     pub(crate) fn run(&mut self) {
         self.session
