@@ -8,6 +8,7 @@
 //! | [`excitation`] | Fourier series of eq. 17, checked and played by the board |
 //! | [`session`], [`telemetry`] | one connection to a host: protocol, controller, counters |
 //! | [`drives`] | codecs of CAN drives with a torque feed-forward, and their profiles |
+//! | [`bus`] | loop of an arm whose joints are such drives |
 //! | [`hal`], [`drive`] | adapters of motor stage and encoder; the drive of one joint |
 //! | [`write_key`] | authentication of uploads |
 //!
@@ -16,6 +17,7 @@
 #![forbid(unsafe_code)]
 
 pub mod bank;
+pub mod bus;
 mod division;
 pub mod drive;
 pub mod drives;

@@ -5,6 +5,7 @@ mod boards;
 mod disturbances;
 #[cfg(test)]
 mod documented;
+mod drive;
 mod excite;
 mod experiment;
 mod faults;
@@ -75,6 +76,7 @@ enum Command {
     Excite(excite::Arguments),
     Simulate(simulate::Arguments),
     Run(run::Arguments),
+    Drive(drive::Arguments),
     Identify(identify::Arguments),
     Generate(generate::Arguments),
     Bank(bank::Arguments),
@@ -91,6 +93,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Excite(arguments) => excite::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
+        Command::Drive(arguments) => drive::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),

@@ -1,6 +1,7 @@
 //! Workbench of foretorque: robots, plant, excitation, boards, identification and reports. No study is part of it.
 
 pub mod board;
+pub mod bus;
 pub mod closed_loop;
 pub mod dynamics;
 pub mod excitation;

@@ -1,4 +1,5 @@
-//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`chip`] and [`flash_driver`] are there.
+//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`can`], [`chip`] and
+//! [`flash_driver`] are there.
 //!
 //! | module | contents |
 //! |---|---|
@@ -6,6 +7,7 @@
 //! | `arm`, `board` | the arm of the images; properties of a board |
 //! | `odrive_v3`, `pyboard`, `pyboard_drive` | the boards |
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
+//! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
 //! | `link`, `ring` | serial link, and the queues of its bytes |
 //! | `statics` | session and learner in static memory |
@@ -14,6 +16,7 @@
 //! Another board is a file beside these and a binary that names it.
 #![no_std]
 
+pub mod can;
 pub mod chip;
 pub mod flash_driver;
 

@@ -1,8 +1,8 @@
-use super::{MAX_COLUMNS, MAX_JOINTS};
+use super::MAX_COLUMNS;
 use core::fmt;
-use core::marker::PhantomData;
 use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn};
+use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Quantity that a column of the linear model multiplies, as the number that a bank holds.
@@ -105,51 +105,28 @@ impl fmt::Display for ColumnId {
 }
 
 /// The columns of an arm in their order: inertial ones link by link, rotor inertias, then friction joint by joint.
-pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> &'static [ColumnId] {
-    let table = const { &Table::<A, N, P>::COLUMNS };
-    table.get(..P + FRICTION_COLUMNS * N).unwrap_or_default()
-}
-
-struct Table<A, const N: usize, const P: usize>(PhantomData<A>);
-
-impl<A: Arm<N, P>, const N: usize, const P: usize> Table<A, N, P> {
-    const COLUMNS: [ColumnId; MAX_COLUMNS] = {
-        assert!(N <= MAX_JOINTS && P + FRICTION_COLUMNS * N <= MAX_COLUMNS);
-        let mut columns = [id(ColumnKind::ROTOR, 0); MAX_COLUMNS];
-        let mut place = 0;
-        let mut joint = 0;
-        while joint < N {
-            let mut kind = 0;
-            while kind < LINK_PARAMETERS {
-                if A::COLUMNS[joint].inertial[kind] {
-                    columns[place] = id(ColumnKind(kind as u8), joint);
-                    place += 1;
-                }
-                kind += 1;
+#[inline(never)]
+pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> Vec<ColumnId, MAX_COLUMNS> {
+    let mut columns = Vec::new();
+    // The capacity suffices for every arm.
+    let mut push = |kind, joint| _ = columns.push(id(kind, joint));
+    let links = A::columns();
+    for (joint, link) in links.iter().enumerate() {
+        for (kind, there) in (0..).map(ColumnKind).zip(link.inertial) {
+            if there {
+                push(kind, joint);
             }
-            joint += 1;
         }
-        joint = 0;
-        while joint < N {
-            if A::COLUMNS[joint].rotor {
-                columns[place] = id(ColumnKind::ROTOR, joint);
-                place += 1;
-            }
-            joint += 1;
+    }
+    for (joint, _) in links.iter().enumerate().filter(|(_, link)| link.rotor) {
+        push(ColumnKind::ROTOR, joint);
+    }
+    for joint in 0..N {
+        for kind in ColumnKind::FRICTION {
+            push(kind, joint);
         }
-        assert!(place == P);
-        joint = 0;
-        while joint < N {
-            let mut kind = 0;
-            while kind < FRICTION_COLUMNS {
-                columns[place] = id(ColumnKind::FRICTION[kind], joint);
-                place += 1;
-                kind += 1;
-            }
-            joint += 1;
-        }
-        columns
-    };
+    }
+    columns
 }
 
 const fn id(kind: ColumnKind, joint: usize) -> ColumnId {

@@ -3,7 +3,7 @@
 use super::typed::NETWORK_SEED;
 use super::{BankError, JointBounds, ParameterBank};
 use foretorque::arm::Arm;
-use foretorque::dynamics::{BaseParameters, FRICTION_COLUMNS, friction as friction_torque, rnea};
+use foretorque::dynamics::{FRICTION_COLUMNS, friction as friction_torque, rnea};
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::JointMotion;
 use foretorque::learning::{ParameterSet, StartDeviations};
@@ -99,21 +99,21 @@ const ACCELERATION: f32 = 5.0;
 fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
 ) -> Result<(), BankError> {
-    let largest = A::LIMITS.iter().fold(0.0, |m: f32, l| m.max(l.torque));
+    let largest = A::limits().iter().fold(0.0, |m: f32, l| m.max(l.torque));
     let friction = set.friction.iter().enumerate();
     for (joint, value) in friction.flat_map(|(joint, f)| f.0.map(|value| (joint, value))) {
         if value.abs() > LARGEST_PARAMETER * largest {
             return Err(BankError::Implausible(joint as u8));
         }
     }
-    let described = BaseParameters::from(A::NOMINAL);
+    let described = A::nominal();
     let mut motion = JointMotion::zero();
     for pose in 0..POSES {
         let mine = rnea::<A, N, P>(&set.rigid, &motion);
         let friction = friction_torque::<A, N, P>(&set.friction, &motion.q, &motion.qd);
-        let theirs = rnea::<A, N, P>(&described, &motion);
+        let theirs = rnea::<A, N, P>(described, &motion);
         let torques = mine.iter().zip(theirs.iter()).zip(friction.iter());
-        for (joint, (((mine, theirs), friction), limits)) in torques.zip(&A::LIMITS).enumerate() {
+        for (joint, (((mine, theirs), friction), limits)) in torques.zip(A::limits()).enumerate() {
             let bound = LARGEST_DIFFERENCE * limits.torque;
             // Written so that NaN is refused.
             if !((mine - theirs).abs() <= bound && friction.abs() <= bound) {
@@ -121,7 +121,7 @@ fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
             }
         }
         let axes = motion.q.iter_mut().zip(motion.qd.iter_mut());
-        let axes = axes.zip(motion.qdd.iter_mut()).zip(&A::LIMITS);
+        let axes = axes.zip(motion.qdd.iter_mut()).zip(A::limits());
         for (joint, (((q, qd), qdd), limits)) in axes.enumerate() {
             let (low, high) = limits.position;
             let number = 3 * (pose * N as u32 + joint as u32);

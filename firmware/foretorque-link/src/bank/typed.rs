@@ -2,9 +2,10 @@
 
 use super::column::columns;
 use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
-use super::{MAX_COLUMNS, MAX_WEIGHTS};
+use super::{MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS};
 use crate::wire::Name;
 use foretorque::arm::Arm;
+use foretorque::dynamics::FRICTION_COLUMNS;
 use foretorque::feedforward::{FeedForwardConfig, NETWORK_BOUND};
 use foretorque::learning::{
     JointNetwork, LearnerConfig, LinearParameters, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
@@ -35,16 +36,18 @@ impl ParameterBank {
     /// Sets everything as in [`nominal`](Self::nominal), with all values zero.
     #[inline(never)]
     pub(crate) fn describe<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
+        const { assert!(N <= MAX_JOINTS && P + FRICTION_COLUMNS * N <= MAX_COLUMNS) }
         const { assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS) }
         let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
-        let columns = columns::<A, N, P>().iter().zip(slots(&deviations));
+        let columns = columns::<A, N, P>();
+        let columns = columns.iter().zip(slots(&deviations));
         let columns = columns.map(|(&id, &deviation)| Column {
             id,
             value: 0.0,
             deviation,
         });
-        self.arm_hash = A::HASH;
-        self.arm = name(A::NAME);
+        self.arm_hash = A::hash();
+        self.arm = name(A::name());
         fill(&mut self.columns, columns);
         fill(&mut self.drive_gains_nm_a, core::iter::repeat_n(0.0, N));
         self.network = shape::<N>();
@@ -94,8 +97,9 @@ impl ParameterBank {
     ) -> Result<[LinearParameters<N, P>; 2], BankError> {
         let mut linear = [LinearParameters::filled(0.0); 2];
         let mut found = [false; MAX_COLUMNS];
+        let columns = columns::<A, N, P>();
         for (place, column) in self.columns.iter().enumerate() {
-            let mut known = columns::<A, N, P>().iter();
+            let mut known = columns.iter();
             let index = known.position(|&id| id == column.id);
             let first = index.and_then(|index| found.get_mut(index));
             match first {
@@ -126,7 +130,7 @@ impl ParameterBank {
     pub fn set<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> Result<ParameterSet<N, P>, BankError> {
-        if self.arm_hash != A::HASH {
+        if self.arm_hash != A::hash() {
             return Err(BankError::WrongArm {
                 found: self.arm_hash,
             });
@@ -192,7 +196,7 @@ impl JointBounds {
         // The largest change in a tick of one second.
         let slew = FeedForwardConfig::<N>::for_arm::<A, P>(1.0).slew_per_tick;
         let mut bounds = [Self::ZERO; N];
-        for (bounds, (limits, &slew_nm_s)) in bounds.iter_mut().zip(A::LIMITS.iter().zip(&slew)) {
+        for (bounds, (limits, &slew_nm_s)) in bounds.iter_mut().zip(A::limits().iter().zip(&slew)) {
             *bounds = Self {
                 torque_nm: limits.torque,
                 slew_nm_s,

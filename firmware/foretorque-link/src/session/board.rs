@@ -149,10 +149,10 @@ impl<C> BoardDescription<C> {
             None => Capabilities::default(),
         };
         BoardHello {
-            arm_hash: A::HASH,
-            arm: name(A::NAME),
+            arm_hash: A::hash(),
+            arm: name(A::name()),
             joints: N as u8,
-            base_columns: P as u8,
+            base_columns: A::index().count as u8,
             firmware: name(self.firmware),
             capabilities: self.capabilities | key,
             counter: self.counter,

@@ -204,11 +204,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::Unlock { order, mac } => {
                 let key = board.write_key.as_ref().ok_or(NackReason::NotCapable)?;
-                protocol.unlock(key, A::HASH, order, &mac)?;
+                protocol.unlock(key, A::hash(), order, &mac)?;
             }
             HostMessage::Reboot => {
-                board.require(Capabilities::REBOOT)?;
                 controller.at_rest()?;
+                board.require(Capabilities::REBOOT)?;
                 self.reboot = true;
             }
             HostMessage::Excitation(command) => {

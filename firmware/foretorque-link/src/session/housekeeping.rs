@@ -94,7 +94,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, 
                 self.encode()?;
                 let store = self.store.as_mut().ok_or(NackReason::NotCapable)?;
                 let bytes = self.bytes.get(..self.length).unwrap_or_default();
-                store.save(A::HASH, bytes).map_err(NackReason::Store)?;
+                store.save(A::hash(), bytes).map_err(NackReason::Store)?;
                 Ok(())
             }
             Order::ReadStored => self.load(),
@@ -146,14 +146,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, 
             return Err(NackReason::Checksum);
         }
         match &upload.signature {
-            Some(signature) if !signature.verifies(A::HASH, bytes) => Err(NackReason::Key),
+            Some(signature) if !signature.verifies(A::hash(), bytes) => Err(NackReason::Key),
             _ => Ok(()),
         }
     }
 
     fn load(&mut self) -> Result<(), NackReason> {
         let store = self.store.as_mut().ok_or(NackReason::NotCapable)?;
-        let loaded = store.load(A::HASH, &mut self.bytes);
+        let loaded = store.load(A::hash(), &mut self.bytes);
         self.length = loaded.map_err(NackReason::Store)?.len();
         Ok(())
     }

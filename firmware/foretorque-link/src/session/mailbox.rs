@@ -151,10 +151,15 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         self.release_reply();
     }
 
-    pub(super) fn post(&mut self, sample: LearningSample<N>) {
+    pub(crate) fn post(&mut self, sample: LearningSample<N>) {
         if self.samples.enqueue(sample).is_err() {
             self.samples_lost = self.samples_lost.saturating_add(1);
         }
+    }
+
+    /// Sets on their way between tick and learner.
+    pub(crate) fn exchange(&mut self) -> &mut Exchange<N, P> {
+        &mut self.exchange
     }
 
     /// Drops all samples and sets; the learner restarts from `set` at `period_s`.

@@ -47,7 +47,7 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
             *network = JointNetwork::silent(seed);
         }
         Self {
-            rigid: A::NOMINAL.into(),
+            rigid: *A::nominal(),
             friction: [FrictionParameters::NONE; N],
             network,
         }

@@ -91,12 +91,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.feed_forward
             .restart(config.map_err(NackReason::Bank)?, set)
             .map_err(|_| NackReason::Period)?;
+        // Another pacing may stop the timer.
+        if self.configuration.pacing != configuration.pacing {
+            self.credit = None;
+        }
         self.configuration = configuration;
         self.player = Player::new::<A, P>(configuration.period_us);
         self.safety
             .restart(SafetyLimits::for_arm::<A, P>(configuration.period_us));
         self.newest = None;
-        self.credit = None;
         self.ticked = false;
         self.gaps = SampleGaps::new();
         mailbox.restart(period_s, set, self.start);

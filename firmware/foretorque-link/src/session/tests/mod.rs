@@ -103,7 +103,7 @@ impl Board {
 
     /// The frame of a message under the next number.
     pub(crate) fn numbered(&mut self, message: &HostMessage<N>) -> Vec<u8> {
-        self.sequence += 1;
+        self.sequence = self.sequence.checked_add(1).unwrap_or(1);
         frame(self.sequence, message)
     }
 

@@ -59,8 +59,11 @@ pub(crate) struct Stage {
 }
 
 impl Stage {
-    /// A learner for the stages, one after the other.
-    pub(crate) const LEARNER: Learner = Learner::empty(LearnerConfig::for_arm::<Ur5>(PERIOD));
+    /// A learner of zeros for the stages, one after the other: each restarts it.
+    pub(crate) const LEARNER: Learner = {
+        // SAFETY: zeros are a value of every field. The compiler checks the value of a constant.
+        unsafe { core::mem::MaybeUninit::zeroed().assume_init() }
+    };
 
     /// The stage after the warm-up; `None` if a configuration does not validate.
     pub(crate) fn new(learner: &'static mut Learner, link: &'static mut Link) -> Option<Self> {

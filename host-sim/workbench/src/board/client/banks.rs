@@ -16,6 +16,12 @@ const STORE_TIMEOUT: Duration = Duration::from_secs(10);
 impl<const N: usize> Client<N> {
     /// Disarms the board, sends `bank` and has the board take it over, whole or not at all. Learning must be off.
     pub fn upload_bank(&mut self, bank: &ParameterBank) -> Result<(), BoardError> {
+        if bank.arm_hash != self.hello.arm_hash {
+            return Err(BoardError::WrongBank {
+                wanted: format!("{} ({:08x})", self.hello.arm, self.hello.arm_hash),
+                found: format!("{} ({:08x})", bank.arm, bank.arm_hash),
+            });
+        }
         self.bring_to_rest()?;
         let mut buffer = [0; ParameterBank::MAX_BYTES];
         let bytes = bank.encode(&mut buffer).map_err(BoardError::Bank)?;

@@ -97,7 +97,7 @@ impl<const N: usize> Client<N> {
         transport: Box<dyn Transport>,
         boot: Duration,
     ) -> Result<Self, BoardError> {
-        Self::connect_as(transport, A::NAME, A::HASH, boot)
+        Self::connect_as(transport, A::name(), A::hash(), boot)
     }
 
     /// [`connect`](Self::connect) with name and identity of the arm as values.

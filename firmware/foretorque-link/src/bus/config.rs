@@ -1,0 +1,254 @@
+use crate::drives::{DriveProfile, ProfileError, Protocol, Ranges, Scale};
+use crate::safety::SafetyLimits;
+use core::fmt;
+use foretorque::arm::Arm;
+use foretorque::learning::LearnerConfig;
+use foretorque::math::sqrt;
+
+/// Periods of the loop that are admissible, s.
+const PERIODS_S: (f32, f32) = (0.0005, 0.01);
+/// Number of buses.
+pub(super) const BUSES: u8 = 2;
+
+/// One joint on a bus.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BusJoint {
+    /// Codec of its drive.
+    pub drive: DriveProfile,
+    /// Bus, from 0.
+    pub bus: u8,
+    /// Stiffness, N·m/rad at the joint.
+    pub kp: f32,
+    /// Damping, N·m·s/rad at the joint.
+    pub kd: f32,
+}
+
+/// Drives and period of the loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BusConfig<const N: usize> {
+    /// Period, s.
+    pub period_s: f32,
+    /// Joints, base to tool.
+    pub joints: [BusJoint; N],
+}
+
+/// Two values that contradict each other, or a value out of its range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BusConfigError {
+    /// Joint, from 0; `None` for a field of the whole arm.
+    pub joint: Option<u8>,
+    /// Field.
+    pub field: &'static str,
+    /// Its value.
+    pub value: f32,
+    /// Contradicting quantity.
+    pub against: &'static str,
+    /// Its value.
+    pub bound: f32,
+}
+
+impl fmt::Display for BusConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(joint) = self.joint {
+            write!(f, "joint {}: ", joint + 1)?;
+        }
+        let Self { field, value, .. } = self;
+        let Self { against, bound, .. } = self;
+        write!(f, "{field} {value} contradicts {against} {bound}")
+    }
+}
+
+impl core::error::Error for BusConfigError {}
+
+impl<const N: usize> BusConfig<N> {
+    /// Checks the profile in itself and against the arm.
+    ///
+    /// Errors: the first contradiction, with joint, field and both values.
+    pub fn check<A: Arm<N, P>, const P: usize>(&self) -> Result<(), BusConfigError> {
+        let whole = |field, value, against, bound| BusConfigError {
+            joint: None,
+            field,
+            value,
+            against,
+            bound,
+        };
+        let (least, most) = PERIODS_S;
+        let period_s = self.period_s;
+        if period_s.is_nan() || period_s < least {
+            return Err(whole("period_s", period_s, "the shortest period", least));
+        }
+        if period_s > most {
+            return Err(whole("period_s", period_s, "the longest period", most));
+        }
+        for (index, joint) in self.joints.iter().enumerate() {
+            let at = |field, value, against, bound| BusConfigError {
+                joint: Some(index as u8),
+                field,
+                value,
+                against,
+                bound,
+            };
+            joint.drive.check().map_err(|error| {
+                let ProfileError {
+                    field,
+                    value,
+                    range,
+                } = error;
+                let (against, bound) = if value < range.0 {
+                    ("the least value", range.0)
+                } else {
+                    ("the largest value", range.1)
+                };
+                at(field, value, against, bound)
+            })?;
+            if joint.bus >= BUSES {
+                let last = f32::from(BUSES - 1);
+                return Err(at("bus", joint.bus.into(), "the last bus", last));
+            }
+            let before = self
+                .joints
+                .iter()
+                .take(index)
+                .position(|other| other.bus == joint.bus && other.drive.id == joint.drive.id);
+            if let Some(before) = before {
+                let id = joint.drive.id.into();
+                return Err(at("id", id, "the same id of joint", before as f32 + 1.0));
+            }
+            if let Some(&limits) = A::limits().get(index) {
+                joint
+                    .check_against(&limits)
+                    .map_err(|(field, value, against, bound)| at(field, value, against, bound))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Limits of the arm, the torque tightened to the profile's.
+    pub fn safety_limits<A: Arm<N, P>, const P: usize>(&self) -> SafetyLimits<N> {
+        let mut limits = SafetyLimits::for_arm::<A, P>((self.period_s * 1e6 + 0.5) as u32);
+        for (torque, joint) in limits.torque.iter_mut().zip(&self.joints) {
+            *torque = torque.min(joint.drive.torque_limit);
+        }
+        for (margin, joint) in limits.lowest.iter_mut().zip(&self.joints) {
+            *margin -= joint.position_resolution();
+        }
+        limits
+    }
+
+    /// Configuration of the learner: the resolution of the reported torques adds to its noise.
+    pub fn learner<A: Arm<N, P>, const P: usize>(&self) -> LearnerConfig<N, P> {
+        let mut config = LearnerConfig::for_arm::<A>(self.period_s);
+        let joints = self.joints.iter().zip(A::limits());
+        // Rounding to steps of one has a variance of 1/12.
+        let variances = joints.map(|(joint, limits)| {
+            let step = joint.drive.torque_resolution() / limits.torque;
+            step * step / 12.0
+        });
+        let coarsest = variances.fold(0.0, f32::max);
+        config.noise = sqrt(config.noise * config.noise + coarsest);
+        config
+    }
+}
+
+type Contradiction = (&'static str, f32, &'static str, f32);
+
+impl BusJoint {
+    fn check_against(&self, limits: &foretorque::arm::JointLimits) -> Result<(), Contradiction> {
+        let drive = &self.drive;
+        if drive.torque_limit > limits.torque {
+            let torque = ("torque_limit", drive.torque_limit);
+            return Err((torque.0, torque.1, "the torque of the arm", limits.torque));
+        }
+        for (field, gain) in [("kp", self.kp), ("kd", self.kd)] {
+            if !(gain >= 0.0 && gain.is_finite()) {
+                return Err((field, gain, "the least value", 0.0));
+            }
+        }
+        let Some(ranges) = self.ranges() else {
+            return Ok(());
+        };
+        let square = drive.gear * drive.gear;
+        let reach = ranges.position / drive.gear;
+        let (low, high) = limits.position;
+        let position = (low - drive.zero).abs().max((high - drive.zero).abs());
+        let velocity = ranges.velocity / drive.gear;
+        let at_most = [
+            (
+                "kp",
+                self.kp,
+                "the largest kp of the frame",
+                ranges.kp * square,
+            ),
+            (
+                "kd",
+                self.kd,
+                "the largest kd of the frame",
+                ranges.kd * square,
+            ),
+        ];
+        let at_least = [
+            (
+                "range of position",
+                reach,
+                "the travel of the arm from its zero",
+                position,
+            ),
+            (
+                "range of velocity",
+                velocity,
+                "the velocity of the arm",
+                limits.velocity,
+            ),
+        ];
+        let above = at_most
+            .into_iter()
+            .find(|(_, value, _, bound)| value > bound);
+        let below = at_least
+            .into_iter()
+            .find(|(_, value, _, bound)| value < bound);
+        if let Some(contradiction) = above.or(below) {
+            return Err(contradiction);
+        }
+        Ok(())
+    }
+
+    fn ranges(&self) -> Option<Ranges> {
+        match self.drive.protocol {
+            Protocol::MiniCheetah(ranges)
+            | Protocol::Damiao(ranges)
+            | Protocol::CyberGear(ranges)
+            | Protocol::RobStride(ranges) => Some(ranges),
+            _ => None,
+        }
+    }
+
+    /// Step of the reported position, rad; 0 where the reply is finer than an encoder.
+    pub fn position_resolution(&self) -> f32 {
+        self.ranges().map_or(0.0, |ranges| {
+            2.0 * ranges.position / 65535.0 / self.drive.gear
+        })
+    }
+
+    /// The drive reports a limit in the place of the scale of its torque.
+    pub(super) fn reports_limit(&self) -> bool {
+        matches!(
+            self.drive.protocol,
+            Protocol::CyberGear(_) | Protocol::RobStride(_)
+        )
+    }
+
+    /// Scale of the profile, in the unit in which the drive reports it.
+    pub(super) fn scale(&self, scale: Scale) -> Option<f32> {
+        match (self.drive.protocol, scale) {
+            (Protocol::Odrive(odrive), Scale::Torque) => Some(odrive.torque_scale),
+            (Protocol::Cia402(cia402), Scale::Torque) => Some(cia402.rated_torque),
+            (_, Scale::Position) => self.ranges().map(|ranges| ranges.position),
+            (_, Scale::Velocity) => self.ranges().map(|ranges| ranges.velocity),
+            // These report a limit, which the loop must not exceed, and not the scale of the frame.
+            (Protocol::CyberGear(_) | Protocol::RobStride(_), Scale::Torque) => {
+                Some(self.drive.torque_limit / self.drive.gear)
+            }
+            (_, Scale::Torque) => self.ranges().map(|ranges| ranges.torque),
+        }
+    }
+}

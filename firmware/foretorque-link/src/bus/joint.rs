@@ -1,0 +1,268 @@
+//! One joint of the bus: its replies, their age, the faults they show.
+
+use super::config::BusJoint;
+use super::fault::FaultCause;
+use super::{FOLLOWING_RAD, STUCK_RAD};
+use crate::drives::{Carry, DriveState, Event, Frames, JointReply, Order, Scale};
+
+/// Periods for which a torque stands that came in a frame of its own.
+const TORQUE_PERIODS: u16 = 4;
+/// Periods with contradicting replies that make a fault.
+const CONFLICTS: u8 = 5;
+/// Replies in a row too far from the desired position that make a fault.
+const FAR_REPLIES: u8 = 3;
+/// Periods in which a drive may still report the state before an order.
+pub(super) const STATE_PERIODS: u16 = 3;
+const SCALES: [Scale; 3] = [Scale::Position, Scale::Velocity, Scale::Torque];
+
+/// Counters of one joint. All saturate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct JointCounters {
+    /// Replies.
+    pub replies: u32,
+    /// Periods without a reply.
+    pub lost: u32,
+    /// Replies beyond the first of their period.
+    pub doubled: u32,
+    /// Most periods in a row without a reply.
+    pub longest_gap: u16,
+}
+
+/// Knowledge of one scale of a drive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum ScaleCheck {
+    /// The protocol has no question for it.
+    Unreadable,
+    Unknown,
+    Equal,
+    Different(f32),
+}
+
+/// State of one joint's drive as the loop knows it.
+pub(super) struct JointLink {
+    pub(super) carry: Carry,
+    pub(super) counters: JointCounters,
+    pub(super) state: Option<DriveState>,
+    /// Periods since the last reply.
+    pub(super) age: u16,
+    position: Option<f32>,
+    torque: Option<f32>,
+    torque_age: u16,
+    temperature: Option<f32>,
+    /// Replies of this period, and the first of their positions.
+    replies: u8,
+    first: Option<f32>,
+    conflicts: u8,
+    /// Last contradicting positions, rad.
+    conflict: (f32, f32),
+    scales: [ScaleCheck; 3],
+    /// Reply that repeats itself, how often, and the desired position at its first time.
+    repeated: (Option<f32>, Option<f32>),
+    repeats: u16,
+    desired_before: f32,
+    /// Replies in a row that are too far from the desired position.
+    far: u8,
+}
+
+impl JointLink {
+    pub(super) fn new(joint: &BusJoint) -> Self {
+        let mut frames = Frames::new();
+        let scales = SCALES.map(|scale| {
+            frames.clear();
+            let readable = joint.scale(scale).is_some()
+                && joint.drive.order(Order::ReadScale(scale), &mut frames);
+            if readable {
+                ScaleCheck::Unknown
+            } else {
+                ScaleCheck::Unreadable
+            }
+        });
+        Self {
+            carry: Carry::default(),
+            counters: JointCounters::default(),
+            state: None,
+            age: u16::MAX,
+            position: None,
+            torque: None,
+            torque_age: u16::MAX,
+            temperature: None,
+            replies: 0,
+            first: None,
+            conflicts: 0,
+            conflict: (0.0, 0.0),
+            scales,
+            repeated: (None, None),
+            repeats: 0,
+            desired_before: 0.0,
+            far: 0,
+        }
+    }
+
+    /// Takes the content of a frame of this drive.
+    pub(super) fn take(&mut self, joint: &BusJoint, event: Event) {
+        match event {
+            Event::Reply(reply) => self.take_reply(&reply),
+            Event::Scale(scale, value) => {
+                let Some(profile) = joint.scale(scale) else {
+                    return;
+                };
+                let above = joint.reports_limit() && scale == Scale::Torque && value > profile;
+                let equal = above || (value - profile).abs() <= 1e-3 * profile;
+                let check = if equal {
+                    ScaleCheck::Equal
+                } else {
+                    ScaleCheck::Different(value)
+                };
+                if let Some(slot) = self.scales.get_mut(scale as usize) {
+                    *slot = check;
+                }
+            }
+        }
+    }
+
+    fn take_reply(&mut self, reply: &JointReply) {
+        if reply.state.is_some() {
+            self.state = reply.state;
+        }
+        if reply.temperature.is_some() {
+            self.temperature = reply.temperature;
+        }
+        if reply.torque.is_some() {
+            self.torque = reply.torque;
+            self.torque_age = 0;
+        }
+        let Some(position) = reply.position else {
+            return;
+        };
+        self.position = Some(position);
+        self.first.get_or_insert(position);
+        self.replies = self.replies.saturating_add(1);
+        increment(&mut self.counters.replies);
+        if self.replies > 1 {
+            increment(&mut self.counters.doubled);
+        }
+    }
+
+    /// Last known position, rad.
+    pub(super) fn position(&self) -> Option<f32> {
+        self.position
+    }
+
+    /// Reported temperature, °C.
+    pub(super) fn temperature(&self) -> Option<i8> {
+        self.temperature.map(|celsius| celsius as i8)
+    }
+
+    /// Closes a period: position and torque of its last reply, `None` without one that is sound.
+    ///
+    /// * `step` largest distance of two positions of one period, rad
+    pub(super) fn close(&mut self, step: f32) -> Option<(f32, f32)> {
+        let (replies, first) = (self.replies, self.first.take());
+        self.replies = 0;
+        self.torque_age = self.torque_age.saturating_add(1);
+        if replies == 0 {
+            self.age = self.age.saturating_add(1);
+            if self.counters.replies > 0 {
+                increment(&mut self.counters.lost);
+                self.counters.longest_gap = self.counters.longest_gap.max(self.age);
+            }
+            return None;
+        }
+        self.age = 0;
+        let (position, torque) = (self.position?, self.torque?);
+        let first = first.unwrap_or(position);
+        let agrees = (first - position).abs() <= step;
+        if agrees {
+            self.conflicts = self.conflicts.saturating_sub(1);
+        } else {
+            self.conflicts = self.conflicts.saturating_add(2);
+            self.conflict = (first, position);
+        }
+        let fresh = agrees && self.torque_age <= TORQUE_PERIODS;
+        fresh.then_some((position, torque))
+    }
+
+    /// Fault of the last replies while the drive is to follow `desired`, rad.
+    ///
+    /// * `silence` periods without a reply that make a fault
+    pub(super) fn fault(
+        &mut self,
+        joint: &BusJoint,
+        desired: f32,
+        silence: u16,
+    ) -> Option<FaultCause> {
+        let (position, torque) = (self.position, self.torque);
+        if self.age == 0 && (position, torque) == self.repeated {
+            self.repeats = self.repeats.saturating_add(1);
+        } else if self.age == 0 {
+            self.repeated = (position, torque);
+            self.repeats = 0;
+            self.desired_before = desired;
+        }
+        if self.age >= silence {
+            return Some(FaultCause::Silent);
+        }
+        if let Some(DriveState::Fault(code)) = self.state {
+            return Some(FaultCause::Drive(code));
+        }
+        if self.conflicts >= 2 * CONFLICTS {
+            let (one, other) = self.conflict;
+            return Some(FaultCause::Ambiguous(one, other));
+        }
+        if self.repeats >= silence && (desired - self.desired_before).abs() > STUCK_RAD {
+            return Some(FaultCause::Stuck);
+        }
+        let here = position.filter(|here| (desired - here).abs() > FOLLOWING_RAD);
+        // A single one may be damaged.
+        self.far = match here {
+            Some(_) => self.far.saturating_add(u8::from(self.age == 0)),
+            None => 0,
+        };
+        let here = here.filter(|_| self.far >= FAR_REPLIES);
+        here.map(|here| FaultCause::NotFollowing(desired, here))
+            .or_else(|| self.different_scale(joint))
+    }
+
+    fn different_scale(&self, joint: &BusJoint) -> Option<FaultCause> {
+        SCALES
+            .into_iter()
+            .zip(self.scales)
+            .find_map(|(scale, check)| match check {
+                ScaleCheck::Different(drive) => {
+                    let profile = joint.scale(scale).unwrap_or_default();
+                    Some(FaultCause::Scale(scale, profile, drive))
+                }
+                _ => None,
+            })
+    }
+
+    /// Reason against switching the drive on.
+    pub(super) fn refusal(&self, joint: &BusJoint, silence: u16) -> Option<FaultCause> {
+        if self.age >= silence || self.position.is_none() {
+            return Some(FaultCause::Silent);
+        }
+        if let Some(DriveState::Fault(code)) = self.state {
+            return Some(FaultCause::Drive(code));
+        }
+        self.different_scale(joint)
+            .or_else(|| self.unknown_scale().map(FaultCause::ScaleUnknown))
+    }
+
+    /// The first scale that the drive can report and has not.
+    pub(super) fn unknown_scale(&self) -> Option<Scale> {
+        let mut checks = SCALES.into_iter().zip(self.scales);
+        let found = checks.find(|(_, check)| *check == ScaleCheck::Unknown);
+        found.map(|(scale, _)| scale)
+    }
+
+    /// Forgets the scales, so that they are read again.
+    pub(super) fn restart(&mut self, joint: &BusJoint) {
+        let counters = self.counters;
+        *self = Self::new(joint);
+        self.counters = counters;
+    }
+}
+
+fn increment(counter: &mut u32) {
+    *counter = counter.saturating_add(1);
+}

@@ -1,0 +1,358 @@
+use super::*;
+use crate::drives::{
+    DriveProfile, DriveState, Frame, Frames, JointReply, Order, Protocol, Ranges, Request, Scale,
+};
+use crate::safety::SafetyState;
+use crate::session::LearnerMailbox;
+use foretorque::arm::ur5::Ur5;
+use foretorque::joint::JointMotion;
+use foretorque::learning::ParameterSet;
+use std::vec::Vec;
+
+type Controller = BusController<Ur5, 6, 40>;
+
+fn config() -> BusConfig<6> {
+    let ranges = Ranges {
+        position: 12.5,
+        velocity: 30.0,
+        torque: 200.0,
+        kp: 5000.0,
+        kd: 500.0,
+    };
+    let joint = |id| BusJoint {
+        drive: DriveProfile {
+            protocol: Protocol::Damiao(ranges),
+            id,
+            host_id: 0x40,
+            sign: if id % 2 == 0 { -1.0 } else { 1.0 },
+            zero: 0.1,
+            gear: 1.0,
+            torque_limit: 28.0,
+        },
+        bus: u8::from(id > 3),
+        kp: 300.0,
+        kd: 20.0,
+    };
+    BusConfig {
+        period_s: 2e-3,
+        joints: [1, 2, 3, 4, 5, 6].map(joint),
+    }
+}
+
+/// Drives that stand where they are told, with a switch for each.
+struct Drives {
+    config: BusConfig<6>,
+    on: [bool; 6],
+    q: [f32; 6],
+    torque: [f32; 6],
+    order: Vec<u16>,
+}
+
+impl Drives {
+    fn new() -> Self {
+        Self {
+            config: config(),
+            on: [false; 6],
+            q: [0.0; 6],
+            torque: [0.0; 6],
+            order: Vec::new(),
+        }
+    }
+
+    /// One period: what the controller sends, and what the drives answer to it; `change` may alter an answer.
+    fn period(
+        &mut self,
+        controller: &mut Controller,
+        desired: Option<&JointMotion<6>>,
+        change: impl Fn(usize, &mut JointReply) -> bool,
+    ) -> BusTick<6> {
+        let mut sent = Vec::new();
+        let mut mailbox = LearnerMailbox::new();
+        let tick = controller.tick(desired, &mut mailbox, |bus, frame| sent.push((bus, *frame)));
+        self.order.clear();
+        for (bus, frame) in sent {
+            for j in 0..6 {
+                let joint = self.config.joints[j];
+                if joint.bus != bus {
+                    continue;
+                }
+                let Some(request) = joint.drive.accept(&frame) else {
+                    continue;
+                };
+                self.order.push(joint.drive.id);
+                let mut frames = Frames::new();
+                match request {
+                    Request::Order(Order::ReadScale(scale)) => {
+                        let value = [12.5, 30.0, 200.0][scale as usize];
+                        joint.drive.reply_scale(scale, value, &mut frames);
+                        frames
+                            .iter()
+                            .for_each(|frame| controller.receive(bus, frame));
+                        continue;
+                    }
+                    Request::Order(Order::Enable) => self.on[j] = true,
+                    Request::Order(Order::Disable) => self.on[j] = false,
+                    Request::Command(command) if self.on[j] => {
+                        self.torque[j] = command.torque;
+                        if command.kp > 0.0 {
+                            self.q[j] = command.position;
+                        }
+                    }
+                    _ => {}
+                }
+                let mut reply = JointReply {
+                    position: Some(self.q[j]),
+                    velocity: Some(0.0),
+                    torque: Some(0.0),
+                    temperature: Some(30.0),
+                    state: Some(if self.on[j] {
+                        DriveState::Enabled
+                    } else {
+                        DriveState::Disabled
+                    }),
+                };
+                if change(j, &mut reply) {
+                    joint.drive.reply(&reply, &mut frames);
+                }
+                frames
+                    .iter()
+                    .for_each(|frame| controller.receive(bus, frame));
+            }
+        }
+        tick
+    }
+
+    /// Runs until the drives follow.
+    fn started(&mut self) -> Controller {
+        let mut controller = Controller::new(config(), ParameterSet::nominal::<Ur5>(1)).unwrap();
+        let rest = JointMotion::zero();
+        for _ in 0..40 {
+            self.period(&mut controller, Some(&rest), |_, _| true);
+            let _ = controller.arm();
+        }
+        assert!(
+            matches!(controller.phase(), BusPhase::Running(_)),
+            "{:?}",
+            controller.fault()
+        );
+        controller
+    }
+}
+
+#[test]
+fn arms_after_the_scales_and_sends_torque_and_ramped_gains() {
+    let mut drives = Drives::new();
+    let mut controller = Controller::new(config(), ParameterSet::nominal::<Ur5>(1)).unwrap();
+    let rest = JointMotion::zero();
+    let refusal = controller.arm().unwrap_err();
+    assert_eq!(refusal.cause, FaultCause::Silent);
+    for _ in 0..3 {
+        drives.period(&mut controller, Some(&rest), |_, _| true);
+    }
+    let refusal = controller.arm().unwrap_err();
+    assert!(
+        matches!(refusal.cause, FaultCause::ScaleUnknown(_)),
+        "{refusal}"
+    );
+    let mut controller = drives.started();
+    let mut last = None;
+    for _ in 0..100 {
+        last = Some(drives.period(&mut controller, Some(&rest), |_, _| true));
+    }
+    let tick = last.unwrap();
+    assert_eq!(tick.status.state, SafetyState::Armed);
+    assert!(tick.measured.is_some());
+    assert!(
+        tick.torque.total[1] <= -27.9,
+        "the limit of the profile: {}",
+        tick.torque.total
+    );
+    for j in 0..6 {
+        assert!(
+            (drives.torque[j] - tick.torque.total[j]).abs() <= 0.05,
+            "joint {j}"
+        );
+    }
+    assert_eq!(drives.order, [1, 4, 2, 5, 3, 6], "the buses take turns");
+    controller.disarm();
+    for _ in 0..600 {
+        drives.period(&mut controller, None, |_, _| true);
+    }
+    assert_eq!((controller.phase(), drives.on), (BusPhase::Off, [false; 6]));
+    assert!(controller.fault().is_none());
+}
+
+#[test]
+fn faults_of_the_replies_end_the_torque_with_their_joint() {
+    type Change = fn(usize, &mut JointReply) -> bool;
+    let cases: [(&str, Change); 5] = [
+        ("joint 3: the drive does not answer", |j, _| j != 2),
+        ("joint 3: the drive reports fault 0x9", |j, reply| {
+            if j == 2 {
+                reply.state = Some(DriveState::Fault(9));
+            }
+            true
+        }),
+        ("joint 3: the drive has switched itself off", |j, reply| {
+            if j == 2 {
+                reply.state = Some(DriveState::Disabled);
+            }
+            true
+        }),
+        ("joint 3: desired position", |j, reply| {
+            if j == 2 {
+                reply.position = Some(0.5);
+            }
+            true
+        }),
+        ("joint 5: the drive reports fault 0xd", |j, reply| {
+            if j == 4 {
+                reply.state = Some(DriveState::Fault(0xd));
+            }
+            true
+        }),
+    ];
+    for (named, change) in cases {
+        let mut drives = Drives::new();
+        let mut controller = drives.started();
+        let rest = JointMotion::zero();
+        for _ in 0..25 {
+            drives.period(&mut controller, Some(&rest), change);
+        }
+        let fault = controller.fault().expect(named).to_string();
+        assert!(fault.starts_with(named), "{fault}");
+        assert!(!controller.status().state.eq(&SafetyState::Armed));
+        assert!(
+            drives.torque.iter().all(|torque| torque.abs() < 0.05),
+            "{named}"
+        );
+        for _ in 0..600 {
+            drives.period(&mut controller, Some(&rest), change);
+        }
+        assert_eq!(controller.phase(), BusPhase::Off, "{named}");
+        assert_eq!(
+            controller.arm().unwrap_err().to_string(),
+            fault,
+            "a fault stands"
+        );
+        controller.clear().unwrap();
+        assert!(controller.fault().is_none());
+    }
+}
+
+#[test]
+fn a_scale_that_differs_and_a_bus_that_is_off_end_the_torque() {
+    let mut drives = Drives::new();
+    let mut controller = drives.started();
+    let mut frames = Frames::new();
+    let joint = config().joints[1];
+    joint.drive.reply_scale(Scale::Torque, 20.0, &mut frames);
+    controller.receive(0, &frames[0]);
+    drives.period(&mut controller, Some(&JointMotion::zero()), |_, _| true);
+    let fault = controller.fault().expect("the scale differs").to_string();
+    assert_eq!(
+        fault,
+        "joint 2: scale of torque is 200 in the profile, 20 in the drive"
+    );
+    let mut controller = drives.started();
+    controller.bus_off();
+    assert_eq!(controller.status().state, SafetyState::RampDown);
+    assert_eq!(controller.fault().unwrap().to_string(), "the bus is off");
+}
+
+#[test]
+fn foreign_frames_and_any_bits_change_no_torque() {
+    let mut drives = Drives::new();
+    let mut controller = drives.started();
+    let strays = controller.strays();
+    for id in 0..0x800 {
+        if id != 0x40 {
+            controller.receive(0, &Frame::standard(id, &[0xa5; 8]));
+        }
+        controller.receive(7, &Frame::extended(id, &[0x5a; 64]));
+    }
+    assert_eq!(controller.strays() - strays, 0xfff);
+    let mut motion = JointMotion::<6>::zero();
+    motion.q.fill(f32::NAN);
+    let mut mailbox = LearnerMailbox::new();
+    for _ in 0..100 {
+        let tick = controller.tick(Some(&motion), &mut mailbox, |_, frame| {
+            let sent = config()
+                .joints
+                .iter()
+                .find_map(|joint| joint.drive.accept(frame));
+            if let Some(Request::Command(command)) = sent {
+                assert!(command.torque.abs() < 28.1 && command.position.is_finite());
+            }
+        });
+        assert!(tick.torque.total.iter().all(|torque| torque.is_finite()));
+    }
+    assert_ne!(controller.status().state, SafetyState::Armed);
+}
+
+#[test]
+fn contradictions_name_joint_field_and_both_values() {
+    type Spoil = fn(&mut BusConfig<6>);
+    let cases: [(&str, Spoil); 8] = [
+        (
+            "period_s 0.0001 contradicts the shortest period 0.0005",
+            |c| c.period_s = 1e-4,
+        ),
+        (
+            "joint 2: torque_limit 180 contradicts the torque of the arm 150",
+            |c| {
+                c.joints[1].drive.torque_limit = 180.0;
+            },
+        ),
+        (
+            "joint 3: torque_limit 28 contradicts the largest value 20",
+            |c| {
+                c.joints[2].drive.protocol = Protocol::Damiao(Ranges {
+                    position: 12.5,
+                    velocity: 30.0,
+                    torque: 20.0,
+                    kp: 500.0,
+                    kd: 5.0,
+                });
+            },
+        ),
+        ("joint 6: id 4 contradicts the same id of joint 4", |c| {
+            c.joints[5].drive.id = 4
+        }),
+        ("joint 1: bus 2 contradicts the last bus 1", |c| {
+            c.joints[0].bus = 2
+        }),
+        (
+            "joint 1: kp 6000 contradicts the largest kp of the frame 5000",
+            |c| {
+                c.joints[0].kp = 6000.0;
+            },
+        ),
+        (
+            "joint 6: range of position 1.25 contradicts the travel of the arm from its zero 6.38",
+            |c| {
+                c.joints[5].drive.gear = 10.0;
+            },
+        ),
+        ("joint 5: kd NaN contradicts the least value 0", |c| {
+            c.joints[4].kd = f32::NAN
+        }),
+    ];
+    for (named, spoil) in cases {
+        let mut config = config();
+        spoil(&mut config);
+        let refused = Controller::new(config, ParameterSet::nominal::<Ur5>(1));
+        let message = refused.err().expect(named).to_string();
+        assert!(message.starts_with(named), "{message}");
+    }
+}
+
+#[test]
+fn the_resolution_of_the_reported_torque_is_noise_of_the_learner() {
+    let fine = foretorque::learning::LearnerConfig::<6, 40>::for_arm::<Ur5>(2e-3);
+    let coarse = config().learner::<Ur5, 40>();
+    // ±200 N·m in 4095 steps on a joint of 28 N·m.
+    let step = 400.0 / 4095.0 / 28.0;
+    let expected = (0.01_f32 * 0.01 + step * step / 12.0).sqrt();
+    assert!((coarse.noise - expected).abs() < 1e-6 && coarse.noise > fine.noise);
+}

@@ -1,0 +1,46 @@
+//! Arms on a bus of drives: transports, simulated drives, profiles, and the loop around them.
+
+mod choice;
+mod error;
+mod player;
+mod profile;
+pub mod sim;
+mod socketcan;
+mod text;
+mod timing;
+mod udp;
+mod wired;
+
+pub use choice::BusChoice;
+pub use error::BusError;
+pub use player::{BusPlayer, Jitter};
+pub use profile::{JointEntry, Profile};
+pub use timing::{BitRates, frame_time_s};
+pub use wired::{Line, WiredNetwork, real_time};
+
+use foretorque_link::drives::Frame;
+use std::time::Duration;
+
+/// Buses of one arm, with the clock of their loop.
+pub trait Network {
+    /// Name for messages.
+    fn name(&self) -> String;
+
+    /// Sends a frame; one that the queue has no room for is lost.
+    ///
+    /// Errors: the bus has gone.
+    fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError>;
+
+    /// Next frame that has arrived, without waiting.
+    ///
+    /// Errors: the bus has gone.
+    fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError>;
+
+    /// Waits for the next period: how late it begins.
+    fn wait(&mut self) -> Duration;
+
+    /// A controller has left its bus because of too many errors.
+    fn is_off(&self) -> bool {
+        false
+    }
+}

@@ -1,0 +1,231 @@
+//! The loop with its network, its learner and its clock.
+
+use super::{BusError, Network};
+use crate::dynamics::{Joints, State};
+use foretorque::arm::Arm;
+use foretorque::joint::{JointMotion, JointVector};
+use foretorque::learning::{Learner, ParameterSet};
+use foretorque_link::bus::{BusConfig, BusController, BusPhase, BusTick};
+use foretorque_link::safety::{SafetyReason, SafetyState};
+use foretorque_link::session::{LearnerMailbox, NoClock};
+use std::time::Duration;
+
+/// Longest time for drives to answer at the start, s.
+const GREETING_S: f64 = 0.5;
+/// Longest time for drives to switch on, s.
+const ARMING_S: f64 = 1.0;
+/// Fastest joint of the approach, rad/s.
+const APPROACH_RAD_S: f64 = 0.4;
+
+/// Controller of an arm on a bus of whatever kind.
+pub struct BusPlayer<A: Arm<N, P>, W: Network, const N: usize, const P: usize> {
+    /// The loop.
+    pub controller: BusController<A, N, P>,
+    /// The bus.
+    pub network: W,
+    learner: Learner<A, N, P>,
+    mailbox: LearnerMailbox<N, P>,
+    /// Longest and summed delay of the ticks so far.
+    pub jitter: Jitter,
+}
+
+/// Delays of the ticks behind their time.
+#[derive(Clone, Debug, Default)]
+pub struct Jitter {
+    delays_us: Vec<f32>,
+}
+
+impl Jitter {
+    fn note(&mut self, delay: Duration) {
+        self.delays_us.push(delay.as_secs_f32() * 1e6);
+    }
+
+    /// Median, 99.9th percentile and largest delay, µs.
+    pub fn figures(&self) -> [f32; 3] {
+        let mut sorted = self.delays_us.clone();
+        sorted.sort_by(f32::total_cmp);
+        let at = |share: f64| {
+            let place = (share * sorted.len().saturating_sub(1) as f64).round() as usize;
+            sorted.get(place).copied().unwrap_or_default()
+        };
+        [at(0.5), at(0.999), at(1.0)]
+    }
+}
+
+impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N, P> {
+    /// A loop with its drives off.
+    ///
+    /// Errors: a profile that contradicts itself or the arm.
+    pub fn new(
+        config: BusConfig<N>,
+        set: ParameterSet<N, P>,
+        network: W,
+    ) -> Result<Self, foretorque_link::bus::BusConfigError> {
+        let controller = BusController::new(config, set)?;
+        let learner = Learner::new(config.learner::<A, P>(), set).map_err(|_| {
+            foretorque_link::bus::BusConfigError {
+                joint: None,
+                field: "period_s",
+                value: config.period_s,
+                against: "the limits of the learner at a period of",
+                bound: config.period_s,
+            }
+        })?;
+        Ok(Self {
+            controller,
+            network,
+            learner,
+            mailbox: LearnerMailbox::new(),
+            jitter: Jitter::default(),
+        })
+    }
+
+    /// Period, s.
+    pub fn period_s(&self) -> f64 {
+        f64::from(self.controller.config().period_s)
+    }
+
+    /// One period: waits for its begin, takes the replies, sends the commands, learns.
+    ///
+    /// Errors: a bus that has gone; the drives are then out of reach, and their watchdogs end the torque.
+    pub fn tick(&mut self, desired: Option<&JointMotion<N>>) -> Result<BusTick<N>, BusError> {
+        let delay = self.network.wait();
+        self.jitter.note(delay);
+        while let Some((bus, frame)) = self.network.receive()? {
+            self.controller.receive(bus, &frame);
+        }
+        if self.network.is_off() {
+            self.controller.bus_off();
+        }
+        let (network, mut sent) = (&mut self.network, Ok(()));
+        let tick = self
+            .controller
+            .tick(desired, &mut self.mailbox, |bus, frame| {
+                let outcome = network.send(bus, frame);
+                if sent.is_ok() {
+                    sent = outcome;
+                }
+            });
+        sent?;
+        self.mailbox.work(&mut self.learner, &NoClock);
+        Ok(tick)
+    }
+
+    /// Waits for every drive, and switches them on where the arm stands: the positions there, rad.
+    ///
+    /// Errors: a bus without an answer, the reason against arming.
+    pub fn arm(&mut self) -> Result<JointVector<N>, BusError> {
+        let ticks = |time_s: f64| (time_s / self.period_s()) as usize + 1;
+        let (greeting, arming) = (ticks(GREETING_S), ticks(ARMING_S));
+        let mut refusal = None;
+        for _ in 0..greeting {
+            self.rest_tick()?;
+            match self.controller.arm() {
+                Ok(()) => {
+                    refusal = None;
+                    break;
+                }
+                Err(fault) => refusal = Some(fault),
+            }
+        }
+        if let Some(fault) = refusal {
+            let answered = (0..N).any(|joint| self.controller.counters(joint).replies > 0);
+            return Err(if answered {
+                BusError::Fault(fault)
+            } else {
+                BusError::Quiet(self.network.name())
+            });
+        }
+        for _ in 0..arming {
+            self.rest_tick()?;
+            if let BusPhase::Running(_) = self.controller.phase() {
+                return Ok(self.positions());
+            }
+            if let Some(fault) = self.controller.fault() {
+                return Err(BusError::Fault(fault));
+            }
+        }
+        Err(BusError::Stopped(self.controller.status().reason))
+    }
+
+    /// Moves from where the arm stands to `target`, and waits there until the arm has settled.
+    ///
+    /// Errors: as [`check`](Self::check).
+    pub fn approach(&mut self, target: &Joints<N>) -> Result<(), BusError> {
+        let start: Joints<N> = self.positions().cast();
+        let distance = target - start;
+        let duration_s = (1.875 * distance.amax() / APPROACH_RAD_S).max(0.5);
+        let ticks = ((duration_s + 0.5) / self.period_s()) as usize;
+        for tick in 0..ticks {
+            let t_s = (tick as f64 + 0.5) * self.period_s();
+            let motion = quintic(&start, &distance, t_s, duration_s);
+            self.tick(Some(&crate::closed_loop::motion_f32(&motion)))?;
+            self.check()?;
+        }
+        Ok(())
+    }
+
+    /// Errors: the reason that has ended the torque.
+    pub fn check(&self) -> Result<(), BusError> {
+        if let Some(fault) = self.controller.fault() {
+            return Err(BusError::Fault(fault));
+        }
+        match self.controller.status() {
+            status if status.state == SafetyState::Armed => Ok(()),
+            status => Err(BusError::Stopped(status.reason)),
+        }
+    }
+
+    /// Ramps the torque to zero, lets the drives damp, and switches them off.
+    ///
+    /// Errors: a bus that has gone.
+    pub fn park(&mut self) -> Result<SafetyReason, BusError> {
+        self.controller.disarm();
+        let ticks = (2.0 / self.period_s()) as usize;
+        for _ in 0..ticks {
+            self.tick(None)?;
+            if self.controller.phase() == BusPhase::Off {
+                break;
+            }
+        }
+        // The order to switch off may be lost once.
+        for _ in 0..8 {
+            self.tick(None)?;
+        }
+        Ok(self.controller.status().reason)
+    }
+
+    /// Last known positions, rad.
+    pub fn positions(&self) -> JointVector<N> {
+        self.controller
+            .positions()
+            .unwrap_or_else(JointVector::zeros)
+    }
+
+    /// A period in which the arm is to stay where it is.
+    fn rest_tick(&mut self) -> Result<(), BusError> {
+        let here = self.controller.positions().map(|q| JointMotion {
+            q,
+            ..JointMotion::zero()
+        });
+        self.tick(here.as_ref()).map(drop)
+    }
+}
+
+/// Motion over `distance` from rest to rest; at rest behind its end.
+fn quintic<const N: usize>(
+    start: &Joints<N>,
+    distance: &Joints<N>,
+    t_s: f64,
+    duration_s: f64,
+) -> State<N> {
+    let x = (t_s / duration_s).min(1.0);
+    let place = x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x);
+    let speed = 30.0 * x * x * (1.0 - x).powi(2) / duration_s;
+    let acceleration = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (duration_s * duration_s);
+    State {
+        q: start + distance * place,
+        qd: distance * speed,
+        qdd: distance * acceleration,
+    }
+}

@@ -1,0 +1,198 @@
+//! Profile of an arm: its drives, buses and rate, from a TOML file.
+
+use super::BusError;
+use super::timing::{BitRates, frame_time_s};
+use foretorque::arm::Arm;
+use foretorque_link::bus::{BusConfig, BusJoint};
+use foretorque_link::drives::{Carry, DriveProfile, Frames, JointCommand, JointReply};
+use serde::Deserialize;
+use std::fs;
+use std::path::Path;
+
+/// Rates at which the loop may run, Hz.
+const RATES_HZ: std::ops::RangeInclusive<f64> = 100.0..=2000.0;
+
+/// Profile of an arm.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Profile {
+    /// File it was read from.
+    #[serde(skip)]
+    pub file: String,
+    /// Robot: a built-in name or a description file.
+    pub robot: String,
+    /// Ticks per second, Hz.
+    pub rate_hz: f64,
+    /// Pose in which the arm rests without torque, rad; commissioning begins there.
+    #[serde(default)]
+    pub rest_rad: Vec<f64>,
+    /// Bit rates of the buses: one or two.
+    #[serde(default = "one_bus")]
+    pub bus: Vec<BitRates>,
+    /// Joints, base to tool.
+    pub joint: Vec<JointEntry>,
+}
+
+/// One joint of a profile.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointEntry {
+    /// Bus, from 0.
+    #[serde(default)]
+    pub bus: u8,
+    /// Stiffness, N·m/rad at the joint.
+    pub kp: f32,
+    /// Damping, N·m·s/rad at the joint.
+    pub kd: f32,
+    /// The drive.
+    pub drive: DriveProfile,
+}
+
+fn one_bus() -> Vec<BitRates> {
+    vec![BitRates::default()]
+}
+
+impl Profile {
+    /// Reads a profile.
+    ///
+    /// Errors: the file's, with the place; values that contradict each other.
+    pub fn load(path: &Path) -> Result<Self, BusError> {
+        let file = path.display().to_string();
+        let refused = |problem: String| BusError::Profile {
+            file: file.clone(),
+            problem,
+        };
+        let text = fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
+        Self::parse(&file, &text)
+    }
+
+    /// A profile from the text of `file`.
+    ///
+    /// Errors: as [`load`](Self::load).
+    pub fn parse(file: &str, text: &str) -> Result<Self, BusError> {
+        let refused = |problem: String| BusError::Profile {
+            file: file.to_owned(),
+            problem,
+        };
+        let mut profile: Self = toml::from_str(text).map_err(|error| {
+            let line = error
+                .span()
+                .map_or(1, |span| text[..span.start].lines().count().max(1));
+            let message = error.message().split_whitespace().collect::<Vec<_>>();
+            refused(format!("line {line}: {}", message.join(" ")))
+        })?;
+        file.clone_into(&mut profile.file);
+        if !RATES_HZ.contains(&profile.rate_hz) {
+            let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
+            let rate = profile.rate_hz;
+            return Err(refused(format!(
+                "rate_hz {rate} is not within {least} and {most}"
+            )));
+        }
+        if profile.bus.is_empty() || profile.bus.len() > 2 {
+            return Err(refused(format!("{} buses, not 1 or 2", profile.bus.len())));
+        }
+        for (place, rates) in profile.bus.iter().enumerate() {
+            let sound = |rate: f64| (1e4..=1e7).contains(&rate);
+            if !sound(rates.nominal) || !sound(rates.data) {
+                let (nominal, data) = (rates.nominal, rates.data);
+                return Err(refused(format!(
+                    "bus {place}: bit_s {nominal} and data_bit_s {data} are not within 1e4 and 1e7"
+                )));
+            }
+        }
+        for (place, joint) in profile.joint.iter().enumerate() {
+            if usize::from(joint.bus) >= profile.bus.len() {
+                let (joint, bus, buses) = (place + 1, joint.bus, profile.bus.len());
+                return Err(refused(format!(
+                    "joint {joint}: bus {bus} contradicts the {buses} buses of the profile"
+                )));
+            }
+        }
+        Ok(profile)
+    }
+
+    /// The drives for the loop of arm `A`.
+    ///
+    /// Errors: another number of joints, contradictions with the arm, a bus that cannot carry the frames.
+    pub fn config<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+    ) -> Result<BusConfig<N>, BusError> {
+        let joints: Vec<BusJoint> = self
+            .joint
+            .iter()
+            .map(|entry| BusJoint {
+                drive: entry.drive,
+                bus: entry.bus,
+                kp: entry.kp,
+                kd: entry.kd,
+            })
+            .collect();
+        let count = joints.len();
+        let refused = |problem: String| BusError::Profile {
+            file: self.file.clone(),
+            problem,
+        };
+        let joints = joints.try_into().map_err(|_| {
+            refused(format!(
+                "{count} joints contradict the {N} joints of robot '{}'",
+                A::name()
+            ))
+        })?;
+        let rests = self.rest_rad.len();
+        if rests != 0 && rests != N {
+            return Err(refused(format!(
+                "rest_rad has {rests} positions, robot '{}' {N} joints",
+                A::name()
+            )));
+        }
+        let config = BusConfig {
+            period_s: (1.0 / self.rate_hz) as f32,
+            joints,
+        };
+        config
+            .check::<A, P>()
+            .map_err(|error| BusError::Contradiction {
+                file: self.file.clone(),
+                error,
+            })?;
+        for bus in 0..self.bus.len() {
+            let busy_s = self.busy_s(bus);
+            if busy_s * self.rate_hz > 1.0 {
+                return Err(refused(format!(
+                    "bus {bus}: commands and replies take {:.2} ms, rate_hz {} leaves {:.2} ms",
+                    busy_s * 1e3,
+                    self.rate_hz,
+                    1e3 / self.rate_hz
+                )));
+            }
+        }
+        Ok(config)
+    }
+
+    /// Time that the commands and replies of one tick take on a bus, s.
+    pub fn busy_s(&self, bus: usize) -> f64 {
+        let rates = self.bus[bus];
+        let joints = self
+            .joint
+            .iter()
+            .filter(|joint| usize::from(joint.bus) == bus);
+        joints.map(|joint| frames_s(&joint.drive, &rates)).sum()
+    }
+
+    /// Time from the begin of a tick to the middle of the time in which its commands hold, s: half a period, and the mean
+    /// delay of the commands on the fuller bus.
+    pub fn lead_s(&self) -> f64 {
+        let busy = (0..self.bus.len()).map(|bus| self.busy_s(bus));
+        0.5 / self.rate_hz + 0.5 * busy.fold(0.0, f64::max)
+    }
+}
+
+/// Time of a command and its reply on the bus, s.
+fn frames_s(drive: &DriveProfile, rates: &BitRates) -> f64 {
+    let (mut frames, mut replies) = (Frames::new(), Frames::new());
+    drive.command(&JointCommand::default(), &mut Carry::default(), &mut frames);
+    drive.reply(&JointReply::default(), &mut replies);
+    let both = frames.iter().chain(&replies);
+    both.map(|frame| frame_time_s(frame, rates)).sum()
+}

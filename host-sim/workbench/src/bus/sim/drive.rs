@@ -1,0 +1,179 @@
+//! One simulated drive: frames in, torque and frames out.
+
+use foretorque_link::drives::{
+    DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply, Order, Protocol, Request,
+    Scale,
+};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use std::f64::consts::TAU;
+
+/// Period of the drive's own loop, s.
+pub const DRIVE_PERIOD_S: f64 = 1e-4;
+/// Bandwidth of the speed in the drive's own loop and of its reported torque, Hz.
+const BANDWIDTH_HZ: f64 = 400.0;
+/// Fault code of a drive that no frame reaches any more: Damiao's.
+pub const COMMUNICATION_LOST: u32 = 0xd;
+
+/// Properties of a drive that no frame shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriveTruth {
+    /// The drive as it is configured and mounted.
+    pub profile: DriveProfile,
+    /// Bus that it is wired to, from 0.
+    pub bus: u8,
+    /// Time without a command after which it switches itself off, s.
+    pub watchdog_s: f64,
+    /// Torque that it makes over the torque that it is asked for and reports.
+    pub gain: f64,
+    /// Standard deviation of the reported torque, N·m.
+    pub noise_nm: f64,
+}
+
+/// Drive with proportional and derivative action of its own.
+#[derive(Clone, Debug)]
+pub struct SimulatedDrive {
+    pub(super) truth: DriveTruth,
+    pub(super) state: DriveState,
+    command: JointCommand,
+    silent_s: f64,
+    previous: Option<f64>,
+    speed: f64,
+    torque: f64,
+    reported: f64,
+}
+
+impl SimulatedDrive {
+    /// A drive that is switched off.
+    pub fn new(truth: DriveTruth) -> Self {
+        Self {
+            truth,
+            state: DriveState::Disabled,
+            command: JointCommand::default(),
+            silent_s: 0.0,
+            previous: None,
+            speed: 0.0,
+            torque: 0.0,
+            reported: 0.0,
+        }
+    }
+
+    /// State that it reports.
+    pub fn state(&self) -> DriveState {
+        self.state
+    }
+
+    /// Feed-forward that it has taken from its last command, N·m at the joint; 0 while it is off.
+    pub fn feed_forward(&self) -> f64 {
+        match self.state {
+            DriveState::Enabled => f64::from(self.command.torque),
+            _ => 0.0,
+        }
+    }
+
+    /// Command that it follows.
+    pub fn command(&self) -> &JointCommand {
+        &self.command
+    }
+
+    /// Torque that it makes, N·m at the joint.
+    pub fn torque(&self) -> f64 {
+        self.torque
+    }
+
+    /// Starts over, as after a break of its supply.
+    pub(super) fn reset(&mut self) {
+        *self = Self::new(self.truth);
+    }
+
+    /// One period of its own loop at position `q`, rad: the torque, N·m at the joint.
+    pub(super) fn step(&mut self, q: f64) -> f64 {
+        let blend = TAU * BANDWIDTH_HZ * DRIVE_PERIOD_S;
+        let blend = blend / (1.0 + blend);
+        let difference = (q - self.previous.replace(q).unwrap_or(q)) / DRIVE_PERIOD_S;
+        self.speed += (difference - self.speed) * blend;
+        self.silent_s += DRIVE_PERIOD_S;
+        if self.state == DriveState::Enabled && self.silent_s > self.truth.watchdog_s {
+            self.state = DriveState::Fault(COMMUNICATION_LOST);
+        }
+        let wanted = if self.state == DriveState::Enabled {
+            let command = &self.command;
+            f64::from(command.kp) * (f64::from(command.position) - q)
+                + f64::from(command.kd) * (f64::from(command.velocity) - self.speed)
+                + f64::from(command.torque)
+        } else {
+            0.0
+        };
+        let most = f64::from(self.truth.profile.largest_torque());
+        let asked = wanted.clamp(-most, most);
+        self.torque = asked * self.truth.gain;
+        self.reported += (asked - self.reported) * blend;
+        self.torque
+    }
+
+    /// Takes a frame from the bus; frames of its answer.
+    pub(super) fn take(&mut self, frame: &Frame, q: f64, random: &mut ChaCha8Rng) -> Frames {
+        let mut answer = Frames::new();
+        let Some(request) = self.truth.profile.accept(frame) else {
+            return answer;
+        };
+        match request {
+            Request::Command(command) => {
+                self.silent_s = 0.0;
+                // A drive that is off takes no command: the position of a later one must not wait here.
+                self.command = match self.state {
+                    DriveState::Enabled => command,
+                    _ => JointCommand::default(),
+                };
+            }
+            Request::Order(Order::Enable) => {
+                self.silent_s = 0.0;
+                if self.state == DriveState::Disabled {
+                    self.command = JointCommand::default();
+                    self.state = DriveState::Enabled;
+                }
+            }
+            Request::Order(Order::Disable) => {
+                if self.state == DriveState::Enabled {
+                    self.state = DriveState::Disabled;
+                }
+            }
+            Request::Order(Order::ClearFault) => self.state = DriveState::Disabled,
+            Request::Order(Order::ReadScale(scale)) => {
+                if let Some(value) = scale_of(&self.truth.profile, scale) {
+                    self.truth.profile.reply_scale(scale, value, &mut answer);
+                }
+                return answer;
+            }
+            Request::Order(Order::Report | Order::SetZero) => {}
+        }
+        let noise: f64 = random.sample(StandardNormal);
+        let reply = JointReply {
+            position: Some(q as f32),
+            velocity: Some(self.speed as f32),
+            torque: Some((self.reported + noise * self.truth.noise_nm) as f32),
+            temperature: Some(30.0),
+            state: Some(self.state),
+        };
+        self.truth.profile.reply(&reply, &mut answer);
+        answer
+    }
+}
+
+/// Scale of a drive in the unit in which it reports it.
+fn scale_of(profile: &DriveProfile, scale: Scale) -> Option<f32> {
+    match profile.protocol {
+        Protocol::MiniCheetah(ranges)
+        | Protocol::Damiao(ranges)
+        | Protocol::CyberGear(ranges)
+        | Protocol::RobStride(ranges) => Some(match scale {
+            Scale::Position => ranges.position,
+            Scale::Velocity => ranges.velocity,
+            Scale::Torque => ranges.torque,
+        }),
+        Protocol::Odrive(odrive) => Some(odrive.torque_scale),
+        Protocol::Cia402(cia402) => Some(cia402.rated_torque),
+        _ => None,
+    }
+}

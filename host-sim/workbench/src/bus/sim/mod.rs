@@ -1,0 +1,224 @@
+//! A bus of simulated drives around the simulated arm.
+//!
+//! Each drive has its own loop at 10 kHz behind its codec: quantised commands and replies, watchdog, limits and faults.
+//! A bus carries one frame at a time; the reply of a drive follows its command. Until the first command with stiffness the
+//! arm is held by its brakes.
+
+mod drive;
+mod faults;
+
+pub use drive::{COMMUNICATION_LOST, DRIVE_PERIOD_S, DriveTruth, SimulatedDrive};
+pub use faults::{LineFault, LineFaults};
+
+use super::timing::{BitRates, frame_time_s};
+use super::{BusError, Network};
+use crate::dynamics::Joints;
+use crate::plant::{Plant, PlantConfig};
+use foretorque_link::bus::BusConfig;
+use foretorque_link::drives::{DriveState, Frame};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Time without a command after which a simulated drive switches itself off, s.
+const WATCHDOG_S: f64 = 0.05;
+
+/// Frames of one bus on their way.
+#[derive(Clone, Debug, Default)]
+struct Line {
+    /// Frames that wait: since when, s, and the drive that sends; `None` is the host.
+    waiting: VecDeque<(f64, Option<usize>, Frame)>,
+    free_s: f64,
+}
+
+/// Configuration of a plant around which drives run: its steps are theirs.
+pub fn plant_config(config: PlantConfig) -> PlantConfig {
+    PlantConfig {
+        step_rate_hz: 1.0 / DRIVE_PERIOD_S,
+        ..config
+    }
+}
+
+/// Drives of an arm on simulated buses.
+pub struct SimulatedNetwork<const N: usize> {
+    /// The arm.
+    pub plant: Plant<N>,
+    /// The drives, base to tool.
+    pub drives: [SimulatedDrive; N],
+    /// Faults of bus and drives.
+    pub faults: LineFaults,
+    rates: BitRates,
+    lines: [Line; 2],
+    inbox: VecDeque<(u8, Frame)>,
+    random: ChaCha8Rng,
+    steps: u64,
+    period_s: f64,
+    braked: bool,
+}
+
+impl<const N: usize> SimulatedNetwork<N> {
+    /// Drives as `config` has them around `plant`, which integrates at the rate of the drives.
+    ///
+    /// * `noise_nm` standard deviation of the reported torques, N × N·m
+    pub fn new(
+        plant: Plant<N>,
+        config: &BusConfig<N>,
+        rates: BitRates,
+        noise_nm: &Joints<N>,
+        seed: u64,
+    ) -> Self {
+        let mut noise = noise_nm.iter();
+        let drives = config.joints.map(|joint| {
+            SimulatedDrive::new(DriveTruth {
+                profile: joint.drive,
+                bus: joint.bus,
+                watchdog_s: WATCHDOG_S,
+                gain: 1.0,
+                noise_nm: noise.next().copied().unwrap_or_default(),
+            })
+        });
+        Self {
+            plant,
+            drives,
+            faults: LineFaults::default(),
+            rates,
+            lines: Default::default(),
+            inbox: VecDeque::new(),
+            random: ChaCha8Rng::seed_from_u64(seed),
+            steps: 0,
+            period_s: f64::from(config.period_s),
+            braked: true,
+        }
+    }
+
+    /// Time since the start, s.
+    pub fn t_s(&self) -> f64 {
+        self.steps as f64 * DRIVE_PERIOD_S
+    }
+
+    /// Feed-forward that each drive has in force, N × N·m.
+    pub fn feed_forward(&self) -> Joints<N> {
+        Joints::from_fn(|j, _| self.drives[j].feed_forward())
+    }
+
+    /// Every drive is switched off.
+    pub fn all_off(&self) -> bool {
+        let mut drives = self.drives.iter();
+        drives.all(|drive| drive.state() != DriveState::Enabled)
+    }
+
+    /// One period of the drives.
+    fn step(&mut self) {
+        let t_s = self.t_s();
+        for j in self.faults.resets(t_s, DRIVE_PERIOD_S) {
+            self.drives[j].reset();
+        }
+        for (j, code) in self.faults.drive_faults(t_s, DRIVE_PERIOD_S) {
+            self.drives[j].state = DriveState::Fault(code);
+        }
+        let q = *self.plant.q();
+        let tau = Joints::from_fn(|j, _| self.drives[j].step(q[j]));
+        let following = |drive: &SimulatedDrive| {
+            drive.state() == DriveState::Enabled && drive.command().kp + drive.command().kd > 0.0
+        };
+        if self.braked && self.drives.iter().any(following) {
+            self.braked = false;
+        }
+        if !self.braked {
+            self.plant.advance(&tau, DRIVE_PERIOD_S);
+        }
+        self.steps += 1;
+        for bus in 0..self.lines.len() {
+            self.carry(bus);
+        }
+    }
+
+    /// Carries the frames of a bus whose time has come.
+    fn carry(&mut self, bus: usize) {
+        let now_s = self.t_s();
+        let rates = BitRates {
+            nominal: self.rates.nominal * self.faults.speed(now_s),
+            ..self.rates
+        };
+        if let Some(frame) = self.faults.babble(now_s) {
+            self.lines[bus].waiting.push_front((now_s, None, frame));
+        }
+        while let Some(&(since_s, sender, frame)) = self.lines[bus].waiting.front() {
+            let end_s = self.lines[bus].free_s.max(since_s) + frame_time_s(&frame, &rates);
+            if end_s > now_s {
+                break;
+            }
+            self.lines[bus].free_s = end_s;
+            self.lines[bus].waiting.pop_front();
+            match sender {
+                None => self.reach_drives(bus, &frame),
+                Some(joint) => self.reach_host(bus, joint, frame),
+            }
+        }
+    }
+
+    fn reach_drives(&mut self, bus: usize, frame: &Frame) {
+        let now_s = self.t_s();
+        if self.faults.bus_is_off(now_s) {
+            return;
+        }
+        let q = *self.plant.q();
+        for j in 0..N {
+            if usize::from(self.drives[j].truth.bus) != bus || self.faults.is_dead(j, now_s) {
+                continue;
+            }
+            let copies = self.faults.command_copies(j, now_s, &mut self.random);
+            for _ in 0..copies {
+                let answer = self.drives[j].take(frame, q[j], &mut self.random);
+                for reply in answer.into_iter().rev() {
+                    self.lines[bus].waiting.push_front((now_s, Some(j), reply));
+                }
+            }
+        }
+    }
+
+    fn reach_host(&mut self, bus: usize, joint: usize, frame: Frame) {
+        let now_s = self.t_s();
+        if self.faults.bus_is_off(now_s) {
+            return;
+        }
+        let arrived = self.faults.reply(joint, frame, now_s, &mut self.random);
+        self.inbox
+            .extend(arrived.into_iter().map(|frame| (bus as u8, frame)));
+    }
+}
+
+impl<const N: usize> Network for SimulatedNetwork<N> {
+    fn name(&self) -> String {
+        "sim".into()
+    }
+
+    fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError> {
+        let now_s = self.t_s();
+        if let Some(line) = self.lines.get_mut(usize::from(bus)) {
+            // A controller that cannot send keeps the newest frames of a few periods.
+            if line.waiting.len() >= 64 {
+                line.waiting.pop_front();
+            }
+            line.waiting.push_back((now_s, None, *frame));
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
+        Ok(self.inbox.pop_front())
+    }
+
+    fn wait(&mut self) -> Duration {
+        let steps = (self.period_s / DRIVE_PERIOD_S).round() as usize;
+        for _ in 0..steps {
+            self.step();
+        }
+        Duration::ZERO
+    }
+
+    fn is_off(&self) -> bool {
+        self.faults.bus_is_off(self.t_s())
+    }
+}

@@ -1,0 +1,342 @@
+//! CAN adapters that take and give frames as lines of text over a serial port.
+//!
+//! | adapter | line | source |
+//! |---|---|---|
+//! | slcan | `t1232AABB`, `T`, `r`, `R`; CAN-FD: `d`, `D`, with bit rate switch `b`, `B` | Lawicel CAN232 manual; CANable 2 |
+//! | fdcanusb | `can send 8001 AABB BF`, `rcv 100 AABB E B F` | mjbots fdcanusb, docs/reference.md |
+
+use super::wired::Line;
+use foretorque_link::drives::Frame;
+use serialport::SerialPort;
+use std::fmt::Write as _;
+use std::io::{self, Read, Write};
+use std::time::Duration;
+
+/// Longest time for which a port may take no bytes.
+const PATIENCE: Duration = Duration::from_millis(100);
+/// Longest line of a frame.
+const LINE_BYTES: usize = 256;
+
+/// Text form of frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum TextForm {
+    /// Serial line CAN.
+    Slcan,
+    /// Text of the fdcanusb.
+    Fdcanusb,
+}
+
+/// Adapter on a serial port.
+pub(super) struct TextLine {
+    port: Box<dyn SerialPort>,
+    path: String,
+    form: TextForm,
+    waiting: Vec<u8>,
+}
+
+/// Lengths of CAN-FD frames by their code.
+const LENGTHS: [usize; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
+
+impl TextForm {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Slcan => "slcan",
+            Self::Fdcanusb => "fdcanusb",
+        }
+    }
+
+    /// Lines that open the bus: 1 Mbit/s, 5 Mbit/s in the data phase.
+    const fn opening(self) -> &'static str {
+        match self {
+            Self::Slcan => "C\rS8\rY5\rO\r",
+            Self::Fdcanusb => "\ncan on\n",
+        }
+    }
+
+    /// A frame as a line.
+    pub(super) fn line(self, frame: &Frame) -> String {
+        let mut line = String::new();
+        let hex = |line: &mut String| {
+            for byte in frame.bytes() {
+                // Writing to a string does not fail.
+                let _ = write!(line, "{byte:02X}");
+            }
+        };
+        match self {
+            Self::Slcan => {
+                let kind = match (frame.fd, frame.remote) {
+                    (true, _) => 'b',
+                    (_, true) => 'r',
+                    _ => 't',
+                };
+                let kind = if frame.extended {
+                    kind.to_ascii_uppercase()
+                } else {
+                    kind
+                };
+                let width = if frame.extended { 8 } else { 3 };
+                let code = LENGTHS
+                    .iter()
+                    .position(|length| *length >= frame.bytes().len());
+                let code = code.unwrap_or(LENGTHS.len() - 1);
+                let _ = write!(line, "{kind}{:0width$X}{code:X}", frame.id);
+                hex(&mut line);
+                line.push('\r');
+            }
+            Self::Fdcanusb => {
+                let _ = write!(line, "can send {:x} ", frame.id);
+                hex(&mut line);
+                line.push_str(match (frame.fd, frame.remote) {
+                    (true, _) => " BF\n",
+                    (_, true) => " bfR\n",
+                    _ => " bf\n",
+                });
+            }
+        }
+        line
+    }
+
+    /// Frame of a line; `None` for any other line.
+    pub(super) fn frame(self, line: &str) -> Option<Frame> {
+        match self {
+            Self::Slcan => slcan(line),
+            Self::Fdcanusb => fdcanusb(line),
+        }
+    }
+}
+
+fn slcan(line: &str) -> Option<Frame> {
+    if !line.is_ascii() {
+        return None;
+    }
+    let kind = line.chars().next()?;
+    let extended = kind.is_ascii_uppercase();
+    let digits = if extended { 8 } else { 3 };
+    let id = u32::from_str_radix(line.get(1..=digits)?, 16).ok()?;
+    let code = usize::from_str_radix(line.get(digits + 1..digits + 2)?, 16).ok()?;
+    let rest = line.get(digits + 2..)?;
+    let fd = match kind.to_ascii_lowercase() {
+        't' => false,
+        'd' | 'b' => true,
+        'r' => return (!extended).then(|| Frame::remote(id)),
+        _ => return None,
+    };
+    let length = LENGTHS[code];
+    if length > 8 && !fd {
+        return None;
+    }
+    frame(id, extended, fd, &bytes(rest.get(..2 * length)?)?)
+}
+
+fn fdcanusb(line: &str) -> Option<Frame> {
+    let mut words = line.split_ascii_whitespace();
+    if words.next()? != "rcv" {
+        return None;
+    }
+    let id = u32::from_str_radix(words.next()?, 16).ok()?;
+    let data = bytes(words.next().filter(|word| word.len() > 1).unwrap_or(""))?;
+    let flags: Vec<&str> = words.collect();
+    let is = |flag: &str| flags.contains(&flag);
+    frame(id, is("E") || id > Frame::STANDARD_MAX, is("F"), &data)
+}
+
+fn frame(id: u32, extended: bool, fd: bool, data: &[u8]) -> Option<Frame> {
+    let most = if extended {
+        Frame::EXTENDED_MAX
+    } else {
+        Frame::STANDARD_MAX
+    };
+    if id > most || data.len() > Frame::CAPACITY {
+        return None;
+    }
+    let mut made = if extended {
+        Frame::extended(id, data)
+    } else {
+        Frame::standard(id, data)
+    };
+    made.fd = fd;
+    Some(made)
+}
+
+fn bytes(hex: &str) -> Option<Vec<u8>> {
+    let pairs = hex.as_bytes().chunks(2);
+    let byte = |pair: &[u8]| {
+        let pair = std::str::from_utf8(pair)
+            .ok()
+            .filter(|pair| pair.len() == 2)?;
+        u8::from_str_radix(pair, 16).ok()
+    };
+    pairs.map(byte).collect()
+}
+
+impl TextLine {
+    /// Opens an adapter on port `path`.
+    ///
+    /// Errors: the port's.
+    pub(super) fn open(path: &str, form: TextForm) -> io::Result<Self> {
+        let opened = serialport::new(path, 921_600).timeout(PATIENCE).open();
+        let mut port = opened.map_err(|error| io::Error::other(error.to_string()))?;
+        port.write_all(form.opening().as_bytes())?;
+        Ok(Self {
+            port,
+            path: path.to_owned(),
+            form,
+            waiting: Vec::new(),
+        })
+    }
+
+    /// The first whole line of what waits.
+    fn next_line(&mut self) -> Option<String> {
+        let end = self
+            .waiting
+            .iter()
+            .position(|byte| matches!(byte, b'\r' | b'\n' | 7))?;
+        let line: Vec<u8> = self.waiting.drain(..=end).collect();
+        Some(String::from_utf8_lossy(&line[..end]).into_owned())
+    }
+}
+
+impl Line for TextLine {
+    fn name(&self) -> String {
+        format!("{}:{}", self.form.name(), self.path)
+    }
+
+    fn send(&mut self, frame: &Frame) -> io::Result<()> {
+        self.port.write_all(self.form.line(frame).as_bytes())
+    }
+
+    fn receive(&mut self) -> io::Result<Option<Frame>> {
+        let count = self
+            .port
+            .bytes_to_read()
+            .map_err(|error| io::Error::other(error.to_string()))?;
+        if count > 0 {
+            let mut buffer = vec![0; count as usize];
+            let count = self.port.read(&mut buffer)?;
+            self.waiting.extend_from_slice(&buffer[..count]);
+        }
+        while let Some(line) = self.next_line() {
+            if let Some(frame) = self.form.frame(&line) {
+                return Ok(Some(frame));
+            }
+        }
+        if self.waiting.len() > LINE_BYTES {
+            // No line of an adapter is so long.
+            self.waiting.clear();
+        }
+        Ok(None)
+    }
+}
+
+impl Drop for TextLine {
+    fn drop(&mut self) {
+        if self.form == TextForm::Slcan {
+            // The port may have gone.
+            let _ = self.port.write_all(b"C\r");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serialport::TTYPort;
+
+    #[test]
+    fn frames_and_lines_convert_both_ways() {
+        let moteus = Frame::extended(0x8001, &[1, 0, 10]).into_fd(0x50);
+        let cases = [
+            (
+                TextForm::Slcan,
+                Frame::standard(0x123, &[0xaa, 0xbb]),
+                "t1232AABB\r",
+            ),
+            (
+                TextForm::Slcan,
+                Frame::extended(0x123, &[0xaa]),
+                "T000001231AA\r",
+            ),
+            (TextForm::Slcan, Frame::remote(0x49), "r0490\r"),
+            (TextForm::Slcan, moteus, "B00008001301000A\r"),
+            (TextForm::Fdcanusb, moteus, "can send 8001 01000A BF\n"),
+            (
+                TextForm::Fdcanusb,
+                Frame::standard(1, &[2]),
+                "can send 1 02 bf\n",
+            ),
+        ];
+        for (form, frame, line) in cases {
+            assert_eq!(form.line(&frame), line);
+            if form == TextForm::Slcan {
+                assert_eq!(form.frame(line.trim_end()), Some(frame), "{line}");
+            }
+        }
+        let received = TextForm::Fdcanusb.frame("rcv 100 2701 E B F t123");
+        let mut expected = Frame::extended(0x100, &[0x27, 0x01]);
+        expected.fd = true;
+        assert_eq!(received, Some(expected));
+    }
+
+    #[test]
+    fn other_lines_are_no_frames() {
+        for line in [
+            "",
+            "z",
+            "Z",
+            "t",
+            "t12",
+            "t1239",
+            "t1239112233445566778899",
+            "tXYZ0",
+            "t12328",
+            "OK",
+            "rcv",
+            "rcv zz 00",
+            "rcv 1 0g",
+            "rcv 1 000",
+            "ü",
+        ] {
+            assert_eq!(TextForm::Slcan.frame(line), None, "{line}");
+            assert_eq!(TextForm::Fdcanusb.frame(line), None, "{line}");
+        }
+    }
+
+    #[test]
+    fn frames_pass_a_pseudo_terminal() {
+        for (form, sent, given) in [
+            (
+                TextForm::Slcan,
+                "t0018FFFFFFFFFFFFFFFC\r",
+                "z\rt01182122334455667788\r",
+            ),
+            (
+                TextForm::Fdcanusb,
+                "can send 1 FFFFFFFFFFFFFFFC bf\n",
+                "OK\nrcv 11 2122334455667788 e b f\n",
+            ),
+        ] {
+            let (mut adapter, end) = TTYPort::pair().expect("the system has pseudo-terminals");
+            adapter
+                .set_timeout(Duration::from_secs(2))
+                .expect("it has a timeout");
+            let path = end.name().expect("it has a name");
+            drop(end);
+            let mut line = TextLine::open(&path, form).expect("it is free");
+            let enable = Frame::standard(1, &[255, 255, 255, 255, 255, 255, 255, 252]);
+            line.send(&enable).expect("it is there");
+            let whole = form.opening().to_owned() + sent;
+            let mut taken = vec![0; whole.len()];
+            adapter.read_exact(&mut taken).expect("it was sent");
+            assert_eq!(String::from_utf8_lossy(&taken), whole);
+            assert_eq!(line.receive().expect("it is there"), None);
+            adapter.write_all(given.as_bytes()).expect("it is there");
+            let reply = Frame::standard(0x11, &[0x21, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88]);
+            let deadline = std::time::Instant::now() + Duration::from_secs(2);
+            let mut received = None;
+            while received.is_none() && std::time::Instant::now() < deadline {
+                received = line.receive().expect("it is there");
+            }
+            assert_eq!(received, Some(reply));
+        }
+    }
+}

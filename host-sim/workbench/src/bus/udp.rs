@@ -1,0 +1,183 @@
+//! CAN frames over multicast, as python-can's interface `udp_multicast` sends them: one MessagePack map a datagram.
+
+use super::wired::Line;
+use foretorque_link::drives::Frame;
+use rmpv::Value;
+use socket2::{Domain, Protocol, Socket, Type};
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+
+/// Port of python-can.
+pub(super) const PORT: u16 = 43_113;
+
+/// A multicast group in the place of a bus.
+pub(super) struct UdpMulticast {
+    receiver: UdpSocket,
+    sender: UdpSocket,
+    group: SocketAddr,
+    own_port: u16,
+}
+
+impl UdpMulticast {
+    /// Joins a group of IPv4 or IPv6, with `:PORT` behind it or python-can's.
+    ///
+    /// Errors: no address of a group, the system's.
+    pub(super) fn open(group: &str) -> io::Result<Self> {
+        let wrong = || io::Error::new(io::ErrorKind::InvalidInput, "no multicast address");
+        let group = group.parse::<SocketAddr>().or_else(|_| {
+            let address: IpAddr = group.parse().map_err(|_| wrong())?;
+            Ok::<_, io::Error>(SocketAddr::new(address, PORT))
+        })?;
+        if !group.ip().is_multicast() {
+            return Err(wrong());
+        }
+        let socket = || Socket::new(Domain::for_address(group), Type::DGRAM, Some(Protocol::UDP));
+        let receiver = socket()?;
+        receiver.set_reuse_address(true)?;
+        receiver.set_reuse_port(true)?;
+        receiver.bind(&group.into())?;
+        match group.ip() {
+            IpAddr::V4(address) => receiver.join_multicast_v4(&address, &Ipv4Addr::UNSPECIFIED)?,
+            IpAddr::V6(address) => receiver.join_multicast_v6(&address, 0)?,
+        }
+        receiver.set_nonblocking(true)?;
+        // A socket of its own to send from, by whose port the own frames are known: a bus does not give them back.
+        let sender = socket()?;
+        let any: SocketAddr = match group {
+            SocketAddr::V4(_) => ([0, 0, 0, 0], 0).into(),
+            SocketAddr::V6(_) => ([0_u16; 8], 0).into(),
+        };
+        sender.bind(&any.into())?;
+        let sender: UdpSocket = sender.into();
+        Ok(Self {
+            own_port: sender.local_addr()?.port(),
+            receiver: receiver.into(),
+            sender,
+            group,
+        })
+    }
+}
+
+/// A frame as a datagram.
+fn packed(frame: &Frame) -> io::Result<Vec<u8>> {
+    let data = frame.bytes();
+    let entry = |name: &str, value: Value| (Value::from(name), value);
+    let map = Value::Map(vec![
+        entry("timestamp", 0.0.into()),
+        entry("arbitration_id", frame.id.into()),
+        entry("is_extended_id", frame.extended.into()),
+        entry("is_remote_frame", frame.remote.into()),
+        entry("is_error_frame", false.into()),
+        entry("channel", Value::Nil),
+        entry("dlc", data.len().into()),
+        entry("data", data.into()),
+        entry("is_fd", frame.fd.into()),
+        entry("bitrate_switch", frame.fd.into()),
+        entry("error_state_indicator", false.into()),
+    ]);
+    let mut bytes = Vec::new();
+    rmpv::encode::write_value(&mut bytes, &map).map_err(io::Error::other)?;
+    Ok(bytes)
+}
+
+/// Frame of a datagram; `None` for any other.
+fn unpacked(mut bytes: &[u8]) -> Option<Frame> {
+    let map = rmpv::decode::read_value(&mut bytes).ok()?;
+    let map = map.as_map()?;
+    let field = |name: &str| {
+        let entry = map.iter().find(|(key, _)| key.as_str() == Some(name));
+        entry.map(|(_, value)| value)
+    };
+    let flag = |name: &str| field(name).and_then(Value::as_bool).unwrap_or(false);
+    let id = u32::try_from(field("arbitration_id")?.as_u64()?).ok()?;
+    let data = field("data").and_then(Value::as_slice).unwrap_or_default();
+    let extended = flag("is_extended_id");
+    let most = if extended {
+        Frame::EXTENDED_MAX
+    } else {
+        Frame::STANDARD_MAX
+    };
+    if id > most || data.len() > Frame::CAPACITY || flag("is_error_frame") {
+        return None;
+    }
+    let mut frame = if extended {
+        Frame::extended(id, data)
+    } else {
+        Frame::standard(id, data)
+    };
+    frame.remote = flag("is_remote_frame");
+    frame.fd = flag("is_fd");
+    Some(frame)
+}
+
+impl Line for UdpMulticast {
+    fn name(&self) -> String {
+        format!("udp:{}", self.group.ip())
+    }
+
+    fn send(&mut self, frame: &Frame) -> io::Result<()> {
+        self.sender.send_to(&packed(frame)?, self.group).map(drop)
+    }
+
+    fn receive(&mut self) -> io::Result<Option<Frame>> {
+        let mut buffer = [0; 1024];
+        loop {
+            match self.receiver.recv_from(&mut buffer) {
+                Ok((_, from)) if from.port() == self.own_port => {}
+                Ok((count, _)) => {
+                    if let Some(frame) = unpacked(&buffer[..count]) {
+                        return Ok(Some(frame));
+                    }
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
+                Err(error) => return Err(error),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::{Duration, Instant};
+
+    #[test]
+    fn datagrams_bring_back_every_frame() {
+        let mut remote = Frame::remote(0x49);
+        for frame in [
+            Frame::standard(0x7ff, &[1, 2, 3]),
+            Frame::extended(0x1fff_ffff, &[9; 8]),
+            Frame::extended(0x8001, &[7; 13]).into_fd(0x50),
+            remote,
+        ] {
+            assert_eq!(unpacked(&packed(&frame).expect("it packs")), Some(frame));
+        }
+        remote.id = 0x800;
+        assert_eq!(unpacked(&packed(&remote).expect("it packs")), None);
+        for bytes in [&[][..], &[0xc0], &[0x81, 0xa1, 0x61], &[0xff; 40]] {
+            assert_eq!(unpacked(bytes), None);
+        }
+    }
+
+    #[test]
+    fn two_ends_of_a_group_exchange_frames_and_get_none_of_their_own() {
+        let group = "239.74.163.77:43177";
+        let (Ok(mut one), Ok(mut other)) = (UdpMulticast::open(group), UdpMulticast::open(group))
+        else {
+            println!("skipped: no multicast on this machine");
+            return;
+        };
+        let frame = Frame::standard(5, &[1, 2]);
+        if one.send(&frame).is_err() {
+            println!("skipped: no route for multicast on this machine");
+            return;
+        }
+        let deadline = Instant::now() + Duration::from_secs(5);
+        let mut received = None;
+        while received.is_none() && Instant::now() < deadline {
+            received = other.receive().expect("it is there");
+        }
+        assert_eq!(received, Some(frame));
+        assert_eq!(one.receive().expect("it is there"), None);
+    }
+}
