@@ -1,4 +1,4 @@
-//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`chip`], [`can`] and
+//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`can`], [`chip`] and
 //! [`flash_driver`] are there.
 //!
 //! | module | contents |

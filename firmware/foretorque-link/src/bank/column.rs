@@ -1,6 +1,8 @@
+use super::MAX_COLUMNS;
 use core::fmt;
 use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn};
+use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Quantity that a column of the linear model multiplies, as the number that a bank holds.
@@ -103,16 +105,28 @@ impl fmt::Display for ColumnId {
 }
 
 /// The columns of an arm in their order: inertial ones link by link, rotor inertias, then friction joint by joint.
-pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> impl Iterator<Item = ColumnId> {
-    let links = A::columns().iter().enumerate().flat_map(|(joint, link)| {
-        let kinds = (0..).map(ColumnKind).zip(link.inertial);
-        kinds.filter_map(move |(kind, there)| there.then_some(id(kind, joint)))
-    });
-    let rotors = A::columns().iter().enumerate();
-    let rotors =
-        rotors.filter_map(|(joint, link)| link.rotor.then_some(id(ColumnKind::ROTOR, joint)));
-    let friction = (0..N).flat_map(|joint| ColumnKind::FRICTION.map(|kind| id(kind, joint)));
-    links.chain(rotors).chain(friction)
+#[inline(never)]
+pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> Vec<ColumnId, MAX_COLUMNS> {
+    let mut columns = Vec::new();
+    // The capacity suffices for every arm.
+    let mut push = |kind, joint| _ = columns.push(id(kind, joint));
+    let links = A::columns();
+    for (joint, link) in links.iter().enumerate() {
+        for (kind, there) in (0..).map(ColumnKind).zip(link.inertial) {
+            if there {
+                push(kind, joint);
+            }
+        }
+    }
+    for (joint, _) in links.iter().enumerate().filter(|(_, link)| link.rotor) {
+        push(ColumnKind::ROTOR, joint);
+    }
+    for joint in 0..N {
+        for kind in ColumnKind::FRICTION {
+            push(kind, joint);
+        }
+    }
+    columns
 }
 
 const fn id(kind: ColumnKind, joint: usize) -> ColumnId {

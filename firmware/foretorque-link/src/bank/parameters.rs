@@ -106,12 +106,12 @@ fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
             return Err(BankError::Implausible(joint as u8));
         }
     }
-    let described = *A::nominal();
+    let described = A::nominal();
     let mut motion = JointMotion::zero();
     for pose in 0..POSES {
         let mine = rnea::<A, N, P>(&set.rigid, &motion);
         let friction = friction_torque::<A, N, P>(&set.friction, &motion.q, &motion.qd);
-        let theirs = rnea::<A, N, P>(&described, &motion);
+        let theirs = rnea::<A, N, P>(described, &motion);
         let torques = mine.iter().zip(theirs.iter()).zip(friction.iter());
         for (joint, (((mine, theirs), friction), limits)) in torques.zip(A::limits()).enumerate() {
             let bound = LARGEST_DIFFERENCE * limits.torque;

@@ -2,9 +2,10 @@
 
 use super::column::columns;
 use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
-use super::{MAX_COLUMNS, MAX_WEIGHTS};
+use super::{MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS};
 use crate::wire::Name;
 use foretorque::arm::Arm;
+use foretorque::dynamics::FRICTION_COLUMNS;
 use foretorque::feedforward::{FeedForwardConfig, NETWORK_BOUND};
 use foretorque::learning::{
     JointNetwork, LearnerConfig, LinearParameters, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
@@ -35,10 +36,12 @@ impl ParameterBank {
     /// Sets everything as in [`nominal`](Self::nominal), with all values zero.
     #[inline(never)]
     pub(crate) fn describe<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
+        const { assert!(N <= MAX_JOINTS && P + FRICTION_COLUMNS * N <= MAX_COLUMNS) }
         const { assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS) }
         let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
-        let columns = columns::<A, N, P>().zip(slots(&deviations));
-        let columns = columns.map(|(id, &deviation)| Column {
+        let columns = columns::<A, N, P>();
+        let columns = columns.iter().zip(slots(&deviations));
+        let columns = columns.map(|(&id, &deviation)| Column {
             id,
             value: 0.0,
             deviation,
@@ -65,7 +68,7 @@ impl ParameterBank {
         let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
         let linear = LinearParameters::of(set);
         let values = slots(&linear).zip(slots(&deviations));
-        for (id, (&value, &deviation)) in columns::<A, N, P>().zip(values) {
+        for (&id, (&value, &deviation)) in columns::<A, N, P>().iter().zip(values) {
             match self.columns.iter_mut().find(|column| column.id == id) {
                 Some(column) => column.value = value,
                 None => {
@@ -94,9 +97,10 @@ impl ParameterBank {
     ) -> Result<[LinearParameters<N, P>; 2], BankError> {
         let mut linear = [LinearParameters::filled(0.0); 2];
         let mut found = [false; MAX_COLUMNS];
+        let columns = columns::<A, N, P>();
         for (place, column) in self.columns.iter().enumerate() {
-            let mut known = columns::<A, N, P>();
-            let index = known.position(|id| id == column.id);
+            let mut known = columns.iter();
+            let index = known.position(|&id| id == column.id);
             let first = index.and_then(|index| found.get_mut(index));
             match first {
                 Some(found) if !*found => *found = true,
@@ -158,7 +162,7 @@ impl ParameterBank {
         let mut start = StartDeviations::PRIOR;
         let parts = start.rigid.iter_mut();
         let parts = parts.chain(start.friction.as_flattened_mut());
-        for ((id, &prior), part) in columns::<A, N, P>().zip(slots(&prior)).zip(parts) {
+        for ((&id, &prior), part) in columns::<A, N, P>().iter().zip(slots(&prior)).zip(parts) {
             if let Some(column) = self.column(id) {
                 *part = StartDeviations::<N, P>::part(column.deviation, prior);
             }

@@ -207,8 +207,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 protocol.unlock(key, A::hash(), order, &mac)?;
             }
             HostMessage::Reboot => {
-                board.require(Capabilities::REBOOT)?;
                 controller.at_rest()?;
+                board.require(Capabilities::REBOOT)?;
                 self.reboot = true;
             }
             HostMessage::Excitation(command) => {

@@ -50,7 +50,7 @@ impl Link {
         self.frame.clear();
         let round = self.call / CALLS;
         let order = [9, 0];
-        let motion = JointMotion::zero();
+        let motion = JointMotion::<JOINTS>::zero();
         let message = match self.call % CALLS {
             0 => HostMessage::Evaluate((&motion).into()),
             1 => HostMessage::BankWrite {
