@@ -41,7 +41,7 @@ pub struct BusTick<const N: usize> {
     pub status: SafetyStatus,
     /// Stage.
     pub phase: BusPhase,
-    /// What did not fit a frame, of all joints.
+    /// Values that did not fit a frame, of all joints.
     pub saturation: Saturation,
 }
 
