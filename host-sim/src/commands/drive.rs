@@ -128,7 +128,7 @@ impl OnArm for (&Arguments, &Profile) {
     }
 }
 
-/// Parts of a run, whatever the bus.
+/// Parts of a run that do not depend on the bus.
 struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
     arguments: &'a Arguments,
     profile: &'a Profile,

@@ -2,15 +2,18 @@ use super::boards::{BoardChoice, OnArm, on_arm};
 use super::motion_log::{Effort, MotionLog};
 use super::on_board;
 use super::progress::Bar;
-use super::simulate::{MotionArguments, PERIOD_S, Scene};
+use super::simulate::{MotionArguments, PERIOD_S, Scene, Verdict};
 use super::terminal::{self, say};
 use super::{Failure, bank, key, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
+use foretorque::feedforward::evaluate;
 use foretorque_link::excitation::ExcitationCommand;
 use foretorque_link::store::StoreHealth;
-use foretorque_workbench::board::Client;
-use foretorque_workbench::closed_loop::{ClosedLoop, TickRecord};
+use foretorque_link::wire::Field;
+use foretorque_workbench::board::{BoardError, Client};
+use foretorque_workbench::closed_loop::{ClosedLoop, TickRecord, motion_f32};
+use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::files::{WholeFile, write_whole};
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::closed_loop::{
@@ -19,7 +22,10 @@ use foretorque_workbench::report::closed_loop::{
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::joint_columns;
 use foretorque_workbench::telemetry::{Recorder, Selection};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+
+/// Ticks between the telemetry records from which a run is judged.
+const WATCH_TICKS: u16 = 10;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
 #[derive(Debug, Args)]
@@ -55,6 +61,8 @@ pub(super) struct Arguments {
     /// Write the log of the firmware as text (qemu-usart only)
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
+    #[command(flatten)]
+    verdict: Verdict,
     /// Directory for log.csv, report.json, report.html and bank.bin, the parameters in force at the end; telemetry.csv
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -118,8 +126,17 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     if arguments.excite_on_board {
         on_board::load::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
     }
-    let log = Log::<N>::create(arguments, scene.ticks)?;
-    let log = close_loop(arguments, &mut scene, &mut board, log)?;
+    let log = Log::<N>::create(arguments, &scene)?;
+    let started = board
+        .read_bank()?
+        .set::<A, N, P>()
+        .map_err(BoardError::Bank)?;
+    let started = |motion: &State<N>| {
+        evaluate::<A, N, P>(&started, &motion_f32(motion))
+            .total
+            .cast()
+    };
+    let log = close_loop(arguments, &mut scene, &mut board, log, &started)?;
     board.learning(false)?;
     board.stream(0, 1)?;
     board.disarm()?;
@@ -135,7 +152,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         boot_us: board.hello().boot_us(),
     };
     let report = log.seen.report(run, &statistics);
-    log.finish(&report, &learnt, &arguments.out)
+    log.finish(&report, &learnt, arguments)
 }
 
 /// Plays the scene to its end, or to that of the board's excitation.
@@ -144,13 +161,20 @@ fn close_loop<const N: usize>(
     scene: &mut Scene<N>,
     board: &mut Client<N>,
     mut log: Log<N>,
+    started: &dyn Fn(&State<N>) -> Joints<N>,
 ) -> Result<Log<N>, Failure> {
     let bar = Bar::new();
     let (plant, path) = (&mut scene.plant, &scene.trajectory);
     let mut play = ClosedLoop::new(plant, &scene.pd, path, PERIOD_S, Some(board))?;
     board.learning(arguments.learn)?;
+    let watched = Field::Quality.bit() | Field::Decision.bit();
+    let chosen = arguments
+        .telemetry
+        .map(|chosen| (chosen.fields, chosen.every));
+    let (fields, every) = chosen.unwrap_or((watched, WATCH_TICKS));
+    board.stream(fields | watched, every)?;
+    log.every = every;
     if let Some(chosen) = arguments.telemetry {
-        board.stream(chosen.fields, chosen.every)?;
         let path = arguments.out.join("telemetry.csv");
         log.telemetry = Some(Recorder::create(&path, chosen, N, PERIOD_S)?);
     }
@@ -159,7 +183,7 @@ fn close_loop<const N: usize>(
     }
     for tick in 0..scene.ticks {
         let record = play.tick(plant, Some(board))?;
-        log.add(&record, board)?;
+        log.add(&record, board, &started(&record.desired))?;
         if arguments.excite_on_board && on_board::has_ended(board, tick, record.stage)? {
             break;
         }
@@ -175,33 +199,51 @@ struct Log<const N: usize> {
     motion: MotionLog<N>,
     seen: ClosedLoopLog<N>,
     telemetry: Option<Recorder>,
+    /// Ticks from one telemetry record to the next.
+    every: u16,
 }
 
 impl<const N: usize> Log<N> {
-    fn create(arguments: &Arguments, ticks: usize) -> Result<Self, Failure> {
+    fn create(arguments: &Arguments, scene: &Scene<N>) -> Result<Self, Failure> {
         let mut columns = joint_columns("feed_forward", "nm", N);
         columns.push("flags".to_owned());
         let path = arguments.out.join("log.csv");
         Ok(Self {
             motion: MotionLog::create(&path, Effort::Torque, &columns)?,
-            seen: ClosedLoopLog::new(ticks),
+            seen: ClosedLoopLog::new(&scene.robot, scene.ticks),
             telemetry: None,
+            every: WATCH_TICKS,
         })
     }
 
-    fn add(&mut self, record: &TickRecord<N>, board: &mut Client<N>) -> Result<(), Failure> {
-        self.seen.add(record);
+    fn add(
+        &mut self,
+        record: &TickRecord<N>,
+        board: &mut Client<N>,
+        started: &Joints<N>,
+    ) -> Result<(), Failure> {
+        self.seen.add(record, Some(board.safety()), Some(started));
         let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
         let answer = answer.chain([f64::from(record.flags)]).collect();
         self.motion.add(record, record.measured, answer)?;
+        let frames = board.take_telemetry();
+        self.seen.take(&frames, self.every, PERIOD_S);
         if let Some(recorder) = &mut self.telemetry {
-            recorder.take(&board.take_telemetry())?;
+            recorder.take(&frames)?;
         }
         Ok(())
     }
 
     /// Gives all files their names.
-    fn finish(self, report: &ClosedLoopReport, learnt: &[u8], out: &Path) -> Result<(), Failure> {
+    ///
+    /// Errors: of the files; a run in trouble.
+    fn finish(
+        self,
+        report: &ClosedLoopReport,
+        learnt: &[u8],
+        arguments: &Arguments,
+    ) -> Result<(), Failure> {
+        let out = &arguments.out;
         let page = closed_loop::page(report, &self.seen, &terminal::command_line());
         self.motion.finish()?;
         if let Some(recorder) = self.telemetry {
@@ -209,17 +251,22 @@ impl<const N: usize> Log<N> {
         }
         write_whole(&out.join("bank.bin"), learnt)?;
         let page = ReportFiles::create(out)?.finish(report, &page)?;
+        arguments.verdict.say(&report.troubles)?;
         say(format_args!(
             "{} ticks, tracking error {:.3} mrad RMS, {} link errors",
             report.ticks,
             report.tracking_rms_mrad,
             report.link.errors()
         ))?;
+        if report.learning {
+            say(report.learnt.line())?;
+        }
         if report.store == StoreHealth::Failing {
             say(
                 "the board's flash keeps nothing: it runs from RAM, and forgets what it learnt at power-off",
             )?;
         }
-        Ok(say(page.display())?)
+        say(page.display())?;
+        arguments.verdict.judge(&report.troubles)
     }
 }

@@ -1,12 +1,14 @@
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
-use super::{Failure, not_over, unsupported, unusable};
+use super::{Failure, not_over, terminal, unsupported, unusable};
 use clap::Args;
 use foretorque_workbench::closed_loop::ClosedLoop;
 use foretorque_workbench::closed_loop::control::PdConfig;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
+use foretorque_workbench::joints;
 use foretorque_workbench::plant::{Plant, PlantConfig};
+use foretorque_workbench::report::closed_loop::ClosedLoopLog;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};
@@ -23,6 +25,8 @@ pub(super) struct Arguments {
     /// Write motor currents, torque over drive gain, in the place of torques
     #[arg(long)]
     current: bool,
+    #[command(flatten)]
+    verdict: Verdict,
     /// Log to write: t_s, measured q with its slopes qd and qdd, measured torque, desired position
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -60,8 +64,39 @@ pub(super) const PERIOD_S: f64 = 1e-3;
 /// Largest bandwidth of the PD controller, Hz: a tenth of the ticks in a second. A faster loop shakes the arm.
 const MOST_BANDWIDTH_HZ: f64 = 100.0;
 
+/// Argument for runs in trouble.
+#[derive(Debug, Args)]
+pub(super) struct Verdict {
+    /// Exit with success although the board was unarmed, clipped or saturated, or a joint stood still, for more than 5 % of
+    /// the run
+    #[arg(long)]
+    keep_going: bool,
+}
+
+impl Verdict {
+    /// Names the troubles before everything else.
+    pub(super) fn say(&self, troubles: &[String]) -> Result<(), Failure> {
+        let lines = troubles.iter();
+        Ok(lines
+            .map(|trouble| format!("TROUBLE: {trouble}"))
+            .try_for_each(terminal::say)?)
+    }
+
+    /// Errors: a run in trouble, unless it was to keep going.
+    pub(super) fn judge(&self, troubles: &[String]) -> Result<(), Failure> {
+        match troubles {
+            [gravest, ..] if !self.keep_going => {
+                Err(unusable(format!("{gravest} (--keep-going accepts it)")))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 /// Everything a closed loop needs besides a board.
 pub(super) struct Scene<const N: usize> {
+    /// The described robot, with assumed rotors.
+    pub(super) robot: Robot,
     pub(super) plant: Plant<N>,
     pub(super) pd: PdConfig<N>,
     pub(super) trajectory: Trajectory<N>,
@@ -84,6 +119,12 @@ impl MotionArguments {
         }
         if !(self.torque_noise.is_finite() && self.torque_noise >= 0.0) {
             return Err(unusable("--torque-noise must not be negative"));
+        }
+        let (robot, assumed) = &robot.with_assumed_rotors();
+        if !assumed.is_empty() {
+            terminal::say(format_args!(
+                "note: rotor inertias are not described at joints {assumed:?}: torque limit / 200 rad/s² is assumed"
+            ))?;
         }
         let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
         let truth = if self.exact {
@@ -111,6 +152,7 @@ impl MotionArguments {
                 .min(ends.duration_s()),
         };
         Ok(Scene {
+            robot: robot.clone(),
             plant: Plant::new(&truth, config, self.seed)
                 .ok_or_else(other_size)?
                 .with_events(self.disturbances.events::<N>()?)
@@ -124,11 +166,7 @@ impl MotionArguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let robot = Robot::load(&arguments.robot)?;
-    match robot.joint_count() {
-        6 => simulate::<6>(arguments, &robot),
-        7 => simulate::<7>(arguments, &robot),
-        joints => Err(unsupported(joints)),
-    }
+    joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
@@ -143,6 +181,7 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
         Effort::Torque
     };
     let mut log = MotionLog::<N>::create(&arguments.out, effort, &[])?;
+    let mut seen = ClosedLoopLog::new(&scene.robot, scene.ticks);
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,
@@ -153,6 +192,7 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     )?;
     for tick in 0..scene.ticks {
         let record = play.tick(&mut scene.plant, None)?;
+        seen.add(&record, None, None);
         // What is lost on the way is in no log.
         if let Some(mut seen) = record.reported {
             if let Some(gains) = &gains {
@@ -165,5 +205,18 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
         }
     }
     log.finish()?;
-    Ok(())
+    drop(bar);
+    let troubles = seen.troubles();
+    arguments.verdict.say(&troubles)?;
+    let errors: Vec<String> = seen
+        .tracking_rms_mrad()
+        .iter()
+        .map(|error| format!("{error:.3}"))
+        .collect();
+    terminal::say(format_args!(
+        "{} ticks, tracking errors of the joints {} mrad RMS",
+        scene.ticks,
+        errors.join(", ")
+    ))?;
+    arguments.verdict.judge(&troubles)
 }

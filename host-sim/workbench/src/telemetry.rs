@@ -171,7 +171,9 @@ impl Recorder {
             let Some((tick, fields, row)) = &mut self.open else {
                 continue;
             };
-            for (field, bytes) in frame.fields(self.joints) {
+            let chosen = self.selection.fields;
+            let wanted = frame.fields(self.joints);
+            for (field, bytes) in wanted.filter(|(field, _)| chosen & field.bit() != 0) {
                 *fields |= field.bit();
                 row.extend(numbers(field, bytes));
             }

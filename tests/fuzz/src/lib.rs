@@ -3,9 +3,11 @@
 //! A checksum stops a fuzzer at once. After an even first byte, therefore, the input is sealed as a correct sender
 //! would have done it, and the reader behind the checksum gets the bytes that the fuzzer wanted it to get.
 
+mod drives;
 mod flash;
 mod seeds;
 
+pub use drives::drives;
 pub use seeds::{plant, seeds};
 
 use crc::{CRC_32_ISO_HDLC, Crc};
@@ -13,25 +15,33 @@ use flash::TinyFlash;
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
+use foretorque::limits::Flags;
 use foretorque_link::bank::ParameterBank;
+use foretorque_link::safety::SafetyLimits;
+use foretorque_link::safety::promises::Promises;
 use foretorque_link::session::{
-    BoardDescription, LearnerMailbox, Mailboxes, NoClock, NoLocalSensor, Session,
+    BoardDescription, Housekeeping, Mailboxes, NoClock, NoLocalSensor, Session,
 };
 use foretorque_link::store::Store;
 use foretorque_link::wire::{
-    BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, PROTOCOL_VERSION, encode,
+    BoardMessage, Capabilities, Decoder, FrameBuffer, HostMessage, MAX_FRAME, PROTOCOL_VERSION,
+    encode,
 };
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
+/// Name of a target, and the target.
+pub type Target = (&'static str, fn(&[u8]));
+
 /// The targets by name.
-pub const TARGETS: [(&str, fn(&[u8])); 4] = [
+pub const TARGETS: [Target; 5] = [
     ("decoder", decoder),
     ("bank", bank),
     ("session", session),
     ("store", store),
+    ("drives", drives),
 ];
 
 /// One sealed frame: version, sequence, `message`, checksum, COBS, delimiter.
@@ -160,27 +170,159 @@ fn check_set<A: Arm<N, P>, const N: usize, const P: usize>(bank: &ParameterBank)
     }
 }
 
-/// The whole session: any bytes on the line, and every torque that leaves the board is finite and within the arm's limits.
-pub fn session(input: &[u8]) {
-    let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
-        .expect("the UR5's limits are usable");
-    let (mut mailboxes, mut out) = (Mailboxes::new(), FrameBuffer::new());
-    let mut listener = Decoder::new();
-    for piece in line(input).chunks(64) {
-        session.receive(piece, &mut mailboxes, &mut out, &mut NoLocalSensor);
-        for &byte in out.as_bytes() {
-            let Some(frame) = listener.push(byte) else {
+/// Part of a session's input.
+enum Event {
+    /// Bytes of the line.
+    Bytes(Vec<u8>),
+    /// Periods of the board's timer.
+    Periods(u8),
+}
+
+/// The input as frames and periods of the timer: after an even first byte every length below 240 seals a message, and the
+/// others are periods; otherwise a period follows every 64 bytes.
+fn events(input: &[u8]) -> Vec<Event> {
+    let Some((first, mut rest)) = input.split_first() else {
+        return Vec::new();
+    };
+    if first % 2 == 1 {
+        let pieces = rest.chunks(64).map(<[u8]>::to_vec);
+        return pieces
+            .flat_map(|piece| [Event::Bytes(piece), Event::Periods(1)])
+            .collect();
+    }
+    let (mut events, mut sequence) = (Vec::new(), 0u16);
+    while let Some((&length, behind)) = rest.split_first() {
+        rest = behind;
+        if let Some(periods) = length.checked_sub(PERIODS) {
+            // 1, 2, 3, 5, 9 and so on, past every time-out.
+            events.push(Event::Periods(1 + periods * periods / 2));
+            continue;
+        }
+        let (message, behind) = rest.split_at(rest.len().min(length.into()));
+        sequence = sequence.wrapping_add(1);
+        events.push(Event::Bytes(sealed(sequence, message)));
+        rest = behind;
+    }
+    events
+}
+
+/// First length that stands for periods of the timer.
+const PERIODS: u8 = 240;
+
+/// A session, its timer, and the observer of both.
+struct Observed {
+    session: Session<Ur5, 6, 40>,
+    mailboxes: Mailboxes<6, 40>,
+    housekeeping: Box<Housekeeping<Ur5, 6, 40>>,
+    out: FrameBuffer,
+    promises: Promises<6>,
+    period_us: u32,
+    /// Decoders of the frames to the board and of its replies.
+    sent: Decoder,
+    listener: Decoder,
+    /// Number of the last `Arm`.
+    arming: Option<u16>,
+}
+
+impl Observed {
+    fn new() -> Self {
+        let mut board = BoardDescription::plain(NoClock);
+        board.capabilities = board.capabilities | Capabilities::TIMER | Capabilities::REBOOT;
+        let session = Session::new(board).expect("the UR5's limits are usable");
+        let period_us = session.configuration().period_us;
+        Self {
+            promises: promises(&session),
+            session,
+            mailboxes: Mailboxes::new(),
+            housekeeping: Box::new(Housekeeping::new(None)),
+            out: FrameBuffer::new(),
+            period_us,
+            sent: Decoder::new(),
+            listener: Decoder::new(),
+            arming: None,
+        }
+    }
+
+    fn byte(&mut self, byte: u8) {
+        self.session.receive(
+            &[byte],
+            &mut self.mailboxes,
+            &mut self.out,
+            &mut NoLocalSensor,
+        );
+        if self.housekeeping.work(&mut self.mailboxes.parameters) {
+            self.session
+                .poll_parameters(&mut self.mailboxes, &mut self.out);
+        }
+        let Some(Ok(frame)) = self.sent.push(byte) else {
+            return self.check();
+        };
+        match frame.message::<HostMessage<6>>() {
+            Ok(HostMessage::Arm) => self.arming = Some(frame.sequence),
+            // The timer starts anew.
+            Ok(HostMessage::Configure(_) | HostMessage::Reset) => {
+                self.check();
+                return self.timer();
+            }
+            _ => {}
+        }
+        self.check();
+    }
+
+    fn timer(&mut self) {
+        self.promises.period();
+        self.session
+            .timer_tick(&mut self.mailboxes, &mut self.out, &mut NoLocalSensor);
+        self.check();
+    }
+
+    fn check(&mut self) {
+        if self.session.configuration().period_us != self.period_us {
+            self.period_us = self.session.configuration().period_us;
+            self.promises = promises(&self.session);
+        }
+        let mut used = false;
+        for &byte in self.out.as_bytes() {
+            let Some(frame) = self.listener.push(byte) else {
                 continue;
             };
             let frame = frame.expect("a board sends good frames");
-            let message = frame.message::<BoardMessage<6>>().expect("of its own kind");
-            if let BoardMessage::Torque(torque) = message {
-                for (tau, limits) in torque.total.iter().zip(Ur5::LIMITS) {
-                    assert!(tau.abs() <= limits.torque, "{tau} N·m");
+            let flags = match frame.message::<BoardMessage<6>>().expect("of its own kind") {
+                BoardMessage::Torque(torque) => Some(torque.flags),
+                BoardMessage::FullTorque(full) => Some(full.torque.flags),
+                BoardMessage::Excited(excited) => Some(excited.torque.flags),
+                BoardMessage::Ack if self.arming == Some(frame.sequence) => {
+                    self.promises.permit();
+                    self.arming = None;
+                    None
                 }
-            }
+                _ => None,
+            };
+            used |= flags.is_some_and(|flags| !Flags(flags).contains(Flags::STALE_SAMPLE));
         }
-        out.clear();
+        self.out.clear();
+        let session = &self.session;
+        let (torque, enabled) = (session.torque_output(), session.torque_enabled());
+        let kept = self.promises.check(torque, enabled, session.safety(), used);
+        assert_eq!(kept, Ok(()), "{}", session.safety());
+    }
+}
+
+fn promises(session: &Session<Ur5, 6, 40>) -> Promises<6> {
+    let limits = SafetyLimits::for_arm::<Ur5, 40>(session.configuration().period_us);
+    Promises::new(limits, session.feed_forward().config())
+}
+
+/// The whole session with its timer: whatever arrives between whatever periods, the board keeps every promise about torque
+/// and time.
+pub fn session(input: &[u8]) {
+    let mut board = Observed::new();
+    board.timer();
+    for event in events(input) {
+        match event {
+            Event::Bytes(bytes) => bytes.into_iter().for_each(|byte| board.byte(byte)),
+            Event::Periods(periods) => (0..periods).for_each(|_| board.timer()),
+        }
     }
 }
 
@@ -191,7 +333,9 @@ pub fn store(input: &[u8]) {
     let before = store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec);
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
-    let loaded = session.boot_from(&mut store, &mut LearnerMailbox::new());
+    let mut housekeeping = Box::new(Housekeeping::new(Some(store)));
+    let loaded = session.boot_from(&mut housekeeping, &mut Mailboxes::new());
+    let store = housekeeping.store_mut().expect("it has one");
     assert!(before.is_ok() || loaded.is_err());
     let bytes = input.get(..64).unwrap_or(input);
     match store.save(Ur5::HASH, bytes) {

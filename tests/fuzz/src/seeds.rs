@@ -1,8 +1,9 @@
+use crate::PERIODS;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
-use foretorque::joint::{JointMotion, JointSample};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 use foretorque_link::bank::ParameterBank;
-use foretorque_link::wire::{Configuration, HostMessage, SampleFrame, encode};
+use foretorque_link::wire::{Configuration, HostMessage, Pacing, SampleFrame, encode};
 
 /// Writes the seeds of a target into the directory FORETORQUE_SEEDS, if it is set.
 pub fn plant(target: &str) {
@@ -22,6 +23,7 @@ pub fn seeds(target: &str) -> Vec<Vec<u8>> {
         bytes(&ParameterBank::nominal::<Panda, 7, 48>()),
     ];
     match target {
+        "drives" => crate::drives::frames(),
         "bank" => banks
             .iter()
             .flat_map(|bank| {
@@ -51,8 +53,11 @@ pub fn seeds(target: &str) -> Vec<Vec<u8>> {
                 .into_iter()
                 .map(|m| [&[0, m.len() as u8], &m[..]].concat());
             // The decoder keeps to inputs of one frame or two, which are fast.
-            let long = (target == "session").then(|| [&[0], &all[..]].concat());
-            one.chain(long).collect()
+            if target != "session" {
+                return one.collect();
+            }
+            let long = [&[0], &all[..]].concat();
+            one.chain([long]).chain(lives()).collect()
         }
     }
 }
@@ -88,6 +93,48 @@ fn messages() -> Vec<Vec<u8>> {
         });
     }
     messages.iter().map(body).collect()
+}
+
+/// Lives of a board with a timer: armed, moved and ended in every way, in both pacings.
+fn lives() -> Vec<Vec<u8>> {
+    let still = |q: f32| {
+        let mut desired = JointMotion::<6>::zero();
+        desired.q.fill(q);
+        let measured = JointMeasurement {
+            q: desired.q,
+            tau: desired.q,
+        };
+        let measured = Some(measured);
+        HostMessage::Sample(SampleFrame::new(&JointSample { desired, measured }))
+    };
+    let ends = [HostMessage::Disarm, HostMessage::Stop, HostMessage::Hello];
+    let pacings = [Pacing::Link, Pacing::SysTick];
+    let mut lives = Vec::new();
+    for (pacing, end) in pacings
+        .into_iter()
+        .flat_map(|p| ends.iter().map(move |e| (p, e)))
+    {
+        let configured = HostMessage::Configure(Configuration {
+            pacing,
+            ..Configuration::default()
+        });
+        let mut life = vec![0];
+        let mut say = |message: &HostMessage<6>, periods: u8| {
+            let bytes = body(message);
+            life.push(bytes.len() as u8);
+            life.extend(bytes);
+            life.push(PERIODS + periods);
+        };
+        say(&configured, 0);
+        (0..3).for_each(|_| say(&still(0.5), 0));
+        say(&HostMessage::Arm, 0);
+        (0..4).for_each(|k| say(&still(0.5 + 1e-3 * k as f32), k));
+        say(&still(0.5), 5);
+        say(end, 11);
+        say(&HostMessage::ClearFault, 0);
+        lives.push(life);
+    }
+    lives
 }
 
 /// Bytes of a message in its frame, between header and checksum.

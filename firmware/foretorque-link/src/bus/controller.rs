@@ -41,7 +41,7 @@ pub struct BusTick<const N: usize> {
     pub status: SafetyStatus,
     /// Stage.
     pub phase: BusPhase,
-    /// Values that did not fit a frame, of all joints.
+    /// Values of all joints that did not fit a frame.
     pub saturation: Saturation,
 }
 
@@ -448,7 +448,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
                 Some(held) => *held,
                 None => here,
             };
-            let bounds = A::LIMITS.get(index).map(|limits| limits.position);
+            let bounds = A::limits().get(index).map(|limits| limits.position);
             let (low, high) = bounds.unwrap_or_default();
             let value = |vector: &JointVector<N>| vector.get(index).copied().unwrap_or_default();
             let resting = JointCommand {

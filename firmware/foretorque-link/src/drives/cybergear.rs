@@ -177,3 +177,10 @@ pub(super) fn reply_scale(profile: &DriveProfile, value: f32, frames: &mut Frame
     let bytes = [low, high, 0, 0, v0, v1, v2, v3];
     send(kind::READ, profile.id, profile.host_id, bytes, frames);
 }
+
+/// Adds steps to the torque in the identifier of a motion command; saturates.
+pub(super) fn add_torque(frame: &mut Frame, steps: i32) {
+    let code = (frame.id >> 8 & 0xffff) as i32;
+    let code = (code + steps).clamp(0, STEPS.into()) as u32;
+    frame.id = frame.id & 0xff00_00ff | code << 8;
+}

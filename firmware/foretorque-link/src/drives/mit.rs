@@ -281,3 +281,26 @@ pub(super) fn reply_register(
     let data = [low, high, READ, register(scale), v0, v1, v2, v3];
     push(frames, Frame::standard(profile.host_id.into(), &data));
 }
+
+/// Adds steps to the torque of a motion command; saturates. A frame that is an order, or would become one, stays.
+pub(super) fn add_torque(frame: &mut Frame, steps: i32) {
+    let Ok(data) = <&mut [u8; 8]>::try_from(frame.bytes_mut()) else {
+        return;
+    };
+    let [p0, p1, v, vk, kp, kd, kt, t] = *data;
+    let code = i32::from(kt & 0xf) << 8 | i32::from(t);
+    let code = (code + steps).clamp(0, COARSE.into()) as u16;
+    let sum = [
+        p0,
+        p1,
+        v,
+        vk,
+        kp,
+        kd,
+        kt & 0xf0 | (code >> 8) as u8,
+        code as u8,
+    ];
+    if !data.starts_with(&PREFIX) && !sum.starts_with(&PREFIX) {
+        *data = sum;
+    }
+}

@@ -14,11 +14,13 @@
 mod cia402;
 mod cybergear;
 mod frame;
+pub mod in_line;
 mod mit;
 mod moteus;
 mod odrive;
 mod profile;
 mod quantity;
+pub mod text;
 
 pub use frame::Frame;
 pub use profile::{

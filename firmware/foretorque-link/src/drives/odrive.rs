@@ -37,6 +37,11 @@ fn send(profile: &DriveProfile, command: u16, bytes: &[u8], frames: &mut Frames)
     push(frames, Frame::standard(id(profile, command), bytes));
 }
 
+/// The eight bytes of a requested state; the DBC has all frames with data at full length.
+const fn state(state: u32) -> [u8; 8] {
+    (state as u64).to_le_bytes()
+}
+
 fn poll(profile: &DriveProfile, frames: &mut Frames) {
     for command in [command::ESTIMATES, command::TORQUES] {
         push(frames, Frame::remote(id(profile, command)));
@@ -76,12 +81,7 @@ pub(super) fn command(
             );
         }
         ControlMode::Torque => {
-            send(
-                profile,
-                command::TORQUE,
-                &motion.torque.to_le_bytes(),
-                frames,
-            );
+            send(profile, command::TORQUE, &pair(motion.torque, 0.0), frames);
         }
     }
     if scales.polled {
@@ -109,11 +109,11 @@ pub(super) fn order(
                 &[control, 0, 0, 0, 1, 0, 0, 0],
                 frames,
             );
-            send(profile, command::STATE, &CLOSED_LOOP.to_le_bytes(), frames);
+            send(profile, command::STATE, &state(CLOSED_LOOP), frames);
         }
-        Order::Disable => send(profile, command::STATE, &IDLE.to_le_bytes(), frames),
+        Order::Disable => send(profile, command::STATE, &state(IDLE), frames),
         Order::ClearFault => send(profile, command::CLEAR, &[0], frames),
-        Order::SetZero => send(profile, command::ZERO, &0_f32.to_le_bytes(), frames),
+        Order::SetZero => send(profile, command::ZERO, &[0; 8], frames),
         Order::Report => poll(profile, frames),
         Order::ReadScale(Scale::Torque) if scales.torque_scale_endpoint != 0 => {
             let [low, high] = scales.torque_scale_endpoint.to_le_bytes();
@@ -248,4 +248,24 @@ pub(super) fn reply_scale(
         &[0, low, high, 0, v0, v1, v2, v3],
         frames,
     );
+}
+
+/// Adds to the torque of a motion command: `torque`, N·m, where it is an f32, else `steps`; saturates.
+pub(super) fn add_torque(frame: &mut Frame, torque: f32, steps: i32) {
+    let kind = (frame.id & 0x1f) as u16;
+    match (kind, frame.bytes_mut()) {
+        (command::POSITION, [_, _, _, _, _, _, t0, t1]) => {
+            let sum = i32::from(i16::from_le_bytes([*t0, *t1])) + steps;
+            let sum = sum.clamp((-i16::MAX).into(), i16::MAX.into()) as i16;
+            [*t0, *t1] = sum.to_le_bytes();
+        }
+        (command::VELOCITY, [_, _, _, _, t0, t1, t2, t3])
+        | (command::TORQUE, [t0, t1, t2, t3, ..]) => {
+            let sum = f32::from_le_bytes([*t0, *t1, *t2, *t3]) + torque;
+            if sum.is_finite() {
+                [*t0, *t1, *t2, *t3] = sum.to_le_bytes();
+            }
+        }
+        _ => {}
+    }
 }

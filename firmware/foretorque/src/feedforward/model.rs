@@ -27,10 +27,13 @@ impl<const N: usize, const P: usize> Loaded<N, P> {
     }
 }
 
-/// How the linear parameters of a set differ from those of the loaded one.
+/// Difference of the linear parameters of a learnt set from those of the loaded one, and its share in the torque.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Difference<const N: usize, const P: usize> {
     pub(super) rigid: BaseParameters<P>,
+    /// Part of the difference of each joint that is in its torque.
+    pub(super) share: [f32; N],
+    /// Times the share.
     friction: [FrictionParameters; N],
     /// The network of the joint is not the one that was loaded.
     network: [bool; N],
@@ -41,15 +44,17 @@ impl<const N: usize, const P: usize> Difference<N, P> {
     pub(super) fn none() -> Self {
         Self {
             rigid: BaseParameters::zeros(),
+            share: [0.0; N],
             friction: [FrictionParameters::NONE; N],
             network: [false; N],
         }
     }
 
-    /// Becomes `set` less `loaded`; its networks are learnt if they were so, or are not those of `before`.
+    /// Set to `set` less `loaded` with `share`; its networks are learnt if they were so, or are not those of `before`.
     pub(super) fn update(
         &mut self,
         set: &ParameterSet<N, P>,
+        share: &[f32; N],
         before: &ParameterSet<N, P>,
         loaded: &Loaded<N, P>,
     ) {
@@ -57,11 +62,12 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         for (rigid, (set, loaded)) in self.rigid.iter_mut().zip(both) {
             *rigid = set - loaded;
         }
-        let drives = set.friction.iter().zip(&loaded.friction);
-        for (difference, (set, loaded)) in self.friction.iter_mut().zip(drives) {
+        self.share = *share;
+        let drives = set.friction.iter().zip(&loaded.friction).zip(share);
+        for (difference, ((set, loaded), share)) in self.friction.iter_mut().zip(drives) {
             let both = set.0.iter().zip(&loaded.0);
             for (difference, (set, loaded)) in difference.0.iter_mut().zip(both) {
-                *difference = set - loaded;
+                *difference = share * (set - loaded);
             }
         }
         let networks = set.network.iter().zip(&before.network);

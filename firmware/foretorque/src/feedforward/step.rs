@@ -5,13 +5,16 @@ use super::shares::{Shares, select};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, cogging, friction_load, is_angle, rnea};
 use crate::joint::{JointSample, JointVector};
-use crate::learning::{Exchange, LearnerReport, MotionRange, ParameterSet};
+use crate::learning::{
+    Exchange, LearnerReport, LearningSample, LearntShare, LinearParameters, MotionRange,
+    ParameterSet,
+};
 use crate::limits::{Flags, cut, limit};
 
 /// State between ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardState<const N: usize, const P: usize> {
-    /// The set the torque is computed from.
+    /// The single set nearest to the torque: loaded and learnt parameters by their shares.
     pub active: ParameterSet<N, P>,
     /// The set that stands in for it: the one that was last loaded or committed.
     pub committed: ParameterSet<N, P>,
@@ -111,16 +114,23 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.rounds_without_set = ROUNDS_WITHOUT_SET;
     }
 
-    pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>) {
+    /// Bring the learnt `set` into the torque with its `share`.
+    pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>, share: &LearntShare<N>) {
         self.active_difference
-            .update(set, &self.active, &self.loaded);
+            .update(set, &share.joint, &self.active, &self.loaded);
         self.active = *set;
+        let loaded = LinearParameters {
+            friction: self.loaded.friction.map(|joint| joint.0),
+            rigid: self.loaded.rigid.data.0[0],
+        };
+        let blend = share.blend(&loaded, &LinearParameters::of(set));
+        blend.write(&mut self.active);
     }
 
-    pub(super) fn set_committed(&mut self, set: &ParameterSet<N, P>) {
-        self.committed_difference
-            .update(set, &self.committed, &self.loaded);
-        self.committed = *set;
+    /// Make what is active the fallback, and the centre of the bound on learnt change.
+    pub(super) fn commit(&mut self) {
+        self.committed = self.active;
+        self.committed_difference = self.active_difference;
     }
 }
 
@@ -204,7 +214,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         let limits = &config.limits[joint];
         let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
         let cogging = cogging(
-            A::COGGING_CYCLES[joint],
+            A::cogging_cycles()[joint],
             cogging_place(place[joint] + qd * lead, q),
         );
         let load = scratch.load[joint];
@@ -215,7 +225,11 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         let friction = speeds[0].friction(&state.loaded.friction[joint]);
         let active = state.active_difference.shares(
             joint,
-            (scratch.loaded[joint] + scratch.active[joint], friction),
+            (
+                scratch.loaded[joint]
+                    + state.active_difference.share[joint] * scratch.active[joint],
+                friction,
+            ),
             &state.active.network[joint],
             &speeds,
             limits.torque,
@@ -223,7 +237,11 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         );
         let committed = state.committed_difference.shares(
             joint,
-            (scratch.loaded[joint] + scratch.committed[joint], friction),
+            (
+                scratch.loaded[joint]
+                    + state.committed_difference.share[joint] * scratch.committed[joint],
+                friction,
+            ),
             &state.committed.network[joint],
             &speeds,
             limits.torque,
@@ -335,7 +353,7 @@ fn finish<const N: usize, const P: usize>(
     state.last.flags = flags;
     state.last.tick = state.tick;
     state.adoption = Flags::NONE;
-    state.tick = state.tick.wrapping_add(1);
+    state.tick = LearningSample::<N>::tick_after(state.tick);
     state.last
 }
 
@@ -352,17 +370,18 @@ pub fn adopt<const N: usize, const P: usize>(
     if state.tick % rounds != rounds / 2 {
         return;
     }
-    let due = state.tick.wrapping_sub(rounds / 2 + 1);
-    // Nothing is due from a round that was cut short, by a start or a load or where the counter wraps.
+    let due = state.tick.checked_sub(rounds / 2 + 1);
+    let due = due.unwrap_or(LearningSample::<N>::LAST_TICK);
+    // Nothing is due from a round that was cut short by a start or a load.
     let whole = state.rounds_without_set == 0 && due % rounds == rounds - 1;
     state.rounds_without_set = state.rounds_without_set.saturating_sub(1);
     let expected = state.learning && whole;
     match &exchange.published {
         // Equal, not later: ticks half the range of their counter apart have no order.
         Some(finished) if finished.generation == state.generation => {
-            state.set_active(&finished.set);
+            state.set_active(&finished.set, &finished.share);
             if finished.commit {
-                state.set_committed(&finished.set);
+                state.commit();
                 state.recommitted = true;
             }
             state.payload = finished.payload;

@@ -15,12 +15,11 @@ pub enum Reason {
     Residual = 5,
     /// Transient disturbance: it ended before a promotion. Figure: seconds since the alarm.
     Transient = 6,
-    /// Rollback to the committed set by the paired test, or to the snapshot on request. Figure: ratio of mean squares,
-    /// estimate to committed set.
+    /// The common learnt share falls below a quarter, or a rollback to the snapshot on request. Figure: the share.
     RolledBack = 7,
     /// Payload released: the parameters are those of before it. Figure: mass, kg.
     Released = 8,
-    /// Commit of the active set. Figure: ratio of mean squares, estimate to committed set before.
+    /// Commit of the active set, on request.
     Committed = 9,
     /// Snapshot of the active set, on request.
     SnapshotTaken = 10,
@@ -40,7 +39,7 @@ pub enum Reason {
     Resumed = 17,
     /// Relearning begins: the change is no payload. Friction is learnt again in the estimate only.
     Relearning = 18,
-    /// Relearning ends; change detection restarts. Figure: ratio of mean squares, estimate to committed set.
+    /// Relearning ends; change detection restarts. Figure: the common learnt share by the evidence.
     RelearningEnded = 19,
     /// Network candidate promoted. Figure: ratio of mean squares, candidate to active network.
     NetworkPromoted = 20,
@@ -50,11 +49,10 @@ pub enum Reason {
     TrustLost = 22,
     /// Trust above its threshold again. Figure: trust.
     TrustRegained = 23,
-    /// Common gain of all torques: an error of sensors or drives, which keeps learnt sets out of the torque. Figure: the
-    /// factor, or −1 for a reversed sign.
-    CommonGain = 24,
-    /// Following begins: the estimate predicts new rows better than the committed set. Figure: ratio of mean squares,
-    /// estimate to committed set.
+    /// Measured torques oppose those of the loaded set: a reversed sign, which keeps learnt sets out of the torque.
+    /// Figure: −1.
+    Reversed = 24,
+    /// The common learnt share rises above one half. Figure: the share.
     Followed = 25,
 }
 

@@ -1,6 +1,7 @@
 use super::decision::DecisionLog;
 use super::parameters::ParameterSet;
 use super::quality::ModelQuality;
+use super::shares::LearntShare;
 use super::start_deviations::StartDeviations;
 use crate::dynamics::BaseParameters;
 use crate::joint::JointMeasurement;
@@ -21,6 +22,18 @@ pub struct LearningSample<const N: usize> {
     pub enabled: bool,
     /// Flags of the tick.
     pub flags: Flags,
+}
+
+impl<const N: usize> LearningSample<N> {
+    /// Ticks after which the counter may wrap: whole rounds of `N`, and whole periods of all that the learner does at times.
+    pub(crate) const WHOLE_TICKS: u32 = 16_000 * N as u32;
+    /// Last value of the counter of the tick.
+    pub(crate) const LAST_TICK: u32 = u32::MAX / Self::WHOLE_TICKS * Self::WHOLE_TICKS - 1;
+
+    /// Counter of the tick after `tick`.
+    pub(crate) const fn tick_after(tick: u32) -> u32 {
+        if tick >= Self::LAST_TICK { 0 } else { tick + 1 }
+    }
 }
 
 /// Range of motion for which the model has been learnt.
@@ -66,13 +79,15 @@ pub struct Publication<const N: usize, const P: usize> {
     pub closed: u32,
     /// Number of the load that the set was learnt from; after another load it is discarded.
     pub generation: u32,
-    /// New active set.
+    /// Learnt set, with the networks of the torque.
     pub set: ParameterSet<N, P>,
+    /// Its share in the torque.
+    pub share: LearntShare<N>,
     /// Base parameters of the payload, to be added to those of the set.
     pub payload: BaseParameters<P>,
     /// Range of motion for which the set has been learnt.
     pub range: MotionRange<N>,
-    /// True if the set becomes the committed one as well.
+    /// True if set and share become the committed ones as well.
     pub commit: bool,
     /// Report of the learner.
     pub report: LearnerReport<N>,

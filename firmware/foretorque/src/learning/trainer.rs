@@ -1,6 +1,5 @@
 use super::dense_ud::DenseUdFilter;
 use super::parameters::{JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, network_inputs};
-use super::supervisor::paired_test::PairedSum;
 use crate::limits::cut;
 use crate::network::StepParameters;
 use nalgebra::SVector;
@@ -56,6 +55,43 @@ pub(super) enum NetworkDecision {
     Promoted(f32),
     /// The active network is silenced: worse than none. Ratio of mean square residuals, with to without.
     Silenced(f32),
+}
+
+/// Sum of paired differences d and of their squares, `t = Σ d / √Σ d²`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct PairedSum {
+    sum: f32,
+    squares: f32,
+}
+
+impl PairedSum {
+    /// Sums of zero.
+    const ZERO: Self = Self {
+        sum: 0.0,
+        squares: 0.0,
+    };
+
+    /// Multiply both sums by `factor`.
+    fn fade(&mut self, factor: f32) {
+        self.sum *= factor;
+        self.squares *= factor;
+    }
+
+    /// Add the difference `d`.
+    fn add(&mut self, d: f32) {
+        self.sum += d;
+        self.squares += d * d;
+    }
+
+    /// True if t > `sigmas`.
+    fn is_above(&self, sigmas: f32) -> bool {
+        self.signed_square() > sigmas * sigmas * self.squares
+    }
+
+    /// Σ d |Σ d|: comparing squares avoids the root.
+    fn signed_square(&self) -> f32 {
+        self.sum * self.sum.abs()
+    }
 }
 
 /// Paired sum over blocks of rows.

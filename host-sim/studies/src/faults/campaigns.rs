@@ -2,10 +2,11 @@
 
 use super::machine::{Crash, crashes};
 use super::store::{self, SECTOR, SMALL_SECTOR};
-use super::{BadUpload, Campaign, Damage};
+use super::{BadUpload, Campaign, Damage, TimedFault, timed};
 use super::{bad_uploads, damaged_line, foreign_frames, strange_numbers, watchdog_bites};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque_link::store::slots;
+use foretorque_link::wire::Pacing;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Native, Transport};
 use std::error::Error;
@@ -99,6 +100,13 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
     let mut all = Vec::new();
     for board in [Board::Native, Board::Bulk, Board::Usart] {
         line(&mut all, board, lengths, seed);
+    }
+    for pacing in [Pacing::Link, Pacing::SysTick] {
+        for fault in TimedFault::all() {
+            all.push(Scenario::new(fault.name(), move || {
+                Ok(timed(pacing, fault, lengths.native_s * TICKS_PER_S, seed)?)
+            }));
+        }
     }
     flash(&mut all, lengths, seed);
     all.push(Scenario::new("watchdog", move || {

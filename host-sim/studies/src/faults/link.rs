@@ -16,7 +16,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Clean ticks at the end of a campaign, in which the board must come back.
-const CLEAN_TICKS: u32 = 300;
+pub(super) const CLEAN_TICKS: u32 = 300;
 /// Ticks between two attempts to arm.
 pub(super) const ARM_EVERY: u32 = 5;
 /// Numbers that break careless arithmetic.
@@ -73,20 +73,7 @@ impl Host {
     }
 
     pub(super) fn sample(&self) -> JointSample<JOINTS> {
-        let t = self.tick as f32 * 1e-3;
-        let wave = |phase: f32| JointVector::from_fn(|j, _| 0.5 * (t + j as f32 + phase).sin());
-        let desired = JointMotion {
-            q: wave(0.0),
-            qd: wave(std::f32::consts::FRAC_PI_2),
-            qdd: wave(std::f32::consts::PI),
-        };
-        JointSample {
-            desired,
-            measured: Some(JointMeasurement {
-                q: desired.q,
-                tau: desired.q * 3.0,
-            }),
-        }
+        motion(self.tick)
     }
 
     /// One undamaged tick.
@@ -100,9 +87,9 @@ impl Host {
     }
 
     /// Works undamaged until the board is armed, and some ticks more. False when it never is.
-    pub(super) fn come_back(&mut self) -> Result<bool, BoardError> {
+    pub(super) fn come_back(&mut self, campaign: &mut Campaign) -> Result<bool, BoardError> {
         for _ in 0..CLEAN_TICKS {
-            self.work()?;
+            campaign.count(&self.work()?, 0);
         }
         Ok(self.rig.state == SafetyState::Armed)
     }
@@ -120,10 +107,27 @@ impl Host {
     pub(super) fn close(self, mut campaign: Campaign, back: bool) -> Campaign {
         campaign.wrong_torques += self.rig.wrong_torques;
         campaign.torques = self.rig.torques;
-        if !back {
-            campaign.recovered = 0;
-        }
+        // The last fault is one that the board has not come back from.
+        campaign.recovered -= u64::from(!back && campaign.recovered > 0);
         campaign
+    }
+}
+
+/// Desired and measured motion of the host in one tick.
+pub(super) fn motion(tick: u32) -> JointSample<JOINTS> {
+    let t = tick as f32 * 1e-3;
+    let wave = |phase: f32| JointVector::from_fn(|j, _| 0.5 * (t + j as f32 + phase).sin());
+    let desired = JointMotion {
+        q: wave(0.0),
+        qd: wave(std::f32::consts::FRAC_PI_2),
+        qdd: wave(std::f32::consts::PI),
+    };
+    JointSample {
+        desired,
+        measured: Some(JointMeasurement {
+            q: desired.q,
+            tau: desired.q * 3.0,
+        }),
     }
 }
 
@@ -146,7 +150,7 @@ pub fn damaged_line(
             .collect();
         campaign.note(&host.rig.send(&bytes)?, line.injected - before);
     }
-    let back = host.come_back()?;
+    let back = host.come_back(&mut campaign)?;
     Ok(host.close(campaign, back))
 }
 
@@ -184,7 +188,7 @@ pub fn strange_numbers(
         let round = host.rig.send(&line)?;
         campaign.count(&round, injected);
     }
-    let back = host.come_back()?;
+    let back = host.come_back(&mut campaign)?;
     Ok(host.close(campaign, back))
 }
 
@@ -229,7 +233,7 @@ pub fn foreign_frames(
         let round = host.rig.send(&line)?;
         campaign.note(&round, injected);
     }
-    let back = host.come_back()?;
+    let back = host.come_back(&mut campaign)?;
     Ok(host.close(campaign, back))
 }
 
@@ -273,7 +277,7 @@ mod tests {
     fn host() -> Host {
         let native = Native::<Ur5, JOINTS, PARAMETERS>::new().unwrap();
         let mut host = Host::new(Box::new(native), false).unwrap();
-        assert!(host.come_back().unwrap());
+        assert!(host.come_back(&mut Campaign::default()).unwrap());
         assert_eq!(host.rig.wrong_torques, 0);
         host
     }

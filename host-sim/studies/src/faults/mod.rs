@@ -11,12 +11,14 @@ pub mod machine;
 mod rig;
 pub mod store;
 pub mod table;
+mod timed;
 mod uploads;
 mod watchdog;
 
 pub use campaigns::{Lengths, Scenario, scenarios};
 pub use damage::Damage;
 pub use link::{damaged_line, foreign_frames, strange_numbers};
+pub use timed::{TimedFault, timed};
 pub use uploads::{BadUpload, bad_uploads};
 pub use watchdog::watchdog_bites;
 
@@ -36,14 +38,25 @@ pub struct Campaign {
     pub wrong_torques: u64,
     /// Faults after which the last good set could not be loaded, or was not the one in force.
     pub lost_sets: u64,
-    /// Faults after which the board did its work again.
+    /// Faults after which the board gave a right torque for a fresh sample again.
     pub recovered: u64,
+    /// Torques or enables without an `Arm` that the board had acknowledged.
+    pub without_permission: u64,
+    /// Returns to torque for which the host had not asked.
+    pub rearmed: u64,
+    /// Time-outs of the samples, and those of them that came more than a period too early or too late.
+    pub timeouts: u64,
+    /// See [`timeouts`](Self::timeouts).
+    pub mistimed: u64,
     /// Torques that were compared.
     pub torques: u64,
     /// Faults that no counter of the board shows.
     pub unnoticed: u64,
     /// Intact frames, at most, until one was received again.
     pub frames_to_resynchronise: u32,
+    /// Faults since the last right torque.
+    #[serde(skip)]
+    pending: u64,
 }
 
 impl Campaign {
@@ -61,7 +74,8 @@ impl Campaign {
     pub fn is_survived(&self) -> bool {
         let clean = self.wrong_torques == 0 && self.lost_sets == 0 && self.unnoticed == 0;
         let back = self.recovered == self.injected && self.frames_to_resynchronise <= 2;
-        self.injected > 0 && clean && back
+        let kept = self.without_permission + self.rearmed + self.mistimed == 0;
+        self.injected > 0 && clean && back && kept
     }
 
     /// Counts a round on the line in which `injected` faults should show in the counters.
@@ -72,10 +86,13 @@ impl Campaign {
         }
     }
 
-    /// Counts a round after which the board answered: it has come back from `injected` faults.
+    /// Counts a round: right torques in it are the recovery from the faults of earlier rounds.
     fn count(&mut self, round: &Round, injected: u64) {
+        if round.right_torques > 0 {
+            self.recovered += std::mem::take(&mut self.pending);
+        }
         self.injected += injected;
-        self.recovered += injected;
+        self.pending += injected;
         self.frames_to_resynchronise = self.frames_to_resynchronise.max(round.resynchronised);
     }
 }

@@ -2,6 +2,7 @@
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::learning::ConfigError;
+use foretorque::limits::Flags;
 use foretorque_link::safety::SafetyState;
 use foretorque_link::telemetry::Statistics;
 use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX_FRAME, encode};
@@ -10,6 +11,8 @@ use std::time::{Duration, Instant};
 
 /// How long an answer is waited for.
 const PATIENCE: Duration = Duration::from_secs(20);
+/// Intact frames behind every line, from whose replies the resynchronisation is measured.
+const MARKERS: u32 = 3;
 /// Most bytes that are read at once.
 const BUFFER: usize = 4096;
 
@@ -27,8 +30,10 @@ pub(super) struct Frame {
 pub(super) struct Round {
     /// Answers of the board, without hellos and markers.
     pub(super) answers: Vec<BoardMessage<JOINTS>>,
-    /// Intact frames after the damage until one was received: 1 or 2.
+    /// Intact frames after the damage until one was received; more than [`MARKERS`] where none was.
     pub(super) resynchronised: u32,
+    /// Torques for fresh samples that are the reference's.
+    pub(super) right_torques: u32,
     /// A counter of the board has counted an error.
     pub(super) noticed: bool,
 }
@@ -99,17 +104,14 @@ impl Rig {
         round.answers.pop().ok_or(BoardError::UnexpectedAnswer)
     }
 
-    /// Sends `line`, and two questions for the counters behind it; judges all that the board answers meanwhile.
+    /// Sends `line`, and [`MARKERS`] requests for the counters behind it; judges all that the board answers meanwhile.
     pub(super) fn send(&mut self, line: &[u8]) -> Result<Round, BoardError> {
-        let markers = [
-            self.frame(&HostMessage::Statistics),
-            self.frame(&HostMessage::Statistics),
-        ];
-        let [first, last] = &markers;
-        let bytes = [line, &first.bytes, &last.bytes].concat();
+        let markers = [(); MARKERS as usize].map(|()| self.frame(&HostMessage::Statistics));
+        let mut bytes = line.to_vec();
+        bytes.extend(markers.iter().flat_map(|marker| &marker.bytes));
         self.post(&bytes)?;
         let mut round = Round {
-            resynchronised: 2,
+            resynchronised: MARKERS + 1,
             ..Round::default()
         };
         let deadline = Instant::now() + PATIENCE;
@@ -119,18 +121,20 @@ impl Rig {
                 if sequence == 0 {
                     continue;
                 }
-                self.judge(sequence, &message)?;
+                round.right_torques += u32::from(self.judge(sequence, &message)?);
                 let BoardMessage::Statistics(statistics) = &message else {
                     round.answers.push(message);
                     continue;
                 };
-                if sequence == first.sequence {
-                    round.resynchronised = 1;
-                }
+                let mut places = 1..;
+                let mut sent = markers.iter().zip(&mut places);
+                let place = sent.find(|(marker, _)| marker.sequence == sequence);
+                let place = place.map_or(MARKERS + 1, |(_, place)| place);
+                round.resynchronised = round.resynchronised.min(place);
                 let errors = errors(statistics);
                 round.noticed |= errors != self.errors;
                 self.errors = errors;
-                if sequence == last.sequence {
+                if place == MARKERS {
                     return Ok(round);
                 }
             }
@@ -161,32 +165,32 @@ impl Rig {
         Ok(messages)
     }
 
-    /// Compares an answer with the reference's, which gets the frame now.
-    fn judge(&mut self, sequence: u16, answer: &BoardMessage<JOINTS>) -> Result<(), BoardError> {
+    /// Compares an answer with the reference's, which gets the frame now. True for a right torque of a fresh sample.
+    fn judge(&mut self, sequence: u16, answer: &BoardMessage<JOINTS>) -> Result<bool, BoardError> {
         let torque = match answer {
-            BoardMessage::Torque(torque) => Some(torque.safety),
-            BoardMessage::FullTorque(torque) => Some(torque.safety),
+            BoardMessage::Torque(torque) => Some((torque.safety, torque.flags)),
+            BoardMessage::FullTorque(full) => Some((full.safety, full.torque.flags)),
             _ => None,
         };
-        if let Some(safety) = torque {
+        if let Some((safety, _)) = torque {
             (self.torques, self.state) = (self.torques + 1, safety.state);
             self.wrong_torques += u64::from(!is_finite(answer));
         }
         let frame = self.sent[usize::from(sequence)].clone();
         if frame.as_ref().is_some_and(|frame| !frame.referred) {
-            return Ok(());
+            return Ok(false);
         }
         // Nothing of that number was sent, or the reference has had it and does not act on it twice.
         let expected = frame.and_then(|frame| self.refer(&frame).transpose());
         let Some(expected) = expected.transpose()? else {
             self.wrong_torques += 1;
-            return Ok(());
+            return Ok(false);
         };
         let counts = matches!(answer, BoardMessage::Statistics(_) | BoardMessage::Hello(_));
-        if !counts && bytes(sequence, &expected) != bytes(sequence, answer) {
-            self.wrong_torques += 1;
-        }
-        Ok(())
+        let right = counts || bytes(sequence, &expected) == bytes(sequence, answer);
+        self.wrong_torques += u64::from(!right);
+        let fresh = |flags| !Flags(flags).contains(Flags::STALE_SAMPLE);
+        Ok(right && torque.is_some_and(|(_, flags)| fresh(flags)))
     }
 
     /// Answer of the reference to `frame`; `None` when it does not act on it.

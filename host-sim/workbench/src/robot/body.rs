@@ -126,6 +126,24 @@ impl Robot {
     }
 }
 
+/// Acceleration of an unloaded rotor at the torque limit, rad/s²: geared drives of arms lie between 70 and 300.
+const ROTOR_ACCELERATION_RAD_S2: f64 = 200.0;
+
+impl Robot {
+    /// This robot with a rotor at every joint, and the joints (from 1) at which the description gives none: there it is the
+    /// torque limit over 200 rad/s². A drive without a rotor cannot be controlled at 1 kHz.
+    pub fn with_assumed_rotors(&self) -> (Self, Vec<usize>) {
+        let (mut robot, mut assumed) = (self.clone(), Vec::new());
+        for (j, joint) in robot.joints.iter_mut().enumerate() {
+            if joint.drive.rotor_inertia <= 0.0 {
+                joint.drive.rotor_inertia = joint.limits.torque / ROTOR_ACCELERATION_RAD_S2;
+                assumed.push(j + 1);
+            }
+        }
+        (robot, assumed)
+    }
+}
+
 /// Mass and centre of mass move by up to `size` of themselves (the centre by up to `size` of its distance, in any
 /// direction). The second moments S of the mass become `A S Aᵀ` with `A = 1 + size/2 · noise`: S stays positive
 /// semi-definite, so the link stays a body, its moments move by about `size`, and off-diagonal entries appear.

@@ -144,6 +144,29 @@ mod tests {
     }
 
     #[test]
+    fn the_validation_path_of_the_panda_stays_inside_its_ranges_and_torques() {
+        let robot = Robot::load("panda").expect("built in");
+        let model = crate::dynamics::ReferenceModel::<7>::new(&robot).expect("seven joints");
+        for seed in 0..10 {
+            let path = Trajectory::<7>::validation(&robot, seed);
+            path.check(&robot, 1e-3).expect("inside the limits");
+            for k in 0..3000 {
+                let state = path.at(f64::from(k) * 1e-2);
+                let torque = model.inverse_dynamics(&state);
+                for (j, joint) in robot.joints.iter().enumerate() {
+                    let (low, high) = joint.limits.position;
+                    let inside = (state.q[j] - low).min(high - state.q[j]);
+                    assert!(inside >= 0.04 * (high - low), "seed {seed}, joint {j}");
+                    assert!(
+                        torque[j].abs() < joint.limits.torque,
+                        "seed {seed}, joint {j}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
     fn a_motion_beyond_a_limit_is_named_with_joint_and_time() {
         let robot = Robot::load("ur5").expect("built in");
         let still = State::rest(Joints::<6>::zeros());

@@ -1,6 +1,6 @@
 //! Paths through via points.
 
-use crate::dynamics::{Joints, State};
+use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::Robot;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -9,6 +9,11 @@ use rand_chacha::ChaCha8Rng;
 pub(crate) const SEGMENT_S: f64 = 1.5;
 /// Range of its via points around zero, rad.
 pub(crate) const VIA_RANGE_RAD: f64 = 2.0;
+
+/// Points of a segment at which torques are looked at.
+const TORQUE_POINTS: usize = 10;
+/// Most steps of 15 % by which swings shrink for the torque limits.
+const MOST_SHRINKS: usize = 12;
 
 /// A path through via points, one quintic a segment and joint: continuous up to the acceleration.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,15 +49,30 @@ impl<const N: usize> ViaPath<N> {
 
     /// Random via points inside the limits, at rest at both ends; the fastest joint reaches `peak_rad_s`.
     ///
-    /// Swings are shrunk about the path's middle until speed and acceleration fit, so positions stay inside the range of the
-    /// via points.
+    /// Via points lie within 2 rad of zero, or nearer about the nearest centre that leaves 10 % of the joint's range. Swings
+    /// shrink about that centre until speed and acceleration fit, then together until the described arm needs at most 95 %
+    /// of its torque limits, or gravity alone needs more.
     pub fn random(robot: &Robot, seed: u64, duration_s: f64, peak_rad_s: f64) -> Self {
         let segments = (duration_s / SEGMENT_S).round().max(2.0) as usize;
         let segment_s = duration_s / segments as f64;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let points: Vec<Joints<N>> = (0..=segments)
+        let mut points: Vec<Joints<N>> = (0..=segments)
             .map(|_| Joints::from_fn(|_, _| random.random_range(-VIA_RANGE_RAD..=VIA_RANGE_RAD)))
             .collect();
+        let mut centre = Joints::<N>::zeros();
+        for (j, joint) in robot.joints.iter().take(N).enumerate() {
+            let (low, high) = joint.limits.position;
+            // Between via points the path leaves their range by a quarter at most.
+            let reach = (0.45 * (high - low)).min(1.25 * VIA_RANGE_RAD);
+            let share = reach / (1.25 * VIA_RANGE_RAD);
+            let aside = 0.05 * (high - low) + reach;
+            centre[j] = 0.0_f64
+                .max(low + aside)
+                .min((high - aside).max(0.5 * (low + high)));
+            for point in &mut points {
+                point[j] = centre[j] + share * point[j];
+            }
+        }
         let mut path = Self::through(&points, duration_s);
         let (mut qd, mut qdd) = (Joints::<N>::zeros(), Joints::<N>::zeros());
         for k in 0..=segments * 400 {
@@ -60,15 +80,47 @@ impl<const N: usize> ViaPath<N> {
             qd = qd.sup(&state.qd.abs());
             qdd = qdd.sup(&state.qdd.abs());
         }
+        let mut fits = Joints::<N>::repeat(1.0);
         for (j, joint) in robot.joints.iter().take(N).enumerate() {
-            let fits = (peak_rad_s.min(0.95 * joint.limits.velocity) / qd[j])
-                .min(0.95 * joint.limits.acceleration / qdd[j]);
-            for (q, slope) in &mut path.via {
-                q[j] *= fits.min(1.0);
-                slope[j] *= fits.min(1.0);
+            fits[j] = (peak_rad_s.min(0.95 * joint.limits.velocity) / qd[j])
+                .min(0.95 * joint.limits.acceleration / qdd[j])
+                .min(1.0);
+        }
+        path.shrink(&centre, &fits);
+        for _ in 0..MOST_SHRINKS {
+            if path.torque_share(robot) <= 0.95 {
+                break;
             }
+            path.shrink(&centre, &Joints::repeat(0.85));
         }
         path
+    }
+
+    /// Swings times `fits`, about `centre`.
+    fn shrink(&mut self, centre: &Joints<N>, fits: &Joints<N>) {
+        for (q, slope) in &mut self.via {
+            *q = centre + (*q - centre).component_mul(fits);
+            slope.component_mul_assign(fits);
+        }
+    }
+
+    /// Largest torque of the described arm along the path, friction included, over the joint's torque limit.
+    fn torque_share(&self, robot: &Robot) -> f64 {
+        let Some(model) = ReferenceModel::<N>::new(robot) else {
+            return 0.0;
+        };
+        let points = (self.via.len() - 1) * TORQUE_POINTS;
+        let share = |k: usize| {
+            let state = self.at(k as f64 * self.segment_s / TORQUE_POINTS as f64);
+            let torque = model.inverse_dynamics(&state);
+            let joints = robot.joints.iter().zip(torque.iter().zip(state.qd.iter()));
+            joints.fold(0.0_f64, |most, (joint, (torque, qd))| {
+                let friction = &joint.friction;
+                let resisted = friction.viscous * qd + friction.coulomb * qd.signum();
+                most.max((torque + resisted).abs() / joint.limits.torque)
+            })
+        };
+        (0..=points).map(share).fold(0.0, f64::max)
     }
 
     /// This path, of `joint` alone until about `alone_s`; the others wait at their start.

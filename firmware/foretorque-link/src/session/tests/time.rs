@@ -315,6 +315,32 @@ fn an_armed_board_without_its_gravity_share_latches() {
     }
 }
 
+/// Frame numbers wrap and leave out 0, period numbers wrap at 32; lost samples in between count as ever.
+#[test]
+fn across_the_wraps_of_sequence_and_period_the_torques_are_those_of_a_twin() {
+    let run = |sequence: u16| -> Vec<[f32; N]> {
+        let mut board = Board::new();
+        board.sequence = sequence;
+        board.arm();
+        board.acknowledged(HostMessage::Learning { on: true });
+        let mut torques = Vec::new();
+        for k in 0..150_u8 {
+            let frame = SampleFrame::new(&slow(k.into())).in_period(k + 1);
+            if k % 16 == 9 || k % 31 < 2 {
+                board.numbered(&HostMessage::Statistics);
+                continue;
+            }
+            torques.push(torque(&board.request(HostMessage::Sample(frame))).total);
+            board.learn();
+        }
+        torques
+    };
+    let twin = run(100);
+    for sequence in [65_400, 65_440, 65_521, 65_526, 65_534] {
+        assert!(run(sequence) == twin, "from frame {sequence}");
+    }
+}
+
 /// The brake of a board's joints.
 struct Braked;
 

@@ -199,3 +199,45 @@ fn a_description_without_rotors_and_friction_becomes_an_arm() {
     assert!(curve[4] < 0.027, "{}", curve[4]);
     assert!(curve[15] < 0.01, "{}", curve[15]);
 }
+
+/// Set of a good identification: inertial parameters and friction 2 % off either way.
+fn identified(seed: u64) -> Set {
+    let mut dice = Dice(seed);
+    let mut set = wrong_prior(1);
+    set.rigid = Ur5::NOMINAL.into();
+    for (friction, (viscous, coulomb)) in set
+        .friction
+        .iter_mut()
+        .zip(VISCOUS.into_iter().zip(COULOMB))
+    {
+        friction[FrictionColumn::Viscous] = viscous as f32;
+        friction[FrictionColumn::Coulomb] = coulomb as f32;
+    }
+    let friction = set.friction.iter_mut().flat_map(|friction| &mut friction.0);
+    for value in set.rigid.iter_mut().chain(friction) {
+        *value *= if dice.roll() < 0.0 { 0.98 } else { 1.02 };
+    }
+    set
+}
+
+#[test]
+fn an_identified_set_is_not_left_for_worse() {
+    for (speed, drive) in [(2.4, PLAIN), (0.15, AS_IT_IS)] {
+        let unseen = Fourier::new(99, 15.0, 1.2 * speed);
+        let prior = identified(5);
+        let mut board = Board::new(prior, 0);
+        let mut plant = Plant::new(drive);
+        plant.trajectory = Fourier::new(3, 10.0, speed);
+        board.feedforward.set_learning(true);
+        let start = nrmse(&prior, &unseen, drive).0;
+        let mut worst = 0.0f64;
+        for tick in 0..20_000 {
+            board.tick(&plant.sample(tick));
+            if tick % 500 == 999 {
+                let ratio = nrmse(board.active(), &unseen, drive).0 / start;
+                worst = worst.max(ratio);
+            }
+        }
+        assert!(worst <= 1.05, "{worst} at {speed} rad/s");
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::arm::{LinkInertia, base_parameters};
-use crate::learning::{Decision, PayloadEstimate, Phase, Reason};
+use crate::learning::{Decision, PayloadEstimate, Phase, Reason, Request};
 
 /// Centre of mass of the payloads: 5 cm beyond the flange and aside, in the frame of the last link, m.
 const COM: [f32; 3] = [0.02, -0.01, 0.1323];
@@ -30,12 +30,21 @@ struct Cell {
 impl Cell {
     /// A board that has learnt the arm for 14 s.
     fn settled() -> Self {
+        Self::settled_from(0)
+    }
+
+    /// A settled board whose counter of the tick began at `first`.
+    fn settled_from(first: u32) -> Self {
         let mut cell = Self {
             board: Board::new(wrong_prior(1), 0),
             plant: Plant::new(AS_IT_IS),
             tick: 0,
             read: 0,
         };
+        let state = &mut cell.board.feedforward.state;
+        state.tick = first;
+        // Loads and requests wrap as well.
+        (state.generation, state.requests) = (first, first);
         cell.board.feedforward.set_learning(true);
         for _ in 0..14_000 {
             cell.step();
@@ -115,16 +124,17 @@ fn carry(cell: &mut Cell, mass: f32) -> (u32, PayloadEstimate) {
             break;
         }
     }
-    // The set of the release is in force two rounds later.
+    // The set of the release is in force within two rounds; learning continues from it.
+    let mut restored = false;
     for _ in 0..2 * N {
         cell.step();
+        restored |= before.contains(&cell.board.active().rigid);
     }
     let put_down = cell.decisions();
     assert!(has(&put_down, Reason::Released), "{mass} kg: {put_down:?}");
     assert_eq!(cell.payload(), PayloadEstimate::default());
     assert_eq!(cell.board.feedforward.state().payload.amax(), 0.0);
-    let restored = cell.board.active().rigid;
-    assert!(before.contains(&restored), "{picked:?} {put_down:?}");
+    assert!(restored, "{picked:?} {put_down:?}");
     for _ in 0..2500 {
         cell.step();
     }
@@ -212,6 +222,46 @@ fn a_torque_sensor_of_the_wrong_sign_changes_no_torque() {
     }
     assert_eq!(board.active().rigid, wrong_prior(1).rigid);
     assert_eq!(board.active().friction, wrong_prior(1).friction);
+    let newest = board.learner.state().report.decisions.get(0);
+    assert_eq!(
+        newest.map(|decision| decision.reason),
+        Some(Reason::Reversed)
+    );
+}
+
+#[test]
+fn the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right() {
+    let prior = wrong_prior(1);
+    let mut board = Board::new(prior, 0);
+    let mut config = LearnerConfig::for_arm::<Ur5>(PERIOD as f32);
+    // Without alarms: the shares alone react.
+    config.supervisor.detector.threshold = 1e9;
+    board.learner = Learner::new(config, prior).unwrap();
+    let mut plant = Plant::new(AS_IT_IS);
+    board.feedforward.set_learning(true);
+    let reasons = |board: &Board| {
+        let log = board.learner.state().report.decisions;
+        let all = (0..log.count()).filter_map(|index| log.get(index));
+        all.map(|decision| decision.reason).collect::<Vec<_>>()
+    };
+    for tick in 0..3000 {
+        board.tick(&plant.sample(tick));
+    }
+    assert!(reasons(&board).contains(&Reason::Followed));
+    assert!(!reasons(&board).contains(&Reason::RolledBack));
+    let share = board.learner.state().share().joint;
+    assert!(share.iter().all(|share| *share > 0.9), "{share:?}");
+    let mut least = 1.0f32;
+    for tick in 3000..8000 {
+        let mut sample = plant.sample(tick);
+        if let Some(measured) = &mut sample.measured {
+            measured.tau = evaluate::<Ur5, N, P>(&prior, &sample.desired).total;
+        }
+        board.tick(&sample);
+        least = least.min(board.learner.state().share().rigid);
+    }
+    // The estimate returns to it as well.
+    assert!(least < 0.5, "{least}");
 }
 
 #[test]
@@ -274,4 +324,55 @@ fn a_board_of_one_joint_hears_what_happens_to_that_joint_and_to_no_other() {
     let quality = cell.board.learner.state().report.quality;
     assert_eq!(quality.phase, Phase::Healthy);
     assert_eq!(quality.payload, PayloadEstimate::default());
+}
+
+/// Torques of a board that learns, picks up 2 kg, takes a request and a load, with a counter that begins at `first`.
+fn life(first: u32) -> (Vec<[u32; N]>, u32) {
+    let mut cell = Cell::settled_from(first);
+    let mut torques = Vec::new();
+    let mut carried = 0.0_f32;
+    for k in 0..4500 {
+        match k {
+            500 => cell.plant.body += cube(2.0),
+            3500 => cell.plant.body -= cube(2.0),
+            4100 => {
+                let Board {
+                    feedforward,
+                    exchange,
+                    ..
+                } = &mut cell.board;
+                feedforward.request(Request::Rollback, exchange).unwrap();
+            }
+            4200 => {
+                let set = *cell.board.active();
+                cell.board.feedforward.load(set, &mut cell.board.exchange);
+            }
+            _ => {}
+        }
+        let (_, torque) = cell.step();
+        torques.push(torque.total.map(f32::to_bits).into());
+        carried = carried.max(cell.board.feedforward.state().payload_torque.amax());
+    }
+    assert!(carried > 5.0, "the payload is in the torque: {carried} N·m");
+    (torques, cell.board.feedforward.state().tick)
+}
+
+/// The counters of ticks, loads and requests wrap without an effect: after 2³¹ and 2³² ticks, while the board learns,
+/// carries, rolls back and loads.
+#[test]
+fn across_every_wrap_the_torques_are_those_of_an_unwrapped_twin() {
+    let wrap = LearningSample::<N>::LAST_TICK + 1;
+    // Where the board learns, at the ends of a round, and where it carries, rolls back and loads.
+    let places = [9000, 14_499, 14_503, 16_300, 18_101, 18_201].map(|after| wrap - after);
+    for first in [(1 << 31) - 9000, (1 << 31) - 16_300]
+        .into_iter()
+        .chain(places)
+    {
+        // The same place in all that happens at times.
+        let (twin, _) = life(first % LearningSample::<N>::WHOLE_TICKS);
+        let (wrapped, last) = life(first);
+        assert!(last > 1 << 31 || last < first, "{last:#x} is beyond a wrap");
+        let differs = twin.iter().zip(wrapped).position(|(a, b)| *a != b);
+        assert_eq!(differs, None, "from {first:#x}");
+    }
 }

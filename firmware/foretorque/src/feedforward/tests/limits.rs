@@ -36,7 +36,7 @@ fn what_was_learnt_is_bounded_around_the_committed_set() {
     let mut learnt = set();
     learnt.rigid *= 3.0;
     learnt.network[0].output_bias[0] = 5.0;
-    tick.state.set_active(&learnt);
+    tick.state.set_active(&learnt, &LearntShare::FULL);
     tick.state.range = WIDE;
     let torque = settled(&mut tick, &motion);
     assert!(
@@ -92,10 +92,10 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
         let mut tick = tick(set());
         match round % 4 {
             0 => tick.state.load(&start),
-            1 => tick.state.set_active(&start),
+            1 => tick.state.set_active(&start, &LearntShare::FULL),
             2 => {
-                tick.state.set_active(&start);
-                tick.state.set_committed(&start);
+                tick.state.set_active(&start, &LearntShare::FULL);
+                tick.state.commit();
             }
             _ => tick.state.payload = start.rigid,
         }

@@ -4,7 +4,7 @@ use super::*;
 use crate::arm::ur5::Ur5;
 use crate::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
 use crate::joint::JointMotion;
-use crate::learning::{LearnerReport, MotionRange, Publication};
+use crate::learning::{LearnerReport, LearntShare, MotionRange, Publication};
 
 mod adoption;
 mod limits;
@@ -39,6 +39,7 @@ fn finished(closed: u32, set: Set) -> Publication<N, P> {
         closed,
         generation: 0,
         set,
+        share: LearntShare::FULL,
         payload: BaseParameters::zeros(),
         range: MotionRange::NONE,
         commit: false,

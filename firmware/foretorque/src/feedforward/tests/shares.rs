@@ -43,7 +43,7 @@ fn the_friction_share_sums_every_column_of_the_loaded_and_of_the_learned_set() {
     };
     let mut tick = tick(loaded);
     let share = settled(&mut tick, &motion).shares.friction;
-    tick.state.set_active(&learned);
+    tick.state.set_active(&learned, &LearntShare::FULL);
     tick.state.range = WIDE;
     let share_learned = settled(&mut tick, &motion).shares.friction;
     for joint in 0..N {
@@ -99,7 +99,7 @@ fn a_broken_share_is_replaced_by_the_committed_one_and_the_others_go_on() {
         let mut tick = tick(set());
         let mut broken = set();
         spoil(&mut broken);
-        tick.state.set_active(&broken);
+        tick.state.set_active(&broken, &LearntShare::FULL);
         let torque = settled(&mut tick, &motion);
         assert_eq!(torque.shares, whole);
         assert!(
@@ -118,8 +118,8 @@ fn a_share_broken_in_both_sets_is_withdrawn_alone_at_the_slew_limit() {
     let before = settled(&mut tick, &motion);
     let mut broken = set();
     broken.rigid.fill(f32::NAN);
-    tick.state.set_active(&broken);
-    tick.state.set_committed(&broken);
+    tick.state.set_active(&broken, &LearntShare::FULL);
+    tick.state.commit();
     let next = tick.step(&sample(motion));
     assert!(next.flags.contains(Flags::WITHDRAWN | Flags::SLEWED));
     for j in 0..N {

@@ -97,7 +97,7 @@ fn broken(first: u32, then: u32) -> Vec<&'static str> {
     let state = bench.tick.state();
     let (active, put_down) = (state.active, state.payload_torque.amax() == 0.0);
     let kept = bench.carries_out(Request::Snapshot, Reason::SnapshotTaken, first, then);
-    *bench.learner.active_mut() = moved(2.0);
+    bench.learner.set_active(&moved(2.0));
     let commits = bench.carries_out(Request::Commit, Reason::Committed, first, then);
     let committed = bench.tick.state().committed;
     let rolls_back = bench.carries_out(Request::Rollback, Reason::RolledBack, first, then);

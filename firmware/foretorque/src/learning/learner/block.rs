@@ -12,6 +12,7 @@ use crate::learning::conditioning::{AVERAGED, ConditionedSample};
 use crate::learning::estimator::joint_friction_row;
 use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
+use crate::learning::supervisor::step::Evidence;
 use crate::math::sqrt;
 
 /// Range of a joint's usual block variance, in units of the configured noise. White noise leaves a tenth in a block of ten.
@@ -27,7 +28,7 @@ const FRICTION_CORRELATION: f32 = 100.0;
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One tick of learning: average the block, process one joint of the last block, learn one row of `joint`.
     ///
-    /// * returns the torque change of the joint by the estimate, in units of its limit; `None` if it is unknown
+    /// * returns the torque change of the joint by the next share and set, in units of its limit; `None` if it is unknown
     #[inline(never)]
     pub(super) fn process_sample(
         &mut self,
@@ -99,7 +100,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let (Some(true), Some(&tau), Some(limits), Some(&measured), Some(&innovation)) = (
             block.moving.get(joint),
             block.residual.get(joint),
-            A::LIMITS.get(joint),
+            A::limits().get(joint),
             state.estimate.variance().get(joint),
             state.innovation_variance.get(joint),
         ) else {
@@ -131,7 +132,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 }
                 let z = residual / sqrt(expected);
                 if let Some(sum) = supervisor.detector.push(&config.detector, joint, z) {
-                    self.start_payload_test(tick, joint, sum);
+                    self.decide_on(tick, Some(joint), Evidence::Change(sum));
                 }
             }
             Phase::Relearning | Phase::Stopped => {}
@@ -144,7 +145,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let (Some(mut phi), Some(sigma), Some(limits)) = (
             joint_friction_row::<A, N, P>(joint, &block.motion),
             self.config.friction_sigma.get(joint),
-            A::LIMITS.get(joint),
+            A::limits().get(joint),
         ) else {
             return 0.0;
         };
@@ -212,7 +213,7 @@ fn is_plausible<A: Arm<N, P>, const N: usize, const P: usize>(
     acceleration_limit: f32,
 ) -> bool {
     let motion = sample.motion.qd.iter().zip(sample.motion.qdd.iter());
-    let mut joints = motion.zip(sample.tau.iter()).zip(&A::LIMITS);
+    let mut joints = motion.zip(sample.tau.iter()).zip(A::limits());
     joints.all(|(((qd, qdd), tau), limits)| {
         qd.abs() <= 2.0 * limits.velocity
             && qdd.abs() <= acceleration_limit

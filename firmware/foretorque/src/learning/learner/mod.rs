@@ -11,10 +11,11 @@ use crate::learning::estimator::Estimator;
 use crate::learning::exchange::{
     Exchange, LearnerReport, LearningSample, MotionRange, Publication,
 };
-use crate::learning::parameters::{LinearParameters, ParameterSet};
+use crate::learning::parameters::{JointNetwork, LinearParameters, ParameterSet};
 use crate::learning::quality::{ModelQuality, Monitor, Phase};
+use crate::learning::shares::LearntShare;
 use crate::learning::start_deviations::StartDeviations;
-use crate::learning::supervisor::Supervisor;
+use crate::learning::supervisor::{Learnt, Supervisor};
 use crate::learning::trainer::NetworkTrainer;
 use core::marker::PhantomData;
 
@@ -51,8 +52,7 @@ impl LearnerStatistics {
 pub struct LearnerState<const N: usize, const P: usize> {
     /// Estimate of the linear parameters.
     pub estimate: Estimator<N, P>,
-    /// Active set, as published at the end of the round: linear parameters that follow the estimate if the supervisor
-    /// permits, and promoted networks.
+    /// Active set at the end of the round: linear parameters between those of loaded and learnt set, and promoted networks.
     pub active: ParameterSet<N, P>,
     /// Range of motion of the used rows.
     pub range: MotionRange<N>,
@@ -63,8 +63,10 @@ pub struct LearnerState<const N: usize, const P: usize> {
     supervisor: Supervisor<N, P>,
     trainer: NetworkTrainer<N>,
     monitor: Monitor<N>,
-    snapshot: Option<ParameterSet<N, P>>,
+    snapshot: Option<(Learnt<N, P>, [JointNetwork; N])>,
     commit_due: bool,
+    /// True if parameters were restored in this round; the round publishes them as they are.
+    restored: bool,
     window: MeasurementWindow<N>,
     next_tick: u32,
     closed_round: Option<u32>,
@@ -74,7 +76,7 @@ pub struct LearnerState<const N: usize, const P: usize> {
     frozen: Option<Reason>,
     /// Ticks until a freeze ends: its measurements have to leave the window.
     resume_in: u32,
-    /// Torque change of each joint by the estimate in this round, in units of the torque limit; `None` if unknown.
+    /// Torque change of each joint by a new share and set in this round, in units of the torque limit; `None` if unknown.
     round_steps: [Option<f32>; N],
     /// Expected variance of each joint's last innovation, in units of the configured noise.
     innovation_variance: [f32; N],
@@ -125,6 +127,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 monitor: Monitor::new(),
                 snapshot: None,
                 commit_due: false,
+                restored: false,
                 window: MeasurementWindow::new(),
                 next_tick: 0,
                 closed_round: None,
@@ -185,10 +188,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         &self.state
     }
 
-    /// Active set, for tests that replace it.
+    /// Replace the active set.
     #[cfg(test)]
-    pub(crate) fn active_mut(&mut self) -> &mut ParameterSet<N, P> {
-        &mut self.state.active
+    pub(crate) fn set_active(&mut self, set: &ParameterSet<N, P>) {
+        self.state.active = *set;
+        self.state.supervisor.learnt.set = LinearParameters::of(set);
+        self.state.supervisor.learnt.share = LearntShare::FULL;
     }
 
     /// Process one sample: [`collect`](Self::collect), [`study`](Self::study), [`publish`](Self::publish).
@@ -225,7 +230,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if sample.tick != self.state.next_tick {
             self.state.window.reset();
         }
-        self.state.next_tick = sample.tick.wrapping_add(1);
+        self.state.next_tick = LearningSample::<N>::tick_after(sample.tick);
         self.state.window.push(sample.measured.as_ref());
         let joint = sample.tick as usize % N;
         let mut step = None;
@@ -270,7 +275,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             exchange.published = Some(Publication {
                 closed: tick,
                 generation,
-                set: state.active,
+                set: state.learnt_set(),
+                share: state.supervisor.learnt.share,
                 payload: state.supervisor.payload_base,
                 range: state.range,
                 commit: core::mem::take(&mut state.commit_due) || waiting,
@@ -293,6 +299,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         state.monitor = Monitor::new();
         state.snapshot = None;
         state.commit_due = false;
+        state.restored = false;
         state.report.quality = ModelQuality::new();
         state.closed_round = None;
         state.frozen = None;
@@ -302,6 +309,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 }
 
 impl<const N: usize, const P: usize> LearnerState<N, P> {
+    /// Share of the learnt set in the torque.
+    pub fn share(&self) -> &LearntShare<N> {
+        &self.supervisor.learnt.share
+    }
+
+    /// Learnt linear parameters, with the networks of the torque.
+    fn learnt_set(&self) -> ParameterSet<N, P> {
+        let mut set = self.active;
+        self.supervisor.learnt.set.write(&mut set);
+        set
+    }
+
     /// State of the supervisor.
     fn phase(&self) -> Phase {
         self.report.quality.phase

@@ -1,4 +1,4 @@
-//! Learning from one torque row: quality, estimate, paired test, network candidate.
+//! Learning from one torque row: quality, estimate, evidence for the shares, network candidate.
 
 use super::{Learner, increment};
 use crate::arm::Arm;
@@ -42,7 +42,7 @@ struct JointRow<'a, const N: usize, const P: usize> {
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Learn one row of `joint` and count its outcome.
     ///
-    /// * returns the torque change of the joint by the estimate, in units of its limit; `None` if it is unknown
+    /// * returns the torque change of the joint by the next share and set, in units of its limit; `None` if it is unknown
     #[inline(never)]
     pub(super) fn learn_row(
         &mut self,
@@ -70,7 +70,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         sample: &ConditionedSample<N>,
     ) -> (RowOutcome, Option<f32>) {
         let (Some(limits), Some(&qd), Some(&tau)) = (
-            A::LIMITS.get(joint),
+            A::limits().get(joint),
             sample.motion.qd.get(joint),
             sample.tau.get(joint),
         ) else {
@@ -100,18 +100,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             return (outcome, None);
         }
         let inv_limit = 1.0 / row.limit;
-        let state = &mut self.state;
-        let estimated = row.columns.dot(state.estimate.parameters());
-        if matches!(outcome, RowOutcome::Gated) {
-            let change = estimated - row.columns.dot(&state.supervisor.committed);
-            let test = &mut state.supervisor.paired_test;
-            test.add_standstill(joint, change * inv_limit);
-        }
-        let step = estimated - row.columns.dot(&LinearParameters::of(&state.active));
+        let state = &self.state;
+        let supervisor = &state.supervisor;
+        let loaded = row.columns.dot(&supervisor.loaded);
+        let learnt = row.columns.dot(&supervisor.learnt.set) - loaded;
+        let estimated = row.columns.dot(state.estimate.parameters()) - loaded;
+        let before = supervisor.learnt.share.joint.get(joint).copied();
+        let (before, after) = (before.unwrap_or_default(), self.share(joint));
+        let largest = if after > before { after } else { before };
+        let step = (after - before).abs() * learnt.abs() + largest * (estimated - learnt).abs();
         (outcome, Some(step * inv_limit))
     }
 
-    /// Use the row of a moving joint: quality always; estimate, paired test, network and range while learning.
+    /// Use the row of a moving joint: quality always; estimate, evidence, network and range while learning.
     fn use_row(&mut self, row: &JointRow<'_, N, P>, sample: &ConditionedSample<N>) -> RowOutcome {
         let joint = row.joint;
         let inv_limit = 1.0 / row.limit;
@@ -119,7 +120,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let variance = state.estimate.variance().get(joint).copied();
         let sigma = self.config.noise * sqrt(variance.unwrap_or(1.0));
         let active = LinearParameters::of(&state.active);
-        let rigid = row.columns.rigid_dot(&active) + row.payload;
+        let supervisor = &state.supervisor;
+        let share = supervisor.learnt.share.joint.get(joint).copied();
+        let loaded = row.columns.rigid_dot(&supervisor.loaded);
+        let learnt = row.columns.rigid_dot(&supervisor.learnt.set) - loaded;
+        let rigid = loaded + share.unwrap_or_default() * learnt + row.payload;
         let friction = row.columns.friction_dot(&active);
         let Some(network) = state.active.network.get(joint) else {
             return RowOutcome::Rejected;
@@ -135,7 +140,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 shares: [rigid * inv_limit, friction * inv_limit, network],
             },
         );
-        if !state.phase().learns() || state.supervisor.pauses_estimate() {
+        if !state.phase().learns() || state.supervisor.pauses_estimate(&self.config.supervisor) {
             return RowOutcome::Frozen;
         }
         let mut columns = *row.columns;
@@ -150,15 +155,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if let Some(slot) = state.innovation_variance.get_mut(joint) {
             *slot = correction.variance;
         }
-        let inverse = inv_limit / sigma;
-        let reference = columns.dot(&state.supervisor.committed);
-        state.supervisor.paired_test.add_row(
-            joint,
-            tau * inverse,
-            reference * inverse,
-            correction.residual / sigma,
-            sigma,
-        );
+        let loaded = columns.dot(&state.supervisor.loaded);
+        let torques = [tau * inv_limit, loaded * inv_limit, correction.residual];
+        let memory = self.config.supervisor.share_memory_s * self.config.inv_period;
+        let fade = 1.0 - N as f32 / memory;
+        let evidence = &mut state.supervisor.learnt.evidence;
+        evidence.add_row(joint, torques, sigma, fade);
         // The network learns the residual of the active set, which is in the torque, not that of the estimate.
         let network_row = NetworkRow {
             qd: row.qd,
@@ -173,7 +175,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Train the network candidate of `joint`, and record a promotion or silencing.
     fn train_network(&mut self, tick: u32, joint: usize, row: &NetworkRow) {
         let state = &mut self.state;
-        if !state.supervisor.trains_networks() {
+        if !state
+            .supervisor
+            .trains_network(&self.config.supervisor, joint)
+        {
             return;
         }
         let Some(active) = state.active.network.get_mut(joint) else {
@@ -192,13 +197,23 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 }
 
+impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
+    /// Share of the estimate in the torque of `joint` by the evidence.
+    pub(super) fn share(&self, joint: usize) -> f32 {
+        let variance = self.state.estimate.variance().get(joint);
+        let noise = self.config.noise * self.config.noise * self.config.block_rows();
+        let evidence = &self.state.supervisor.learnt.evidence;
+        variance.map_or(0.0, |variance| evidence.share(joint, variance * noise))
+    }
+}
+
 /// Gain of the motion filter for the cogging of `joint` at the velocity `qd`, rad/s.
 pub(super) fn joint_attenuation<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     qd: f32,
     inv_period: f32,
 ) -> f32 {
-    let cycles = A::COGGING_CYCLES.get(joint).copied().unwrap_or(0.0);
+    let cycles = A::cogging_cycles().get(joint).copied().unwrap_or(0.0);
     cogging_attenuation(cycles * qd / inv_period)
 }
 

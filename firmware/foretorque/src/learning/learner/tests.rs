@@ -190,7 +190,7 @@ fn a_wrong_torque_sensor_leaves_parameters_within_bounds() {
                 "joint {joint}: {friction:?}"
             );
         }
-        moved |= *friction != prior.friction[joint];
+        moved |= estimate.parameters().friction[joint] != prior.friction[joint].0;
     }
     assert!(moved, "nothing was learnt");
 }

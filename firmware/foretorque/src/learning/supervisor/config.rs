@@ -30,33 +30,35 @@ pub struct SupervisorConfig {
     pub timeout_blocks: u32,
     /// Blocks after promotion for which the payload filter runs on.
     pub payload_update_blocks: u32,
-    /// Least rows of a paired test: 0.2 s.
-    pub test_rows: u32,
-    /// Significance of a paired test, standard deviations.
-    pub test_sigmas: f32,
-    /// Rows between two commits.
-    pub commit_rows: u32,
-    /// Smallest deviation of a common gain of all torques from 1 that indicates sensors or drives.
-    pub gain_error: f32,
+    /// Memory of the evidence for the learnt shares, s: longer than a path takes to show a joint its range.
+    pub share_memory_s: f32,
+    /// Length of relearning, ticks: 5 s, several times the memory of the measured variance.
+    pub relearning_ticks: u32,
+    /// Ticks between two commits while following: 8 s.
+    pub commit_ticks: u32,
+    /// Common share above which the active set counts as following the estimate, and below which it ceases to.
+    pub following_share: (f32, f32),
+    /// Ticks between two checkpoints; an alarm returns to one between one and two such times old, which is longer than the
+    /// delay of change detection.
+    pub checkpoint_ticks: u32,
+    /// Variance added to each friction parameter after a change that is no payload, in units of the prior variance.
+    pub raised_variance: f32,
+    /// Blocks under a payload after which the estimate is updated again: 30 s, in which drives warm up.
+    pub pause_blocks: u32,
+    /// Rows after which networks are trained on the residual of a joint whose learnt share stays small.
+    pub training_rows: u32,
     /// Trust below which the flag is set.
     pub trust_floor: f32,
 }
-
-/// Least length of a paired test, s: residuals of real arms are correlated over tenths of a second, so time counts, not
-/// rows.
-const TEST_S: f32 = 0.2;
-/// Least rows of a paired test on a slow board.
-const MIN_TEST_ROWS: u32 = 100;
 
 impl SupervisorConfig {
     /// Defaults for an arm.
     ///
     /// * `inv_period` ticks per second, 1/s
-    pub const fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
+    pub fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
         let block_ticks = (0.01 * inv_period + 0.5) as u32;
         // Each joint of a block is processed in a tick of its own.
         let shortest = N as u32 + 1;
-        let test_rows = (TEST_S * inv_period + 0.5) as u32;
         Self {
             block_ticks: if block_ticks > shortest {
                 block_ticks
@@ -68,7 +70,7 @@ impl SupervisorConfig {
                 drift: 3.2,
                 threshold: 25.0,
             },
-            max_payload_mass: const { 1.2 * rated_payload::<A, N, P>() },
+            max_payload_mass: 1.2 * rated_payload::<A, N, P>(),
             min_payload_mass: 0.25,
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.15,
@@ -78,14 +80,14 @@ impl SupervisorConfig {
             decision_blocks: 5,
             timeout_blocks: 300,
             payload_update_blocks: 1000,
-            test_rows: if test_rows > MIN_TEST_ROWS {
-                test_rows
-            } else {
-                MIN_TEST_ROWS
-            },
-            test_sigmas: 3.0,
-            commit_rows: 8000,
-            gain_error: 0.08,
+            share_memory_s: 10.0,
+            relearning_ticks: (5.0 * inv_period) as u32,
+            commit_ticks: (8.0 * inv_period) as u32,
+            following_share: (0.5, 0.25),
+            checkpoint_ticks: 128,
+            raised_variance: 0.05,
+            pause_blocks: 3000,
+            training_rows: 4096,
             trust_floor: 0.7,
         }
     }
@@ -105,9 +107,11 @@ impl SupervisorConfig {
             ("supervisor.block_inflation", self.block_inflation),
             ("supervisor.residual_ratio", self.residual_ratio),
             ("supervisor.quiet_level", self.quiet_level),
-            ("supervisor.test_sigmas", self.test_sigmas),
-            ("supervisor.gain_error", self.gain_error),
+            ("supervisor.share_memory_s", self.share_memory_s),
             ("supervisor.trust_floor", self.trust_floor),
+            ("supervisor.following_share", self.following_share.1),
+            ("supervisor.raised_variance", self.raised_variance),
+            ("supervisor.checkpoint_ticks", self.checkpoint_ticks as f32),
             ("supervisor.block_ticks", self.block_ticks as f32),
             ("supervisor.decision_blocks", self.decision_blocks as f32),
             ("supervisor.timeout_blocks", self.timeout_blocks as f32),

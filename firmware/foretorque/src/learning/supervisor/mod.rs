@@ -2,31 +2,47 @@
 //! [`learning`](crate::learning).
 
 pub(super) mod config;
-pub(super) mod paired_test;
 pub(super) mod payload_test;
+pub(super) mod step;
 
 use super::change_detection::{Block, BlockAverage, ChangeDetector};
 use super::parameters::LinearParameters;
 use super::payload::{NO_PAYLOAD, Payload, PayloadFilter, payload_sigma};
+use super::quality::Phase;
+use super::shares::{LearntShare, ShareEvidence};
 use crate::dynamics::BaseParameters;
 use crate::joint::zero_vector;
 use config::SupervisorConfig;
-use paired_test::PairedTest;
 use payload_test::PayloadHypothesisTest;
+use step::SupervisorState;
 
 /// Linear parameters and payload of one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Checkpoint<const N: usize, const P: usize> {
     pub(super) estimate: LinearParameters<N, P>,
-    pub(super) active: LinearParameters<N, P>,
-    pub(super) committed: LinearParameters<N, P>,
+    pub(super) learnt: Learnt<N, P>,
     pub(super) payload: Payload,
 }
 
-/// Time under a payload after which the estimate is updated again, blocks: 30 s.
-const LONG_CARRIED_BLOCKS: u32 = 3000;
-/// Rows of a paired test without decision after which networks are trained on the residual of the active set.
-const TRAINING_ROWS: u32 = 4096;
+/// Learnt linear parameters in the torque, their share, and the evidence for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Learnt<const N: usize, const P: usize> {
+    /// Set that moves to the estimate in bounded steps.
+    pub(super) set: LinearParameters<N, P>,
+    pub(super) share: LearntShare<N>,
+    pub(super) evidence: ShareEvidence<N>,
+}
+
+impl<const N: usize, const P: usize> Learnt<N, P> {
+    /// Learnt set `set` without evidence.
+    const fn new(set: &LinearParameters<N, P>) -> Self {
+        Self {
+            set: *set,
+            share: LearntShare::NONE,
+            evidence: ShareEvidence::NONE,
+        }
+    }
+}
 
 /// State of the supervisor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,19 +64,12 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
     pub(super) before_payload: Option<Checkpoint<N, P>>,
     /// Newer and older checkpoint; an alarm returns to the older one, because it comes after the change.
     pub(super) checkpoints: [Checkpoint<N, P>; 2],
-    /// Estimate against committed set.
-    pub(super) paired_test: PairedTest<N>,
-    pub(super) committed: LinearParameters<N, P>,
-    /// True while the active set follows the estimate.
-    pub(super) following: bool,
-    /// Rows since the last commit while following.
-    pub(super) rows_followed: u32,
-    /// Remaining ticks of relearning.
-    pub(super) relearning_ticks: u32,
+    /// Set of the last load: the rival of the learnt one.
+    pub(super) loaded: LinearParameters<N, P>,
+    pub(super) learnt: Learnt<N, P>,
+    pub(super) state: SupervisorState,
     /// Next friction column whose variance is raised at the begin of relearning.
     pub(super) next_raised: usize,
-    /// True while a common gain of all torques is found.
-    pub(super) gain_fault: bool,
 }
 
 impl<const N: usize, const P: usize> Supervisor<N, P> {
@@ -70,8 +79,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         let zero = LinearParameters::filled(0.0);
         let checkpoint = Checkpoint {
             estimate: zero,
-            active: zero,
-            committed: zero,
+            learnt: Learnt::new(&zero),
             payload: NO_PAYLOAD,
         };
         Self {
@@ -89,24 +97,21 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
             block_variance: [(1.0, 0); N],
             before_payload: None,
             checkpoints: [checkpoint; 2],
-            paired_test: PairedTest::NONE,
-            committed: zero,
-            following: false,
-            rows_followed: 0,
-            relearning_ticks: 0,
+            loaded: zero,
+            learnt: Learnt::new(&zero),
+            state: SupervisorState::START,
             next_raised: usize::MAX,
-            gain_fault: false,
         }
     }
 
-    /// Restart with `set` active, committed and estimated, and without payload; in place, to spare the stack.
+    /// Restart with `set` loaded, learnt and estimated, and without payload; in place, to spare the stack.
     pub(super) fn restart(&mut self, config: &SupervisorConfig, set: &LinearParameters<N, P>) {
         *self = Self::new(config);
-        self.committed = *set;
+        self.loaded = *set;
+        self.learnt.set = *set;
         for checkpoint in &mut self.checkpoints {
             checkpoint.estimate = *set;
-            checkpoint.active = *set;
-            checkpoint.committed = *set;
+            checkpoint.learnt.set = *set;
         }
     }
 
@@ -115,10 +120,12 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         self.before_payload.is_some()
     }
 
-    /// True if the residual of the active set may train networks.
-    pub(super) fn trains_networks(&self) -> bool {
-        let settled = self.following || self.paired_test.rows() >= TRAINING_ROWS;
-        settled && !self.gain_fault && self.relearning_ticks == 0
+    /// True if the residual of the active set may train the network of `joint`.
+    pub(super) fn trains_network(&self, config: &SupervisorConfig, joint: usize) -> bool {
+        let share = self.learnt.share.joint.get(joint);
+        let settled = share.is_some_and(|share| *share > 0.5);
+        let settled = settled || self.learnt.evidence.rows() >= config.training_rows;
+        settled && !self.state.reversed && self.state.phase == Phase::Healthy
     }
 
     /// True if the payload in the torque is still updated.
@@ -130,19 +137,13 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
     ///
     /// A release restores the parameters of before the payload. Rows learnt meanwhile would be lost, but the covariance
     /// would keep their information.
-    pub(super) fn pauses_estimate(&self) -> bool {
-        self.carries_payload() && self.blocks_carried < LONG_CARRIED_BLOCKS
+    pub(super) fn pauses_estimate(&self, config: &SupervisorConfig) -> bool {
+        self.carries_payload() && self.blocks_carried < config.pause_blocks
     }
 
     /// Discard incomplete blocks.
     pub(super) fn reset_blocks(&mut self) {
         self.block_average.reset();
         self.pending_block = None;
-    }
-
-    /// Restart the paired test; the active set stops following the estimate.
-    pub(super) fn restart_test(&mut self) {
-        self.paired_test = PairedTest::NONE;
-        self.following = false;
     }
 }

@@ -1,16 +1,22 @@
 //! A closed-loop run: figures, curves, and the page that shows them.
 
+mod health;
 mod page;
 
+pub use health::{DecisionRecord, LearntRecord};
 pub use page::page;
 
 use crate::board::BoardShares;
 use crate::closed_loop::TickRecord;
 use crate::dynamics::Joints;
 use crate::metrics::TrackingError;
+use crate::robot::Robot;
 use foretorque::limits::Flags;
+use foretorque_link::safety::SafetyStatus;
 use foretorque_link::store::StoreHealth;
 use foretorque_link::telemetry::{Cost, Statistics};
+use foretorque_link::wire::TelemetryFrame;
+use health::Health;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -52,6 +58,10 @@ pub struct ClosedLoopReport {
     pub toolchain: String,
     /// The board learnt while it ran.
     pub learning: bool,
+    /// Everything that kept the arm from its torque or motion for more than 5 % of the run, the gravest first.
+    pub troubles: Vec<String>,
+    /// Learning in the run.
+    pub learnt: LearntRecord,
     /// RMS position error, mean of the joints, mrad.
     pub tracking_rms_mrad: f64,
     /// RMS tracking error of each joint, mrad.
@@ -174,6 +184,7 @@ pub struct ClosedLoopLog<const N: usize> {
     every: usize,
     rounds: usize,
     seen: usize,
+    health: Health<N>,
     points: Vec<Point<N>>,
     /// Shares of one joint: time, s, and rigid body, friction, network, N·m.
     shares: [Vec<(f64, [f64; 3])>; N],
@@ -195,12 +206,13 @@ struct Point<const N: usize> {
 }
 
 impl<const N: usize> ClosedLoopLog<N> {
-    /// For a run of `ticks`.
-    pub fn new(ticks: usize) -> Self {
+    /// For a run of `robot` over `ticks`.
+    pub fn new(robot: &Robot, ticks: usize) -> Self {
         Self {
             every: (ticks / PAGE_POINTS).max(1),
             rounds: (ticks / N / PAGE_POINTS).max(1),
             seen: 0,
+            health: Health::new(robot),
             points: Vec::new(),
             shares: std::array::from_fn(|_| Vec::new()),
             flags: [0; FLAGS.len()],
@@ -213,7 +225,16 @@ impl<const N: usize> ClosedLoopLog<N> {
     }
 
     /// Takes one tick.
-    pub fn add(&mut self, record: &TickRecord<N>) {
+    ///
+    /// * `safety` state of the board; none without one
+    /// * `started` torque of the parameters that the run began with, for the desired motion, N·m
+    pub fn add(
+        &mut self,
+        record: &TickRecord<N>,
+        safety: Option<SafetyStatus>,
+        started: Option<&Joints<N>>,
+    ) {
+        self.health.add(record, safety, started);
         let error = record.desired.q - record.q;
         let feed_forward: Joints<N> = record.feed_forward.cast();
         self.tracking.add(&error);
@@ -252,6 +273,22 @@ impl<const N: usize> ClosedLoopLog<N> {
         self.seen += 1;
     }
 
+    /// Takes telemetry with trust and decisions, from records `every` ticks apart.
+    pub fn take(&mut self, frames: &[TelemetryFrame], every: u16, period_s: f64) {
+        self.health
+            .take(frames, f64::from(every) * period_s, period_s);
+    }
+
+    /// Everything that kept the arm from its torque or motion for more than 5 % of the run, the gravest first.
+    pub fn troubles(&self) -> Vec<String> {
+        self.health.troubles()
+    }
+
+    /// RMS tracking error of every joint, mrad.
+    pub fn tracking_rms_mrad(&self) -> Vec<f64> {
+        self.tracking.rms_mrad()
+    }
+
     /// The figures of the run, with the statistics of its board at the end.
     pub fn report(&self, run: RunDescription, statistics: &Statistics) -> ClosedLoopReport {
         let joints = |values: &Joints<N>| values.iter().copied().collect();
@@ -264,6 +301,8 @@ impl<const N: usize> ClosedLoopLog<N> {
             period_s: run.period_s,
             toolchain: run.toolchain,
             learning: run.learning,
+            troubles: self.health.troubles(),
+            learnt: self.health.learnt(),
             tracking_rms_mrad: self.tracking.mean_rms_mrad(),
             tracking_rms_joint_mrad: self.tracking.rms_mrad(),
             tracking_peak_joint_mrad: joints(&self.peak_mrad),

@@ -22,7 +22,23 @@ pub fn page<const N: usize>(
             every => format!("{every}th tick"),
         }
     );
+    let trouble = match report.troubles.as_slice() {
+        [] => "none".to_owned(),
+        troubles => troubles.join("; "),
+    };
+    let learnt = match (report.learning, report.learnt.adopted_s) {
+        (false, _) => "off".to_owned(),
+        (true, None) => "nothing".to_owned(),
+        (true, Some(t_s)) => {
+            format!("{:.1} %, from {t_s:.1} s", report.learnt.change_percent)
+        }
+    };
     Page::new(format!("foretorque: {robot} in a closed loop"), lead)
+        .card(trouble, "troubles of more than 5 % of the run")
+        .card(
+            learnt,
+            "learnt change of the torque, RMS share of its limit, and its begin",
+        )
         .card(
             format!("{:.3} mrad", report.tracking_rms_mrad),
             "tracking error, mean of the joints' RMS",
@@ -95,7 +111,15 @@ fn plots<const N: usize>(report: &ClosedLoopReport, log: &ClosedLoopLog<N>) -> [
     ]
 }
 
-fn tables(report: &ClosedLoopReport, command: &str) -> [Section; 4] {
+fn tables(report: &ClosedLoopReport, command: &str) -> [Section; 5] {
+    let decisions = report.learnt.decisions.iter().map(|decision| {
+        [
+            decision.decision.clone(),
+            decision.times.to_string(),
+            format!("{:.2}", decision.first_s),
+            format!("{:.2}", decision.newest_s),
+        ]
+    });
     let flags = FLAGS.iter().map(|(flag, meaning)| {
         let ticks = report.flag_ticks.get(flag.name()).copied().unwrap_or(0);
         let percent = 100.0 * ticks as f64 / report.ticks.max(1) as f64;
@@ -137,6 +161,11 @@ fn tables(report: &ClosedLoopReport, command: &str) -> [Section; 4] {
         ("compiler of the board's code", report.toolchain.clone()),
     ];
     [
+        Section::new(
+            "Learning",
+            "Decisions of the supervisor, and the time for which each was the newest: a set is adopted, or held back.",
+        )
+        .table("newest decision | times | first at / s | time / s", decisions),
         Section::new("Flags", "Ticks in which something was limited or went wrong.")
             .table("flag | ticks | share of all ticks", flags),
         Section::new("Link", "Counted by the board since its start or its last reset.").table(

@@ -1,0 +1,120 @@
+//! Board in line between a host and its drives: passes every frame and adds a torque to the motion commands of its drives.
+//!
+//! Only the torque field of a motion command changes, and only while a torque is set that is younger than the time-out.
+//! Otherwise, and for every other frame, the bytes that leave are the bytes that came. The torque field is that of MIT,
+//! CyberGear, RobStride and ODrive; commands of the other protocols pass unchanged.
+
+mod bridge;
+
+pub use bridge::{Bridge, Passed, Port};
+
+use super::quantity::carried;
+use super::{DriveProfile, Event, Frame, JointCommand, Protocol, Request, cybergear, mit, odrive};
+
+/// Torque added to the commands that pass, one per joint.
+#[derive(Clone, Debug)]
+pub struct InLine<const N: usize> {
+    profiles: [DriveProfile; N],
+    timeout_us: u32,
+    /// Torques to add, N·m at the joint; `None` passes all frames unchanged.
+    torques: Option<[f32; N]>,
+    set_at_us: u32,
+    /// Rounding errors of the added torques, in steps of their fields.
+    carry: [f32; N],
+    altered: u32,
+}
+
+impl<const N: usize> InLine<N> {
+    /// Passes all frames unchanged until a torque is set. A torque is added for at most `timeout_us`.
+    pub const fn new(profiles: [DriveProfile; N], timeout_us: u32) -> Self {
+        Self {
+            profiles,
+            timeout_us,
+            torques: None,
+            set_at_us: 0,
+            carry: [0.0; N],
+            altered: 0,
+        }
+    }
+
+    /// Sets the torques to add, N·m at the joints. A value that is not finite passes all frames unchanged.
+    pub fn set(&mut self, torques: &[f32; N], now_us: u32) {
+        let finite = torques.iter().all(|torque| torque.is_finite());
+        self.torques = finite.then_some(*torques);
+        self.set_at_us = now_us;
+    }
+
+    /// Passes all frames unchanged until the next [`Self::set`].
+    pub fn clear(&mut self) {
+        self.torques = None;
+        self.carry = [0.0; N];
+    }
+
+    /// Number of frames changed, modulo 2³².
+    pub const fn altered(&self) -> u32 {
+        self.altered
+    }
+
+    /// Frame from the host on its way to the drives: adds the torque where it is a motion command.
+    ///
+    /// Joint and command as the host sent it; `None` for any other frame.
+    pub fn to_drives(&mut self, frame: &mut Frame, now_us: u32) -> Option<(usize, JointCommand)> {
+        let (joint, profile, command) =
+            self.profiles
+                .iter()
+                .enumerate()
+                .find_map(|(joint, profile)| match profile.accept(frame) {
+                    Some(Request::Command(command)) => Some((joint, profile, command)),
+                    _ => None,
+                })?;
+        if now_us.wrapping_sub(self.set_at_us) > self.timeout_us {
+            // Stays off when the clock comes round again.
+            self.torques = None;
+        }
+        let torque = self.torques.and_then(|torques| torques.get(joint).copied());
+        if let Some((torque, carry)) = torque.zip(self.carry.get_mut(joint)) {
+            // The sum stays within the limit; what the host itself sends beyond it is not reduced.
+            let (low, high) = (-profile.torque_limit, profile.torque_limit);
+            let room = (
+                (low - command.torque).min(0.0),
+                (high - command.torque).max(0.0),
+            );
+            let added = torque.max(room.0).min(room.1);
+            if added != 0.0 && add(profile, frame, added, carry) {
+                self.altered = self.altered.wrapping_add(1);
+            }
+        }
+        Some((joint, command))
+    }
+
+    /// Joint and content of a frame from the drives, which passes unchanged; `None` for any other frame.
+    pub fn to_host(&self, frame: &Frame) -> Option<(usize, Event)> {
+        self.profiles
+            .iter()
+            .enumerate()
+            .find_map(|(joint, profile)| Some((joint, profile.decode(frame)?)))
+    }
+}
+
+/// Adds a torque, N·m at the joint, to a motion command. `false`: the frame is unchanged.
+fn add(profile: &DriveProfile, frame: &mut Frame, torque: f32, carry: &mut f32) -> bool {
+    let torque = torque / (profile.sign * profile.gear);
+    let before = *frame;
+    let mut steps = |size: f32| carried(torque / size, carry, -0xffff, 0xffff);
+    match &profile.protocol {
+        Protocol::MiniCheetah(ranges) | Protocol::Damiao(ranges) => {
+            mit::add_torque(frame, steps(2.0 * ranges.torque / 4095.0));
+        }
+        Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
+            cybergear::add_torque(frame, steps(2.0 * ranges.torque / 65535.0));
+        }
+        Protocol::Odrive(scales) => {
+            odrive::add_torque(frame, torque, steps(1.0 / scales.torque_scale));
+        }
+        Protocol::Moteus(_) | Protocol::Cia402(_) => {}
+    }
+    *frame != before
+}
+
+#[cfg(test)]
+mod tests;

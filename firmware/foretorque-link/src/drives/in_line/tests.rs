@@ -1,0 +1,264 @@
+//! Frames that pass a board in line: foreign ones unchanged and in order, commands with the torque added.
+
+use super::super::tests::{PROTOCOLS, profile};
+use super::super::{Carry, Frames, JointReply, Order};
+use super::*;
+
+const TIMEOUT_US: u32 = 5000;
+
+/// Xorshift64*.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
+    }
+
+    fn share(&mut self) -> f32 {
+        (self.next() >> 40) as f32 / (1 << 24) as f32
+    }
+}
+
+/// Damiao, CyberGear and ODrive, each with an identifier of its own.
+fn arm() -> [DriveProfile; 3] {
+    let mut arm = [PROTOCOLS[1].0, PROTOCOLS[2].0, PROTOCOLS[7].0].map(profile);
+    for (profile, id) in arm.iter_mut().zip([1, 2, 3]) {
+        profile.id = id;
+    }
+    arm
+}
+
+fn torque_of(profile: &DriveProfile, frame: &Frame) -> f32 {
+    match profile.accept(frame) {
+        Some(Request::Command(command)) => command.torque,
+        other => panic!("{frame:?}: {other:?}"),
+    }
+}
+
+/// A frame of the mix, and the joint whose motion command it is.
+fn mixed(arm: &[DriveProfile; 3], random: &mut Random) -> (Frame, Option<usize>) {
+    let joint = (random.next() % 3) as usize;
+    let (profile, mut frames) = (&arm[joint], Frames::new());
+    let is_command = match random.next() % 4 {
+        0 => {
+            let command = JointCommand {
+                position: random.share(),
+                torque: 12.0 * random.share() - 6.0,
+                kp: 50.0 * random.share(),
+                ..JointCommand::default()
+            };
+            let _ = profile.command(&command, &mut Carry::default(), &mut frames);
+            true
+        }
+        1 => {
+            let orders = [
+                Order::Enable,
+                Order::Disable,
+                Order::ClearFault,
+                Order::SetZero,
+            ];
+            profile.order(orders[(random.next() % 4) as usize], &mut frames);
+            false
+        }
+        2 => {
+            profile.reply(&JointReply::default(), &mut frames);
+            false
+        }
+        _ => {
+            let data = random.next().to_le_bytes();
+            let bytes = &data[..(random.next() % 9) as usize];
+            let id = random.next() as u32;
+            let frame = if random.next().is_multiple_of(2) {
+                Frame::extended(id, bytes)
+            } else {
+                Frame::standard(id, bytes)
+            };
+            let own = arm
+                .iter()
+                .position(|profile| matches!(profile.accept(&frame), Some(Request::Command(_))));
+            return (frame, own);
+        }
+    };
+    (frames[0], is_command.then_some(joint))
+}
+
+#[test]
+fn a_million_mixed_frames_pass_in_order() {
+    let (arm, mut random) = (arm(), Random(7));
+    let mut board = InLine::new(arm, TIMEOUT_US);
+    // As on the board: one queue each way, drained a few frames at a time.
+    let mut queue = heapless::Deque::<Frame, 16>::new();
+    let (mut expected, mut foreign, mut changed) = (std::collections::VecDeque::new(), 0, 0);
+    let added = [1.5, -0.75, 0.25];
+    for number in 0..1_000_000_u32 {
+        let now_us = number.wrapping_mul(100);
+        if number.is_multiple_of(10) {
+            board.set(&added, now_us);
+        }
+        let (sent, joint) = mixed(&arm, &mut random);
+        let mut passed = sent;
+        if random.next().is_multiple_of(2) {
+            let seen = board.to_drives(&mut passed, now_us);
+            assert_eq!(seen.map(|(joint, _)| joint), joint, "{sent:?}");
+            match joint {
+                Some(joint) => {
+                    let profile = &arm[joint];
+                    let want = (torque_of(profile, &sent) + added[joint]).clamp(-9.0, 9.0);
+                    let got = torque_of(profile, &passed);
+                    let near = (got - want).abs() < 0.01 || torque_of(profile, &sent).abs() > 8.9;
+                    assert!(near, "{sent:?} {passed:?}: {got} for {want}");
+                    changed += 1;
+                }
+                None => {
+                    assert_eq!(passed, sent);
+                    foreign += 1;
+                }
+            }
+        } else {
+            let _ = board.to_host(&passed);
+            foreign += 1;
+        }
+        queue.push_back(passed).unwrap();
+        expected.push_back(passed);
+        while !queue.is_empty() && (queue.is_full() || !random.next().is_multiple_of(3)) {
+            assert_eq!(queue.pop_front(), expected.pop_front());
+        }
+    }
+    assert!(
+        foreign > 600_000 && changed > 100_000,
+        "{foreign} {changed}"
+    );
+}
+
+#[test]
+fn without_a_young_torque_nothing_changes() {
+    let (arm, mut random) = (arm(), Random(9));
+    let mut cases = [(); 5].map(|()| InLine::new(arm, TIMEOUT_US));
+    let ([_, cleared, late, rubbish, zero], now) = (&mut cases, 1_000_000);
+    cleared.set(&[1.0; 3], now);
+    cleared.clear();
+    late.set(&[1.0; 3], now - TIMEOUT_US - 1);
+    rubbish.set(&[1.0, f32::NAN, 0.0], now);
+    zero.set(&[0.0; 3], now);
+    for _ in 0..50_000 {
+        let (sent, _) = mixed(&arm, &mut random);
+        for board in &mut cases {
+            let mut passed = sent;
+            let _ = board.to_drives(&mut passed, now);
+            assert_eq!(passed, sent);
+        }
+    }
+    assert!(cases.iter().all(|board| board.altered() == 0));
+    // A torque that has expired stays off when the clock of 32 bits comes round.
+    let [_, _, mut late, ..] = cases;
+    let mut frames = Frames::new();
+    let _ = arm[0].command(&JointCommand::default(), &mut Carry::default(), &mut frames);
+    let mut frame = frames[0];
+    let _ = late.to_drives(&mut frame, now - TIMEOUT_US);
+    assert_eq!(frame, frames[0]);
+}
+
+#[test]
+fn added_torque_has_no_bias_and_makes_no_order() {
+    let (arm, mut random) = (arm(), Random(11));
+    let mut board = InLine::new(arm, TIMEOUT_US);
+    board.set(&[0.0011; 3], 0);
+    for (joint, profile) in arm.iter().enumerate() {
+        let mut frames = Frames::new();
+        let _ = profile.command(&JointCommand::default(), &mut Carry::default(), &mut frames);
+        let (before, mut sum) = (torque_of(profile, &frames[0]), 0.0);
+        for _ in 0..4096 {
+            let mut frame = frames[0];
+            let _ = board.to_drives(&mut frame, 0);
+            sum += f64::from(torque_of(profile, &frame) - before);
+        }
+        assert!(
+            (sum / 4096.0 - 0.0011).abs() < 1e-5,
+            "joint {joint}: {}",
+            sum / 4096.0
+        );
+    }
+    // Motion commands at full scale next to the bytes of an order.
+    for torque in [9.0, -9.0] {
+        board.set(&[torque; 3], 0);
+        for _ in 0..10_000 {
+            let data = random.next().to_le_bytes().map(|byte| byte | 0xfe);
+            let sent = Frame::standard(1, &data);
+            let mut passed = sent;
+            let was_command = board.to_drives(&mut passed, 0).is_some();
+            let is_command = matches!(arm[0].accept(&passed), Some(Request::Command(_)));
+            assert_eq!(was_command, is_command, "{sent:?} {passed:?}");
+        }
+    }
+}
+
+/// Port with three mailboxes, and a bus that stands still now and then.
+#[derive(Default)]
+struct Wire {
+    arrived: std::collections::VecDeque<Frame>,
+    mailboxes: std::vec::Vec<Frame>,
+    left: std::vec::Vec<Frame>,
+}
+
+impl Port for Wire {
+    fn receive(&mut self) -> Option<Frame> {
+        self.arrived.pop_front()
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        let room = self.mailboxes.len() < 3;
+        self.mailboxes.extend(room.then_some(*frame));
+        room
+    }
+}
+
+#[test]
+fn a_bridge_passes_both_ways_in_order_and_outlives_a_dead_bus() {
+    let (arm, mut random) = (arm(), Random(13));
+    let line = InLine::new(arm, TIMEOUT_US);
+    let mut bridge = Bridge::new(Wire::default(), Wire::default(), line);
+    let (mut down, mut up, mut commands, mut events) = (std::vec![], std::vec![], 0, 0);
+    let mut rounds = |bridge: &mut Bridge<Wire, Wire, 3>, count: u32, alive: bool| {
+        for round in 0..count {
+            let (frame, _) = mixed(&arm, &mut random);
+            let (host, drives) = bridge.ports();
+            if random.next().is_multiple_of(2) {
+                host.arrived.push_back(frame);
+                down.push(frame);
+            } else {
+                drives.arrived.push_back(frame);
+                up.push(frame);
+            }
+            bridge.pass(round.wrapping_mul(100), |_, passed| match passed {
+                Passed::Command(_) => commands += 1,
+                Passed::Event(_) => events += 1,
+            });
+            let (host, drives) = bridge.ports();
+            host.left.append(&mut host.mailboxes);
+            if alive {
+                drives.left.append(&mut drives.mailboxes);
+            }
+        }
+    };
+    rounds(&mut bridge, 50_000, true);
+    // The bus of the drives is off: the host's side goes on, the newest frames wait.
+    rounds(&mut bridge, 1000, false);
+    let dropped = bridge.lost() as usize;
+    rounds(&mut bridge, 50_000, true);
+    assert!(commands > 10_000 && events > 10_000, "{commands} {events}");
+    assert!((400..600).contains(&dropped) && bridge.lost() as usize - dropped < 16);
+    let (host, drives) = bridge.ports();
+    assert_eq!(host.left, up);
+    // What left is what arrived, in order, without those that were dropped.
+    let mut arrived = down.iter();
+    assert!(
+        drives
+            .left
+            .iter()
+            .all(|frame| arrived.any(|sent| sent == frame))
+    );
+    assert_eq!(drives.left.len() + bridge.lost() as usize, down.len());
+}

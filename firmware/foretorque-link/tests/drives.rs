@@ -1,0 +1,441 @@
+//! Codecs against the clients of tests/data/drives: 200 000 commands each, and replies.
+
+use foretorque_link::drives::*;
+use std::f32::consts::TAU;
+use std::path::Path;
+
+const ROWS: usize = 200_000;
+const ID: u16 = 3;
+const HOST: u16 = 0x13;
+
+/// Client of one table.
+struct Client {
+    table: &'static str,
+    protocol: Protocol,
+    /// Full scales of the random commands.
+    scales: [f64; 5],
+    /// Radians of a unit of position and velocity.
+    unit: f32,
+    /// Steps of the fields; negative where the frame has no such field.
+    steps: [f64; 5],
+    /// Its frame of a command.
+    frame: fn([f64; 5]) -> (u32, Vec<u8>),
+    /// Largest distance of its codes from ours, in steps; 0 for equal bytes.
+    apart: f64,
+}
+
+fn splitmix(state: &mut u64) -> u64 {
+    *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    let z = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+fn crc32(crc: u32, bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!crc, |crc, byte| {
+        (0..8).fold(crc ^ u32::from(*byte), |crc, _| {
+            (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg())
+        })
+    })
+}
+
+fn damiao([p, v, t, kp, kd]: [f64; 5]) -> (u32, Vec<u8>) {
+    let code = |x: f64, low: f64, high: f64, steps: f64| {
+        ((x.clamp(low, high) - low) * steps / (high - low)) as u64
+    };
+    let bits = code(p, -12.5, 12.5, 65535.0) << 48
+        | code(v, -30.0, 30.0, 4095.0) << 36
+        | code(kp, 0.0, 500.0, 4095.0) << 24
+        | code(kd, 0.0, 5.0, 4095.0) << 12
+        | code(t, -10.0, 10.0, 4095.0);
+    (ID.into(), bits.to_be_bytes().into())
+}
+
+fn robstride([p, v, t, kp, kd]: [f64; 5]) -> (u32, Vec<u8>) {
+    let range = 4.0 * std::f64::consts::PI;
+    let code = |x: f64, scale: f64| ((x.clamp(-scale, scale) / scale + 1.0) * 32767.0) as u16;
+    // The torque is clamped as a code, not as a torque.
+    let torque = ((t / 17.0 + 1.0) * 32767.0).clamp(0.0, 65535.0) as u32;
+    let gain = |x: f64, scale: f64| (x.clamp(0.0, scale) / scale * 65535.0) as u16;
+    let data = [
+        code(p, range),
+        code(v, 44.0),
+        gain(kp, 500.0),
+        gain(kd, 5.0),
+    ];
+    (
+        1 << 24 | torque << 8 | u32::from(ID),
+        data.iter().flat_map(|code| code.to_be_bytes()).collect(),
+    )
+}
+
+fn moteus<const N: usize>(
+    scales: [f64; 5],
+    [p, v, t, kp, kd]: [f64; 5],
+    first: u8,
+) -> (u32, Vec<u8>) {
+    let most = if N == 2 { 32767.0 } else { 2_147_483_647.0 };
+    let mut data = vec![1, 0, 10, first, 5, 0x20];
+    for (value, scale) in [p, v, t, kp, kd].into_iter().zip(scales) {
+        match first {
+            0x0c => data.extend((value as f32).to_le_bytes()),
+            _ => data.extend(&((value / scale).clamp(-most, most) as i32).to_le_bytes()[..N]),
+        }
+    }
+    data.extend([0x0d, 0x27]);
+    data.extend(0.0625_f32.to_le_bytes());
+    data.extend([0x11, 0, 0x10 | first | 3, 1, 0x12, 0x0e]);
+    let length = [16, 20, 24, 32, 48]
+        .into_iter()
+        .find(|length| *length >= data.len())
+        .unwrap();
+    data.resize(length, 0x50);
+    (0x8000 | u32::from(HOST) << 8 | u32::from(ID), data)
+}
+
+fn odrive(command: u32, fields: &[&[u8]]) -> (u32, Vec<u8>) {
+    (u32::from(ID) << 5 | command, fields.concat())
+}
+
+fn cia402([p, _, t, _, _]: [f64; 5]) -> (u32, Vec<u8>) {
+    // Halves away from zero.
+    let position = (p * 65536.0).round() as i32;
+    let torque = (t * 1000.0 / 12.0).round().clamp(-32767.0, 32767.0) as i16;
+    (
+        0x200 + u32::from(ID),
+        [&[15, 0], &position.to_le_bytes()[..], &torque.to_le_bytes()].concat(),
+    )
+}
+
+const fn with(resolution: Resolution) -> Protocol {
+    Protocol::Moteus(Moteus {
+        kp: TAU,
+        kd: TAU,
+        watchdog_s: 0.0625,
+        resolution,
+    })
+}
+
+const fn axis(mode: ControlMode) -> Protocol {
+    Protocol::Odrive(Odrive {
+        mode,
+        velocity_scale: 1000.0,
+        torque_scale: 1000.0,
+        torque_scale_endpoint: 0,
+        polled: false,
+    })
+}
+
+const INT16: [f64; 5] = [1e-4, 2.5e-4, 0.01, 1.0 / 32767.0, 1.0 / 32767.0];
+const INT32: [f64; 5] = [
+    1e-5,
+    1e-5,
+    1e-3,
+    1.0 / 2_147_483_647.0,
+    1.0 / 2_147_483_647.0,
+];
+
+fn clients() -> Vec<Client> {
+    let ranges = |position, velocity, torque| Ranges {
+        position,
+        velocity,
+        torque,
+        kp: 500.0,
+        kd: 5.0,
+    };
+    let moteus_scales = [3.0, 10.0, 20.0, 0.8, 0.8];
+    let turns = |table, protocol, scales, steps, apart, frame| Client {
+        table,
+        protocol,
+        scales,
+        unit: TAU,
+        steps,
+        frame,
+        apart,
+    };
+    let axis_scales = [50.0, 40.0, 40.0, 1.0, 1.0];
+    let counts = Cia402 {
+        mode: ControlMode::Position,
+        counts_per_turn: 65536.0,
+        rated_torque: 12.0,
+    };
+    vec![
+        Client {
+            table: "damiao",
+            protocol: Protocol::Damiao(ranges(12.5, 30.0, 10.0)),
+            scales: [12.5, 30.0, 10.0, 500.0, 5.0],
+            unit: 1.0,
+            steps: [
+                25.0 / 65535.0,
+                60.0 / 4095.0,
+                20.0 / 4095.0,
+                500.0 / 4095.0,
+                5.0 / 4095.0,
+            ],
+            frame: damiao,
+            apart: 1.0,
+        },
+        Client {
+            table: "robstride",
+            protocol: Protocol::RobStride(ranges(2.0 * TAU, 44.0, 17.0)),
+            scales: [12.566370964050293, 44.0, 17.0, 500.0, 5.0],
+            unit: 1.0,
+            steps: [8.0 * std::f64::consts::PI, 88.0, 34.0, 500.0, 5.0].map(|span| span / 65535.0),
+            frame: robstride,
+            apart: 2.0,
+        },
+        turns(
+            "moteus_f32",
+            with(Resolution::F32),
+            moteus_scales,
+            [0.0; 5],
+            0.0,
+            |c| moteus::<4>(INT32, c, 0x0c),
+        ),
+        turns(
+            "moteus_int32",
+            with(Resolution::Int32),
+            moteus_scales,
+            INT32,
+            1.0,
+            |c| moteus::<4>(INT32, c, 0x08),
+        ),
+        turns(
+            "moteus_int16",
+            with(Resolution::Int16),
+            moteus_scales,
+            INT16,
+            1.0,
+            |c| moteus::<2>(INT16, c, 0x04),
+        ),
+        turns(
+            "odrive_position",
+            axis(ControlMode::Position),
+            axis_scales,
+            [0.0, 1e-3, 1e-3, -1.0, -1.0],
+            0.0,
+            |c| {
+                let scaled = |x: f64| {
+                    ((x.clamp(-32.767, 32.767) / 0.001).round_ties_even() as i16).to_le_bytes()
+                };
+                odrive(
+                    0x0c,
+                    &[&(c[0] as f32).to_le_bytes(), &scaled(c[1]), &scaled(c[2])],
+                )
+            },
+        ),
+        turns(
+            "odrive_velocity",
+            axis(ControlMode::Velocity),
+            axis_scales,
+            [-1.0, 0.0, 0.0, -1.0, -1.0],
+            0.0,
+            |c| {
+                odrive(
+                    0x0d,
+                    &[&(c[1] as f32).to_le_bytes(), &(c[2] as f32).to_le_bytes()],
+                )
+            },
+        ),
+        turns(
+            "odrive_torque",
+            axis(ControlMode::Torque),
+            axis_scales,
+            [-1.0, -1.0, 0.0, -1.0, -1.0],
+            0.0,
+            |c| odrive(0x0e, &[&(c[2] as f32).to_le_bytes(), &[0; 4]]),
+        ),
+        turns(
+            "cia402_position",
+            Protocol::Cia402(counts),
+            axis_scales,
+            [1.0 / 65536.0, -1.0, 0.012, -1.0, -1.0],
+            0.0,
+            cia402,
+        ),
+    ]
+}
+
+fn profile(protocol: Protocol) -> DriveProfile {
+    let mut profile = DriveProfile {
+        protocol,
+        id: ID,
+        host_id: HOST,
+        sign: 1.0,
+        zero: 0.0,
+        gear: 1.0,
+        torque_limit: 1.0,
+    };
+    profile.torque_limit = profile.largest_torque();
+    profile.check().unwrap();
+    profile
+}
+
+fn read(table: &str) -> Vec<String> {
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/data/drives/{table}.csv"));
+    std::fs::read_to_string(path)
+        .unwrap()
+        .lines()
+        .map(String::from)
+        .collect()
+}
+
+fn bytes(hex: &str) -> Vec<u8> {
+    (0..hex.len())
+        .step_by(2)
+        .map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap())
+        .collect()
+}
+
+fn frame(id: u32, data: &[u8]) -> Frame {
+    if id > Frame::STANDARD_MAX {
+        Frame::extended(id, data)
+    } else {
+        Frame::standard(id, data)
+    }
+}
+
+/// Command that the drive reads, in the units of the client.
+fn accepted(client: &Client, profile: &DriveProfile, frame: &Frame) -> [f64; 5] {
+    match profile.accept(frame) {
+        Some(Request::Command(c)) => [
+            c.position / client.unit,
+            c.velocity / client.unit,
+            c.torque,
+            c.kp,
+            c.kd,
+        ]
+        .map(f64::from),
+        other => panic!("{}: {frame:?} reads as {other:?}", client.table),
+    }
+}
+
+#[test]
+fn commands_agree_with_the_clients() {
+    for client in clients() {
+        let (profile, lines, mut state) = (profile(client.protocol), read(client.table), 1);
+        let (mut crc, mut equal, mut bias) = (0, 0, 0.0);
+        for row in 0..ROWS {
+            let share = [(); 5].map(|()| (splitmix(&mut state) >> 40) as f64 / f64::from(1 << 24));
+            let value: [f64; 5] = std::array::from_fn(|place| {
+                let full = if place < 3 {
+                    2.4 * share[place] - 1.2
+                } else {
+                    1.2 * share[place]
+                };
+                f64::from((full * client.scales[place]) as f32)
+            });
+            let (id, data) = (client.frame)(value);
+            crc = crc32(crc32(crc, &id.to_le_bytes()), &data);
+            if let Some(kept) = lines.get(row + 1).filter(|_| row < 200) {
+                let hex: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
+                assert_eq!(
+                    *kept,
+                    format!("{id:x},{hex}"),
+                    "{}, row {row}: {value:?}",
+                    client.table
+                );
+            }
+            let [p, v, t, kp, kd] = value.map(|value| value as f32);
+            let (position, velocity) = (p * client.unit, v * client.unit);
+            let command = JointCommand {
+                position,
+                velocity,
+                torque: t,
+                kp,
+                kd,
+            };
+            let mut frames = Frames::new();
+            let _ = profile.command(&command, &mut Carry::default(), &mut frames);
+            let theirs = frame(id, &data);
+            assert_eq!(
+                (frames[0].extended, frames[0].bytes().len()),
+                (theirs.extended, data.len())
+            );
+            equal += usize::from(frames[0].id == id && frames[0].bytes() == data);
+            let ours = accepted(&client, &profile, &frames[0]);
+            let theirs = accepted(&client, &profile, &theirs);
+            for place in 0..5 {
+                let (step, ours, theirs) = (client.steps[place], ours[place], theirs[place]);
+                if step < 0.0 {
+                    continue;
+                }
+                let rounding = 4e-7 * value[place].abs();
+                // Half a step from the value, or at the end of the field, where the client is, too.
+                let near = (ours - value[place]).abs() <= 0.51 * step + rounding;
+                // A half may be rounded to either side.
+                let tie = if (ours - theirs).abs() > 1.01 * step + rounding {
+                    0.0
+                } else {
+                    step
+                };
+                let most = client.apart.max(tie / step.max(1e-30)) * 1.01 * step + rounding;
+                let table = client.table;
+                assert!(
+                    (ours - theirs).abs() <= most,
+                    "{table} field {place}: {ours} {theirs} {value:?}"
+                );
+                assert!(
+                    near || value[place].abs() >= 0.99 * ours.abs(),
+                    "{table} field {place}: {ours} {value:?}"
+                );
+            }
+            if value[2].abs() < 0.8 * client.scales[2] {
+                bias += (ours[2] - value[2]) / client.steps[2].max(1e-9);
+            }
+        }
+        let stated = lines[0].rsplit(' ').next().unwrap();
+        assert_eq!(
+            format!("{crc:08x}"),
+            stated,
+            "{}: the formula is not the client's",
+            client.table
+        );
+        println!(
+            "{:16} {equal:6} of {ROWS} equal, mean rounding {:+.4} steps",
+            client.table,
+            bias / ROWS as f64
+        );
+        if client.steps[2] > 0.0 {
+            assert!(
+                bias.abs() / (ROWS as f64) < 5e-3,
+                "{}: bias {bias}",
+                client.table
+            );
+        }
+        if client.apart == 0.0 && !client.table.starts_with("moteus") {
+            assert!(equal * 10 > ROWS * 4, "{}: {equal}", client.table);
+        }
+    }
+}
+
+#[test]
+fn replies_agree_with_the_clients() {
+    for client in clients() {
+        let profile = profile(client.protocol);
+        for line in read(client.table).iter().skip(201) {
+            let fields: Vec<&str> = line.split(',').collect();
+            let id = u32::from_str_radix(fields[0], 16).unwrap();
+            let event = profile.decode(&frame(id, &bytes(fields[1])));
+            let Some(Event::Reply(reply)) = event else {
+                panic!("{}: {line}: {event:?}", client.table)
+            };
+            let unit = |value: Option<f32>| value.map(|value| value / client.unit);
+            let ours = [unit(reply.position), unit(reply.velocity), reply.torque];
+            for ((ours, theirs), scale) in ours.into_iter().zip(&fields[2..]).zip(client.scales) {
+                let theirs = theirs.parse::<f32>().ok();
+                let near = |(ours, theirs): (f32, f32)| {
+                    let most = 3e-7 * (f64::from(theirs).abs() + scale);
+                    f64::from((ours - theirs).abs()) <= most
+                };
+                assert_eq!(ours.is_some(), theirs.is_some(), "{}: {line}", client.table);
+                assert!(
+                    ours.zip(theirs).is_none_or(near),
+                    "{}: {line}: {ours:?}",
+                    client.table
+                );
+            }
+        }
+    }
+}

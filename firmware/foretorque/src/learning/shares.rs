@@ -1,0 +1,220 @@
+//! Shares of loaded set and estimate in the torque of each joint.
+
+use super::parameters::LinearParameters;
+
+/// Part of the way from the loaded set to the learnt one that the torque takes, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LearntShare<const N: usize> {
+    /// Torque of each joint.
+    pub joint: [f32; N],
+    /// Base parameters of a single set, which is nearest to the torques of all joints.
+    pub rigid: f32,
+}
+
+impl<const N: usize> LearntShare<N> {
+    /// Loaded set alone.
+    pub const NONE: Self = Self {
+        joint: [0.0; N],
+        rigid: 0.0,
+    };
+    /// Learnt set alone.
+    pub const FULL: Self = Self {
+        joint: [1.0; N],
+        rigid: 1.0,
+    };
+
+    /// Single set nearest to the torques of all joints, between `loaded` and `learnt`; each of both at its share, bit for
+    /// bit.
+    pub(crate) fn blend<const P: usize>(
+        &self,
+        loaded: &LinearParameters<N, P>,
+        learnt: &LinearParameters<N, P>,
+    ) -> LinearParameters<N, P> {
+        let mut set = *learnt;
+        blend(&loaded.rigid, &mut set.rigid, self.rigid);
+        for ((loaded, set), share) in loaded
+            .friction
+            .iter()
+            .zip(&mut set.friction)
+            .zip(self.joint)
+        {
+            blend(loaded, set, share);
+        }
+        set
+    }
+}
+
+/// Values at `share` of the way from `from` to the present ones.
+fn blend(from: &[f32], values: &mut [f32], share: f32) {
+    if share != 1.0 {
+        for (value, from) in values.iter_mut().zip(from) {
+            *value = from + share * (*value - from);
+        }
+    }
+}
+
+/// Residual of both sets, standard deviations, beyond which a row counts less: an outlier fits neither.
+const CLIP: f32 = 6.0;
+
+/// Evidence for the shares: sums over rows before they are learnt, faded.
+///
+/// ```text
+/// w_j = clip(Σ d r / (Σ d² + σ_j² L), 0, 1)     d = estimate − loaded     r = measured − loaded     torques of a row
+/// ```
+/// * the least-squares share, shrunk to 0 as one block of L correlated rows of noise requires
+/// * rows with a large change weigh most, so a share falls fast where the estimate is wrong
+///
+/// Torques in units of the torque limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ShareEvidence<const N: usize> {
+    /// Σ d r and Σ d² of each joint.
+    joints: [(f32, f32); N],
+    /// Σ y m over all joints, of measured torque y and torque m of the loaded set.
+    agreement: f32,
+    rows: u32,
+}
+
+impl<const N: usize> ShareEvidence<N> {
+    /// Evidence without rows.
+    pub(super) const NONE: Self = Self {
+        joints: [(0.0, 0.0); N],
+        agreement: 0.0,
+        rows: 0,
+    };
+
+    /// Add a row of `joint`; a row that is not finite is ignored.
+    ///
+    /// * `measured`, `loaded` torques      * `residual` of the estimate      * `sigma` standard deviation of the measurement
+    /// * `fade` factor on the sums of the joint
+    pub(super) fn add_row(
+        &mut self,
+        joint: usize,
+        [measured, loaded, residual]: [f32; 3],
+        sigma: f32,
+        fade: f32,
+    ) {
+        let Some((cross, power)) = self.joints.get_mut(joint) else {
+            return;
+        };
+        let change = measured - loaded - residual;
+        let missing = measured - loaded;
+        let (most, both) = (CLIP * sigma, missing.abs().min(residual.abs()));
+        let weight = if both > most { most / both } else { 1.0 };
+        let product = weight * change * missing;
+        if !(product + measured * loaded).is_finite() {
+            return;
+        }
+        *cross = fade * *cross + product;
+        *power = fade * *power + weight * change * change;
+        // As long a memory, over the rows of all joints.
+        self.agreement += (fade - 1.0) / N as f32 * self.agreement + measured * loaded;
+        self.rows = self.rows.saturating_add(1);
+    }
+
+    /// Number of rows.
+    pub(super) fn rows(&self) -> u32 {
+        self.rows
+    }
+
+    /// True if the measured torques oppose those of the loaded set: sensors or drives have the wrong sign.
+    pub(super) fn is_reversed(&self) -> bool {
+        self.agreement < 0.0
+    }
+
+    /// Share of `joint`; 0 while the torques are reversed.
+    ///
+    /// * `noise` σ² L: variance of the measurement times the rows that count as one observation
+    pub(super) fn share(&self, joint: usize, noise: f32) -> f32 {
+        let (cross, power) = self.joints.get(joint).copied().unwrap_or_default();
+        let share = cross / (power + noise);
+        // A comparison with a not-a-number is false.
+        match share > 0.0 && !self.is_reversed() {
+            true if share < 1.0 => share,
+            true => 1.0,
+            false => 0.0,
+        }
+    }
+
+    /// Share of a single set: the mean of `shares`, weighted by the squares of the changes.
+    pub(super) fn common(&self, shares: &[f32; N]) -> f32 {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for ((_, power), share) in self.joints.iter().zip(shares) {
+            sum += power * share;
+            weight += power;
+        }
+        let mean = sum / weight;
+        // Rounding must not leave the range of the shares.
+        if mean > 0.0 { mean.min(1.0) } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FADE: f32 = 1.0 - 1.0 / 1667.0;
+    const SIGMA: f32 = 0.01;
+    const NOISE: f32 = 83.0 * SIGMA * SIGMA;
+
+    fn none() -> ShareEvidence<2> {
+        ShareEvidence::NONE
+    }
+
+    /// Evidence after `rows` rows of joint 0 with the change `change` where `missing` is missing.
+    fn after(evidence: &mut ShareEvidence<2>, rows: u32, change: f32, missing: f32) -> f32 {
+        for row in 0..rows {
+            let noise = SIGMA * 1.4 * (row as f32 * row as f32 * 0.37).sin();
+            let wave = (0.05 * row as f32).sin();
+            let (loaded, wanted) = (0.3, 0.3 + missing * wave + noise);
+            let residual = wanted - loaded - change * wave;
+            evidence.add_row(0, [wanted, loaded, residual], SIGMA, FADE);
+        }
+        evidence.share(0, NOISE)
+    }
+
+    #[test]
+    fn a_right_change_gets_all_and_a_wrong_one_nothing() {
+        let mut evidence = ShareEvidence::NONE;
+        assert_eq!(evidence.share(0, NOISE), 0.0);
+        assert!(after(&mut evidence, 4000, 0.1, 0.1) > 0.98);
+        // Suddenly wrong by five times as much.
+        assert!(after(&mut evidence, 170, -0.5, 0.0) < 0.25);
+        assert_eq!(after(&mut none(), 1000, -0.1, 0.1), 0.0);
+        assert_eq!(evidence.share(1, NOISE), 0.0);
+    }
+
+    #[test]
+    fn a_change_within_the_noise_gets_little_and_too_large_a_one_its_part() {
+        assert!(after(&mut none(), 4000, 0.002, 0.002) < 0.5);
+        let share = after(&mut none(), 4000, 0.2, 0.1);
+        assert!((share - 0.5).abs() < 0.05, "{share}");
+    }
+
+    #[test]
+    fn reversed_torques_and_bad_numbers_get_nothing() {
+        let mut evidence = ShareEvidence::<2>::NONE;
+        evidence.add_row(0, [f32::NAN, 1.0, 1.0], SIGMA, FADE);
+        evidence.add_row(0, [1.0, f32::INFINITY, 1.0], SIGMA, FADE);
+        assert_eq!(evidence, ShareEvidence::NONE);
+        (0..2000).for_each(|_| evidence.add_row(0, [-0.5, 0.5, 0.0], SIGMA, FADE));
+        assert_eq!(evidence.share(0, NOISE), 0.0);
+        assert!(evidence.is_reversed());
+    }
+
+    #[test]
+    fn a_blend_at_its_ends_is_the_set_bit_for_bit() {
+        let (a, b) = (
+            LinearParameters::<2, 3>::filled(0.1),
+            LinearParameters::filled(0.7),
+        );
+        assert_eq!(LearntShare::FULL.blend(&a, &b), b);
+        assert_eq!(LearntShare::NONE.blend(&a, &b), a);
+        let share = LearntShare {
+            joint: [0.5, 0.0],
+            rigid: 1.0,
+        };
+        let mixed = share.blend(&a, &b);
+        assert_eq!((mixed.rigid, mixed.friction[1]), (b.rigid, a.friction[1]));
+        assert!((mixed.friction[0][3] - 0.4).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,295 @@
+//! Time beside the samples: the board's timer runs in its own periods, and samples come early, late, in bursts, damaged or
+//! not at all. Every promise of docs/safety.md about torque and time is checked after every call of the board.
+
+use super::Campaign;
+use super::damage::{BadLine, Damage};
+use super::link::{ARM_EVERY, CLEAN_TICKS, motion};
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::learning::ConfigError;
+use foretorque::limits::Flags;
+use foretorque_link::safety::promises::{Broken, Promises, Timing};
+use foretorque_link::safety::{SafetyLimits, SafetyReason, SafetyState};
+use foretorque_link::wire::{
+    BoardMessage, Configuration, Decoder, FrameBuffer, HostMessage, MAX_FRAME, Pacing, SampleFrame,
+    encode,
+};
+use foretorque_workbench::board::{Native, Transport};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::time::Duration;
+
+/// Fault of the time or of the line beside it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimedFault {
+    /// Samples arrive at other times.
+    Timing(Timing),
+    /// Every period has its sample, and the line does damage.
+    Damage(Damage),
+}
+
+impl TimedFault {
+    /// All of them.
+    pub fn all() -> impl Iterator<Item = Self> {
+        // In time, nothing is wrong.
+        let timings = Timing::ALL.into_iter().skip(1).map(Self::Timing);
+        timings.chain(Damage::ALL.map(Self::Damage))
+    }
+
+    /// Name in a report.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Timing(Timing::Exact) => "samples in time",
+            Self::Timing(Timing::Jitter) => "jitter",
+            Self::Timing(Timing::Early) => "early samples",
+            Self::Timing(Timing::Late) => "late samples",
+            Self::Timing(Timing::Bursts) => "bursts out of a buffer",
+            Self::Timing(Timing::Silence) => "no samples",
+            Self::Damage(damage) => damage.name(),
+        }
+    }
+}
+
+/// A board with a timer, its host, and the observer of both.
+struct Timeline {
+    board: Native<Ur5, JOINTS, PARAMETERS>,
+    promises: Promises<JOINTS>,
+    listener: Decoder,
+    sequence: u16,
+    /// Number of the frame that may arm.
+    arming: Option<u16>,
+    /// Samples of the host's periods, and those that have been sent on.
+    periods: u32,
+    sent: u32,
+    pending: u64,
+    campaign: Campaign,
+}
+
+impl Timeline {
+    fn new(pacing: Pacing, name: &str) -> Result<Self, ConfigError> {
+        let board = Native::with_timer()?;
+        let limits = SafetyLimits::for_arm::<Ur5, PARAMETERS>(1000);
+        let promises = Promises::new(limits, board.session().feed_forward().config());
+        let board_name = match pacing {
+            Pacing::Link => "native, link",
+            Pacing::SysTick => "native, timer",
+        };
+        let mut timeline = Self {
+            board,
+            promises,
+            listener: Decoder::new(),
+            sequence: 0,
+            arming: None,
+            periods: 0,
+            sent: 0,
+            pending: 0,
+            campaign: Campaign::new(name, board_name),
+        };
+        let configured = timeline.frame(&HostMessage::Configure(Configuration {
+            pacing,
+            ..Configuration::default()
+        }));
+        timeline.deliver(&configured);
+        let learns = timeline.frame(&HostMessage::Learning { on: true });
+        timeline.deliver(&learns);
+        Ok(timeline)
+    }
+
+    fn frame(&mut self, message: &HostMessage<JOINTS>) -> Vec<u8> {
+        self.sequence = self.sequence.checked_add(1).unwrap_or(1);
+        if *message == HostMessage::Arm {
+            self.arming = Some(self.sequence);
+        }
+        let mut buffer = [0; MAX_FRAME];
+        let bytes = encode(self.sequence, message, &mut buffer);
+        bytes.unwrap_or_default().to_vec()
+    }
+
+    fn state(&self) -> SafetyState {
+        self.board.session().safety().state
+    }
+
+    /// Frame of the next sample that has not been sent on.
+    fn sample(&mut self) -> Vec<u8> {
+        let frame = SampleFrame::new(&motion(self.sent)).in_period(self.sent as u8);
+        self.sent += 1;
+        self.periods = self.periods.max(self.sent);
+        self.frame(&HostMessage::Sample(frame))
+    }
+
+    /// The command that a host gives every [`ARM_EVERY`] periods to have torque.
+    fn command(&mut self) -> Option<Vec<u8>> {
+        let message = match self.state() {
+            _ if !self.periods.is_multiple_of(ARM_EVERY) => return None,
+            SafetyState::Fault => HostMessage::ClearFault,
+            SafetyState::Disarmed => HostMessage::Arm,
+            _ => return None,
+        };
+        Some(self.frame(&message))
+    }
+
+    fn deliver(&mut self, bytes: &[u8]) {
+        // Frame by frame, as the board acts on them.
+        for piece in bytes.split_inclusive(|&byte| byte == 0) {
+            let _ = self.board.send(piece);
+            self.observe();
+        }
+    }
+
+    fn timer(&mut self) {
+        self.promises.period();
+        self.board.timer();
+        self.observe();
+    }
+
+    /// Checks the board after a call of it.
+    fn observe(&mut self) {
+        let mut buffer = [0; FrameBuffer::CAPACITY];
+        let count = self.board.receive(&mut buffer, Duration::ZERO).unwrap_or(0);
+        let mut used = false;
+        for &byte in buffer.get(..count).unwrap_or_default() {
+            let Some(Ok(frame)) = self.listener.push(byte) else {
+                continue;
+            };
+            match frame.message::<BoardMessage<JOINTS>>() {
+                Ok(BoardMessage::Torque(torque)) => {
+                    used |= !Flags(torque.flags).contains(Flags::STALE_SAMPLE);
+                }
+                Ok(BoardMessage::Ack) if self.arming == Some(frame.sequence) => {
+                    self.promises.permit();
+                }
+                _ => {}
+            }
+        }
+        let session = self.board.session();
+        let (torque, enabled) = (*session.torque_output(), session.torque_enabled());
+        let status = session.safety();
+        let campaign = &mut self.campaign;
+        campaign.torques += u64::from(enabled);
+        match self.promises.check(&torque, enabled, status, used) {
+            Ok(()) => {}
+            Err(Broken::Permission) => campaign.without_permission += 1,
+            Err(Broken::Rearmed) => campaign.rearmed += 1,
+            Err(Broken::TimeOut) => campaign.mistimed += 1,
+            Err(_) => campaign.wrong_torques += 1,
+        }
+        if used {
+            campaign.recovered += std::mem::take(&mut self.pending);
+        }
+    }
+
+    /// Undamaged periods, in which the board must come back to torque; the campaign's counts.
+    fn close(mut self) -> Campaign {
+        for _ in 0..CLEAN_TICKS {
+            self.periods += 1;
+            self.sent = self.sent.max(self.periods - 1);
+            let mut line = self.sample();
+            line.extend(self.command().unwrap_or_default());
+            self.deliver(&line);
+            self.timer();
+        }
+        let back = self.state() == SafetyState::Armed;
+        self.campaign.recovered -= u64::from(!back && self.campaign.recovered > 0);
+        self.campaign
+    }
+}
+
+/// `ticks` periods of a board with a timer, whose samples suffer `fault`.
+///
+/// Errors: the first limit of the arm that cannot work.
+pub fn timed(
+    pacing: Pacing,
+    fault: TimedFault,
+    ticks: u32,
+    seed: u64,
+) -> Result<Campaign, ConfigError> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (timing, mut line) = match fault {
+        TimedFault::Timing(timing) => (timing, None),
+        TimedFault::Damage(damage) => {
+            let line = BadLine::new(damage, ChaCha8Rng::seed_from_u64(seed));
+            (Timing::Exact, Some(line))
+        }
+    };
+    let mut timeline = Timeline::new(pacing, fault.name())?;
+    let (mut silent, mut timed_out) = (0, false);
+    for _ in 0..ticks {
+        timeline.periods += 1;
+        if timing == Timing::Silence && silent == 0 && random.random_ratio(1, 200) {
+            silent = random.random_range(1..150);
+        }
+        let waiting = timeline.periods - timeline.sent;
+        let mut count = timing.arriving(waiting, random.random());
+        if silent > 0 {
+            silent -= 1;
+            timeline.sent = timeline.periods;
+            count = 0;
+        }
+        let injected = match &line {
+            Some(line) => line.injected,
+            None => 0,
+        };
+        let samples = (0..count).map(|_| timeline.sample()).collect::<Vec<_>>();
+        for frame in samples.into_iter().chain(timeline.command()) {
+            let bytes = match &mut line {
+                Some(line) => line.carry(&frame),
+                None => frame,
+            };
+            timeline.deliver(&bytes);
+        }
+        let faults = match &line {
+            Some(line) => line.injected - injected,
+            None => u64::from(count != 1),
+        };
+        timeline.campaign.injected += faults;
+        timeline.pending += faults;
+        timeline.timer();
+        let status = timeline.board.session().safety();
+        let ended = status.reason == SafetyReason::CommandTimeout;
+        timeline.campaign.timeouts += u64::from(ended && !timed_out);
+        timed_out = ended;
+    }
+    Ok(timeline.close())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_promise_is_kept_in_both_pacings() {
+        for pacing in [Pacing::Link, Pacing::SysTick] {
+            for fault in TimedFault::all() {
+                let campaign = timed(pacing, fault, 3000, 1).unwrap();
+                assert!(campaign.is_survived(), "{campaign:?}");
+                let times_out = fault == TimedFault::Timing(Timing::Silence);
+                assert!(!times_out || campaign.timeouts > 5, "{campaign:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_board_that_ages_too_slowly_breaks_the_promise_of_the_time_out() {
+        let mut timeline = Timeline::new(Pacing::Link, "slow timer").unwrap();
+        for _ in 0..20 {
+            timeline.periods += 1;
+            let mut line = timeline.sample();
+            line.extend(timeline.command().unwrap_or_default());
+            timeline.deliver(&line);
+            timeline.timer();
+        }
+        assert_eq!(timeline.state(), SafetyState::Armed);
+        for k in 0..100 {
+            // Every other period of the board's timer is missing.
+            timeline.promises.period();
+            if k % 2 == 0 {
+                timeline.board.timer();
+            }
+            timeline.observe();
+        }
+        let campaign = timeline.campaign;
+        assert!(
+            campaign.mistimed > 0 && campaign.wrong_torques > 0,
+            "{campaign:?}"
+        );
+    }
+}

@@ -1,0 +1,384 @@
+//! Health of a closed-loop run: ticks without the torque that was asked for, and what was learnt, when and how far.
+
+use crate::closed_loop::TickRecord;
+use crate::dynamics::Joints;
+use crate::robot::Robot;
+use foretorque::limits::Flags;
+use foretorque_link::safety::{SafetyState, SafetyStatus};
+use foretorque_link::wire::{Field, TelemetryFrame};
+use serde::Serialize;
+
+/// Share of a run that a trouble may last before it is one.
+const TOLERATED: f64 = 0.05;
+/// Change of a torque that counts as learnt, share of the torque limit.
+const LEARNT_SHARE: f64 = 0.005;
+/// Motion that is asked for and the part of it that must happen, rad and ratio.
+const ASKED_RAD: f64 = 0.1;
+const MOVED_SHARE: f64 = 0.1;
+/// Last part of a run over which the learnt torque is averaged, s.
+const LAST_S: f64 = 10.0;
+/// Decisions of the supervisor by their codes ([`foretorque::learning::Reason`]).
+const DECISIONS: [&str; 26] = [
+    "no decision",
+    "alarm",
+    "payload promoted",
+    "payload refused: implausible",
+    "payload refused: uncertain",
+    "payload refused: residual",
+    "transient disturbance",
+    "rolled back",
+    "payload released",
+    "committed",
+    "snapshot taken",
+    "payload set to zero",
+    "request refused",
+    "frozen: torque saturated",
+    "frozen: no fresh sample",
+    "frozen: not finite",
+    "frozen: emergency stop",
+    "learning resumed",
+    "relearning begins",
+    "relearning ends",
+    "network promoted",
+    "network silenced",
+    "trust lost",
+    "trust regained",
+    "common gain of all torques",
+    "following begins",
+];
+
+/// One kind of decision of the supervisor.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DecisionRecord {
+    /// Decision; `no decision` before the first.
+    pub decision: String,
+    /// Times it was the newest one.
+    pub times: u32,
+    /// First time, s.
+    pub first_s: f64,
+    /// Time for which it was the newest one, s.
+    pub newest_s: f64,
+}
+
+/// Learning in a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct LearntRecord {
+    /// First time at which the learnt change of a torque exceeded 0.5 % of its limit, s; none if never.
+    pub adopted_s: Option<f64>,
+    /// RMS over the joints of that change in the last 10 s, % of the torque limit.
+    pub change_percent: f64,
+    /// Lowest and last trust; none without telemetry.
+    pub trust: Option<[f32; 2]>,
+    /// Decisions of the supervisor, in the order of their first times.
+    pub decisions: Vec<DecisionRecord>,
+}
+
+/// Counts of a run.
+#[derive(Clone, Debug)]
+pub(super) struct Health<const N: usize> {
+    limits: Joints<N>,
+    ranges: [(f64, f64); N],
+    ticks: usize,
+    unarmed: usize,
+    latched: Option<String>,
+    clipped: usize,
+    saturated: [usize; N],
+    /// Lowest and highest desired, lowest and highest true position, rad.
+    travel: Option<[Joints<N>; 4]>,
+    feed_forward: Option<Joints<N>>,
+    /// Squares of the learnt change by second, in torque limits, and ticks.
+    changes: Vec<(f64, usize)>,
+    pub(super) learnt: LearntRecord,
+    newest: (u32, usize),
+}
+
+impl<const N: usize> Health<N> {
+    pub(super) fn new(robot: &Robot) -> Self {
+        let limits = |j: usize| robot.joints.get(j).map(|joint| joint.limits);
+        Self {
+            limits: Joints::from_fn(|j, _| limits(j).map_or(f64::INFINITY, |l| l.torque)),
+            ranges: std::array::from_fn(|j| limits(j).map_or((0.0, 0.0), |l| l.position)),
+            ticks: 0,
+            unarmed: 0,
+            latched: None,
+            clipped: 0,
+            saturated: [0; N],
+            travel: None,
+            feed_forward: None,
+            changes: Vec::new(),
+            learnt: LearntRecord::default(),
+            newest: (0, 0),
+        }
+    }
+
+    /// Takes one tick.
+    ///
+    /// * `safety` state of the board; none without a board
+    /// * `started` torque of the parameters that the run began with, for the desired motion, N·m
+    pub(super) fn add(
+        &mut self,
+        record: &TickRecord<N>,
+        safety: Option<SafetyStatus>,
+        started: Option<&Joints<N>>,
+    ) {
+        self.ticks += 1;
+        for j in 0..N {
+            self.saturated[j] += usize::from(record.tau[j].abs() >= self.limits[j]);
+        }
+        let flags = Flags(record.flags);
+        let clipped = [Flags::LEARNED_CLIPPED, Flags::PAYLOAD_CLIPPED];
+        self.clipped += usize::from(clipped.into_iter().any(|flag| flags.contains(flag)));
+        let (asked, is) = (record.desired.q, record.q);
+        let [low, high, least, most] = self.travel.get_or_insert([asked, asked, is, is]);
+        (*low, *high) = (low.inf(&asked), high.sup(&asked));
+        (*least, *most) = (least.inf(&is), most.sup(&is));
+        if let Some(safety) = safety {
+            self.unarmed += usize::from(safety.state != SafetyState::Armed);
+            if safety.state == SafetyState::Fault && self.latched.is_none() {
+                let reason = safety.reason;
+                let place = self.beyond(&is);
+                self.latched = Some(format!("latched at {:.2} s ({reason}{place})", record.t_s));
+            }
+        }
+        // The torque answered in the last tick is that for the motion of this one.
+        if let (Some(feed_forward), Some(started)) = (self.feed_forward, started) {
+            let change = (feed_forward - started).component_div(&self.limits);
+            if self.learnt.adopted_s.is_none() && change.amax() > LEARNT_SHARE {
+                self.learnt.adopted_s = Some(record.t_s);
+            }
+            let second = record.t_s.max(0.0) as usize;
+            self.changes
+                .resize(self.changes.len().max(second + 1), (0.0, 0));
+            let sum = &mut self.changes[second];
+            *sum = (sum.0 + change.norm_squared() / N as f64, sum.1 + 1);
+        }
+        self.feed_forward = Some(record.feed_forward.cast());
+    }
+
+    /// The joint that is furthest beyond its range at `q`, in words; empty if none is.
+    fn beyond(&self, q: &Joints<N>) -> String {
+        let past = |j: &usize| (self.ranges[*j].0 - q[*j]).max(q[*j] - self.ranges[*j].1);
+        let worst = (0..N).max_by(|a, b| past(a).total_cmp(&past(b)));
+        let Some(j) = worst.filter(|j| past(j) > 0.0) else {
+            return String::new();
+        };
+        let (low, high) = self.ranges[j];
+        format!(
+            ": joint {} at {:.3} rad, range {low:.3} to {high:.3}",
+            j + 1,
+            q[j]
+        )
+    }
+
+    /// Takes telemetry frames with trust and decisions, `every_s` apart.
+    pub(super) fn take(&mut self, frames: &[TelemetryFrame], every_s: f64, period_s: f64) {
+        for frame in frames {
+            let t_s = f64::from(frame.tick) * period_s;
+            for (field, bytes) in frame.fields(N) {
+                let word = |place: usize| bytes.get(place..place + 4)?.try_into().ok();
+                match field {
+                    Field::Quality => {
+                        let trust = word(0).map_or(f32::NAN, f32::from_le_bytes);
+                        let least = self.learnt.trust.map_or(trust, |[least, _]| least);
+                        self.learnt.trust = Some([least.min(trust), trust]);
+                    }
+                    Field::Decision => {
+                        let count = word(0).map_or(0, u32::from_le_bytes);
+                        let code = bytes.get(4).copied().unwrap_or(0);
+                        self.decision(count, usize::from(code), t_s, every_s);
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    fn decision(&mut self, count: u32, code: usize, t_s: f64, every_s: f64) {
+        let code = if count == 0 { 0 } else { code };
+        let name = DECISIONS.get(code).map(|name| (*name).to_owned());
+        let name = name.unwrap_or_else(|| format!("decision {code}"));
+        let known = &mut self.learnt.decisions;
+        let place = known.iter().position(|known| known.decision == name);
+        let place = place.unwrap_or_else(|| {
+            known.push(DecisionRecord {
+                decision: name,
+                times: 0,
+                first_s: t_s,
+                newest_s: 0.0,
+            });
+            known.len() - 1
+        });
+        known[place].newest_s += every_s;
+        known[place].times += u32::from(self.newest != (count, code) && count > 0);
+        self.newest = (count, code);
+    }
+
+    /// Learning up to the end of the run.
+    pub(super) fn learnt(&self) -> LearntRecord {
+        let last = self.changes.len().saturating_sub(LAST_S as usize);
+        let (sum, ticks) = self.changes[last..]
+            .iter()
+            .fold((0.0, 0), |(sum, ticks), (s, t)| (sum + s, ticks + t));
+        LearntRecord {
+            change_percent: 100.0 * (sum / ticks.max(1) as f64).sqrt(),
+            ..self.learnt.clone()
+        }
+    }
+
+    /// Everything that kept the arm from its torque or its motion for more than 5 % of the run, the gravest first.
+    pub(super) fn troubles(&self) -> Vec<String> {
+        let share = |ticks: usize| ticks as f64 / self.ticks.max(1) as f64;
+        let long = |ticks: usize| share(ticks) > TOLERATED;
+        let percent = |ticks: usize| format!("{:.0} % of the run", 100.0 * share(ticks));
+        let mut troubles = Vec::new();
+        if let Some(latched) = &self.latched {
+            troubles.push(format!(
+                "board {latched}, without torque for {}",
+                percent(self.unarmed)
+            ));
+        } else if long(self.unarmed) {
+            troubles.push(format!("board not armed for {}", percent(self.unarmed)));
+        }
+        for j in (0..N).filter(|&j| long(self.saturated[j])) {
+            let ticks = percent(self.saturated[j]);
+            troubles.push(format!("joint {} at its torque limit for {ticks}", j + 1));
+        }
+        if let Some([low, high, least, most]) = &self.travel {
+            for j in 0..N {
+                let (asked, moved) = (high[j] - low[j], most[j] - least[j]);
+                if asked > ASKED_RAD && moved < MOVED_SHARE * asked {
+                    troubles.push(format!(
+                        "joint {} hardly moved: {moved:.3} rad of {asked:.3} rad",
+                        j + 1
+                    ));
+                }
+            }
+        }
+        if long(self.clipped) {
+            troubles.push(format!(
+                "learnt torque clipped for {}",
+                percent(self.clipped)
+            ));
+        }
+        troubles
+    }
+}
+
+impl LearntRecord {
+    /// Summary in one line.
+    pub fn line(&self) -> String {
+        let adopted = match self.adopted_s {
+            Some(t_s) => format!(
+                "torque changed from {t_s:.1} s on, by {:.1} % of its limit at the end",
+                self.change_percent
+            ),
+            None => "nothing adopted".to_owned(),
+        };
+        let decisions: Vec<String> = self
+            .decisions
+            .iter()
+            .map(|d| match d.times {
+                0 => format!("{} {:.1} s", d.decision, d.newest_s),
+                times => format!("{times} x {} ({:.1} s)", d.decision, d.newest_s),
+            })
+            .collect();
+        let trust = self.trust.map_or(String::new(), |[least, last]| {
+            format!("; trust {last:.2}, lowest {least:.2}")
+        });
+        format!("learning: {adopted}; {}{trust}", decisions.join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dynamics::State;
+    use crate::plant::Measurement;
+    use foretorque::joint::JointVector;
+    use foretorque_link::safety::SafetyReason;
+
+    /// Record of a tick with joint 2 at `q2`, and `tau2` asked of it.
+    fn tick(t_s: f64, q2: f64, tau2: f64) -> TickRecord<6> {
+        let (mut q, mut tau) = (Joints::zeros(), Joints::zeros());
+        (q[1], tau[1]) = (q2, tau2);
+        TickRecord {
+            t_s,
+            desired: State::rest(q),
+            q,
+            measured: Measurement { q, tau },
+            reported: None,
+            tau,
+            feed_forward: JointVector::repeat(0.1 * t_s as f32),
+            shares: None,
+            flags: 0,
+            stage: None,
+        }
+    }
+
+    #[test]
+    fn what_keeps_the_arm_from_its_torque_is_named_and_a_sound_run_has_nothing() {
+        let robot = Robot::load("ur5").expect("built in");
+        let armed = SafetyStatus {
+            state: SafetyState::Armed,
+            reason: SafetyReason::None,
+        };
+        let run = |ticks: usize, q2: f64, tau2: f64, fault: usize| {
+            let mut health = Health::<6>::new(&robot);
+            for k in 0..100 {
+                let late = k >= 100 - ticks;
+                let (q2, tau2) = if late { (q2, tau2) } else { (0.0, 0.0) };
+                let mut safety = armed;
+                if k >= 100 - fault {
+                    safety.state = SafetyState::Fault;
+                    safety.reason = SafetyReason::PositionRange;
+                }
+                health.add(
+                    &tick(k as f64 * 0.1, q2, tau2),
+                    Some(safety),
+                    Some(&Joints::zeros()),
+                );
+            }
+            health
+        };
+        assert_eq!(run(4, 0.5, 150.0, 0).troubles(), Vec::<String>::new());
+        let saturated = run(30, 0.5, 150.0, 0).troubles();
+        assert_eq!(
+            saturated,
+            ["joint 2 at its torque limit for 30 % of the run"]
+        );
+        let latched = run(90, 6.5, 10.0, 80);
+        let troubles = latched.troubles();
+        assert!(
+            troubles[0].starts_with(
+                "board latched at 2.00 s (measured position out of range: joint 2 at 6.500"
+            ) && troubles[0].ends_with("80 % of the run"),
+            "{troubles:?}"
+        );
+        // The feed-forward grows by 0.01 N·m a tick: the wrists pass 0.5 % of 28 N·m at 1.4 s, seen one tick later.
+        let learnt = latched.learnt();
+        assert!(
+            (learnt.adopted_s.expect("it grows") - 1.6).abs() < 0.11,
+            "{learnt:?}"
+        );
+        assert!(
+            learnt
+                .line()
+                .starts_with("learning: torque changed from 1.")
+        );
+    }
+
+    #[test]
+    fn decisions_are_counted_and_timed() {
+        let robot = Robot::load("ur5").expect("built in");
+        let mut health = Health::<6>::new(&robot);
+        for (count, code) in [(0, 0), (0, 0), (1, 25), (1, 25), (2, 24), (2, 24), (2, 24)] {
+            health.decision(count, code, f64::from(count), 0.5);
+        }
+        let line = health.learnt().line();
+        assert_eq!(
+            line,
+            "learning: nothing adopted; no decision 1.0 s, 1 x following begins (1.0 s), \
+             1 x common gain of all torques (1.5 s)"
+        );
+    }
+}
