@@ -9,7 +9,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             commands::complain(&failure);
-            ExitCode::FAILURE
+            ExitCode::from(commands::exit_code(&failure))
         }
     }
 }

@@ -48,7 +48,9 @@ fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 fn line(arguments: &str, output: &Output) -> String {
     let stderr = String::from_utf8(output.stderr.clone()).expect("it speaks UTF-8");
     assert!(!output.status.success(), "`{arguments}` went well");
-    assert!(output.status.code().is_some(), "`{arguments}` was killed");
+    let usage = stderr.starts_with("error: --") || stderr.trim_end().ends_with("(see --help)");
+    let code = Some(1 + i32::from(usage));
+    assert_eq!(output.status.code(), code, "`{arguments}` wrote {stderr}");
     assert_eq!(stderr.lines().count(), 1, "`{arguments}` wrote {stderr}");
     assert!(
         stderr.starts_with("error: "),
@@ -186,6 +188,87 @@ fn a_terminal_that_hangs_up_is_no_failure() {
         directory.join("demo/report.json").is_file(),
         "the work is done"
     );
+}
+
+#[test]
+fn an_interrupted_run_leaves_nothing() {
+    let directory = directory("interrupted");
+    let arguments = "simulate --robot ur5 --trajectory validation --out log.csv";
+    let mut child = command(&directory, arguments)
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while files(&directory).is_empty() {
+        assert!(Instant::now() < deadline, "no unfinished file is seen");
+        assert!(
+            child.try_wait().expect("it is ours").is_none(),
+            "it ended early"
+        );
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let child_id = nix::unistd::Pid::from_raw(child.id().cast_signed());
+    nix::sys::signal::kill(child_id, nix::sys::signal::Signal::SIGINT).expect("it is ours");
+    let output = child.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(130));
+    assert!(files(&directory).is_empty(), "{:?}", files(&directory));
+}
+
+#[test]
+fn results_go_through_what_is_no_file() {
+    let directory = directory("through");
+    let simulate = "simulate --robot ur5 --trajectory validation --duration-s 0.01 --out";
+    let run = |out: &str| {
+        let output = command(&directory, &format!("{simulate} {out}")).output();
+        output.expect("it starts")
+    };
+    let output = run("-");
+    let table = String::from_utf8(output.stdout).expect("it is text");
+    assert!(
+        output.status.success() && table.starts_with("t_s,q1_rad"),
+        "{table}"
+    );
+    assert_eq!(table.lines().count(), 11);
+    assert!(run("/dev/null").status.success());
+    let full = run("/dev/full");
+    let message = String::from_utf8_lossy(&full.stderr).into_owned();
+    assert!(message.contains("/dev/full: No space left"), "{message}");
+    assert!(files(&directory).is_empty(), "{:?}", files(&directory));
+    for (device, kind) in [("/dev/null", "null"), ("/dev/full", "full")] {
+        let metadata = fs::metadata(device).expect("it is there");
+        assert!(!metadata.is_file(), "{kind} is a device still");
+    }
+}
+
+#[test]
+fn results_of_an_earlier_run_do_not_stay() {
+    let directory = directory("stale");
+    let simulate =
+        "simulate --robot ur5 --trajectory validation --exact --duration-s 12 --out log.csv";
+    for arguments in [
+        simulate,
+        "identify --robot ur5 --log log.csv --methods consistent --out out",
+    ] {
+        let output = command(&directory, arguments).output().expect("it starts");
+        assert!(output.status.success(), "{output:?}");
+    }
+    assert!(directory.join("out/robot.toml").exists());
+    let arguments = "identify --robot ur5 --log log.csv --methods wls --out out";
+    let output = command(&directory, arguments).output().expect("it starts");
+    assert!(output.status.success(), "{output:?}");
+    for stale in ["robot.toml", "robot.urdf"] {
+        assert!(!directory.join("out").join(stale).exists(), "{stale}");
+    }
+    let compared = command(&directory, "compare out out --out c.html").output();
+    let compared = compared.expect("it starts");
+    assert_eq!(
+        String::from_utf8_lossy(&compared.stdout),
+        "no figure differs\n"
+    );
+    let shell = command(&directory, "completions bash")
+        .output()
+        .expect("it starts");
+    assert!(String::from_utf8_lossy(&shell.stdout).contains("complete"));
 }
 
 /// Process id of an emulator that `child` started and that has run for a while (clock ticks of processor time).

@@ -329,7 +329,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let mut columns = joint_columns("feed_forward", "nm", N);
         columns.push("flags".to_owned());
         let path = out.join("log.csv");
-        let mut log = MotionLog::<N>::create(&path, Effort::Torque, &columns)?;
+        let mut log = MotionLog::<N>::create(&path, true, Effort::Torque, &columns)?;
         let played = self.tracking(network, alone, &mut |record| {
             let torque = record.feed_forward.iter().map(|tau| f64::from(*tau));
             let answer = torque.chain([f64::from(record.flags)]).collect();

@@ -16,7 +16,7 @@ use foretorque_studies::learning::{self, LearningConfig};
 use foretorque_studies::paper::{self, PaperConfig};
 use foretorque_studies::records::Records;
 use foretorque_studies::{Outcome, Progress, StudyError};
-use foretorque_studies::{efficiency, real_ur5, replay_real};
+use foretorque_studies::{efficiency, real_ur5, replay};
 use foretorque_workbench::board::{BoardError, Client};
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::Robot;
@@ -253,7 +253,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             .study(|progress| Ok(Some(real_ur5::run(&own.logs, own.seed, progress)?))),
         Some(Study::ReplayReal(own)) => own
             .out
-            .study(|progress| Ok(Some(replay_real::run(&own.logs, own.seed, progress)?))),
+            .study(|progress| Ok(Some(replay::real_ur5(&own.logs, own.seed, progress)?))),
         Some(Study::Soak(arguments)) => run_soak(arguments),
         None => Err(unusable("which experiment? `experiment --list` shows them")),
     }

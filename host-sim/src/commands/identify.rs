@@ -1,4 +1,5 @@
 use super::log_options::LogOptions;
+use super::progress::Lines;
 use super::terminal::say;
 use super::{Failure, unsupported, unusable};
 use clap::Args;
@@ -6,10 +7,10 @@ use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::excitation::Excitation;
-use foretorque_workbench::files::write_whole;
+use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
-    ColumnSet, IdentifyConfig, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit, identify,
-    page,
+    ColumnSet, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit,
+    identify, judge, page,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::{Perturbation, Robot};
@@ -27,14 +28,23 @@ pub(super) struct Arguments {
     /// Training log (CSV or CSV.gz); may be given several times
     #[arg(long = "log", value_name = "FILE", required = true)]
     logs: Vec<PathBuf>,
-    /// Log of an unseen path to validate on; may be given several times
+    /// Log of an unseen path to validate on, by which the method for the bank is chosen; may be given several times
     #[arg(long, value_name = "FILE")]
     validate: Vec<PathBuf>,
+    /// Log of an unseen path by which nothing is chosen; may be given several times
+    #[arg(long, value_name = "FILE")]
+    test: Vec<PathBuf>,
+    /// Judge the training logs only: units, signs, clock, delay, excitation; nothing is identified
+    #[arg(long)]
+    data_check: bool,
+    /// Identify from logs that are refused, and write a bank that predicts worse than the description
+    #[arg(long)]
+    force: bool,
     #[command(flatten)]
     columns_of_log: LogOptions,
     /// Directory for report.json, report.html, parameters.bank, and robot.toml and robot.urdf of the consistent parameters
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "data_check")]
+    out: Option<PathBuf>,
     /// Methods, separated by commas: ols, wls, irls, consistent, evidence, bp_physical, bp_black_box, bp_residual
     #[arg(long, value_delimiter = ',', value_name = "LIST")]
     methods: Vec<MethodName>,
@@ -170,6 +180,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
         fold_period_s: fold_period_s(arguments)?,
         seed: arguments.seed,
         truth,
+        test: arguments.test.clone(),
     })
 }
 
@@ -193,28 +204,65 @@ fn identify_arm<const N: usize>(
     config: &IdentifyConfig,
     bank: impl Fn(&Outcome<N>) -> Option<ParameterBank>,
 ) -> Result<(), Failure> {
+    let judgement = judge::<N>(robot, &arguments.logs, &config.columns, &config.prepare)?;
+    let out = match &arguments.out {
+        Some(out) if !arguments.data_check => out,
+        _ => return show_check(&judgement),
+    };
+    if let Some(refused) = judgement.findings.iter().find(|finding| finding.refuses)
+        && !arguments.force
+    {
+        let names: Vec<String> = arguments
+            .logs
+            .iter()
+            .map(|log| log.display().to_string())
+            .collect();
+        remove_stale(out, &RESULTS)?;
+        return Err(unusable(format!(
+            "{}: {} (no bank; --force identifies all the same)",
+            names.join(", "),
+            refused.text
+        )));
+    }
     let bar = ProgressBar::new_spinner();
     // A template that does not parse would only cost the line its looks.
     if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(100));
-    let files = ReportFiles::create(&arguments.out)?;
-    let outcome = identify::<N>(
+    let files = ReportFiles::create(out)?;
+    let lines = Lines::new();
+    let mut outcome = identify::<N>(
         robot,
         &arguments.logs,
         &arguments.validate,
         config,
         &|message| {
+            lines.show(|| format!("identify: {message}"));
             bar.set_message(message.to_owned());
         },
-    );
+    )?;
     bar.finish_and_clear();
-    let outcome = outcome?;
+    let report = &mut outcome.report;
+    report.findings.extend(judgement.findings.iter().cloned());
+    report.findings.sort_by_key(|finding| !finding.refuses);
+    report.data_check = Some(judgement);
     let report = &outcome.report;
+    let refused = report.findings.iter().find(|finding| finding.refuses);
+    let refused = refused.filter(|_| !arguments.force);
+    let bank = if refused.is_none() {
+        bank(&outcome)
+    } else {
+        None
+    };
+    remove_stale(out, &RESULTS)?;
     let shown = files.finish(report, &page::<N>(report, &outcome.trace))?;
     for note in &report.notes {
         say(format_args!("note  {note}"))?;
+    }
+    for finding in &report.findings {
+        let kind = if finding.refuses { "wrong" } else { "warning" };
+        say(format_args!("{kind}  {}", finding.text))?;
     }
     for (joint, gain) in report.drive_gains.iter().enumerate() {
         let found = gain.std_nm_a.map_or_else(
@@ -236,33 +284,122 @@ fn identify_arm<const N: usize>(
             "{name:<14} {:>7} epochs {:>8.3} s",
             method.epochs, method.seconds
         );
-        for (file, record) in &method.validation {
+        for (file, record) in method.validation.iter().chain(&method.test) {
+            let joints: Vec<String> = record
+                .rmse_moving_nm
+                .iter()
+                .map(|rmse| newton_metres(*rmse))
+                .collect();
             line += &format!(
-                "   {file} {:.3} %",
+                "   {file} {} N·m ({:.2} %)",
+                joints.join(" "),
                 100.0 * record.joints_nrmse_moving_ratio
             );
         }
         say(format_args!("{line}"))?;
     }
+    let floors = report.data_check.iter().flat_map(|check| &check.joints);
+    let floors: Vec<String> = floors
+        .map(|joint| newton_metres(Some(joint.noise_floor_nm)))
+        .collect();
+    let joints = |errors: &[Option<f64>]| -> String {
+        errors
+            .iter()
+            .map(|error| newton_metres(*error))
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
+    say(format_args!(
+        "torque error joint by joint, {}: {} N·m; description {}; noise alone {}",
+        report.recommended,
+        joints(&report.headline_rmse_nm),
+        joints(&report.headline_description_rmse_nm),
+        floors.join(" ")
+    ))?;
     if let Some(robot) = &outcome.robot {
-        let path = arguments.out.join("robot.toml");
+        let path = out.join("robot.toml");
         write_whole(&path, robot.to_toml()?.as_bytes())?;
         say(format_args!("robot   {}", path.display()))?;
-        let path = arguments.out.join("robot.urdf");
+        let path = out.join("robot.urdf");
         write_whole(&path, foretorque_workbench::urdf::write(robot).as_bytes())?;
         say(format_args!("robot   {}", path.display()))?;
     }
-    match bank(&outcome) {
+    match bank {
         Some(bank) => {
-            let path = arguments.out.join("parameters.bank");
+            let path = out.join("parameters.bank");
             write_whole(&path, &super::bank::bytes(&bank)?)?;
             say(format_args!("bank    {}", path.display()))?;
         }
+        None if refused.is_some() => {}
         None => say(format_args!(
             "no bank: no firmware arm is called '{}'",
             robot.name
         ))?,
     }
     say(format_args!("report  {}", shown.display()))?;
-    Ok(())
+    match refused {
+        Some(finding) => Err(unusable(format!(
+            "{} (no bank; --force writes one)",
+            finding.text
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// Files of this command that an earlier run may have left.
+const RESULTS: [&str; 5] = [
+    "report.json",
+    "report.html",
+    "parameters.bank",
+    "robot.toml",
+    "robot.urdf",
+];
+
+fn newton_metres(value: Option<f64>) -> String {
+    value.map_or("–".to_owned(), |value| format!("{value:.3}"))
+}
+
+/// Prints the judgement of `--data-check`.
+///
+/// Errors: the first finding that refuses.
+fn show_check(judgement: &Judgement) -> Result<(), Failure> {
+    say(format_args!(
+        "rows every {:.3} ms",
+        1e3 * judgement.period_s
+    ))?;
+    for note in &judgement.notes {
+        say(format_args!("note  {note}"))?;
+    }
+    for (number, joint) in (1..).zip(&judgement.joints) {
+        let scale = joint
+            .scale_ratio
+            .map_or("–".to_owned(), |scale| format!("{scale:.2}"));
+        let (low, high) = joint.position_rad;
+        say(format_args!(
+            "joint {number}  {low:.2} … {high:.2} rad, {:.2} rad/s, torque {:.3} N·m RMS, noise {:.3} N·m, {:.0} % unexplained, {scale} × description",
+            joint.speed_rad_s,
+            joint.torque_rms_nm,
+            joint.noise_floor_nm,
+            100.0 * joint.unexplained_ratio
+        ))?;
+    }
+    if let Some(condition) = judgement.condition_number_equilibrated {
+        say(format_args!(
+            "every parameter is shown, condition number {condition:.0} at unit length"
+        ))?;
+    }
+    if let Some((delay, deviation)) = judgement.delay_s {
+        say(format_args!(
+            "torque delay {:.2} ± {:.2} ms",
+            1e3 * delay,
+            1e3 * deviation
+        ))?;
+    }
+    for finding in judgement.findings.iter().filter(|finding| !finding.refuses) {
+        say(format_args!("warning  {}", finding.text))?;
+    }
+    match judgement.findings.iter().find(|finding| finding.refuses) {
+        Some(finding) => Err(unusable(finding.text.clone())),
+        None => Ok(say("no finding that refuses a bank")?),
+    }
 }

@@ -3,6 +3,7 @@
 mod bank;
 mod boards;
 mod commission;
+mod compare;
 mod disturbances;
 #[cfg(test)]
 mod documented;
@@ -17,11 +18,13 @@ mod log_options;
 mod motion_log;
 mod on_board;
 mod progress;
+mod replay;
 mod run;
 mod simulate;
 mod terminal;
 mod torque;
 
+use clap::CommandFactory as _;
 pub(crate) use terminal::complain;
 
 use clap::error::ErrorKind;
@@ -43,6 +46,14 @@ impl std::fmt::Display for Unusable {
 }
 
 impl Error for Unusable {}
+
+/// Exit code of a failure: 2 for a wrong command line, of which an option is named first, 1 for all else.
+pub(crate) fn exit_code(failure: &Failure) -> u8 {
+    let wrong = failure.downcast_ref::<Unusable>();
+    let wrong = wrong
+        .is_some_and(|Unusable(text)| text.starts_with("--") || text.ends_with("(see --help)"));
+    1 + u8::from(wrong)
+}
 
 fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Unusable(reason.into()))
@@ -79,29 +90,45 @@ enum Command {
     Run(run::Arguments),
     Drive(drive::Arguments),
     Commission(commission::Arguments),
+    Replay(replay::Arguments),
+    Compare(compare::Arguments),
     Identify(identify::Arguments),
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
     Faults(faults::Arguments),
+    /// Print the completions of a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
 }
 
 /// Reads the command line and executes it. Asking for help or the version ends the process.
 ///
 /// Errors: whatever stopped the command.
 pub(crate) fn run() -> Result<(), Failure> {
-    match parsed(std::env::args_os())?.command {
+    let command = parsed(std::env::args_os())?.command;
+    terminal::clean_up_when_interrupted()?;
+    match command {
         Command::Torque(arguments) => torque::run(&arguments),
         Command::Excite(arguments) => excite::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Drive(arguments) => drive::run(&arguments),
         Command::Commission(arguments) => commission::run(&arguments),
+        Command::Replay(arguments) => replay::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
+        Command::Completions { shell } => {
+            let mut text = Vec::new();
+            clap_complete::generate(shell, &mut CommandLine::command(), "host-sim", &mut text);
+            Ok(terminal::say(String::from_utf8_lossy(&text).trim_end())?)
+        }
     }
 }
 
@@ -130,7 +157,6 @@ fn parsed(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Com
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_has_no_contradictions() {

@@ -45,8 +45,15 @@ struct Row<const N: usize> {
 impl<const N: usize> MotionLog<N> {
     /// Starts a log with `more` columns at its end.
     ///
+    /// * `beside` the log is written as MCAP too
+    ///
     /// Errors: the file system's.
-    pub(super) fn create(path: &Path, effort: Effort, more: &[String]) -> io::Result<Self> {
+    pub(super) fn create(
+        path: &Path,
+        beside: bool,
+        effort: Effort,
+        more: &[String],
+    ) -> io::Result<Self> {
         let mut header = vec!["t_s".to_owned()];
         header.extend(state_columns(N));
         header.extend(match effort {
@@ -56,7 +63,10 @@ impl<const N: usize> MotionLog<N> {
         header.extend(joint_columns("desired", "rad", N));
         header.extend_from_slice(more);
         Ok(Self {
-            table: TableWriter::create(path, &header)?,
+            table: match beside {
+                true => TableWriter::with_mcap(path, &header)?,
+                false => TableWriter::create(path, &header)?,
+            },
             waiting: VecDeque::with_capacity(WINDOW),
             written: 0,
         })
@@ -195,8 +205,9 @@ mod tests {
         let path =
             std::env::temp_dir().join(format!("foretorque-motion-{}.csv", std::process::id()));
         for ticks in [1, 2, 5, 30, 31, 32, 200] {
-            let mut log = MotionLog::<1>::create(&path, Effort::Torque, &["more".to_owned()])
-                .expect("creates");
+            let mut log =
+                MotionLog::<1>::create(&path, false, Effort::Torque, &["more".to_owned()])
+                    .expect("creates");
             for tick in 0..ticks {
                 log.add(&record(tick), record(tick).measured, vec![tick as f64])
                     .expect("writes");

@@ -209,7 +209,7 @@ impl<const N: usize> Log<N> {
         columns.push("flags".to_owned());
         let path = arguments.out.join("log.csv");
         Ok(Self {
-            motion: MotionLog::create(&path, Effort::Torque, &columns)?,
+            motion: MotionLog::create(&path, true, Effort::Torque, &columns)?,
             seen: ClosedLoopLog::new(&scene.robot, scene.ticks),
             telemetry: None,
             every: WATCH_TICKS,

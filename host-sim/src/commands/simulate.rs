@@ -27,6 +27,9 @@ pub(super) struct Arguments {
     current: bool,
     #[command(flatten)]
     verdict: Verdict,
+    /// Write the log as MCAP beside the CSV, too; --out FILE.mcap writes MCAP alone
+    #[arg(long)]
+    mcap: bool,
     /// Log to write: t_s, measured q with its slopes qd and qdd, measured torque, desired position
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -180,8 +183,8 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     } else {
         Effort::Torque
     };
-    let mut log = MotionLog::<N>::create(&arguments.out, effort, &[])?;
     let mut seen = ClosedLoopLog::new(&scene.robot, scene.ticks);
+    let mut log = MotionLog::<N>::create(&arguments.out, arguments.mcap, effort, &[])?;
     let bar = Bar::new();
     let mut play = ClosedLoop::new(
         &mut scene.plant,

@@ -16,6 +16,17 @@ pub(crate) fn complain(failure: impl Display) {
     let _ = writeln!(io::stderr(), "error: {failure}");
 }
 
+/// Removes unfinished files when the user interrupts (Ctrl-C, or SIGTERM), and ends with code 130.
+///
+/// Errors: a system that lets no handler be set.
+pub(super) fn clean_up_when_interrupted() -> io::Result<()> {
+    let handler = || {
+        foretorque_workbench::files::remove_unfinished();
+        std::process::exit(130);
+    };
+    ctrlc::set_handler(handler).map_err(io::Error::other)
+}
+
 /// The command that is running, to be typed again from the workspace's root.
 pub(super) fn command_line() -> String {
     std::env::args_os().skip(1).fold(

@@ -97,6 +97,7 @@ pub fn run(
     let excited = |t_s: f64| series.at::<JOINTS>(t_s);
     let figures = |prepare: PrepareConfig, methods: &[MethodName]| {
         let config = IdentifyConfig {
+            test: Vec::new(),
             methods: methods.to_vec(),
             columns: ColumnSet::plain(),
             prepare,

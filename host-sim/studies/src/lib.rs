@@ -13,7 +13,7 @@ pub mod paper;
 pub mod prior;
 pub mod real_ur5;
 pub mod records;
-pub mod replay_real;
+pub mod replay;
 
 pub use error::StudyError;
 

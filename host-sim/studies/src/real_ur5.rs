@@ -88,6 +88,7 @@ pub fn run(
 ) -> Result<Outcome<RealReport>, StudyError> {
     let robot = Robot::load("ur5")?;
     let mut paths = Vec::new();
+    check_directory(directory)?;
     for (number, (path, files)) in PATHS.iter().enumerate() {
         progress("path held out", number, PATHS.len());
         let place = |file: &&str| directory.join(file);
@@ -105,6 +106,7 @@ pub fn run(
                 gains_from_standstill: false,
                 seed,
                 truth: None,
+                test: Vec::new(),
             };
             let outcome = identify::<JOINTS>(&robot, &training, &held_out, &config, &|_| ())?;
             let records = outcome.report.methods[&method.to_string()]
@@ -166,6 +168,18 @@ pub(super) fn columns(text: &str) -> Result<ColumnSet, StudyError> {
             StudyError::Unusable(unknown.to_string())
         },
     )
+}
+
+/// Check that the directory of the logs is there.
+///
+/// Errors: one line that names the option.
+pub(super) fn check_directory(directory: &Path) -> Result<(), StudyError> {
+    if directory.is_dir() {
+        return Ok(());
+    }
+    let name = directory.display();
+    let text = format!("no directory {name} here: name that of the logs by --logs DIR");
+    Err(StudyError::Unusable(text))
 }
 
 /// Geometric mean; 1 of no values.

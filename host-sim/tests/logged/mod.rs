@@ -54,7 +54,19 @@ fn motion(t_s: f64, phase: f64, still: Option<usize>) -> State<N> {
 /// A log of `rows` rows of the robot of the description with viscous and Coulomb friction.
 pub(crate) fn log(path: &Path, rows: usize, phase: f64, still: Option<usize>, noise: f64) {
     let robot = Robot::load("ur5").expect("built in");
-    let model = ReferenceModel::<N>::new(&robot).expect("six joints");
+    log_of(&robot, path, rows, phase, still, noise);
+}
+
+/// A log of another robot.
+pub(crate) fn log_of(
+    robot: &Robot,
+    path: &Path,
+    rows: usize,
+    phase: f64,
+    still: Option<usize>,
+    noise: f64,
+) {
+    let model = ReferenceModel::<N>::new(robot).expect("six joints");
     let mut header = vec!["t_s".to_owned()];
     header.extend(state_columns(N));
     header.extend(joint_columns("tau", "nm", N));

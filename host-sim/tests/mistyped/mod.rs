@@ -152,8 +152,21 @@ pub(crate) fn mistyped() -> Vec<(String, &'static [&'static str])> {
             &["--period-s", "--filter fourier"],
         ),
         (
-            "identify --robot ur5 --log missing.csv --out file".to_owned(),
-            &["file"],
+            "identify --robot ur5 --log missing.csv --out out".to_owned(),
+            &["missing.csv"],
+        ),
+        (
+            "identify --robot ur5 --log torques.csv --units q=grad --out out".to_owned(),
+            &["'grad' is no unit of q: rad, deg, rev"],
+        ),
+        (
+            "identify --robot ur5 --log torques.csv --columns-from nowhere --out out".to_owned(),
+            &["nowhere", "ros, rtde, franka, lerobot"],
+        ),
+        ("compare torques.csv nothing".to_owned(), &["torques.csv: no report"]),
+        (
+            "replay --robot ur5 --log good.csv --out out".to_owned(),
+            &["good.csv:1", "tau1_nm"],
         ),
         (
             format!("{run} validation --payload 3@2..1"),
@@ -177,7 +190,7 @@ pub(crate) fn mistyped() -> Vec<(String, &'static [&'static str])> {
         ),
         (
             "experiment replay-real --logs nowhere --out out".to_owned(),
-            &["nowhere"],
+            &["nowhere", "--logs DIR"],
         ),
         (
             "experiment real-ur5 --out file".to_owned(),

@@ -2,7 +2,35 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
+use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// Unfinished versions of this process.
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Removes the unfinished versions of this process before it ends early.
+pub fn remove_unfinished() {
+    let parts = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
+    for part in parts.iter() {
+        // What cannot be removed is swept by the next run.
+        let _ = fs::remove_file(part);
+    }
+}
+
+/// Removes files of an earlier run from a directory of results.
+///
+/// Errors: the file system's, with the path in the message.
+pub fn remove_stale(directory: &Path, names: &[&str]) -> io::Result<()> {
+    for name in names {
+        let path = directory.join(name);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(at(&path, error)),
+            _ => {}
+        }
+    }
+    Ok(())
+}
 
 /// Suffix of an unfinished version, before the number of its process.
 const PART: &str = ".part";
@@ -38,10 +66,14 @@ fn sweep(target: &Path) {
 }
 
 /// A file under construction. Dropped before [`WholeFile::finish`] it leaves nothing behind.
+///
+/// Devices and pipes are written as they are, links are followed, the mode of an earlier version is kept, and `-` is the
+/// standard output.
 #[derive(Debug)]
 pub struct WholeFile {
     writer: Option<BufWriter<File>>,
-    part: PathBuf,
+    /// The unfinished version; none where the target is written as it is.
+    part: Option<PathBuf>,
     target: PathBuf,
     /// Directories that were made for it, the innermost first.
     made: Vec<PathBuf>,
@@ -52,6 +84,29 @@ impl WholeFile {
     ///
     /// Errors: the file system's, with the path in the message.
     pub fn create(target: &Path) -> io::Result<Self> {
+        let through = |file| Self {
+            writer: Some(BufWriter::new(file)),
+            part: None,
+            target: target.to_owned(),
+            made: Vec::new(),
+        };
+        if target == Path::new("-") {
+            let stdout = io::stdout().as_fd().try_clone_to_owned();
+            return stdout.map(|stdout| through(File::from(stdout)));
+        }
+        let before = fs::metadata(target).ok();
+        if before
+            .as_ref()
+            .is_some_and(|before| !before.is_file() && !before.is_dir())
+        {
+            let file = File::options().write(true).open(target);
+            return file.map(through).map_err(|error| at(target, error));
+        }
+        let resolved = match before {
+            Some(_) => fs::canonicalize(target).map_err(|error| at(target, error))?,
+            None => target.to_owned(),
+        };
+        let target = &resolved;
         let above = target.ancestors().skip(1);
         let missing = above.take_while(|path| !path.as_os_str().is_empty() && !path.exists());
         let made: Vec<PathBuf> = missing.map(Path::to_owned).collect();
@@ -72,9 +127,17 @@ impl WholeFile {
                 break file;
             }
         };
+        if let Some(before) = before.filter(fs::Metadata::is_file) {
+            let mode = before.permissions();
+            fs::set_permissions(&part, mode).map_err(|error| at(target, error))?;
+        }
+        UNFINISHED
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(part.clone());
         Ok(Self {
             writer: Some(BufWriter::new(file)),
-            part,
+            part: Some(part),
             target: target.to_owned(),
             made,
         })
@@ -89,21 +152,24 @@ impl WholeFile {
                 .into_inner()
                 .map_err(|error| at(&self.target, error.into_error()))?;
         }
-        fs::rename(&self.part, &self.target).map_err(|error| at(&self.target, error))
+        match &self.part {
+            Some(part) => fs::rename(part, &self.target).map_err(|error| at(&self.target, error)),
+            None => Ok(()),
+        }
     }
 }
 
 impl Write for WholeFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match &mut self.writer {
-            Some(writer) => writer.write(bytes),
+            Some(writer) => writer.write(bytes).map_err(|error| at(&self.target, error)),
             None => Err(io::ErrorKind::BrokenPipe.into()),
         }
     }
 
     fn flush(&mut self) -> io::Result<()> {
         match &mut self.writer {
-            Some(writer) => writer.flush(),
+            Some(writer) => writer.flush().map_err(|error| at(&self.target, error)),
             None => Ok(()),
         }
     }
@@ -113,7 +179,11 @@ impl Drop for WholeFile {
     fn drop(&mut self) {
         // After a rename there is no unfinished version any more, and failing to remove one has no better remedy. A
         // directory that holds something, this file or another, stays.
-        let _ = fs::remove_file(&self.part);
+        if let Some(part) = &self.part {
+            let _ = fs::remove_file(part);
+            let mut parts = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
+            parts.retain(|other| other != part);
+        }
         for directory in &self.made {
             let _ = fs::remove_dir(directory);
         }
@@ -162,6 +232,39 @@ mod tests {
         running.lock().expect("locks");
         write_whole(&target, b"whole").expect("writes");
         assert!(!dead.exists() && alive.exists() && other.exists());
+        fs::remove_dir_all(&directory).expect("cleans up");
+    }
+
+    #[test]
+    fn links_devices_and_modes_outlive_what_is_written_to_them() {
+        use std::os::unix::fs::PermissionsExt;
+        let directory =
+            std::env::temp_dir().join(format!("foretorque-through-{}", std::process::id()));
+        fs::create_dir_all(&directory).expect("creates");
+        let [file, link, pipe, full] =
+            ["file", "link", "pipe", "full"].map(|name| directory.join(name));
+        fs::write(&file, b"before").expect("writes");
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).expect("sets");
+        std::os::unix::fs::symlink(&file, &link).expect("links");
+        write_whole(&link, b"after").expect("writes");
+        assert!(fs::symlink_metadata(&link).expect("is there").is_symlink());
+        let mode = fs::metadata(&file).expect("is there").permissions().mode();
+        assert_eq!(fs::read(&file).expect("reads"), b"after");
+        assert_eq!(mode & 0o777, 0o600);
+        nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).expect("makes");
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || fs::read(pipe).expect("reads")
+        });
+        write_whole(&pipe, b"through").expect("writes");
+        assert_eq!(reader.join().expect("ends"), b"through");
+        std::os::unix::fs::symlink("/dev/full", &full).expect("links");
+        let error = write_whole(&full, b"lost")
+            .expect_err("is full")
+            .to_string();
+        assert!(error.contains("full: No space left"), "{error}");
+        remove_stale(&directory, &["file", "nothing"]).expect("removes");
+        assert!(!file.exists());
         fs::remove_dir_all(&directory).expect("cleans up");
     }
 

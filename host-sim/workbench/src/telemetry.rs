@@ -153,7 +153,7 @@ impl Recorder {
             selection,
             joints,
             period_s,
-            table: TableWriter::create(path, &header)?,
+            table: TableWriter::with_mcap(path, &header)?,
             open: None,
             torn: 0,
         })

@@ -18,8 +18,9 @@ pub enum IdentifyError {
     NoMotion(String),
     /// The rows of a log, so many a second, are too far apart for the cut-off of an option, Hz.
     #[error(
-        "{0}: {1} is {2}, must be below {limit:.4}, {share} of its {3:.4} rows a second",
-        limit = Butterworth::RATE_SHARE * .3, share = Butterworth::RATE_SHARE
+        "{0}: {1} is {2}, must be below {limit:.4}, {share} of its {3:.4} rows a second{hint}",
+        limit = Butterworth::RATE_SHARE * .3, share = Butterworth::RATE_SHARE,
+        hint = if *.3 < 5.0 { ": are its times in ms (--units t=ms)?" } else { "" }
     )]
     CutOff(PathBuf, &'static str, f64, f64),
     /// The motion has a rank below the number of parameters: it does not show these.

@@ -71,7 +71,7 @@ pub(super) fn learning_curves<const N: usize>(
 }
 
 /// RMS error of every joint over its moving rows.
-fn errors<const N: usize>(
+pub(super) fn errors<const N: usize>(
     layout: &Layout<N>,
     candidate: &Candidate<N>,
     rows: &[&SampleRow<N>],

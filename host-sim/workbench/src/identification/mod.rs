@@ -15,6 +15,7 @@ mod filter;
 mod fourier;
 mod gains;
 mod holdout;
+mod judge;
 mod log;
 #[cfg(test)]
 mod log_tests;
@@ -39,6 +40,7 @@ pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
 pub use dataset::SampleRow;
 pub use error::{IdentifyError, UnknownName};
 pub use filter::{Butterworth, despiked};
+pub use judge::{Finding, JointCheck, Judgement, judge};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
 pub use page::page;

@@ -13,7 +13,9 @@ fn percent(ratio: f64) -> String {
 /// * `trace` time, measured and predicted torque on the first validation log, N·m
 pub fn page<const N: usize>(report: &Report, trace: &[(f64, [f64; N], [f64; N])]) -> Page {
     let best = report.methods.get(&report.recommended);
-    let files: Vec<&String> = best.map_or(Vec::new(), |method| method.validation.keys().collect());
+    let files: Vec<&String> = best.map_or(Vec::new(), |method| {
+        method.validation.keys().chain(method.test.keys()).collect()
+    });
     let mut page = Page::new(
         format!("Identification of {}", report.robot),
         format!(
@@ -22,24 +24,55 @@ pub fn page<const N: usize>(report: &Report, trace: &[(f64, [f64; N], [f64; N])]
             report.columns
         ),
     );
-    if let Some((file, record)) = best.and_then(|method| method.validation.iter().next()) {
-        page = page.card(
-            percent(record.joints_nrmse_moving_ratio),
-            format!("torque error on {file}, moving rows"),
-        );
+    let newton_metres = |errors: &[Option<f64>]| {
+        let errors = errors
+            .iter()
+            .map(|error| or_dash(*error, |error| format!("{error:.2}")));
+        errors.collect::<Vec<_>>().join(" · ") + " N·m"
+    };
+    if !report.headline_rmse_nm.is_empty() {
+        page = page
+            .card(
+                newton_metres(&report.headline_rmse_nm),
+                "RMS torque error joint by joint, unseen rows",
+            )
+            .card(
+                newton_metres(&report.headline_description_rmse_nm),
+                "the same of the description's own parameters",
+            );
     }
-    page.card(&report.recommended, "method in the bank")
+    let refused = report.findings.iter().any(|finding| finding.refuses);
+    let verdict = if refused {
+        "method; no bank without --force, see the findings"
+    } else {
+        "recommended method"
+    };
+    page.card(&report.recommended, verdict)
         .card(format!("{0} of {0}", report.rank), "parameters seen")
         .card(
             format!("{:.0}", report.condition_number),
             "condition number (raw SI, Craig frames)",
         )
+        .sections(findings_section(report))
         .sections([methods_section(report)])
         .sections(files.iter().map(|file| file_section::<N>(report, file)))
         .sections((!trace.is_empty()).then(|| trace_section(report, trace)))
         .sections(loss_section(report))
         .sections(needs_section(report))
         .sections([parameters_section(report), notes_section(report)])
+}
+
+/// Findings on the logs and the parameters.
+fn findings_section(report: &Report) -> Option<Section> {
+    let rows = report.findings.iter().map(|finding| {
+        let kind = if finding.refuses { "wrong" } else { "warning" };
+        [kind.to_owned(), finding.text.clone()]
+    });
+    let section = Section::new(
+        "Findings",
+        "Of the comparison of logs and parameters with the description, its limits, and zero torque.",
+    );
+    (!report.findings.is_empty()).then(|| section.table("finding | ", rows))
 }
 
 fn methods_section(report: &Report) -> Section {
@@ -76,7 +109,10 @@ fn methods_section(report: &Report) -> Section {
 fn file_section<const N: usize>(report: &Report, file: &str) -> Section {
     let joints: String = (1..=N).map(|joint| format!(" | J{joint} / N·m")).collect();
     let rows = report.methods.iter().filter_map(|(name, method)| {
-        let record = method.validation.get(file)?;
+        let record = method
+            .validation
+            .get(file)
+            .or_else(|| method.test.get(file))?;
         let interval = record.joints_nrmse_moving_ratio_ci95;
         let mut row = vec![
             name.clone(),
@@ -87,10 +123,27 @@ fn file_section<const N: usize>(report: &Report, file: &str) -> Section {
         ];
         let rmse = record.rmse_moving_nm.iter();
         row.extend(rmse.map(|rmse| or_dash(*rmse, |rmse| format!("{rmse:.3}"))));
-        let bound = record.cramer_rao_nrmse_moving_ratio.unwrap_or(f64::NAN);
-        row.push(format!("{:.3} %", 100.0 * bound));
+        row.push(or_dash(record.cramer_rao_nrmse_moving_ratio, |bound| {
+            format!("{:.3} %", 100.0 * bound)
+        }));
         Some(row)
     });
+    let floor = report.data_check.iter().map(|check| {
+        let mut row = vec![
+            "noise of the training logs alone".to_owned(),
+            String::new(),
+            String::new(),
+        ];
+        row.extend(
+            check
+                .joints
+                .iter()
+                .map(|joint| format!("{:.3}", joint.noise_floor_nm)),
+        );
+        row.push(String::new());
+        row
+    });
+    let rows = rows.chain(floor);
     Section::new(
         format!("Unseen: {file}"),
         "RMS error of each joint while it moves, the interval by bootstrap over seconds of this log, and the Cramér–Rao bound of \
@@ -186,13 +239,14 @@ fn parameters_section(report: &Report) -> Section {
         "Base set: the first independent columns from left to right, links in Craig frames, about the link origin.",
     )
     .table(
-        "parameter | value | deviation | 95 % | truth | unit",
+        "parameter | value | deviation | 95 % | description | truth | unit",
         parameters.map(|parameter| {
             [
                 parameter.name.clone(),
                 format!("{:.5}", parameter.value),
                 format!("{:.5}", parameter.std),
                 or_dash(parameter.ci95, |[low, high]| format!("{low:.5} … {high:.5}")),
+                or_dash(parameter.description, |value| format!("{value:.5}")),
                 or_dash(parameter.truth, |truth| format!("{truth:.5}")),
                 parameter.unit.clone(),
             ]

@@ -161,6 +161,14 @@ impl Preparation {
         })
     }
 
+    /// Noise of a filtered torque over that of its rows, white noise assumed; see [`stride`](Self::stride).
+    pub(super) fn noise_gain(&self) -> f64 {
+        let band = |filter: &Butterworth| (2.0 * 0.898 * filter.cutoff_hz() * self.period_s).sqrt();
+        self.torque
+            .as_ref()
+            .map_or(1.0, |filter| band(filter).min(1.0))
+    }
+
     /// Half width of the running median that finds spikes: 7 ms, in which a joint torque hardly bends, 2 rows at least.
     pub(super) fn spike_reach(&self) -> usize {
         ((0.007 / self.period_s).round() as usize).clamp(2, 7)

@@ -1,6 +1,7 @@
 //! `report.json` of an identification: units in the keys, `null` where a joint never moves.
 
 use super::columns::Layout;
+use super::judge::{Finding, Judgement};
 use super::problem::MethodResult;
 use super::truth::base_error;
 use serde::Serialize;
@@ -50,6 +51,9 @@ pub struct ParameterRecord {
     /// counts errors of the model that last longer than a row.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ci95: Option<[f64; 2]>,
+    /// Value of the description.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub description: Option<f64>,
     /// True value, where known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<f64>,
@@ -80,8 +84,11 @@ pub struct LearningPoint {
 /// One method.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MethodRecord {
-    /// Unseen logs by file name.
+    /// Unseen logs by file name; the method for the bank is chosen by them.
     pub validation: BTreeMap<String, ValidationRecord>,
+    /// Further unseen logs, by which nothing is chosen.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub test: BTreeMap<String, ValidationRecord>,
     /// The paper's 80/20 split; it is optimistic.
     pub split_80_20: SplitRecord,
     /// Parameters of the linear part.
@@ -174,11 +181,32 @@ pub struct Report {
     /// The method whose parameters went into the bank: the one with the least error on the validation logs (mean of
     /// `joints_nrmse_moving_ratio`) of those the board can run; without such logs, on the rows the split held out.
     pub recommended: String,
-    /// Methods by name.
+    /// Methods by name, with two rivals that are fitted to nothing: `description` and `zero` torque.
     pub methods: BTreeMap<String, MethodRecord>,
+    /// RMS torque error of the recommended method on the first unseen log, or without one on the rows held out, joint by
+    /// joint, N·m.
+    pub headline_rmse_nm: Vec<Option<f64>>,
+    /// RMS torque error of the description's own parameters on those rows, N·m.
+    pub headline_description_rmse_nm: Vec<Option<f64>>,
+    /// Findings on logs and parameters, refusals first.
+    pub findings: Vec<Finding>,
+    /// Judgement of the training logs before anything was identified.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub data_check: Option<Judgement>,
 }
 
+/// Names of the rivals in the table of methods.
+pub(super) const RIVALS: [&str; 2] = ["description", "zero"];
+
 impl MethodRecord {
+    /// Records of the logs that choose the method, or of those that choose nothing.
+    pub(super) fn unseen(&mut self, test: bool) -> &mut BTreeMap<String, ValidationRecord> {
+        match test {
+            true => &mut self.test,
+            false => &mut self.validation,
+        }
+    }
+
     /// The record of a result, without validation logs.
     pub(super) fn of<const N: usize>(
         result: &MethodResult<N>,
@@ -211,6 +239,7 @@ impl MethodRecord {
                     unit: parameter.unit.to_owned(),
                     std: deviations[place],
                     ci95: None,
+                    description: None,
                     truth: truth.and_then(|truth| truth[place]),
                 })
                 .collect();

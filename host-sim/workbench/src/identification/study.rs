@@ -5,16 +5,18 @@ use super::cogging::CoggingAmplitudes;
 use super::columns::{ColumnSet, Layout};
 use super::consistent::consistent;
 use super::dataset::Dataset;
+use super::dataset::SampleRow;
 use super::error::IdentifyError;
 use super::evidence::evidence;
 use super::filter::Butterworth;
 use super::fourier::folded;
 use super::gains::with_gains;
-use super::holdout::{learning_curves, split};
+use super::holdout::{errors, learning_curves, split};
+use super::judge::{Judgement, after_fit, description};
 use super::methods::{Fit, MethodName, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
-use super::record::{MethodRecord, Report};
+use super::record::{MethodRecord, RIVALS, Report};
 use super::solve::solve_all;
 use super::stream::for_each_prepared;
 use super::truth::{error_curve, truths};
@@ -43,6 +45,8 @@ pub struct IdentifyConfig {
     pub seed: u64,
     /// The robot whose parameters are the truth, if it is known.
     pub truth: Option<Robot>,
+    /// Further unseen logs, by which nothing is chosen.
+    pub test: Vec<PathBuf>,
 }
 
 /// Result of an identification.
@@ -74,7 +78,7 @@ pub fn identify<const N: usize>(
     config: &IdentifyConfig,
     progress: Progress<'_>,
 ) -> Result<Outcome<N>, IdentifyError> {
-    for path in logs.iter().chain(validate) {
+    for path in logs.iter().chain(validate).chain(&config.test) {
         check_cut_offs::<N>(path, robot, &config.prepare)?;
     }
     let (robot, drive_gains) = if config.gains_from_standstill {
@@ -106,7 +110,19 @@ pub fn identify<const N: usize>(
         progress,
     };
     let mut methods = study.records(&data)?;
-    let trace = study.validate(validate, &config.prepare, &mut methods, &mut notes)?;
+    let prepare = &config.prepare;
+    let trace = study.validate(
+        (validate, Unseen::Validation),
+        prepare,
+        &mut methods,
+        &mut notes,
+    )?;
+    study.validate(
+        (&config.test, Unseen::Test),
+        prepare,
+        &mut methods,
+        &mut notes,
+    )?;
     let recommended = recommended(&study.results, &methods);
     let best = &study.results[recommended];
     let bank_fit = study.bank_fit(best, left_out.is_empty())?;
@@ -116,8 +132,53 @@ pub fn identify<const N: usize>(
             "the board has no column {columns}: the bank holds a fit without"
         ));
     }
+    let mut judgement = Judgement::default();
+    for path in validate.iter().chain(&config.test) {
+        if let Some(same) = logs.iter().find(|log| same_content(log, path)) {
+            let (path, same) = (path.display(), same.display());
+            judgement.find(false, format!("{path} holds what the training log {same} holds: its errors are not those of unseen motion"));
+        }
+    }
+    if let Some(fit) = study.results.iter().find_map(|result| result.fit.as_ref()) {
+        after_fit(
+            &mut judgement,
+            &robot,
+            &layout,
+            if fit.theta.len() == layout.parameters.len() {
+                fit
+            } else {
+                &study.bound
+            },
+        );
+    }
+    let errors = |name: &str| {
+        let method = &methods[name];
+        let unseen = method.validation.get(
+            &validate
+                .first()
+                .map_or(String::new(), |path| key_of(path, validate)),
+        );
+        unseen
+            .map_or(&method.split_80_20.rmse_moving_nm, |record| {
+                &record.rmse_moving_nm
+            })
+            .clone()
+    };
+    let headline_rmse_nm = errors(&best.name.to_string());
+    let headline_description_rmse_nm = errors(RIVALS[0]);
+    let size = errors(RIVALS[1]);
+    for (rival, limit) in RIVALS.iter().zip([1.05, 1.0]) {
+        let worse = over(&headline_rmse_nm, &errors(rival), &size);
+        if worse > limit {
+            let torque = if *rival == "zero" { " torque" } else { "" };
+            judgement.find(true, format!("the identified parameters predict worse than {rival}{torque}: {worse:.2} times its torque error"));
+        }
+    }
     let report = Report {
         robot: robot.name.clone(),
+        headline_rmse_nm,
+        headline_description_rmse_nm,
+        findings: judgement.findings,
         drive_gains,
         logs: logs.iter().map(|path| key_of(path, logs)).collect(),
         notes,
@@ -177,7 +238,7 @@ fn figures<const N: usize>(
 /// Check that the rows of a log are near enough for the filters.
 ///
 /// Errors: the log's; [`IdentifyError::CutOff`].
-fn check_cut_offs<const N: usize>(
+pub(super) fn check_cut_offs<const N: usize>(
     path: &Path,
     robot: &Robot,
     config: &PrepareConfig,
@@ -231,6 +292,34 @@ fn gather<const N: usize>(
     Ok(dataset)
 }
 
+/// Share of the RMS torque that every error has added, so that none is decided by noise or by rounding.
+const INDIFFERENT: f64 = 0.03;
+
+/// Geometric mean over the joints of one error over another; `size` is the RMS torque.
+fn over(own: &[Option<f64>], other: &[Option<f64>], size: &[Option<f64>]) -> f64 {
+    let joints = own.iter().zip(other).zip(size);
+    let ratios = joints.filter_map(|((own, other), size)| {
+        let least = INDIFFERENT * (*size)?;
+        Some((*own)?.hypot(least) / (*other)?.hypot(least))
+    });
+    let logs: Vec<f64> = ratios.filter(|ratio| *ratio > 0.0).map(f64::ln).collect();
+    (logs.iter().sum::<f64>() / logs.len().max(1) as f64).exp()
+}
+
+/// Two files with the same bytes.
+fn same_content(one: &Path, other: &Path) -> bool {
+    let length = |path: &Path| std::fs::metadata(path).map(|file| file.len()).ok();
+    let bytes = |path: &Path| std::fs::read(path).ok();
+    length(one) == length(other) && bytes(one).is_some() && bytes(one) == bytes(other)
+}
+
+/// Unseen logs that choose the method, and those that choose nothing.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Unseen {
+    Validation,
+    Test,
+}
+
 /// Records by name of the method.
 type Methods = BTreeMap<String, MethodRecord>;
 
@@ -255,9 +344,15 @@ impl<const N: usize> Study<'_, N> {
             self.truth.as_deref(),
         );
         let splits = split(&self.problem, &self.dataset.sample)?;
+        let described = description(self.problem.robot, layout);
         let mut methods = Methods::new();
         for (result, split) in self.results.iter().zip(splits) {
             let mut record = MethodRecord::of(result, layout, truth, split);
+            for parameter in &mut record.parameters {
+                let names = layout.parameters.iter().map(|own| &own.name);
+                let place = names.into_iter().position(|name| *name == parameter.name);
+                parameter.description = place.map(|place| described[place]);
+            }
             let intervals = parameter_intervals(layout, data, result, seed);
             let intervals = intervals.into_iter().flatten();
             for (parameter, interval) in record.parameters.iter_mut().zip(intervals) {
@@ -269,20 +364,40 @@ impl<const N: usize> Study<'_, N> {
             }
             methods.insert(result.name.to_string(), record);
         }
+        let sample: Vec<&SampleRow<N>> = self.dataset.sample.iter().collect();
+        for (name, candidate) in RIVALS.iter().zip(self.rivals()) {
+            let record = MethodRecord {
+                split_80_20: errors(layout, &candidate, &sample),
+                ..MethodRecord::default()
+            };
+            methods.insert((*name).to_owned(), record);
+        }
         Ok(methods)
+    }
+
+    /// The description's own parameters, and zero torque.
+    fn rivals(&self) -> [Candidate<N>; 2] {
+        let Problem { robot, layout, .. } = self.problem;
+        let theta = description(robot, layout);
+        let zero = DVector::zeros(theta.len());
+        [theta, zero].map(Candidate::Linear)
     }
 
     /// Adds the errors on unseen logs to `methods`; returns the torques on the first of them.
     fn validate(
         &self,
-        logs: &[PathBuf],
+        (logs, kind): (&[PathBuf], Unseen),
         prepare: &PrepareConfig,
         methods: &mut Methods,
         notes: &mut Vec<String>,
     ) -> Result<Trace<N>, IdentifyError> {
         let Problem { robot, layout, .. } = self.problem;
         let results = self.results.iter();
-        let candidates: Vec<&Candidate<N>> = results.map(|result| &result.candidate).collect();
+        let rivals = self.rivals();
+        let candidates: Vec<&Candidate<N>> = results
+            .map(|result| &result.candidate)
+            .chain(&rivals)
+            .collect();
         let mut trace = Vec::new();
         for path in logs {
             (self.progress)(&format!("validating {}", path.display()));
@@ -298,10 +413,20 @@ impl<const N: usize> Study<'_, N> {
                     .error(result)
                     .map(|error| scores.propagated(layout, &(&error * error.transpose())));
                 if let Some(method) = methods.get_mut(&result.name.to_string()) {
-                    method.validation.insert(key_of(path, logs), record);
+                    method
+                        .unseen(kind == Unseen::Test)
+                        .insert(key_of(path, logs), record);
                 }
             }
-            if trace.is_empty() {
+            for (place, name) in (self.results.len()..).zip(RIVALS) {
+                if let Some(method) = methods.get_mut(name) {
+                    let record = scores.record(place, self.problem.seed);
+                    method
+                        .unseen(kind == Unseen::Test)
+                        .insert(key_of(path, logs), record);
+                }
+            }
+            if trace.is_empty() && kind == Unseen::Validation {
                 (self.progress)("growing shares of the logs");
                 let sample = &self.dataset.sample;
                 for (name, curve) in learning_curves(&self.problem, sample, &scores.sample) {

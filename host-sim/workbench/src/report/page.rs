@@ -1,4 +1,4 @@
-//! The report template: one HTML file, no script, nothing fetched.
+//! The report template: one HTML file, nothing fetched; a script only shows values and zooms in plots.
 
 use super::color::{PlotColor, style_sheet, variables};
 use super::escape;
@@ -65,19 +65,23 @@ impl Page {
             format!("<div class=\"card\"><b>{value}</b><span>{label}</span></div>\n")
         });
         let sections: Result<String, PlotError> = self.sections.iter().map(Section::html).collect();
+        let sections = sections?;
+        let script = match sections.contains("data-area") {
+            true => format!("<script>\n{SCRIPT}</script>\n"),
+            false => String::new(),
+        };
         Ok(format!(
             "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
              <meta name=\"color-scheme\" content=\"light dark\">\
              <title>{title}</title>\n<style>\n{variables}{STYLE}{colors}</style></head>\n<body><main>\n\
              <h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n<div class=\"cards\">\n{cards}</div>\n{sections}\
-             </main></body></html>\n",
+             </main>{script}</body></html>\n",
             title = escape(&self.title),
             lead = escape(&self.lead),
             variables = variables(),
             colors = style_sheet(),
             cards = cards.collect::<String>(),
-            sections = sections?,
         ))
     }
 }
@@ -168,8 +172,9 @@ impl Part {
             Self::Table(header, rows) => {
                 let head = cells("th", &mut header.split(" | "));
                 let rows = rows.iter().map(|row| {
+                    let class = class_of(row);
                     let row = cells("td", &mut row.iter().map(String::as_str));
-                    format!("<tr>{row}</tr>\n")
+                    format!("<tr{class}>{row}</tr>\n")
                 });
                 let body: String = rows.collect();
                 format!(
@@ -195,6 +200,24 @@ pub fn ratio(value: Option<f64>) -> String {
     or_dash(value, |value| format!("{value:.3}"))
 }
 
+/// Hover and zoom of the plots.
+const SCRIPT: &str = include_str!("interact.js");
+
+/// Class of a row by the verdict in one of its cells.
+fn class_of(row: &[String]) -> &'static str {
+    let has = |words: &[&str]| {
+        row.iter()
+            .any(|cell| words.contains(&cell.to_lowercase().as_str()))
+    };
+    if has(&["missed", "wrong", "no"]) {
+        " class=\"bad\""
+    } else if has(&["warning"]) {
+        " class=\"warn\""
+    } else {
+        ""
+    }
+}
+
 const STYLE: &str = "\
 *{box-sizing:border-box}body{margin:0;background:var(--page);color:var(--text);font:16px/1.5 system-ui,-apple-system,\"Segoe UI\",Roboto,sans-serif}
 main{max-width:1160px;margin:0 auto;padding:32px 20px 64px}h1{font-size:1.9rem;margin:0 0 4px;letter-spacing:-.01em}
@@ -208,6 +231,9 @@ section{padding:20px 20px 14px;margin-bottom:18px}.legend{display:flex;flex-wrap
 @media (max-width:520px){main{padding:20px 10px 40px}section{padding:14px 12px 10px}th,td{padding-right:8px;font-size:.82rem}}
 pre{margin:0 0 12px;padding:10px 12px;border:1px solid var(--line);border-radius:6px;white-space:pre-wrap;overflow-wrap:anywhere;font-size:.88rem}
 th,td{text-align:right;padding:4px 14px 4px 0;border-bottom:1px solid var(--line)}th{font-weight:600}th:first-child,td:first-child{text-align:left}
+tr.bad td{background:color-mix(in srgb,var(--before) 18%,transparent)}tr.bad td:first-child{box-shadow:inset 3px 0 var(--before);padding-left:8px}
+tr.warn td:first-child{box-shadow:inset 3px 0 var(--axis);padding-left:8px}
+svg[data-area]{touch-action:pan-y;cursor:crosshair;user-select:none}@media print{svg[data-area]{cursor:auto}}
 ";
 
 #[cfg(test)]

@@ -83,8 +83,9 @@ impl Panel {
 
 /// SVG units a CSS pixel: plotters rounds coordinates to whole units.
 const FINE: u32 = 3;
-/// Points a curve keeps for each panel.
+/// Buckets of the points that a curve keeps in a drawing, and of those that it keeps for hover and zoom.
 const BUCKETS: usize = 260;
+const FINE_BUCKETS: usize = 700;
 
 /// Panels of a page, one SVG each, in rows of at most `columns`, fewer in a narrow window.
 pub(super) fn grid(panels: &[Panel], columns: u32) -> Result<String, PlotError> {
@@ -97,7 +98,16 @@ pub(super) fn grid(panels: &[Panel], columns: u32) -> Result<String, PlotError> 
     let least = 900 / columns.max(1);
     let mut html = format!("<div class=\"panels\" style=\"--least:{least}px\">\n");
     for panel in panels {
-        html += &single(panel, (width * FINE, height * FINE))?;
+        let (svg, area) = single(panel, (width * FINE, height * FINE))?;
+        let ((x0, x1), (y0, y1)) = ranges(panel);
+        let [left, right, top, bottom] = area;
+        // The data stand in the description of the drawing, which a screen reader does not read after its label.
+        let marked = format!(
+            "<svg data-area=\"{left} {right} {top} {bottom}\" data-range=\"{x0} {x1} {y0} {y1}\""
+        );
+        let svg = svg.replacen("<svg", &marked, 1);
+        let end = svg.rfind("</svg>").unwrap_or(svg.len());
+        html += &format!("{}<desc>{}</desc>{}", &svg[..end], data(panel), &svg[end..]);
     }
     Ok(html + "</div>\n")
 }
@@ -138,18 +148,20 @@ pub fn picture(
     }
     for (number, panel) in (0..).zip(panels) {
         let (x, y) = (number % columns * width, HEAD + number / columns * height);
-        let drawing = coloured(&single(panel, (width * FINE, height * FINE))?);
+        let drawing = coloured(&single(panel, (width * FINE, height * FINE))?.0);
         let placed = format!("<svg x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"");
         svg += &drawing.replacen("<svg", &placed, 1);
     }
     Ok(svg + "</svg>\n")
 }
 
-fn single(panel: &Panel, size: (u32, u32)) -> Result<String, PlotError> {
+/// A panel, and the left, right, top and bottom of its plotting area.
+fn single(panel: &Panel, size: (u32, u32)) -> Result<(String, [i32; 4]), PlotError> {
     let mut svg = String::new();
+    let area;
     {
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        draw(panel, &root)?;
+        area = draw(panel, &root)?;
         root.present()?;
     }
     // The page scales the drawing to its own width.
@@ -159,10 +171,10 @@ fn single(panel: &Panel, size: (u32, u32)) -> Result<String, PlotError> {
         panel.title, panel.y_label, panel.x_label
     ));
     let scaled = format!("<svg role=\"img\" aria-label=\"{label}\"");
-    Ok(svg.replacen(&shown, &scaled, 1))
+    Ok((svg.replacen(&shown, &scaled, 1), area))
 }
 
-fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), PlotError> {
+fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<[i32; 4], PlotError> {
     let font = |size: u32| ("sans-serif", size * FINE).into_font().color(&TEXT);
     let ((x0, x1), (y0, y1)) = ranges(panel);
     let mut chart = ChartBuilder::on(area)
@@ -186,17 +198,47 @@ fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), 
         .y_desc(&panel.y_label)
         .draw()?;
     for curve in &panel.curves {
-        let width = if curve.color == PlotColor::Truth {
-            2 * FINE + 2
-        } else {
-            FINE + 1
-        };
+        let width = line_width(curve);
         chart.draw_series(LineSeries::new(
-            thinned(&curve.points),
+            thinned(&curve.points, BUCKETS),
             curve.color.placeholder().stroke_width(width),
         ))?;
     }
-    Ok(())
+    let (x, y) = chart.plotting_area().get_pixel_range();
+    Ok([x.start, x.end, y.start, y.end])
+}
+
+/// Width of a curve: the truth shows on both sides of a curve that lies on it.
+fn line_width(curve: &Curve) -> u32 {
+    match curve.color {
+        PlotColor::Truth => 4 * FINE,
+        _ => FINE + 1,
+    }
+}
+
+/// Curves of a panel for hover and zoom, as JSON: colour, width, x and y.
+fn data(panel: &Panel) -> String {
+    let list = |values: &mut dyn Iterator<Item = f64>| {
+        let digits = |value: f64| match value.is_finite() {
+            // Five digits are finer than a screen.
+            true => format!("{:.5e}", value)
+                .parse::<f64>()
+                .map_or(String::new(), |value| value.to_string()),
+            false => "null".to_owned(),
+        };
+        values.map(digits).collect::<Vec<_>>().join(",")
+    };
+    let curves = panel.curves.iter().map(|curve| {
+        let points = thinned(&curve.points, FINE_BUCKETS);
+        format!(
+            "{{\"c\":\"{}\",\"w\":{},\"x\":[{}],\"y\":[{}]}}",
+            curve.color.variable(),
+            line_width(curve),
+            list(&mut points.iter().map(|point| point.0)),
+            list(&mut points.iter().map(|point| point.1))
+        )
+    });
+    format!("[{}]", curves.collect::<Vec<_>>().join(","))
 }
 
 /// As many decimals as the span of the axis asks for.
@@ -237,12 +279,12 @@ fn ranges(panel: &Panel) -> ((f64, f64), (f64, f64)) {
 }
 
 /// At most 2 points a bucket: the lowest and the highest, in their order, so that no peak is lost.
-fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    if points.len() <= 2 * BUCKETS {
+fn thinned(points: &[(f64, f64)], buckets: usize) -> Vec<(f64, f64)> {
+    if points.len() <= 2 * buckets {
         return points.to_vec();
     }
-    let mut kept = Vec::with_capacity(2 * BUCKETS);
-    for bucket in points.chunks(points.len().div_ceil(BUCKETS)) {
+    let mut kept = Vec::with_capacity(2 * buckets);
+    for bucket in points.chunks(points.len().div_ceil(buckets)) {
         let by_height = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
         if let (Some(low), Some(high)) = (
             bucket.iter().min_by(by_height),
@@ -269,7 +311,7 @@ mod tests {
             .map(|k| (f64::from(k), (f64::from(k) * 1e-3).sin()))
             .collect();
         points[12_345].1 = 50.0;
-        let kept = thinned(&points);
+        let kept = thinned(&points, BUCKETS);
         assert!(kept.len() <= 2 * BUCKETS);
         assert!(kept.contains(&(12_345.0, 50.0)));
         assert!(kept.windows(2).all(|pair| pair[0].0 <= pair[1].0));

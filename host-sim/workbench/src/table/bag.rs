@@ -1,6 +1,7 @@
 //! Joint states of ROS 2 bags: `.db3` (SQLite) and `.mcap`, one row a message, by the stamps of their headers.
 //!
-//! Columns: `t_s` since the first message, then `NAME/position`, `NAME/velocity` and `NAME/effort` of every joint.
+//! Columns: `t_s` since the first message, then `NAME/position`, `NAME/velocity` and `NAME/effort` of every joint. An MCAP
+//! that this program wrote gives the columns of its topic `/measured`.
 
 use super::{TableError, TableProblem};
 use crate::files::at;
@@ -12,6 +13,8 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 /// Type of the messages that are read.
 const JOINT_STATE: &str = "sensor_msgs/msg/JointState";
+/// Schema of the measurements that this program writes.
+const MEASURED: &str = "foretorque.measured";
 /// Messages looked at to find the joints: a gripper may publish on the same topic.
 const LOOK_AHEAD: usize = 64;
 /// Messages read ahead.
@@ -21,6 +24,8 @@ const QUEUE: usize = 1024;
 struct JointState {
     /// Stamp of the header, ns.
     stamp_ns: i64,
+    /// Names are those of columns, each with one value.
+    plain: bool,
     names: Vec<String>,
     /// Positions, velocities, efforts; empty where the message has none.
     values: [Vec<f64>; 3],
@@ -135,14 +140,19 @@ pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
     let start_ns = own.map(|state| state.stamp_ns).next().unwrap_or(0);
     let mut header = vec!["t_s".to_owned()];
     for name in &names {
+        if most.plain {
+            header.push(name.clone());
+            continue;
+        }
         let quantities = ["position", "velocity", "effort"].into_iter().zip(kinds);
         let quantities = quantities.filter(|(_, kind)| *kind);
         header.extend(quantities.map(|(quantity, _)| format!("{name}/{quantity}")));
     }
-    let notes = vec![format!(
+    let note = format!(
         "{}: joint states by name, time by the stamps of their headers",
         path.display()
-    )];
+    );
+    let notes = if most.plain { Vec::new() } else { vec![note] };
     let messages = Messages {
         seen: seen.into_iter(),
         rest,
@@ -169,6 +179,8 @@ fn refused(path: &Path, problem: String) -> TableError {
 fn chosen(path: &Path, topics: &[(String, String)]) -> Result<String, TableError> {
     let names = topics.iter().filter(|(_, kind)| kind == JOINT_STATE);
     let mut names: Vec<&String> = names.map(|(name, _)| name).collect();
+    let own = topics.iter().filter(|(_, kind)| kind == MEASURED);
+    names.extend(own.map(|(name, _)| name));
     names.sort_by_key(|name| (*name != "/joint_states", *name));
     names.first().map(|name| (*name).clone()).ok_or_else(|| {
         let found = topics.iter().map(|(name, kind)| format!("{name} ({kind})"));
@@ -185,11 +197,11 @@ fn send(
     received_ns: i64,
     count: u64,
 ) -> Result<bool, TableError> {
-    let mut state = decode(data).ok_or_else(|| {
+    let mut state = decode(data).or_else(|| columns(data)).ok_or_else(|| {
         let problem = format!("no {JOINT_STATE} in plain CDR");
         TableProblem::Unreadable(problem).at(path, count)
     })?;
-    if state.stamp_ns == 0 && count > 1 {
+    if state.stamp_ns == 0 && (count > 1 || state.plain) {
         state.stamp_ns = received_ns;
     }
     Ok(to.send(Ok(state)).is_ok())
@@ -236,12 +248,20 @@ fn read_mcap(path: &Path, to: &SyncSender<Item>) -> Result<(), TableError> {
     };
     let mut topics: Vec<(String, String)> = Vec::new();
     let mut joint_states = 0;
-    for message in open()?.map_while(Result::ok) {
+    for message in open()? {
+        let message = match message {
+            Ok(message) => message,
+            Err(error) if topics.is_empty() => {
+                return Err(refused(path, format!("no MCAP: {error}")));
+            }
+            // The file was cut.
+            Err(_) => break,
+        };
         let channel = &message.channel;
         if !topics.iter().any(|(name, _)| *name == channel.topic) {
             let kind = channel.schema.as_ref().map_or("?", |schema| &schema.name);
             topics.push((channel.topic.clone(), kind.to_owned()));
-            joint_states += usize::from(kind == JOINT_STATE);
+            joint_states += usize::from(kind == JOINT_STATE || kind == MEASURED);
         }
         if joint_states > 0 && topics.len() >= 64 {
             break;
@@ -257,6 +277,18 @@ fn read_mcap(path: &Path, to: &SyncSender<Item>) -> Result<(), TableError> {
         }
     }
     Ok(())
+}
+
+/// Columns of a JSON object of numbers.
+fn columns(data: &[u8]) -> Option<JointState> {
+    let fields: std::collections::BTreeMap<String, f64> = serde_json::from_slice(data).ok()?;
+    let (names, values) = fields.into_iter().unzip();
+    Some(JointState {
+        stamp_ns: 0,
+        plain: true,
+        names,
+        values: [values, Vec::new(), Vec::new()],
+    })
 }
 
 /// `sensor_msgs/JointState` in plain CDR, little or big endian          [OMG formal/02-06-51, chapter 15.3]
@@ -277,6 +309,7 @@ fn decode(data: &[u8]) -> Option<JointState> {
     let names = (0..count).map(|_| cdr.text()).collect::<Option<_>>()?;
     let values = [cdr.doubles()?, cdr.doubles()?, cdr.doubles()?];
     Some(JointState {
+        plain: false,
         stamp_ns: i64::from(seconds.cast_signed()) * 1_000_000_000 + i64::from(nanoseconds),
         names,
         values,

@@ -5,6 +5,7 @@
 
 mod bag;
 mod error;
+mod mcap;
 mod rows;
 mod writer;
 

@@ -1,6 +1,7 @@
 //! Writing a table.
 
 use super::is_compressed;
+use super::mcap::McapTable;
 use crate::files::WholeFile;
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -8,9 +9,16 @@ use std::fmt;
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Writes a table that is whole or absent.
+/// Writes a table that is whole or absent: CSV, or MCAP where the name ends in `.mcap`.
 pub struct TableWriter {
-    writer: csv::Writer<Sink>,
+    form: Form,
+    /// This table as MCAP.
+    beside: Option<Box<McapTable>>,
+}
+
+enum Form {
+    Csv(Box<csv::Writer<Sink>>),
+    Mcap(Box<McapTable>),
 }
 
 enum Sink {
@@ -39,6 +47,13 @@ impl TableWriter {
     ///
     /// Errors: the file system's.
     pub fn create(path: &Path, header: &[String]) -> io::Result<Self> {
+        if path
+            .extension()
+            .is_some_and(|extension| extension == "mcap")
+        {
+            let form = Form::Mcap(Box::new(McapTable::create(path, header)?));
+            return Ok(Self { form, beside: None });
+        }
         let file = WholeFile::create(path)?;
         let sink = if is_compressed(path) {
             Sink::Compressed(GzEncoder::new(file, Compression::default()))
@@ -47,24 +62,49 @@ impl TableWriter {
         };
         let mut writer = csv::Writer::from_writer(sink);
         writer.write_record(header)?;
-        Ok(Self { writer })
+        Ok(Self {
+            form: Form::Csv(Box::new(writer)),
+            beside: None,
+        })
+    }
+
+    /// Starts a table as CSV, and as MCAP beside it.
+    ///
+    /// Errors: the file system's.
+    pub fn with_mcap(path: &Path, header: &[String]) -> io::Result<Self> {
+        let beside = McapTable::create(&path.with_extension("mcap"), header)?;
+        Ok(Self {
+            beside: Some(Box::new(beside)),
+            ..Self::create(path, header)?
+        })
     }
 
     /// Adds a row. Numbers are written with as many digits as bring back the same value.
     ///
     /// Errors: the file system's, or a row of another width than the header.
     pub fn row<T: fmt::Display>(&mut self, values: impl IntoIterator<Item = T>) -> io::Result<()> {
-        self.writer
-            .write_record(values.into_iter().map(|value| value.to_string()))?;
-        Ok(())
+        let values: Vec<String> = values.into_iter().map(|value| value.to_string()).collect();
+        if let Some(beside) = &mut self.beside {
+            beside.row(&values)?;
+        }
+        match &mut self.form {
+            Form::Csv(writer) => Ok(writer.write_record(&values)?),
+            Form::Mcap(table) => table.row(&values),
+        }
     }
 
     /// Completes the table and gives it its name.
     ///
     /// Errors: the file system's.
     pub fn finish(self) -> io::Result<()> {
-        let sink = self
-            .writer
+        if let Some(beside) = self.beside {
+            beside.finish()?;
+        }
+        let writer = match self.form {
+            Form::Csv(writer) => writer,
+            Form::Mcap(table) => return table.finish(),
+        };
+        let sink = writer
             .into_inner()
             .map_err(|error| io::Error::other(error.to_string()))?;
         match sink {

@@ -1,4 +1,4 @@
-//! The board's code learns a real UR5 from its logs, row by row, as if it had been there.
+//! The board's code learns an arm from logs, row by row, as if it had been there.
 
 mod logs;
 mod page;
@@ -8,27 +8,26 @@ mod scores;
 use crate::real_ur5::{PATHS, geometric_mean};
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::Arm;
-use foretorque::arm::ur5::{PARAMETERS, Ur5};
+use foretorque::arm::ur5::{self, PARAMETERS, Ur5};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Exchange, Learner, LearnerConfig};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
+pub use logs::ReplayPath;
 pub use record::{PathScores, ReplayReport};
 
 use logs::Stretch;
-use record::{N, Predictions};
+use record::Predictions;
 use scores::Scores;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
-const P: usize = PARAMETERS;
-/// Period of the logs, s.
-const PERIOD_S: f64 = 8e-3;
-/// Ticks in which a row is played, on a straight line from the row before. The board's filter is 31 ticks long: a quarter
-/// of a second at the pace of the logs, which hides the accelerations of fast paths; 62 ms at four times that pace.
-const TICKS_A_ROW: u16 = 4;
+/// Longest tick, s. A row is played in as many ticks as keep below it, on a straight line from the row before. The board's
+/// filter is 31 ticks long: a quarter of a second at the 8 ms of a UR's log, which hides the accelerations of fast paths;
+/// 62 ms in four ticks a row.
+const TICK_S: f64 = 2e-3;
 /// Age of the parameters that are scored beside the newest, s.
 const AGE_S: f64 = 10.0;
 /// Length of the window in which the first error is watched, s of motion.
@@ -36,12 +35,28 @@ const WINDOW_S: f64 = 2.0;
 /// The error of the reference times this is good enough, for the first time.
 const CLOSE: f64 = 1.1;
 
-type Set = ParameterSet<N, P>;
+/// Length of the window in which the board may not lose to its start, s.
+const WATCHED_S: f64 = 3.0;
+
+/// A start of the board, and its pace.
+#[derive(Clone, Copy)]
+struct Start<const N: usize, const P: usize> {
+    set: ParameterSet<N, P>,
+    period_s: f64,
+}
+
+impl<const N: usize, const P: usize> Start<N, P> {
+    /// Ticks in which a row is played.
+    fn ticks(&self) -> u16 {
+        ((self.period_s / TICK_S).round() as u16).max(1)
+    }
+}
 
 /// The board at the pace of the logs.
-struct Board {
-    feedforward: FeedForward<Ur5, N, P>,
-    learner: Learner<Ur5, N, P>,
+struct Board<A: Arm<N, P>, const N: usize, const P: usize> {
+    start: Start<N, P>,
+    feedforward: FeedForward<A, N, P>,
+    learner: Learner<A, N, P>,
     exchange: Exchange<N, P>,
     decided: u32,
     decisions: BTreeMap<String, u32>,
@@ -49,16 +64,16 @@ struct Board {
     ticks: u32,
 }
 
-impl Board {
-    fn new() -> Result<Self, StudyError> {
-        let period_s = (PERIOD_S / f64::from(TICKS_A_ROW)) as f32;
-        let set = Set::nominal::<Ur5>(1);
-        let mut feedforward =
-            FeedForward::new(FeedForwardConfig::for_arm::<Ur5, P>(period_s), set)?;
+impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
+    fn new(start: &Start<N, P>) -> Result<Self, StudyError> {
+        let period_s = (start.period_s / f64::from(start.ticks())) as f32;
+        let set = start.set;
+        let mut feedforward = FeedForward::new(FeedForwardConfig::for_arm::<A, P>(period_s), set)?;
         feedforward.set_learning(true);
         Ok(Self {
+            start: *start,
             feedforward,
-            learner: Learner::new(LearnerConfig::for_arm::<Ur5>(period_s), set)?,
+            learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
             exchange: Exchange::new(),
             decided: 0,
             decisions: BTreeMap::new(),
@@ -67,7 +82,7 @@ impl Board {
         })
     }
 
-    fn active(&self) -> &Set {
+    fn active(&self) -> &ParameterSet<N, P> {
         &self.feedforward.state().active
     }
 
@@ -108,7 +123,7 @@ impl Board {
                 for _ in 0..20 {
                     torque = self.tick(Some(&sample));
                 }
-                let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
+                let limit = A::LIMITS[joint].torque;
                 largest = largest.max(f64::from(torque[joint].abs() / limit));
             }
         }
@@ -117,8 +132,12 @@ impl Board {
 }
 
 /// Plays a stretch to the board. `history` holds the sets of the last ten seconds.
-fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Predictions {
-    let nominal = Set::nominal::<Ur5>(1);
+fn play<A: Arm<N, P>, const N: usize, const P: usize>(
+    board: &mut Board<A, N, P>,
+    history: &mut VecDeque<ParameterSet<N, P>>,
+    stretch: &Stretch<N>,
+) -> Predictions {
+    let start = board.start;
     let mut predicted = Predictions {
         newest: Vec::new(),
         aged: Vec::new(),
@@ -129,19 +148,20 @@ fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Pr
     board.tick(None);
     for row in &stretch.rows {
         let desired = motion_f32(&row.state);
-        let torques = |set: &Set| evaluate::<Ur5, N, P>(set, &desired).total.cast::<f64>();
+        let torques =
+            |set: &ParameterSet<N, P>| evaluate::<A, N, P>(set, &desired).total.cast::<f64>();
         predicted.newest.extend(torques(board.active()).iter());
-        predicted.frozen.extend(torques(&nominal).iter());
-        if history.len() as f64 * PERIOD_S >= AGE_S {
+        predicted.frozen.extend(torques(&start.set).iter());
+        if history.len() as f64 * start.period_s >= AGE_S {
             history.pop_front();
         }
         history.push_back(*board.active());
         predicted
             .aged
-            .extend(torques(history.front().unwrap_or(&nominal)).iter());
+            .extend(torques(history.front().unwrap_or(&start.set)).iter());
         let from = before.unwrap_or(row.measured);
-        for k in 1..=TICKS_A_ROW {
-            let share = f32::from(k) / f32::from(TICKS_A_ROW);
+        for k in 1..=start.ticks() {
+            let share = f32::from(k) / f32::from(start.ticks());
             board.tick(Some(&JointSample {
                 desired,
                 measured: Some(JointMeasurement {
@@ -162,48 +182,104 @@ fn play(board: &mut Board, history: &mut VecDeque<Set>, stretch: &Stretch) -> Pr
     predicted
 }
 
-/// Runs the study on the logs in `directory`. Returns the figures and the page.
+/// Replays the logs in `directory` of a real UR5 to a board that starts from its data sheet.
 ///
 /// Errors: a log is missing or damaged; an identification fails.
-pub fn run(
+pub fn real_ur5(
     directory: &Path,
     seed: u64,
     progress: Progress<'_>,
 ) -> Result<Outcome<ReplayReport>, StudyError> {
+    crate::real_ur5::check_directory(directory)?;
+    let paths = PATHS.iter().map(|(name, files)| ReplayPath {
+        name: (*name).to_owned(),
+        files: files.iter().map(|file| directory.join(file)).collect(),
+    });
+    let start = ("data sheet", ParameterSet::nominal::<Ur5>(1));
     let robot = Robot::load("ur5")?;
-    let stretches = logs::read(directory, &robot, seed, progress)?;
-    let mut board = Board::new()?;
+    let paths: Vec<ReplayPath> = paths.collect();
+    // The clocks of these logs have lost rows; the controller's period is known.
+    at_period::<Ur5, { ur5::JOINTS }, PARAMETERS>(&robot, &paths, start, seed, Some(8e-3), progress)
+}
+
+/// Replays logs to a board that starts from a set, on the clock of the first log. Returns the figures and the page.
+///
+/// * `start` its name, and the set
+///
+/// Errors: a log is missing or damaged; an identification fails.
+pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
+    robot: &Robot,
+    paths: &[ReplayPath],
+    start: (&str, ParameterSet<N, P>),
+    seed: u64,
+    progress: Progress<'_>,
+) -> Result<Outcome<ReplayReport>, StudyError> {
+    at_period::<A, N, P>(robot, paths, start, seed, None, progress)
+}
+
+fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
+    robot: &Robot,
+    paths: &[ReplayPath],
+    (named, set): (&str, ParameterSet<N, P>),
+    seed: u64,
+    period_s: Option<f64>,
+    progress: Progress<'_>,
+) -> Result<Outcome<ReplayReport>, StudyError> {
+    let logs = logs::read::<N>(paths, robot, seed, progress)?;
+    let (stretches, period_s) = (logs.stretches, period_s.unwrap_or(logs.period_s));
+    let start = Start { set, period_s };
+    let mut board = Board::<A, N, P>::new(&start)?;
     let mut history = VecDeque::new();
-    let mut scores: Vec<Scores> = PATHS.iter().map(|_| Scores::default()).collect();
+    let mut scores: Vec<Scores<N>> = paths.iter().map(|_| Scores::default()).collect();
+    let limits = std::array::from_fn(|joint| f64::from(A::LIMITS[joint].torque));
     for (number, stretch) in stretches.iter().enumerate() {
         progress("log replayed", number, stretches.len());
         let fresh = history.is_empty();
         let predicted = play(&mut board, &mut history, stretch);
         let skipped = if fresh {
-            (AGE_S / PERIOD_S) as usize
+            (AGE_S / period_s) as usize
         } else {
             0
         };
         scores[stretch.path].add(stretch, &predicted, skipped);
+        let rows = (WATCHED_S / period_s) as usize;
+        scores[stretch.path].watch(stretch, &predicted, rows, &limits);
     }
-    let within = within_1_1(&stretches, progress)?;
-    let after_others = after_others(&stretches, progress)?;
+    let within = within_1_1::<A, N, P>(&stretches, paths.len(), &start, progress)?;
+    let after_others = match paths.len() {
+        1 => None,
+        count => Some(after_others::<A, N, P>(
+            &stretches, count, &start, progress,
+        )?),
+    };
     let (ticks, clipped) = (board.ticks, board.clipped);
     let rows_accepted = board.learner.state().statistics.accepted;
     let decisions = board.decisions.clone();
-    let paths: Vec<PathScores> = PATHS
+    let reference = match paths.len() {
+        1 => format!("wls, {}, the same path", logs.columns),
+        _ => format!("wls, {}, other paths", logs.columns),
+    };
+    let paths: Vec<PathScores> = paths
         .iter()
         .zip(&scores)
         .zip(&within)
-        .map(|(((name, _), scores), within)| scores.record(name, *within))
+        .map(|((path, scores), within)| scores.record(&path.name, *within))
         .collect();
-    let mean = |pick: &dyn Fn(&Scores) -> Vec<Option<f64>>| {
+    let mean = |pick: &dyn Fn(&Scores<N>) -> Vec<Option<f64>>| {
         let ratios: Vec<f64> = scores.iter().flat_map(pick).flatten().collect();
         geometric_mean(&ratios)
     };
     let report = ReplayReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        reference: format!("wls, {}, other paths", logs::RICH),
+        robot: robot.name.clone(),
+        start: named.to_owned(),
+        notes: logs.notes,
+        period_s,
+        reference,
+        worst_window_over_start_ratio: scores
+            .iter()
+            .filter_map(|scores| scores.worst_window)
+            .reduce(f64::max),
         newest_vs_rich_wls_ratio: mean(&|s| s.newest.over(&s.rich)),
         aged_10_s_vs_rich_wls_ratio: mean(&|s| s.aged.over(&s.rich_aged)),
         aged_10_s_after_other_paths_vs_rich_wls_ratio: after_others,
@@ -225,21 +301,28 @@ pub fn run(
     Ok(page::outcome(report))
 }
 
-/// Motion that a board fresh from the data sheet needs on each path to come within 1.1 of the reference, s.
-fn within_1_1(
-    stretches: &[Stretch],
+/// Motion that a board fresh from its start needs on each path to come within 1.1 of the reference, s.
+fn within_1_1<A: Arm<N, P>, const N: usize, const P: usize>(
+    stretches: &[Stretch<N>],
+    paths: usize,
+    start: &Start<N, P>,
     progress: Progress<'_>,
 ) -> Result<Vec<Option<f64>>, StudyError> {
     let mut times = Vec::new();
-    for path in 0..PATHS.len() {
-        progress("fresh on each path", path, PATHS.len());
-        let mut board = Board::new()?;
+    for path in 0..paths {
+        progress("fresh on each path", path, paths);
+        let mut board = Board::<A, N, P>::new(start)?;
         let first = stretches.iter().find(|stretch| stretch.path == path);
         times.push(match first {
             Some(stretch) => {
                 let predicted = play(&mut board, &mut VecDeque::new(), stretch);
-                scores::motion_until_close(stretch, &predicted.newest, WINDOW_S / PERIOD_S, CLOSE)
-                    .map(|rows| rows as f64 * PERIOD_S)
+                scores::motion_until_close(
+                    stretch,
+                    &predicted.newest,
+                    WINDOW_S / start.period_s,
+                    CLOSE,
+                )
+                .map(|rows| rows as f64 * start.period_s)
             }
             None => None,
         });
@@ -248,12 +331,17 @@ fn within_1_1(
 }
 
 /// Error of parameters 10 s old over the reference's, geometric mean, of boards that have learnt all other paths before.
-fn after_others(stretches: &[Stretch], progress: Progress<'_>) -> Result<f64, StudyError> {
+fn after_others<A: Arm<N, P>, const N: usize, const P: usize>(
+    stretches: &[Stretch<N>],
+    paths: usize,
+    start: &Start<N, P>,
+    progress: Progress<'_>,
+) -> Result<f64, StudyError> {
     let mut ratios = Vec::new();
-    for path in 0..PATHS.len() {
-        progress("after the other paths", path, PATHS.len());
-        let (mut board, mut history) = (Board::new()?, VecDeque::new());
-        let mut scores = Scores::default();
+    for path in 0..paths {
+        progress("after the other paths", path, paths);
+        let (mut board, mut history) = (Board::<A, N, P>::new(start)?, VecDeque::new());
+        let mut scores = Scores::<N>::default();
         for stretch in stretches.iter().filter(|stretch| stretch.path != path) {
             play(&mut board, &mut history, stretch);
         }

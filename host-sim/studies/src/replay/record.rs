@@ -1,10 +1,8 @@
 //! Figures of the replay.
 
-use foretorque::arm::ur5::JOINTS;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-pub(super) const N: usize = JOINTS;
 /// A joint slower than this stands still, rad/s.
 pub(super) const GATE_RAD_S: f64 = 0.05;
 
@@ -20,11 +18,14 @@ pub struct PathScores {
     pub newest_ratio: Vec<Option<f64>>,
     /// Over it: the error of parameters 10 s old.
     pub aged_ratio: Vec<Option<f64>>,
-    /// Over it: the error of the data sheet.
+    /// Over it: the error of what the board started from, frozen.
     pub frozen_ratio: Vec<Option<f64>>,
-    /// Motion until the newest parameters are within 1.1 of it over 2 s, started from the data sheet on this path, s;
+    /// Motion until the newest parameters are within 1.1 of it over 2 s, from the start on this path, s;
     /// `null` if never.
     pub within_1_1_after_s: Option<f64>,
+    /// Largest error of the newest parameters over that of the start in any 3 s, all joints as shares of their torque
+    /// limits.
+    pub worst_window_over_start_ratio: Option<f64>,
 }
 
 /// `report.json`.
@@ -32,20 +33,31 @@ pub struct PathScores {
 pub struct ReplayReport {
     /// Version of this program.
     pub version: String,
+    /// Robot.
+    pub robot: String,
+    /// Start of the board.
+    pub start: String,
+    /// Remarks on the logs.
+    pub notes: Vec<String>,
+    /// Period of the rows of every log, s.
+    pub period_s: f64,
     /// The reference.
     pub reference: String,
-    /// Geometric means over joints and paths of error over the reference's, moving rows: newest, 10 s old, data sheet.
+    /// Geometric means over joints and paths of error over the reference's, moving rows: newest, 10 s old, the start frozen.
     pub newest_vs_rich_wls_ratio: f64,
     /// See above. The first 10 s of the first log have no such parameters and are left out.
     pub aged_10_s_vs_rich_wls_ratio: f64,
-    /// Ratio of 10-s-old parameters for boards that have learnt all other paths before each path, as the reference has.
-    pub aged_10_s_after_other_paths_vs_rich_wls_ratio: f64,
+    /// Ratio of 10-s-old parameters for boards that have learnt all other paths before each path, as the reference has; none
+    /// with a single path.
+    pub aged_10_s_after_other_paths_vs_rich_wls_ratio: Option<f64>,
     /// See above.
     pub frozen_vs_rich_wls_ratio: f64,
     /// Plain batch least squares over the reference.
     pub plain_wls_vs_rich_wls_ratio: f64,
     /// The aged parameters over plain batch least squares.
     pub aged_10_s_vs_plain_wls_ratio: f64,
+    /// Largest error of the newest parameters over that of the start in any 3 s of any path.
+    pub worst_window_over_start_ratio: Option<f64>,
     /// The longest of the paths' times to 1.1, s.
     pub within_1_1_worst_s: Option<f64>,
     /// Decisions of the supervisor by reason.

@@ -1,0 +1,72 @@
+use super::boards::{OnArm, on_arm};
+use super::log_options::LogOptions;
+use super::progress::Bar;
+use super::terminal::say;
+use super::{Failure, bank};
+use clap::Args;
+use foretorque::arm::Arm;
+use foretorque::learning::ParameterSet;
+use foretorque_studies::replay::{self, ReplayPath};
+use foretorque_workbench::report::ReportFiles;
+use foretorque_workbench::robot::Robot;
+use std::path::{Path, PathBuf};
+
+/// Replay logs to the board's learner, row by row, and score it against batch least squares and against its start
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Robot: a built-in name or a description file
+    #[arg(long)]
+    robot: String,
+    /// Log (CSV, ROS 2 bag, MCAP); given several times, batch least squares learns each from the others
+    #[arg(long = "log", value_name = "FILE", required = true)]
+    logs: Vec<PathBuf>,
+    #[command(flatten)]
+    columns_of_log: LogOptions,
+    /// Parameter bank to start from; without it the description's rigid body
+    #[arg(long, value_name = "FILE")]
+    bank: Option<PathBuf>,
+    /// Seed of the batch identification
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Directory for report.json and report.html
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    on_arm(&arguments.robot, arguments)
+}
+
+impl OnArm for &Arguments {
+    type Output = ();
+
+    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
+        self,
+        robot: &Robot,
+    ) -> Result<(), Failure> {
+        let mut robot = robot.clone();
+        self.columns_of_log.apply(&mut robot)?;
+        let set = match &self.bank {
+            Some(file) => bank::read(file)?.set::<A, N, P>()?,
+            None => ParameterSet::nominal::<A>(1),
+        };
+        let name = |path: &Path| path.display().to_string();
+        let start = self.bank.as_deref().map_or("description".to_owned(), name);
+        let paths: Vec<ReplayPath> = self
+            .logs
+            .iter()
+            .map(|file| ReplayPath {
+                name: name(file),
+                files: vec![file.clone()],
+            })
+            .collect();
+        let files = ReportFiles::create(&self.out)?;
+        let bar = Bar::new();
+        let progress = |stage, done, all| bar.show(stage, done, all);
+        let outcome = replay::run::<A, N, P>(&robot, &paths, (&start, set), self.seed, &progress)?;
+        drop(bar);
+        let page = files.finish(&outcome.report, &outcome.page)?;
+        say(outcome.text.trim_end())?;
+        Ok(say(format_args!("report  {}", page.display()))?)
+    }
+}

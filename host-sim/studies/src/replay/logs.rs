@@ -1,0 +1,234 @@
+//! The logs row by row, with the torques of batch least squares on the other paths.
+
+use super::record::GATE_RAD_S;
+use crate::real_ur5::columns;
+use crate::{Progress, StudyError};
+use foretorque::joint::JointMeasurement;
+use foretorque_workbench::dynamics::State;
+use foretorque_workbench::identification::{
+    IdentifyConfig, IdentifyError, Layout, MethodName, Preparation, PrepareConfig, Prepared,
+    WholeLog, for_each_prepared, identify,
+};
+use foretorque_workbench::robot::Robot;
+use std::path::{Path, PathBuf};
+
+/// The friction columns of the reference.
+pub(super) const RICH: &str = "coulomb-viscous+offset+stribeck+sqrt+load";
+
+/// Columns of the reference where the logs do not show the rich ones.
+const SIMPLE: [&str; 3] = [RICH, "coulomb-viscous+offset", PLAIN];
+/// The friction columns of the plain reference.
+const PLAIN: &str = "coulomb-viscous";
+
+/// A path: its name, and the logs that show it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReplayPath {
+    /// Name.
+    pub name: String,
+    /// Logs.
+    pub files: Vec<PathBuf>,
+}
+
+/// Filters of the reference and of the figures for rows so far apart: at 8 ms those published for the logs of the UR5.
+fn filters(period_s: f64) -> PrepareConfig {
+    PrepareConfig {
+        motion_hz: f64::min(20.0, 0.4 / period_s),
+        torque_hz: Some(f64::min(10.0, 0.2 / period_s)),
+        still_rad_s: GATE_RAD_S,
+    }
+}
+
+/// One row of a log.
+pub(super) struct Row<const N: usize> {
+    /// As the drives reported it, unfiltered.
+    pub(super) measured: JointMeasurement<N>,
+    /// Motion, filtered forwards and backwards: what the figures are taken of.
+    pub(super) state: State<N>,
+    /// Torque through the same filter, N·m.
+    pub(super) tau: [f64; N],
+    /// Torques of plain and rich batch least squares on the other paths, N·m, through the same filter.
+    pub(super) batch: [[f64; N]; 2],
+}
+
+/// A stretch of a log without a gap.
+pub(super) struct Stretch<const N: usize> {
+    /// Which path it is of.
+    pub(super) path: usize,
+    pub(super) rows: Vec<Row<N>>,
+    pub(super) preparation: Preparation,
+}
+
+/// All logs in the order of their paths.
+pub(super) struct Logs<const N: usize> {
+    pub(super) stretches: Vec<Stretch<N>>,
+    /// Time between two rows, s: that of the first log.
+    pub(super) period_s: f64,
+    /// Columns of the reference.
+    pub(super) columns: &'static str,
+    pub(super) notes: Vec<String>,
+}
+
+/// All logs, with batch least squares on the other paths, or on the path itself where there is no other.
+///
+/// Errors: a log is missing or damaged; an identification fails; logs of different rates.
+pub(super) fn read<const N: usize>(
+    paths: &[ReplayPath],
+    robot: &Robot,
+    seed: u64,
+    progress: Progress<'_>,
+) -> Result<Logs<N>, StudyError> {
+    let mut notes = Vec::new();
+    let mut period_s = None;
+    for file in paths.iter().flat_map(|path| &path.files) {
+        let own = WholeLog::<N>::open(file, robot)?.period_s();
+        let first = *period_s.get_or_insert(own);
+        if (own / first - 1.0).abs() > 0.05 {
+            return Err(StudyError::Unusable(format!(
+                "{}: rows {:.2} ms apart, those of the first log {:.2} ms: replay them one by one",
+                file.display(),
+                1e3 * own,
+                1e3 * first
+            )));
+        }
+    }
+    let period_s = period_s.ok_or_else(|| StudyError::Unusable("no log".to_owned()))?;
+    let (mut columns, prepare) = (RICH, filters(period_s));
+    let training = |number: usize| -> Vec<PathBuf> {
+        let others = paths.iter().enumerate();
+        let others = others.filter(|(other, _)| *other != number || paths.len() == 1);
+        others
+            .flat_map(|(_, path)| path.files.iter().cloned())
+            .collect()
+    };
+    for text in SIMPLE {
+        columns = text;
+        let (training, held_out) = (training(0), &paths[0].files[..1]);
+        match batch::<N>(robot, (&training, held_out), columns, prepare, seed) {
+            Err(StudyError::Identify(IdentifyError::RankDeficient(..))) if text != PLAIN => {
+                notes.push(format!("the logs do not show all columns of {text}"));
+            }
+            other => {
+                drop(other?);
+                break;
+            }
+        }
+    }
+    let mut stretches = Vec::new();
+    for (number, path) in paths.iter().enumerate() {
+        progress("path held out", number, paths.len());
+        let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
+        let mut prepared = Vec::new();
+        for (text, found) in [PLAIN, columns].iter().zip(&mut found) {
+            let layout = Layout::<N>::new(robot, &crate::real_ur5::columns(text)?);
+            let layout = layout.ok_or(StudyError::Joints(N))?;
+            let theta = batch::<N>(
+                robot,
+                (&training(number), &path.files[..1]),
+                text,
+                prepare,
+                seed,
+            )?;
+            prepared.clear();
+            notes.clear();
+            for file in &path.files {
+                for_each_prepared(
+                    file,
+                    robot,
+                    &layout,
+                    &prepare,
+                    &mut notes,
+                    &mut |preparation, stretch| {
+                        found.push(predictions(&layout, &theta, &stretch));
+                        prepared.push((file.clone(), preparation.clone(), stretch));
+                    },
+                )?;
+            }
+        }
+        for (k, (file, preparation, stretch)) in prepared.into_iter().enumerate() {
+            let raw = raw_rows(&file, robot)?;
+            let rows = stretch.core.clone().filter_map(|row| {
+                let t_s = stretch.t_s[row];
+                let place = raw.partition_point(|(raw_s, _)| *raw_s < t_s);
+                let measured = raw.get(place)?.1;
+                Some(Row {
+                    measured,
+                    state: stretch.states[row],
+                    tau: std::array::from_fn(|joint| stretch.tau[row * N + joint]),
+                    batch: [found[0][k][row], found[1][k][row]],
+                })
+            });
+            stretches.push(Stretch {
+                path: number,
+                rows: rows.collect(),
+                preparation,
+            });
+        }
+    }
+    Ok(Logs {
+        stretches,
+        period_s,
+        columns,
+        notes,
+    })
+}
+
+/// Weighted least squares over the training logs: one value a parameter.
+fn batch<const N: usize>(
+    robot: &Robot,
+    (training, held_out): (&[PathBuf], &[PathBuf]),
+    text: &str,
+    prepare: PrepareConfig,
+    seed: u64,
+) -> Result<Vec<f64>, StudyError> {
+    let config = IdentifyConfig {
+        methods: vec![MethodName::Wls],
+        columns: columns(text)?,
+        prepare,
+        seed,
+        fold_period_s: None,
+        gains_from_standstill: false,
+        truth: None,
+        test: Vec::new(),
+    };
+    let outcome = identify::<N>(robot, training, held_out, &config, &|_| ())?;
+    let record = outcome.report.methods.get(&MethodName::Wls.to_string());
+    let parameters = record.ok_or(IdentifyError::Unsolvable)?.parameters.iter();
+    Ok(parameters.map(|parameter| parameter.value).collect())
+}
+
+/// Torques of `theta` in every row of a stretch, N·m; the columns are filtered already.
+fn predictions<const N: usize>(
+    layout: &Layout<N>,
+    theta: &[f64],
+    stretch: &Prepared<N>,
+) -> Vec<[f64; N]> {
+    let rows = stretch.panel.chunks_exact(layout.width);
+    rows.map(|row| {
+        std::array::from_fn(|joint| {
+            let columns = row[layout.offset[joint]..].iter();
+            let active = layout.active[joint].iter();
+            columns
+                .zip(active)
+                .map(|(x, &place)| x * theta[place])
+                .sum()
+        })
+    })
+    .collect()
+}
+
+/// Time and measurement of every row.
+fn raw_rows<const N: usize>(
+    file: &Path,
+    robot: &Robot,
+) -> Result<Vec<(f64, JointMeasurement<N>)>, StudyError> {
+    let mut log = WholeLog::<N>::open(file, robot)?;
+    let mut rows = Vec::new();
+    while let Some(row) = log.next_row()? {
+        let measured = JointMeasurement {
+            q: row.q.map(|q| q as f32).into(),
+            tau: row.tau.map(|tau| tau as f32).into(),
+        };
+        rows.push((row.t_s, measured));
+    }
+    Ok(rows)
+}

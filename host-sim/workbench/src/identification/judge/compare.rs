@@ -1,0 +1,316 @@
+//! Torques of a log against those of the description: signs, sizes, order of the joints, noise.
+
+use super::{
+    DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE, ROWS,
+    SOUND_SCALE, SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
+};
+use crate::dynamics::{Joints, ReferenceModel, State};
+use crate::robot::Robot;
+use nalgebra::{DMatrix, DVector};
+
+/// Regression of one joint's torque on the description's link torque, friction and a rotor.
+#[derive(Clone, Copy)]
+struct Explained {
+    /// Share of the variance left.
+    rest: f64,
+    /// Torque over that of the description's links.
+    scale: f64,
+    deviation: f64,
+    /// Gravity is large enough to decide.
+    heavy: bool,
+}
+
+/// Torque of the links of the description and gravity at every row.
+fn links<const N: usize>(model: &ReferenceModel<N>, states: &[State<N>]) -> Vec<[Joints<N>; 2]> {
+    let of = |state: &State<N>| {
+        [
+            model.inverse_dynamics(state),
+            model.gravity_torques(&state.q),
+        ]
+    };
+    states.iter().map(of).collect()
+}
+
+fn explain<const N: usize>(
+    joint: usize,
+    states: &[State<N>],
+    links: &[[Joints<N>; 2]],
+    limit: f64,
+    tau: impl Fn(usize) -> f64,
+) -> Explained {
+    const COLUMNS: usize = 5;
+    let count = states.len();
+    let width = f64::from(foretorque::dynamics::SIGN_WIDTH);
+    let x = DMatrix::from_fn(count, COLUMNS, |row, column| {
+        let state = &states[row];
+        match column {
+            0 => links[row][0][joint],
+            1 => (state.qd[joint] / (5.0 * width)).tanh(),
+            2 => state.qd[joint],
+            3 => state.qdd[joint],
+            _ => 1.0,
+        }
+    });
+    let y = DVector::from_fn(count, |row, _| tau(row));
+    let mean = y.mean();
+    let variance = y.iter().map(|tau| (tau - mean).powi(2)).sum::<f64>();
+    let mut gram = x.tr_mul(&x);
+    let moment = x.tr_mul(&y);
+    // A joint without link torque, or one that stands still, has a column of zeros.
+    for k in 0..COLUMNS {
+        gram[(k, k)] += 1e-9 * gram[(k, k)] + 1e-12;
+    }
+    let Some(inverse) = gram.try_inverse() else {
+        return Explained {
+            rest: 1.0,
+            scale: 1.0,
+            deviation: f64::INFINITY,
+            heavy: false,
+        };
+    };
+    let beta = &inverse * moment;
+    let rest = (&y - &x * &beta).norm_squared();
+    let noise = rest / (count.max(COLUMNS + 1) - COLUMNS) as f64;
+    let gravity = links.iter().map(|link| link[1][joint].powi(2)).sum::<f64>();
+    Explained {
+        rest: rest / f64::max(variance, 1e-12),
+        scale: beta[0],
+        deviation: (noise * inverse[(0, 0)]).sqrt(),
+        heavy: (gravity / count.max(1) as f64).sqrt() > GRAVITY_SHARE * limit,
+    }
+}
+
+/// Compares the torques with those of the description.
+pub(super) fn compare<const N: usize>(
+    judgement: &mut Judgement,
+    robot: &Robot,
+    rows: &[(State<N>, Joints<N>)],
+    extremes: &[Extremes; N],
+    gain: f64,
+) {
+    let mut bare = robot.clone();
+    for joint in &mut bare.joints {
+        joint.drive.rotor_inertia = 0.0;
+    }
+    let Some(model) = ReferenceModel::<N>::new(&bare) else {
+        return;
+    };
+    let states: Vec<State<N>> = rows.iter().map(|(state, _)| *state).collect();
+    let of_links = links(&model, &states);
+    let limit = |joint: usize| robot.joints[joint].limits.torque;
+    let own: [Explained; N] = std::array::from_fn(|joint| {
+        explain(joint, &states, &of_links, limit(joint), |row| {
+            rows[row].1[joint]
+        })
+    });
+    for (joint, seen) in extremes.iter().enumerate() {
+        let told = own[joint].deviation < 0.3;
+        judgement.joints.push(JointCheck {
+            position_rad: seen.position,
+            speed_rad_s: seen.speed,
+            torque_rms_nm: (seen.power / f64::max(seen.rows, 1.0)).sqrt(),
+            noise_floor_nm: seen.noise() * gain,
+            unexplained_ratio: own[joint].rest,
+            scale_ratio: (told && own[joint].heavy).then_some(own[joint].scale),
+        });
+    }
+    let noise: Vec<usize> = (0..N)
+        .filter(|&joint| own[joint].rest > NOISE_SHARE)
+        .collect();
+    let heavy: Vec<usize> = (0..N).filter(|&joint| own[joint].heavy).collect();
+    if noise.len() == N {
+        judgement.find(
+            true,
+            "the torques of all joints are noise: they follow neither the motion nor gravity",
+        );
+        return;
+    }
+    if let Some(text) = order(&model, robot, rows, (&own, extremes)) {
+        judgement.find(true, text);
+        return;
+    }
+    for joint in &noise {
+        let share = 100.0 * own[*joint].rest;
+        judgement.find(
+            false,
+            format!("joint {}: its torque is noise, {share:.0} % of its variance does not follow the motion", joint + 1),
+        );
+    }
+    let sound = |joint: usize| own[joint].rest <= NOISE_SHARE;
+    let turned: Vec<usize> = (0..N)
+        .filter(|&joint| sound(joint))
+        .filter(|&joint| {
+            let seen = &extremes[joint];
+            let rate: f64 = states
+                .iter()
+                .map(|state| state.qd[joint].powi(2))
+                .sum::<f64>()
+                / states.len() as f64;
+            let size = (seen.power / f64::max(seen.rows, 1.0) * rate).sqrt();
+            let drawn = seen.moving / f64::max(seen.rows, 1.0) / f64::max(size, 1e-12);
+            let scale = &own[joint];
+            (heavy.contains(&joint)
+                && scale.scale < -0.3
+                && scale.scale.abs() > DEVIATIONS * scale.deviation)
+                || (!heavy.contains(&joint) && drawn < -0.25)
+        })
+        .collect();
+    if !turned.is_empty() {
+        let names: Vec<String> = turned.iter().map(|joint| (joint + 1).to_string()).collect();
+        judgement.find(true, format!(
+            "torque of joint {} has the wrong sign: it must be positive where it accelerates +q",
+            names.join(", ")
+        ));
+        return;
+    }
+    for (joint, seen) in extremes.iter().enumerate() {
+        let friction = &robot.joints[joint].friction;
+        let moved = states
+            .iter()
+            .filter(|state| state.qd[joint].abs() > MOVED.0)
+            .count();
+        if friction.coulomb <= 0.0 || !sound(joint) || moved * 10 < states.len() {
+            continue;
+        }
+        let width = f64::from(foretorque::dynamics::SIGN_WIDTH);
+        let described = states.iter().zip(&of_links).map(|(state, links)| {
+            let qd = state.qd[joint];
+            let rotor = robot.joints[joint].drive.rotor_inertia * state.qdd[joint];
+            links[0][joint] + rotor + friction.coulomb * (qd / width).tanh() + friction.viscous * qd
+        });
+        let described = described.map(|tau| tau * tau).sum::<f64>() / states.len() as f64;
+        let size = (seen.power / f64::max(seen.rows, 1.0) / described).sqrt();
+        let text = format!(
+            "torque of joint {} is {size:.2} times the description's: drive gain or unit?",
+            joint + 1
+        );
+        // A sensor behind the gear does not see the friction of a description.
+        if size < SOUND_SIZE.0 {
+            judgement.find(false, text);
+        } else if size > SOUND_SIZE.1 {
+            judgement.find(true, text);
+            return;
+        }
+    }
+    let off = |joint: &&usize| {
+        let scale = &own[**joint];
+        let (low, high) = SOUND_SCALE;
+        let clear = scale.deviation * DEVIATIONS < (scale.scale - 1.0).abs();
+        sound(**joint) && clear && !(low..=high).contains(&scale.scale)
+    };
+    let off: Vec<&usize> = heavy.iter().filter(off).collect();
+    let unexplained = heavy.iter().filter(|&&joint| own[joint].rest > 0.6).count();
+    match (&off[..], unexplained) {
+        ([], 0) => {}
+        ([joint], 0) if heavy.len() > 1 => judgement.find(
+            true,
+            format!(
+                "torque of joint {} is {:.2} times the description's, those of the others are not: drive gain, unit, or mass?",
+                **joint + 1,
+                own[**joint].scale
+            ),
+        ),
+        _ => {
+            let scales: Vec<String> = heavy
+                .iter()
+                .map(|&joint| format!("J{} {:.2} ± {:.2}, {:.0} % unexplained", joint + 1, own[joint].scale, own[joint].deviation, 100.0 * own[joint].rest))
+                .collect();
+            judgement.find(
+                true,
+                format!(
+                    "gravity does not fit description '{}' ({} times): another arm, another base, or a heavy payload?",
+                    robot.name,
+                    scales.join("; ")
+                ),
+            );
+        }
+    }
+}
+
+/// Two joints whose positions or torques stand in each other's columns, if that explains the torques far better.
+fn order<const N: usize>(
+    model: &ReferenceModel<N>,
+    robot: &Robot,
+    rows: &[(State<N>, Joints<N>)],
+    (own, extremes): (&[Explained; N], &[Extremes; N]),
+) -> Option<String> {
+    let step = rows.len().div_ceil(ROWS / 2).max(1);
+    let rows: Vec<&(State<N>, Joints<N>)> = rows.iter().step_by(step).collect();
+    // A torque of another sign or size than gravity's is no sound explanation.
+    let cost = |explained: &Explained| {
+        let scale = match explained.heavy {
+            true if explained.scale > 0.05 => explained.scale.ln().abs(),
+            true => 3.0,
+            false => 0.0,
+        };
+        explained.rest.clamp(1e-3, 1.0).ln() + scale
+    };
+    let states: Vec<State<N>> = rows.iter().map(|row| row.0).collect();
+    let of_links = links(model, &states);
+    // Cost of an order, and the share of each joint that it leaves unexplained.
+    let all = |states: &[State<N>], of_links: &[[Joints<N>; 2]], place: &dyn Fn(usize) -> usize| {
+        let joints: [Explained; N] = std::array::from_fn(|joint| {
+            let limit = robot.joints[joint].limits.torque;
+            let tau = |row: usize| rows[row].1[place(joint)];
+            explain(joint, states, of_links, limit, tau)
+        });
+        let sum: f64 = joints.iter().map(cost).sum();
+        (sum, joints.map(|explained| explained.rest))
+    };
+    let straight = all(&states, &of_links, &|joint| joint);
+    // Torques that the description explains already are in their order.
+    let sound = |explained: &Explained| {
+        let (low, high) = SOUND_SCALE;
+        explained.rest < 0.15 && (!explained.heavy || (low..=high).contains(&explained.scale))
+    };
+    if own.iter().all(sound) {
+        return None;
+    }
+    let moved = |joint: usize| {
+        let (low, high) = extremes[joint].position;
+        extremes[joint].speed > MOVED.0 && high - low > MOVED.1
+    };
+    let mut best = (straight.0 - SWAP_EVIDENCE, None);
+    for a in 0..N {
+        for b in a + 1..N {
+            if !(moved(a) && moved(b)) {
+                continue;
+            }
+            let swap = |joint: usize| {
+                if joint == a {
+                    b
+                } else if joint == b {
+                    a
+                } else {
+                    joint
+                }
+            };
+            let moved: Vec<State<N>> = states
+                .iter()
+                .map(|state| {
+                    let swapped =
+                        |values: &Joints<N>| Joints::from_fn(|joint, _| values[swap(joint)]);
+                    State {
+                        q: swapped(&state.q),
+                        qd: swapped(&state.qd),
+                        qdd: swapped(&state.qdd),
+                    }
+                })
+                .collect();
+            let of_moved = links(model, &moved);
+            for (what, found) in [
+                ("torques", all(&states, &of_links, &swap)),
+                ("positions", all(&moved, &of_moved, &|joint| joint)),
+                ("positions and torques", all(&moved, &of_moved, &swap)),
+            ] {
+                let (sum, rest) = found;
+                if sum < best.0 && rest[a] < SWAPPED_REST && rest[b] < SWAPPED_REST {
+                    best = (sum, Some((what, a, b)));
+                }
+            }
+        }
+    }
+    best.1.map(|(what, a, b)| {
+        format!("{what} of joints {} and {} are swapped: exchanged they follow the description, as they are they do not", a + 1, b + 1)
+    })
+}

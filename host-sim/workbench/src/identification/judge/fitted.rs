@@ -1,0 +1,128 @@
+//! Findings on what was fitted: an unknown payload, and parameters that no arm has.
+
+use super::{ANALYTIC, DEVIATIONS, Judgement};
+use crate::identification::columns::Layout;
+use crate::identification::methods::Fit;
+use crate::robot::{Link, Robot};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+/// Parameters of the description: base set, then viscous and Coulomb friction, all else zero.
+pub(in crate::identification) fn description<const N: usize>(
+    robot: &Robot,
+    layout: &Layout<N>,
+) -> DVector<f64> {
+    let mut theta = robot.base_parameters();
+    theta.extend(layout.parameters.iter().skip(layout.base).map(|parameter| {
+        let joint = parameter.friction.map_or(0, |(_, joint)| joint);
+        let friction = &robot.joints[joint].friction;
+        match parameter
+            .name
+            .trim_end_matches(|c: char| c.is_ascii_digit())
+        {
+            "Fv" => friction.viscous,
+            "Fc" => friction.coulomb,
+            _ => 0.0,
+        }
+    }));
+    DVector::from_vec(theta)
+}
+
+/// Findings on what was fitted: an unknown payload, and parameters that no body has.
+pub(in crate::identification) fn after_fit<const N: usize>(
+    judgement: &mut Judgement,
+    robot: &Robot,
+    layout: &Layout<N>,
+    fit: &Fit<N>,
+) {
+    if let Some((mass, deviation)) = payload(robot, layout, fit) {
+        judgement.find(true, format!(
+            "a payload of {mass:.2} ± {deviation:.2} kg at the flange explains what the description does not: add it to the description or take it off"
+        ));
+    }
+    let deviations = fit
+        .covariance
+        .diagonal()
+        .map(|variance| ANALYTIC * variance.max(0.0).sqrt());
+    for (place, parameter) in layout.parameters.iter().enumerate() {
+        let symbol = parameter
+            .name
+            .trim_end_matches(|c: char| c.is_ascii_digit());
+        let value = fit.theta[place];
+        if matches!(symbol, "Fv" | "Fc" | "Ia") && value < -DEVIATIONS * deviations[place] {
+            judgement.find(
+                false,
+                format!(
+                    "{} is {value:.4} {}: no arm has it below zero",
+                    parameter.name, parameter.unit
+                ),
+            );
+        }
+    }
+}
+
+/// Mass at the flange that the fit has and the description has not, kg, with its standard deviation; none where the
+/// description's own uncertainty explains the difference.
+///
+/// `theta − theta_description = p m + e`, e with the covariance of the fit and of a description whose masses, centres,
+/// inertias and rotors are uncertain.
+fn payload<const N: usize>(robot: &Robot, layout: &Layout<N>, fit: &Fit<N>) -> Option<(f64, f64)> {
+    const MASS: f64 = 0.25;
+    const CENTRE_M: f64 = 0.03;
+    const LEAST_KG: f64 = 0.3;
+    let base = layout.base;
+    let nominal = DVector::from_vec(robot.base_parameters());
+    let moved = |change: &dyn Fn(&mut Robot)| {
+        let mut other = robot.clone();
+        change(&mut other);
+        DVector::from_vec(other.base_parameters()) - &nominal
+    };
+    let mut covariance: DMatrix<f64> =
+        fit.covariance.view((0, 0), (base, base)) * (ANALYTIC * ANALYTIC);
+    let mut uncertain = |change: &dyn Fn(&mut Robot)| {
+        let step = moved(change);
+        covariance.ger(1.0, &step, &step, 1.0);
+    };
+    for link in 0..N {
+        uncertain(&|other| {
+            other.joints[link].link.mass *= 1.0 + MASS;
+            other.joints[link].link.inertia_com *= 1.0 + MASS;
+        });
+        for axis in 0..3 {
+            uncertain(&|other| other.joints[link].link.com[axis] += CENTRE_M);
+            uncertain(&|other| {
+                let inertia = &mut other.joints[link].link.inertia_com;
+                inertia[(axis, axis)] *= 1.5;
+            });
+        }
+        uncertain(&|other| {
+            let limit = other.joints[link].limits.torque;
+            let drive = &mut other.joints[link].drive;
+            drive.rotor_inertia = 2.0 * drive.rotor_inertia + 0.01 * limit;
+        });
+    }
+    let at = |height: f64| {
+        moved(&|other| {
+            let Some(last) = other.joints.last() else {
+                return;
+            };
+            let body = Link {
+                mass: 1.0,
+                com: robot.flange.origin
+                    + robot.flange.rot_parent_child * Vector3::new(0.0, 0.0, height),
+                inertia_com: Matrix3::identity() * 1e-4,
+            };
+            let body = Link::lumped(&[last.link, body]);
+            if let (Some(body), Some(last)) = (body, other.joints.last_mut()) {
+                last.link = body;
+            }
+        })
+    };
+    let inverse = covariance.cholesky()?.inverse();
+    let rest = fit.theta.rows(0, base) - &nominal;
+    // Mass at the flange and its first moment along the flange's axis.
+    let columns = DMatrix::from_columns(&[at(0.0), (at(0.1) - at(0.0)) * 10.0]);
+    let gram = columns.tr_mul(&(&inverse * &columns)).try_inverse()?;
+    let found = &gram * columns.tr_mul(&(&inverse * &rest));
+    let deviation = gram[(0, 0)].sqrt();
+    (found[0] > LEAST_KG && found[0] > DEVIATIONS * deviation).then_some((found[0], deviation))
+}

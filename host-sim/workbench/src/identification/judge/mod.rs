@@ -1,0 +1,378 @@
+//! Judgement of logs against the description: units, signs, order of joints, delay, excitation; and of what was fitted.
+//!
+//! A log is compared with the description's torques of its own motion, which need not be accurate: masses 30 % off leave
+//! the sign, the order of the joints and the unit visible.
+
+mod compare;
+mod delay;
+mod fitted;
+
+pub(super) use fitted::{after_fit, description};
+
+use super::columns::{ColumnSet, Layout};
+use super::error::IdentifyError;
+use super::normal::NormalEquations;
+use super::prepare::PrepareConfig;
+use super::stream::for_each_prepared;
+use super::study::check_cut_offs;
+use super::whole_log::WholeLog;
+use crate::dynamics::{Joints, State};
+use crate::robot::Robot;
+use compare::compare;
+use delay::{Delay, delay};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Most rows that are compared with the description.
+const ROWS: usize = 600;
+/// Positions and torques this many times their limits are in other units.
+const BEYOND: f64 = 3.0;
+/// Gravity decides over sign and size where its RMS is this share of the torque limit.
+const GRAVITY_SHARE: f64 = 0.05;
+/// Range of the RMS torque over that of a description with friction.
+const SOUND_SIZE: (f64, f64) = (0.2, 5.0);
+/// Speed and range from which a joint counts as moved, rad/s and rad.
+const MOVED: (f64, f64) = (0.2, 0.2);
+/// Speed from which the delay is estimated, rad/s: the step of friction at a reversal passes for a delay.
+const FAST_RAD_S: f64 = 0.2;
+/// Range of a sound torque over that of the description.
+const SOUND_SCALE: (f64, f64) = (0.4, 2.4);
+/// A torque with more than this share of its variance unexplained is noise.
+const NOISE_SHARE: f64 = 0.9;
+/// Fall of the sum of the logarithms of unexplained shares that proves another order of the joints.
+const SWAP_EVIDENCE: f64 = 2.0;
+/// Largest unexplained share of either joint in that other order.
+const SWAPPED_REST: f64 = 0.3;
+/// Delay of the torque that is refused, and that is noted, s.
+const DELAY_S: (f64, f64) = (10e-3, 4e-3);
+/// Standard deviations from which an estimate counts; analytic ones are about 2.5 times too small.
+const DEVIATIONS: f64 = 5.0;
+const ANALYTIC: f64 = 2.5;
+
+/// One finding.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    /// No bank is written.
+    pub refuses: bool,
+    /// One line.
+    pub text: String,
+}
+
+/// Figures of one joint.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct JointCheck {
+    /// Range of positions, rad.
+    pub position_rad: (f64, f64),
+    /// Largest speed, rad/s.
+    pub speed_rad_s: f64,
+    /// RMS torque while the joint moves, N·m.
+    pub torque_rms_nm: f64,
+    /// Noise of the filtered torque, N·m, from its scatter between neighbouring rows.
+    pub noise_floor_nm: f64,
+    /// Share of the variance of the torque that neither the description nor friction nor a rotor explains.
+    pub unexplained_ratio: f64,
+    /// Torque over that of the description's links; none where gravity is too small to tell.
+    pub scale_ratio: Option<f64>,
+}
+
+/// Judgement of logs.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Judgement {
+    /// Findings, refusals first.
+    pub findings: Vec<Finding>,
+    /// Joint by joint.
+    pub joints: Vec<JointCheck>,
+    /// Time between rows, s.
+    pub period_s: f64,
+    /// Delay of the torques behind the positions, s, and its standard deviation.
+    pub delay_s: Option<(f64, f64)>,
+    /// Parameters that the motion does not show.
+    pub unseen: Vec<String>,
+    /// Condition number of all columns at unit length.
+    pub condition_number_equilibrated: Option<f64>,
+    /// Remarks of the readers.
+    pub notes: Vec<String>,
+}
+
+impl Judgement {
+    /// There is a finding that refuses a bank.
+    pub fn refuses(&self) -> bool {
+        self.findings.iter().any(|finding| finding.refuses)
+    }
+
+    pub(super) fn find(&mut self, refuses: bool, text: impl Into<String>) {
+        let text = text.into();
+        self.findings.push(Finding { refuses, text });
+        self.findings.sort_by_key(|finding| !finding.refuses);
+    }
+}
+
+/// Rows of the logs that are compared.
+struct Sample<const N: usize> {
+    rows: Vec<(State<N>, Joints<N>)>,
+    /// Every how many of the rows that count.
+    stride: usize,
+    seen: usize,
+}
+
+/// Sums of a joint: range, speed, torque, scatter between rows, rows, spikes.
+#[derive(Clone, Copy)]
+struct Extremes {
+    position: (f64, f64),
+    speed: f64,
+    torque: f64,
+    power: f64,
+    moving: f64,
+    scatter: f64,
+    rows: f64,
+    at_top: f64,
+    spikes: f64,
+    /// Sums of squared second and first differences of position and torque.
+    rough: [[f64; 2]; 2],
+}
+
+/// Judges logs before anything is identified.
+///
+/// Errors: [`IdentifyError`] of a log that cannot be read.
+pub fn judge<const N: usize>(
+    robot: &Robot,
+    logs: &[PathBuf],
+    columns: &ColumnSet,
+    config: &PrepareConfig,
+) -> Result<Judgement, IdentifyError> {
+    let other = || IdentifyError::Joints(robot.name.clone(), N);
+    let layout = Layout::<N>::new(robot, columns).ok_or_else(other)?;
+    let mut judgement = Judgement::default();
+    let mut extremes = [Extremes::NONE; N];
+    for path in logs {
+        check_cut_offs::<N>(path, robot, config)?;
+        let limits = robot.each(|joint| joint.limits.torque).ok_or_else(other)?;
+        judgement.period_s = scan(path, robot, &limits, &mut extremes)?;
+    }
+    units(&mut judgement, robot, &extremes);
+    if judgement.refuses() {
+        return Ok(judgement);
+    }
+    let mut sample = Sample {
+        rows: Vec::new(),
+        stride: 1,
+        seen: 0,
+    };
+    let mut sums = NormalEquations::new(&layout);
+    let mut delays = [(); N].map(|()| Delay::default());
+    let mut gain = 1.0;
+    for path in logs {
+        for_each_prepared(
+            path,
+            robot,
+            &layout,
+            config,
+            &mut judgement.notes,
+            &mut |own, prepared| {
+                gain = own.noise_gain();
+                let stride = own.stride();
+                for row in prepared.core.clone().step_by(stride) {
+                    let tau = Joints::from_fn(|joint, _| prepared.tau[row * N + joint]);
+                    sample.add(prepared.states[row], tau);
+                    for joint in 0..N {
+                        let x = prepared.columns(&layout, row, joint);
+                        let inside = row > 0 && row + 1 < prepared.states.len();
+                        if inside && prepared.states[row].qd[joint].abs() > own.still_rad_s {
+                            sums.joints[joint].add(x, &[tau[joint]]);
+                            let rate = [row + 1, row - 1].map(|row| prepared.tau[row * N + joint]);
+                            let qd = prepared.states[row].qd[joint];
+                            if qd.abs() > FAST_RAD_S {
+                                let rate = (rate[0] - rate[1]) / (2.0 * own.period_s);
+                                delays[joint].add(x, qd, tau[joint], rate);
+                            }
+                        }
+                    }
+                }
+            },
+        )?;
+    }
+    if sums.count() == 0.0 {
+        return Ok(judgement);
+    }
+    match sums.check_rank(&layout) {
+        Err(IdentifyError::RankDeficient(_, _, names)) => {
+            let names_text = names.join(", ");
+            judgement.find(false, format!("the motion does not show {names_text}"));
+            judgement.unseen = names;
+        }
+        Err(other) => return Err(other),
+        Ok(()) => {
+            judgement.condition_number_equilibrated = Some(sums.condition_numbers(&layout).1);
+        }
+    }
+    compare(&mut judgement, robot, &sample.rows, &extremes, gain);
+    if !judgement.refuses() {
+        delay(&mut judgement, &delays);
+    }
+    Ok(judgement)
+}
+
+impl<const N: usize> Sample<N> {
+    fn add(&mut self, state: State<N>, tau: Joints<N>) {
+        if self.seen.is_multiple_of(self.stride) {
+            self.rows.push((state, tau));
+        }
+        self.seen += 1;
+        if self.rows.len() >= 2 * ROWS {
+            let mut place = 0;
+            self.rows.retain(|_| {
+                place += 1;
+                place % 2 == 1
+            });
+            self.stride *= 2;
+        }
+    }
+}
+
+impl Extremes {
+    const NONE: Self = Self {
+        position: (f64::INFINITY, f64::NEG_INFINITY),
+        speed: 0.0,
+        torque: 0.0,
+        power: 0.0,
+        moving: 0.0,
+        scatter: 0.0,
+        rows: 0.0,
+        at_top: 0.0,
+        spikes: 0.0,
+        rough: [[0.0; 2]; 2],
+    };
+
+    /// Roughness of positions and torques: a position is smooth, a measured torque is not.
+    fn roughness(&self) -> [f64; 2] {
+        self.rough
+            .map(|[second, first]| second / f64::max(first, f64::MIN_POSITIVE))
+    }
+
+    /// Noise of a row of the torque, N·m: the second difference of white noise has six times its variance.
+    fn noise(&self) -> f64 {
+        (self.scatter / f64::max(self.rows, 1.0) / 6.0).sqrt()
+    }
+}
+
+/// Ranges of a log as it is, and the time between its rows, s.
+fn scan<const N: usize>(
+    path: &std::path::Path,
+    robot: &Robot,
+    limits: &[f64; N],
+    extremes: &mut [Extremes; N],
+) -> Result<f64, IdentifyError> {
+    let mut log = WholeLog::<N>::open(path, robot)?;
+    let period_s = log.period_s();
+    let mut last: Vec<super::log::LogRow<N>> = Vec::new();
+    while let Some(row) = log.next_row()? {
+        for (joint, sums) in extremes.iter_mut().enumerate() {
+            let (q, tau) = (row.q[joint], row.tau[joint]);
+            sums.position = (sums.position.0.min(q), sums.position.1.max(q));
+            sums.torque = sums.torque.max(tau.abs());
+            if let [a, b] = &last[..] {
+                let bend = |x: f64, y: f64, z: f64| [(z - 2.0 * y + x).powi(2), (z - y).powi(2)];
+                let pairs = [
+                    bend(a.q[joint], b.q[joint], q),
+                    bend(a.tau[joint], b.tau[joint], tau),
+                ];
+                for (sums, new) in sums.rough.iter_mut().zip(pairs) {
+                    sums[0] += new[0];
+                    sums[1] += new[1];
+                }
+                let qd = (q - a.q[joint]) / (row.t_s - a.t_s);
+                sums.speed = sums.speed.max(qd.abs());
+                sums.scatter += pairs[1][0];
+                sums.power += tau * tau;
+                sums.moving += tau * qd;
+                sums.rows += 1.0;
+                let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
+                sums.spikes += f64::from(u8::from(jumps > (0.2 * limits[joint]).powi(2)));
+                sums.at_top += f64::from(u8::from(tau.abs() >= 0.995 * limits[joint]));
+            }
+        }
+        if last.len() == 2 {
+            last.remove(0);
+        }
+        last.push(row);
+    }
+    Ok(period_s)
+}
+
+/// Findings on ranges: units, quantities in each other's columns, spikes, saturation.
+fn units<const N: usize>(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes; N]) {
+    let joints = || robot.joints.iter().zip(extremes).enumerate();
+    let rough = extremes.iter().map(Extremes::roughness);
+    let swapped = rough.filter(|[q, tau]| *q > 10.0 * tau).count();
+    let range = |joint: &crate::robot::Joint| {
+        let (low, high) = joint.limits.position;
+        low.abs().max(high.abs())
+    };
+    let fits = |joint: &crate::robot::Joint, seen: &Extremes| seen.torque <= 1.1 * range(joint);
+    let far = joints().find(|(_, (joint, seen))| {
+        let most = seen.position.0.abs().max(seen.position.1.abs());
+        most > BEYOND * range(joint) || seen.speed > BEYOND * joint.limits.velocity
+    });
+    let many = swapped * 2 > N && joints().all(|(_, (joint, seen))| fits(joint, seen));
+    if let Some((number, (joint, seen))) = far {
+        let text = if many {
+            "positions and torques are swapped: what stands for a torque is smoother than what stands for a position".to_owned()
+        } else {
+            let most = seen.position.0.abs().max(seen.position.1.abs());
+            let (low, high) = joint.limits.position;
+            format!(
+                "q{} reaches {most:.4} rad at {:.4} rad/s, its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg)?",
+                number + 1,
+                seen.speed,
+                joint.limits.velocity
+            )
+        };
+        judgement.find(true, text);
+        return;
+    }
+    if swapped * 2 > N {
+        judgement.find(
+            true,
+            "positions and torques are swapped: the torque is the smoother of the two",
+        );
+        return;
+    }
+    let strong = joints().find(|(_, (joint, seen))| {
+        let rms = (seen.power / f64::max(seen.rows, 1.0)).sqrt();
+        rms > BEYOND * joint.limits.torque
+    });
+    if let Some((number, (joint, seen))) = strong {
+        let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
+        let unit = if thousandth {
+            ": is this mN·m (--units tau=mNm)?"
+        } else {
+            ""
+        };
+        let text = format!(
+            "tau{} reaches {:.1} N·m, its limit is {} N·m{unit}",
+            number + 1,
+            seen.torque,
+            joint.limits.torque
+        );
+        judgement.find(true, text);
+    }
+    for (number, (_, seen)) in joints() {
+        let share = |count: f64| 100.0 * count / f64::max(seen.rows, 1.0);
+        if share(seen.spikes) > 0.5 {
+            let text = format!(
+                "joint {}: spikes of the torque in {:.1} % of the rows",
+                number + 1,
+                share(seen.spikes)
+            );
+            judgement.find(false, text);
+        }
+        if share(seen.at_top) > 1.0 {
+            let text = format!(
+                "joint {}: at its torque limit in {:.1} % of the rows",
+                number + 1,
+                share(seen.at_top)
+            );
+            judgement.find(false, text);
+        }
+    }
+}
