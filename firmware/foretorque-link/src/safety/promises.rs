@@ -106,7 +106,11 @@ impl<const N: usize> Promises<N> {
             reason,
             SafetyReason::Stopped | SafetyReason::Drive | SafetyReason::Stage
         );
-        holds(slewed || (off && !enabled && at_once), Broken::Slew)?;
+        let stopped = off && !enabled && at_once;
+        holds(slewed || stopped, Broken::Slew)?;
+        if stopped {
+            self.slewed_from = *torque;
+        }
         let flows = armed || state == SafetyState::RampDown;
         holds(enabled == flows && (enabled || off), Broken::Permission)?;
         holds(self.permitted || !enabled, Broken::Permission)?;
