@@ -1,7 +1,9 @@
 //! The commands: arguments in, files out.
 
+mod arm;
 mod bank;
 mod boards;
+mod describe;
 mod disturbances;
 #[cfg(test)]
 mod documented;
@@ -78,6 +80,7 @@ enum Command {
     Run(run::Arguments),
     Drive(drive::Arguments),
     Identify(identify::Arguments),
+    Describe(describe::Arguments),
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
@@ -95,6 +98,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Run(arguments) => run::run(&arguments),
         Command::Drive(arguments) => drive::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
+        Command::Describe(arguments) => describe::run(&arguments),
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
