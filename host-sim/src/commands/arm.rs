@@ -62,7 +62,8 @@ impl ArmOptions {
             return Err(unusable("--link-mass must be positive"));
         }
         let mut import = Robot::load_selected(name, &selection)?;
-        let places: [(&str, &[f64], fn(&mut Joint) -> &mut f64); 5] = [
+        type Place = fn(&mut Joint) -> &mut f64;
+        let places: [(&str, &[f64], Place); 5] = [
             ("--rotor-inertia", &self.rotor_inertia, |joint| {
                 &mut joint.drive.rotor_inertia
             }),

@@ -50,6 +50,13 @@ impl Robot {
         let text = std::fs::read_to_string(name_or_path).unwrap_or_default();
         if built_in || !text.trim_start().starts_with('<') {
             let robot = Self::load(name_or_path)?;
+            if *selection != Selection::default() {
+                return Err(RobotError::Urdf {
+                    problem: format!(
+                        "{name_or_path}: --base, --tip, --weld, --repair and --link-mass are for a URDF"
+                    ),
+                });
+            }
             return Ok(Import {
                 robot,
                 notes: Vec::new(),
