@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::terminal::say;
 use super::{Failure, key, unusable};
@@ -23,6 +24,8 @@ pub(super) struct Arguments {
     /// Robot that the board drives: a built-in name or a description file
     #[arg(long, requires = "board")]
     robot: Option<String>,
+    #[command(flatten)]
+    arm: ArmOptions,
     /// Bring this bank of the board into FILE, instead of sending FILE to the board
     #[arg(long, value_enum, requires = "board")]
     read: Option<Source>,
@@ -53,7 +56,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             // Before a board is disturbed: is it a bank?
             read(&arguments.file)?;
         }
-        if let Some((live, stored)) = on_arm(robot, arguments)? {
+        if let Some((live, stored)) = on_arm(&arguments.arm.load(robot)?, arguments)? {
             return differences(&live, &stored);
         }
     }

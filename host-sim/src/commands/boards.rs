@@ -148,14 +148,13 @@ pub(super) trait OnArm {
     ) -> Result<Self::Output, Failure>;
 }
 
-/// Does `work` with the arm of the robot called `name`: the code of the board with the constants of the description.
+/// Does `work` with the arm of `robot`: the code of the board with the constants of the description.
 ///
-/// Errors: unknown robot; those of the work.
-pub(super) fn on_arm<W: OnArm>(name: &str, work: W) -> Result<W::Output, Failure> {
-    let robot = Robot::load(name)?;
+/// Errors: those of the work.
+pub(super) fn on_arm<W: OnArm>(robot: &Robot, work: W) -> Result<W::Output, Failure> {
     arms!(robot, N, P => {
-        Described::<N, P>::read(&robot).ok_or_else(|| unsupported(N))?;
-        work.on::<Described<N, P>, N, P>(&robot)
+        Described::<N, P>::read(robot).ok_or_else(|| unsupported(N))?;
+        work.on::<Described<N, P>, N, P>(robot)
     }, else Err(unsupported(robot.joint_count())))
 }
 

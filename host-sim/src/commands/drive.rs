@@ -94,7 +94,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Err(unusable("--duration-s must be positive"));
     }
     let profile = Profile::load(&arguments.profile)?;
-    on_arm(&profile.robot, (arguments, &profile))
+    on_arm(&Robot::load(&profile.robot)?, (arguments, &profile))
 }
 
 impl OnArm for (&Arguments, &Profile) {

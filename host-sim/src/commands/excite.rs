@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::progress::Bar;
 use super::terminal::say;
 use super::{Failure, unsupported, unusable};
@@ -18,6 +19,8 @@ pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
     robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
     /// Directory for excitation.json, excitation.csv, excitation.html and excitation.svg
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -83,7 +86,7 @@ impl From<CriterionName> for Criterion {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut robot = Robot::load(&arguments.robot)?;
+    let mut robot = arguments.arm.load(&arguments.robot)?;
     let positive = |name: &str, value: f64| {
         if value.is_finite() && value > 0.0 {
             Ok(())

@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::log_options::LogOptions;
 use super::progress::Lines;
 use super::terminal::say;
@@ -25,6 +26,8 @@ pub(super) struct Arguments {
     /// Robot: a built-in name or a description file; its log_columns map foreign logs
     #[arg(long)]
     robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
     /// Training log (CSV or CSV.gz); may be given several times
     #[arg(long = "log", value_name = "FILE", required = true)]
     logs: Vec<PathBuf>,
@@ -127,7 +130,7 @@ fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut robot = Robot::load(&arguments.robot)?;
+    let mut robot = arguments.arm.load(&arguments.robot)?;
     arguments.columns_of_log.apply(&mut robot)?;
     let config = config(arguments, &robot)?;
     arms!(robot, N, P => {

@@ -1,9 +1,11 @@
 //! The commands: arguments in, files out.
 
+mod arm;
 mod bank;
 mod boards;
 mod commission;
 mod compare;
+mod describe;
 mod disturbances;
 #[cfg(test)]
 mod documented;
@@ -93,6 +95,7 @@ enum Command {
     Replay(replay::Arguments),
     Compare(compare::Arguments),
     Identify(identify::Arguments),
+    Describe(describe::Arguments),
     Generate(generate::Arguments),
     Bank(bank::Arguments),
     Experiment(experiment::Arguments),
@@ -120,6 +123,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
+        Command::Describe(arguments) => describe::run(&arguments),
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),

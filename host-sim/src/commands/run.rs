@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::motion_log::{Effort, MotionLog};
 use super::on_board;
@@ -34,6 +35,8 @@ pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
     robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
     /// Board: native, qemu, qemu-usart or serial:PORT
     #[arg(long, default_value = "native")]
     board: BoardChoice,
@@ -69,6 +72,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let robot = arguments.arm.load(&arguments.robot)?;
     if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
         return Err(unusable(format!(
             "--log: board {} has none, only qemu-usart",
@@ -79,7 +83,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     // for what the emulator writes.
     let log = arguments.log.as_deref().map(WholeFile::create);
     let place = log.transpose()?;
-    let outcome = on_arm(&arguments.robot, arguments);
+    let outcome = on_arm(&robot, arguments);
     drop(place);
     if let (Some(stream), Some(log)) = (arguments.stream(), &arguments.log) {
         // Of a run that failed the log is of the more interest, but its own failure of less.

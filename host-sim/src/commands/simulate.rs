@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
@@ -20,6 +21,8 @@ pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
     robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
     #[command(flatten)]
     motion: MotionArguments,
     /// Write motor currents, torque over drive gain, in the place of torques
@@ -168,7 +171,7 @@ impl MotionArguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let robot = Robot::load(&arguments.robot)?;
+    let robot = arguments.arm.load(&arguments.robot)?;
     joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }
 

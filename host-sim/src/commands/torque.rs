@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::boards::{BoardChoice, OnArm, on_arm};
 use super::progress::Bar;
 use super::simulate::PERIOD_S;
@@ -19,6 +20,8 @@ pub(super) struct Arguments {
     /// Robot: a built-in name or a description file
     #[arg(long)]
     robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
     /// Board: native, qemu, qemu-usart or serial:PORT
     #[arg(long, default_value = "native")]
     board: BoardChoice,
@@ -48,7 +51,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    on_arm(&arguments.robot, arguments)
+    on_arm(&arguments.arm.load(&arguments.robot)?, arguments)
 }
 
 impl OnArm for &Arguments {

@@ -22,6 +22,39 @@ impl Link {
         }
     }
 
+    /// The link with the nearest inertia that a body has, and the largest change of an entry, kg·m².
+    ///
+    /// Second moments of mass below a thousandth of the largest become that: the nearest in the Frobenius norm that keeps
+    /// a margin.
+    pub fn repaired(&self) -> (Self, f64) {
+        let mut moments = self.second_moments().symmetric_eigen();
+        let least = (1e-3 * moments.eigenvalues.max()).max(1e-9);
+        moments
+            .eigenvalues
+            .apply(|moment| *moment = moment.max(least));
+        let moments = moments.recompose();
+        let inertia_com = moments.trace() * Matrix3::identity() - moments;
+        let change = (inertia_com - self.inertia_com).amax();
+        (
+            Self {
+                inertia_com,
+                ..*self
+            },
+            change,
+        )
+    }
+
+    /// A rod of `mass`, kg, and 5 cm radius from the origin to `end`, m.
+    pub fn rod(mass: f64, end: &Vector3<f64>) -> Self {
+        const RADIUS_SQUARED: f64 = 0.0025;
+        let along = end * end.transpose() / 12.0 + Matrix3::identity() * (RADIUS_SQUARED / 4.0);
+        Self {
+            mass,
+            com: 0.5 * end,
+            inertia_com: mass * (along.trace() * Matrix3::identity() - along),
+        }
+    }
+
     /// The link with these standard parameters (eq. 14), the inverse of [`Link::standard_parameters`].
     ///
     /// Assumes: a positive mass.

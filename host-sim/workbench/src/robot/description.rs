@@ -2,7 +2,7 @@
 //! imports both formats.
 
 use super::{Robot, RobotError, file};
-use crate::urdf::{self, Selection};
+use crate::urdf::{self, Import, Selection};
 use std::path::Path;
 
 /// Descriptions that need no file, by name.
@@ -37,6 +37,34 @@ impl Robot {
             }
         })?;
         Self::parse(name_or_path, &text)
+    }
+
+    /// [`load`](Self::load) with the selection of a URDF's arm, and the notes of its reading.
+    ///
+    /// Errors: as there.
+    pub fn load_selected(
+        name_or_path: &str,
+        selection: &Selection<'_>,
+    ) -> Result<Import, RobotError> {
+        let built_in = Self::built_in().any(|name| name == name_or_path);
+        let text = std::fs::read_to_string(name_or_path).unwrap_or_default();
+        if built_in || !text.trim_start().starts_with('<') {
+            let robot = Self::load(name_or_path)?;
+            if *selection != Selection::default() {
+                return Err(RobotError::Urdf {
+                    problem: format!(
+                        "{name_or_path}: --base, --tip, --weld, --repair and --link-mass are for a URDF"
+                    ),
+                });
+            }
+            return Ok(Import {
+                robot,
+                notes: Vec::new(),
+            });
+        }
+        urdf::parse(name_or_path, &text, selection).map_err(|error| RobotError::Urdf {
+            problem: error.to_string(),
+        })
     }
 
     /// A robot from the text of a description or of a URDF with a single arm; `file` is only used in messages.

@@ -5,28 +5,41 @@ use super::tree::Tree;
 use super::{Import, JointProblem, Selection, UrdfProblem};
 use crate::robot::{Drive, Friction, Joint, Limits, MAX_JOINTS, Placement, Robot, Workspace};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 /// Default of a property that a URDF does not have.
 const ENCODER_BITS: u32 = 17;
 const ACCELERATION: f64 = 10.0;
+const VELOCITY: f64 = 2.0;
+/// Torque limit where the file gives none, in units of the weight at full stretch, and added to it, N·m.
+const TORQUE: (f64, f64) = (1.5, 1.0);
 const CONTINUOUS_RANGE: (f64, f64) = (-TAU, TAU);
 
 /// Builds the arm that the selection picks from the tree.
 pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Import, UrdfProblem> {
-    let tree = Tree::of(document)?;
+    let mut tree = Tree::of(document)?;
     let base = tree.base(selection)?;
     let path = match selection.tip {
-        Some(name) => tree.path_to(base, tree.link(name, "--tip")?)?,
+        Some(name) => tree.path_to(base, tree.link_or_joint(name, "--tip", false)?)?,
         None => tree.only_path(base)?,
     };
     let tip = path.last().map_or(base, |&joint| tree.child[joint]);
     let end = selection.tip.map(|_| tip);
+    if selection.weld {
+        tree.weld(&path);
+    }
+    let end = end.filter(|_| !selection.weld);
     let moving = path.iter().filter(|&&joint| !tree.is_fixed(joint)).count();
     if !(1..=MAX_JOINTS).contains(&moving) {
         return Err(UrdfProblem::JointCount(moving));
     }
     let mut notes = tree.left_out(base, &path, end);
+    if !notes.is_empty() {
+        notes.insert(
+            0,
+            format!("the arm ends at link '{}'", document.links[tip].name),
+        );
+    }
     let mut joints: Vec<Joint> = Vec::with_capacity(moving);
     // Frame of the current link in the frame of the joint that moves it (in the base frame at first).
     let mut link_frame = Placement::identity();
@@ -50,7 +63,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         })?;
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
-        let link = tree.lumped(index, &link_frame, end)?;
+        let link = tree.lumped(index, &link_frame, end, selection, &mut notes)?;
         joints.push(Joint {
             name: element.name.clone(),
             placement: joint_frame.then(&turn).snapped(),
@@ -86,6 +99,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     notes.push(format!(
         "drives are not described: rotor inertias 0, gains 1 N·m/A, {ENCODER_BITS}-bit encoders"
     ));
+    assume_torques(&mut joints, &mut notes);
     let robot = Robot {
         name: plain_name(&document.name),
         gravity: Vector3::new(0.0, 0.0, -9.81),
@@ -139,6 +153,16 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
         Some(value) => Err(format!("has the {name} limit {value}, must be positive")),
         None => Err(format!("has no {name} limit")),
     };
+    let velocity = limit
+        .velocity
+        .filter(|value| *value > 0.0)
+        .unwrap_or_else(|| {
+            notes.push(format!(
+                "joint '{}': no velocity limit, {VELOCITY} rad/s is taken",
+                joint.name
+            ));
+            VELOCITY
+        });
     let position = match (joint.kind.as_str(), limit.lower, limit.upper) {
         (_, Some(lower), Some(upper)) if lower < upper => (lower, upper),
         ("continuous", ..) => {
@@ -148,6 +172,10 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
             ));
             CONTINUOUS_RANGE
         }
+        (_, None, None) => {
+            notes.push(format!("joint '{}': no range, ±π rad is taken", joint.name));
+            (-PI, PI)
+        }
         _ => return Err("needs a lower limit below its upper limit".to_owned()),
     };
     let acceleration = match limit.acceleration {
@@ -156,10 +184,36 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
     };
     Ok(Limits {
         position,
-        velocity: positive("velocity", limit.velocity)?,
+        velocity,
         acceleration,
-        torque: positive("effort", limit.effort)?,
+        // Not positive: taken from the weight in the end.
+        torque: limit.effort.unwrap_or(0.0),
     })
+}
+
+/// Gives joints without a torque limit one and a half of what the arm weighs at full stretch, and 1 N·m.
+fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
+    for index in 0..joints.len() {
+        if joints[index].limits.torque > 0.0 {
+            continue;
+        }
+        let (mut lever, mut weight) = (0.0, 0.0);
+        for (place, joint) in joints.iter().enumerate().skip(index) {
+            lever += if place > index {
+                joint.placement.origin.norm()
+            } else {
+                0.0
+            };
+            weight += 9.81 * joint.link.mass * (lever + joint.link.com.norm());
+        }
+        let torque = (TORQUE.0 * weight + TORQUE.1).ceil();
+        let joint = &mut joints[index];
+        joint.limits.torque = torque;
+        notes.push(format!(
+            "joint '{}': no torque limit, {torque} N·m is taken, 1.5 of the weight at full stretch",
+            joint.name
+        ));
+    }
 }
 
 /// Lower-case letters, digits and underscores, a letter first: what the name of a Rust module allows.

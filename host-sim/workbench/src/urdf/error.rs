@@ -31,7 +31,7 @@ pub enum UrdfProblem {
         problem: String,
     },
     /// A link is named that does not exist.
-    #[error("{named_by} names link '{link}', which does not exist")]
+    #[error("{named_by} names '{link}', which is neither a link nor a joint")]
     UnknownLink {
         /// The name.
         link: String,
@@ -56,12 +56,12 @@ pub enum UrdfProblem {
         tip: String,
     },
     /// More than one moving joint leaves a link, and no tip is given.
-    #[error("the tree branches at link '{link}' (joints '{}'): choose the arm's end with --tip", .joints.join("', '"))]
+    #[error("the tree branches at link '{link}': choose the arm's end with --tip '{}'", .tips.join("' or --tip '"))]
     Branch {
         /// The link.
         link: String,
-        /// The joints.
-        joints: Vec<String>,
+        /// The last link of each branch, that of the longest first.
+        tips: Vec<String>,
     },
     /// The arm has no joint, or more than the board supports.
     #[error("{}", joint_count(*.0))]
@@ -75,7 +75,9 @@ pub enum UrdfProblem {
         problem: JointProblem,
     },
     /// A moving link has neither mass nor anything with mass bolted to it.
-    #[error("link '{link}' is moved by joint '{joint}' but has no inertial data")]
+    #[error(
+        "link '{link}' is moved by joint '{joint}' but has no inertial data: give such links a mass with --link-mass"
+    )]
     NoInertia {
         /// The link.
         link: String,
@@ -83,7 +85,7 @@ pub enum UrdfProblem {
         joint: String,
     },
     /// No body has this mass distribution.
-    #[error("link '{link}': {reason}")]
+    #[error("link '{link}': {reason}{}", if .reason.starts_with("inertia") { " (--repair takes the nearest of a body)" } else { "" })]
     NotABody {
         /// The link.
         link: String,

@@ -3,7 +3,7 @@
 //! A URDF is a tree of links; the arm is one path in it, from a base link to a tip link. Joint frames of a URDF are
 //! Craig link frames when the joint axis is z; other axes are turned onto z here, without moving the joint's zero.
 //! Everything bolted to a moving link by fixed joints becomes part of that link. What hangs on the tip link, and what
-//! moves beside the path, is left out and listed in [`Import::notes`].
+//! moves beside the path, is left out unless it is welded, and listed in [`Import::notes`].
 //!
 //! A URDF has no drives, and its friction model is viscous plus Coulomb: rotor inertia is 0, the gain is
 //! 1 N·m/A. The base frame is that of the base link, gravity along its −z.
@@ -21,12 +21,19 @@ use crate::robot::Robot;
 use std::path::Path;
 
 /// Which path of the tree is the arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Selection<'a> {
-    /// Link the arm stands on; the root of the tree when not given.
+    /// Link the arm stands on, or the joint that leaves it; the root of the tree when not given.
     pub base: Option<&'a str>,
-    /// Link the arm ends at; needed where more than one moving joint leaves a link.
+    /// Link the arm ends at, or the joint that moves it. Without it the arm ends where only fixed, prismatic or mimic
+    /// joints and single fingers follow.
     pub tip: Option<&'a str>,
+    /// Bodies beyond moving joints beside the path are part of the link that carries them, at their zero.
+    pub weld: bool,
+    /// Inertias that no body has are moved to the nearest one that a body has.
+    pub repair: bool,
+    /// Mass of a link without inertial data, kg; such links are refused without it.
+    pub link_mass: Option<f64>,
 }
 
 /// An arm, and the assumptions made for missing properties.

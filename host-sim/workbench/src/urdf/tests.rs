@@ -36,6 +36,9 @@ const ARM: &str = r#"<robot name="Two-Link">
 const TO_HAND: Selection<'static> = Selection {
     base: None,
     tip: Some("hand"),
+    weld: false,
+    repair: false,
+    link_mass: None,
 };
 
 fn gravity_torques(robot: &Robot) -> Joints<2> {
@@ -131,7 +134,7 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
         only_a_point.replacen(r#""wrist" type="fixed""#, r#""wrist" type="revolute""#, 1);
     assert_eq!(
         parse("t", &only_a_point, &TO_HAND).unwrap_err().to_string(),
-        "t: link 'hand': inertia is not positive definite"
+        "t: link 'hand': inertia is not positive definite (--repair takes the nearest of a body)"
     );
 }
 
@@ -140,6 +143,7 @@ fn a_tip_cuts_off_its_children_with_a_note() {
     let selection = Selection {
         base: Some("base"),
         tip: Some("fore"),
+        ..Selection::default()
     };
     let import = parse("t", ARM, &selection).unwrap();
     assert_eq!(import.robot.joints[1].link.mass, 1.0);
@@ -183,6 +187,123 @@ fn assumptions_are_listed_in_the_notes() {
 }
 
 #[test]
+fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
+    let whole = parse("t", ARM, &Selection::default()).unwrap();
+    assert_eq!(whole.robot, parse("t", ARM, &TO_HAND).unwrap().robot);
+    let end = "the arm ends at link 'hand'".to_owned();
+    assert!(whole.notes.contains(&end), "{:?}", whole.notes);
+    // A jaw that turns is a finger by its name; without such a name it is a joint.
+    let jaw = ARM.replace(
+        "\"left_finger\" type=\"prismatic\"",
+        "\"jaw\" type=\"revolute\"",
+    );
+    let jaw = jaw.replace("<mimic joint=\"left_finger\"/>", "<mimic joint=\"jaw\"/>");
+    let ends = parse("t", &jaw, &Selection::default()).unwrap();
+    assert_eq!(ends.robot.joint_count(), 2);
+    let by_joint = Selection {
+        base: Some("elbow"),
+        tip: Some("elbow"),
+        ..Selection::default()
+    };
+    let forearm = parse("t", ARM, &by_joint).unwrap().robot;
+    assert_eq!(
+        (forearm.joint_count(), &*forearm.joints[0].name),
+        (1, "elbow")
+    );
+    // Two arms: the tips to choose from, the longer first.
+    let torso = ARM.replace("</robot>", r#"
+        <joint name="a" type="revolute"><parent link="base"/><child link="b"/></joint><link name="b"/>
+        <joint name="c" type="revolute"><parent link="b"/><child link="d"/></joint><link name="d"/>
+        <joint name="e" type="revolute"><parent link="d"/><child link="f"/></joint><link name="f"/></robot>"#);
+    let error = parse("t", &torso, &Selection::default())
+        .unwrap_err()
+        .to_string();
+    let expected =
+        "t: the tree branches at link 'world': choose the arm's end with --tip 'f' or --tip 'fore'";
+    assert_eq!(error, expected);
+}
+
+#[test]
+fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
+    let bare = ARM
+        .replace(" effort=\"40\"", "")
+        .replacen("velocity=\"3\"", "velocity=\"0\"", 1);
+    let import = parse("t", &bare, &Selection::default()).unwrap();
+    let shoulder = import.robot.joints[0].limits;
+    // 1.5 of 9.81 (3·0.137 + 1.5·(0.4 + 0.167)) N·m, and 1 N·m.
+    assert_eq!((shoulder.velocity, shoulder.torque), (2.0, 20.0));
+    for note in [
+        "joint 'shoulder': no velocity limit, 2 rad/s",
+        "joint 'shoulder': no torque limit, 20 N·m",
+    ] {
+        assert!(
+            import.notes.iter().any(|found| found.starts_with(note)),
+            "{:?}",
+            import.notes
+        );
+    }
+    let broken = ARM.replace("iyy=\"0.03\"", "iyy=\"0.3\"");
+    let repair = Selection {
+        repair: true,
+        ..Selection::default()
+    };
+    let repaired = parse("t", &broken, &repair).unwrap();
+    assert!(
+        repaired
+            .notes
+            .iter()
+            .any(|note| note.starts_with("link 'upper': inertia moved"))
+    );
+    let moments = repaired.robot.joints[0]
+        .link
+        .second_moments()
+        .symmetric_eigenvalues();
+    assert!(moments.min() > 0.0);
+    assert_eq!(
+        parse("t", ARM, &repair).unwrap().robot,
+        parse("t", ARM, &TO_HAND).unwrap().robot
+    );
+    let weld = Selection {
+        weld: true,
+        ..Selection::default()
+    };
+    let finger = r#"<link name="left"><inertial><mass value="0.1"/>
+        <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>"#;
+    let fingers = ARM.replace("<link name=\"left\"/>", finger);
+    let welded = parse("t", &fingers, &weld).unwrap();
+    assert!((welded.robot.joints[1].link.mass - 1.6).abs() < 1e-12);
+    let start = ARM.find(r#"<link name="upper">"#).unwrap();
+    let end = ARM.find(r#"<joint name="camera_mount""#).unwrap();
+    let hollow = format!("{}<link name=\"upper\"/>{}", &ARM[..start], &ARM[end..]);
+    let hollow = hollow.replacen(
+        "<inertial><mass value=\"1\"/>",
+        "<collision/><inertial><mass value=\"0\"/>",
+        1,
+    );
+    let hollow = hollow.replacen(
+        "<inertia ixx=\"0.001\" ixy=\"0\" ixz=\"0\" iyy=\"0.001\" iyz=\"0\" izz=\"0.001\"/>",
+        "<inertia ixx=\"0\" ixy=\"0\" ixz=\"0\" iyy=\"0\" iyz=\"0\" izz=\"0\"/>",
+        1,
+    );
+    assert!(
+        parse("t", &hollow, &Selection::default())
+            .unwrap_err()
+            .to_string()
+            .ends_with("--link-mass")
+    );
+    let rods = Selection {
+        link_mass: Some(2.0),
+        ..Selection::default()
+    };
+    assert_eq!(
+        parse("t", &hollow, &rods).unwrap().robot.joints[0]
+            .link
+            .mass,
+        2.0
+    );
+}
+
+#[test]
 fn panda_reaches_as_its_manufacturer_states() {
     // All joints at zero: x = a7, z = d1 + d3 + d5 − flange (table of the manufacturer).
     let robot = Robot::load("panda").unwrap();
@@ -207,10 +328,9 @@ fn panda_reaches_as_its_manufacturer_states() {
 fn what_is_not_an_arm_is_refused_with_one_line() {
     // --base ; --tip ; text of the file ; its replacement ; message
     let cases = r##"
-        ; ; ; ; the tree branches at link 'fore' (joints 'left_finger', 'right_finger'): choose the arm's end with --tip
         ; left ; ; ; joint 'left_finger' is prismatic: only revolute, continuous and fixed joints are supported
-        ; nose ; ; ; --tip names link 'nose', which does not exist
-        cellar ; hand ; ; ; --base names link 'cellar', which does not exist
+        ; nose ; ; ; --tip names 'nose', which is neither a link nor a joint
+        cellar ; hand ; ; ; --base names 'cellar', which is neither a link nor a joint
         hand ; base ; ; ; link 'base' is not carried by link 'hand'
         fore ; hand ; ; ; no moving joint between base and tip
         ; hand ; "elbow" type="continuous" ; "elbow" type="floating" ; joint 'elbow' is floating: only revolute, continuous and fixed joints are supported
@@ -221,13 +341,11 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ; hand ; <mass value="2"/> ; ; line 8: <inertial> has no <mass>
         ; hand ; <mass value="2"/> ; <mass value="2 kg"/> ; line 8: <mass> value="2 kg" is not a number
         ; hand ; iyy="0.03" ; ; line 9: <inertia> has no attribute 'iyy'
-        ; hand ; iyy="0.03" ; iyy="0.3" ; link 'upper': inertia breaks the triangle inequality: no body has these principal moments
-        ; hand ; ixx="0.01" ixy="0" ; ixx="0.01" ixy="0.02" ; link 'upper': inertia is not positive definite
+        ; hand ; iyy="0.03" ; iyy="0.3" ; link 'upper': inertia breaks the triangle inequality: no body has these principal moments (--repair takes the nearest of a body)
+        ; hand ; ixx="0.01" ixy="0" ; ixx="0.01" ixy="0.02" ; link 'upper': inertia is not positive definite (--repair takes the nearest of a body)
         ; hand ; xyz="0 0 0.5" ; xyz="0 0.5" ; line 6: <origin> xyz="0 0.5" is not three numbers
-        ; hand ; lower="-2" upper="2" ; ; joint 'shoulder' needs a lower limit below its upper limit
-        ; hand ; effort="40" ; ; joint 'shoulder' has no effort limit
-        ; hand ; velocity="3" ; velocity="0" ; joint 'shoulder' has the velocity limit 0, must be positive
-        ; hand ; <child link="upper"/> ; <child link="uper"/> ; joint 'shoulder' names link 'uper', which does not exist
+        ; hand ; lower="-2" upper="2" ; lower="2" upper="2" ; joint 'shoulder' needs a lower limit below its upper limit
+        ; hand ; <child link="upper"/> ; <child link="uper"/> ; joint 'shoulder' names 'uper', which is neither a link nor a joint
         ; hand ; <child link="camera"/> ; <child link="fore"/> ; link 'fore' closes a loop or has two parents, only a tree is an arm
         ; hand ; <parent link="base"/> ; <parent link="fore"/> ; link 'upper' closes a loop or has two parents, only a tree is an arm
         ; hand ; <link name="camera"> ; <link name="upper"> ; the name 'upper' is used twice
@@ -242,7 +360,15 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         assert!(ARM.contains(good), "{good}");
         let option = |name| Some(name).filter(|name: &&str| !name.is_empty());
         let (base, tip) = (option(base), option(tip));
-        let error = parse("t", &ARM.replacen(good, bad, 1), &Selection { base, tip });
+        let error = parse(
+            "t",
+            &ARM.replacen(good, bad, 1),
+            &Selection {
+                base,
+                tip,
+                ..Selection::default()
+            },
+        );
         assert_eq!(error.unwrap_err().to_string(), format!("t: {message}"));
     }
     let error = parse("t", "<sdf/>", &Selection::default()).unwrap_err();
@@ -251,12 +377,12 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
     let end = ARM.find(r#"<joint name="wrist""#).unwrap();
     let weightless = format!("{}<link name=\"fore\"/>{}", &ARM[..start], &ARM[end..]);
     let selection = Selection {
-        base: None,
         tip: Some("fore"),
+        ..Selection::default()
     };
     assert_eq!(
         parse("t", &weightless, &selection).unwrap_err().to_string(),
-        "t: link 'fore' is moved by joint 'elbow' but has no inertial data"
+        "t: link 'fore' is moved by joint 'elbow' but has no inertial data: give such links a mass with --link-mass"
     );
     let missing = load(Path::new("/no/such.urdf"), &selection)
         .unwrap_err()

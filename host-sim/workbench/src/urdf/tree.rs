@@ -3,7 +3,7 @@
 use super::document::Document;
 use super::{Selection, UrdfProblem};
 use crate::robot::{Link, Placement};
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 
 /// Links and joints by index, with the links of every joint and the joints of every link.
 pub(super) struct Tree<'a> {
@@ -13,6 +13,8 @@ pub(super) struct Tree<'a> {
     pub(super) child: Vec<usize>,
     carried: Vec<Vec<usize>>,
     carrier: Vec<Option<usize>>,
+    /// Moving joints taken as fixed ones.
+    welded: Vec<bool>,
 }
 
 impl<'a> Tree<'a> {
@@ -24,6 +26,7 @@ impl<'a> Tree<'a> {
             child: Vec::new(),
             carried: vec![Vec::new(); count],
             carrier: vec![None; count],
+            welded: vec![false; document.joints.len()],
         };
         for (index, joint) in document.joints.iter().enumerate() {
             let named_by = format!("joint '{}'", joint.name);
@@ -68,12 +71,37 @@ impl<'a> Tree<'a> {
     }
 
     pub(super) fn is_fixed(&self, joint: usize) -> bool {
-        self.document.joints[joint].kind == "fixed"
+        self.welded[joint] || self.document.joints[joint].kind == "fixed"
+    }
+
+    /// Takes every moving joint beside `path` as fixed.
+    pub(super) fn weld(&mut self, path: &[usize]) {
+        for joint in (0..self.welded.len()).filter(|joint| !path.contains(joint)) {
+            self.welded[joint] = true;
+        }
+    }
+
+    /// The link called `name`, or the one that the joint of that name moves (with `parent`: leaves).
+    pub(super) fn link_or_joint(
+        &self,
+        name: &str,
+        named_by: &str,
+        parent: bool,
+    ) -> Result<usize, UrdfProblem> {
+        let mut joints = self.document.joints.iter();
+        match (
+            self.link(name, named_by),
+            joints.position(|joint| joint.name == name),
+        ) {
+            (Err(_), Some(joint)) if parent => Ok(self.parent[joint]),
+            (Err(_), Some(joint)) => Ok(self.child[joint]),
+            (link, _) => link,
+        }
     }
 
     pub(super) fn base(&self, selection: &Selection<'_>) -> Result<usize, UrdfProblem> {
         if let Some(name) = selection.base {
-            return self.link(name, "--base");
+            return self.link_or_joint(name, "--base", true);
         }
         let mut roots = (0..self.carrier.len()).filter(|&link| self.carrier[link].is_none());
         match (roots.next(), roots.next()) {
@@ -107,22 +135,61 @@ impl<'a> Tree<'a> {
         Ok(path)
     }
 
-    /// Joints from base to the end of a tree in which no link carries more than one moving joint, itself or through
-    /// what is bolted to it.
+    /// Turning joints of their own on the longest path that begins with `joint`.
+    fn reach(&self, joint: usize) -> usize {
+        let element = &self.document.joints[joint];
+        let turns = matches!(element.kind.as_str(), "revolute" | "continuous") && !element.mimic;
+        let next = self.carried[self.child[joint]].iter();
+        usize::from(turns) + next.map(|&joint| self.reach(joint)).max().unwrap_or(0)
+    }
+
+    /// The last link on the longest path that begins with `joint`.
+    fn farthest(&self, joint: usize) -> usize {
+        let next = self.carried[self.child[joint]].iter().copied();
+        let next = next.filter(|&joint| self.reach(joint) > 0);
+        next.max_by_key(|&joint| self.reach(joint))
+            .map_or(self.child[joint], |joint| self.farthest(joint))
+    }
+
+    /// A single finger by its name, with no turning joint after it.
+    fn is_finger(&self, joint: usize) -> bool {
+        let element = &self.document.joints[joint];
+        let names = [&element.name, &element.child].map(|name| name.to_lowercase());
+        let finger = ["grip", "jaw", "finger", "claw", "knuckle"];
+        self.reach(joint) == 1
+            && finger
+                .iter()
+                .any(|word| names.iter().any(|name| name.contains(word)))
+    }
+
+    /// Joints from base to the link where everything beyond is fixed, prismatic, mimic or a single finger.
     pub(super) fn only_path(&self, base: usize) -> Result<Vec<usize>, UrdfProblem> {
         let mut end = base;
         loop {
             let body = self.rigid_body(end, Placement::identity(), None);
             let moving: Vec<usize> = self.moving_joints(&body).collect();
-            match moving[..] {
-                [] => break,
+            let mut on: Vec<usize> = moving
+                .iter()
+                .copied()
+                .filter(|&j| self.reach(j) > 0)
+                .collect();
+            if moving.len() > 1 {
+                on.retain(|&joint| self.reach(joint) > 1);
+            }
+            on.retain(|&joint| end == base || !self.is_finger(joint));
+            match on[..] {
+                // Nothing but a joint that no arm can have: its refusal names it.
+                [] if end == base && moving.len() == 1 => end = self.child[moving[0]],
+                [] if moving.is_empty() => break,
+                [] => return self.path_to(base, self.parent[moving[0]]),
                 [joint] => end = self.child[joint],
                 _ => {
+                    on.sort_by_key(|&joint| std::cmp::Reverse(self.reach(joint)));
                     return Err(UrdfProblem::Branch {
                         link: self.name(end),
-                        joints: moving
+                        tips: on
                             .iter()
-                            .map(|&joint| self.document.joints[joint].name.clone())
+                            .map(|&joint| self.name(self.farthest(joint)))
                             .collect(),
                     });
                 }
@@ -172,6 +239,8 @@ impl<'a> Tree<'a> {
         joint: usize,
         frame: &Placement,
         end: Option<usize>,
+        selection: &Selection<'_>,
+        notes: &mut Vec<String>,
     ) -> Result<Link, UrdfProblem> {
         let moved = self.child[joint];
         let not_a_body = |link: usize, reason: String| UrdfProblem::NotABody {
@@ -187,19 +256,39 @@ impl<'a> Tree<'a> {
             let Some(part) = &element.inertial else {
                 continue;
             };
+            let mut part = *part;
             // A sensor bolted on may be given as a point of mass; the body as a whole may not.
             let is_point = link != moved && part.inertia_com == Matrix3::zeros();
+            if selection.repair && part.mass > 0.0 && !is_point && inertia_reason(&part).is_some() {
+                let (repaired, change) = part.repaired();
+                notes.push(format!(
+                    "link '{}': inertia moved to the nearest of a body, by {change:.2e} kg·m²",
+                    self.name(link)
+                ));
+                part = repaired;
+            }
             let reason = if part.mass <= 0.0 {
                 Some(format!("mass is {}, must be positive", part.mass))
             } else if is_point {
                 None
             } else {
-                inertia_reason(part)
+                inertia_reason(&part)
             };
             if let Some(reason) = reason {
                 return Err(not_a_body(link, reason));
             }
             parts.push(part.placed(&frame));
+        }
+        if let (true, Some(mass)) = (parts.is_empty(), selection.link_mass) {
+            let next = self.carried[moved].first();
+            let end = next.map_or(Vector3::new(0.0, 0.0, 0.1), |&joint| {
+                self.document.joints[joint].origin.origin
+            });
+            notes.push(format!(
+                "link '{}': no inertial data, a rod of {mass} kg is taken",
+                self.name(moved)
+            ));
+            parts.push(Link::rod(mass, &end).placed(frame));
         }
         let body = Link::lumped(&parts).ok_or_else(|| UrdfProblem::NoInertia {
             link: self.name(moved),
