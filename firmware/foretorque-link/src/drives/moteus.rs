@@ -164,9 +164,17 @@ pub(super) fn order(
 ) -> bool {
     let mut bytes = Bytes::new();
     match order {
-        // Mode 0 also clears a fault and a time-out; the first command then turns the torque on.
-        Order::Enable | Order::Disable | Order::ClearFault => {
+        // Mode 0 also clears a fault and a time-out.
+        Order::Disable | Order::ClearFault => {
             put(&mut bytes, &[WRITE | 1, MODE as u8, STOPPED]);
+        }
+        Order::Enable => {
+            send(profile, &[WRITE | 1, MODE as u8, STOPPED], frames);
+            // Without a position the drive holds the present one, here with gain scales and torque of 0.
+            put(
+                &mut bytes,
+                &[WRITE | 1, MODE as u8, POSITION, WRITE | 2, 0x23, 0, 0],
+            );
         }
         Order::SetZero => {
             let [r0, r1] = SET_OUTPUT;
@@ -307,15 +315,12 @@ pub(super) fn accept(profile: &DriveProfile, scales: &Moteus, frame: &Frame) -> 
         kd: scales.kd / TURN,
         ..JointCommand::default()
     };
-    let (mut mode, mut zero, mut known) = (None, false, true);
+    let (mut mode, mut zero, mut position) = (None, false, None);
     let whole = each(frame.bytes(), WRITE, |register, value| {
         let unit = value.scaled(1.0 / 127.0, 1.0 / 32767.0, 1.0 / 2_147_483_647.0);
         match register {
             MODE => mode = Some(value.count() as u8),
-            0x020 => match value.scaled(0.01, 1e-4, 1e-5) {
-                Some(turns) => motion.position = turns * TURN,
-                None => known = false,
-            },
+            COMMAND => position = value.scaled(0.01, 1e-4, 1e-5),
             0x021 => motion.velocity = value.scaled(0.1, 2.5e-4, 1e-5).unwrap_or(0.0) * TURN,
             0x022 => motion.torque = value.scaled(0.5, 0.01, 1e-3).unwrap_or(0.0),
             0x023 => motion.kp = unit.unwrap_or(1.0) * scales.kp / TURN,
@@ -326,7 +331,13 @@ pub(super) fn accept(profile: &DriveProfile, scales: &Moteus, frame: &Frame) -> 
     });
     match mode {
         _ if !whole => None,
-        Some(POSITION) if known && motion.is_finite() => Some(Request::Command(motion)),
+        Some(POSITION) => match position {
+            Some(turns) => {
+                motion.position = turns * TURN;
+                Some(Request::Command(motion))
+            }
+            None => (motion.kp == 0.0 && motion.kd == 0.0).then_some(Request::Order(Order::Enable)),
+        },
         Some(STOPPED) => Some(Request::Order(Order::Disable)),
         None if zero => Some(Request::Order(Order::SetZero)),
         None => Some(Request::Order(Order::Report)),

@@ -217,13 +217,6 @@ pub(super) fn reply(profile: &DriveProfile, reply: &JointReply, frames: &mut Fra
     send(profile, command::ESTIMATES, &estimates, frames);
     let torque = reply.torque.unwrap_or_default();
     send(profile, command::TORQUES, &pair(torque, torque), frames);
-    let celsius = reply.temperature.unwrap_or_default();
-    send(
-        profile,
-        command::TEMPERATURE,
-        &pair(celsius, celsius),
-        frames,
-    );
     let (error, state) = match reply.state.unwrap_or_default() {
         DriveState::Disabled => (0, IDLE),
         DriveState::Enabled => (0, CLOSED_LOOP),

@@ -264,7 +264,7 @@ impl DriveProfile {
 
     /// The first command after [`super::Order::Enable`] turns the torque on, not the order itself.
     pub const fn enabled_by_command(&self) -> bool {
-        matches!(self.protocol, Protocol::Moteus(_) | Protocol::Cia402(_))
+        matches!(self.protocol, Protocol::Cia402(_))
     }
 
     /// A command in the coordinates of the drive.

@@ -317,11 +317,8 @@ fn orders_and_scales_come_back() {
                 continue;
             }
             let read = frames.iter().rev().find_map(|frame| profile.accept(frame));
-            // moteus: mode 0 for all three.
-            let alike = matches!(
-                (protocol, order),
-                (Protocol::Moteus(_), Enable | ClearFault)
-            );
+            // moteus: mode 0 for both.
+            let alike = matches!((protocol, order), (Protocol::Moteus(_), ClearFault));
             assert_eq!(
                 read,
                 Some(Request::Order(if alike { Disable } else { order })),
