@@ -21,7 +21,7 @@ const ZERO_RAD: f64 = 0.1;
 /// Largest torque of gravity in the pose of rest, part of the limit.
 const RESTING: f64 = 0.03;
 /// Torques of the probe, parts of the limit, in the order in which they are tried. The last is the largest.
-const LEVELS: [f64; 7] = [0.005, 0.0095, 0.02, 0.035, 0.05, 0.07, 0.095];
+const LEVELS: [f64; 7] = [0.005, 0.0085, 0.02, 0.035, 0.05, 0.07, 0.095];
 /// Longest push, s, and the travel that ends it, rad.
 const PUSH: (f64, f64) = (0.4, 0.04);
 /// Smallest travel that is motion, rad.
