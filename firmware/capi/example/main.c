@@ -31,7 +31,7 @@ static void next_sample(ForetorqueSample *sample, uint32_t tick)
 		sample->measured_q_rad[joint] = way;
 		sample->measured_tau_nm[joint] = 10.0f * any();
 	}
-	sample->measured = true;
+	sample->measured = 1;
 }
 
 static void print_bits(const float *values, int count)
@@ -59,7 +59,7 @@ int main(void)
 		return 1;
 	if (foretorque_init(memory, sizeof memory, 0.001f, &arm) != FORETORQUE_STATUS_OK)
 		return 2;
-	foretorque_set_learning(arm, true);
+	foretorque_set_learning(arm, 1);
 
 	for (uint32_t tick = 0; tick < TICKS; tick++) {
 		next_sample(&sample, tick);
@@ -75,7 +75,7 @@ int main(void)
 	/* What was learnt is a parameter bank, to be kept and given to foretorque_load_bank at the next start. */
 	static uint8_t bank[4096];
 	size_t length = 0;
-	foretorque_set_learning(arm, false);
+	foretorque_set_learning(arm, 0);
 	if (foretorque_save_bank(arm, bank, sizeof bank, &length) != FORETORQUE_STATUS_OK)
 		return 4;
 	if (foretorque_load_bank(arm, bank, length) != FORETORQUE_STATUS_OK)

@@ -31,6 +31,10 @@ enum ForetorqueStatus
   FORETORQUE_STATUS_BANK = 5,
   // Only while learning is off.
   FORETORQUE_STATUS_LEARNING_ON = 6,
+  // The safety refuses; the reason says why.
+  FORETORQUE_STATUS_REFUSED = 7,
+  // Only while no torque flows.
+  FORETORQUE_STATUS_ARMED = 8,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -40,7 +44,7 @@ typedef int32_t ForetorqueStatus;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// Feed-forward and learner of one arm. Opaque: C sees a pointer into its own memory.
+// Feed-forward, safety and learner of one arm. Opaque: C sees a pointer into its own memory.
 typedef struct Foretorque Foretorque;
 
 // Input of one tick.
@@ -55,8 +59,8 @@ typedef struct ForetorqueSample {
   float measured_q_rad[FORETORQUE_JOINTS];
   // Measured torques, link side, N m. Read only if `measured`.
   float measured_tau_nm[FORETORQUE_JOINTS];
-  // The measurement is fresh.
-  bool measured;
+  // The measurement is fresh, unless 0.
+  uint8_t measured;
 } ForetorqueSample;
 
 // Output of one tick. Always finite.
@@ -74,6 +78,32 @@ typedef struct ForetorqueTorque {
   // Counter of the tick.
   uint32_t tick;
 } ForetorqueTorque;
+
+// State of the safety, with the codes of docs/safety.md.
+typedef struct ForetorqueSafety {
+  // 0 disarmed, 1 armed, 2 ramp down, 3 fault.
+  uint8_t state;
+  // Why the torque is, or may soon be, less than wanted.
+  uint8_t reason;
+  // The fault that has to be cleared before arming; 0 is none. Keep it over a reset.
+  uint8_t latched;
+  // 1 where the enable of the motor stages may be on.
+  uint8_t enabled;
+  // 1 where brakes may be open.
+  uint8_t brake_released;
+} ForetorqueSafety;
+
+// Hard limits, which no bank and no call exceeds.
+typedef struct ForetorqueLimits {
+  // Largest torque, N m.
+  float torque_nm[FORETORQUE_JOINTS];
+  // Largest change of the torque in one tick, N m.
+  float slew_nm[FORETORQUE_JOINTS];
+  // Ticks without a usable sample after which the torque ends.
+  uint32_t timeout_ticks;
+  // Ticks without a plausible measurement after which the torque ends.
+  uint32_t measurement_ticks;
+} ForetorqueLimits;
 
 #ifdef __cplusplus
 extern "C" {
@@ -113,20 +143,82 @@ ForetorqueStatus foretorque_save_bank(struct Foretorque *it,
                                       uintptr_t size,
                                       uintptr_t *length);
 
-// Switches learning on or off (frozen) from the next tick on.
+// Switches learning on or off (0, frozen) from the next tick on.
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way.
-ForetorqueStatus foretorque_set_learning(struct Foretorque *it, bool on);
+ForetorqueStatus foretorque_set_learning(struct Foretorque *it, uint8_t on);
 
-// Runs one tick. `sample` may be null: then none came, and the torque is held for 10 ms and goes to zero after that.
+// Runs one tick without the safety: its torque is for a caller that has a safety of its own. `sample` may be null: then none
+// came, and the torque is held for 10 ms and goes to zero after that.
 //
 // # Safety
-// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read; `out` may be
-// written.
+// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read, the measured
+// values only if `measured`; `out` may be written.
 ForetorqueStatus foretorque_step(struct Foretorque *it,
                                  const struct ForetorqueSample *sample,
                                  struct ForetorqueTorque *out);
+
+// Runs one tick with the safety: exactly one call a period of the caller's timer. The torque is zero unless the board is
+// armed, and within the hard limits; docs/safety.md describes states, reasons and time-outs. `sample` is null in a period
+// in which none came.
+//
+// # Safety
+// As those of `foretorque_step`.
+ForetorqueStatus foretorque_tick(struct Foretorque *it,
+                                 const struct ForetorqueSample *sample,
+                                 struct ForetorqueTorque *out);
+
+// Lets torque through from the next sample on. Only after three fresh, plausible samples; `Refused` otherwise, with the
+// reason of docs/safety.md at `reason`.
+//
+// # Safety
+// `it` comes from `foretorque_init`, and no other call on it is under way; `reason` may be written.
+ForetorqueStatus foretorque_arm(struct Foretorque *it, uint8_t *reason);
+
+// Clears a latched fault; the board is disarmed then. `Refused` while the torque still ramps to zero or a motor is hot.
+//
+// # Safety
+// As those of `foretorque_arm`.
+ForetorqueStatus foretorque_clear_fault(struct Foretorque *it, uint8_t *reason);
+
+// Ramps the torque to zero over the ticks to come, then disarms.
+//
+// # Safety
+// `it` comes from `foretorque_init`, and no other call on it is under way.
+ForetorqueStatus foretorque_disarm(struct Foretorque *it);
+
+// Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
+// An unknown code, or 0, latches 3.
+//
+// # Safety
+// As those of `foretorque_disarm`.
+ForetorqueStatus foretorque_stop(struct Foretorque *it,
+                                 uint8_t reason);
+
+// Takes the temperature of the motor of `joint`, counted from 0, degrees C. The torque limit falls from 80 to 100.
+//
+// # Safety
+// As those of `foretorque_disarm`.
+ForetorqueStatus foretorque_temperature(struct Foretorque *it, uint32_t joint, int8_t celsius);
+
+// Sets the time that the brakes take to close, microseconds; 0 without brakes. Only while no torque flows.
+//
+// # Safety
+// As those of `foretorque_disarm`.
+ForetorqueStatus foretorque_set_brake(struct Foretorque *it, uint32_t close_us);
+
+// Writes the state of the safety.
+//
+// # Safety
+// `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
+ForetorqueStatus foretorque_safety(struct Foretorque *it, struct ForetorqueSafety *out);
+
+// Writes the hard limits.
+//
+// # Safety
+// As those of `foretorque_safety`.
+ForetorqueStatus foretorque_limits(struct Foretorque *it, struct ForetorqueLimits *out);
 
 // Learns from the tick that has just run, in the time that is left of it. Without this call nothing is learnt.
 //

@@ -1,4 +1,4 @@
-//! foretorque for firmware in C: the tick and its learner of one arm, in memory that the caller owns.
+//! foretorque for firmware in C: tick, safety and learner of one arm, in memory that the caller owns.
 //!
 //! The header is `include/foretorque.h`, generated from this file; `example/main.c` is a whole program. Nothing allocates,
 //! nothing blocks, nothing panics: linking the static library proves the last.
@@ -7,16 +7,18 @@
 #![cfg_attr(target_os = "none", no_std)]
 
 use core::mem::{MaybeUninit, align_of, size_of};
-use core::slice;
+use core::{ptr, slice};
 
 use foretorque::arm::Arm as _;
 use foretorque::arm::ur5::{
     Exchange, FeedForward, JOINTS, Learner, LearnerConfig, ParameterSet, Ur5 as Arm,
 };
-use foretorque::feedforward::FeedForwardConfig;
+use foretorque::feedforward::{FeedForwardConfig, gravity};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::LearningSample;
+use foretorque::limits::Flags;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
+use foretorque_link::safety::{Safety, SafetyLimits, SafetyReason};
 #[cfg(target_os = "none")]
 use panic_never as _;
 
@@ -46,6 +48,10 @@ pub enum ForetorqueStatus {
     Bank = 5,
     /// Only while learning is off.
     LearningOn = 6,
+    /// The safety refuses; the reason says why.
+    Refused = 7,
+    /// Only while no torque flows.
+    Armed = 8,
 }
 
 /// Input of one tick.
@@ -62,8 +68,33 @@ pub struct ForetorqueSample {
     pub measured_q_rad: [f32; FORETORQUE_JOINTS],
     /// Measured torques, link side, N m. Read only if `measured`.
     pub measured_tau_nm: [f32; FORETORQUE_JOINTS],
-    /// The measurement is fresh.
-    pub measured: bool,
+    /// The measurement is fresh, unless 0.
+    pub measured: u8,
+}
+
+impl ForetorqueSample {
+    /// The sample at `place`; fields that are not to be read may be uninitialised.
+    ///
+    /// # Safety
+    /// `place` is aligned, and the fields of the desired motion, `measured` and those that it asks for may be read.
+    unsafe fn read(place: *const Self) -> JointSample<JOINTS> {
+        // SAFETY: field by field, as the caller promises.
+        unsafe {
+            let vector = |field: *const [f32; JOINTS]| field.read().into();
+            let measured = (&raw const (*place).measured).read() != 0;
+            JointSample {
+                desired: JointMotion {
+                    q: vector(&raw const (*place).q_rad),
+                    qd: vector(&raw const (*place).qd_rad_s),
+                    qdd: vector(&raw const (*place).qdd_rad_s2),
+                },
+                measured: measured.then(|| JointMeasurement {
+                    q: vector(&raw const (*place).measured_q_rad),
+                    tau: vector(&raw const (*place).measured_tau_nm),
+                }),
+            }
+        }
+    }
 }
 
 /// Output of one tick. Always finite.
@@ -84,9 +115,42 @@ pub struct ForetorqueTorque {
     pub tick: u32,
 }
 
-/// Feed-forward and learner of one arm. Opaque: C sees a pointer into its own memory.
+/// State of the safety, with the codes of docs/safety.md.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ForetorqueSafety {
+    /// 0 disarmed, 1 armed, 2 ramp down, 3 fault.
+    pub state: u8,
+    /// Why the torque is, or may soon be, less than wanted.
+    pub reason: u8,
+    /// The fault that has to be cleared before arming; 0 is none. Keep it over a reset.
+    pub latched: u8,
+    /// 1 where the enable of the motor stages may be on.
+    pub enabled: u8,
+    /// 1 where brakes may be open.
+    pub brake_released: u8,
+}
+
+/// Hard limits, which no bank and no call exceeds.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForetorqueLimits {
+    /// Largest torque, N m.
+    pub torque_nm: [f32; FORETORQUE_JOINTS],
+    /// Largest change of the torque in one tick, N m.
+    pub slew_nm: [f32; FORETORQUE_JOINTS],
+    /// Ticks without a usable sample after which the torque ends.
+    pub timeout_ticks: u32,
+    /// Ticks without a plausible measurement after which the torque ends.
+    pub measurement_ticks: u32,
+}
+
+/// Feed-forward, safety and learner of one arm. Opaque: C sees a pointer into its own memory.
 pub struct Foretorque {
     feed_forward: FeedForward,
+    safety: Safety<JOINTS>,
+    /// Time that brakes take to close, ticks.
+    brake_ticks: u32,
     learner: Learner,
     exchange: Exchange,
     /// Learning sample of the last tick, until the learner takes it.
@@ -118,6 +182,9 @@ impl Foretorque {
         // SAFETY: every part of `place` may be written, and the learner is read only after it was.
         unsafe {
             (&raw mut (*place).feed_forward).write(FeedForward::new(config, set).ok()?);
+            let limits = SafetyLimits::for_arm::<Arm, _>((period_s * 1e6 + 0.5) as u32);
+            (&raw mut (*place).safety).write(Safety::new(limits, SafetyReason::None));
+            (&raw mut (*place).brake_ticks).write(0);
             (&raw mut (*place).exchange).write(Exchange::new());
             (&raw mut (*place).lesson).write(None);
             (&raw mut (*place).bank).write(ParameterBank::nominal::<Arm, _, _>());
@@ -145,23 +212,38 @@ impl Foretorque {
         Some(())
     }
 
-    fn step(&mut self, sample: Option<&ForetorqueSample>) -> ForetorqueTorque {
+    fn step(&mut self, sample: Option<JointSample<JOINTS>>, guarded: bool) -> ForetorqueTorque {
         self.feed_forward.adopt(&mut self.exchange);
-        let sample = sample.map(|given| JointSample {
-            desired: JointMotion {
-                q: given.q_rad.into(),
-                qd: given.qd_rad_s.into(),
-                qdd: given.qdd_rad_s2.into(),
-            },
-            measured: given.measured.then(|| JointMeasurement {
-                q: given.measured_q_rad.into(),
-                tau: given.measured_tau_nm.into(),
-            }),
-        });
-        let torque = match &sample {
+        let mut sample = sample;
+        if guarded {
+            self.safety.period();
+            self.safety.set_brake_ticks(self.brake_ticks);
+            sample = self.safety.admit(sample, 1, SafetyReason::None);
+        }
+        let mut torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),
             None => self.feed_forward.step_stale(),
         };
+        if guarded {
+            if torque.flags.contains(Flags::GRAVITY_LOST) {
+                self.safety.check(SafetyReason::GravityLost);
+            }
+            let withdrawn = torque
+                .flags
+                .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
+            if self.brake_ticks > 0
+                && (withdrawn || self.safety.braking())
+                && let Some(q) = self.safety.measured_q()
+            {
+                let gravity = gravity::<Arm, _, _>(&self.feed_forward.state().committed, q);
+                self.safety.keep(&gravity);
+                if withdrawn {
+                    torque.total = gravity;
+                }
+            }
+            torque.total = self.safety.release(&torque.total);
+            self.feed_forward.applied(&torque.total);
+        }
         let measured = sample.and_then(|sample| sample.measured);
         self.lesson = Some(self.feed_forward.learning_sample(measured));
         let array = |vector: JointVector<JOINTS>| vector.into();
@@ -172,6 +254,17 @@ impl Foretorque {
             network_nm: array(torque.shares.network),
             flags: u32::from(torque.flags.0),
             tick: torque.tick,
+        }
+    }
+
+    fn safety(&self) -> ForetorqueSafety {
+        let status = self.safety.status();
+        ForetorqueSafety {
+            state: status.state as u8,
+            reason: status.reason.code(),
+            latched: self.safety.latched().code(),
+            enabled: self.safety.enabled().into(),
+            brake_released: self.safety.brake_released().into(),
         }
     }
 }
@@ -249,6 +342,9 @@ pub unsafe extern "C" fn foretorque_load_bank(
     if it.feed_forward.state().learning {
         return ForetorqueStatus::LearningOn;
     }
+    if !it.safety.at_rest() {
+        return ForetorqueStatus::Armed;
+    }
     match it.load(bytes) {
         Some(()) => ForetorqueStatus::Ok,
         None => ForetorqueStatus::Bank,
@@ -270,8 +366,12 @@ pub unsafe extern "C" fn foretorque_save_bank(
     if room.is_null() || length.is_null() {
         return ForetorqueStatus::Null;
     }
-    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile; `size` bytes lie at `room`.
-    let (it, room) = unsafe { (it.as_mut(), slice::from_raw_parts_mut(room, size)) };
+    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile; `size` bytes lie at `room`, which are
+    // initialised before there is a reference to them.
+    let (it, room) = unsafe {
+        ptr::write_bytes(room, 0, size);
+        (it.as_mut(), slice::from_raw_parts_mut(room, size))
+    };
     let Some(it) = it else {
         return ForetorqueStatus::Null;
     };
@@ -285,41 +385,237 @@ pub unsafe extern "C" fn foretorque_save_bank(
     ForetorqueStatus::Ok
 }
 
-/// Switches learning on or off (frozen) from the next tick on.
+/// Switches learning on or off (0, frozen) from the next tick on.
 ///
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_set_learning(
-    it: *mut Foretorque,
-    on: bool,
-) -> ForetorqueStatus {
+pub unsafe extern "C" fn foretorque_set_learning(it: *mut Foretorque, on: u8) -> ForetorqueStatus {
     // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
     let Some(it) = (unsafe { it.as_mut() }) else {
         return ForetorqueStatus::Null;
     };
-    it.feed_forward.set_learning(on);
+    it.feed_forward.set_learning(on != 0);
     ForetorqueStatus::Ok
 }
 
-/// Runs one tick. `sample` may be null: then none came, and the torque is held for 10 ms and goes to zero after that.
+/// Runs one tick without the safety: its torque is for a caller that has a safety of its own. `sample` may be null: then none
+/// came, and the torque is held for 10 ms and goes to zero after that.
 ///
 /// # Safety
-/// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read; `out` may be
-/// written.
+/// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read, the measured
+/// values only if `measured`; `out` may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_step(
     it: *mut Foretorque,
     sample: *const ForetorqueSample,
     out: *mut ForetorqueTorque,
 ) -> ForetorqueStatus {
-    // SAFETY: each null or what the caller says it is, and used by nobody else meanwhile.
-    let (it, sample, out) = unsafe { (it.as_mut(), sample.as_ref(), out.as_mut()) };
-    let (Some(it), Some(out)) = (it, out) else {
+    // SAFETY: as the caller promises.
+    unsafe { step(it, sample, out, false) }
+}
+
+/// Runs one tick with the safety: exactly one call a period of the caller's timer. The torque is zero unless the board is
+/// armed, and within the hard limits; docs/safety.md describes states, reasons and time-outs. `sample` is null in a period
+/// in which none came.
+///
+/// # Safety
+/// As those of `foretorque_step`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_tick(
+    it: *mut Foretorque,
+    sample: *const ForetorqueSample,
+    out: *mut ForetorqueTorque,
+) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { step(it, sample, out, true) }
+}
+
+/// # Safety
+/// As those of `foretorque_step`.
+unsafe fn step(
+    it: *mut Foretorque,
+    sample: *const ForetorqueSample,
+    out: *mut ForetorqueTorque,
+    guarded: bool,
+) -> ForetorqueStatus {
+    // SAFETY: null or what the caller says it is, and used by nobody else meanwhile.
+    let it = unsafe { it.as_mut() };
+    let (Some(it), false) = (it, out.is_null()) else {
         return ForetorqueStatus::Null;
     };
-    *out = it.step(sample);
+    // SAFETY: not null, and may be read as far as it is; `out` may be written and is never read.
+    unsafe {
+        let sample = (!sample.is_null()).then(|| ForetorqueSample::read(sample));
+        out.write(it.step(sample, guarded));
+    }
     ForetorqueStatus::Ok
+}
+
+/// Lets torque through from the next sample on. Only after three fresh, plausible samples; `Refused` otherwise, with the
+/// reason of docs/safety.md at `reason`.
+///
+/// # Safety
+/// `it` comes from `foretorque_init`, and no other call on it is under way; `reason` may be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_arm(it: *mut Foretorque, reason: *mut u8) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { ask(it, reason, Safety::arm) }
+}
+
+/// Clears a latched fault; the board is disarmed then. `Refused` while the torque still ramps to zero or a motor is hot.
+///
+/// # Safety
+/// As those of `foretorque_arm`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_clear_fault(
+    it: *mut Foretorque,
+    reason: *mut u8,
+) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { ask(it, reason, Safety::clear) }
+}
+
+/// # Safety
+/// As those of `foretorque_arm`.
+unsafe fn ask(
+    it: *mut Foretorque,
+    reason: *mut u8,
+    request: fn(&mut Safety<JOINTS>) -> Result<(), SafetyReason>,
+) -> ForetorqueStatus {
+    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
+    let it = unsafe { it.as_mut() };
+    let (Some(it), false) = (it, reason.is_null()) else {
+        return ForetorqueStatus::Null;
+    };
+    let refused = request(&mut it.safety).err();
+    // SAFETY: not null, and may be written.
+    unsafe { reason.write(refused.unwrap_or_default().code()) };
+    match refused {
+        None => ForetorqueStatus::Ok,
+        Some(_) => ForetorqueStatus::Refused,
+    }
+}
+
+/// Ramps the torque to zero over the ticks to come, then disarms.
+///
+/// # Safety
+/// `it` comes from `foretorque_init`, and no other call on it is under way.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { act(it, |it| it.safety.disarm()) }
+}
+
+/// Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
+/// An unknown code, or 0, latches 3.
+///
+/// # Safety
+/// As those of `foretorque_disarm`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> ForetorqueStatus {
+    let known = SafetyReason::ALL.get(usize::from(reason)).copied();
+    let fault = match known {
+        None | Some(SafetyReason::None) => SafetyReason::Stopped,
+        Some(known) => known,
+    };
+    // SAFETY: as the caller promises.
+    unsafe {
+        act(it, |it| {
+            it.safety.torque_off(fault);
+            it.feed_forward.applied(it.safety.output());
+        })
+    }
+}
+
+/// Takes the temperature of the motor of `joint`, counted from 0, degrees C. The torque limit falls from 80 to 100.
+///
+/// # Safety
+/// As those of `foretorque_disarm`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_temperature(
+    it: *mut Foretorque,
+    joint: u32,
+    celsius: i8,
+) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { act(it, |it| it.safety.note_temperature(joint as usize, celsius)) }
+}
+
+/// Sets the time that the brakes take to close, microseconds; 0 without brakes. Only while no torque flows.
+///
+/// # Safety
+/// As those of `foretorque_disarm`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_set_brake(
+    it: *mut Foretorque,
+    close_us: u32,
+) -> ForetorqueStatus {
+    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
+    let Some(it) = (unsafe { it.as_mut() }) else {
+        return ForetorqueStatus::Null;
+    };
+    if !it.safety.at_rest() {
+        return ForetorqueStatus::Armed;
+    }
+    it.brake_ticks = (close_us as f32 * 1e-6 / it.period_s) as u32 + u32::from(close_us > 0);
+    ForetorqueStatus::Ok
+}
+
+/// Writes the state of the safety.
+///
+/// # Safety
+/// `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_safety(
+    it: *mut Foretorque,
+    out: *mut ForetorqueSafety,
+) -> ForetorqueStatus {
+    if out.is_null() {
+        return ForetorqueStatus::Null;
+    }
+    // SAFETY: as the caller promises; `out` may be written.
+    unsafe { act(it, |it| out.write(it.safety())) }
+}
+
+/// Writes the hard limits.
+///
+/// # Safety
+/// As those of `foretorque_safety`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_limits(
+    it: *mut Foretorque,
+    out: *mut ForetorqueLimits,
+) -> ForetorqueStatus {
+    if out.is_null() {
+        return ForetorqueStatus::Null;
+    }
+    let write = |it: &mut Foretorque| {
+        let limits = it.safety.limits();
+        let limits = ForetorqueLimits {
+            torque_nm: limits.torque.into(),
+            slew_nm: limits.slew_per_tick.into(),
+            timeout_ticks: limits.timeout_ticks,
+            measurement_ticks: limits.measurement_ticks,
+        };
+        // SAFETY: not null, and may be written.
+        unsafe { out.write(limits) }
+    };
+    // SAFETY: as the caller promises.
+    unsafe { act(it, write) }
+}
+
+/// # Safety
+/// As those of `foretorque_disarm`.
+unsafe fn act(it: *mut Foretorque, action: impl FnOnce(&mut Foretorque)) -> ForetorqueStatus {
+    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
+    match unsafe { it.as_mut() } {
+        Some(it) => {
+            action(it);
+            ForetorqueStatus::Ok
+        }
+        None => ForetorqueStatus::Null,
+    }
 }
 
 /// Learns from the tick that has just run, in the time that is left of it. Without this call nothing is learnt.

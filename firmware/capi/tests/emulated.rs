@@ -32,7 +32,7 @@ impl Numbers {
             sample.measured_q_rad[joint] = way;
             sample.measured_tau_nm[joint] = 10.0 * self.any();
         }
-        sample.measured = true;
+        sample.measured = 1;
     }
 }
 
@@ -54,7 +54,7 @@ fn native() -> Vec<String> {
         qdd_rad_s2: zero,
         measured_q_rad: zero,
         measured_tau_nm: zero,
-        measured: false,
+        measured: 0,
     };
     let mut torque = ForetorqueTorque {
         total_nm: zero,
@@ -73,7 +73,7 @@ fn native() -> Vec<String> {
         let size = 8 * memory.len();
         let made = foretorque_init(memory.as_mut_ptr().cast(), size, 1e-3, &raw mut it);
         assert_eq!(made, ForetorqueStatus::Ok);
-        foretorque_set_learning(it, true);
+        foretorque_set_learning(it, 1);
         for tick in 0..TICKS {
             numbers.fill(&mut sample, tick);
             let lost = tick % 10 == 9;
@@ -82,7 +82,7 @@ fn native() -> Vec<String> {
             said.push(line(&torque.total_nm));
             foretorque_learn(it);
         }
-        foretorque_set_learning(it, false);
+        foretorque_set_learning(it, 0);
         let saved = foretorque_save_bank(it, bank.as_mut_ptr(), bank.len(), &raw mut length);
         assert_eq!(saved, ForetorqueStatus::Ok);
         let loaded = foretorque_load_bank(it, bank.as_ptr(), length);
@@ -169,7 +169,7 @@ fn bad_calls_are_answered_and_change_nothing() {
         let junk = [1_u8; 64];
         assert_eq!(foretorque_load_bank(it, junk.as_ptr(), junk.len()), Bank);
         assert_eq!(foretorque_load_bank(it, ptr::null(), 0), Null);
-        foretorque_set_learning(it, true);
+        foretorque_set_learning(it, 1);
         let refused = foretorque_load_bank(it, junk.as_ptr(), junk.len());
         assert_eq!(refused, LearningOn);
         let (mut room, mut length) = ([0_u8; 16], 0);

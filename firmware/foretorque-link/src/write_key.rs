@@ -1,7 +1,8 @@
-//! Write key: authentication of uploads.
+//! Write key: authentication of uploads, and of orders that change model, learnt state or store.
 //!
 //! A board with a key accepts an upload only with a signature over its bytes and over a challenge, which is valid for one
-//! upload: a recorded upload cannot be replayed. A board without a key accepts every upload.
+//! upload: a recorded upload cannot be replayed. An order needs a permission, signed alike and valid for this one order. A
+//! board without a key accepts everything.
 //!
 //! The signature is SipHash-2-4 with 128 bits (Aumasson and Bernstein 2012), in 3 kB of flash. HMAC-SHA-256 takes 10 kB,
 //! and BLAKE2s in its small form has an index that can panic.
@@ -15,6 +16,7 @@ pub const KEY_BYTES: usize = 16;
 
 /// First bytes of signed data, so that no signature serves another purpose.
 const UPLOAD: &[u8] = b"foretorque upload 1";
+const ORDER: &[u8] = b"foretorque order 1";
 const CHALLENGE: &[u8] = b"foretorque challenge 1";
 
 /// Symmetric key of host and board.
@@ -46,13 +48,45 @@ impl WriteKey {
         arm_hash: u32,
         upload: &[u8],
     ) -> [u8; MAC_BYTES] {
+        self.sign(UPLOAD, nonce, arm_hash, upload)
+    }
+
+    #[inline(never)]
+    fn sign(
+        &self,
+        purpose: &[u8],
+        nonce: &[u8; MAC_BYTES],
+        arm_hash: u32,
+        content: &[u8],
+    ) -> [u8; MAC_BYTES] {
         let mut code = self.code();
-        code.write(UPLOAD);
+        code.write(purpose);
         code.write(nonce);
         code.write(&arm_hash.to_le_bytes());
-        code.write(&(upload.len() as u32).to_le_bytes());
-        code.write(upload);
+        code.write(&(content.len() as u32).to_le_bytes());
+        code.write(content);
         code.finish128().as_bytes()
+    }
+
+    /// The signature that permits one order: over challenge, arm, tag of the message and its first byte.
+    pub fn sign_order(
+        &self,
+        nonce: &[u8; MAC_BYTES],
+        arm_hash: u32,
+        order: [u8; 2],
+    ) -> [u8; MAC_BYTES] {
+        self.sign(ORDER, nonce, arm_hash, &order)
+    }
+
+    /// Verifies the permission of an order, in constant time.
+    pub fn permits(
+        &self,
+        signature: &[u8; MAC_BYTES],
+        nonce: &[u8; MAC_BYTES],
+        arm_hash: u32,
+        order: [u8; 2],
+    ) -> bool {
+        same(signature, &self.sign_order(nonce, arm_hash, order))
     }
 
     /// Verifies the signature of an upload, in constant time.
@@ -63,10 +97,7 @@ impl WriteKey {
         arm_hash: u32,
         upload: &[u8],
     ) -> bool {
-        let right = self.sign_upload(nonce, arm_hash, upload);
-        let pairs = signature.iter().zip(right);
-        let different = pairs.fold(0, |different, (given, right)| different | (given ^ right));
-        different == 0
+        same(signature, &self.sign_upload(nonce, arm_hash, upload))
     }
 
     /// Challenge number `count` of a board, unpredictable without the key.
@@ -83,6 +114,12 @@ impl WriteKey {
     fn code(&self) -> SipHasher24 {
         SipHasher24::new_with_key(&self.0)
     }
+}
+
+/// Compares in constant time.
+fn same(given: &[u8; MAC_BYTES], right: &[u8; MAC_BYTES]) -> bool {
+    let pairs = given.iter().zip(right);
+    pairs.fold(0, |different, (given, right)| different | (given ^ right)) == 0
 }
 
 /// Hides the key from logs.

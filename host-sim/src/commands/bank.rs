@@ -3,10 +3,10 @@ use super::terminal::say;
 use super::{Failure, key, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
-use foretorque::arm::panda::{self, Panda};
-use foretorque::arm::ur5::{self, Ur5};
 use foretorque_link::bank::{BankError, ParameterBank};
 use foretorque_link::wire::BankSource;
+use foretorque_workbench::arms;
+use foretorque_workbench::board::Described;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::robot::Robot;
 use std::fs;
@@ -171,14 +171,17 @@ fn print(bank: &ParameterBank) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The bank is one for an arm of the firmware.
+/// Whether the bank fits its arm, where that is built in.
 fn usable(bank: &ParameterBank) -> Result<(), BankError> {
-    match bank.set::<Ur5, { ur5::JOINTS }, { ur5::PARAMETERS }>() {
-        Err(BankError::WrongArm { .. }) => bank
-            .set::<Panda, { panda::JOINTS }, { panda::PARAMETERS }>()
-            .map(drop),
-        judged => judged.map(drop),
-    }
+    let arms = Robot::built_in().filter_map(|name| Robot::load(name).ok());
+    let mut judged = arms.map(|robot| {
+        arms!(robot, N, P => {
+            Described::<N, P>::read(&robot);
+            bank.set::<Described<N, P>, N, P>().map(drop)
+        }, else Err(BankError::WrongArm { found: bank.arm_hash }))
+    });
+    let known = judged.find(|judged| !matches!(judged, Err(BankError::WrongArm { .. })));
+    known.unwrap_or(Ok(()))
 }
 
 /// A bank from its file.

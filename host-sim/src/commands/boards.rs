@@ -1,15 +1,13 @@
 //! Which board, and how it is reached.
 
-use super::{Failure, unusable};
+use super::{Failure, unsupported};
 use foretorque::arm::Arm;
-use foretorque::arm::panda::Panda;
-use foretorque::arm::ur5::Ur5;
+use foretorque_workbench::arms;
 use foretorque_workbench::board::log::Messages;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::serial::{self, Serial};
-use foretorque_workbench::board::{Client, Native, Transport};
+use foretorque_workbench::board::{Client, Described, Native, Transport};
 use foretorque_workbench::files::write_whole;
-use foretorque_workbench::generate::arm_hash;
 use foretorque_workbench::robot::Robot;
 use std::fmt;
 use std::fs;
@@ -138,49 +136,27 @@ fn compiler_of(elf: &Path) -> Option<String> {
         })
 }
 
-/// Work for a robot that the firmware has an arm for.
+/// Work for a robot and its arm.
 pub(super) trait OnArm {
     /// Result of the visit.
     type Output;
 
-    /// Does the work with the firmware's arm `A` of `robot`.
+    /// Does the work with the arm `A` of `robot`.
     fn on<A: Arm<N, P>, const N: usize, const P: usize>(
         self,
         robot: &Robot,
     ) -> Result<Self::Output, Failure>;
 }
 
-/// Does `work` with the firmware's arm of the robot called `name`. The hello of a board names its arm.
+/// Does `work` with the arm of the robot called `name`: the code of the board with the constants of the description.
 ///
-/// Errors: unknown robot, one without an arm in the firmware, or another geometry under the name of one; those of the
-/// work.
+/// Errors: unknown robot; those of the work.
 pub(super) fn on_arm<W: OnArm>(name: &str, work: W) -> Result<W::Output, Failure> {
     let robot = Robot::load(name)?;
-    match robot.name.as_str() {
-        name if name == Ur5::NAME => checked::<Ur5, _, _, W>(&robot, work),
-        name if name == Panda::NAME => checked::<Panda, _, _, W>(&robot, work),
-        other => Err(unusable(format!(
-            "robot '{other}': the firmware has no arm of that name, only {} and {}; `host-sim generate` makes one",
-            Ur5::NAME,
-            Panda::NAME
-        ))),
-    }
-}
-
-fn checked<A: Arm<N, P>, const N: usize, const P: usize, W: OnArm>(
-    robot: &Robot,
-    work: W,
-) -> Result<W::Output, Failure> {
-    let described = arm_hash(robot);
-    if described != A::HASH {
-        return Err(unusable(format!(
-            "robot '{}': description ({described:08x}) and firmware ({:08x}) are different arms of that name; \
-             `host-sim generate` makes the firmware's from the description",
-            robot.name,
-            A::HASH
-        )));
-    }
-    work.on::<A, N, P>(robot)
+    arms!(robot, N, P => {
+        Described::<N, P>::read(&robot).ok_or_else(|| unsupported(N))?;
+        work.on::<Described<N, P>, N, P>(&robot)
+    }, else Err(unsupported(robot.joint_count())))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use super::{Failure, unsupported, unusable};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
 use foretorque_workbench::files::{WholeFile, at, write_whole};
+use foretorque_workbench::joints;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{TableWriter, state_columns};
 use std::io::Write;
@@ -110,11 +111,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         robot.workspace.table_height = Some(height);
     }
-    match robot.joint_count() {
-        6 => search::<6>(arguments, &robot),
-        7 => search::<7>(arguments, &robot),
-        joints => Err(unsupported(joints)),
-    }
+    joints!(robot.joint_count(), N => search::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }
 
 fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {

@@ -3,9 +3,9 @@ use super::progress::Lines;
 use super::terminal::say;
 use super::{Failure, unsupported, unusable};
 use clap::Args;
-use foretorque::arm::panda::{self, Panda};
-use foretorque::arm::ur5::{self, Ur5};
 use foretorque_link::bank::ParameterBank;
+use foretorque_workbench::arms;
+use foretorque_workbench::board::Described;
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
@@ -130,15 +130,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut robot = Robot::load(&arguments.robot)?;
     arguments.columns_of_log.apply(&mut robot)?;
     let config = config(arguments, &robot)?;
-    match robot.joint_count() {
-        6 => identify_arm::<6>(arguments, &robot, &config, |outcome| {
-            bank::<Ur5, 6, { ur5::PARAMETERS }>(&robot, outcome)
-        }),
-        7 => identify_arm::<7>(arguments, &robot, &config, |outcome| {
-            bank::<Panda, 7, { panda::PARAMETERS }>(&robot, outcome)
-        }),
-        joints => Err(unsupported(joints)),
-    }
+    arms!(robot, N, P => {
+        identify_arm::<N>(arguments, &robot, &config, |outcome| bank::<N, P>(&robot, outcome))
+    }, else Err(unsupported(robot.joint_count())))
 }
 
 fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
@@ -190,14 +184,12 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
     })
 }
 
-fn bank<A: foretorque::arm::Arm<N, P>, const N: usize, const P: usize>(
+fn bank<const N: usize, const P: usize>(
     robot: &Robot,
     outcome: &Outcome<N>,
 ) -> Option<ParameterBank> {
-    if robot.name != A::NAME {
-        return None;
-    }
-    bank_of_fit::<A, N, P>(
+    Described::<N, P>::read(robot)?;
+    bank_of_fit::<Described<N, P>, N, P>(
         robot,
         &outcome.bank_layout,
         &outcome.bank_fit,

@@ -2,6 +2,7 @@
 
 mod bank;
 mod boards;
+mod commission;
 mod compare;
 mod disturbances;
 #[cfg(test)]
@@ -90,6 +91,7 @@ enum Command {
     Drive(drive::Arguments),
     Replay(replay::Arguments),
     Compare(compare::Arguments),
+    Commission(commission::Arguments),
     Identify(identify::Arguments),
     Generate(generate::Arguments),
     Bank(bank::Arguments),
@@ -116,6 +118,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Drive(arguments) => drive::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
+        Command::Commission(arguments) => commission::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),

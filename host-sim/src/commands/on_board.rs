@@ -35,7 +35,7 @@ pub(super) fn load<A: Arm<N, P>, const N: usize, const P: usize>(
     if periods > f64::from(u16::MAX) {
         return Err(unusable(format!("--duration-s is {periods} periods")));
     }
-    let program = series.program::<N>(A::HASH, periods as u16, tracking_rad)?;
+    let program = series.program::<N>(A::hash(), periods as u16, tracking_rad)?;
     board.load_excitation(&program)?;
     scene.ticks = ((periods * series.period_s + AROUND_S) / PERIOD_S) as usize;
     let waiting = State {

@@ -6,6 +6,7 @@ use clap::Args;
 use foretorque_workbench::closed_loop::ClosedLoop;
 use foretorque_workbench::closed_loop::control::PdConfig;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
+use foretorque_workbench::joints;
 use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::report::closed_loop::ClosedLoopLog;
 use foretorque_workbench::robot::{Perturbation, Robot};
@@ -168,11 +169,7 @@ impl MotionArguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let robot = Robot::load(&arguments.robot)?;
-    match robot.joint_count() {
-        6 => simulate::<6>(arguments, &robot),
-        7 => simulate::<7>(arguments, &robot),
-        joints => Err(unsupported(joints)),
-    }
+    joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {

@@ -3,7 +3,7 @@
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::bank::ParameterBank;
-use foretorque_link::store::{Store, StoreError, StoreMailbox, StoreOrder, saves, slots};
+use foretorque_link::store::{Store, StoreError, saves, slots};
 use foretorque_studies::faults::store::{self, SECTOR, SMALL_SECTOR, set};
 use foretorque_workbench::board::flash::SimulatedFlash;
 
@@ -85,36 +85,4 @@ fn saves_wear_both_sectors_alike_and_rewrite_no_word() {
     assert_eq!(store.flash().erases(), [u64::from(rounds); 2]);
     // The budget that the documentation states, from what was counted.
     assert_eq!(saves(SECTOR as u32), each * 10_000);
-}
-
-#[test]
-fn orders_pass_the_desk_one_at_a_time() {
-    let bank = |number| ParameterBank::decode(&set(number)).unwrap();
-    let mut store = Store::new(SimulatedFlash::<SMALL_SECTOR>::new(SEED));
-    let mut mailbox = StoreMailbox::new();
-    let mut keep_house = |mailbox: &mut StoreMailbox| {
-        let mut job = mailbox.begin().expect("an order waits");
-        let outcome = job.execute(&mut store, Ur5::HASH);
-        mailbox.finish(&job, outcome);
-    };
-    assert!(mailbox.begin().is_none());
-    assert!(mailbox.restore(7));
-    keep_house(&mut mailbox);
-    let answer = mailbox.collect().unwrap();
-    assert_eq!((answer.requester, answer.order), (7, StoreOrder::Restore));
-    assert_eq!(answer.outcome, Err(StoreError::Empty));
-
-    assert!(mailbox.save(8, &bank(1)));
-    assert!(
-        !mailbox.save(9, &bank(2)) && !mailbox.restore(9),
-        "one at a time"
-    );
-    keep_house(&mut mailbox);
-    assert!(!mailbox.restore(9), "the answer waits");
-    assert_eq!(mailbox.collect().unwrap().outcome, Ok(&set(1)[..]));
-    assert_eq!(mailbox.collect(), None);
-
-    assert!(mailbox.restore(10));
-    keep_house(&mut mailbox);
-    assert_eq!(mailbox.collect().unwrap().outcome, Ok(&set(1)[..]));
 }

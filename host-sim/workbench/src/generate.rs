@@ -1,18 +1,70 @@
 //! Writes the constants of an arm as a module of the firmware.
 
-use crate::dynamics::BaseMapTerm;
+use crate::arms;
 use crate::files::{at, write_whole};
 use crate::robot::{Joint, LINK_PARAMETERS, Robot};
-use foretorque::arm::{LinkColumns, Placement, identity};
+use foretorque::arm::{ArmModel, BaseIndex, BaseTerm, JointLimits, LinkColumns, Placement};
+use foretorque::dynamics::BaseParameters;
 use std::path::Path;
+
+/// The constants of a robot's arm, with room for `P` base parameters; `None` when it has not `N` joints or more base
+/// parameters.
+///
+/// Name and base-parameter map live as long as the program.
+pub fn arm_model<const N: usize, const P: usize>(robot: &Robot) -> Option<ArmModel<N, P>> {
+    let map = robot.base_map();
+    let rotors = LINK_PARAMETERS * N;
+    let mut links = 0..;
+    let columns = robot.each(|_| {
+        let link = links.next().unwrap_or(N);
+        LinkColumns {
+            inertial: std::array::from_fn(|k| map.columns.contains(&(LINK_PARAMETERS * link + k))),
+            rotor: map.columns.contains(&(rotors + link)),
+        }
+    })?;
+    let mut nominal = BaseParameters::<P>::zeros();
+    for (place, value) in map.base_parameters(robot).into_iter().enumerate() {
+        *nominal.get_mut(place)? = value as f32;
+    }
+    let terms = map.terms.iter();
+    let terms = terms.map(|term| BaseTerm::new(term.base, term.standard, term.weight as f32));
+    Some(ArmModel {
+        name: Box::leak(robot.name.clone().into_boxed_str()),
+        gravity: robot.gravity.map(|g| g as f32).into(),
+        placements: robot.each(placement)?,
+        columns,
+        index: BaseIndex::of(&columns),
+        base_map: terms.collect::<Vec<_>>().leak(),
+        limits: robot.each(|joint| JointLimits {
+            position: (
+                joint.limits.position.0 as f32,
+                joint.limits.position.1 as f32,
+            ),
+            velocity: joint.limits.velocity as f32,
+            torque: joint.limits.torque as f32,
+        })?,
+        cogging_cycles: robot.each(|joint| joint.friction.cogging_cycles_rev as f32)?,
+        nominal,
+        // As of the placements: −0 is 0.
+        links: robot.each(|joint| joint.link.standard_parameters().map(|x| x as f32 + 0.0))?,
+        rotors: robot.each(|joint| joint.drive.rotor_inertia as f32)?,
+    })
+}
 
 /// Source text of the firmware module for a robot: geometry, base-parameter map, limits, nominal parameters.
 ///
 /// The text is data, left unformatted on purpose (`rustfmt::skip`), a row a line.
 pub fn arm_module(robot: &Robot) -> String {
-    let map = robot.base_map();
-    let (name, arm) = (&robot.name, camel_case(&robot.name));
-    let (joints, parameters) = (robot.joint_count(), map.rank());
+    let text = arms!(robot, N, P => arm_model::<N, P>(robot).map(|arm| module(&arm)), else None);
+    text.expect(READ)
+}
+
+/// The reason why a description that was read has a model.
+const READ: &str = "a description is refused unless it has 1 to 8 joints";
+
+fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>) -> String {
+    let (name, arm) = (model.name, camel_case(model.name));
+    let (joints, parameters) = (N, model.index.count);
     let sizes = "JOINTS, PARAMETERS";
     let with_arm = format!("{arm}, {sizes}");
     let aliases = [
@@ -30,54 +82,33 @@ pub fn arm_module(robot: &Robot) -> String {
     let aliases = aliases.map(|(quantity, module, alias, generics)| {
         format!("/// {quantity} of this arm.\npub type {alias} = foretorque::{module}::{alias}<{generics}>;\n")
     });
-    let rows = |rows: Vec<String>| -> String {
-        let row = |row| format!("        {row},\n");
-        rows.into_iter().map(row).collect()
-    };
-    let placed = rows(placements(robot).iter().map(|p| format!("{p:?}")).collect());
-    let columns = link_columns(robot, &map.columns);
-    let columns = rows(columns.iter().map(|c| format!("{c:?}")).collect());
-    let term = |t: &BaseMapTerm| {
+    let placed = rows(&model.placements, |placement| format!("{placement:?}"));
+    let columns = rows(&model.columns, |columns| format!("{columns:?}"));
+    let terms = rows(model.base_map, |term| {
         format!(
             "BaseTerm::new({}, {}, {:?})",
-            t.base, t.standard, t.weight as f32
+            term.base, term.standard, term.weight
         )
-    };
-    let terms = rows(map.terms.iter().map(term).collect());
-    let limits = |joint: &Joint| {
-        let [lower, upper, velocity, torque] = [
-            joint.limits.position.0,
-            joint.limits.position.1,
-            joint.limits.velocity,
-            joint.limits.torque,
-        ]
-        .map(number);
+    });
+    let limits = rows(&model.limits, |limits| {
+        let (lower, upper) = limits.position;
+        let [lower, upper, velocity, torque] =
+            [lower, upper, limits.velocity, limits.torque].map(number);
         format!(
             "JointLimits {{ position: ({lower}, {upper}), velocity: {velocity}, torque: {torque} }}"
         )
-    };
-    let limits = rows(robot.joints.iter().map(limits).collect());
-    let each = |of: fn(&Joint) -> f64| -> Vec<f32> {
-        robot.joints.iter().map(|joint| of(joint) as f32).collect()
-    };
-    let cycles = each(|joint| joint.friction.cogging_cycles_rev);
+    });
+    let cycles = &model.cogging_cycles;
     let cogging = if cycles.iter().any(|cycles| *cycles != 0.0) {
         format!("    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};\n")
     } else {
         String::new()
     };
-    let base = map.base_parameters(robot).into_iter();
-    let nominal = rows(base.map(|value| format!("{:?}", value as f32)).collect());
-    // As of the placements: −0 is 0.
-    let link = |joint: &Joint| joint.link.standard_parameters().map(|x| x as f32 + 0.0);
-    let links = rows(
-        robot
-            .joints
-            .iter()
-            .map(|joint| format!("{:?}", link(joint)))
-            .collect(),
-    );
-    let rotors = each(|joint| joint.drive.rotor_inertia);
+    let nominal = rows(&model.nominal.as_slice()[..parameters], |value| {
+        format!("{value:?}")
+    });
+    let links = rows(&model.links, |link| format!("{link:?}"));
+    let (rotors, gravity) = (model.rotors, model.gravity);
     format!(
         "\
 //! Constants of `{name}`, written by `host-sim generate` from its description. Change that, not this.
@@ -114,8 +145,13 @@ impl Arm<JOINTS, PARAMETERS> for {arm} {{
 }}
 ",
         aliases = aliases.concat(),
-        gravity = gravity(robot),
     )
+}
+
+/// One line of Rust source for each item.
+fn rows<T>(items: &[T], text: impl Fn(&T) -> String) -> String {
+    let row = |item| format!("        {},\n", text(item));
+    items.iter().map(row).collect()
 }
 
 /// Writes the module of a robot to `file` and declares it in the `mod.rs` beside it, if there is one.
@@ -158,59 +194,22 @@ pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
 
 /// Identity of a robot's arm, as the firmware built from [`arm_module`] will state it.
 pub fn arm_hash(robot: &Robot) -> u32 {
-    let columns = link_columns(robot, &robot.base_map().columns);
-    let placements = placements(robot);
-    fn of<const N: usize>(
-        gravity: &[f32; 3],
-        placements: &[Placement],
-        columns: &[LinkColumns],
-    ) -> Option<u32> {
-        Some(identity::<N>(
-            gravity,
-            placements.try_into().ok()?,
-            columns.try_into().ok()?,
-        ))
+    arms!(robot, N, P => arm_model::<N, P>(robot).map(|arm| arm.hash()), else None).expect(READ)
+}
+
+fn placement(joint: &Joint) -> Placement {
+    let rot = joint.placement.rot_parent_child.map(|entry| entry as f32);
+    Placement {
+        rot_parent_child: std::array::from_fn(|row| std::array::from_fn(|col| rot[(row, col)])),
+        // Products of a right angle's 0 may come out as −0, which is not the 0 that costs nothing.
+        origin: joint.placement.origin.map(|x| x as f32 + 0.0).into(),
     }
-    let of_size = [
-        of::<1>, of::<2>, of::<3>, of::<4>, of::<5>, of::<6>, of::<7>, of::<8>,
-    ];
-    of_size
-        .iter()
-        .find_map(|of| of(&gravity(robot), &placements, &columns))
-        .expect("a description is refused unless it has 1 to 8 joints")
-}
-
-fn gravity(robot: &Robot) -> [f32; 3] {
-    robot.gravity.map(|g| g as f32).into()
-}
-
-fn placements(robot: &Robot) -> Vec<Placement> {
-    let single = |joint: &Joint| {
-        let rot = joint.placement.rot_parent_child.map(|entry| entry as f32);
-        Placement {
-            rot_parent_child: std::array::from_fn(|row| std::array::from_fn(|col| rot[(row, col)])),
-            // Products of a right angle's 0 may come out as −0, which is not the 0 that costs nothing.
-            origin: joint.placement.origin.map(|x| x as f32 + 0.0).into(),
-        }
-    };
-    robot.joints.iter().map(single).collect()
-}
-
-fn link_columns(robot: &Robot, independent: &[usize]) -> Vec<LinkColumns> {
-    let rotors = LINK_PARAMETERS * robot.joint_count();
-    (0..robot.joint_count())
-        .map(|link| LinkColumns {
-            inertial: std::array::from_fn(|k| independent.contains(&(LINK_PARAMETERS * link + k))),
-            rotor: independent.contains(&(rotors + link)),
-        })
-        .collect()
 }
 
 /// A number as Rust source. Fractions of a turn go by their names; near misses, such as a limit of 3.14, by their bits,
 /// because the lints take them for misspelt constants.
-fn number(value: f64) -> String {
+fn number(value: f32) -> String {
     use core::f32::consts::*;
-    let value = value as f32;
     let names = [("FRAC_PI_2", FRAC_PI_2), ("PI", PI), ("TAU", TAU)];
     if let Some((name, _)) = names.iter().find(|(_, named)| *named == value.abs()) {
         let sign = if value < 0.0 { "-" } else { "" };

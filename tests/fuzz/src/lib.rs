@@ -20,7 +20,7 @@ use foretorque_link::bank::ParameterBank;
 use foretorque_link::safety::SafetyLimits;
 use foretorque_link::safety::promises::Promises;
 use foretorque_link::session::{
-    BoardDescription, LearnerMailbox, Mailboxes, NoClock, NoLocalSensor, Session,
+    BoardDescription, Housekeeping, Mailboxes, NoClock, NoLocalSensor, Session,
 };
 use foretorque_link::store::Store;
 use foretorque_link::wire::{
@@ -213,6 +213,7 @@ const PERIODS: u8 = 240;
 struct Observed {
     session: Session<Ur5, 6, 40>,
     mailboxes: Mailboxes<6, 40>,
+    housekeeping: Box<Housekeeping<Ur5, 6, 40>>,
     out: FrameBuffer,
     promises: Promises<6>,
     period_us: u32,
@@ -233,6 +234,7 @@ impl Observed {
             promises: promises(&session),
             session,
             mailboxes: Mailboxes::new(),
+            housekeeping: Box::new(Housekeeping::new(None)),
             out: FrameBuffer::new(),
             period_us,
             sent: Decoder::new(),
@@ -248,6 +250,10 @@ impl Observed {
             &mut self.out,
             &mut NoLocalSensor,
         );
+        if self.housekeeping.work(&mut self.mailboxes.parameters) {
+            self.session
+                .poll_parameters(&mut self.mailboxes, &mut self.out);
+        }
         let Some(Ok(frame)) = self.sent.push(byte) else {
             return self.check();
         };
@@ -327,7 +333,9 @@ pub fn store(input: &[u8]) {
     let before = store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec);
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
-    let loaded = session.boot_from(&mut store, &mut LearnerMailbox::new());
+    let mut housekeeping = Box::new(Housekeeping::new(Some(store)));
+    let loaded = session.boot_from(&mut housekeeping, &mut Mailboxes::new());
+    let store = housekeeping.store_mut().expect("it has one");
     assert!(before.is_ok() || loaded.is_err());
     let bytes = input.get(..64).unwrap_or(input);
     match store.save(Ur5::HASH, bytes) {

@@ -25,6 +25,8 @@ pub(crate) struct Row {
     pub(crate) worst: u32,
     /// Estimated cycles at zero wait states, mean.
     pub(crate) cycles: f64,
+    /// Most estimated cycles in any traced call.
+    pub(crate) worst_cycles: u64,
     /// Estimated cycles with the flash model, mean.
     pub(crate) flash_cycles: f64,
     /// Bound of the stack below the caller's, from the code.
@@ -82,6 +84,11 @@ impl Row {
             instructions: sum / counted.len().max(1) as f64,
             worst: counted.iter().copied().max().unwrap_or(0),
             cycles: mean(|call| call.cycles.estimate),
+            worst_cycles: calls
+                .iter()
+                .map(|call| call.cycles.estimate)
+                .max()
+                .unwrap_or(0),
             flash_cycles: mean(|call| call.cycles.flash),
             stack_bytes,
             stack_seen,

@@ -5,11 +5,13 @@
 //! | 4 | `byte`: one byte from or to the link | USART2 | 5 µs, the next byte at 2 Mbaud |
 //! | 4 | `timer`: notes that a tick is due | SysTick | the period |
 //! | 3 | `tick`: decode, feed-forward, reply | the end of a frame, or `timer` | the period |
-//! | 2 | `learn`: one lesson a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
-//! | 0 | `idle`: log, store, watchdog | every interrupt | the watchdog's time |
+//! | 2 | `learn`: one learning sample a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
+//! | 0 | `idle`: log, banks, store, watchdog | every interrupt | the watchdog's time |
 //!
-//! The answer of a tick whose sample asks for it is kept until `learn` is done with its lesson and wakes `tick` once more: a
-//! host that keeps no time cannot be too fast for the learner then.
+//! Where a sample requests it, the reply waits until `learn` has used the learning sample and wakes `tick` again.
+//!
+//! `tick` reads at most [`FRAMES_PER_MS`] frames in each millisecond of a period, and none while replies have no space. The
+//! rest stays in the ring until the next timer tick or byte, so no burst starves the tasks below.
 //!
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
@@ -22,24 +24,25 @@ use foretorque_link::session::{BoardDescription, Mailboxes};
 use foretorque_link::store::Store;
 use foretorque_link::telemetry::CostMeter;
 use foretorque_link::wire::size::LinkCapacity;
-use foretorque_link::wire::{Capabilities, FrameBuffer};
+use foretorque_link::wire::{Capabilities, ClockSource, FrameBuffer, MAX_FRAME};
 use heapless::spsc::Queue;
 use rtic::Mutex;
 use stm32f4xx_hal::pac::{self, Interrupt};
 use stm32f4xx_hal::prelude::*;
 
-use crate::board::{Arm, Board, Drive as _, JOINTS, PARAMETERS, Ports};
+use crate::arm::{Arm, BoardHousekeeping, BoardLearner, BoardMailboxes, BoardSession};
+use crate::board::{Board, Drive as _, Ports};
 use crate::chip::LINK_BYTES_S;
-use crate::clock::{self, ClockSource};
+use crate::clock;
 use crate::counter::{self, Counter};
 use crate::fault::{self, Reason};
+use crate::key_slot;
 use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
 use crate::log;
-use crate::pace::{self, Pace};
 use crate::ring::{self, Receiver, Sender};
-use crate::rooms::{BoardLearner, BoardSession, furnish, open};
-use crate::secret;
-use crate::store_flash::StoreFlash;
+use crate::statics::{init_learner, init_session};
+use crate::store_flash::{Registers, StoreFlash};
+use crate::tick_timer::{self, TickTimer};
 use crate::watchdog::{self, TASKS, Watchdog};
 
 /// Interrupt of the tick's task.
@@ -48,20 +51,18 @@ const TICK: Interrupt = Interrupt::EXTI1;
 const LEARN: Interrupt = Interrupt::EXTI2;
 /// Ticks between two lines of the log.
 const LOG_EVERY: u32 = 1000;
-/// Bytes handed to the session at once.
-const CHUNK: usize = 64;
+/// Frames that are read in each millisecond of a period: a sample and three commands, each at most a tenth of it.
+const FRAMES_PER_MS: u32 = 4;
 
 /// Ticks run, for the log.
 static TICKS: AtomicU32 = AtomicU32::new(0);
 /// The tick's task has run since `idle` looked last.
 static TICKED: AtomicBool = AtomicBool::new(false);
 
-/// Shared by the tick and the learner: requests, lessons and parameter sets on their way.
-pub type BoardMailboxes = &'static mut Mailboxes<JOINTS, PARAMETERS>;
-
 /// Static memory of the large parts.
 pub struct Statics {
-    mailboxes: MaybeUninit<Mailboxes<JOINTS, PARAMETERS>>,
+    mailboxes: MaybeUninit<BoardMailboxes>,
+    housekeeping: BoardHousekeeping,
     session: MaybeUninit<BoardSession>,
     learner: MaybeUninit<BoardLearner>,
     receive_ring: Queue<u8, RECEIVE_RING>,
@@ -74,6 +75,7 @@ impl Statics {
     pub const fn empty() -> Self {
         Self {
             mailboxes: MaybeUninit::uninit(),
+            housekeeping: BoardHousekeeping::empty(),
             session: MaybeUninit::uninit(),
             learner: MaybeUninit::uninit(),
             receive_ring: Queue::new(),
@@ -86,7 +88,7 @@ impl Statics {
 /// The parts of a started board, one for each task.
 pub struct Started<B: Board> {
     /// Shared by tick, learner and idle loop.
-    pub mailboxes: BoardMailboxes,
+    pub mailboxes: &'static mut BoardMailboxes,
     /// Of the link's interrupt.
     pub wire: Wire,
     /// Of the tick.
@@ -108,8 +110,9 @@ pub fn start<B: Board>(
     let reset_reason = fault::reset_reason(reason, &chip.RCC);
     let kept = fault::latched();
     let clocks = clock::start(&chip.RCC, &chip.FLASH, B::CRYSTAL_HZ);
-    let seed = secret::seed(&chip.RNG, &chip.RCC);
-    let emulated = clocks.source == ClockSource::Emulated;
+    let emulated = clocks.source == ClockSource::Virtual;
+    let seed = key_slot::seed(&chip.RNG, &chip.RCC, emulated);
+    let status = clock::status(&clocks, &chip.FLASH);
 
     chip.RCC.apb1enr().modify(|_, w| {
         w.usart2en()
@@ -157,27 +160,29 @@ pub fn start<B: Board>(
         reset_reason,
         kept_fault: kept,
         link: LinkCapacity::stream(LINK_BYTES_S),
-        write_key: secret::write_key(),
+        write_key: key_slot::write_key(),
         seed,
+        chip: status,
         ..BoardDescription::plain(Counter)
     };
-    let Some(session) = open(&mut statics.session, description) else {
+    let Some(session) = init_session(&mut statics.session, description) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
     let mailboxes = statics.mailboxes.write(Mailboxes::new());
-    let mut store = Store::new(StoreFlash::new(chip.FLASH));
-    let stored = session.boot_from(&mut store, &mut mailboxes.learner);
+    let housekeeping = &mut statics.housekeeping;
+    housekeeping.start(Some(Store::new(StoreFlash::new(Registers(chip.FLASH)))));
+    let stored = session.boot_from(housekeeping, mailboxes);
     defmt::info!("store: {}", stored);
     let period_s = session.configuration().period_us as f32 * 1e-6;
     let prior = &session.feed_forward().state().active;
-    let Some(learner) = furnish(&mut statics.learner, period_s, prior) else {
+    let Some(learner) = init_learner(&mut statics.learner, period_s, prior) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
     if let Some(joint) = B::OWN_JOINT {
         learner.learn_only(joint);
     }
-    let mut pace = Pace::new(core.SYST, clocks.cpu_hz, !emulated);
-    pace.follow(session.configuration());
+    let mut timer = TickTimer::new(core.SYST, clocks.cpu_hz, !emulated);
+    timer.configure(session.configuration());
 
     let (receive_in, received) = ring::split(&mut statics.receive_ring);
     let (mut waiting, transmit_out) = ring::split(&mut statics.transmit_ring);
@@ -209,16 +214,17 @@ pub fn start<B: Board>(
             received,
             waiting,
             out,
-            pace,
+            timer,
             drive,
             kept,
-            troubles: 0,
+            losses: 0,
+            frames_left: 0,
             latency: CostMeter::new(),
         },
         learner,
         idle: Idle {
             watchdog: Watchdog::start(chip.IWDG),
-            store,
+            housekeeping,
             drain,
         },
     }
@@ -235,7 +241,7 @@ pub fn byte(wire: &mut Wire) {
 /// The interrupt of the timer: a tick is due.
 #[inline(always)]
 pub fn timer() {
-    pace::elapsed();
+    tick_timer::elapsed();
     rtic::pend(TICK);
 }
 
@@ -245,82 +251,35 @@ pub struct Tick<B: Board> {
     received: Receiver<RECEIVE_RING>,
     waiting: Sender<TRANSMIT_RING>,
     out: &'static mut FrameBuffer,
-    pace: Pace,
+    timer: TickTimer,
     drive: B::Drive,
     kept: SafetyReason,
-    troubles: u32,
+    losses: u32,
+    frames_left: u32,
     latency: CostMeter,
 }
 
 impl<B: Board> Tick<B> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
+    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>) {
+        mailboxes.lock(|mailboxes| self.run_locked(mailboxes));
+        // Without a learning sample too: the learner checks in.
+        rtic::pend(LEARN);
         let Self {
             session,
-            received,
-            waiting,
-            out,
-            pace,
-            drive,
-            kept,
-            troubles,
+            timer,
+            losses,
             latency,
+            ..
         } = self;
-        mailboxes.lock(|mailboxes| {
-            drive.watch(session);
-            if pace::take_due() {
-                session.timer_tick(mailboxes, out, drive.own());
-            }
-            session.poll_store(mailboxes, out);
-            loop {
-                let mut chunk = [0; CHUNK];
-                let mut count = 0;
-                for slot in &mut chunk {
-                    let Some(byte) = received.take() else {
-                        break;
-                    };
-                    *slot = byte;
-                    count += 1;
-                }
-                let bytes = chunk.get(..count).unwrap_or_default();
-                session.receive(bytes, mailboxes, out, drive.own());
-                // Before the host reads of it: what is told is done.
-                drive.follow(session);
-                let latched = session.latched_fault();
-                if *kept != latched {
-                    *kept = latched;
-                    fault::keep_latched(latched);
-                }
-                if session.reboot_wanted() {
-                    fault::leave::<B>(Reason::Asked, 0);
-                }
-                // An answer that waits for the learner is sent when that has woken this task again.
-                let waits = mailboxes.learner.holds_reply();
-                if !out.is_empty() {
-                    if !waits && !link::send(waiting, out.as_bytes()) {
-                        session.note_reply_lost();
-                    } else if count > 0 {
-                        latency.note(link::since_frame());
-                    }
-                }
-                if !waits {
-                    out.clear();
-                }
-                if count == 0 {
-                    break;
-                }
-            }
-        });
-        // Whether there are lessons or not: the learner shall say that it lives.
-        rtic::pend(LEARN);
-        pace.follow(session.configuration());
+        timer.configure(session.configuration());
         session.note_line(link::receive_cost(), latency.cost());
         session.note_feeds(watchdog::feeds());
-        // What went wrong below the frames since the last tick. Counters wrap; only their difference counts.
-        let now = link::troubles().wrapping_add(pace::missed());
-        while *troubles != now {
-            *troubles = troubles.wrapping_add(1);
+        // Losses below the frames since the last tick. Counters wrap; only their difference counts.
+        let now = link::losses().wrapping_add(tick_timer::missed());
+        while *losses != now {
+            *losses = losses.wrapping_add(1);
             session.note_overrun();
         }
         TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
@@ -330,14 +289,91 @@ impl<B: Board> Tick<B> {
             TASKS.check_in(Task::Link);
         }
     }
+
+    #[inline(always)]
+    fn run_locked(&mut self, mailboxes: &mut BoardMailboxes) {
+        self.drive.watch(self.session);
+        if tick_timer::take_due() {
+            let period_ms = self.session.configuration().period_us.div_ceil(1000);
+            self.frames_left = FRAMES_PER_MS * period_ms;
+            self.session
+                .timer_tick(mailboxes, self.out, self.drive.own());
+        }
+        self.session.poll_parameters(mailboxes, self.out);
+        self.put_out(mailboxes, false);
+        // A timer that stands still refills nothing: then the host waits for each reply.
+        let bounded = self.timer.runs();
+        while self.waiting.room() >= FrameBuffer::CAPACITY
+            && self.out.has_room()
+            && !(bounded && self.frames_left == 0)
+        {
+            let mut frame = [0; MAX_FRAME];
+            let mut count = 0;
+            for slot in &mut frame {
+                let Some(byte) = self.received.take() else {
+                    break;
+                };
+                *slot = byte;
+                count += 1;
+                if byte == 0 {
+                    self.frames_left = self.frames_left.saturating_sub(1);
+                    break;
+                }
+            }
+            if count == 0 {
+                break;
+            }
+            let bytes = frame.get(..count).unwrap_or_default();
+            self.session
+                .receive(bytes, mailboxes, self.out, self.drive.own());
+            self.put_out(mailboxes, true);
+        }
+    }
+
+    /// Drives the outputs by the result, then sends the replies.
+    #[inline(never)]
+    fn put_out(&mut self, mailboxes: &BoardMailboxes, answers: bool) {
+        let Self {
+            session,
+            waiting,
+            out,
+            drive,
+            kept,
+            latency,
+            ..
+        } = self;
+        // The outputs follow before the host reads of them.
+        drive.follow(session);
+        let latched = session.latched_fault();
+        if *kept != latched {
+            *kept = latched;
+            fault::keep_latched(latched);
+        }
+        if session.reboot_wanted() {
+            fault::leave::<B>(Reason::Asked, 0);
+        }
+        // A reply that waits for the learner is sent when that has woken this task again.
+        if out.is_empty() || mailboxes.learner.holds_reply() {
+            return;
+        }
+        if !link::send(waiting, out.as_bytes()) {
+            session.note_reply_lost();
+        } else if answers {
+            latency.note(link::since_frame());
+        }
+        out.clear();
+    }
 }
 
-/// The learner's task: works the lessons off.
+/// The learner's task: uses every learning sample that waits.
 #[inline(always)]
-pub fn learn(learner: &mut BoardLearner, mailboxes: &mut impl Mutex<T = BoardMailboxes>) {
-    while let Some(lesson) = mailboxes.lock(|mailboxes| mailboxes.learner.begin(learner)) {
+pub fn learn(
+    learner: &mut BoardLearner,
+    mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>,
+) {
+    while let Some(sample) = mailboxes.lock(|mailboxes| mailboxes.learner.begin(learner)) {
         let start = counter::now();
-        learner.study(&lesson);
+        learner.study(&sample);
         let cost = counter::now().wrapping_sub(start);
         mailboxes.lock(|mailboxes| mailboxes.learner.finish(learner, cost));
     }
@@ -350,15 +386,18 @@ pub fn learn(learner: &mut BoardLearner, mailboxes: &mut impl Mutex<T = BoardMai
 /// The idle loop: log, store, watchdog.
 pub struct Idle {
     watchdog: Watchdog,
-    store: Store<StoreFlash>,
+    housekeeping: &'static mut BoardHousekeeping,
     drain: Option<log::Drain>,
 }
 
 impl Idle {
     /// Never returns.
     #[inline(always)]
-    pub fn run<B: Board>(&mut self, mailboxes: &mut impl Mutex<T = BoardMailboxes>) -> ! {
-        let mut logged = 0;
+    pub fn run<B: Board>(
+        &mut self,
+        mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>,
+    ) -> ! {
+        let (mut logged, mut ordered) = (0, false);
         loop {
             let ticks = TICKS.load(Ordering::Relaxed);
             if ticks.wrapping_sub(logged) >= LOG_EVERY {
@@ -372,22 +411,29 @@ impl Idle {
                     cost.max,
                     RECEIVED.lost.load(Ordering::Relaxed),
                     RECEIVED.overruns.load(Ordering::Relaxed),
-                    pace::missed()
+                    tick_timer::missed()
                 );
             }
             B::Drive::report();
             if let Some(drain) = &self.drain {
                 drain.empty();
             }
-            if let Some(mut job) = mailboxes.lock(|mailboxes| mailboxes.store.begin()) {
-                let store = &mut self.store;
-                let outcome = self.watchdog.patient(|| job.execute(store, Arm::HASH));
-                mailboxes.lock(|mailboxes| mailboxes.store.finish(&job, outcome));
-                // It answers the host.
+            TASKS.check_in(Task::Housekeeping);
+            let fed = self.watchdog.feed_if_all_present();
+            let housekeeping = &mut *self.housekeeping;
+            ordered |= mailboxes.lock(|mailboxes| housekeeping.begin(&mut mailboxes.parameters));
+            // An erase begins only after a complete check-in: it gives the watchdog a longer time.
+            if ordered && (fed || !housekeeping.erases()) {
+                ordered = false;
+                let outcome = if housekeeping.erases() {
+                    self.watchdog.patient(|| housekeeping.execute())
+                } else {
+                    housekeeping.execute()
+                };
+                mailboxes.lock(|mailboxes| housekeeping.finish(&mut mailboxes.parameters, outcome));
+                // It replies to the host.
                 rtic::pend(TICK);
             }
-            TASKS.check_in(Task::Housekeeping);
-            self.watchdog.feed_if_all_present();
             // A tick that came since the beginning of this round may have left work: an interrupt that is only pending
             // ends the wait too, so none is slept through.
             cortex_m::interrupt::free(|_| {
@@ -407,15 +453,13 @@ macro_rules! image {
 
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
-            use $crate::app::{
-                BoardMailboxes, Idle, Started, Statics, Tick, byte, learn, start, timer,
-            };
+            use $crate::app::{Idle, Started, Statics, Tick, byte, learn, start, timer};
+            use $crate::arm::{BoardLearner, BoardMailboxes};
             use $crate::link::Wire;
-            use $crate::rooms::BoardLearner;
 
             #[shared]
             struct Shared {
-                mailboxes: BoardMailboxes,
+                mailboxes: &'static mut BoardMailboxes,
             }
 
             #[local]
@@ -460,7 +504,7 @@ macro_rules! image {
             }
 
             #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailboxes])]
-            fn on_lesson(mut cx: on_lesson::Context) {
+            fn on_learn(mut cx: on_learn::Context) {
                 learn(cx.local.learner, &mut cx.shared.mailboxes);
             }
 

@@ -4,13 +4,8 @@ use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::pac::{GPIOA, GPIOB};
 use stm32f4xx_hal::rcc::Rcc;
 
+use crate::arm::BoardSession;
 use crate::pin::Pin;
-use crate::rooms::BoardSession;
-
-/// The arm of the images, its joints and its base parameters.
-pub use foretorque::arm::ur5::{
-    JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5 as Arm,
-};
 
 /// A board: constants, pins, and the drive of its joint.
 pub trait Board: Send + 'static {
@@ -39,13 +34,13 @@ pub trait Drive: Sized + Send {
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
     fn start() -> Option<Self>;
 
-    /// Before the ticks of a round: tells the session what is wrong out there.
+    /// Before the ticks of a round: reports faults of stage and encoder to the session.
     fn watch(&mut self, session: &mut BoardSession);
 
     /// Sensor of the own joint.
     fn own(&mut self) -> &mut Self::Own;
 
-    /// After a tick: enable and torque command are what the session says.
+    /// After a tick: enable and torque command follow the session.
     fn follow(&mut self, session: &mut BoardSession);
 
     /// Writes to the log what has changed; from the idle loop.

@@ -12,6 +12,9 @@ pub const PLL_INPUT_HZ: u32 = 2_000_000;
 pub const PLL_N: u16 = 168;
 /// Factor Q: 336 MHz / 7 = 48 MHz for USB and the random number generator.
 pub const PLL_Q: u8 = 7;
+/// Processor cycles of the shortest period: tick and reply (50 000), learning step (77 000), both directions of the link
+/// (25 000) and commands (10 %), by the estimates of docs/budget.md. 1 ms at 168 MHz, 10.5 ms on the bare oscillator.
+pub const PERIOD_CYCLES: u32 = 168_000;
 /// Wait states of the flash at 168 MHz and 2.7 to 3.6 V (RM0090 table 10).
 pub const FLASH_WAIT_STATES: u8 = 5;
 /// Reads of a ready flag before a clock source is given up. One read takes at least three cycles at 16 MHz, so this
@@ -51,6 +54,5 @@ const _: () = assert!(headroom_permille(full_torque(7), 1000, LINK_BYTES_S) >= 3
 
 /// Division of the watchdog's oscillator, 17 to 47 kHz (DS8626 table 42): 16, which its register calls 2.
 pub const WATCHDOG_PRESCALER: u8 = 2;
-/// Counts after which an unfed watchdog bites: 68 to 188 ms. The longest legal period of the tick is 100 ms, but torque
-/// ends after 50 ms of silence all the same; what takes longer is a hung task.
+/// Counts after which an unfed watchdog bites: 68 to 188 ms: three of the longest periods.
 pub const WATCHDOG_RELOAD: u16 = 200;

@@ -1,21 +1,9 @@
-//! From reset to the best clock this board can give, without ever waiting for ever.
+//! The best clock that this board can give, in bounded time, and its supervision.
 
+use foretorque_link::wire::{ChipStatus, ClockSource};
 use stm32f4xx_hal::pac::{FLASH, RCC};
 
 use crate::chip;
-
-/// Where the processor clock comes from, best first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
-pub enum ClockSource {
-    /// Crystal and PLL.
-    Crystal,
-    /// Internal oscillator and PLL: the crystal did not start. Tick and baud rate are good to 1 % only.
-    Internal,
-    /// Internal oscillator alone: the PLL did not lock.
-    Bare,
-    /// The emulator, which models no clocks and counts SysTick at the speed of the PLL.
-    Emulated,
-}
 
 /// Result of the bring-up.
 #[derive(Clone, Copy, Debug)]
@@ -38,7 +26,7 @@ pub fn start(rcc: &RCC, flash: &FLASH, crystal_hz: u32) -> Clocks {
     // block is not modelled.
     if rcc.cr().read().bits() == 0 {
         return Clocks {
-            source: ClockSource::Emulated,
+            source: ClockSource::Virtual,
             cpu_hz: chip::PLL_HZ,
             apb1_hz: chip::PLL_HZ / 4,
         };
@@ -86,6 +74,9 @@ pub fn start(rcc: &RCC, flash: &FLASH, crystal_hz: u32) -> Clocks {
     // The switch takes a few cycles of the slow clock; should it fail, the flag of the report is all that is wrong.
     soon(|| rcc.cfgr().read().sws().is_pll());
     let source = if crystal {
+        // A crystal that dies from now on is a non-maskable interrupt: outputs off, restart on the internal oscillator. The
+        // chip itself breaks the pulses of TIM1 (RM0090 7.2.7).
+        rcc.cr().modify(|_, w| w.csson().on());
         ClockSource::Crystal
     } else {
         ClockSource::Internal
@@ -94,6 +85,25 @@ pub fn start(rcc: &RCC, flash: &FLASH, crystal_hz: u32) -> Clocks {
         source,
         cpu_hz: chip::PLL_HZ,
         apb1_hz: chip::PLL_HZ / chip::APB1_DIVIDER,
+    }
+}
+
+/// Clock and option bytes for the hello.
+pub fn status(clocks: &Clocks, flash: &FLASH) -> ChipStatus {
+    if clocks.source == ClockSource::Virtual {
+        return ChipStatus::VIRTUAL;
+    }
+    let options = flash.optcr().read();
+    ChipStatus {
+        clock: clocks.source,
+        shortest_period_us: chip::PERIOD_CYCLES / (clocks.cpu_hz / 1_000_000),
+        // 0 is the highest level, 3 is off (RM0090 table 14).
+        brown_out: 3 - options.bor_lev().bits(),
+        read_out_protection: match options.rdp().bits() {
+            0xAA => 0,
+            0xCC => 2,
+            _ => 1,
+        },
     }
 }
 

@@ -4,9 +4,9 @@
 use foretorque_link::hal::TorqueEnable;
 use foretorque_link::session::NoLocalSensor;
 
+use crate::arm::BoardSession;
 use crate::board::{Board, Drive};
 use crate::fault::EnablePin;
-use crate::rooms::BoardSession;
 
 /// The enable pin; torque is put out by whoever reads the replies, and measured there.
 pub struct EnableOnly<B: Board> {

@@ -164,10 +164,12 @@ const FRAME_BYTES: u32 = 104;
 pub extern "C" fn hard_fault<B: Board>(pointer: u32, place: u32) -> ! {
     unsafe extern "C" {
         static _stack_end: u8;
+        static _stack_start: u8;
     }
     // An overflowing stack faults where it leaves the region, and the core cannot push below that either.
     let end = (&raw const _stack_end) as u32;
-    if pointer < end + FRAME_BYTES {
+    let start = (&raw const _stack_start) as u32;
+    if !(end + FRAME_BYTES..start).contains(&pointer) {
         leave::<B>(Reason::Stack, 0);
     }
     leave::<B>(Reason::HardFault, place)
@@ -196,11 +198,13 @@ macro_rules! fault_handlers {
                 // The interrupted instruction: word 6 of what the core pushed, if that is inside the region of the stack.
                 "ldr r2, =_stack_end",
                 "movs r1, #0",
+                "ldr r3, =_stack_start",
                 "cmp r0, r2",
                 "blo 1f",
+                "cmp r0, r3",
+                "bhs 1f",
                 "ldr r1, [r0, #24]",
                 "1:",
-                "ldr r3, =_stack_start",
                 "mov sp, r3",
                 "b {handler}",
                 handler = sym $crate::fault::hard_fault::<$board>,

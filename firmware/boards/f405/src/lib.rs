@@ -1,22 +1,29 @@
-//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host nothing but [`chip`] is there.
+//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`chip`], [`can`] and
+//! [`flash_driver`] are there.
 //!
 //! | module | contents |
 //! |---|---|
 //! | `app` | the schedule: `image!` makes the firmware of a board |
-//! | `board` | what a board has of its own |
+//! | `arm`, `board` | the arm of the images; properties of a board |
 //! | `odrive_v3`, `pyboard`, `pyboard_drive` | the boards |
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
+//! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
 //! | `link`, `ring` | serial link, and the queues of its bytes |
-//! | `rooms` | session and learner in static memory |
+//! | `statics` | session and learner in static memory |
+//! | `flash_driver`, `key_slot`, `store_flash`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
 //!
 //! Another board is a file beside these and a binary that names it.
 #![no_std]
 
+pub mod can;
 pub mod chip;
+pub mod flash_driver;
 
 #[cfg(target_os = "none")]
 pub mod app;
+#[cfg(target_os = "none")]
+pub mod arm;
 #[cfg(target_os = "none")]
 pub mod board;
 #[cfg(target_os = "none")]
@@ -28,13 +35,13 @@ pub mod drive;
 #[cfg(target_os = "none")]
 pub mod fault;
 #[cfg(target_os = "none")]
+mod key_slot;
+#[cfg(target_os = "none")]
 pub mod link;
 #[cfg(target_os = "none")]
 mod log;
 #[cfg(target_os = "none")]
 pub mod odrive_v3;
-#[cfg(target_os = "none")]
-mod pace;
 #[cfg(target_os = "none")]
 pub mod pin;
 #[cfg(target_os = "none")]
@@ -44,10 +51,10 @@ pub mod pyboard_drive;
 #[cfg(target_os = "none")]
 pub mod ring;
 #[cfg(target_os = "none")]
-pub mod rooms;
+pub mod statics;
 #[cfg(target_os = "none")]
-mod secret;
+pub mod store_flash;
 #[cfg(target_os = "none")]
-mod store_flash;
+mod tick_timer;
 #[cfg(target_os = "none")]
 mod watchdog;

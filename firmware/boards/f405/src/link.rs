@@ -174,7 +174,7 @@ pub fn since_frame() -> u32 {
 }
 
 /// Bytes lost by the ring and overruns of the register, together. Wraps.
-pub fn troubles() -> u32 {
+pub fn losses() -> u32 {
     let lost = RECEIVED.lost.load(Ordering::Relaxed);
     lost.wrapping_add(RECEIVED.overruns.load(Ordering::Relaxed))
 }

@@ -36,8 +36,8 @@ impl Watchdog {
         watchdog
     }
 
-    /// Gives `work` the longest time there is: erasing the flash holds up every task for seconds, and only a board without
-    /// torque does it.
+    /// Gives `work` the longest time there is: erasing the flash stalls every task for seconds, and only a board without
+    /// torque does it. To be called after [`feed_if_all_present`](Self::feed_if_all_present) has fed.
     pub(crate) fn patient<T>(&self, work: impl FnOnce() -> T) -> T {
         self.set(LONGEST_PRESCALER, LONGEST_RELOAD);
         let done = work();
@@ -57,11 +57,13 @@ impl Watchdog {
         self.feed();
     }
 
-    /// Feeds it if everybody has answered since it was fed last.
-    pub(crate) fn feed_if_all_present(&self) {
-        if TASKS.complete() {
+    /// Feeds it if every task has checked in since it was fed last; false if not.
+    pub(crate) fn feed_if_all_present(&self) -> bool {
+        let complete = TASKS.complete();
+        if complete {
             self.feed();
         }
+        complete
     }
 
     fn feed(&self) {

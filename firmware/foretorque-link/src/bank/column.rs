@@ -32,7 +32,7 @@ impl ColumnKind {
     pub const ROTOR: Self = Self(ROTOR);
 
     /// Friction columns of a joint in the order of [`FrictionColumn::ALL`].
-    pub(super) const FRICTION: [Self; FRICTION_COLUMNS] = {
+    const FRICTION: [Self; FRICTION_COLUMNS] = {
         let mut kinds = [Self::ROTOR; FRICTION_COLUMNS];
         let mut k = 0;
         while k < FRICTION_COLUMNS {
@@ -102,23 +102,20 @@ impl fmt::Display for ColumnId {
     }
 }
 
-/// The base columns of an arm in their order: inertial ones link by link, then rotor inertias.
-pub fn rigid_columns<A: Arm<N, P>, const N: usize, const P: usize>()
--> impl Iterator<Item = ColumnId> {
-    let links = A::COLUMNS
-        .into_iter()
-        .enumerate()
-        .flat_map(|(joint, link)| {
-            let kinds = (0..).map(ColumnKind).zip(link.inertial);
-            kinds.filter_map(move |(kind, there)| there.then_some(id(kind, joint)))
-        });
-    let rotors = A::COLUMNS.into_iter().enumerate();
-    links.chain(
-        rotors.filter_map(|(joint, link)| link.rotor.then_some(id(ColumnKind::ROTOR, joint))),
-    )
+/// The columns of an arm in their order: inertial ones link by link, rotor inertias, then friction joint by joint.
+pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> impl Iterator<Item = ColumnId> {
+    let links = A::columns().iter().enumerate().flat_map(|(joint, link)| {
+        let kinds = (0..).map(ColumnKind).zip(link.inertial);
+        kinds.filter_map(move |(kind, there)| there.then_some(id(kind, joint)))
+    });
+    let rotors = A::columns().iter().enumerate();
+    let rotors =
+        rotors.filter_map(|(joint, link)| link.rotor.then_some(id(ColumnKind::ROTOR, joint)));
+    let friction = (0..N).flat_map(|joint| ColumnKind::FRICTION.map(|kind| id(kind, joint)));
+    links.chain(rotors).chain(friction)
 }
 
-pub(super) fn id(kind: ColumnKind, joint: usize) -> ColumnId {
+const fn id(kind: ColumnKind, joint: usize) -> ColumnId {
     ColumnId {
         kind,
         joint: joint as u8,

@@ -35,6 +35,8 @@ pub enum BankError {
     DriveGain(u8),
     /// A limit of this joint is missing or not usable.
     Limit(u8),
+    /// In a test pose the torque of this joint is not near that of the description, or beyond the limit.
+    Implausible(u8),
 }
 
 impl fmt::Display for BankError {
@@ -57,6 +59,10 @@ impl fmt::Display for BankError {
                     "drive gain of joint {} is not usable",
                     u16::from(*joint) + 1
                 )
+            }
+            Self::Implausible(joint) => {
+                let joint = u16::from(*joint) + 1;
+                write!(f, "torque of joint {joint} is not plausible for the arm")
             }
             Self::Limit(joint) => {
                 write!(

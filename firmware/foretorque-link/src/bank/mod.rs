@@ -6,21 +6,25 @@
 mod column;
 mod error;
 mod format;
+mod parameters;
 mod typed;
 
-pub use column::{ColumnId, ColumnKind, NoColumnKind, rigid_columns};
+pub use column::{ColumnId, ColumnKind, NoColumnKind, columns};
 pub use error::BankError;
+pub use parameters::Parameters;
+pub(crate) use parameters::config as feed_forward_config;
 pub use typed::NETWORK_SEED;
 pub(crate) use typed::name;
 
 use crate::wire::Name;
+use foretorque::arm::most_parameters;
 use foretorque::dynamics::FRICTION_COLUMNS;
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 pub use foretorque::dynamics::MAX_JOINTS;
-/// Most linear columns: 48 base parameters, and the friction of all joints. A larger number does not change the format.
-pub const MAX_COLUMNS: usize = 48 + MAX_JOINTS * FRICTION_COLUMNS;
+/// Most linear columns: base parameters and friction of eight joints. A larger number does not change the format.
+pub const MAX_COLUMNS: usize = most_parameters(MAX_JOINTS) + MAX_JOINTS * FRICTION_COLUMNS;
 /// Most network weights.
 pub const MAX_WEIGHTS: usize = 256;
 

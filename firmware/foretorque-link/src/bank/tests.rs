@@ -24,10 +24,35 @@ fn bytes(bank: &ParameterBank) -> List<u8> {
 fn verdict(change: impl FnOnce(&mut ParameterBank)) -> Option<BankError> {
     let mut bank = nominal();
     change(&mut bank);
-    let set = bank.set::<Ur5, N, P>().err();
-    let gains = bank.drive_gains::<N>().err();
-    set.or(gains)
-        .or(bank.feed_forward_config::<Ur5, N, P>(1e-3).err())
+    bank.parameters::<Ur5, N, P>().err()
+}
+
+#[test]
+fn a_bank_of_finite_nonsense_is_refused_with_the_joint() {
+    for place in 0..P + FRICTION_COLUMNS * N {
+        for value in [1e30, -1e30, 3e4, f32::MAX] {
+            let refused = verdict(|bank| bank.columns[place].value = value);
+            let implausible = matches!(refused, Some(BankError::Implausible(_)));
+            assert!(implausible, "column {place} of {value}: {refused:?}");
+        }
+    }
+    let moment = verdict(|bank| bank.columns[1].value = 1e30);
+    assert_eq!(moment, Some(BankError::Implausible(1)));
+    let scaled = |factor: f32| {
+        verdict(|bank| {
+            let rigid = bank.columns.iter_mut().take(P);
+            rigid.for_each(|column| column.value *= factor);
+        })
+    };
+    for (factor, usable) in [
+        (-3.0, false),
+        (0.5, true),
+        (1.0, true),
+        (1.3, true),
+        (8.0, false),
+    ] {
+        assert_eq!(scaled(factor).is_none(), usable, "masses times {factor}");
+    }
 }
 
 #[test]

@@ -1,14 +1,14 @@
 //! Conversion between the self-describing bank and the typed set of one arm.
 
-use super::column::{ColumnId, ColumnKind, id, rigid_columns};
+use super::column::columns;
 use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
-use super::{MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS};
+use super::{MAX_COLUMNS, MAX_WEIGHTS};
 use crate::wire::Name;
 use foretorque::arm::Arm;
-use foretorque::dynamics::{FRICTION_COLUMNS, FrictionParameters};
 use foretorque::feedforward::{FeedForwardConfig, NETWORK_BOUND};
 use foretorque::learning::{
-    JointNetwork, LearnerConfig, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet, StartDeviations,
+    JointNetwork, LearnerConfig, LinearParameters, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
+    StartDeviations,
 };
 use heapless::Vec;
 
@@ -35,32 +35,24 @@ impl ParameterBank {
     /// Sets everything as in [`nominal`](Self::nominal), with all values zero.
     #[inline(never)]
     pub(crate) fn describe<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
-        const {
-            assert!(N <= MAX_JOINTS);
-            assert!(P + FRICTION_COLUMNS * N <= MAX_COLUMNS);
-            assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS);
-        }
-        let config = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
-        let rigid = rigid_columns::<A, N, P>().zip(config.rigid_sigma);
-        let friction = friction_columns(&config.friction_sigma);
-        let columns = rigid.chain(friction).map(|(id, deviation)| Column {
+        const { assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS) }
+        let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
+        let columns = columns::<A, N, P>().zip(slots(&deviations));
+        let columns = columns.map(|(id, &deviation)| Column {
             id,
             value: 0.0,
             deviation,
         });
-        let bounds = A::LIMITS.into_iter().zip(slew_nm_s::<A, N, P>());
-        let bounds = bounds.map(|(limits, slew_nm_s)| JointBounds {
-            torque_nm: limits.torque,
-            slew_nm_s,
-            network_share: NETWORK_BOUND,
-        });
-        self.arm_hash = A::HASH;
-        self.arm = name(A::NAME);
+        self.arm_hash = A::hash();
+        self.arm = name(A::name());
         fill(&mut self.columns, columns);
         fill(&mut self.drive_gains_nm_a, core::iter::repeat_n(0.0, N));
         self.network = shape::<N>();
         self.weights.clear();
-        fill(&mut self.limits, bounds);
+        fill(
+            &mut self.limits,
+            JointBounds::widest::<A, N, P>().into_iter(),
+        );
     }
 
     /// Writes the values of `set` into the bank and leaves all else unchanged. Columns that the bank lacks are added, with
@@ -70,13 +62,10 @@ impl ParameterBank {
         &mut self,
         set: &ParameterSet<N, P>,
     ) {
-        let config = LearnerConfig::<N, P>::for_arm::<A>(1e-3);
-        let rigid = rigid_columns::<A, N, P>().zip(set.rigid.as_slice().iter().copied());
-        let friction = friction_columns(&set.friction);
-        let deviations = config.rigid_sigma.into_iter();
-        let deviations = deviations
-            .chain(friction_columns(&config.friction_sigma).map(|(_, deviation)| deviation));
-        for ((id, value), deviation) in rigid.chain(friction).zip(deviations) {
+        let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
+        let linear = LinearParameters::of(set);
+        let values = slots(&linear).zip(slots(&deviations));
+        for (id, (&value, &deviation)) in columns::<A, N, P>().zip(values) {
             match self.columns.iter_mut().find(|column| column.id == id) {
                 Some(column) => column.value = value,
                 None => {
@@ -96,32 +85,55 @@ impl ParameterBank {
         }
     }
 
+    /// Values and standard deviations of the columns; those that the bank lacks are zero.
+    ///
+    /// Errors: the first column that is foreign, repeated, not usable, or missing from the rigid body.
+    #[inline(never)]
+    pub(crate) fn linear<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+    ) -> Result<[LinearParameters<N, P>; 2], BankError> {
+        let mut linear = [LinearParameters::filled(0.0); 2];
+        let mut found = [false; MAX_COLUMNS];
+        for (place, column) in self.columns.iter().enumerate() {
+            let mut known = columns::<A, N, P>();
+            let index = known.position(|id| id == column.id);
+            let first = index.and_then(|index| found.get_mut(index));
+            match first {
+                Some(found) if !*found => *found = true,
+                _ => return Err(BankError::UnknownColumn(place as u8)),
+            }
+            let usable = column.value.is_finite() && column.deviation.is_finite();
+            if !usable || column.deviation < 0.0 {
+                return Err(BankError::Column(place as u8));
+            }
+            for (linear, value) in linear.iter_mut().zip([column.value, column.deviation]) {
+                let LinearParameters { friction, rigid } = linear;
+                let mut slots = rigid.iter_mut().chain(friction.as_flattened_mut());
+                if let Some(slot) = index.and_then(|index| slots.nth(index)) {
+                    *slot = value;
+                }
+            }
+        }
+        match found.iter().take(P).position(|found| !found) {
+            Some(place) => Err(BankError::MissingColumn(place as u8)),
+            None => Ok(linear),
+        }
+    }
+
     /// The typed set of the bank. Friction columns that it lacks are zero.
     ///
     /// Errors: the first reason why the bank does not fit `A`.
     pub fn set<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> Result<ParameterSet<N, P>, BankError> {
-        if self.arm_hash != A::HASH {
+        if self.arm_hash != A::hash() {
             return Err(BankError::WrongArm {
                 found: self.arm_hash,
             });
         }
-        self.check_columns::<A, N, P>()?;
-        let mut set = ParameterSet::nominal::<A>(NETWORK_SEED);
-        for (place, (id, value)) in rigid_columns::<A, N, P>()
-            .zip(set.rigid.as_mut_slice())
-            .enumerate()
-        {
-            *value = self
-                .column(id)
-                .ok_or(BankError::MissingColumn(place as u8))?
-                .value;
-        }
-        for (joint, friction) in set.friction.iter_mut().enumerate() {
-            let columns = ColumnKind::FRICTION.map(|kind| self.value(id(kind, joint)));
-            *friction = FrictionParameters(columns);
-        }
+        let [linear, _] = self.linear::<A, N, P>()?;
+        let mut set = ParameterSet::zero();
+        linear.write(&mut set);
         if self.network != shape::<N>() || self.weights.len() != N * JointNetwork::WEIGHTS {
             return Err(BankError::NetworkShape);
         }
@@ -142,13 +154,11 @@ impl ParameterBank {
     pub fn start_deviations<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> StartDeviations<N, P> {
-        let config = const { LearnerConfig::<N, P>::for_arm::<A>(1e-3) };
+        let prior = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
         let mut start = StartDeviations::PRIOR;
-        let rigid = rigid_columns::<A, N, P>().zip(config.rigid_sigma);
-        let friction = friction_columns(&config.friction_sigma);
         let parts = start.rigid.iter_mut();
         let parts = parts.chain(start.friction.as_flattened_mut());
-        for ((id, prior), part) in rigid.chain(friction).zip(parts) {
+        for ((id, &prior), part) in columns::<A, N, P>().zip(slots(&prior)).zip(parts) {
             if let Some(column) = self.column(id) {
                 *part = StartDeviations::<N, P>::part(column.deviation, prior);
             }
@@ -167,71 +177,37 @@ impl ParameterBank {
         }
         Ok(gains)
     }
+}
 
-    /// Configuration of ticks of `period_s`, s: the arm's limits, tightened by those of the bank.
-    ///
-    /// Errors: [`BankError::Limit`] where torque or slew limit is not positive or exceeds [`FeedForwardConfig::for_arm`], or
-    /// the bound of the network differs from that of this firmware.
-    pub fn feed_forward_config<A: Arm<N, P>, const N: usize, const P: usize>(
-        &self,
-        period_s: f32,
-    ) -> Result<FeedForwardConfig<N>, BankError> {
-        let mut config = FeedForwardConfig::for_arm::<A, P>(period_s);
-        let widest_nm_s = slew_nm_s::<A, N, P>();
-        let joints = config.limits.iter_mut().zip(&mut config.slew_per_tick);
-        for (joint, ((limits, slew), widest)) in joints.zip(widest_nm_s).enumerate() {
-            let error = BankError::Limit(joint as u8);
-            let bounds = self.limits.get(joint).ok_or(error)?;
-            let torque = bounds.torque_nm > 0.0 && bounds.torque_nm <= limits.torque;
-            let rate = bounds.slew_nm_s > 0.0 && bounds.slew_nm_s <= widest;
-            if !torque || !rate || bounds.network_share != NETWORK_BOUND {
-                return Err(error);
-            }
-            limits.torque = bounds.torque_nm;
-            *slew = bounds.slew_nm_s * period_s;
+impl JointBounds {
+    /// Zeros, before any bank.
+    pub(super) const ZERO: Self = Self {
+        torque_nm: 0.0,
+        slew_nm_s: 0.0,
+        network_share: 0.0,
+    };
+
+    /// Limits of this firmware, which a bank may only tighten.
+    pub(crate) fn widest<A: Arm<N, P>, const N: usize, const P: usize>() -> [Self; N] {
+        // The largest change in a tick of one second.
+        let slew = FeedForwardConfig::<N>::for_arm::<A, P>(1.0).slew_per_tick;
+        let mut bounds = [Self::ZERO; N];
+        for (bounds, (limits, &slew_nm_s)) in bounds.iter_mut().zip(A::limits().iter().zip(&slew)) {
+            *bounds = Self {
+                torque_nm: limits.torque,
+                slew_nm_s,
+                network_share: NETWORK_BOUND,
+            };
         }
-        config.validate().map_err(|_| BankError::Limit(0))?;
-        Ok(config)
-    }
-
-    fn value(&self, id: ColumnId) -> f32 {
-        self.column(id).map_or(0.0, |column| column.value)
-    }
-
-    /// Checks that every column is known, finite and not repeated.
-    fn check_columns<A: Arm<N, P>, const N: usize, const P: usize>(&self) -> Result<(), BankError> {
-        for (place, column) in self.columns.iter().enumerate() {
-            let friction =
-                ColumnKind::FRICTION.contains(&column.id.kind) && usize::from(column.id.joint) < N;
-            let known = friction || rigid_columns::<A, N, P>().any(|id| id == column.id);
-            let first = self.columns.iter().position(|other| other.id == column.id) == Some(place);
-            if !known || !first {
-                return Err(BankError::UnknownColumn(place as u8));
-            }
-            let deviation = column.deviation.is_finite() && column.deviation >= 0.0;
-            if !column.value.is_finite() || !deviation {
-                return Err(BankError::Column(place as u8));
-            }
-        }
-        Ok(())
+        bounds
     }
 }
 
-/// Largest rate of the torque of this firmware, N × N·m/s.
-fn slew_nm_s<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; N] {
-    // The largest change in a tick of one second.
-    FeedForwardConfig::for_arm::<A, P>(1.0).slew_per_tick
-}
-
-/// Friction columns of all joints with their values.
-fn friction_columns<const N: usize>(
-    friction: &[FrictionParameters; N],
-) -> impl Iterator<Item = (ColumnId, f32)> {
-    let joints = friction.iter().enumerate();
-    joints.flat_map(|(joint, friction)| {
-        let columns = ColumnKind::FRICTION.into_iter().zip(friction.0);
-        columns.map(move |(kind, value)| (id(kind, joint), value))
-    })
+/// Linear parameters in the order of [`columns`].
+fn slots<const N: usize, const P: usize>(
+    linear: &LinearParameters<N, P>,
+) -> impl Iterator<Item = &f32> {
+    linear.rigid.iter().chain(linear.friction.as_flattened())
 }
 
 /// Network shape of this firmware.

@@ -114,7 +114,7 @@ impl<const N: usize> BusConfig<N> {
                 let id = joint.drive.id.into();
                 return Err(at("id", id, "the same id of joint", before as f32 + 1.0));
             }
-            if let Some(&limits) = A::LIMITS.get(index) {
+            if let Some(&limits) = A::limits().get(index) {
                 joint
                     .check_against(&limits)
                     .map_err(|(field, value, against, bound)| at(field, value, against, bound))?;
@@ -138,7 +138,7 @@ impl<const N: usize> BusConfig<N> {
     /// Configuration of the learner: the resolution of the reported torques adds to its noise.
     pub fn learner<A: Arm<N, P>, const P: usize>(&self) -> LearnerConfig<N, P> {
         let mut config = LearnerConfig::for_arm::<A>(self.period_s);
-        let joints = self.joints.iter().zip(&A::LIMITS);
+        let joints = self.joints.iter().zip(A::limits());
         // Rounding to steps of one has a variance of 1/12.
         let variances = joints.map(|(joint, limits)| {
             let step = joint.drive.torque_resolution() / limits.torque;

@@ -51,7 +51,7 @@ impl<const N: usize> Player<N> {
     pub fn new<A: Arm<N, P>, const P: usize>(tick_us: u32) -> Self {
         Self {
             limits: PlayLimits::for_arm::<A, P>(tick_us),
-            arm_hash: A::HASH,
+            arm_hash: A::hash(),
             tick_us,
             program: ExcitationProgram::EMPTY,
             series: PreparedSeries::new(1_000_000, tick_us),

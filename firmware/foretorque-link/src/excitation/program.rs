@@ -147,7 +147,7 @@ impl<const N: usize> PlayLimits<N> {
             acceleration_rad_s2: Self::ACCELERATION_RAD_S2,
         };
         Self {
-            motion: A::LIMITS.each_ref().map(bounds),
+            motion: A::limits().each_ref().map(bounds),
             tracking_rad: Self::TRACKING_RAD,
             blind_ticks: (Self::BLIND_S * 1e6 / tick_us as f32) as u32 + 1,
         }

@@ -54,7 +54,7 @@ impl<const N: usize> SafetyLimits<N> {
         // At least the time: whole periods, and one that may have begun before.
         let ticks = |time_us: u32| time_us.checked_div(period_us).unwrap_or_default() + 1;
         let of = |value: fn(&foretorque::arm::JointLimits) -> f32| {
-            JointVector::from(A::LIMITS.map(|limits| value(&limits)))
+            JointVector::from(A::limits().map(|limits| value(&limits)))
         };
         let torque = of(|limits| limits.torque);
         Self {

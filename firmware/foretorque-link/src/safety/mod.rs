@@ -96,6 +96,11 @@ impl<const N: usize> Safety<N> {
         }
     }
 
+    /// The hard limits.
+    pub fn limits(&self) -> &SafetyLimits<N> {
+        &self.limits
+    }
+
     /// State and reason as replies carry them.
     pub fn status(&self) -> SafetyStatus {
         let warm = if self.derating.warm() {

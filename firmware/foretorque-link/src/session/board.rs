@@ -2,11 +2,15 @@ use crate::bank::name;
 use crate::safety::{SafetyReason, SafetyStatus};
 use crate::wire::size::LinkCapacity;
 use crate::wire::{
-    BoardHello, Capabilities, Configuration, CounterKind, MAC_BYTES, NackReason, ResetReason,
+    BoardHello, Capabilities, ChipStatus, Configuration, CounterKind, MAC_BYTES, NackReason,
+    ResetReason,
 };
 use crate::write_key::WriteKey;
 use foretorque::arm::Arm;
 use foretorque::joint::JointSample;
+
+/// Least time between two saves, µs: a store lasts for more than a year of them.
+pub(super) const SAVE_INTERVAL_US: u32 = 60_000_000;
 
 /// Counter of the board in which costs are given. A type and not a function pointer, so that the linked firmware shows
 /// what a tick calls.
@@ -77,8 +81,10 @@ pub struct BoardDescription<C = NoClock> {
     pub link: LinkCapacity,
     /// The write key, if there is one.
     pub write_key: Option<WriteKey>,
-    /// Seed of the challenges; differs from start to start.
-    pub seed: [u8; MAC_BYTES],
+    /// Seed of the challenges; differs from start to start. `None` where there was no randomness: then no challenge is given.
+    pub seed: Option<[u8; MAC_BYTES]>,
+    /// Clock and option bytes.
+    pub chip: ChipStatus,
 }
 
 impl<C> BoardDescription<C> {
@@ -94,7 +100,8 @@ impl<C> BoardDescription<C> {
             kept_fault: SafetyReason::None,
             link: LinkCapacity::UNLIMITED,
             write_key: None,
-            seed: [0; MAC_BYTES],
+            seed: Some([0; MAC_BYTES]),
+            chip: ChipStatus::VIRTUAL,
         }
     }
 
@@ -107,12 +114,27 @@ impl<C> BoardDescription<C> {
         }
     }
 
+    /// Errors: [`NackReason::Period`] where the clock of the board is too slow for this period, µs.
+    pub(super) fn sustains(&self, period_us: u32) -> Result<(), NackReason> {
+        let long = period_us >= self.chip.shortest_period_us;
+        long.then_some(()).ok_or(NackReason::Period)
+    }
+
     /// Errors: [`NackReason::NotCapable`].
     pub(super) fn require(&self, capability: Capabilities) -> Result<(), NackReason> {
         if self.capabilities.contains(capability) {
             Ok(())
         } else {
             Err(NackReason::NotCapable)
+        }
+    }
+
+    /// Time without a save that the board counts at its start: none after a restart by the firmware or by command, so that
+    /// restarts do not wear the flash out.
+    pub(super) fn rested_us(&self) -> u32 {
+        match self.reset_reason {
+            ResetReason::Unknown | ResetReason::PowerOn | ResetReason::Pin => SAVE_INTERVAL_US,
+            _ => 0,
         }
     }
 
@@ -127,10 +149,10 @@ impl<C> BoardDescription<C> {
             None => Capabilities::default(),
         };
         BoardHello {
-            arm_hash: A::HASH,
-            arm: name(A::NAME),
+            arm_hash: A::hash(),
+            arm: name(A::name()),
             joints: N as u8,
-            base_columns: P as u8,
+            base_columns: A::index().count as u8,
             firmware: name(self.firmware),
             capabilities: self.capabilities | key,
             counter: self.counter,
@@ -139,6 +161,7 @@ impl<C> BoardDescription<C> {
             reset_reason: self.reset_reason,
             safety,
             boot_counts,
+            chip: self.chip,
         }
     }
 }

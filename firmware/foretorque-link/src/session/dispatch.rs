@@ -1,5 +1,7 @@
 //! Messages of the host to protocol and controller.
 
+use super::board::SAVE_INTERVAL_US;
+use super::mailbox::{Order, Upload};
 use super::protocol::Received;
 use super::{Clock, LocalSensor, Mailboxes, Session};
 use crate::wire::{
@@ -57,15 +59,25 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         message: HostMessage<N>,
         mailboxes: &mut Mailboxes<N, P>,
     ) -> Result<Option<BoardMessage<N>>, NackReason> {
+        let Mailboxes {
+            learner: mailbox,
+            parameters,
+        } = mailboxes;
         let Self {
             board,
             protocol,
             controller,
             ..
         } = self;
-        let mailbox = &mut mailboxes.learner;
+        if board.write_key.is_some()
+            && let Some(order) = message.protected()
+        {
+            protocol.permitted(order)?;
+        }
         match message {
             HostMessage::Hello => {
+                // Another host may be sending: it does not inherit the torque.
+                controller.disarm();
                 controller.interrupt_samples();
                 // A host that begins anew inherits no torque.
                 controller.disarm();
@@ -77,7 +89,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 return Ok(Some(BoardMessage::Evaluated(controller.evaluate(&motion))));
             }
             HostMessage::Configure(wanted) => {
+                parameters.undisturbed()?;
                 controller.configurable(&wanted)?;
+                board.sustains(wanted.period_us)?;
                 if wanted.pacing == Pacing::SysTick {
                     board.require(Capabilities::TIMER)?;
                 }
@@ -87,63 +101,94 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Learning { on } => {
                 if on {
                     board.require(Capabilities::LEARNING)?;
+                    parameters.undisturbed()?;
                     // An upload is refused while learning: half of one must not wait until learning ends.
-                    protocol.transfer.abort();
+                    parameters.transfer.abort();
                 }
                 controller.set_learning(on);
             }
             HostMessage::BankWrite { offset, bytes } => {
                 controller.writable()?;
-                protocol.transfer.write(offset, &bytes)?;
+                parameters.idle()?;
+                parameters.transfer.write(offset, &bytes)?;
             }
             HostMessage::BankCommit { length, crc, mac } => {
                 controller.writable()?;
-                protocol.authorise(board.write_key.as_ref(), mac, A::HASH)?;
-                protocol
-                    .transfer
-                    .commit(length, crc, controller.incoming())?;
-                controller.take_over(mailbox)?;
+                parameters.idle()?;
+                parameters.transfer.end(length)?;
+                let signature = protocol.signature(board.write_key.as_ref(), mac)?;
+                let order = Order::Commit(Upload { crc, signature });
+                return self.order(sequence, order, parameters);
             }
-            HostMessage::BankRead { source, offset } => {
-                if offset == 0 {
-                    let bank = match source {
-                        BankSource::Live => controller.active_bank(),
-                        BankSource::Committed => controller.committed_bank(),
-                        BankSource::Stored => {
-                            self.restore_from_store(sequence, true, &mut mailboxes.store)?;
-                            return Ok(None);
-                        }
-                    };
-                    protocol.transfer.hold_bank(bank)?;
-                }
-                return protocol.transfer.chunk(offset).map(Some);
+            HostMessage::ExcitationLoad { length, crc, mac } => {
+                controller.writable()?;
+                parameters.idle()?;
+                parameters.transfer.end(length)?;
+                let signature = protocol.signature(board.write_key.as_ref(), mac)?;
+                let order = Order::Excitation(Upload { crc, signature });
+                return self.order(sequence, order, parameters);
+            }
+            HostMessage::BankRead { source, offset: 0 } => {
+                parameters.idle()?;
+                let state = controller.feed_forward().state();
+                let set = match source {
+                    BankSource::Live => &state.active,
+                    BankSource::Committed => &state.committed,
+                    BankSource::Stored => {
+                        return self.order(sequence, Order::ReadStored, parameters);
+                    }
+                };
+                parameters.read(sequence, Order::Read, set)?;
+                return Ok(None);
+            }
+            HostMessage::BankRead { offset, .. } => {
+                parameters.idle()?;
+                return parameters.transfer.chunk(offset).map(Some);
             }
             HostMessage::Statistics => {
                 let statistics = self.statistics(mailbox);
                 return Ok(Some(BoardMessage::Statistics(statistics)));
             }
             HostMessage::Reset => {
-                controller.reset(mailbox)?;
-                protocol.reset(sequence);
+                controller.at_rest()?;
+                parameters.post(sequence, Order::Reset)?;
+                return Ok(None);
             }
             HostMessage::Arm => {
                 // The processor stands still while the flash is written.
-                if mailboxes.store.is_busy() {
-                    return Err(NackReason::Busy);
-                }
+                parameters.undisturbed()?;
+                board.sustains(controller.configuration().period_us)?;
                 controller.arm()?;
             }
-            HostMessage::Disarm => controller.disarm(),
-            HostMessage::Stop => controller.stop(mailbox),
-            HostMessage::ClearFault => controller.clear_fault()?,
-            HostMessage::Request { code } => controller.request(code, mailbox)?,
+            HostMessage::Disarm => {
+                controller.disarm();
+            }
+            HostMessage::Stop => {
+                controller.stop(mailbox);
+            }
+            HostMessage::ClearFault => {
+                controller.clear_fault()?;
+            }
+            HostMessage::Request { code } => {
+                controller.request(code, mailbox)?;
+            }
             HostMessage::Save => {
-                self.save_to_store(sequence, &mut mailboxes.store)?;
+                board.require(Capabilities::STORE)?;
+                controller.writable()?;
+                if board.require(Capabilities::TIMER).is_ok() {
+                    let left_us = SAVE_INTERVAL_US.saturating_sub(self.rested_us);
+                    let seconds = left_us.div_ceil(1_000_000) as u8;
+                    if seconds > 0 {
+                        return Err(NackReason::Wait { seconds });
+                    }
+                }
+                let committed = &controller.feed_forward().state().committed;
+                parameters.read(sequence, Order::Save, committed)?;
+                self.rested_us = 0;
                 return Ok(None);
             }
             HostMessage::Restore => {
-                self.restore_from_store(sequence, false, &mut mailboxes.store)?;
-                return Ok(None);
+                return self.order(sequence, Order::Restore, parameters);
             }
             HostMessage::Telemetry { fields, every } => {
                 let allowance = self.allowance();
@@ -153,18 +198,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::Challenge => {
                 let key = board.write_key.as_ref().ok_or(NackReason::NotCapable)?;
-                let nonce = protocol.challenge(key, &board.seed);
+                let seed = board.seed.as_ref().ok_or(NackReason::NotCapable)?;
+                let nonce = protocol.challenge(key, seed);
                 return Ok(Some(BoardMessage::Challenge { nonce }));
+            }
+            HostMessage::Unlock { order, mac } => {
+                let key = board.write_key.as_ref().ok_or(NackReason::NotCapable)?;
+                protocol.unlock(key, A::hash(), order, &mac)?;
             }
             HostMessage::Reboot => {
                 board.require(Capabilities::REBOOT)?;
                 controller.at_rest()?;
                 self.reboot = true;
-            }
-            HostMessage::ExcitationLoad { length, crc, mac } => {
-                controller.writable()?;
-                protocol.authorise(board.write_key.as_ref(), mac, A::HASH)?;
-                controller.load_excitation(&protocol.transfer.program(length, crc)?)?;
             }
             HostMessage::Excitation(command) => {
                 let state = controller.excite(command)?;

@@ -1,6 +1,9 @@
 use super::Clock;
-use crate::store::StoreMailbox;
+use super::protocol::Transfer;
+use crate::bank::Parameters;
 use crate::telemetry::{Cost, CostMeter};
+use crate::wire::{MAC_BYTES, NackReason};
+use crate::write_key::WriteKey;
 use foretorque::arm::Arm;
 use foretorque::learning::{
     Exchange, Learner, LearnerConfig, LearningSample, ParameterSet, StartDeviations,
@@ -27,20 +30,20 @@ struct Restart<const N: usize, const P: usize> {
 /// if lock(|mailboxes| mailboxes.learner.release_reply()) { … }    // wake the sender of replies
 /// ```
 ///
-/// and that of the housekeeping, which alone writes the flash,
+/// and that of the housekeeping, which encodes and checks banks and alone writes the flash,
 ///
 /// ```text
-/// if let Some(mut job) = lock(|mailboxes| mailboxes.store.begin()) {
-///     let outcome = job.execute(&mut store, arm_hash);      // the tick may interrupt this
-///     lock(|mailboxes| mailboxes.store.finish(&job, outcome));
-/// }
+/// if lock(|mailboxes| housekeeping.begin(&mut mailboxes.parameters)) {
+///     let outcome = housekeeping.execute();                 // the tick may interrupt this
+///     lock(|mailboxes| housekeeping.finish(&mut mailboxes.parameters, outcome));
+/// }                                                         // wake the tick: the session replies
 /// ```
 #[derive(Default)]
 pub struct Mailboxes<const N: usize, const P: usize> {
     /// Between tick and learner.
     pub learner: LearnerMailbox<N, P>,
     /// Between tick and housekeeping.
-    pub store: StoreMailbox,
+    pub parameters: ParameterMailbox<N, P>,
 }
 
 impl<const N: usize, const P: usize> Mailboxes<N, P> {
@@ -48,7 +51,7 @@ impl<const N: usize, const P: usize> Mailboxes<N, P> {
     pub const fn new() -> Self {
         Self {
             learner: LearnerMailbox::new(),
-            store: StoreMailbox::new(),
+            parameters: ParameterMailbox::new(),
         }
     }
 }
@@ -178,6 +181,154 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
 }
 
 impl<const N: usize, const P: usize> Default for LearnerMailbox<N, P> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Signature of an upload, and all that its check needs.
+#[derive(Clone, Copy)]
+pub(super) struct Signature {
+    pub(super) key: WriteKey,
+    pub(super) nonce: [u8; MAC_BYTES],
+    pub(super) mac: [u8; MAC_BYTES],
+}
+
+impl Signature {
+    pub(super) fn verifies(&self, arm_hash: u32, bytes: &[u8]) -> bool {
+        self.key.verifies(&self.mac, &self.nonce, arm_hash, bytes)
+    }
+}
+
+/// An upload as its last frame announces it.
+#[derive(Clone, Copy)]
+pub(super) struct Upload {
+    /// CRC-32 over the bytes.
+    pub(super) crc: u32,
+    /// `None` on a board without a key.
+    pub(super) signature: Option<Signature>,
+}
+
+/// Order of the session to the housekeeping.
+#[derive(Clone, Copy)]
+pub(super) enum Order {
+    /// Encode a set.
+    Read,
+    /// Load the stored bank to read it.
+    ReadStored,
+    /// Encode a set and store it.
+    Save,
+    /// Load and check the stored bank.
+    Restore,
+    /// Return the bank of the firmware.
+    Reset,
+    /// Check the uploaded bank.
+    Commit(Upload),
+    /// Check the uploaded excitation.
+    Excitation(Upload),
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Free,
+    Waiting,
+    Running,
+    Done(Result<(), NackReason>),
+}
+
+/// Mailbox between the session, which takes orders in the tick, and the [`Housekeeping`](super::Housekeeping).
+pub struct ParameterMailbox<const N: usize, const P: usize> {
+    phase: Phase,
+    order: Order,
+    requester: u16,
+    pub(super) transfer: Transfer,
+    pub(super) parameters: Parameters<N, P>,
+}
+
+impl<const N: usize, const P: usize> ParameterMailbox<N, P> {
+    /// Without an order.
+    pub const fn new() -> Self {
+        Self {
+            phase: Phase::Free,
+            order: Order::Read,
+            requester: 0,
+            transfer: Transfer::new(),
+            parameters: Parameters::zero(),
+        }
+    }
+
+    /// Accepts an order of frame `requester`.
+    ///
+    /// Errors: [`NackReason::Busy`] until the order before is answered.
+    pub(super) fn post(&mut self, requester: u16, order: Order) -> Result<(), NackReason> {
+        self.idle()?;
+        (self.requester, self.order, self.phase) = (requester, order, Phase::Waiting);
+        Ok(())
+    }
+
+    /// Accepts an order of frame `requester` that encodes `set`.
+    ///
+    /// Errors: as [`post`](Self::post).
+    pub(super) fn read(
+        &mut self,
+        requester: u16,
+        order: Order,
+        set: &ParameterSet<N, P>,
+    ) -> Result<(), NackReason> {
+        self.post(requester, order)?;
+        self.parameters.set = *set;
+        Ok(())
+    }
+
+    /// Errors: [`NackReason::Busy`] until the last order is answered.
+    pub(super) fn idle(&self) -> Result<(), NackReason> {
+        (self.phase == Phase::Free)
+            .then_some(())
+            .ok_or(NackReason::Busy)
+    }
+
+    /// Errors: [`NackReason::Busy`] while an order is executed that needs a board at rest.
+    pub(super) fn undisturbed(&self) -> Result<(), NackReason> {
+        match self.order {
+            Order::Read => Ok(()),
+            _ => self.idle(),
+        }
+    }
+
+    /// The order that waits, with the bytes of the transfer and the set.
+    pub(super) fn begin(&mut self) -> Option<(Order, &[u8], &ParameterSet<N, P>)> {
+        (self.phase == Phase::Waiting).then(|| {
+            self.phase = Phase::Running;
+            (self.order, self.transfer.content(), &self.parameters.set)
+        })
+    }
+
+    /// Takes the result of the order: bytes to read, and the parameters in force.
+    pub(super) fn finish(
+        &mut self,
+        bytes: &[u8],
+        parameters: &Parameters<N, P>,
+        outcome: Result<(), NackReason>,
+    ) {
+        match self.order {
+            Order::Read | Order::ReadStored => self.transfer.hold(bytes),
+            Order::Restore | Order::Reset | Order::Commit(_) => self.parameters = *parameters,
+            Order::Save | Order::Excitation(_) => {}
+        }
+        self.phase = Phase::Done(outcome);
+    }
+
+    /// Order, sequence number of its frame and result, once.
+    pub(super) fn collect(&mut self) -> Option<(Order, u16, Result<(), NackReason>)> {
+        let Phase::Done(outcome) = self.phase else {
+            return None;
+        };
+        self.phase = Phase::Free;
+        Some((self.order, self.requester, outcome))
+    }
+}
+
+impl<const N: usize, const P: usize> Default for ParameterMailbox<N, P> {
     fn default() -> Self {
         Self::new()
     }

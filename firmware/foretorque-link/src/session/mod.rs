@@ -9,15 +9,16 @@
 mod board;
 mod controller;
 mod dispatch;
+mod housekeeping;
 mod mailbox;
 mod protocol;
 mod statistics;
 mod store;
 
 pub use board::{BoardDescription, Clock, LocalSensor, NoClock, NoLocalSensor};
-pub use mailbox::{LearnerMailbox, Mailboxes};
+pub use housekeeping::{Housekeeping, NoFlash};
+pub use mailbox::{LearnerMailbox, Mailboxes, ParameterMailbox};
 
-use crate::bank::ParameterBank;
 use crate::safety::{SafetyReason, SafetyStatus};
 use crate::store::StoreHealth;
 use crate::telemetry::Cost;
@@ -51,13 +52,13 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     protocol: Protocol,
     controller: Controller<A, N, P>,
     store: StoreHealth,
-    /// The set that the store returns next is for the host to read only.
-    read_only: bool,
     receive_cost: Cost,
     reply_latency: Cost,
     watchdog_feeds: u32,
     boot_counts: u32,
     reboot: bool,
+    /// Time since the last save by the board's timer, µs.
+    rested_us: u32,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
@@ -82,23 +83,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     #[inline(never)]
     fn around(board: BoardDescription<C>, feed_forward: FeedForward<A, N, P>) -> Self {
+        let rested_us = board.rested_us();
         Self {
             controller: Controller::new(feed_forward, board.first_fault()),
             board,
             protocol: Protocol::new(),
             store: StoreHealth::Unused,
-            read_only: false,
             receive_cost: Cost::default(),
             reply_latency: Cost::default(),
             watchdog_feeds: 0,
             boot_counts: 0,
             reboot: false,
+            rested_us,
         }
-    }
-
-    /// The bank in force, as it was loaded, with the values of the active set.
-    pub fn bank(&mut self) -> &ParameterBank {
-        self.controller.active_bank()
     }
 
     /// Period, pacing and reply mode; the owner sets the timer by it.
@@ -187,6 +184,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         out: &mut FrameBuffer,
         sensor: &mut impl LocalSensor,
     ) {
+        let period_us = self.configuration().period_us;
+        self.rested_us = self.rested_us.saturating_add(period_us);
         let mailbox = &mut mailboxes.learner;
         let tick = self.controller.timer(mailbox, &self.board.clock, sensor);
         if let Some(tick) = tick {

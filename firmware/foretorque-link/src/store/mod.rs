@@ -17,12 +17,12 @@
 //!
 //! Wear: a sector lasts [`ERASE_CYCLES`] erases and takes [`slots`] saves between two of them; see [`saves`].
 
+mod health;
 mod log;
-mod mailbox;
 mod record;
 
+pub use health::StoreHealth;
 pub use log::Store;
-pub use mailbox::{StoreHealth, StoreJob, StoreMailbox, StoreOrder, StoreReply};
 pub use record::{HEADER_BYTES, SLOT_BYTES};
 
 use core::fmt;

@@ -149,6 +149,11 @@ impl FrameBuffer {
         self.length == 0
     }
 
+    /// It takes two more of the largest frames.
+    pub const fn has_room(&self) -> bool {
+        self.length + 2 * MAX_FRAME <= Self::CAPACITY
+    }
+
     /// Empties it.
     pub fn clear(&mut self) {
         self.length = 0;

@@ -38,8 +38,9 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// Shortest and longest period, µs: 10 kHz to 10 Hz.
-    pub const PERIODS_US: core::ops::RangeInclusive<u32> = 100..=100_000;
+    /// Shortest and longest period, µs: 10 kHz to 50 Hz. The longest leaves two samples in the time-out of 50 ms, and three
+    /// ticks in the 68 ms of the watchdog.
+    pub const PERIODS_US: core::ops::RangeInclusive<u32> = 100..=20_000;
 }
 
 impl Default for Configuration {
@@ -63,6 +64,48 @@ pub enum CounterKind {
     Cycles,
     /// Instructions, in an emulator that counts them.
     Instructions,
+}
+
+/// Source of the processor clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ClockSource {
+    /// No clock of its own: a process on a host, or the emulator.
+    #[default]
+    Virtual,
+    /// Crystal and PLL.
+    Crystal,
+    /// Internal oscillator and PLL: the crystal did not start. Tick and baud rate are good to 1 % only.
+    Internal,
+    /// Internal oscillator alone, 16 MHz: the PLL did not lock.
+    Bare,
+}
+
+/// Clock and option bytes of the chip, read at the start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ChipStatus {
+    /// Source of the processor clock.
+    pub clock: ClockSource,
+    /// Shortest period that this clock sustains, µs.
+    #[serde(with = "postcard::fixint::le")]
+    pub shortest_period_us: u32,
+    /// Brown-out reset: 0 off to 3, the highest voltage; [`UNKNOWN`](Self::UNKNOWN).
+    pub brown_out: u8,
+    /// Read-out protection: 0 none, 1, 2; [`UNKNOWN`](Self::UNKNOWN).
+    pub read_out_protection: u8,
+}
+
+impl ChipStatus {
+    /// Code of an option byte that cannot be read.
+    pub const UNKNOWN: u8 = u8::MAX;
+    /// A process on a host, or the emulator.
+    pub const VIRTUAL: Self = Self {
+        clock: ClockSource::Virtual,
+        shortest_period_us: *Configuration::PERIODS_US.start(),
+        brown_out: Self::UNKNOWN,
+        read_out_protection: Self::UNKNOWN,
+    };
 }
 
 /// Cause of a start.
@@ -146,6 +189,8 @@ pub struct BoardHello {
     /// Counts from the first instructions to the first hello; 0 without a counter.
     #[serde(with = "postcard::fixint::le")]
     pub boot_counts: u32,
+    /// Clock and option bytes.
+    pub chip: ChipStatus,
 }
 
 impl BoardHello {

@@ -99,7 +99,7 @@ pub enum HostMessage<const N: usize> {
         #[serde(with = "postcard::fixint::le")]
         every: u16,
     },
-    /// Requests the bytes that the next signature has to cover. Reply: [`BoardMessage::Challenge`], valid for one commit.
+    /// Requests the bytes that the next signature has to cover. Reply: [`BoardMessage::Challenge`], valid for one signature.
     Challenge,
     /// Restarts the processor, torque off. A latched fault stays. Reply: the hello after boot.
     Reboot,
@@ -117,6 +117,28 @@ pub enum HostMessage<const N: usize> {
     },
     /// Starts, stops or releases the excitation, or requests its state. Reply: [`BoardMessage::Excitation`].
     Excitation(ExcitationCommand),
+    /// Permits the next [protected](Self::protected) order on a board with a write key, if it is this one. Reply: ack.
+    Unlock {
+        /// Tag and first byte of the order.
+        order: [u8; 2],
+        /// Signature over the challenge and the order.
+        mac: [u8; MAC_BYTES],
+    },
+}
+
+impl<const N: usize> HostMessage<N> {
+    /// Tag and first byte of an order that needs a permission on a board with a write key: it changes model, learnt state
+    /// or store. Uploads have signatures of their own.
+    pub const fn protected(&self) -> Option<[u8; 2]> {
+        match self {
+            Self::Learning { on: true } => Some([4, 1]),
+            Self::Reset => Some([9, 0]),
+            Self::Request { code } => Some([14, *code]),
+            Self::Save => Some([15, 0]),
+            Self::Restore => Some([16, 0]),
+            _ => None,
+        }
+    }
 }
 
 /// Message from the board to the host. A reply carries the sequence number of the frame that it answers.
@@ -168,7 +190,7 @@ pub enum NackReason {
     LearningOn,
     /// The board lacks this capability.
     NotCapable,
-    /// The period is outside [`Configuration::PERIODS_US`].
+    /// The period is outside [`Configuration::PERIODS_US`], or shorter than the clock of this board sustains.
     Period,
     /// The chunk does not follow the one before.
     Gap {
@@ -188,7 +210,7 @@ pub enum NackReason {
     Unsafe(SafetyReason),
     /// An earlier request is not done yet.
     Busy,
-    /// The board has a write key, and the signature is missing or wrong.
+    /// The board has a write key, and signature or permission are missing or wrong.
     Key,
     /// The store failed; the board runs on from RAM.
     Store(StoreError),
@@ -200,6 +222,11 @@ pub enum NackReason {
     },
     /// The excitation cannot be played, or not now.
     Excitation(ExcitationError),
+    /// Too soon after the last save, or after a restart of the firmware: the flash would wear out.
+    Wait {
+        /// Time until a save is accepted, s.
+        seconds: u8,
+    },
 }
 
 impl fmt::Display for NackReason {
@@ -213,6 +240,7 @@ impl fmt::Display for NackReason {
             Self::Checksum => f.write_str("parameter bank damaged or incomplete"),
             Self::Bank(error) => write!(f, "{error}"),
             Self::Excitation(error) => write!(f, "{error}"),
+            Self::Wait { seconds } => write!(f, "the flash rests for {seconds} s more"),
             Self::Armed => f.write_str("only while disarmed"),
             Self::Unsafe(reason) => write!(f, "{reason}"),
             Self::Busy => f.write_str("busy with an earlier request"),

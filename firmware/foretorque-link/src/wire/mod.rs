@@ -23,14 +23,15 @@ pub use frames::{
     TorqueFrame,
 };
 pub use identity::{
-    BoardHello, Capabilities, Configuration, CounterKind, Pacing, ReplyMode, ResetReason,
+    BoardHello, Capabilities, ChipStatus, ClockSource, Configuration, CounterKind, Pacing,
+    ReplyMode, ResetReason,
 };
 pub use message::{BankSource, BoardMessage, HostMessage, NackReason};
 pub use record::{Field, TELEMETRY_BYTES, TelemetryFrame};
 pub use scaled::{Acceleration, Effort, Position, Scaled, Velocity};
 
 /// Version of the protocol; changes whenever a frame of the old version would be decoded differently or not at all.
-pub const PROTOCOL_VERSION: u8 = 3;
+pub const PROTOCOL_VERSION: u8 = 4;
 
 /// Largest frame before COBS: header, message and CRC, in bytes.
 pub const MAX_PAYLOAD: usize = 240;

@@ -1,12 +1,18 @@
 //! A serial arm of revolute joints as the board sees it: constants of geometry, base-parameter map and limits.
 
 mod identity;
+mod model;
 pub mod panda;
 mod standard;
 pub mod ur5;
 
 pub use identity::identity;
+pub(crate) use model::table;
+pub use model::{ArmModel, BaseIndex, most_parameters};
 pub use standard::{LinkInertia, base_parameters};
+
+use crate::dynamics::BaseParameters;
+use nalgebra::ArrayStorage;
 
 /// Constant placement of a joint frame in its parent frame, before the joint turns it about its own z axis.
 ///
@@ -66,6 +72,10 @@ impl BaseTerm {
 }
 
 /// Constants of an arm with `N` revolute joints and `P` base parameters (rotor inertias after the links).
+///
+/// A compiled arm implements the constants, and everything that follows from them is settled while compiling. An arm
+/// that a program reads while it runs has [`COMPILED`](Self::COMPILED) `None`, implements the functions, and may leave
+/// base parameters at the end unused. Both give the same bits.
 pub trait Arm<const N: usize, const P: usize>: 'static {
     /// Name of the arm, as in its description file.
     const NAME: &'static str;
@@ -89,4 +99,74 @@ pub trait Arm<const N: usize, const P: usize>: 'static {
     const LINKS: [[f32; LINK_PARAMETERS]; N];
     /// Rotor inertias of the description, reflected to the link side, kg·m².
     const ROTORS: [f32; N];
+
+    /// All constants as a value; `None` where the arm is read while the program runs.
+    const COMPILED: Option<ArmModel<N, P>> = Some(ArmModel {
+        name: Self::NAME,
+        gravity: Self::GRAVITY,
+        placements: Self::PLACEMENTS,
+        columns: Self::COLUMNS,
+        index: BaseIndex::of(&Self::COLUMNS),
+        base_map: Self::BASE_MAP,
+        limits: Self::LIMITS,
+        cogging_cycles: Self::COGGING_CYCLES,
+        nominal: BaseParameters::from_array_storage(ArrayStorage([Self::NOMINAL])),
+        links: Self::LINKS,
+        rotors: Self::ROTORS,
+    });
+
+    /// All constants of the arm.
+    fn model() -> &'static ArmModel<N, P> {
+        const { Self::COMPILED.as_ref().expect("a compiled arm") }
+    }
+    /// [`NAME`](Self::NAME).
+    #[inline(always)]
+    fn name() -> &'static str {
+        Self::NAME
+    }
+    /// [`HASH`](Self::HASH).
+    #[inline(always)]
+    fn hash() -> u32 {
+        Self::HASH
+    }
+    /// [`GRAVITY`](Self::GRAVITY).
+    #[inline(always)]
+    fn gravity() -> &'static [f32; 3] {
+        const { &Self::GRAVITY }
+    }
+    /// [`PLACEMENTS`](Self::PLACEMENTS).
+    #[inline(always)]
+    fn placements() -> &'static [Placement; N] {
+        const { &Self::PLACEMENTS }
+    }
+    /// [`COLUMNS`](Self::COLUMNS).
+    #[inline(always)]
+    fn columns() -> &'static [LinkColumns; N] {
+        const { &Self::COLUMNS }
+    }
+    /// Place of every standard parameter in the base set.
+    #[inline(always)]
+    fn index() -> &'static BaseIndex<N> {
+        const { &BaseIndex::of(&Self::COLUMNS).counted(P) }
+    }
+    /// [`BASE_MAP`](Self::BASE_MAP).
+    #[inline(always)]
+    fn base_map() -> &'static [BaseTerm] {
+        Self::BASE_MAP
+    }
+    /// [`LIMITS`](Self::LIMITS).
+    #[inline(always)]
+    fn limits() -> &'static [JointLimits; N] {
+        const { &Self::LIMITS }
+    }
+    /// [`COGGING_CYCLES`](Self::COGGING_CYCLES).
+    #[inline(always)]
+    fn cogging_cycles() -> &'static [f32; N] {
+        const { &Self::COGGING_CYCLES }
+    }
+    /// [`NOMINAL`](Self::NOMINAL).
+    #[inline(always)]
+    fn nominal() -> &'static BaseParameters<P> {
+        const { &BaseParameters::from_array_storage(ArrayStorage([Self::NOMINAL])) }
+    }
 }

@@ -58,7 +58,7 @@ pub fn base_parameters<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> SVector<f32, P> {
     let standard = links.map(|link| link.standard_parameters());
     let mut beta = SVector::zeros();
-    for term in A::BASE_MAP {
+    for term in A::base_map() {
         let value = match term.standard.checked_sub(LINK_PARAMETERS * N) {
             Some(joint) => rotor_inertias[joint],
             None => standard[term.standard / LINK_PARAMETERS][term.standard % LINK_PARAMETERS],

@@ -9,11 +9,10 @@ pub use columns::{
     Real, SHEAR_WIDTH, STRIBECK_WIDTH, friction_prior,
 };
 
-use super::{BaseParameters, gravity_torque};
+use super::gravity_torque;
 use crate::arm::Arm;
 use crate::joint::JointVector;
 use crate::math::{SinCos, sin_cos_quarters, tanh_1_5_15};
-use nalgebra::ArrayStorage;
 
 /// Velocity over which Coulomb friction changes sign, rad/s: `sign(qd)` is smoothed to `tanh(qd / SIGN_WIDTH)`.
 ///
@@ -114,8 +113,7 @@ pub fn friction_row(cycles: f32, q: f32, qd: f32, load: f32) -> [f32; FRICTION_C
 pub fn friction_load<A: Arm<N, P>, const N: usize, const P: usize>(
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    let nominal = const { &BaseParameters::from_array_storage(ArrayStorage([A::NOMINAL])) };
-    gravity_torque::<A, N, P>(nominal, q)
+    gravity_torque::<A, N, P>(A::nominal(), q)
 }
 
 /// Friction torques at joint positions `q` and velocities `qd`, N × N·m: the drives must supply them, so they are positive
@@ -132,7 +130,7 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> JointVector<N> {
     let load = friction_load::<A, N, P>(q);
     JointVector::from_fn(|joint, _| {
-        let row = friction_row(A::COGGING_CYCLES[joint], q[joint], qd[joint], load[joint]);
+        let row = friction_row(A::cogging_cycles()[joint], q[joint], qd[joint], load[joint]);
         parameters[joint].torque(&row)
     })
 }
@@ -141,7 +139,7 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
 mod tests {
     use super::*;
     use crate::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-    use crate::dynamics::rnea;
+    use crate::dynamics::{BaseParameters, rnea};
     use crate::joint::JointMotion;
 
     /// Torque of one such joint; it has no cogging of its own.

@@ -1,10 +1,9 @@
 //! One link: how it moves, and the wrench that takes.
 
 use super::term::{Matrix, Term, Vector};
-use crate::arm::{Arm, LINK_PARAMETERS};
+use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
 use crate::math::{LARGEST_ANGLE, sin_cos};
-use core::marker::PhantomData;
 
 /// Motion of a link frame, expressed in that frame.
 #[derive(Clone, Copy)]
@@ -23,7 +22,7 @@ impl LinkMotion {
     /// The base: at rest, accelerating with −g, which makes every link feel gravity (Craig 2005, section 6.5).
     #[inline(always)]
     pub(super) fn base<A: Arm<N, P>, const N: usize, const P: usize>() -> Self {
-        let [x, y, z] = A::GRAVITY;
+        let [x, y, z] = *A::gravity();
         Self {
             omega: Vector::ZERO,
             alpha: Vector::ZERO,
@@ -107,7 +106,7 @@ pub(super) fn rotation<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Matrix {
     let pair = sin_cos(q);
     let (s, c) = (Term::variable(pair.sin), Term::variable(pair.cos));
-    let [first, second, third] = A::PLACEMENTS[joint].rot_parent_child;
+    let [first, second, third] = A::placements()[joint].rot_parent_child;
     Matrix([
         turned(first, s, c),
         turned(second, s, c),
@@ -125,58 +124,5 @@ fn turned(row: [f32; 3], s: Term, c: Term) -> Vector {
 /// Origin of joint `joint`'s frame in its parent's.
 #[inline(always)]
 pub(super) fn origin<A: Arm<N, P>, const N: usize, const P: usize>(joint: usize) -> Vector {
-    Vector::constant(A::PLACEMENTS[joint].origin)
-}
-
-/// Where the standard parameters of an arm sit in its base set.
-pub(super) struct BaseSet<A, const N: usize, const P: usize>(PhantomData<A>);
-
-impl<A: Arm<N, P>, const N: usize, const P: usize> BaseSet<A, N, P> {
-    /// Base index of each link parameter; those that are not in the base set are zero in every torque.
-    pub(super) const LINK: [[Option<usize>; LINK_PARAMETERS]; N] = {
-        let mut index = [[None; LINK_PARAMETERS]; N];
-        let mut next = 0;
-        let mut link = 0;
-        while link < N {
-            let mut k = 0;
-            while k < LINK_PARAMETERS {
-                if A::COLUMNS[link].inertial[k] {
-                    index[link][k] = Some(next);
-                    next += 1;
-                }
-                k += 1;
-            }
-            link += 1;
-        }
-        index
-    };
-
-    /// Base index of each rotor inertia.
-    pub(super) const ROTOR: [Option<usize>; N] = {
-        let mut index = [None; N];
-        let mut next = 0;
-        let mut joint = 0;
-        while joint < N {
-            let mut k = 0;
-            while k < LINK_PARAMETERS {
-                next += A::COLUMNS[joint].inertial[k] as usize;
-                k += 1;
-            }
-            joint += 1;
-        }
-        joint = 0;
-        while joint < N {
-            if A::COLUMNS[joint].rotor {
-                index[joint] = Some(next);
-                next += 1;
-            }
-            joint += 1;
-        }
-        assert!(
-            next == P,
-            "P must be the number of base parameters of the arm"
-        );
-        assert!(N <= super::unroll::MAX_JOINTS, "too many joints");
-        index
-    };
+    Vector::constant(A::placements()[joint].origin)
 }

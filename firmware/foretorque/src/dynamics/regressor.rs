@@ -1,6 +1,6 @@
 //! The joint torque regressor: one row, or all of them.
 
-use super::link::{BaseSet, LinkMotion, are_angles, origin, rotation};
+use super::link::{LinkMotion, are_angles, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
 use crate::joint::JointMotion;
@@ -20,24 +20,25 @@ pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
         return SVector::repeat(f32::NAN);
     }
     let mut link = LinkMotion::base::<A, N, P>();
-    outward!(J < N {
+    outward!(A: J < N {
         let rot = rotation::<A, N, P>(J, motion.q[J]);
         link = link.next::<A, N, P>(J, &rot, motion);
         if joint == J {
-            return row_from::<A, N, P, J>(link, motion);
+            return row_from::<A, N, P>(J, link, motion);
         }
     });
     SVector::zeros()
 }
 
-/// The row of joint `J`, whose link moves like `link`; one instance for each joint, so that what is 0 in its own frame
+/// The row of joint `joint`, whose link moves like `link`; one instance for each joint, so that what is 0 in its own frame
 /// costs nothing.
 #[inline(always)]
 #[expect(
     clippy::absurd_extreme_comparisons,
     reason = "the loop is written out joint by joint, the first one too"
 )]
-fn row_from<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
+fn row_from<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
     mut link: LinkMotion,
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
@@ -45,23 +46,23 @@ fn row_from<A: Arm<N, P>, const N: usize, const P: usize, const J: usize>(
     // the joint it is stored, where one does it is not; zeros would be cleared by memset, all of them.
     let mut row = SVector::from([-0.0; P]);
     let mut axis = JointAxis::OWN;
-    outward!(I < N {
-        if I > J {
+    outward!(A: I < N {
+        if I > joint {
             let rot = rotation::<A, N, P>(I, motion.q[I]);
             link = link.next::<A, N, P>(I, &rot, motion);
             axis = axis.carried(&rot, origin::<A, N, P>(I));
         }
-        if I >= J {
+        if I >= joint {
             let entries = axis.power_of_unit_parameters(&link);
-            for (index, entry) in BaseSet::<A, N, P>::LINK[I].iter().zip(entries) {
+            for (index, entry) in A::index().link[I].iter().zip(entries) {
                 if let Some(index) = *index {
                     row[index] = entry.value();
                 }
             }
         }
     });
-    if let Some(index) = BaseSet::<A, N, P>::ROTOR[J] {
-        row[index] = motion.qdd[J];
+    if let Some(index) = A::index().rotor[joint] {
+        row[index] = motion.qdd[joint];
     }
     row
 }
@@ -86,23 +87,23 @@ pub fn regressor<A: Arm<N, P>, const N: usize, const P: usize>(
     if !are_angles(&motion.q) {
         return SMatrix::repeat(f32::NAN);
     }
-    outward!(I < N {
+    outward!(A: I < N {
         let rot = rotation::<A, N, P>(I, motion.q[I]);
         link = link.next::<A, N, P>(I, &rot, motion);
-        outward!(J < N {
+        outward!(A: J < N {
             if J <= I {
                 if J != I {
                     axes[J] = axes[J].carried(&rot, origin::<A, N, P>(I));
                 }
                 let entries = axes[J].power_of_unit_parameters(&link);
-                for (index, entry) in BaseSet::<A, N, P>::LINK[I].iter().zip(entries) {
+                for (index, entry) in A::index().link[I].iter().zip(entries) {
                     if let Some(index) = *index {
                         rows[(J, index)] = entry.value();
                     }
                 }
             }
         });
-        if let Some(index) = BaseSet::<A, N, P>::ROTOR[I] {
+        if let Some(index) = A::index().rotor[I] {
             rows[(I, index)] = motion.qdd[I];
         }
     });

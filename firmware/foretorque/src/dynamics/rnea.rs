@@ -1,7 +1,7 @@
 //! Inverse dynamics by the recursive Newton–Euler algorithm.
 
 use super::BaseParameters;
-use super::link::{BaseSet, LinkMotion, is_angle, origin, rotation};
+use super::link::{LinkMotion, is_angle, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
@@ -32,7 +32,7 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     // First what each link needs for its own motion, then what it takes from the link before it: expressed in frame I,
     // about its origin.
     let mut wrench = [Wrench::ZERO; N];
-    outward!(I < N {
+    outward!(A: I < N {
         if !is_angle(motion.q[I]) {
             return JointVector::repeat(f32::NAN);
         }
@@ -41,13 +41,13 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
         wrench[I] = LinkParameters::of::<A, N, P>(beta, I).wrench(&link);
     });
     let mut tau = JointVector::zeros();
-    inward!(I < N {
+    inward!(A: I < N {
         if I + 1 < N {
             let outer = (I + 1) % N;
             wrench[I] = wrench[I].and(wrench[outer], &rot[outer], origin::<A, N, P>(outer));
         }
         // eq. 11, and the rotor, which turns with the joint alone.
-        let rotor = parameter(beta, BaseSet::<A, N, P>::ROTOR[I]);
+        let rotor = parameter(beta, A::index().rotor[I]);
         tau[I] = (wrench[I].n.dot(Vector::Z) + rotor * Term::variable(motion.qdd[I])).value();
     });
     tau
@@ -69,7 +69,7 @@ pub fn gravity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut a = LinkMotion::base::<A, N, P>().a;
     let mut rot = [Matrix::ZERO; N];
     let mut wrench = [Wrench::ZERO; N];
-    outward!(I < N {
+    outward!(A: I < N {
         if !is_angle(q[I]) {
             return JointVector::repeat(f32::NAN);
         }
@@ -79,7 +79,7 @@ pub fn gravity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
         wrench[I] = Wrench { f: a.scale(mass), n: first_moment.cross(a) };
     });
     let mut tau = JointVector::zeros();
-    inward!(I < N {
+    inward!(A: I < N {
         if I + 1 < N {
             let outer = (I + 1) % N;
             wrench[I] = wrench[I].and(wrench[outer], &rot[outer], origin::<A, N, P>(outer));
@@ -139,7 +139,7 @@ impl LinkParameters {
         beta: &BaseParameters<P>,
         link: usize,
     ) -> Self {
-        let [m, mx, my, mz, xx, yy, zz, xy, xz, yz] = BaseSet::<A, N, P>::LINK[link];
+        let [m, mx, my, mz, xx, yy, zz, xy, xz, yz] = A::index().link[link];
         Self {
             mass: parameter(beta, m),
             first_moment: Vector([

@@ -32,20 +32,20 @@ impl<const N: usize> FeedForwardConfig<N> {
     /// Defaults for an arm: its data-sheet limits, the full torque in 20 ms, 10 ms of holding.
     ///
     /// * `period_s` period of the tick, s
-    pub const fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
+    pub fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
         let mut slew_per_tick = [0.0; N];
         let mut learned_slew_per_tick = [0.0; N];
         let mut joint = 0;
         while joint < N {
-            slew_per_tick[joint] = A::LIMITS[joint].torque * period_s / SLEW_TIME_S;
-            learned_slew_per_tick[joint] = LEARNED_STEP * A::LIMITS[joint].torque;
+            slew_per_tick[joint] = A::limits()[joint].torque * period_s / SLEW_TIME_S;
+            learned_slew_per_tick[joint] = LEARNED_STEP * A::limits()[joint].torque;
             joint += 1;
         }
         Self {
-            limits: A::LIMITS,
+            limits: *A::limits(),
             acceleration_limit: ACCELERATION_LIMIT,
             slew_per_tick,
-            payload_bound: const { payload_bound::<A, N, P>() },
+            payload_bound: payload_bound::<A, N, P>(),
             learned_slew_per_tick,
             // Measured at k, in effect from k + 1 to k + 2.
             lead: 1.5 * period_s,

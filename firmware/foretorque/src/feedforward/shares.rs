@@ -83,7 +83,7 @@ fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
     flags: &mut Flags,
 ) -> JointVector<N> {
     let mut shares = JointVector::<N>::zeros();
-    let joints = networks.iter().zip(&A::LIMITS).zip(qd.iter());
+    let joints = networks.iter().zip(A::limits()).zip(qd.iter());
     for (share, ((network, limits), &qd)) in shares.iter_mut().zip(joints) {
         *share = network_share(network, &network_inputs(qd), limits.torque, flags);
     }

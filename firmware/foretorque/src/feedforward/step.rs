@@ -214,7 +214,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         let limits = &config.limits[joint];
         let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
         let cogging = cogging(
-            A::COGGING_CYCLES[joint],
+            A::cogging_cycles()[joint],
             cogging_place(place[joint] + qd * lead, q),
         );
         let load = scratch.load[joint];

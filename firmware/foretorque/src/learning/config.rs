@@ -3,7 +3,7 @@ use super::parameters::LinearParameters;
 use super::prior_covariance::rigid_sigma;
 use super::supervisor::config::SupervisorConfig;
 use super::trainer::TrainerConfig;
-use crate::arm::Arm;
+use crate::arm::{Arm, ArmModel, table};
 use crate::dynamics::{FrictionParameters, friction_prior};
 
 /// Configuration of the learner.
@@ -46,10 +46,10 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     ///
     /// ```
     /// use foretorque::arm::ur5::{LearnerConfig, Ur5};
-    /// const CONFIG: LearnerConfig = LearnerConfig::for_arm::<Ur5>(1e-3);
-    /// assert!(CONFIG.validate().is_ok());
+    /// let config: LearnerConfig = LearnerConfig::for_arm::<Ur5>(1e-3);
+    /// assert!(config.validate().is_ok());
     /// ```
-    pub const fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
+    pub fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
         Self {
             inv_period: 1.0 / period_s,
             noise: 0.01,
@@ -58,8 +58,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             process_noise: 1e-7,
             torque_step: 0.005,
             // Tables, so that a board does not compute them.
-            rigid_sigma: const { rigid_sigma::<A, N, P>() },
-            friction_sigma: const { friction_sigma::<A, N, P>() },
+            rigid_sigma: table!(A, rigid_sigma),
+            friction_sigma: table!(A, friction_sigma),
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
             network: TrainerConfig {
@@ -115,11 +115,13 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     }
 }
 
-const fn friction_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [FrictionParameters; N] {
+const fn friction_sigma<const N: usize, const P: usize>(
+    arm: &ArmModel<N, P>,
+) -> [FrictionParameters; N] {
     let mut sigma = [FrictionParameters::NONE; N];
     let mut joint = 0;
     while joint < N {
-        sigma[joint] = friction_prior(&A::LIMITS[joint], A::COGGING_CYCLES[joint]);
+        sigma[joint] = friction_prior(&arm.limits[joint], arm.cogging_cycles[joint]);
         joint += 1;
     }
     sigma

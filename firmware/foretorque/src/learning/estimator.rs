@@ -60,7 +60,7 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
     motion: &JointMotion<N>,
 ) -> Option<[f32; FRICTION_COLUMNS]> {
     let loads = friction_load::<A, N, P>(&motion.q);
-    let (&cycles, &load) = (A::COGGING_CYCLES.get(joint)?, loads.get(joint)?);
+    let (&cycles, &load) = (A::cogging_cycles().get(joint)?, loads.get(joint)?);
     let (&q, &qd) = (motion.q.get(joint)?, motion.qd.get(joint)?);
     Some(friction_row(cycles, q, qd, load))
 }
@@ -127,7 +127,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let parts = self.start.parts();
         if self.factors_added == 0 {
             let mut variances = LinearParameters::filled(1.0);
-            variances.rigid = const { prior_floor::<A, N, P>() };
+            variances.rigid = prior_floor::<A, N, P>();
             for (variance, part) in variances.iter_mut().zip(parts.iter()) {
                 *variance *= part * part;
             }

@@ -9,41 +9,47 @@
 //! | set | content | written by | read by | changes |
 //! |---|---|---|---|---|
 //! | nominal | rigid body of the description | `host-sim generate`, as constants of the [arm](crate::arm) | first prior, load friction | with a new build |
-//! | prior | start of learning | learner, on load | estimate and networks at their start | at every load |
-//! | loaded | set of the last load | tick, on load | tick: origin of the learnt change | at every load |
-//! | active | parameters of the torque | supervisor; adopted by the tick | tick | at most once a round |
-//! | committed | last set accepted as a whole | supervisor, on commit; tick, on load | tick: fallback, centre of the bound on learnt change; paired test: reference | on commit, at every load |
-//! | estimate | linear parameters of the [`Estimator`] | estimator; supervisor, on rollback | supervisor, change detection | with every accepted row |
-//! | checkpoint | estimate, active, committed and payload of one instant | supervisor, while healthy | supervisor: alarm, emergency stop, release of a payload | every 128 ticks; two are kept, and one from before a payload |
-//! | snapshot | copy of the active set | [`Request::Snapshot`] | [`Request::Rollback`] | on request |
+//! | loaded | set of the last load | tick, on load | tick: origin of the learnt change; estimate at its start; shares: rival | at every load |
+//! | estimate | linear parameters of the [`Estimator`] | estimator; supervisor, on restoration | supervisor, change detection | with every accepted row |
+//! | learnt | the estimate, in steps of bounded torque | supervisor | tick | at most once a round |
+//! | active | single set nearest to the torque: loaded and learnt by the [`LearntShare`] | learner and tick | `Save`, reports | at most once a round |
+//! | committed | active set of the last commit | tick, on commit and load | tick: fallback, centre of the bound on learnt change | on commit, at every load |
+//! | checkpoint | estimate, learnt set, shares, evidence and payload of one instant | supervisor, while healthy | supervisor: alarm, emergency stop, release of a payload | every 128 ticks; two are kept, and one from before a payload |
+//! | snapshot | copy of learnt set, shares and networks | [`Request::Snapshot`] | [`Request::Rollback`] | on request |
 //! | network candidate | network of a joint in training | trainer | trainer: comparison with the active network | with every accepted row of the joint |
 //! | payload hypothesis | seven parameters of a body at the last link | payload test | supervisor; after promotion the tick, as an addition to the rigid body | every block of a test, and for 10 s after promotion |
+//!
+//! # Shares
+//!
+//! ```text
+//! torque_j = loaded_j + w_j (learnt_j − loaded_j)     w_j = clip(Σ d r / (Σ d² + σ_j² L), 0, 1)
+//! ```
+//! d is the torque of the estimate and r the measured torque, both less that of the loaded set, on rows before they are
+//! learnt. The sums fade over 10 s. L is the number of rows in 0.5 s, which count as one observation.
 //!
 //! # Supervisor
 //!
 //! States are those of [`Phase`], arrows carry the code of their [`Reason`], thresholds are the defaults of
-//! [`SupervisorConfig`] at 1 kHz.
+//! [`SupervisorConfig`] at 1 kHz. One pure function decides: state and evidence in, state and action out.
 //!
 //! ```text
-//!          ┌────────────────────── 0 Healthy ──────────────────────┐
-//!          │                                                       │   CUSUM > 25 (1)   ┌────────────────┐
-//! start ───┼──► holding ─── t > 3, joints pass (25) ──► following  ├───────────────────►│ 1 PayloadTest  │
-//!          │       ▲                                     │   │  ▲  │◄──── 2, 6, 8 ──────│   at most 3 s  │
-//!          │       └──────────── t < −3 (7) ─────────────┘   └──┘  │                    └───────┬────────┘
-//!          │                                          commit (9)   │                            │ refused (3, 4, 5)
-//!          │                                                       │   5000 ticks (19)  ┌───────▼────────┐
-//!          │                                                       │◄───────────────────│ 2 Relearning   │
-//!          └───────────────────────────────────────────────────────┘                    └────────────────┘
+//!          ┌───────────── 0 Healthy ─────────────┐
+//!          │                                     │  CUSUM > 25 (1)  ┌────────────────┐
+//! start ──►│ torque follows the shares (25, 7),  ├─────────────────►│ 1 PayloadTest  │
+//!          │ commit every 8 s                    │◄──── 2, 6, 8 ────│   at most 3 s  │
+//!          │                                     │                  └───────┬────────┘
+//!          │                                     │                          │ refused (3, 4, 5)
+//!          │                                     │  5000 ticks (19) ┌───────▼────────┐
+//!          │                                     │◄─────────────────│ 2 Relearning   │
+//!          └─────────────────────────────────────┘                  └────────────────┘
 //! every state ── emergency stop (16) ──► 3 Stopped ── learning off (17) ──► 0 Healthy
 //! ```
 //!
-//! * following: the active set moves to the estimate, by at most 0.5 % of the torque limit a round. Holding: it stays.
-//! * t: paired test of the estimate against the committed set on at least 200 rows (3000 while relearning). A joint passes
-//!   if it has 200 rows of its own and is not worse, or if its torque at standstill hardly changes.
-//! * commit: after 8 s of following, or 2 s with less than 0.36 of the squares. Following continues only if t > 3.
-//! * alarm: estimate and active set return to the checkpoint of 128 to 256 ticks ago; both are frozen during the test.
+//! * Healthy: the learnt set moves to the estimate and the shares to their evidence, by at most 0.5 % of the torque limit a
+//!   round. Following begins (25) at a common share of 1/2 and ends (7) at 1/4.
+//! * alarm: estimate, learnt set and shares return to the checkpoint of 128 to 256 ticks ago and are frozen.
 //! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6).
-//! * relearning: the variance of friction is raised; following begins as from holding.
+//! * relearning: the variance of friction is raised; the torque stays as it is.
 //!
 //! A saturated torque, an unbridged gap or a number that is not finite freezes learning in every state (13 to 15); it
 //! resumes 31 ticks after the last cause (17).

@@ -28,7 +28,7 @@ pub struct ParameterSet<const N: usize, const P: usize> {
 
 impl<const N: usize, const P: usize> ParameterSet<N, P> {
     /// Zeros: no body, no friction, networks of zeros.
-    pub(super) const fn zero() -> Self {
+    pub const fn zero() -> Self {
         Self {
             rigid: zero_vector(),
             friction: [FrictionParameters::NONE; N],
@@ -47,7 +47,7 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
             *network = JointNetwork::silent(seed);
         }
         Self {
-            rigid: A::NOMINAL.into(),
+            rigid: *A::nominal(),
             friction: [FrictionParameters::NONE; N],
             network,
         }

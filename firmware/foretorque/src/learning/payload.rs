@@ -1,7 +1,7 @@
 use super::consts::{self, GRAVITY};
 use super::dense_ud::DenseUdFilter;
 use super::quality::PayloadEstimate;
-use crate::arm::{Arm, LINK_PARAMETERS};
+use crate::arm::{Arm, ArmModel, LINK_PARAMETERS, table};
 use crate::dynamics::BaseParameters;
 use crate::math::sqrt;
 
@@ -23,11 +23,11 @@ pub(super) const MAX_COM_DISTANCE: f32 = 0.25;
 const RATED_TORQUE: f32 = 1.0 / 3.0;
 
 /// Distance from joint `joint` to the origin of the last link with all links between in one line, m.
-const fn stretch<A: Arm<N, P>, const N: usize, const P: usize>(joint: usize) -> f32 {
+const fn stretch<const N: usize, const P: usize>(arm: &ArmModel<N, P>, joint: usize) -> f32 {
     let mut length = 0.0;
     let mut later = joint + 1;
     while later < N {
-        let [x, y, z] = A::PLACEMENTS[later].origin;
+        let [x, y, z] = arm.placements[later].origin;
         length += consts::sqrt(x * x + y * y + z * z);
         later += 1;
     }
@@ -36,12 +36,16 @@ const fn stretch<A: Arm<N, P>, const N: usize, const P: usize>(joint: usize) -> 
 
 /// Rated payload of an arm, kg: the mass whose weight at full stretch takes a third of the torque limit of the weakest
 /// joint.
-pub const fn rated_payload<A: Arm<N, P>, const N: usize, const P: usize>() -> f32 {
+pub fn rated_payload<A: Arm<N, P>, const N: usize, const P: usize>() -> f32 {
+    table!(A, rated_mass)
+}
+
+const fn rated_mass<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> f32 {
     let mut least = 1000.0;
     let mut joint = 0;
     while joint + 1 < N {
-        let lever = stretch::<A, N, P>(joint);
-        let mass = RATED_TORQUE * A::LIMITS[joint].torque / (GRAVITY * lever);
+        let lever = stretch(arm, joint);
+        let mass = RATED_TORQUE * arm.limits[joint].torque / (GRAVITY * lever);
         if mass < least {
             least = mass;
         }
@@ -52,14 +56,18 @@ pub const fn rated_payload<A: Arm<N, P>, const N: usize, const P: usize>() -> f3
 
 /// Bound of the payload torque of each joint, N·m: twice the weight of the rated payload at full stretch, for weight and
 /// acceleration, and at most 85 % of the limit.
-pub const fn payload_bound<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; N] {
-    let mass = rated_payload::<A, N, P>();
+pub fn payload_bound<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; N] {
+    table!(A, torque_bound)
+}
+
+const fn torque_bound<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> [f32; N] {
+    let mass = rated_mass(arm);
     let mut bound = [0.0; N];
     let mut joint = 0;
     while joint < N {
-        let lever = stretch::<A, N, P>(joint) + MAX_COM_DISTANCE;
+        let lever = stretch(arm, joint) + MAX_COM_DISTANCE;
         let torque = 2.0 * GRAVITY * mass * lever;
-        let most = 0.85 * A::LIMITS[joint].torque;
+        let most = 0.85 * arm.limits[joint].torque;
         bound[joint] = if torque < most { torque } else { most };
         joint += 1;
     }
@@ -76,7 +84,7 @@ pub(super) const fn payload_sigma(mass: f32) -> Payload {
 /// Entries of the arm's base map for a body at the last link: base parameter, payload parameter, weight.
 fn terms<A: Arm<N, P>, const N: usize, const P: usize>() -> impl Iterator<Item = (usize, usize, f32)>
 {
-    A::BASE_MAP.iter().filter_map(|term| {
+    A::base_map().iter().filter_map(|term| {
         let number = term.standard.checked_sub(LINK_PARAMETERS * (N - 1))?;
         (number < PAYLOAD_PARAMETERS).then_some((term.base, number, term.weight))
     })

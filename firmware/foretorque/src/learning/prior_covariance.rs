@@ -9,7 +9,7 @@
 //! P is far from diagonal: a heavy forearm, found from the torque of the shoulder, also corrects the elbow.
 
 use super::consts::{GRAVITY, sqrt};
-use crate::arm::{Arm, LINK_PARAMETERS};
+use crate::arm::{Arm, ArmModel, BaseTerm, LINK_PARAMETERS, table};
 
 /// Uncertain properties of one link: mass, three coordinates of the centre of mass, six moments and products of inertia,
 /// rotor.
@@ -40,16 +40,22 @@ pub fn prior_factor<A: Arm<N, P>, const N: usize, const P: usize>(
     if index >= prior_factor_count(N) {
         return None;
     }
-    let mut factor = base_change::<A, N, P>(index);
-    for (factor, sigma) in factor.iter_mut().zip(const { rigid_sigma::<A, N, P>() }) {
+    let links = table!(A, link_uncertainty);
+    let mut factor = base_change(&links, A::base_map(), index);
+    for (factor, sigma) in factor.iter_mut().zip(table!(A, rigid_sigma)) {
         *factor /= sigma;
     }
     Some(factor)
 }
 
 /// Variances of the floor, in units of the prior variances.
-pub const fn prior_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
-    let (mut floor, sigma) = (floor_squared::<A, N, P>(), rigid_sigma::<A, N, P>());
+#[inline(always)]
+pub fn prior_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
+    table!(A, relative_floor)
+}
+
+const fn relative_floor<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> [f32; P] {
+    let (mut floor, sigma) = (floor_squared(arm), rigid_sigma(arm));
     let mut column = 0;
     while column < P {
         floor[column] /= sigma[column] * sigma[column];
@@ -59,11 +65,12 @@ pub const fn prior_floor<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32
 }
 
 /// Prior standard deviations of the base parameters, in their units.
-pub(super) const fn rigid_sigma<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
-    let mut square = floor_squared::<A, N, P>();
+pub(super) const fn rigid_sigma<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> [f32; P] {
+    let mut square = floor_squared(arm);
+    let links = link_uncertainty(arm);
     let mut index = 0;
     while index < prior_factor_count(N) {
-        let change = base_change::<A, N, P>(index);
+        let change: [f32; P] = base_change(&links, arm.base_map, index);
         let mut column = 0;
         while column < P {
             square[column] += change[column] * change[column];
@@ -79,9 +86,9 @@ pub(super) const fn rigid_sigma<A: Arm<N, P>, const N: usize, const P: usize>() 
     square
 }
 
-/// Squares of the floor, in the units of the base parameters.
-const fn floor_squared<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; P] {
-    let mut squares = [0.0; P];
+/// Squares of the floor, in the units of the base parameters; 1 where the arm has no base parameter.
+const fn floor_squared<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> [f32; P] {
+    let mut squares = [1.0; P];
     let mut column = 0;
     // Order of the base set: columns of the links, then rotor inertias.
     let mut index = 0;
@@ -92,7 +99,7 @@ const fn floor_squared<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; 
         } else {
             (index / LINK_PARAMETERS, index % LINK_PARAMETERS)
         };
-        let columns = A::COLUMNS[joint];
+        let columns = arm.columns[joint];
         let independent = if rotor {
             columns.rotor
         } else {
@@ -100,7 +107,7 @@ const fn floor_squared<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; 
         };
         if independent && column < P {
             let scale = if k < 4 { GRAVITY } else { FLOOR_ACCELERATION };
-            let floor = FLOOR * A::LIMITS[joint].torque / scale;
+            let floor = FLOOR * arm.limits[joint].torque / scale;
             squares[column] = floor * floor;
             column += 1;
         }
@@ -110,15 +117,18 @@ const fn floor_squared<A: Arm<N, P>, const N: usize, const P: usize>() -> [f32; 
 }
 
 /// Factor number `index`: change of the base parameters, in their units.
-const fn base_change<A: Arm<N, P>, const N: usize, const P: usize>(index: usize) -> [f32; P] {
+const fn base_change<const N: usize, const P: usize>(
+    links: &[LinkUncertainty; N],
+    mut terms: &[BaseTerm],
+    index: usize,
+) -> [f32; P] {
     let mut beta = [0.0; P];
     let (link, kind) = (index / FACTORS_PER_LINK, index % FACTORS_PER_LINK);
     if link >= N {
         return beta;
     }
-    let change = const { link_uncertainty::<A, N, P>() }[link].factor(kind);
+    let change = links[link].factor(kind);
     let first = LINK_PARAMETERS * link;
-    let mut terms = A::BASE_MAP;
     while let [term, rest @ ..] = terms {
         terms = rest;
         let own = if term.standard == LINK_PARAMETERS * N + link {
@@ -148,7 +158,9 @@ struct LinkUncertainty {
     moment: f32,
 }
 
-const fn link_uncertainty<A: Arm<N, P>, const N: usize, const P: usize>() -> [LinkUncertainty; N] {
+const fn link_uncertainty<const N: usize, const P: usize>(
+    arm: &ArmModel<N, P>,
+) -> [LinkUncertainty; N] {
     let mut links = [LinkUncertainty {
         link: [0.0; LINK_PARAMETERS],
         rotor: 0.0,
@@ -157,13 +169,13 @@ const fn link_uncertainty<A: Arm<N, P>, const N: usize, const P: usize>() -> [Li
     }; N];
     let mut joint = 0;
     while joint < N {
-        let [mass, x, y, z, xx, yy, zz, ..] = A::LINKS[joint];
+        let [mass, x, y, z, xx, yy, zz, ..] = arm.links[joint];
         let inverse = if mass > 0.0 { 1.0 / mass } else { 0.0 };
         let square = (x * x + y * y + z * z) * inverse;
-        let known = RELATIVE_SIGMA * A::ROTORS[joint];
-        let unknown = ROTOR_TORQUE * A::LIMITS[joint].torque / FLOOR_ACCELERATION;
+        let known = RELATIVE_SIGMA * arm.rotors[joint];
+        let unknown = ROTOR_TORQUE * arm.limits[joint].torque / FLOOR_ACCELERATION;
         links[joint] = LinkUncertainty {
-            link: A::LINKS[joint],
+            link: arm.links[joint],
             rotor: sqrt(known * known + unknown * unknown),
             shift: COM_SIGMA.0 * sqrt(square * inverse) + COM_SIGMA.1,
             // Relative to the mean moment about the centre of mass.

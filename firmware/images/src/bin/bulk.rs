@@ -5,10 +5,11 @@
 mod run {
     use core::mem::MaybeUninit;
 
+    use foretorque_f405::arm::{Arm, BoardLearner, BoardSession, JOINTS, PARAMETERS};
     use foretorque_f405::counter::{self, Counter};
-    use foretorque_f405::rooms::{BoardLearner, BoardSession, furnish, open};
+    use foretorque_f405::statics::{init_learner, init_session};
     use foretorque_images::semihost::{Streams, exit};
-    use foretorque_link::session::{BoardDescription, Mailboxes, NoLocalSensor};
+    use foretorque_link::session::{BoardDescription, Housekeeping, Mailboxes, NoLocalSensor};
     use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};
     use stm32f4xx_hal::pac;
 
@@ -32,12 +33,15 @@ mod run {
             reset_reason: ResetReason::Unknown,
             ..BoardDescription::plain(Counter)
         };
-        let room = cortex_m::singleton!(: MaybeUninit<BoardSession> = MaybeUninit::uninit())?;
-        let session = open(room, board)?;
+        let place = cortex_m::singleton!(: MaybeUninit<BoardSession> = MaybeUninit::uninit())?;
+        let session = init_session(place, board)?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = &session.feed_forward().state().active;
-        let room = cortex_m::singleton!(: MaybeUninit<BoardLearner> = MaybeUninit::uninit())?;
-        let learner = furnish(room, period_s, prior)?;
+        let place = cortex_m::singleton!(: MaybeUninit<BoardLearner> = MaybeUninit::uninit())?;
+        let learner = init_learner(place, period_s, prior)?;
+        let housekeeping =
+            cortex_m::singleton!(: Housekeeping<Arm, JOINTS, PARAMETERS> = Housekeeping::empty())?;
+        housekeeping.start(None);
         let mut mailboxes = Mailboxes::new();
         let mut out = FrameBuffer::new();
         let mut buffer = [0u8; 1024];
@@ -54,6 +58,9 @@ mod run {
             // In pieces, as the flashable firmware takes them: a piece cannot ask for more than the replies can carry.
             for piece in bytes.chunks(CHUNK) {
                 session.receive(piece, &mut mailboxes, &mut out, &mut NoLocalSensor);
+                if housekeeping.work(&mut mailboxes.parameters) {
+                    session.poll_parameters(&mut mailboxes, &mut out);
+                }
                 if !out.is_empty() && !streams.write(out.as_bytes()) {
                     return Some(());
                 }

@@ -12,13 +12,14 @@ mod trial {
     use core::hint::black_box;
 
     use foretorque::arm::Arm as _;
-    use foretorque_f405::board::{Arm, JOINTS, PARAMETERS};
+    use foretorque_f405::arm::{Arm, JOINTS, PARAMETERS};
     use foretorque_f405::fault::{self, EnablePin, Reason};
     use foretorque_f405::odrive_v3::OdriveV3;
     use foretorque_link::hal::TorqueEnable;
     use foretorque_link::safety::SafetyStatus;
     use foretorque_link::wire::{
-        BoardHello, BoardMessage, Capabilities, Configuration, CounterKind, FrameBuffer, Name,
+        BoardHello, BoardMessage, Capabilities, ChipStatus, Configuration, CounterKind,
+        FrameBuffer, Name,
     };
     use stm32f4xx_hal::pac::{self, Interrupt, NVIC, USART2};
 
@@ -42,6 +43,7 @@ mod trial {
             reset_reason: fault::reset_reason(kept, &chip.RCC),
             safety: SafetyStatus::default(),
             boot_counts: 0,
+            chip: ChipStatus::VIRTUAL,
         };
         chip.RCC.apb1enr().modify(|_, w| w.usart2en().enabled());
         let link = chip.USART2;

@@ -9,8 +9,10 @@ mod proof {
     use core::hint::black_box;
 
     use foretorque::learning::{Learner, LearnerConfig};
-    use foretorque_f405::board::{Arm, JOINTS, PARAMETERS};
-    use foretorque_link::session::{BoardDescription, Clock, Mailboxes, NoLocalSensor, Session};
+    use foretorque_f405::arm::{Arm, JOINTS, PARAMETERS};
+    use foretorque_link::session::{
+        BoardDescription, Clock, Housekeeping, Mailboxes, NoLocalSensor, Session,
+    };
     use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage};
     use foretorque_link::write_key::{KEY_BYTES, WriteKey};
     use {panic_never as _, stm32f4xx_hal as _};
@@ -43,6 +45,7 @@ mod proof {
         let mut learner: Learner<Arm, _, _> =
             Learner::new(LearnerConfig::for_arm::<Arm>(black_box(1e-3)), set).ok()?;
         let mut mailboxes = black_box(Mailboxes::new());
+        let mut housekeeping: Housekeeping<Arm, JOINTS, PARAMETERS> = Housekeeping::new(None);
         let mut out = black_box(FrameBuffer::new());
         let mut bytes = black_box([0u8; 64]);
         loop {
@@ -54,7 +57,8 @@ mod proof {
                 &mut NoLocalSensor,
             );
             session.timer_tick(&mut mailboxes, &mut out, &mut NoLocalSensor);
-            session.poll_store(&mut mailboxes, &mut out);
+            housekeeping.work(&mut mailboxes.parameters);
+            session.poll_parameters(&mut mailboxes, &mut out);
             session.note_overrun();
             session.send_hello(&mut out);
             // The learner as the board runs it, and as the other owners do.

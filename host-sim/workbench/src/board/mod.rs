@@ -5,6 +5,7 @@
 
 mod child;
 mod client;
+mod described;
 pub mod flash;
 pub mod log;
 mod native;
@@ -12,6 +13,7 @@ pub mod qemu;
 pub mod serial;
 
 pub use client::{BoardShares, Client, LinkCount, TickReply};
+pub use described::Described;
 pub use native::Native;
 
 use foretorque_link::bank::BankError;
@@ -70,6 +72,14 @@ pub enum BoardError {
     /// The answer is not one to the question.
     #[error("the board gave an answer to another question")]
     UnexpectedAnswer,
+    /// The bank belongs to another arm than the board's.
+    #[error("the bank is for {found}, the board drives {wanted}")]
+    WrongBank {
+        /// Arm of the board.
+        wanted: String,
+        /// Arm of the bank.
+        found: String,
+    },
     /// The board has a write key, and this program was given none.
     #[error("the board has a write key: an upload needs --key-file")]
     NoKey,

@@ -1,7 +1,9 @@
-use super::Transport;
-use foretorque::arm::Arm;
+use super::{Described, Transport};
+use foretorque::arm::{Arm, ArmModel};
 use foretorque::learning::{ConfigError, Learner, LearnerConfig};
-use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
+use foretorque_link::session::{
+    BoardDescription, Housekeeping, Mailboxes, NoClock, NoLocalSensor, Session,
+};
 use foretorque_link::wire::{Capabilities, FrameBuffer};
 use std::collections::VecDeque;
 use std::io;
@@ -11,8 +13,10 @@ use std::time::Duration;
 ///
 /// The learner takes its learning sample right after each reply, as it does on the board that simulates in bulk.
 pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
+    arm: &'static ArmModel<N, P>,
     session: Session<A, N, P>,
     mailboxes: Mailboxes<N, P>,
+    housekeeping: Housekeeping<A, N, P>,
     learner: Learner<A, N, P>,
     out: FrameBuffer,
     waiting: VecDeque<u8>,
@@ -37,6 +41,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
 
     /// Lets one period of the board's timer pass, as on silicon beside the samples, whichever of the two paces the board.
     pub fn timer(&mut self) {
+        self.select_arm();
         self.session
             .timer_tick(&mut self.mailboxes, &mut self.out, &mut NoLocalSensor);
         self.flush();
@@ -48,8 +53,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let set = session.feed_forward().state().active;
         let mut native = Self {
+            arm: A::model(),
             session,
             mailboxes: Mailboxes::new(),
+            housekeeping: Housekeeping::new(None),
             learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
             out: FrameBuffer::new(),
             waiting: VecDeque::new(),
@@ -69,6 +76,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
         &self.learner
     }
 
+    /// Makes the arm of this board the described arm of this thread.
+    fn select_arm(&self) {
+        if A::COMPILED.is_none() {
+            Described::select(self.arm);
+        }
+    }
+
     fn flush(&mut self) {
         self.waiting.extend(self.out.as_bytes());
         self.out.clear();
@@ -81,6 +95,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
     }
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.select_arm();
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
             self.session.receive(
                 frame,
@@ -88,6 +103,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
                 &mut self.out,
                 &mut NoLocalSensor,
             );
+            if self.housekeeping.work(&mut self.mailboxes.parameters) {
+                self.session
+                    .poll_parameters(&mut self.mailboxes, &mut self.out);
+            }
             self.flush();
             self.mailboxes.learner.work(&mut self.learner, &NoClock);
         }

@@ -136,14 +136,14 @@ impl Profile {
         let joints = joints.try_into().map_err(|_| {
             refused(format!(
                 "{count} joints contradict the {N} joints of robot '{}'",
-                A::NAME
+                A::name()
             ))
         })?;
         let rests = self.rest_rad.len();
         if rests != 0 && rests != N {
             return Err(refused(format!(
                 "rest_rad has {rests} positions, robot '{}' {N} joints",
-                A::NAME
+                A::name()
             )));
         }
         let config = BusConfig {

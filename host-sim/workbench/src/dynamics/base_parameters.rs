@@ -1,6 +1,7 @@
 //! Base parameters: the identifiable combinations of the standard parameters.
 
 use super::{Joints, ReferenceModel, State};
+use crate::joints;
 use crate::robot::{LINK_PARAMETERS, Robot};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
@@ -119,17 +120,7 @@ pub(crate) fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>
 impl Robot {
     /// [`BaseMap::of`] for the robot's own number of joints.
     pub fn base_map(&self) -> BaseMap {
-        let map = match self.joint_count() {
-            1 => BaseMap::of::<1>(self),
-            2 => BaseMap::of::<2>(self),
-            3 => BaseMap::of::<3>(self),
-            4 => BaseMap::of::<4>(self),
-            5 => BaseMap::of::<5>(self),
-            6 => BaseMap::of::<6>(self),
-            7 => BaseMap::of::<7>(self),
-            8 => BaseMap::of::<8>(self),
-            _ => None,
-        };
+        let map = joints!(self.joint_count(), N => BaseMap::of::<N>(self), else None);
         map.expect("a description is refused unless it has 1 to 8 joints")
     }
 

@@ -24,7 +24,7 @@ pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
     networks: Option<&[JointNetwork; N]>,
     cogging: Option<&CoggingAmplitudes<N>>,
 ) -> Option<ParameterBank> {
-    if layout.base != P {
+    if layout.base != A::index().count {
         return None;
     }
     let mut set = ParameterSet::<N, P>::nominal::<A>(NETWORK_SEED);

@@ -12,6 +12,11 @@ const BUILT_IN: [(&str, &str); 2] = [
 ];
 
 impl Robot {
+    /// Names of the robots that need no file.
+    pub fn built_in() -> impl Iterator<Item = &'static str> {
+        BUILT_IN.iter().map(|(name, _)| *name)
+    }
+
     /// A built-in robot by name, or a description or URDF file by path.
     ///
     /// Errors: [`RobotError`], naming the file and the field.
@@ -27,7 +32,7 @@ impl Robot {
         let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
             RobotError::NotFound {
                 name: name_or_path.to_owned(),
-                known: BUILT_IN.map(|(name, _)| name).join(", "),
+                known: Self::built_in().collect::<Vec<_>>().join(", "),
                 reason: error.to_string(),
             }
         })?;

@@ -13,25 +13,25 @@ use super::pins::{DirectionPin, FaultInput, StageEnable};
 use super::pulse::Pulse;
 use super::spi::EncoderDevice;
 use super::{ENCODER, JOINT, SCALE, TURN};
-use crate::board::{Drive, JOINTS};
-use crate::rooms::BoardSession;
+use crate::arm::{BoardSession, JOINTS};
+use crate::board::Drive;
 
 /// Errors of stage and encoder, for the log, which the tick does not write.
 #[derive(Clone, Copy, PartialEq)]
-struct Troubles {
+struct Faults {
     stage: Option<StageError>,
     encoder: Option<EncoderError>,
 }
 
-impl Troubles {
+impl Faults {
     const NONE: Self = Self {
         stage: None,
         encoder: None,
     };
 }
 
-static SEEN: Mutex<Cell<Troubles>> = Mutex::new(Cell::new(Troubles::NONE));
-static LOGGED: Mutex<Cell<Troubles>> = Mutex::new(Cell::new(Troubles::NONE));
+static SEEN: Mutex<Cell<Faults>> = Mutex::new(Cell::new(Faults::NONE));
+static LOGGED: Mutex<Cell<Faults>> = Mutex::new(Cell::new(Faults::NONE));
 
 /// Motor stage and encoder of the own joint.
 pub struct StageAndEncoder {
@@ -66,7 +66,7 @@ impl Drive for StageAndEncoder {
 
     fn follow(&mut self, session: &mut BoardSession) {
         self.stage.apply(session);
-        let seen = Troubles {
+        let seen = Faults {
             stage: self.stage.last_error(),
             encoder: self.encoder.last_error(),
         };

@@ -4,7 +4,7 @@ mod parameters;
 mod sample_gaps;
 
 use super::{Clock, LearnerMailbox, LocalSensor, seconds};
-use crate::bank::{NETWORK_SEED, ParameterBank};
+use crate::bank::{JointBounds, NETWORK_SEED};
 use crate::excitation::{ExcitationState, Player};
 use crate::safety::{Safety, SafetyLimits, SafetyReason, SafetyStatus};
 use crate::telemetry::CostMeter;
@@ -15,7 +15,7 @@ use crate::wire::{
 use foretorque::arm::Arm;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, gravity};
 use foretorque::joint::{JointMotion, JointSample, JointVector};
-use foretorque::learning::{ConfigError, ParameterSet};
+use foretorque::learning::{ConfigError, ParameterSet, StartDeviations};
 use foretorque::limits::Flags;
 use sample_gaps::SampleGaps;
 
@@ -81,9 +81,10 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     player: Player<N>,
     /// Drive gains, N × N·m/A.
     gains: [f32; N],
-    bank: ParameterBank,
-    /// Buffer of the next bank, which is not in force before all of it is checked.
-    incoming: ParameterBank,
+    /// Limits of the bank in force.
+    bounds: [JointBounds; N],
+    /// Deviations of the bank in force, from which learning starts.
+    start: StartDeviations<N, P>,
     /// The newest sample that no tick has used yet.
     newest: Option<Arrived<N>>,
     /// Samples that may still run at once where samples pace the board; the timer adds one a period. `None` before the
@@ -114,8 +115,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             safety: Safety::new(limits, first_fault),
             player: Player::new::<A, P>(configuration.period_us),
             gains: [0.0; N],
-            bank: ParameterBank::nominal::<A, N, P>(),
-            incoming: ParameterBank::empty(),
+            bounds: JointBounds::widest::<A, N, P>(),
+            start: StartDeviations::PRIOR,
             newest: None,
             credit: None,
             ticked: false,

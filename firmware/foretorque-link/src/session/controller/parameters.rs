@@ -1,7 +1,7 @@
 //! Commands that change parameters and states. One that fails has changed nothing.
 
 use super::{Controller, SampleGaps, TickCounters};
-use crate::bank::{BankError, NETWORK_SEED, ParameterBank};
+use crate::bank::{BankError, Parameters, feed_forward_config};
 use crate::excitation::{
     ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, Player,
 };
@@ -61,18 +61,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.restart(wanted, &set, mailbox)
     }
 
-    /// The state after boot: the bank of the firmware, learning off, tick 0, counters 0. A latched fault stays.
+    /// The state after boot: these parameters, learning off, tick 0, counters 0. A latched fault stays.
     #[inline(never)]
     pub(in crate::session) fn reset(
         &mut self,
+        parameters: &Parameters<N, P>,
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         self.at_rest()?;
-        let set = ParameterSet::nominal::<A>(NETWORK_SEED);
-        self.bank.describe::<A, N, P>();
-        self.bank.refresh::<A, N, P>(&set);
-        self.gains = [0.0; N];
-        self.restart(Configuration::default(), &set, mailbox)?;
+        (self.gains, self.bounds) = (parameters.gains, parameters.bounds);
+        self.start = parameters.start;
+        self.restart(Configuration::default(), &parameters.set, mailbox)?;
         self.temperatures_c = [SampleFrame::<N>::NO_TEMPERATURE; N];
         self.counters = TickCounters::default();
         mailbox.reset_counters();
@@ -88,10 +87,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         let period_s = seconds(&configuration);
-        let config = self.bank.feed_forward_config::<A, N, P>(period_s);
-        let config = config.map_err(NackReason::Bank)?;
+        let config = feed_forward_config::<A, N, P>(&self.bounds, period_s);
         self.feed_forward
-            .restart(config, set)
+            .restart(config.map_err(NackReason::Bank)?, set)
             .map_err(|_| NackReason::Period)?;
         // Another pacing may stop the timer.
         if self.configuration.pacing != configuration.pacing {
@@ -104,7 +102,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.newest = None;
         self.ticked = false;
         self.gaps = SampleGaps::new();
-        mailbox.restart(period_s, set, self.bank.start_deviations::<A, N, P>());
+        mailbox.restart(period_s, set, self.start);
         Ok(())
     }
 
@@ -117,45 +115,24 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.feed_forward.load(set, exchange);
     }
 
-    /// Buffer of the next bank, to be filled before [`take_over`](Self::take_over).
-    pub(in crate::session) fn incoming(&mut self) -> &mut ParameterBank {
-        &mut self.incoming
-    }
-
-    /// Brings the incoming bank into force, all of it or nothing.
+    /// Brings parameters into force, all of them or nothing.
     #[inline(never)]
     pub(in crate::session) fn take_over(
         &mut self,
+        parameters: &Parameters<N, P>,
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
-        let gains = self.incoming.drive_gains().map_err(NackReason::Bank)?;
-        let set = self.incoming.set::<A, N, P>().map_err(NackReason::Bank)?;
+        self.writable()?;
         let period_s = seconds(&self.configuration);
-        let config = self.incoming.feed_forward_config::<A, N, P>(period_s);
-        let config = config.map_err(NackReason::Bank)?;
+        let config = feed_forward_config::<A, N, P>(&parameters.bounds, period_s);
         self.feed_forward
-            .configure(config)
+            .configure(config.map_err(NackReason::Bank)?)
             .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
-        let start = self.incoming.start_deviations::<A, N, P>();
         self.feed_forward
-            .load_with(set, start, &mut mailbox.exchange);
-        self.gains = gains;
-        core::mem::swap(&mut self.bank, &mut self.incoming);
+            .load_with(parameters.set, parameters.start, &mut mailbox.exchange);
+        (self.gains, self.bounds) = (parameters.gains, parameters.bounds);
+        self.start = parameters.start;
         Ok(())
-    }
-
-    /// The bank in force with the values of the active set.
-    pub(in crate::session) fn active_bank(&mut self) -> &ParameterBank {
-        let active = &self.feed_forward.state().active;
-        self.bank.refresh::<A, N, P>(active);
-        &self.bank
-    }
-
-    /// The bank in force with the values of the committed set.
-    pub(in crate::session) fn committed_bank(&mut self) -> &ParameterBank {
-        let committed = &self.feed_forward.state().committed;
-        self.bank.refresh::<A, N, P>(committed);
-        &self.bank
     }
 
     /// Shares of the active set for one motion, without state.

@@ -44,6 +44,11 @@ impl LinkState {
         }
     }
 
+    /// Resets the counters; the sequence continues.
+    pub(super) fn reset(&mut self) {
+        *self = Self::new(self.last);
+    }
+
     /// Counts a good frame. `restart` restarts the sequence.
     pub(super) fn accept(&mut self, sequence: u16, restart: bool) -> Order {
         self.frames = self.frames.saturating_add(1);

@@ -8,6 +8,7 @@ pub(super) use link::LinkState;
 pub(super) use telemetry::{Instant, Stream};
 pub(super) use transfer::Transfer;
 
+use super::mailbox::Signature;
 use crate::wire::{
     BoardMessage, DecodeError, Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason,
 };
@@ -26,11 +27,12 @@ pub(super) enum Received<const N: usize> {
 pub(super) struct Protocol {
     decoder: Decoder,
     pub(super) link: LinkState,
-    pub(super) transfer: Transfer,
     pub(super) stream: Stream,
     /// The challenge that the next signature has to cover.
     challenge: Option<[u8; MAC_BYTES]>,
     challenges: u32,
+    /// The one protected order that the key has permitted.
+    permission: Option<[u8; 2]>,
 }
 
 impl Protocol {
@@ -38,18 +40,17 @@ impl Protocol {
         Self {
             decoder: Decoder::new(),
             link: LinkState::new(None),
-            transfer: Transfer::new(),
             stream: Stream::new(),
             challenge: None,
             challenges: 0,
+            permission: None,
         }
     }
 
-    /// Resets counters and transfers; the sequence continues after `sequence`.
-    pub(super) fn reset(&mut self, sequence: u16) {
+    /// Resets counters and telemetry; the sequence continues.
+    pub(super) fn reset(&mut self) {
         self.decoder = Decoder::new();
-        self.link = LinkState::new(Some(sequence));
-        self.transfer.abort();
+        self.link.reset();
         self.stream.end();
     }
 
@@ -98,29 +99,45 @@ impl Protocol {
         nonce
     }
 
-    /// Checks the signature of the upload where there is a write key. The challenge is used up; a refused upload is over.
+    /// Permits one order, if its signature is right. The challenge is used up.
     ///
     /// Errors: [`NackReason::Key`].
     #[inline(never)]
-    pub(super) fn authorise(
+    pub(super) fn unlock(
+        &mut self,
+        key: &WriteKey,
+        arm_hash: u32,
+        order: [u8; 2],
+        mac: &[u8; MAC_BYTES],
+    ) -> Result<(), NackReason> {
+        let nonce = self.challenge.take().ok_or(NackReason::Key)?;
+        let right = key.permits(mac, &nonce, arm_hash, order);
+        self.permission = right.then_some(order);
+        right.then_some(()).ok_or(NackReason::Key)
+    }
+
+    /// Uses the permission of `order` up.
+    ///
+    /// Errors: [`NackReason::Key`] where there is none, or one of another order.
+    pub(super) fn permitted(&mut self, order: [u8; 2]) -> Result<(), NackReason> {
+        let permitted = self.permission.take() == Some(order);
+        permitted.then_some(()).ok_or(NackReason::Key)
+    }
+
+    /// The signature that the housekeeping has to verify; `None` without a write key. The challenge is used up.
+    ///
+    /// Errors: [`NackReason::Key`] without challenge or signature.
+    pub(super) fn signature(
         &mut self,
         key: Option<&WriteKey>,
         mac: Option<[u8; MAC_BYTES]>,
-        arm_hash: u32,
-    ) -> Result<(), NackReason> {
-        let Some(key) = key else {
-            return Ok(());
+    ) -> Result<Option<Signature>, NackReason> {
+        let Some(&key) = key else {
+            return Ok(None);
         };
-        let verified = match (self.challenge.take(), mac) {
-            (Some(nonce), Some(mac)) => {
-                key.verifies(&mac, &nonce, arm_hash, self.transfer.received())
-            }
-            _ => false,
-        };
-        if verified {
-            return Ok(());
+        match (self.challenge.take(), mac) {
+            (Some(nonce), Some(mac)) => Ok(Some(Signature { key, nonce, mac })),
+            _ => Err(NackReason::Key),
         }
-        self.transfer.abort();
-        Err(NackReason::Key)
     }
 }

@@ -1,6 +1,5 @@
 use crate::bank::ParameterBank;
-use crate::excitation::{ExcitationError, ExcitationProgram};
-use crate::wire::{BoardMessage, CHUNK, CRC, NackReason};
+use crate::wire::{BoardMessage, CHUNK, NackReason};
 
 /// A parameter bank on its way up or down, or an excitation on its way up, in one buffer.
 pub(in crate::session) struct Transfer {
@@ -17,7 +16,7 @@ enum Direction {
 }
 
 impl Transfer {
-    pub(super) const fn new() -> Self {
+    pub(in crate::session) const fn new() -> Self {
         Self {
             bytes: [0; ParameterBank::MAX_BYTES],
             length: 0,
@@ -57,48 +56,18 @@ impl Transfer {
         Ok(())
     }
 
-    /// The bytes of the upload so far.
-    pub(super) fn received(&self) -> &[u8] {
-        match self.direction {
-            Direction::Up => self.bytes.get(..self.length).unwrap_or_default(),
-            Direction::Idle | Direction::Down => &[],
-        }
-    }
-
-    /// Decodes the uploaded bank into `bank`, if it is complete. The upload is over in any case.
-    pub(in crate::session) fn commit(
-        &mut self,
-        length: u16,
-        crc: u32,
-        bank: &mut ParameterBank,
-    ) -> Result<(), NackReason> {
-        let uploaded = self.uploaded(length, crc);
-        let read = uploaded.and_then(|bytes| bank.decode_into(bytes).map_err(NackReason::Bank));
-        self.abort();
-        read
-    }
-
-    /// The uploaded excitation, if it is complete. The upload is over in any case.
-    pub(in crate::session) fn program<const N: usize>(
-        &mut self,
-        length: u16,
-        crc: u32,
-    ) -> Result<ExcitationProgram<N>, NackReason> {
-        let unreadable = NackReason::Excitation(ExcitationError::Number(0));
-        let uploaded = self.uploaded(length, crc);
-        let read = uploaded.and_then(|bytes| ExcitationProgram::decode(bytes).ok_or(unreadable));
-        self.abort();
-        read
-    }
-
-    fn uploaded(&self, length: u16, crc: u32) -> Result<&[u8], NackReason> {
+    /// Announced length of a complete upload; it is over.
+    ///
+    /// Errors: [`NackReason::Checksum`] where the upload has another length, or there is none.
+    pub(in crate::session) fn end(&mut self, length: u16) -> Result<(), NackReason> {
         let complete = self.direction == Direction::Up && self.length == usize::from(length);
-        let bytes = self.bytes.get(..self.length).unwrap_or_default();
-        if complete && CRC.checksum(bytes) == crc {
-            Ok(bytes)
-        } else {
-            Err(NackReason::Checksum)
-        }
+        self.direction = Direction::Idle;
+        complete.then_some(()).ok_or(NackReason::Checksum)
+    }
+
+    /// Bytes of the last upload or snapshot.
+    pub(in crate::session) fn content(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or_default()
     }
 
     /// Keeps `bytes` for reading, as many as the buffer takes; an unfinished upload is dropped.
@@ -110,15 +79,6 @@ impl Transfer {
         self.direction = Direction::Down;
     }
 
-    /// Keeps `bank` for reading; an unfinished upload is dropped.
-    pub(in crate::session) fn hold_bank(&mut self, bank: &ParameterBank) -> Result<(), NackReason> {
-        self.abort();
-        let bytes = bank.encode(&mut self.bytes).map_err(NackReason::Bank)?;
-        self.length = bytes.len();
-        self.direction = Direction::Down;
-        Ok(())
-    }
-
     /// The chunk at `offset` of the bytes kept for reading; empty behind their end.
     pub(in crate::session) fn chunk<const N: usize>(
         &self,
@@ -127,8 +87,10 @@ impl Transfer {
         if self.direction != Direction::Down {
             return Err(NackReason::Gap { expected: 0 });
         }
-        let bytes = self.bytes.get(..self.length).unwrap_or_default();
-        let rest = bytes.get(usize::from(offset)..).unwrap_or_default();
+        let rest = self
+            .content()
+            .get(usize::from(offset)..)
+            .unwrap_or_default();
         Ok(BoardMessage::BankChunk {
             offset,
             length: self.length as u16,

@@ -261,3 +261,59 @@ fn an_arm_that_moved_since_arming_gets_no_torque() {
         }
     }
 }
+
+#[test]
+fn a_clock_too_slow_for_the_period_is_reported_and_refuses_to_arm() {
+    let chip = ChipStatus {
+        clock: ClockSource::Bare,
+        shortest_period_us: 10_500,
+        ..ChipStatus::VIRTUAL
+    };
+    let mut board = Board::described(BoardDescription {
+        chip,
+        ..BoardDescription::plain(NoClock)
+    });
+    let BoardMessage::Hello(hello) = board.request(HostMessage::Hello) else {
+        panic!("no hello");
+    };
+    assert_eq!(hello.chip, chip);
+    let period = |period_us| {
+        HostMessage::Configure(Configuration {
+            period_us,
+            ..Configuration::default()
+        })
+    };
+    let refused = nack(NackReason::Period);
+    let samples = |board: &mut Board| (0..ARM_SAMPLES).for_each(|_| _ = board.sample(0));
+    samples(&mut board);
+    assert_eq!(board.request(HostMessage::Arm), refused);
+    for (period_us, reply) in [
+        (1000, &refused),
+        (10_499, &refused),
+        (10_500, &ACK),
+        (20_001, &refused),
+    ] {
+        assert_eq!(board.request(period(period_us)), *reply, "{period_us}");
+    }
+    samples(&mut board);
+    board.acknowledged(HostMessage::Arm);
+}
+
+#[test]
+fn a_second_host_inherits_no_torque_and_a_reboot_waits_for_rest() {
+    let mut board = Board::armed();
+    assert_eq!(board.request(HostMessage::Reboot), nack(NackReason::Armed));
+    board.request(HostMessage::Hello);
+    (0..20).for_each(|_| _ = board.sample(0));
+    assert!(!board.session.torque_enabled());
+    assert_eq!(board.sample(0).total, [0.0; N]);
+}
+
+#[test]
+fn a_disarm_that_arrives_twice_acts_twice() {
+    let mut board = Board::armed();
+    let frame = board.numbered(&HostMessage::Disarm);
+    for _ in 0..2 {
+        assert_eq!(board.receive(&frame), [(board.sequence, ACK)]);
+    }
+}

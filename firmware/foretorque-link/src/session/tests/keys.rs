@@ -21,7 +21,7 @@ fn signature(byte: u8, nonce: &Mac, upload: &[u8]) -> Option<Mac> {
 fn locked(seed: u8) -> Board {
     Board::described(BoardDescription {
         write_key: Some(key(3)),
-        seed: [seed; MAC_BYTES],
+        seed: Some([seed; MAC_BYTES]),
         ..BoardDescription::plain(NoClock)
     })
 }
@@ -139,4 +139,81 @@ fn an_excitation_needs_a_signature_of_its_own() {
     let nonce = board.challenge();
     let reply = board.upload(&program, signature(3, &nonce, &program));
     assert!(matches!(reply, BoardMessage::Nack(NackReason::Bank(_))));
+}
+
+impl Board {
+    fn unlock(&mut self, byte: u8, order: [u8; 2]) -> BoardMessage<N> {
+        let nonce = self.challenge();
+        let mac = key(byte).sign_order(&nonce, Ur5::HASH, order);
+        self.request(HostMessage::Unlock { order, mac })
+    }
+}
+
+fn protected() -> [HostMessage<N>; 6] {
+    [
+        HostMessage::Learning { on: true },
+        HostMessage::Reset,
+        HostMessage::Request { code: 1 },
+        HostMessage::Request { code: 3 },
+        HostMessage::Save,
+        HostMessage::Restore,
+    ]
+}
+
+#[test]
+fn on_a_keyed_board_an_unsigned_order_is_refused_and_changes_nothing() {
+    let mut board = locked(1);
+    let before = *board.session.feed_forward().state();
+    for message in protected() {
+        assert_eq!(board.request(message), REFUSED);
+    }
+    assert_eq!(*board.session.feed_forward().state(), before);
+    // All that ends torque or learning stays free.
+    for message in [
+        HostMessage::Learning { on: false },
+        HostMessage::Disarm,
+        HostMessage::Stop,
+        HostMessage::ClearFault,
+    ] {
+        board.acknowledged(message);
+    }
+}
+
+#[test]
+fn a_permission_serves_one_order_once() {
+    let mut board = locked(1);
+    for message in protected() {
+        let order = message.protected().unwrap();
+        assert_eq!(board.unlock(4, order), REFUSED, "a foreign key");
+        assert_eq!(board.unlock(3, order), ACK);
+        assert_ne!(board.request(message.clone()), REFUSED);
+        assert_eq!(board.request(message.clone()), REFUSED, "used up");
+        assert_eq!(board.unlock(3, [order[0], order[1] ^ 2]), ACK);
+        assert_eq!(board.request(message), REFUSED, "another order");
+        board.acknowledged(HostMessage::Learning { on: false });
+    }
+}
+
+#[test]
+fn a_permission_cannot_be_replayed_and_an_upload_serves_no_order() {
+    let mut board = locked(1);
+    let nonce = board.challenge();
+    let order = [9, 0];
+    let mac = key(3).sign_order(&nonce, Ur5::HASH, order);
+    board.acknowledged(HostMessage::Unlock { order, mac });
+    assert_eq!(board.request(HostMessage::Unlock { order, mac }), REFUSED);
+    let nonce = board.challenge();
+    let mac = key(3).sign_upload(&nonce, Ur5::HASH, &order);
+    assert_eq!(board.request(HostMessage::Unlock { order, mac }), REFUSED);
+}
+
+#[test]
+fn without_randomness_there_is_no_challenge() {
+    let mut board = Board::described(BoardDescription {
+        write_key: Some(key(3)),
+        seed: None,
+        ..BoardDescription::plain(NoClock)
+    });
+    let refused = nack(NackReason::NotCapable);
+    assert_eq!(board.request(HostMessage::Challenge), refused);
 }

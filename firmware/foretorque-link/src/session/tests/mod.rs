@@ -11,12 +11,12 @@ mod ticks;
 mod time;
 
 use super::*;
-use crate::bank::NETWORK_SEED;
+use crate::bank::{NETWORK_SEED, ParameterBank};
 use crate::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyState};
 use crate::telemetry::Statistics;
 use crate::wire::{
-    BankSource, CHUNK, CRC, Capabilities, Decoder, HostMessage, NackReason, Pacing, ResetReason,
-    SampleFrame, TorqueFrame, encode,
+    BankSource, CHUNK, CRC, Capabilities, ChipStatus, ClockSource, Decoder, HostMessage,
+    NackReason, Pacing, ResetReason, SampleFrame, TorqueFrame, encode,
 };
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::FeedForwardConfig;
@@ -25,6 +25,7 @@ use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
 use foretorque::limits::Flags;
 use std::boxed::Box;
 use std::vec::Vec;
+use store::Flash;
 
 pub(crate) const N: usize = 6;
 const P: usize = 40;
@@ -44,6 +45,7 @@ pub(crate) type Replies = Vec<(u16, BoardMessage<N>)>;
 pub(crate) struct Board {
     pub(crate) session: Box<Session<Ur5, N, P>>,
     mailboxes: Box<Mailboxes<N, P>>,
+    housekeeping: Box<Housekeeping<Ur5, N, P, Flash>>,
     learner: Box<Learner<Ur5, N, P>>,
     sequence: u16,
 }
@@ -61,6 +63,7 @@ impl Board {
         Self {
             session: Box::new(session),
             mailboxes: Box::default(),
+            housekeeping: Box::new(Housekeeping::new(None)),
             learner: Box::new(Learner::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap()),
             sequence: 0,
         }
@@ -92,6 +95,9 @@ impl Board {
     ) -> Replies {
         let mut out = FrameBuffer::new();
         act(&mut self.session, &mut self.mailboxes, &mut out);
+        if self.housekeeping.work(&mut self.mailboxes.parameters) {
+            self.session.poll_parameters(&mut self.mailboxes, &mut out);
+        }
         decoded(out.as_bytes())
     }
 
@@ -158,18 +164,13 @@ impl Board {
         self.session.statistics(&self.mailboxes.learner)
     }
 
-    /// The bank of `source`, whose first chunk `first` requests.
-    fn read_from(
-        &mut self,
-        source: BankSource,
-        first: impl FnOnce(&mut Self, HostMessage<N>) -> BoardMessage<N>,
-    ) -> Vec<u8> {
+    fn read_from(&mut self, source: BankSource) -> Vec<u8> {
         let read = |offset: usize| HostMessage::BankRead {
             source,
             offset: offset as u16,
         };
         let mut bank = Vec::new();
-        let mut reply = first(self, read(0));
+        let mut reply = self.request(read(0));
         loop {
             let BoardMessage::BankChunk { bytes, length, .. } = reply else {
                 panic!("{reply:?}");
@@ -183,7 +184,7 @@ impl Board {
     }
 
     fn read(&mut self) -> Vec<u8> {
-        self.read_from(BankSource::Live, Self::request)
+        self.read_from(BankSource::Live)
     }
 
     fn write(&mut self, bank: &[u8]) {

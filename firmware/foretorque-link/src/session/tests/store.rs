@@ -6,7 +6,7 @@ use std::cell::Cell;
 use std::rc::Rc;
 
 /// Flash that works, or is worn out without reporting it; the host has the simulated one of the campaigns.
-struct Flash(Vec<u8>, Rc<Cell<bool>>);
+pub(super) struct Flash(Vec<u8>, Rc<Cell<bool>>);
 
 impl ErrorType for Flash {
     type Error = Infallible;
@@ -45,71 +45,48 @@ impl NorFlash for Flash {
 }
 
 /// A board with a store, whose flash is worn out while the cell is true.
-fn storing() -> (Board, Store<Flash>, Rc<Cell<bool>>) {
-    let board = Board::described(BoardDescription {
+fn storing() -> (Board, Rc<Cell<bool>>) {
+    let mut board = Board::described(BoardDescription {
         capabilities: Capabilities::LEARNING | Capabilities::STORE,
         ..BoardDescription::plain(NoClock)
     });
     let worn = Rc::<Cell<bool>>::default();
     let flash = Flash(std::vec![0xFF; 2 * Flash::ERASE_SIZE], worn.clone());
-    (board, Store::new(flash), worn)
-}
-
-impl Board {
-    /// The reply to a message that waits for the housekeeping to access the flash.
-    fn request_store(
-        &mut self,
-        store: &mut Store<Flash>,
-        message: HostMessage<N>,
-    ) -> BoardMessage<N> {
-        assert!(self.send(&message).is_empty());
-        let requester = self.sequence;
-        // No torque while the flash is written.
-        assert_eq!(self.request(HostMessage::Arm), nack(NackReason::Busy));
-        let mut job = self.mailboxes.store.begin().unwrap();
-        let outcome = job.execute(store, Ur5::HASH);
-        self.mailboxes.store.finish(&job, outcome);
-        let replies = self.output(|session, mailboxes, out| session.poll_store(mailboxes, out));
-        let [(sequence, reply)] = replies.as_slice() else {
-            panic!("{replies:?}");
-        };
-        assert_eq!(*sequence, requester);
-        reply.clone()
-    }
+    board.housekeeping.start(Some(Store::new(flash)));
+    (board, worn)
 }
 
 #[test]
 fn a_set_is_saved_and_restored_on_request() {
-    let (mut board, mut store, _) = storing();
+    let (mut board, _) = storing();
     let bank = uploaded();
     board.write(&bank);
     assert_eq!(board.commit(&bank), ACK);
-    assert_eq!(board.request_store(&mut store, HostMessage::Save), ACK);
+    assert_eq!(board.request(HostMessage::Save), ACK);
     board.acknowledged(HostMessage::Reset);
     assert_ne!(board.read(), bank);
-    assert_eq!(board.request_store(&mut store, HostMessage::Restore), ACK);
+    assert_eq!(board.request(HostMessage::Restore), ACK);
     assert_eq!(board.read(), bank);
 }
 
 #[test]
 fn the_stored_set_can_be_read_and_is_not_in_force() {
-    let (mut board, mut store, _) = storing();
+    let (mut board, _) = storing();
     let bank = uploaded();
+    let store = board.housekeeping.store_mut().unwrap();
     store.save(Ur5::HASH, &bank).unwrap();
     let before = board.read();
-    let stored = board.read_from(BankSource::Stored, |board, first| {
-        board.request_store(&mut store, first)
-    });
+    let stored = board.read_from(BankSource::Stored);
     assert_eq!(stored, bank);
     assert_eq!(board.read(), before);
 }
 
 #[test]
 fn an_empty_or_missing_store_is_refused_and_changes_nothing() {
-    let (mut board, mut store, _) = storing();
+    let (mut board, _) = storing();
     let before = board.read();
     let empty = nack(NackReason::Store(StoreError::Empty));
-    assert_eq!(board.request_store(&mut store, HostMessage::Restore), empty);
+    assert_eq!(board.request(HostMessage::Restore), empty);
     assert_eq!(board.read(), before);
     let mut without = Board::new();
     for message in [HostMessage::Save, HostMessage::Restore] {
@@ -119,11 +96,12 @@ fn an_empty_or_missing_store_is_refused_and_changes_nothing() {
 
 #[test]
 fn a_worn_flash_is_reported_until_a_save_succeeds() {
-    let (mut board, mut store, worn) = storing();
+    let (mut board, worn) = storing();
     assert_eq!(board.statistics().store, StoreHealth::Unused);
-    let learner = &mut board.mailboxes.learner;
-    let loaded = board.session.boot_from(&mut store, learner);
-    assert_eq!(loaded, Err(StoreError::Empty));
+    let loaded = board
+        .session
+        .boot_from(&mut board.housekeeping, &mut board.mailboxes);
+    assert_eq!(loaded, Err(NackReason::Store(StoreError::Empty)));
     assert_eq!(board.statistics().store, StoreHealth::Empty);
     let not_kept = nack(NackReason::Store(StoreError::NotKept));
     for (is_worn, message, reply, health) in [
@@ -134,7 +112,7 @@ fn a_worn_flash_is_reported_until_a_save_succeeds() {
         (false, HostMessage::Save, ACK, StoreHealth::Sound),
     ] {
         worn.set(is_worn);
-        assert_eq!(board.request_store(&mut store, message), reply);
+        assert_eq!(board.request(message), reply);
         assert_eq!(board.statistics().store, health);
         if is_worn {
             board.arm();
@@ -146,9 +124,90 @@ fn a_worn_flash_is_reported_until_a_save_succeeds() {
 
 #[test]
 fn nothing_is_saved_while_torque_flows() {
-    let (mut board, ..) = storing();
+    let (mut board, _) = storing();
     board.arm();
     for message in [HostMessage::Save, HostMessage::Restore] {
         assert_eq!(board.request(message), nack(NackReason::Armed));
+    }
+}
+
+#[test]
+fn while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing() {
+    let (mut board, _) = storing();
+    for _ in 0..ARM_SAMPLES {
+        board.sample(0);
+    }
+    let started = |message: HostMessage<N>, board: &mut Board| {
+        let frame = board.numbered(&message);
+        let Board {
+            session, mailboxes, ..
+        } = board;
+        session.receive(
+            &frame,
+            mailboxes,
+            &mut FrameBuffer::new(),
+            &mut NoLocalSensor,
+        );
+        assert!(board.housekeeping.begin(&mut board.mailboxes.parameters));
+    };
+    let finished = |board: &mut Board| {
+        let outcome = board.housekeeping.execute();
+        let parameters = &mut board.mailboxes.parameters;
+        board.housekeeping.finish(parameters, outcome);
+        board.output(|session, mailboxes, out| session.poll_parameters(mailboxes, out))
+    };
+    let busy = nack(NackReason::Busy);
+    started(HostMessage::Save, &mut board);
+    for message in [
+        HostMessage::Arm,
+        HostMessage::Learning { on: true },
+        HostMessage::Configure(Configuration::default()),
+        HostMessage::Reset,
+        HostMessage::Restore,
+        write(&uploaded(), 0),
+    ] {
+        assert_eq!(board.request(message), busy);
+    }
+    assert_eq!(finished(&mut board), [(4, ACK)]);
+    let source = BankSource::Live;
+    started(HostMessage::BankRead { source, offset: 0 }, &mut board);
+    board.acknowledged(HostMessage::Arm);
+    board.sample(0);
+    assert!(matches!(
+        finished(&mut board)[..],
+        [(11, BoardMessage::BankChunk { offset: 0, .. })]
+    ));
+}
+
+#[test]
+fn a_save_stores_the_committed_set() {
+    let (mut board, _) = storing();
+    let committed = board.read_from(BankSource::Committed);
+    board.request(HostMessage::Save);
+    assert_eq!(board.read_from(BankSource::Stored), committed);
+}
+
+#[test]
+fn saves_are_a_minute_apart_and_restarts_do_not_shorten_it() {
+    let board = |reset_reason| {
+        let mut board = Board::described(BoardDescription {
+            capabilities: Capabilities::STORE | Capabilities::TIMER,
+            reset_reason,
+            ..BoardDescription::plain(NoClock)
+        });
+        let flash = Flash(std::vec![0xFF; 2 * Flash::ERASE_SIZE], Rc::default());
+        board.housekeeping.start(Some(Store::new(flash)));
+        board
+    };
+    let wait = |seconds| nack(NackReason::Wait { seconds });
+    let mut powered = board(ResetReason::PowerOn);
+    assert_eq!(powered.request(HostMessage::Save), ACK);
+    assert_eq!(powered.request(HostMessage::Save), wait(60));
+    (0..59_000).for_each(|_| _ = powered.timer());
+    assert_eq!(powered.request(HostMessage::Save), wait(1));
+    (0..1_000).for_each(|_| _ = powered.timer());
+    assert_eq!(powered.request(HostMessage::Save), ACK);
+    for reason in [ResetReason::Software, ResetReason::Watchdog] {
+        assert_eq!(board(reason).request(HostMessage::Save), wait(60));
     }
 }

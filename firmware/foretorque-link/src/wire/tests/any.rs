@@ -81,6 +81,7 @@ pub(super) fn host_message() -> impl Strategy<Value = HostMessage<N>> {
         (sources, any::<u16>()).prop_map(|(source, offset)| M::BankRead { source, offset }),
         fixed(14, 1, |_| ()),
         fixed(17, 4, |_| ()),
+        fixed(22, 18, |_| ()),
         upload().prop_map(|(length, crc, mac)| M::ExcitationLoad { length, crc, mac }),
     ]
 }
@@ -148,6 +149,7 @@ fn hello() -> impl Strategy<Value = BoardHello> {
                 reset_reason: ResetReason::Fault,
                 safety: SafetyStatus { state, reason },
                 boot_counts,
+                chip: ChipStatus::VIRTUAL,
             }
         },
     )

@@ -1,7 +1,14 @@
 //! The protocol page against the types.
 
-use super::sizes::sizes;
+use super::sizes::{frames, named, sizes};
 use super::*;
+use crate::bank::{BankError, ColumnId, ColumnKind};
+use crate::excitation::ExcitationError;
+use crate::safety::SafetyReason;
+use crate::store::StoreError;
+use std::string::String;
+
+const PAGE: &str = include_str!("../../../../../docs/protocol.md");
 
 /// The line of the protocol page that begins with these cells.
 fn row<'a>(page: &'a str, cells: &str) -> &'a str {
@@ -11,7 +18,7 @@ fn row<'a>(page: &'a str, cells: &str) -> &'a str {
 
 #[test]
 fn the_protocol_page_states_the_sizes_of_the_types() {
-    let page = include_str!("../../../../../docs/protocol.md");
+    let page = PAGE;
     let directions = ["→", "←"].into_iter().zip(sizes::<6>()).zip(sizes::<7>());
     for ((direction, six), seven) in directions {
         for (tag, ((name, six), (_, seven))) in six.iter().zip(&seven).enumerate() {
@@ -43,4 +50,169 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
         );
     }
     assert!(page.contains(&std::format!("protocol version {PROTOCOL_VERSION}")));
+}
+
+/// Bytes of a type that the page names.
+fn width(text: &str) -> Option<usize> {
+    let widths = [("u8", 1), ("i8", 1), ("u16", 2), ("u32", 4)];
+    widths
+        .iter()
+        .find_map(|&(name, bytes)| text.contains(name).then_some(bytes))
+}
+
+/// Code and bytes of the payload.
+fn coded(value: &impl Serialize) -> (u8, usize) {
+    let mut buffer = [0; 16];
+    let bytes = postcard::to_slice(value, &mut buffer).unwrap();
+    (bytes[0], bytes.len() - 1)
+}
+
+#[test]
+fn every_nack_code_and_width_of_the_page_is_that_of_the_type() {
+    use NackReason::*;
+    let reasons = [
+        LearningOn,
+        NotCapable,
+        Period,
+        Gap { expected: 1 },
+        TooLong,
+        Checksum,
+        Bank(BankError::Checksum),
+        Armed,
+        Unsafe(SafetyReason::Stopped),
+        Busy,
+        Key,
+        Store(StoreError::Empty),
+        Bandwidth { every: 1 },
+        Excitation(ExcitationError::NotLoaded),
+        Wait { seconds: 1 },
+    ];
+    for (number, reason) in reasons.iter().enumerate() {
+        let (code, bytes) = coded(reason);
+        assert_eq!(usize::from(code), number);
+        let line = row(PAGE, &std::format!("| {code} | `{}` |", named(reason)));
+        let payload = line.split('|').nth(3).unwrap();
+        let error = payload.contains("error");
+        assert_eq!(
+            width(payload).unwrap_or(usize::from(error)),
+            bytes,
+            "{line}"
+        );
+    }
+}
+
+#[test]
+fn every_error_code_and_width_of_the_page_is_that_of_the_type() {
+    use BankError as B;
+    use ExcitationError as X;
+    use StoreError as S;
+    let bank = [
+        B::NotABank,
+        B::Version(1),
+        B::Checksum,
+        B::Malformed,
+        B::TooLong,
+        B::WrongArm { found: 1 },
+        B::MissingColumn(1),
+        B::UnknownColumn(1),
+        B::Column(1),
+        B::NetworkShape,
+        B::Weight(1),
+        B::DriveGain(1),
+        B::Limit(1),
+        B::Implausible(1),
+    ];
+    let store = [
+        S::Empty,
+        S::WrongArm { found: 1 },
+        S::Version(1),
+        S::Damaged,
+        S::Bank(B::Checksum),
+        S::TooLong,
+        S::NotKept,
+        S::Flash,
+    ];
+    let excitation = [
+        X::WrongArm,
+        X::Number(1),
+        X::CertificateBeyondLimits(1),
+        X::CertificateBroken(1),
+        X::NotAtRest(1),
+        X::NotLoaded,
+        X::Running,
+    ];
+    let codes = |errors: &mut dyn Iterator<Item = (u8, usize)>| errors.collect::<Vec<_>>();
+    for (name, codes) in [
+        ("bank", codes(&mut bank.iter().map(coded))),
+        ("store", codes(&mut store.iter().map(coded))),
+        ("excitation", codes(&mut excitation.iter().map(coded))),
+    ] {
+        let errors = PAGE.find("| error | codes |").unwrap();
+        let line = row(&PAGE[errors..], &std::format!("| {name} |"));
+        let items: Vec<_> = line.split('|').nth(2).unwrap().split(';').collect();
+        assert_eq!(items.len(), codes.len(), "{line}");
+        for (item, (code, bytes)) in items.iter().zip(codes) {
+            let nested = usize::from(item.contains("bank error"));
+            let begins = item.trim().starts_with(&std::format!("{code} "));
+            assert!(begins && width(item).unwrap_or(nested) == bytes, "{item}");
+        }
+    }
+}
+
+#[test]
+fn the_types_of_the_hello_on_the_page_read_a_hello_to_its_end() {
+    let [_, from_board] = frames::<6>();
+    let mut decoder = Decoder::new();
+    let mut hello: Option<BoardMessage<6>> = None;
+    for &byte in &from_board[0].1 {
+        if let Some(frame) = decoder.push(byte) {
+            hello = frame.unwrap().message().ok();
+        }
+    }
+    let mut buffer = [0; MAX_FRAME];
+    let mut rest = &*postcard::to_slice(&hello.unwrap(), &mut buffer).unwrap();
+    rest = &rest[1..];
+    let section = PAGE.split("## Hello").nth(1).unwrap();
+    let section = section.split("\n## ").next().unwrap();
+    let rows = section.lines().filter(|line| line.starts_with("| "));
+    for line in rows.skip(1) {
+        for kind in line.split('|').nth(2).unwrap().split(',') {
+            let bytes = match width(kind) {
+                Some(bytes) => bytes,
+                None if kind.trim() == "text" => 1 + usize::from(rest[0]),
+                None => panic!("{line}: {kind}"),
+            };
+            rest = &rest[bytes..];
+        }
+    }
+    assert!(rest.is_empty(), "{} bytes are not on the page", rest.len());
+}
+
+#[test]
+fn every_kind_of_column_is_on_the_page() {
+    for number in 0..=u8::MAX {
+        let Ok(kind) = ColumnKind::try_from(number) else {
+            continue;
+        };
+        let name = std::string::ToString::to_string(&ColumnId { kind, joint: 0 });
+        let cells = std::format!("| {number} | `{}`", name.trim_end_matches('1'));
+        let retired = [13, 14].contains(&number);
+        assert!(PAGE.contains(&cells) || retired, "{cells}");
+    }
+}
+
+#[test]
+fn the_byte_examples_of_the_page_are_the_frames_of_the_types() {
+    let mut wanted = String::new();
+    for (direction, frames) in ["→", "←"].into_iter().zip(frames::<6>()) {
+        for (tag, (name, frame)) in frames.into_iter().enumerate() {
+            let hex: Vec<_> = frame
+                .iter()
+                .map(|byte| std::format!("{byte:02x}"))
+                .collect();
+            let hex = hex.join(" ");
+            wanted += &std::format!("| {direction} | {tag} | `{name}` | `{hex}` |\n");
+        }
+    }
+    assert!(PAGE.contains(&wanted), "the examples are\n{wanted}");
 }

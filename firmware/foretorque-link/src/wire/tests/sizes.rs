@@ -9,15 +9,28 @@ use crate::telemetry::Statistics;
 use core::fmt::Debug;
 use std::string::{String, ToString as _};
 
-/// Name and wire size of a message, with no zero byte in its header.
-fn sized<M: Serialize + Debug>(message: M) -> (String, usize) {
-    let text = std::format!("{message:?}");
+/// Name of a message and its frame, with no zero byte in its header.
+fn framed<M: Serialize + Debug>(message: M) -> (String, Vec<u8>) {
+    (named(&message), wire(0x0101, &message))
+}
+
+/// Name of a variant.
+pub(super) fn named(variant: &impl Debug) -> String {
+    let text = std::format!("{variant:?}");
     let name = text.split(|letter: char| !letter.is_alphabetic()).next();
-    (name.unwrap().to_string(), wire(0x0101, &message).len())
+    name.unwrap().to_string()
 }
 
 /// Names and largest wire sizes of the messages of host and board, in the order of their tags.
 pub(super) fn sizes<const J: usize>() -> [Vec<(String, usize)>; 2] {
+    frames::<J>().map(|frames| {
+        let sized = frames.into_iter().map(|(name, frame)| (name, frame.len()));
+        sized.collect()
+    })
+}
+
+/// The longest frame of every message of host and board, in the order of their tags.
+pub(super) fn frames<const J: usize>() -> [Vec<(String, Vec<u8>)>; 2] {
     let ones = [f32::from_bits(0x0101_0101); J];
     let chunk: Chunk = [0xA5; CHUNK].into_iter().collect();
     let name: Name = "abcdefghijklmnopqrstuvwx".parse().unwrap();
@@ -40,7 +53,7 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(String, usize)>; 2] {
         source: BankSource::Stored,
         offset,
     };
-    let from_host: [HostMessage<J>; 22] = [
+    let from_host: [HostMessage<J>; 23] = [
         HostMessage::Hello,
         HostMessage::Sample(sample),
         HostMessage::Evaluate(motion),
@@ -63,6 +76,10 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(String, usize)>; 2] {
         HostMessage::Reboot,
         HostMessage::ExcitationLoad { length, crc, mac },
         HostMessage::Excitation(ExcitationCommand::Start),
+        HostMessage::Unlock {
+            order: [1; 2],
+            mac: [1; MAC_BYTES],
+        },
     ];
     let safety = SafetyStatus {
         state: SafetyState::Armed,
@@ -81,6 +98,11 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(String, usize)>; 2] {
         reset_reason: ResetReason::Pin,
         safety,
         boot_counts: 1,
+        chip: ChipStatus {
+            brown_out: 1,
+            read_out_protection: 1,
+            ..ChipStatus::VIRTUAL
+        },
     };
     let torque = TorqueFrame {
         tick: 1,
@@ -136,8 +158,8 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(String, usize)>; 2] {
         BoardMessage::Excited(excited),
     ];
     [
-        from_host.into_iter().map(sized).collect(),
-        from_board.into_iter().map(sized).collect(),
+        from_host.into_iter().map(framed).collect(),
+        from_board.into_iter().map(framed).collect(),
     ]
 }
 

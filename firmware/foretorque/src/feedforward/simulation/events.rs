@@ -33,7 +33,7 @@ impl Cell {
         Self::settled_from(0)
     }
 
-    /// The same with a counter of the tick that begins at `first`.
+    /// A settled board whose counter of the tick began at `first`.
     fn settled_from(first: u32) -> Self {
         let mut cell = Self {
             board: Board::new(wrong_prior(1), 0),

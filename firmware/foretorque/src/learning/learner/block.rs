@@ -100,7 +100,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let (Some(true), Some(&tau), Some(limits), Some(&measured), Some(&innovation)) = (
             block.moving.get(joint),
             block.residual.get(joint),
-            A::LIMITS.get(joint),
+            A::limits().get(joint),
             state.estimate.variance().get(joint),
             state.innovation_variance.get(joint),
         ) else {
@@ -145,7 +145,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let (Some(mut phi), Some(sigma), Some(limits)) = (
             joint_friction_row::<A, N, P>(joint, &block.motion),
             self.config.friction_sigma.get(joint),
-            A::LIMITS.get(joint),
+            A::limits().get(joint),
         ) else {
             return 0.0;
         };
@@ -213,7 +213,7 @@ fn is_plausible<A: Arm<N, P>, const N: usize, const P: usize>(
     acceleration_limit: f32,
 ) -> bool {
     let motion = sample.motion.qd.iter().zip(sample.motion.qdd.iter());
-    let mut joints = motion.zip(sample.tau.iter()).zip(&A::LIMITS);
+    let mut joints = motion.zip(sample.tau.iter()).zip(A::limits());
     joints.all(|(((qd, qdd), tau), limits)| {
         qd.abs() <= 2.0 * limits.velocity
             && qdd.abs() <= acceleration_limit

@@ -1,4 +1,4 @@
-//! Learning from one torque row: quality, estimate, paired test, network candidate.
+//! Learning from one torque row: quality, estimate, evidence for the shares, network candidate.
 
 use super::{Learner, increment};
 use crate::arm::Arm;
@@ -70,7 +70,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         sample: &ConditionedSample<N>,
     ) -> (RowOutcome, Option<f32>) {
         let (Some(limits), Some(&qd), Some(&tau)) = (
-            A::LIMITS.get(joint),
+            A::limits().get(joint),
             sample.motion.qd.get(joint),
             sample.tau.get(joint),
         ) else {
@@ -112,7 +112,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         (outcome, Some(step * inv_limit))
     }
 
-    /// Use the row of a moving joint: quality always; estimate, paired test, network and range while learning.
+    /// Use the row of a moving joint: quality always; estimate, evidence, network and range while learning.
     fn use_row(&mut self, row: &JointRow<'_, N, P>, sample: &ConditionedSample<N>) -> RowOutcome {
         let joint = row.joint;
         let inv_limit = 1.0 / row.limit;
@@ -140,7 +140,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 shares: [rigid * inv_limit, friction * inv_limit, network],
             },
         );
-        if !state.phase().learns() || state.supervisor.pauses_estimate() {
+        if !state.phase().learns() || state.supervisor.pauses_estimate(&self.config.supervisor) {
             return RowOutcome::Frozen;
         }
         let mut columns = *row.columns;
@@ -175,7 +175,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Train the network candidate of `joint`, and record a promotion or silencing.
     fn train_network(&mut self, tick: u32, joint: usize, row: &NetworkRow) {
         let state = &mut self.state;
-        if !state.supervisor.trains_network(joint) {
+        if !state
+            .supervisor
+            .trains_network(&self.config.supervisor, joint)
+        {
             return;
         }
         let Some(active) = state.active.network.get_mut(joint) else {
@@ -210,7 +213,7 @@ pub(super) fn joint_attenuation<A: Arm<N, P>, const N: usize, const P: usize>(
     qd: f32,
     inv_period: f32,
 ) -> f32 {
-    let cycles = A::COGGING_CYCLES.get(joint).copied().unwrap_or(0.0);
+    let cycles = A::cogging_cycles().get(joint).copied().unwrap_or(0.0);
     cogging_attenuation(cycles * qd / inv_period)
 }
 

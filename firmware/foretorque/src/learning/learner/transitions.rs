@@ -15,11 +15,6 @@ use crate::learning::supervisor::payload_test::{PayloadDecision, PayloadHypothes
 use crate::learning::supervisor::step::{Action, Evidence, step};
 use crate::limits::Flags;
 
-/// Ticks between two checkpoints. An alarm returns to one between one and two such times old: older than the delay of
-/// change detection.
-const CHECKPOINT_TICKS: u32 = 128;
-/// Variance added to each friction parameter after a change that is no payload, in units of the prior variance.
-const RAISED_VARIANCE: f32 = 0.05;
 /// Rounds between two updates of trust.
 const TRUST_ROUNDS: u32 = 16;
 
@@ -170,7 +165,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let restored = core::mem::take(&mut state.restored);
         let known = !restored && state.round_steps.iter().all(Option::is_some);
         if state.phase().learns() && known {
-            state.raise_friction_variance();
+            state.raise_friction_variance(self.config.supervisor.raised_variance);
             let shares = core::array::from_fn(|joint| self.share(joint));
             let supervisor = &self.state.supervisor;
             let evidence = Evidence::Round {
@@ -183,7 +178,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let state = &mut self.state;
         state.round_steps = [None; N];
-        if state.phase() == Phase::Healthy && tick % CHECKPOINT_TICKS < N as u32 {
+        let age = tick.checked_rem(self.config.supervisor.checkpoint_ticks);
+        let due = age.is_some_and(|age| age < N as u32);
+        if state.phase() == Phase::Healthy && due {
             state.take_checkpoint();
         }
         state.update_quality(&self.config, tick);
@@ -284,11 +281,11 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     }
 
     /// Raise the variance of one friction parameter a round, after a change that is no payload.
-    fn raise_friction_variance(&mut self) {
+    fn raise_friction_variance(&mut self, variance: f32) {
         let index = self.supervisor.next_raised;
         if index < N * FRICTION_COLUMNS {
             let (joint, column) = (index / FRICTION_COLUMNS, index % FRICTION_COLUMNS);
-            self.estimate.raise_variance(joint, column, RAISED_VARIANCE);
+            self.estimate.raise_variance(joint, column, variance);
             self.supervisor.next_raised = index + 1;
         }
     }

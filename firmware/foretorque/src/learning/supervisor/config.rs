@@ -36,6 +36,17 @@ pub struct SupervisorConfig {
     pub relearning_ticks: u32,
     /// Ticks between two commits while following: 8 s.
     pub commit_ticks: u32,
+    /// Common share above which the active set counts as following the estimate, and below which it ceases to.
+    pub following_share: (f32, f32),
+    /// Ticks between two checkpoints; an alarm returns to one between one and two such times old, which is longer than the
+    /// delay of change detection.
+    pub checkpoint_ticks: u32,
+    /// Variance added to each friction parameter after a change that is no payload, in units of the prior variance.
+    pub raised_variance: f32,
+    /// Blocks under a payload after which the estimate is updated again: 30 s, in which drives warm up.
+    pub pause_blocks: u32,
+    /// Rows after which networks are trained on the residual of a joint whose learnt share stays small.
+    pub training_rows: u32,
     /// Trust below which the flag is set.
     pub trust_floor: f32,
 }
@@ -44,7 +55,7 @@ impl SupervisorConfig {
     /// Defaults for an arm.
     ///
     /// * `inv_period` ticks per second, 1/s
-    pub const fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
+    pub fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
         let block_ticks = (0.01 * inv_period + 0.5) as u32;
         // Each joint of a block is processed in a tick of its own.
         let shortest = N as u32 + 1;
@@ -59,7 +70,7 @@ impl SupervisorConfig {
                 drift: 3.2,
                 threshold: 25.0,
             },
-            max_payload_mass: const { 1.2 * rated_payload::<A, N, P>() },
+            max_payload_mass: 1.2 * rated_payload::<A, N, P>(),
             min_payload_mass: 0.25,
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.15,
@@ -72,6 +83,11 @@ impl SupervisorConfig {
             share_memory_s: 10.0,
             relearning_ticks: (5.0 * inv_period) as u32,
             commit_ticks: (8.0 * inv_period) as u32,
+            following_share: (0.5, 0.25),
+            checkpoint_ticks: 128,
+            raised_variance: 0.05,
+            pause_blocks: 3000,
+            training_rows: 4096,
             trust_floor: 0.7,
         }
     }
@@ -93,6 +109,9 @@ impl SupervisorConfig {
             ("supervisor.quiet_level", self.quiet_level),
             ("supervisor.share_memory_s", self.share_memory_s),
             ("supervisor.trust_floor", self.trust_floor),
+            ("supervisor.following_share", self.following_share.1),
+            ("supervisor.raised_variance", self.raised_variance),
+            ("supervisor.checkpoint_ticks", self.checkpoint_ticks as f32),
             ("supervisor.block_ticks", self.block_ticks as f32),
             ("supervisor.decision_blocks", self.decision_blocks as f32),
             ("supervisor.timeout_blocks", self.timeout_blocks as f32),

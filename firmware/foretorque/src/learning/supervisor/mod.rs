@@ -44,11 +44,6 @@ impl<const N: usize, const P: usize> Learnt<N, P> {
     }
 }
 
-/// Time under a payload after which the estimate is updated again, blocks: 30 s.
-const LONG_CARRIED_BLOCKS: u32 = 3000;
-/// Rows after which networks are trained on the residual of a joint whose learnt share stays small.
-const TRAINING_ROWS: u32 = 4096;
-
 /// State of the supervisor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Supervisor<const N: usize, const P: usize> {
@@ -126,10 +121,10 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
     }
 
     /// True if the residual of the active set may train the network of `joint`.
-    pub(super) fn trains_network(&self, joint: usize) -> bool {
+    pub(super) fn trains_network(&self, config: &SupervisorConfig, joint: usize) -> bool {
         let share = self.learnt.share.joint.get(joint);
         let settled = share.is_some_and(|share| *share > 0.5);
-        let settled = settled || self.learnt.evidence.rows() >= TRAINING_ROWS;
+        let settled = settled || self.learnt.evidence.rows() >= config.training_rows;
         settled && !self.state.reversed && self.state.phase == Phase::Healthy
     }
 
@@ -142,8 +137,8 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
     ///
     /// A release restores the parameters of before the payload. Rows learnt meanwhile would be lost, but the covariance
     /// would keep their information.
-    pub(super) fn pauses_estimate(&self) -> bool {
-        self.carries_payload() && self.blocks_carried < LONG_CARRIED_BLOCKS
+    pub(super) fn pauses_estimate(&self, config: &SupervisorConfig) -> bool {
+        self.carries_payload() && self.blocks_carried < config.pause_blocks
     }
 
     /// Discard incomplete blocks.

@@ -6,9 +6,6 @@ use crate::learning::decision::Reason;
 use crate::learning::exchange::Request;
 use crate::learning::quality::Phase;
 
-/// Common share above which the active set counts as following the estimate, and below which it ceases to.
-const FOLLOWING: (f32, f32) = (0.5, 0.25);
-
 /// State of the supervisor's decisions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SupervisorState {
@@ -193,12 +190,8 @@ fn follow(
 ) -> (Action, Option<(Reason, f32)>) {
     let before = *state;
     state.reversed = reversed;
-    state.following = share
-        > if before.following {
-            FOLLOWING.1
-        } else {
-            FOLLOWING.0
-        };
+    let (begin, end) = config.following_share;
+    state.following = share > if before.following { end } else { begin };
     if !state.following {
         // The first commit comes early: the bound on learnt change is centred at the loaded set.
         state.commit_in = config.commit_ticks / 4;
@@ -222,7 +215,9 @@ mod tests {
     use super::*;
     use crate::arm::ur5::{LearnerConfig, Ur5};
 
-    const CONFIG: SupervisorConfig = LearnerConfig::for_arm::<Ur5>(1e-3).supervisor;
+    fn config() -> SupervisorConfig {
+        LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
+    }
 
     /// Phase, action and reason after `evidence` in `phase`.
     fn after(phase: Phase, evidence: Evidence) -> (Phase, Action, Option<Reason>) {
@@ -230,7 +225,7 @@ mod tests {
             phase,
             ..SupervisorState::START
         };
-        let next = step(&CONFIG, &before, evidence);
+        let next = step(&config(), &before, evidence);
         let reason = next.reason.map(|(reason, _)| reason);
         (next.state.phase, next.action, reason)
     }
@@ -376,7 +371,7 @@ mod tests {
         let mut commits = std::vec::Vec::new();
         for tick in (0..20_004).step_by(6) {
             let share = if tick < 600 { 0.4 } else { 0.9 };
-            let next = step(&CONFIG, &state, round(share, false, tick < 1200));
+            let next = step(&config(), &state, round(share, false, tick < 1200));
             state = next.state;
             reasons.extend(next.reason.map(|(reason, _)| reason));
             if next.action == (Action::Follow { commit: true }) {
@@ -385,7 +380,7 @@ mod tests {
         }
         assert_eq!(commits, [2592, 10_596, 18_600]);
         for (share, reversed) in [(0.3, false), (0.2, false), (0.4, false), (0.0, true)] {
-            let next = step(&CONFIG, &state, round(share, reversed, false));
+            let next = step(&config(), &state, round(share, reversed, false));
             state = next.state;
             reasons.extend(next.reason.map(|(reason, _)| reason));
         }
@@ -400,10 +395,10 @@ mod tests {
         let mut state = SupervisorState::START;
         state.phase = Phase::PayloadTest;
         let refusal = payload(PayloadDecision::Refuse(Reason::Residual, 0.9));
-        state = step(&CONFIG, &state, refusal).state;
+        state = step(&config(), &state, refusal).state;
         let mut rounds = 0;
         while state.phase == Phase::Relearning {
-            let next = step(&CONFIG, &state, round(0.5, false, false));
+            let next = step(&config(), &state, round(0.5, false, false));
             let over = next.state.phase == Phase::Healthy;
             assert_eq!(
                 next.action,

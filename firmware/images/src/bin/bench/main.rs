@@ -6,6 +6,8 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
+mod commands;
+#[cfg(target_os = "none")]
 mod long_run;
 #[cfg(target_os = "none")]
 mod machine;
@@ -13,6 +15,9 @@ mod machine;
 mod rows;
 #[cfg(target_os = "none")]
 mod stage;
+
+#[cfg(target_os = "none")]
+use core::mem::MaybeUninit;
 
 #[cfg(target_os = "none")]
 use foretorque::arm::ur5::Learner;
@@ -40,18 +45,23 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
     static mut LEARNER: Learner = stage::Stage::LEARNER;
     // SAFETY: this function runs once, nothing else names the static, and no interrupt is enabled.
     let mut learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
+    let link = cortex_m::singleton!(: MaybeUninit<commands::Link> = MaybeUninit::uninit())?;
+    let mut link = commands::Link::init(link)?;
     for row in rows::ROWS {
         // Every row starts from the same stage, so that a row added or removed does not move the others.
-        let mut stage = stage::Stage::new(learner)?;
+        let mut stage = stage::Stage::new(learner, link)?;
         for _ in 0..calls {
             stage.vary();
+            if row.name == rows::COMMAND {
+                stage.link.next();
+            }
             let count = machine::count(row.run, &mut stage);
             cortex_m_semihosting::hprintln!("{} {}", row.name, count);
         }
-        learner = stage.learner;
+        (learner, link) = (stage.learner, stage.link);
     }
     if ticks > 0 {
-        let mut stage = stage::Stage::new(learner)?;
+        let mut stage = stage::Stage::new(learner, link)?;
         let spread = long_run::of_step(&mut stage, ticks);
         cortex_m_semihosting::hprintln!(
             "feedforward_step {} {} {}",

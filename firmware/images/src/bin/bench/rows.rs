@@ -17,6 +17,9 @@ pub(crate) struct Row {
     pub(crate) run: fn(&mut Stage),
 }
 
+/// The row whose calls are different commands.
+pub(crate) const COMMAND: &str = "command";
+
 macro_rules! rows {
     ($($name:ident($stage:pat) $body:expr;)*) => {
         $(
@@ -49,6 +52,7 @@ rows! {
     block_network(s) s.block_network();
     feedforward_step(s) s.torque = s.feedforward.step(&s.sample);
     learning_step(s) s.learner.learn(&s.lesson, &mut s.exchange);
+    command(s) s.link.run();
 }
 
 impl Stage {

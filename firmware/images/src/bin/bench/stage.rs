@@ -17,6 +17,8 @@ use foretorque::network::{BpNetwork, StepParameters};
 use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
 use nalgebra::SVector;
 
+use crate::commands::Link;
+
 /// Period of the tick, s.
 const PERIOD: f32 = 1e-3;
 /// Ticks before the first measured call: the learner's window of measurements is full by then.
@@ -51,15 +53,20 @@ pub(crate) struct Stage {
     pub(crate) exchange: Exchange,
     /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
     pub(crate) learner: &'static mut Learner,
+    /// Beside the stage too.
+    pub(crate) link: &'static mut Link,
     random: Random,
 }
 
 impl Stage {
-    /// A learner for the stages, one after the other.
-    pub(crate) const LEARNER: Learner = Learner::empty(LearnerConfig::for_arm::<Ur5>(PERIOD));
+    /// A learner of zeros for the stages, one after the other: each restarts it.
+    pub(crate) const LEARNER: Learner = {
+        // SAFETY: zeros are a value of every field. The compiler checks the value of a constant.
+        unsafe { core::mem::MaybeUninit::zeroed().assume_init() }
+    };
 
     /// The stage after the warm-up; `None` if a configuration does not validate.
-    pub(crate) fn new(learner: &'static mut Learner) -> Option<Self> {
+    pub(crate) fn new(learner: &'static mut Learner, link: &'static mut Link) -> Option<Self> {
         let mut set = ParameterSet::nominal::<Ur5>(1);
         for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
             *friction = FrictionParameters::NONE
@@ -105,6 +112,7 @@ impl Stage {
                 measured: None,
             },
             learner,
+            link,
             lesson: LearningSample {
                 tick: 0,
                 generation: 0,

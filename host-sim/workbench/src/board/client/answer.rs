@@ -2,7 +2,7 @@
 
 use crate::board::BoardError;
 use foretorque_link::safety::SafetyStatus;
-use foretorque_link::wire::{BoardHello, BoardMessage, Capabilities, Configuration};
+use foretorque_link::wire::{BoardHello, BoardMessage, Capabilities, ChipStatus, Configuration};
 
 pub(super) fn acknowledged<const N: usize>(answer: BoardMessage<N>) -> Result<(), BoardError> {
     match answer {
@@ -34,5 +34,6 @@ pub(super) fn nobody() -> BoardHello {
         reset_reason: ResetReason::Unknown,
         safety: SafetyStatus::default(),
         boot_counts: 0,
+        chip: ChipStatus::VIRTUAL,
     }
 }

@@ -7,6 +7,7 @@ use foretorque_link::excitation::ExcitationProgram;
 use foretorque_link::wire::{
     BankSource, BoardMessage, CHUNK, Capabilities, Chunk, HostMessage, MAC_BYTES,
 };
+use foretorque_link::write_key::WriteKey;
 use std::time::Duration;
 
 /// How long the store may take: erasing a sector of 128 KiB takes up to 2 s (DS8626 table 48), and it has two.
@@ -15,6 +16,12 @@ const STORE_TIMEOUT: Duration = Duration::from_secs(10);
 impl<const N: usize> Client<N> {
     /// Disarms the board, sends `bank` and has the board take it over, whole or not at all. Learning must be off.
     pub fn upload_bank(&mut self, bank: &ParameterBank) -> Result<(), BoardError> {
+        if bank.arm_hash != self.hello.arm_hash {
+            return Err(BoardError::WrongBank {
+                wanted: format!("{} ({:08x})", self.hello.arm, self.hello.arm_hash),
+                found: format!("{} ({:08x})", bank.arm, bank.arm_hash),
+            });
+        }
         self.bring_to_rest()?;
         let mut buffer = [0; ParameterBank::MAX_BYTES];
         let bytes = bank.encode(&mut buffer).map_err(BoardError::Bank)?;
@@ -34,16 +41,8 @@ impl<const N: usize> Client<N> {
         &mut self,
         upload: &[u8],
     ) -> Result<Option<[u8; MAC_BYTES]>, BoardError> {
-        if !self.hello.capabilities.contains(Capabilities::WRITE_KEY) {
-            return Ok(None);
-        }
-        let key = self.key.ok_or(BoardError::NoKey)?;
-        match self.ask(&HostMessage::Challenge)? {
-            BoardMessage::Challenge { nonce } => {
-                Ok(Some(key.sign_upload(&nonce, self.hello.arm_hash, upload)))
-            }
-            other => Err(refused(other)),
-        }
+        let signed = self.challenge()?;
+        Ok(signed.map(|(key, nonce)| key.sign_upload(&nonce, self.hello.arm_hash, upload)))
     }
 
     /// Sends `program` and has the board take it over, whole or not at all. Learning must be off; the board's check runs
@@ -123,7 +122,34 @@ impl<const N: usize> Client<N> {
     /// Not asked twice: what the store was asked for it does, however long it takes.
     pub(super) fn at_the_store(&mut self, message: &HostMessage<N>) -> Result<(), BoardError> {
         self.bring_to_rest()?;
+        self.unlock(message)?;
         let sequence = self.post(message)?;
         acknowledged(self.wait_for(sequence, STORE_TIMEOUT)?)
+    }
+
+    /// Permission of a protected order, where the board has a write key.
+    pub(super) fn unlock(&mut self, message: &HostMessage<N>) -> Result<(), BoardError> {
+        let Some(order) = message.protected() else {
+            return Ok(());
+        };
+        match self.challenge()? {
+            None => Ok(()),
+            Some((key, nonce)) => {
+                let mac = key.sign_order(&nonce, self.hello.arm_hash, order);
+                self.command(&HostMessage::Unlock { order, mac })
+            }
+        }
+    }
+
+    /// Key and challenge, where the board has a write key.
+    fn challenge(&mut self) -> Result<Option<(WriteKey, [u8; MAC_BYTES])>, BoardError> {
+        if !self.hello.capabilities.contains(Capabilities::WRITE_KEY) {
+            return Ok(None);
+        }
+        let key = self.key.ok_or(BoardError::NoKey)?;
+        match self.ask(&HostMessage::Challenge)? {
+            BoardMessage::Challenge { nonce } => Ok(Some((key, nonce))),
+            other => Err(refused(other)),
+        }
     }
 }

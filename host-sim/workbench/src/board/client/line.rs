@@ -29,6 +29,7 @@ impl<const N: usize> Client<N> {
     }
 
     pub(super) fn command(&mut self, message: &HostMessage<N>) -> Result<(), BoardError> {
+        self.unlock(message)?;
         acknowledged(self.ask(message)?)
     }
 

@@ -97,7 +97,7 @@ impl<const N: usize> Client<N> {
         transport: Box<dyn Transport>,
         boot: Duration,
     ) -> Result<Self, BoardError> {
-        Self::connect_as(transport, A::NAME, A::HASH, boot)
+        Self::connect_as(transport, A::name(), A::hash(), boot)
     }
 
     /// [`connect`](Self::connect) with name and identity of the arm as values.
@@ -189,6 +189,7 @@ impl<const N: usize> Client<N> {
 
     /// Starts the board's processor anew. It has to be greeted again.
     pub fn reboot(&mut self) -> Result<(), BoardError> {
+        self.bring_to_rest()?;
         self.post(&HostMessage::Reboot)?;
         Ok(())
     }

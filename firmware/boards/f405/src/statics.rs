@@ -1,31 +1,26 @@
-//! The two largest things the board has, session and learner, each in a static room and made in a function of its own:
-//! every frame they were handed through would need stack for all of them.
+//! Session and learner in static memory, each initialised in a function of its own: a frame that passes them on by value
+//! needs stack for all of them.
 
 use core::mem::MaybeUninit;
 
 use foretorque_link::session::{BoardDescription, Session};
 
-use crate::board::{Arm, JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet};
+use crate::arm::{Arm, BoardLearner, BoardSession, LearnerConfig, ParameterSet};
 use crate::counter::Counter;
 
-/// A session of a board with the arm of the images.
-pub type BoardSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
-/// Its learner.
-pub type BoardLearner = Learner;
-
-/// Puts a session at tick 0 into `room`; `None` if a limit of the arm cannot work.
+/// Initialises a session at tick 0; `None` if a limit of the arm cannot work.
 #[inline(never)]
-pub fn open(
-    room: &'static mut MaybeUninit<BoardSession>,
+pub fn init_session(
+    place: &'static mut MaybeUninit<BoardSession>,
     board: BoardDescription<Counter>,
 ) -> Option<&'static mut BoardSession> {
-    Session::init_in_place(room, board).ok()
+    Session::init_in_place(place, board).ok()
 }
 
-/// Puts a learner that starts from `prior` into `room`; `None` if its configuration does not validate.
+/// Initialises a learner that starts from `prior`; `None` if its configuration does not validate.
 #[inline(never)]
-pub fn furnish(
-    room: &'static mut MaybeUninit<BoardLearner>,
+pub fn init_learner(
+    place: &'static mut MaybeUninit<BoardLearner>,
     period_s: f32,
     prior: &ParameterSet,
 ) -> Option<&'static mut BoardLearner> {
@@ -36,7 +31,7 @@ pub fn furnish(
         // not valid.
         unsafe { MaybeUninit::zeroed().assume_init() }
     };
-    let learner = room.write(BLANK);
+    let learner = place.write(BLANK);
     learner
         .restart(LearnerConfig::for_arm::<Arm>(period_s), prior)
         .ok()?;

@@ -1,6 +1,6 @@
-//! SysTick at the period of the tick, whoever paces it: the tick itself, or the watch for silence while the link paces.
+//! SysTick at the period of the tick: it runs the tick, or supervises the link that paces it.
 //!
-//! Not in the emulator while the link paces: its time leaps ahead while it waits for the host, and would end the torque.
+//! In the emulator it stands still while the link paces: time there advances while the host computes.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -13,39 +13,47 @@ static DUE: AtomicBool = AtomicBool::new(false);
 /// Timer ticks that came while another one still waited.
 static MISSED: AtomicU32 = AtomicU32::new(0);
 
-/// The timer and the configuration it follows.
-pub(crate) struct Pace {
+/// The timer and its configuration.
+pub(crate) struct TickTimer {
     timer: SYST,
     /// Counts per microsecond: an eighth of the processor clock, with which 24 bits reach the longest period.
     counts_per_us: u32,
-    follows: Option<Configuration>,
+    configuration: Option<Configuration>,
     /// Runs while the link paces, too.
-    watches: bool,
+    supervises: bool,
 }
 
-impl Pace {
+impl TickTimer {
     /// A timer that stands still.
     ///
-    /// * `watches` it shall run while the link paces, too
-    pub(crate) fn new(timer: SYST, cpu_hz: u32, watches: bool) -> Self {
+    /// * `supervises` it runs while the link paces, too
+    pub(crate) fn new(timer: SYST, cpu_hz: u32, supervises: bool) -> Self {
         Self {
-            watches,
+            supervises,
             timer,
             counts_per_us: cpu_hz / 8_000_000,
-            follows: None,
+            configuration: None,
         }
     }
 
+    /// The timer runs in this configuration.
+    pub(crate) fn runs(&self) -> bool {
+        self.supervises
+            || self
+                .configuration
+                .is_some_and(|c| c.pacing == Pacing::SysTick)
+    }
+
     /// Starts, stops or changes the timer when the configuration has changed.
-    pub(crate) fn follow(&mut self, wanted: Configuration) {
-        if self.follows == Some(wanted) {
+    pub(crate) fn configure(&mut self, wanted: Configuration) {
+        if self.configuration == Some(wanted) {
             return;
         }
-        self.follows = Some(wanted);
+        self.configuration = Some(wanted);
         self.timer.disable_interrupt();
         self.timer.disable_counter();
         DUE.store(false, Ordering::Relaxed);
-        if wanted.pacing == Pacing::SysTick || self.watches {
+        if self.runs() {
             self.timer.set_clock_source(SystClkSource::External);
             self.timer
                 .set_reload(wanted.period_us * self.counts_per_us - 1);
@@ -66,7 +74,7 @@ pub(crate) fn elapsed() {
     }
 }
 
-/// A timer tick was due; now it is taken.
+/// Takes the timer tick that is due; false if none is.
 pub(crate) fn take_due() -> bool {
     DUE.swap(false, Ordering::Relaxed)
 }

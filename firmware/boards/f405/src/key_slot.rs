@@ -1,4 +1,4 @@
-//! The write key in its sector of the flash, and what makes challenges differ from start to start.
+//! The write key in its sector of the flash, and the seed of its challenges.
 
 use core::mem::MaybeUninit;
 
@@ -24,10 +24,11 @@ pub(crate) fn write_key() -> Option<WriteKey> {
     WriteKey::from_slot(unsafe { (&raw const _write_key).read_volatile() })
 }
 
-/// Bytes that differ from start to start: random words where the generator gives some, and the number of the start.
+/// Bytes that differ from start to start: random words and the number of the start. `None` where the generator fails; then
+/// the board gives no challenge.
 ///
-/// The emulator's chip has no generator; there the number alone differs, and only until the emulator ends.
-pub(crate) fn seed(rng: &RNG, rcc: &RCC) -> [u8; MAC_BYTES] {
+/// * `emulated` the chip has no generator; the number alone differs, until the emulator ends
+pub(crate) fn seed(rng: &RNG, rcc: &RCC, emulated: bool) -> Option<[u8; MAC_BYTES]> {
     let starts = &raw mut STARTS;
     // SAFETY: called once, from `init`, with interrupts off; any bit pattern is a u32.
     let number = unsafe {
@@ -37,19 +38,21 @@ pub(crate) fn seed(rng: &RNG, rcc: &RCC) -> [u8; MAC_BYTES] {
     };
     rcc.ahb2enr().modify(|_, w| w.rngen().enabled());
     rng.cr().write(|w| w.rngen().set_bit());
-    let words = [number, random(rng), random(rng), random(rng)];
+    // The first word is discarded, and no word may equal the one before (RM0090 24.3.1, FIPS 140-2).
+    let first = random(rng);
+    let words = [random(rng), random(rng), random(rng)];
     rng.cr().reset();
+    let [a, b, c] = words;
+    let random = a != 0 && b != 0 && c != 0 && first != a && a != b && b != c;
     let mut seed = [0; MAC_BYTES];
-    for (slot, byte) in seed
-        .iter_mut()
-        .zip(words.into_iter().flat_map(u32::to_le_bytes))
-    {
+    let bytes = [number, a, b, c].into_iter().flat_map(u32::to_le_bytes);
+    for (slot, byte) in seed.iter_mut().zip(bytes) {
         *slot = byte;
     }
-    seed
+    (random || emulated).then_some(seed)
 }
 
-/// A random word; 0 when none comes, or the generator finds fault with itself.
+/// A random word; 0 when none comes, or the generator reports an error.
 fn random(rng: &RNG) -> u32 {
     let ready = (0..RANDOM_POLLS).any(|_| rng.sr().read().drdy().bit_is_set());
     let status = rng.sr().read();

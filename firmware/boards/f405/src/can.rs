@@ -1,0 +1,300 @@
+//! bxCAN of the STM32F405: two controllers for classic frames, with bounded waits. Source: RM0090, chapter 32.
+//!
+//! Frames leave in the order in which they are given, and every frame of the bus is received: CAN1 through filter bank 0,
+//! CAN2 through bank 14, both into FIFO 0. The banks of both belong to CAN1, so CAN1 starts first. The driver works on
+//! [`Registers`]; on the host a model of the peripheral stands in. It has not run on silicon.
+
+use core::fmt;
+use foretorque_link::drives::Frame;
+use foretorque_link::drives::in_line::Port;
+
+/// Registers of one controller, by their offset in bytes.
+pub trait Registers {
+    /// Reads a register.
+    fn read(&self, offset: usize) -> u32;
+    /// Writes a register.
+    fn write(&mut self, offset: usize, value: u32);
+}
+
+/// Offsets of RM0090, table 184.
+pub mod offset {
+    /// Master control.
+    pub const MCR: usize = 0x00;
+    /// Master status.
+    pub const MSR: usize = 0x04;
+    /// Transmit status.
+    pub const TSR: usize = 0x08;
+    /// Receive FIFO 0.
+    pub const RF0R: usize = 0x0c;
+    /// Error status.
+    pub const ESR: usize = 0x18;
+    /// Bit timing.
+    pub const BTR: usize = 0x1c;
+    /// Identifier of transmit mailbox 0; its length and data follow, the next mailbox is 16 bytes on.
+    pub const TI0R: usize = 0x180;
+    /// Identifier at the head of FIFO 0; its length and data follow.
+    pub const RI0R: usize = 0x1b0;
+    /// Filter master.
+    pub const FMR: usize = 0x200;
+    /// Filter scale.
+    pub const FS1R: usize = 0x20c;
+    /// Filter activation.
+    pub const FA1R: usize = 0x21c;
+    /// First register of filter bank 0; the next bank is 8 bytes on.
+    pub const F0R1: usize = 0x240;
+}
+
+const INRQ: u32 = 1;
+const TXFP: u32 = 1 << 2;
+const ABOM: u32 = 1 << 6;
+const INAK: u32 = 1;
+/// Transmit mailbox 0 is empty; the next two bits are those of the others.
+const TME0: u32 = 1 << 26;
+const TXRQ: u32 = 1;
+const RTR: u32 = 1 << 1;
+const IDE: u32 = 1 << 2;
+/// Frames in FIFO 0.
+const FMP: u32 = 3;
+const FOVR: u32 = 1 << 4;
+const RFOM: u32 = 1 << 5;
+const BOFF: u32 = 1 << 2;
+const FINIT: u32 = 1;
+/// First filter bank of CAN2.
+const CAN2_BANK: u32 = 14;
+
+/// Controller of the chip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Controller {
+    /// CAN1, which holds the filters of both.
+    Can1,
+    /// CAN2; it receives once [`open_filters`] has been called with the registers of CAN1.
+    Can2,
+}
+
+/// Reason why a controller does not start or send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CanError {
+    /// The controller does not enter its initialisation.
+    NoAnswer,
+    /// The bus is not idle: not wired, without supply, or held dominant.
+    BusBusy,
+    /// The bit rate cannot be made from the clock.
+    BitRate,
+    /// All three mailboxes are waiting for the bus.
+    Full,
+    /// CAN-FD, or more than eight bytes.
+    NotClassic,
+}
+
+impl fmt::Display for CanError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NoAnswer => "the CAN controller does not answer",
+            Self::BusBusy => "the CAN bus is not idle: check wires and supply",
+            Self::BitRate => "the bit rate cannot be made from the clock",
+            Self::Full => "three frames wait for the CAN bus",
+            Self::NotClassic => "the frame is not a classic one",
+        })
+    }
+}
+
+impl core::error::Error for CanError {}
+
+/// Bit timing register for `bit_s` from a peripheral clock of `clock_hz`, sample point 80 to 88 %.
+///
+/// Errors: [`CanError::BitRate`] where no whole number of 10 to 20 time quanta gives the rate.
+pub const fn timing(clock_hz: u32, bit_s: u32) -> Result<u32, CanError> {
+    let mut quanta = 20;
+    while quanta >= 10 {
+        let rate = bit_s.saturating_mul(quanta);
+        if rate != 0 && clock_hz.is_multiple_of(rate) && clock_hz / rate <= 1024 {
+            let (divider, second) = (clock_hz / rate, quanta / 7);
+            let first = quanta - 1 - second;
+            if first <= 16 {
+                return Ok((divider - 1) | (first - 1) << 16 | (second - 1) << 20);
+            }
+        }
+        quanta -= 1;
+    }
+    Err(CanError::BitRate)
+}
+
+/// Opens the filters of both controllers for every frame, into FIFO 0. `can1`: registers of CAN1, whose clock runs.
+pub fn open_filters(can1: &mut impl Registers) {
+    can1.write(offset::FMR, FINIT | CAN2_BANK << 8);
+    let banks = 1 | 1 << CAN2_BANK;
+    can1.write(offset::FS1R, banks);
+    for bank in [0, CAN2_BANK as usize] {
+        // Mask 0: no bit of the identifier matters. Identifier and mask mode, and FIFO 0, are the state after reset.
+        can1.write(offset::F0R1 + 8 * bank, 0);
+        can1.write(offset::F0R1 + 8 * bank + 4, 0);
+    }
+    can1.write(offset::FA1R, banks);
+    can1.write(offset::FMR, CAN2_BANK << 8);
+}
+
+/// One started controller.
+#[derive(Debug)]
+pub struct Bxcan<R> {
+    registers: R,
+    overruns: u32,
+}
+
+impl<R: Registers> Bxcan<R> {
+    /// Starts a controller with the bit timing `timing`; reads a status at most `polls` times in each of two waits.
+    ///
+    /// Errors: [`CanError::NoAnswer`], [`CanError::BusBusy`].
+    pub fn start(mut registers: R, timing: u32, polls: u32) -> Result<Self, CanError> {
+        // Out of sleep, first in first out, back after bus off without the program's help.
+        registers.write(offset::MCR, INRQ | TXFP | ABOM);
+        wait(&registers, INAK, polls).ok_or(CanError::NoAnswer)?;
+        registers.write(offset::BTR, timing);
+        registers.write(offset::MCR, TXFP | ABOM);
+        // Eleven recessive bits end the initialisation.
+        wait(&registers, 0, polls).ok_or(CanError::BusBusy)?;
+        Ok(Self {
+            registers,
+            overruns: 0,
+        })
+    }
+
+    /// Gives a frame to an empty mailbox. Errors: [`CanError::Full`], [`CanError::NotClassic`].
+    pub fn send(&mut self, frame: &Frame) -> Result<(), CanError> {
+        let bytes = frame.bytes();
+        if frame.fd || bytes.len() > 8 {
+            return Err(CanError::NotClassic);
+        }
+        let status = self.registers.read(offset::TSR);
+        let empty = (0..3).find(|mailbox| status & TME0 << mailbox != 0);
+        let base = offset::TI0R + 16 * empty.ok_or(CanError::Full)?;
+        let mut data = [0; 8];
+        data.iter_mut()
+            .zip(bytes)
+            .for_each(|(to, from)| *to = *from);
+        let [d0, d1, d2, d3, d4, d5, d6, d7] = data;
+        let low = u32::from_le_bytes([d0, d1, d2, d3]);
+        self.registers.write(base + 4, bytes.len() as u32);
+        self.registers.write(base + 8, low);
+        self.registers
+            .write(base + 12, u32::from_le_bytes([d4, d5, d6, d7]));
+        let id = if frame.extended {
+            frame.id << 3 | IDE
+        } else {
+            frame.id << 21
+        };
+        let remote = if frame.remote { RTR } else { 0 };
+        self.registers.write(base, id | remote | TXRQ);
+        Ok(())
+    }
+
+    /// Oldest received frame.
+    pub fn receive(&mut self) -> Option<Frame> {
+        let status = self.registers.read(offset::RF0R);
+        if status & FOVR != 0 {
+            self.overruns = self.overruns.wrapping_add(1);
+            self.registers.write(offset::RF0R, FOVR);
+        }
+        if status & FMP == 0 {
+            return None;
+        }
+        let id = self.registers.read(offset::RI0R);
+        // Lengths of 9 to 15 mean eight bytes.
+        let length = (self.registers.read(offset::RI0R + 4) & 15).min(8) as usize;
+        let [d0, d1, d2, d3] = self.registers.read(offset::RI0R + 8).to_le_bytes();
+        let [d4, d5, d6, d7] = self.registers.read(offset::RI0R + 12).to_le_bytes();
+        self.registers.write(offset::RF0R, RFOM);
+        let data = [d0, d1, d2, d3, d4, d5, d6, d7];
+        let bytes = if id & RTR == 0 {
+            data.get(..length)?
+        } else {
+            &[]
+        };
+        let mut frame = if id & IDE != 0 {
+            Frame::extended(id >> 3, bytes)
+        } else {
+            Frame::standard(id >> 21, bytes)
+        };
+        frame.remote = id & RTR != 0;
+        Some(frame)
+    }
+
+    /// Drops the frames that still wait for the bus: they are late.
+    pub fn abort(&mut self) {
+        const ABRQ: u32 = 1 << 7 | 1 << 15 | 1 << 23;
+        self.registers.write(offset::TSR, ABRQ);
+    }
+
+    /// The controller has left the bus after too many errors; it comes back by itself.
+    pub fn is_off(&self) -> bool {
+        self.registers.read(offset::ESR) & BOFF != 0
+    }
+
+    /// Counters of transmit and receive errors.
+    pub fn error_counters(&self) -> (u8, u8) {
+        let status = self.registers.read(offset::ESR);
+        ((status >> 16) as u8, (status >> 24) as u8)
+    }
+
+    /// Number of times that frames were lost because nobody read them.
+    pub const fn overruns(&self) -> u32 {
+        self.overruns
+    }
+}
+
+impl<R: Registers> Port for Bxcan<R> {
+    fn receive(&mut self) -> Option<Frame> {
+        Bxcan::receive(self)
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        // What no classic bus can carry did not come from one: it must not stop the queue.
+        Bxcan::send(self, frame) != Err(CanError::Full)
+    }
+}
+
+/// Waits until INAK is `value`. `None`: it was not, `polls` times.
+fn wait(registers: &impl Registers, value: u32, polls: u32) -> Option<()> {
+    (0..polls).find_map(|_| (registers.read(offset::MSR) & INAK == value).then_some(()))
+}
+
+/// Registers of the chip.
+#[cfg(target_os = "none")]
+#[derive(Debug)]
+pub struct Peripheral(Controller);
+
+#[cfg(target_os = "none")]
+impl Peripheral {
+    /// Registers of `controller`.
+    ///
+    /// # Safety
+    ///
+    /// At most one value exists for each controller, nothing else uses its registers, and its clock runs.
+    pub const unsafe fn new(controller: Controller) -> Self {
+        Self(controller)
+    }
+
+    fn address(&self, offset: usize) -> *mut u32 {
+        let base: usize = match self.0 {
+            Controller::Can1 => 0x4000_6400,
+            Controller::Can2 => 0x4000_6800,
+        };
+        // A peripheral has 1 KiB of registers, each of 32 bits.
+        (base + (offset & 0x3fc)) as *mut u32
+    }
+}
+
+#[cfg(target_os = "none")]
+impl Registers for Peripheral {
+    fn read(&self, offset: usize) -> u32 {
+        // SAFETY: an aligned address inside the peripheral, which belongs to this value alone.
+        unsafe { self.address(offset).read_volatile() }
+    }
+
+    fn write(&mut self, offset: usize, value: u32) {
+        // SAFETY: as in `read`.
+        unsafe { self.address(offset).write_volatile(value) }
+    }
+}
+
+#[cfg(test)]
+mod tests;

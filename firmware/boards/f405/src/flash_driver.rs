@@ -1,0 +1,155 @@
+//! Driver of the flash interface over its registers (RM0090 3.9), for the two sectors of the store.
+//!
+//! The chip has one bank: while a word is programmed or a sector erased, every fetch from the flash waits, and with it
+//! every interrupt.
+
+use crate::chip::{FLASH_POLLS, STORE_SECTOR, STORE_SECTOR_BYTES};
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
+};
+
+/// Keys that unlock the control register (RM0090 3.6.1).
+pub const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+/// Status: OPERR, WRPERR, PGAERR, PGPERR, PGSERR. They are sticky; writing a one clears.
+pub const SR_ERRORS: u32 = 0b1111_0010;
+/// Status: busy.
+pub const SR_BUSY: u32 = 1 << 16;
+/// Control: program.
+pub const CR_PROGRAM: u32 = 1 << 0;
+/// Control: erase a sector; its number is in bits 3 to 6.
+pub const CR_ERASE: u32 = 1 << 1;
+/// Control: 32-bit parallelism, for 2.7 to 3.6 V (RM0090 3.6.2).
+pub const CR_WORD: u32 = 2 << 8;
+/// Control: start an erase.
+pub const CR_START: u32 = 1 << 16;
+/// Control: locked.
+pub const CR_LOCK: u32 = 1 << 31;
+
+/// Bytes programmed at once.
+const WORD: usize = 4;
+
+/// Registers of the flash interface, and the memory of the store.
+pub trait FlashRegisters {
+    /// Status register.
+    fn status(&self) -> u32;
+    /// Writes the status register: ones clear.
+    fn clear_status(&mut self, ones: u32);
+    /// Control register.
+    fn control(&self) -> u32;
+    /// Writes the control register.
+    fn set_control(&mut self, bits: u32);
+    /// Writes the key register.
+    fn key(&mut self, key: u32);
+    /// Discards cached data: the cache does not notice an erase (RM0090 3.6.4).
+    fn discard_cache(&mut self);
+    /// Byte at `offset` of the store.
+    fn read(&self, offset: u32) -> u8;
+    /// Writes a word at `offset` of the store, which programs it in program mode.
+    fn program(&mut self, offset: u32, word: u32);
+}
+
+/// The two sectors as one piece of flash that begins at 0. The control register is locked except during an operation.
+pub struct FlashDriver<R> {
+    registers: R,
+}
+
+impl<R: FlashRegisters> FlashDriver<R> {
+    /// A driver over `registers`. Accesses nothing yet.
+    pub const fn new(registers: R) -> Self {
+        Self { registers }
+    }
+
+    /// The registers, for a test.
+    pub const fn registers_mut(&mut self) -> &mut R {
+        &mut self.registers
+    }
+
+    /// Runs `work` with the control register unlocked.
+    fn unlocked(
+        &mut self,
+        work: impl FnOnce(&mut Self) -> Result<(), NorFlashErrorKind>,
+    ) -> Result<(), NorFlashErrorKind> {
+        // Flags of an earlier operation stay until they are cleared: this one does not fail for them.
+        self.idle()?;
+        self.registers.clear_status(SR_ERRORS);
+        if self.registers.control() & CR_LOCK != 0 {
+            for key in KEYS {
+                self.registers.key(key);
+            }
+        }
+        let done = work(self);
+        self.registers.set_control(CR_LOCK);
+        done
+    }
+
+    /// Waits for the end of an operation, at most [`FLASH_POLLS`] reads; returns the status.
+    fn idle(&self) -> Result<u32, NorFlashErrorKind> {
+        let mut polls = 0..FLASH_POLLS;
+        let status = polls.find_map(|_| {
+            let status = self.registers.status();
+            (status & SR_BUSY == 0).then_some(status)
+        });
+        status.ok_or(NorFlashErrorKind::Other)
+    }
+
+    /// Waits for the end of an operation. Errors: a flag that it has set.
+    fn finished(&self) -> Result<(), NorFlashErrorKind> {
+        let sound = self.idle()? & SR_ERRORS == 0;
+        sound.then_some(()).ok_or(NorFlashErrorKind::Other)
+    }
+}
+
+impl<R> ErrorType for FlashDriver<R> {
+    type Error = NorFlashErrorKind;
+}
+
+impl<R: FlashRegisters> ReadNorFlash for FlashDriver<R> {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        check_read(self, offset, bytes.len())?;
+        for (place, byte) in (offset..).zip(bytes) {
+            *byte = self.registers.read(place);
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        2 * STORE_SECTOR_BYTES
+    }
+}
+
+impl<R: FlashRegisters> NorFlash for FlashDriver<R> {
+    const WRITE_SIZE: usize = WORD;
+    const ERASE_SIZE: usize = STORE_SECTOR_BYTES;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        check_erase(self, from, to)?;
+        let sectors = from as usize / STORE_SECTOR_BYTES..to as usize / STORE_SECTOR_BYTES;
+        let erased = self.unlocked(|flash| {
+            for sector in sectors {
+                let number = u32::from(STORE_SECTOR) + sector as u32;
+                let erase = CR_ERASE | CR_WORD | number << 3;
+                flash.registers.set_control(erase);
+                flash.registers.set_control(erase | CR_START);
+                flash.finished()?;
+            }
+            Ok(())
+        });
+        self.registers.discard_cache();
+        erased
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        check_write(self, offset, bytes.len())?;
+        let (words, _) = bytes.as_chunks::<WORD>();
+        self.unlocked(|flash| {
+            flash.registers.set_control(CR_PROGRAM | CR_WORD);
+            for (place, word) in (offset..).step_by(WORD).zip(words) {
+                flash.registers.program(place, u32::from_le_bytes(*word));
+                flash.finished()?;
+            }
+            Ok(())
+        })
+    }
+}

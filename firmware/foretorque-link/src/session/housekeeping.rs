@@ -1,0 +1,232 @@
+//! Work on banks outside the tick: encoding, decoding, checks, signatures, storage.
+
+use super::mailbox::{Order, ParameterMailbox, Upload};
+use crate::bank::{ParameterBank, Parameters};
+use crate::store::{Store, StoreError};
+use crate::wire::{CRC, NackReason};
+use core::marker::PhantomData;
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
+use foretorque::arm::Arm;
+use foretorque::learning::{LearnerConfig, LinearParameters};
+
+/// Bank in force, and buffers for the next one. Its orders come from a [`ParameterMailbox`].
+///
+/// Blocking, and stalling on a single flash bank while it erases: for the lowest priority.
+pub struct Housekeeping<A, const N: usize, const P: usize, F = NoFlash> {
+    store: Option<Store<F>>,
+    /// Parameters of the last bank that came into force, or was ordered to.
+    in_force: Parameters<N, P>,
+    /// Standard deviations of its columns: they are kept for the host.
+    deviations: LinearParameters<N, P>,
+    bank: ParameterBank,
+    bytes: [u8; ParameterBank::MAX_BYTES],
+    length: usize,
+    order: Order,
+    arm: PhantomData<A>,
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, N, P, F> {
+    /// The bank of the firmware is in force.
+    pub fn new(store: Option<Store<F>>) -> Self {
+        let mut housekeeping = Self::empty();
+        housekeeping.start(store);
+        housekeeping
+    }
+
+    /// Memory of a housekeeping that has not [started](Self::start).
+    pub const fn empty() -> Self {
+        Self {
+            store: None,
+            in_force: Parameters::zero(),
+            deviations: LinearParameters::filled(0.0),
+            bank: ParameterBank::empty(),
+            bytes: [0; ParameterBank::MAX_BYTES],
+            length: 0,
+            order: Order::Read,
+            arm: PhantomData,
+        }
+    }
+
+    /// Brings the bank of the firmware into force and takes the store, if the board has one.
+    pub fn start(&mut self, store: Option<Store<F>>) {
+        self.store = store;
+        self.take_nominal();
+    }
+
+    /// The store.
+    pub fn store_mut(&mut self) -> Option<&mut Store<F>> {
+        self.store.as_mut()
+    }
+
+    /// Takes the order that waits, with all it needs. False where none waits. Copies only: for a lock.
+    pub fn begin(&mut self, mailbox: &mut ParameterMailbox<N, P>) -> bool {
+        let Some((order, content, set)) = mailbox.begin() else {
+            return false;
+        };
+        self.order = order;
+        match order {
+            Order::Read | Order::Save => self.in_force.set = *set,
+            _ => self.hold(content),
+        }
+        true
+    }
+
+    /// Returns an order with its result. Copies only: for a lock.
+    pub fn finish(
+        &mut self,
+        mailbox: &mut ParameterMailbox<N, P>,
+        outcome: Result<(), NackReason>,
+    ) {
+        let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        mailbox.finish(bytes, &self.in_force, outcome);
+    }
+
+    /// Executes the order that [`begin`](Self::begin) took.
+    ///
+    /// Errors: the reason of the refusal; the bank in force is the one before.
+    #[inline(never)]
+    pub fn execute(&mut self) -> Result<(), NackReason> {
+        match self.order {
+            Order::Read => self.encode(),
+            Order::Save => {
+                self.encode()?;
+                let store = self.store.as_mut().ok_or(NackReason::NotCapable)?;
+                let bytes = self.bytes.get(..self.length).unwrap_or_default();
+                store.save(A::hash(), bytes).map_err(NackReason::Store)?;
+                Ok(())
+            }
+            Order::ReadStored => self.load(),
+            Order::Restore => {
+                self.load()?;
+                self.decode().map_err(|reason| match reason {
+                    NackReason::Bank(error) => NackReason::Store(StoreError::Bank(error)),
+                    other => other,
+                })
+            }
+            Order::Reset => {
+                self.take_nominal();
+                Ok(())
+            }
+            Order::Commit(upload) => {
+                self.verify(&upload)?;
+                self.decode()
+            }
+            Order::Excitation(upload) => self.verify(&upload),
+        }
+    }
+
+    /// The order may erase flash, which stalls every task for seconds.
+    pub fn erases(&self) -> bool {
+        matches!(self.order, Order::Save)
+    }
+
+    /// Executes the order that waits, where tick and housekeeping take turns. False where none waits.
+    pub fn work(&mut self, mailbox: &mut ParameterMailbox<N, P>) -> bool {
+        let waited = self.begin(mailbox);
+        if waited {
+            let outcome = self.execute();
+            self.finish(mailbox, outcome);
+        }
+        waited
+    }
+
+    fn hold(&mut self, content: &[u8]) {
+        self.length = self.bytes.len().min(content.len());
+        for (slot, byte) in self.bytes.iter_mut().zip(content) {
+            *slot = *byte;
+        }
+    }
+
+    /// Checks checksum and signature of the upload in `bytes`.
+    fn verify(&self, upload: &Upload) -> Result<(), NackReason> {
+        let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        if CRC.checksum(bytes) != upload.crc {
+            return Err(NackReason::Checksum);
+        }
+        match &upload.signature {
+            Some(signature) if !signature.verifies(A::hash(), bytes) => Err(NackReason::Key),
+            _ => Ok(()),
+        }
+    }
+
+    fn load(&mut self) -> Result<(), NackReason> {
+        let store = self.store.as_mut().ok_or(NackReason::NotCapable)?;
+        let loaded = store.load(A::hash(), &mut self.bytes);
+        self.length = loaded.map_err(NackReason::Store)?.len();
+        Ok(())
+    }
+
+    /// Writes the bank in force into `bytes`.
+    fn encode(&mut self) -> Result<(), NackReason> {
+        let Self { bank, in_force, .. } = self;
+        bank.describe::<A, N, P>();
+        bank.refresh::<A, N, P>(&in_force.set);
+        bank.drive_gains_nm_a.clear();
+        bank.limits.clear();
+        // The capacities suffice for every joint.
+        let _ = bank.drive_gains_nm_a.extend_from_slice(&in_force.gains);
+        let _ = bank.limits.extend_from_slice(&in_force.bounds);
+        let LinearParameters { friction, rigid } = &self.deviations;
+        let deviations = rigid.iter().chain(friction.as_flattened());
+        for (column, &deviation) in bank.columns.iter_mut().zip(deviations) {
+            column.deviation = deviation;
+        }
+        let bytes = bank.encode(&mut self.bytes).map_err(NackReason::Bank)?;
+        self.length = bytes.len();
+        Ok(())
+    }
+
+    /// Brings the bank in `bytes` into force, all of it or nothing.
+    fn decode(&mut self) -> Result<(), NackReason> {
+        let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        self.bank.decode_into(bytes).map_err(NackReason::Bank)?;
+        let parameters = self.bank.parameters::<A, N, P>();
+        self.in_force = parameters.map_err(NackReason::Bank)?;
+        if let Ok([_, deviations]) = self.bank.linear::<A, N, P>() {
+            self.deviations = deviations;
+        }
+        Ok(())
+    }
+
+    fn take_nominal(&mut self) {
+        self.in_force = Parameters::nominal::<A>();
+        self.deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
+    }
+}
+
+/// Flash of a board without a store: there is none.
+#[derive(Debug)]
+pub enum NoFlash {}
+
+impl NorFlashError for NoFlash {
+    fn kind(&self) -> NorFlashErrorKind {
+        match *self {}
+    }
+}
+
+impl ErrorType for NoFlash {
+    type Error = Self;
+}
+
+impl ReadNorFlash for NoFlash {
+    const READ_SIZE: usize = 1;
+    fn read(&mut self, _: u32, _: &mut [u8]) -> Result<(), Self> {
+        match *self {}
+    }
+    fn capacity(&self) -> usize {
+        match *self {}
+    }
+}
+
+impl NorFlash for NoFlash {
+    const WRITE_SIZE: usize = 1;
+    const ERASE_SIZE: usize = crate::store::SLOT_BYTES as usize;
+    fn erase(&mut self, _: u32, _: u32) -> Result<(), Self> {
+        match *self {}
+    }
+    fn write(&mut self, _: u32, _: &[u8]) -> Result<(), Self> {
+        match *self {}
+    }
+}

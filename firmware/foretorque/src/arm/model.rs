@@ -1,0 +1,116 @@
+//! Constants of an arm as one value.
+
+use super::{BaseTerm, JointLimits, LINK_PARAMETERS, LinkColumns, Placement, identity};
+use crate::dynamics::BaseParameters;
+
+/// Most base parameters of an arm of `joints` revolute joints, rounded up to a multiple of 4, because the learner updates
+/// its covariance in blocks of four columns.
+///
+/// 7 a link but 3 of the first, and all rotors but the first: where gravity does not run along the first axis, its link
+/// has two first moments beside Izz [Gautier and Khalil 1990], and the first rotor joins Izz of its link.
+pub const fn most_parameters(joints: usize) -> usize {
+    (8 * joints - 5).next_multiple_of(4)
+}
+
+/// Constants of an arm: the fields are those of [`Arm`](super::Arm).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmModel<const N: usize, const P: usize> {
+    /// Name of the arm, as in its description file.
+    pub name: &'static str,
+    /// Acceleration of gravity, expressed in the base frame, 3 × m/s².
+    pub gravity: [f32; 3],
+    /// Placement of every joint.
+    pub placements: [Placement; N],
+    /// Standard parameters that form the base set.
+    pub columns: [LinkColumns; N],
+    /// Place of every standard parameter in the base set.
+    pub index: BaseIndex<N>,
+    /// The map from standard to base parameters.
+    pub base_map: &'static [BaseTerm],
+    /// Data-sheet limits.
+    pub limits: [JointLimits; N],
+    /// Cogging periods of each joint in one of its turns; 0 where the drive has none.
+    pub cogging_cycles: [f32; N],
+    /// Base parameters of the description; zero beyond [`BaseIndex::count`].
+    pub nominal: BaseParameters<P>,
+    /// Standard parameters of each link.
+    pub links: [[f32; LINK_PARAMETERS]; N],
+    /// Rotor inertias reflected to the link side, kg·m².
+    pub rotors: [f32; N],
+}
+
+impl<const N: usize, const P: usize> ArmModel<N, P> {
+    /// [`Arm::HASH`](super::Arm::HASH) of this arm.
+    pub const fn hash(&self) -> u32 {
+        identity(&self.gravity, &self.placements, &self.columns)
+    }
+}
+
+/// Place of every standard parameter in the base set: link parameters, link by link, then rotor inertias.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BaseIndex<const N: usize> {
+    /// Base index of each link parameter; those that are not in the base set are zero in every torque.
+    pub link: [[Option<usize>; LINK_PARAMETERS]; N],
+    /// Base index of each rotor inertia.
+    pub rotor: [Option<usize>; N],
+    /// Number of base parameters.
+    pub count: usize,
+}
+
+impl<const N: usize> BaseIndex<N> {
+    /// The places by the flags of every link.
+    pub const fn of(columns: &[LinkColumns; N]) -> Self {
+        assert!(N <= crate::dynamics::MAX_JOINTS, "too many joints");
+        let mut index = Self {
+            link: [[None; LINK_PARAMETERS]; N],
+            rotor: [None; N],
+            count: 0,
+        };
+        let mut link = 0;
+        while link < N {
+            let mut k = 0;
+            while k < LINK_PARAMETERS {
+                if columns[link].inertial[k] {
+                    index.link[link][k] = Some(index.count);
+                    index.count += 1;
+                }
+                k += 1;
+            }
+            link += 1;
+        }
+        let mut joint = 0;
+        while joint < N {
+            if columns[joint].rotor {
+                index.rotor[joint] = Some(index.count);
+                index.count += 1;
+            }
+            joint += 1;
+        }
+        index
+    }
+
+    /// This index, of `parameters` base parameters.
+    pub(super) const fn counted(self, parameters: usize) -> Self {
+        assert!(
+            self.count == parameters,
+            "P must be the number of base parameters of the arm"
+        );
+        self
+    }
+}
+
+/// `table!(A, f)`: `f(&model)` of the arm `A`, computed while compiling if the arm is compiled.
+macro_rules! table {
+    ($arm:ty, $table:expr) => {
+        match const {
+            match <$arm>::COMPILED {
+                Some(ref model) => Some($table(model)),
+                None => None,
+            }
+        } {
+            Some(table) => table,
+            None => $table(<$arm>::model()),
+        }
+    };
+}
+pub(crate) use table;

@@ -1,0 +1,150 @@
+//! Arms read at run time give the bits of compiled ones, for any number of joints.
+
+use foretorque::arm::panda::Panda;
+use foretorque::arm::ur5::Ur5;
+use foretorque::arm::{Arm, ArmModel};
+use foretorque::dynamics::{FrictionColumn, regressor, rnea};
+use foretorque::feedforward::evaluate;
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::learning::{LearnerConfig, ParameterSet, prior_factor, prior_factor_count};
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
+use foretorque_workbench::arms;
+use foretorque_workbench::board::{BoardError, Client, Described, Native};
+use foretorque_workbench::robot::Robot;
+use std::time::Duration;
+
+const BOOT: Duration = Duration::from_millis(10);
+
+fn motion<const N: usize>(t: f32, middle: &[(f32, f32); N]) -> JointMotion<N> {
+    let phase = |joint: usize| t + joint as f32;
+    JointMotion {
+        q: JointVector::from_fn(|j, _| 0.5 * (middle[j].0 + middle[j].1) + 0.4 * phase(j).sin()),
+        qd: JointVector::from_fn(|j, _| 0.4 * phase(j).cos()),
+        qdd: JointVector::from_fn(|j, _| -0.4 * phase(j).sin()),
+    }
+}
+
+/// A smooth motion of an arm a tenth heavier than `A` and with friction, measured exactly.
+fn sample<A: Arm<N, P>, const N: usize, const P: usize>(tick: u32) -> JointSample<N> {
+    let mut truth = ParameterSet::nominal::<A>(NETWORK_SEED);
+    truth.rigid *= 1.1;
+    for friction in &mut truth.friction {
+        friction[FrictionColumn::Viscous] = 0.4;
+        friction[FrictionColumn::Coulomb] = 0.2;
+    }
+    let desired = motion(
+        tick as f32 * 1e-3,
+        &A::limits().map(|limits| limits.position),
+    );
+    let tau = evaluate::<A, N, P>(&truth, &desired).total;
+    JointSample {
+        desired,
+        measured: Some(JointMeasurement { q: desired.q, tau }),
+    }
+}
+
+/// Everything that a session answers, compiled and read: torques, flags, and the bank after learning.
+fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
+    let robot = Robot::load(name).unwrap();
+    let read: &ArmModel<N, P> = Described::read(&robot).unwrap();
+    let compiled = A::COMPILED.unwrap();
+    assert_eq!((read, read.hash()), (&compiled, A::HASH));
+    for t in 0..20 {
+        let motion = motion(t as f32, &[(-3.0, 3.0); N]);
+        let torques = [
+            rnea::<A, N, P>(&compiled.nominal, &motion),
+            rnea::<Described<N, P>, N, P>(&read.nominal, &motion),
+        ];
+        let rows = [
+            regressor::<A, N, P>(&motion),
+            regressor::<Described<N, P>, N, P>(&motion),
+        ];
+        assert_eq!(torques[0].map(f32::to_bits), torques[1].map(f32::to_bits));
+        assert_eq!(rows[0].map(f32::to_bits), rows[1].map(f32::to_bits));
+    }
+    assert_eq!(
+        LearnerConfig::for_arm::<A>(1e-3),
+        LearnerConfig::for_arm::<Described<N, P>>(1e-3)
+    );
+    for index in 0..prior_factor_count(N) {
+        let read = prior_factor::<Described<N, P>, N, P>(index);
+        assert_eq!(prior_factor::<A, N, P>(index), read);
+    }
+    let board = Box::new(Native::<A, N, P>::new().unwrap());
+    let mut compiled = Client::<N>::connect::<A, P>(board, BOOT).unwrap();
+    let board = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
+    let mut read = Client::<N>::connect::<Described<N, P>, P>(board, BOOT).unwrap();
+    assert_eq!(compiled.hello(), read.hello());
+    for client in [&mut compiled, &mut read] {
+        client.arm(&sample::<A, N, P>(0)).unwrap();
+        client.learning(true).unwrap();
+    }
+    let adopted = compiled.read_bank().unwrap();
+    for tick in 1..4000 {
+        let sample = sample::<A, N, P>(tick);
+        let [a, b] = [&mut compiled, &mut read].map(|client| client.sample(&sample).unwrap());
+        let bits = |total: &JointVector<N>| total.map(f32::to_bits);
+        assert_eq!(
+            (a.flags, bits(&a.total)),
+            (b.flags, bits(&b.total)),
+            "tick {tick}"
+        );
+    }
+    let learnt = [&mut compiled, &mut read].map(|client| client.read_bank().unwrap());
+    assert!(learnt[0] == learnt[1], "learnt banks differ");
+    assert!(
+        learnt[0] != adopted,
+        "nothing was learnt, so nothing was compared"
+    );
+}
+
+#[test]
+fn a_ur5_read_at_run_time_has_the_bits_of_the_compiled_one() {
+    the_same_session::<Ur5, 6, 40>("ur5");
+}
+
+#[test]
+fn a_panda_read_at_run_time_has_the_bits_of_the_compiled_one() {
+    the_same_session::<Panda, 7, 48>("panda");
+}
+
+#[test]
+fn arms_of_one_to_eight_joints_run_and_learn() {
+    let panda = Robot::load("panda").unwrap();
+    for count in 1..=8 {
+        let mut robot = panda.clone();
+        robot.name = format!("arm_of_{count}");
+        // Gravity along no axis, so that the first link has most base parameters.
+        robot.gravity = nalgebra::Vector3::new(3.0, 4.0, -8.0);
+        robot.joints.push(panda.joints[4].clone());
+        robot.joints.truncate(count);
+        arms!(robot, N, P => {
+            let arm = Described::<N, P>::read(&robot).expect("room for all base parameters");
+            assert!(arm.index.count + 5 > P, "{} of {P}", arm.index.count);
+            let board = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
+            let mut client = Client::<N>::connect::<Described<N, P>, P>(board, BOOT).unwrap();
+            client.upload_bank(&ParameterBank::nominal::<Described<N, P>, N, P>()).unwrap();
+            client.arm(&sample::<Described<N, P>, N, P>(0)).unwrap();
+            client.learning(true).unwrap();
+            for tick in 1..200 {
+                let reply = client.sample(&sample::<Described<N, P>, N, P>(tick)).unwrap();
+                assert!(reply.total.iter().all(|tau| tau.is_finite()), "{count} joints");
+            }
+        }, else unreachable!());
+    }
+}
+
+#[test]
+fn a_bank_of_another_arm_is_named() {
+    let board = Box::new(Native::<Panda, 7, 48>::new().unwrap());
+    let mut client = Client::<7>::connect::<Panda, 48>(board, BOOT).unwrap();
+    let error = client
+        .upload_bank(&ParameterBank::nominal::<Ur5, 6, 40>())
+        .unwrap_err();
+    assert!(matches!(error, BoardError::WrongBank { .. }));
+    let text = error.to_string();
+    assert!(
+        text.starts_with("the bank is for ur5 (") && text.contains("drives panda ("),
+        "{text}"
+    );
+}
