@@ -90,7 +90,7 @@ impl Link {
         self.call += 1;
     }
 
-    /// What the tick's task does about it, without a tick.
+    /// Receive the frame as the task of the tick does.
     #[inline(always)]
     pub(crate) fn run(&mut self) {
         self.session
