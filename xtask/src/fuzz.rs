@@ -136,7 +136,12 @@ fn unpack() -> Result<()> {
     // Inputs of an older archive.
     let _ = fs::remove_dir_all(home.join("corpus"));
     fs::create_dir_all(&home)?;
-    shell::run(command("tar").args(["-xzf", CORPUS, "-C", HOME]))
+    shell::run(command("tar").args(["-xzf", CORPUS, "-C", HOME]))?;
+    // A target may have seeds only.
+    for target in LANES.iter().copied().flatten() {
+        fs::create_dir_all(corpus(target.name))?;
+    }
+    Ok(())
 }
 
 fn corpus(name: &str) -> PathBuf {

@@ -128,7 +128,7 @@ impl OnArm for (&Arguments, &Profile) {
     }
 }
 
-/// What a run needs, whatever the bus.
+/// Parts of a run that do not depend on the bus.
 struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
     arguments: &'a Arguments,
     profile: &'a Profile,

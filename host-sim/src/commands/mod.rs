@@ -2,6 +2,7 @@
 
 mod bank;
 mod boards;
+mod commission;
 mod disturbances;
 #[cfg(test)]
 mod documented;
@@ -77,6 +78,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Run(run::Arguments),
     Drive(drive::Arguments),
+    Commission(commission::Arguments),
     Identify(identify::Arguments),
     Generate(generate::Arguments),
     Bank(bank::Arguments),
@@ -94,6 +96,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Drive(arguments) => drive::run(&arguments),
+        Command::Commission(arguments) => commission::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Bank(arguments) => bank::run(&arguments),

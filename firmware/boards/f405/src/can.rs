@@ -6,6 +6,7 @@
 
 use core::fmt;
 use foretorque_link::drives::Frame;
+use foretorque_link::drives::in_line::Port;
 
 /// Registers of one controller, by their offset in bytes.
 pub trait Registers {
@@ -237,6 +238,17 @@ impl<R: Registers> Bxcan<R> {
     /// Number of times that frames were lost because nobody read them.
     pub const fn overruns(&self) -> u32 {
         self.overruns
+    }
+}
+
+impl<R: Registers> Port for Bxcan<R> {
+    fn receive(&mut self) -> Option<Frame> {
+        Bxcan::receive(self)
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        // What no classic bus can carry did not come from one: it must not stop the queue.
+        Bxcan::send(self, frame) != Err(CanError::Full)
     }
 }
 

@@ -41,7 +41,7 @@ pub struct BusTick<const N: usize> {
     pub status: SafetyStatus,
     /// Stage.
     pub phase: BusPhase,
-    /// What did not fit a frame, of all joints.
+    /// Values of all joints that did not fit a frame.
     pub saturation: Saturation,
 }
 
@@ -226,13 +226,21 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         if self.phase != BusPhase::Off {
             return Ok(());
         }
+        self.ready()?;
+        self.phase = BusPhase::Enabling(0);
+        Ok(())
+    }
+
+    /// Every drive replies, and reports no fault and the scales of its profile.
+    ///
+    /// Errors: the first that does not.
+    pub fn ready(&self) -> Result<(), BusFault> {
         for (index, (joint, link)) in self.config.joints.iter().zip(&self.links).enumerate() {
             if let Some(cause) = link.refusal(joint, self.silence) {
                 let joint = Some(index as u8);
                 return Err(BusFault { joint, cause });
             }
         }
-        self.phase = BusPhase::Enabling(0);
         Ok(())
     }
 

@@ -4,6 +4,10 @@
 //! Otherwise, and for every other frame, the bytes that leave are the bytes that came. The torque field is that of MIT,
 //! CyberGear, RobStride and ODrive; commands of the other protocols pass unchanged.
 
+mod bridge;
+
+pub use bridge::{Bridge, Passed, Port};
+
 use super::quantity::carried;
 use super::{DriveProfile, Event, Frame, JointCommand, Protocol, Request, cybergear, mit, odrive};
 

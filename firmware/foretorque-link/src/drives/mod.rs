@@ -235,10 +235,13 @@ impl DriveProfile {
             Protocol::Odrive(scales) => odrive::accept(self, scales, frame),
             Protocol::Cia402(scales) => cia402::accept(self, scales, frame),
         }?;
-        Some(match request {
-            Request::Command(command) => Request::Command(self.in_joint(&command)),
-            order @ Request::Order(_) => order,
-        })
+        match request {
+            Request::Command(command) => {
+                let command = self.in_joint(&command);
+                command.is_finite().then_some(Request::Command(command))
+            }
+            order @ Request::Order(_) => Some(order),
+        }
     }
 
     /// Appends the frames that this drive sends as its reply; an absent quantity counts as 0.
@@ -280,10 +283,14 @@ impl DriveProfile {
 
     fn reply_of_joint(&self, drive: &JointReply) -> JointReply {
         let turn = self.sign * self.gear;
+        // A finite number of turns can be an infinite angle.
+        let finite = |value: f32| value.is_finite().then_some(value);
+        let position = drive.position.map(|position| position / turn + self.zero);
         JointReply {
-            position: drive.position.map(|position| position / turn + self.zero),
-            velocity: drive.velocity.map(|velocity| velocity / turn),
-            torque: drive.torque.map(|torque| torque * turn),
+            position: position.and_then(finite),
+            velocity: drive.velocity.and_then(|velocity| finite(velocity / turn)),
+            torque: drive.torque.and_then(|torque| finite(torque * turn)),
+            temperature: drive.temperature.and_then(finite),
             ..*drive
         }
     }

@@ -435,3 +435,17 @@ fn lines_of_text_come_back() {
         assert_eq!(text::read_line(bad.as_bytes()), None, "{bad}");
     }
 }
+
+#[test]
+fn a_finite_number_of_turns_is_no_infinite_angle() {
+    // Found by the fuzzer: position or velocity near the largest f32.
+    let huge = 3.0e38_f32;
+    let estimates = [huge.to_le_bytes(), (-huge).to_le_bytes()].concat();
+    let profile = profile(odrive(ControlMode::Velocity));
+    let read = profile.decode(&Frame::standard(3 << 5 | 0x09, &estimates));
+    assert_eq!(read, Some(Event::Reply(JointReply::default())));
+    assert_eq!(
+        profile.accept(&Frame::standard(3 << 5 | 0x0d, &estimates)),
+        None
+    );
+}

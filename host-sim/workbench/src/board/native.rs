@@ -41,6 +41,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
 
     /// Lets one period of the board's timer pass, as on silicon beside the samples, whichever of the two paces the board.
     pub fn timer(&mut self) {
+        self.select_arm();
         self.session
             .timer_tick(&mut self.mailboxes, &mut self.out, &mut NoLocalSensor);
         self.flush();
@@ -75,6 +76,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
         &self.learner
     }
 
+    /// Makes the arm of this board the described arm of this thread.
+    fn select_arm(&self) {
+        if A::COMPILED.is_none() {
+            Described::select(self.arm);
+        }
+    }
+
     fn flush(&mut self) {
         self.waiting.extend(self.out.as_bytes());
         self.out.clear();
@@ -87,9 +95,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
     }
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        if A::COMPILED.is_none() {
-            Described::select(self.arm);
-        }
+        self.select_arm();
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
             self.session.receive(
                 frame,

@@ -40,6 +40,14 @@ pub enum BusError {
     /// Nothing answers.
     #[error("bus {0} is silent, torque off: no drive of the profile answers")]
     Quiet(String),
+    /// Commissioning has found a mistake.
+    #[error("joint {}: {mistake}", joint + 1)]
+    Mistake {
+        /// Joint, from 0.
+        joint: usize,
+        /// The mistake, with the value of the profile and the one found.
+        mistake: String,
+    },
     /// A drive or the bus has a fault.
     #[error("torque off: {0}")]
     Fault(BusFault),

@@ -1,6 +1,7 @@
 //! Arms on a bus of drives: transports, simulated drives, profiles, and the loop around them.
 
 mod choice;
+mod commission;
 mod error;
 mod player;
 mod profile;
@@ -12,6 +13,7 @@ mod udp;
 mod wired;
 
 pub use choice::BusChoice;
+pub use commission::{Ask, Commissioning, Found, Operator, Step};
 pub use error::BusError;
 pub use player::{BusPlayer, Jitter};
 pub use profile::{JointEntry, Profile};

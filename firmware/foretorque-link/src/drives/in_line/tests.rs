@@ -194,3 +194,71 @@ fn added_torque_has_no_bias_and_makes_no_order() {
         }
     }
 }
+
+/// Port with three mailboxes, and a bus that stands still now and then.
+#[derive(Default)]
+struct Wire {
+    arrived: std::collections::VecDeque<Frame>,
+    mailboxes: std::vec::Vec<Frame>,
+    left: std::vec::Vec<Frame>,
+}
+
+impl Port for Wire {
+    fn receive(&mut self) -> Option<Frame> {
+        self.arrived.pop_front()
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        let room = self.mailboxes.len() < 3;
+        self.mailboxes.extend(room.then_some(*frame));
+        room
+    }
+}
+
+#[test]
+fn a_bridge_passes_both_ways_in_order_and_outlives_a_dead_bus() {
+    let (arm, mut random) = (arm(), Random(13));
+    let line = InLine::new(arm, TIMEOUT_US);
+    let mut bridge = Bridge::new(Wire::default(), Wire::default(), line);
+    let (mut down, mut up, mut commands, mut events) = (std::vec![], std::vec![], 0, 0);
+    let mut rounds = |bridge: &mut Bridge<Wire, Wire, 3>, count: u32, alive: bool| {
+        for round in 0..count {
+            let (frame, _) = mixed(&arm, &mut random);
+            let (host, drives) = bridge.ports();
+            if random.next().is_multiple_of(2) {
+                host.arrived.push_back(frame);
+                down.push(frame);
+            } else {
+                drives.arrived.push_back(frame);
+                up.push(frame);
+            }
+            bridge.pass(round.wrapping_mul(100), |_, passed| match passed {
+                Passed::Command(_) => commands += 1,
+                Passed::Event(_) => events += 1,
+            });
+            let (host, drives) = bridge.ports();
+            host.left.append(&mut host.mailboxes);
+            if alive {
+                drives.left.append(&mut drives.mailboxes);
+            }
+        }
+    };
+    rounds(&mut bridge, 50_000, true);
+    // The bus of the drives is off: the host's side goes on, the newest frames wait.
+    rounds(&mut bridge, 1000, false);
+    let dropped = bridge.lost() as usize;
+    rounds(&mut bridge, 50_000, true);
+    assert!(commands > 10_000 && events > 10_000, "{commands} {events}");
+    assert!((400..600).contains(&dropped) && bridge.lost() as usize - dropped < 16);
+    let (host, drives) = bridge.ports();
+    assert_eq!(host.left, up);
+    // What left is what arrived, in order, without those that were dropped.
+    let mut arrived = down.iter();
+    assert!(
+        drives
+            .left
+            .iter()
+            .all(|frame| arrived.any(|sent| sent == frame))
+    );
+    assert_eq!(drives.left.len() + bridge.lost() as usize, down.len());
+}

@@ -14,6 +14,7 @@ use std::collections::VecDeque;
 
 mod convergence;
 mod events;
+mod other_arms;
 
 const N: usize = 6;
 const P: usize = 40;

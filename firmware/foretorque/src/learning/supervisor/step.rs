@@ -215,7 +215,9 @@ mod tests {
     use super::*;
     use crate::arm::ur5::{LearnerConfig, Ur5};
 
-    const CONFIG: SupervisorConfig = LearnerConfig::for_arm::<Ur5>(1e-3).supervisor;
+    fn config() -> SupervisorConfig {
+        LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
+    }
 
     /// Phase, action and reason after `evidence` in `phase`.
     fn after(phase: Phase, evidence: Evidence) -> (Phase, Action, Option<Reason>) {
@@ -223,7 +225,7 @@ mod tests {
             phase,
             ..SupervisorState::START
         };
-        let next = step(&CONFIG, &before, evidence);
+        let next = step(&config(), &before, evidence);
         let reason = next.reason.map(|(reason, _)| reason);
         (next.state.phase, next.action, reason)
     }
@@ -369,7 +371,7 @@ mod tests {
         let mut commits = std::vec::Vec::new();
         for tick in (0..20_004).step_by(6) {
             let share = if tick < 600 { 0.4 } else { 0.9 };
-            let next = step(&CONFIG, &state, round(share, false, tick < 1200));
+            let next = step(&config(), &state, round(share, false, tick < 1200));
             state = next.state;
             reasons.extend(next.reason.map(|(reason, _)| reason));
             if next.action == (Action::Follow { commit: true }) {
@@ -378,7 +380,7 @@ mod tests {
         }
         assert_eq!(commits, [2592, 10_596, 18_600]);
         for (share, reversed) in [(0.3, false), (0.2, false), (0.4, false), (0.0, true)] {
-            let next = step(&CONFIG, &state, round(share, reversed, false));
+            let next = step(&config(), &state, round(share, reversed, false));
             state = next.state;
             reasons.extend(next.reason.map(|(reason, _)| reason));
         }
@@ -393,10 +395,10 @@ mod tests {
         let mut state = SupervisorState::START;
         state.phase = Phase::PayloadTest;
         let refusal = payload(PayloadDecision::Refuse(Reason::Residual, 0.9));
-        state = step(&CONFIG, &state, refusal).state;
+        state = step(&config(), &state, refusal).state;
         let mut rounds = 0;
         while state.phase == Phase::Relearning {
-            let next = step(&CONFIG, &state, round(0.5, false, false));
+            let next = step(&config(), &state, round(0.5, false, false));
             let over = next.state.phase == Phase::Healthy;
             assert_eq!(
                 next.action,

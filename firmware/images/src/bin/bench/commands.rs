@@ -90,7 +90,7 @@ impl Link {
         self.call += 1;
     }
 
-    /// Receive the frame as the task of the tick does.
+    /// Work of the tick's task for the command, without a tick.
     #[inline(always)]
     pub(crate) fn run(&mut self) {
         self.session

@@ -59,6 +59,11 @@ impl SimulatedDrive {
         }
     }
 
+    /// Properties that no frame shows.
+    pub fn truth(&self) -> &DriveTruth {
+        &self.truth
+    }
+
     /// State that it reports.
     pub fn state(&self) -> DriveState {
         self.state

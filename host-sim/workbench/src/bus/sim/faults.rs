@@ -115,7 +115,7 @@ impl LineFaults {
             .unwrap_or(1.0)
     }
 
-    /// How often a command reaches the drive of `joint`.
+    /// Number of times that a command reaches the drive of `joint`.
     pub(super) fn command_copies(
         &self,
         joint: usize,

@@ -1,8 +1,8 @@
 //! A bus of simulated drives around the simulated arm.
 //!
 //! Each drive has its own loop at 10 kHz behind its codec: quantised commands and replies, watchdog, limits and faults.
-//! A bus carries one frame at a time; the reply of a drive follows its command. Until the first command with stiffness the
-//! arm is held by its brakes.
+//! A bus carries one frame at a time; the reply of a drive follows its command. While every drive is off, the arm is
+//! held by its brakes.
 
 mod drive;
 mod faults;
@@ -11,7 +11,7 @@ pub use drive::{COMMUNICATION_LOST, DRIVE_PERIOD_S, DriveTruth, SimulatedDrive};
 pub use faults::{LineFault, LineFaults};
 
 use super::timing::{BitRates, frame_time_s};
-use super::{BusError, Network};
+use super::{Ask, BusError, Network, Operator};
 use crate::dynamics::Joints;
 use crate::plant::{Plant, PlantConfig};
 use foretorque_link::bus::BusConfig;
@@ -48,6 +48,8 @@ pub struct SimulatedNetwork<const N: usize> {
     pub drives: [SimulatedDrive; N],
     /// Faults of bus and drives.
     pub faults: LineFaults,
+    /// Largest torque that each drive has made, N × N·m.
+    pub peak_nm: Joints<N>,
     rates: BitRates,
     lines: [Line; 2],
     inbox: VecDeque<(u8, Frame)>,
@@ -82,6 +84,7 @@ impl<const N: usize> SimulatedNetwork<N> {
             plant,
             drives,
             faults: LineFaults::default(),
+            peak_nm: Joints::zeros(),
             rates,
             lines: Default::default(),
             inbox: VecDeque::new(),
@@ -119,11 +122,19 @@ impl<const N: usize> SimulatedNetwork<N> {
         }
         let q = *self.plant.q();
         let tau = Joints::from_fn(|j, _| self.drives[j].step(q[j]));
-        let following = |drive: &SimulatedDrive| {
-            drive.state() == DriveState::Enabled && drive.command().kp + drive.command().kd > 0.0
+        self.peak_nm = self.peak_nm.zip_map(&tau, |peak, tau| peak.max(tau.abs()));
+        // Brakes open with the first drive that is to do something, and close when all are off.
+        let acts = |drive: &SimulatedDrive| {
+            let command = drive.command();
+            let step = drive.truth.profile.torque_resolution();
+            drive.state() == DriveState::Enabled
+                && command.kp + command.kd + (command.torque.abs() - step).max(0.0) > 0.0
         };
-        if self.braked && self.drives.iter().any(following) {
-            self.braked = false;
+        if self.braked {
+            self.braked = !self.drives.iter().any(acts);
+        } else if self.all_off() {
+            self.plant.place(&q);
+            self.braked = true;
         }
         if !self.braked {
             self.plant.advance(&tau, DRIVE_PERIOD_S);
@@ -220,5 +231,18 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
 
     fn is_off(&self) -> bool {
         self.faults.bus_is_off(self.t_s())
+    }
+}
+
+impl<const N: usize> Operator for SimulatedNetwork<N> {
+    fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
+        let mut q = *self.plant.q();
+        match ask {
+            Ask::Pose(pose) => q.iter_mut().zip(pose).for_each(|(q, pose)| *q = *pose),
+            Ask::Turn { joint, by_rad } => q[*joint] += by_rad,
+        }
+        self.plant.place(&q);
+        self.braked = true;
+        Ok(())
     }
 }

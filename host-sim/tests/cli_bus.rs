@@ -1,0 +1,264 @@
+//! The commands `drive` and `commission`: on simulated drives, on a bus of python-can, and on buses that are not there.
+
+mod program;
+
+use program::{directory, fails, files, host_sim, states, succeeds};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+fn profile() -> String {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/sim-ur5.toml");
+    file.display().to_string()
+}
+
+/// The profile with `from` replaced by `to`.
+fn changed(directory: &Path, from: &str, to: &str) -> PathBuf {
+    let text = fs::read_to_string(profile()).expect("it is there");
+    assert!(text.contains(from), "{from}");
+    let file = directory.join("changed.toml");
+    fs::write(&file, text.replacen(from, to, 1)).expect("it can be written");
+    file
+}
+
+#[test]
+fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
+    let directory = directory("drive");
+    let profile = profile();
+    let command = format!(
+        "drive --profile {profile} --bus sim --trajectory validation --duration-s 6 --learn --out out"
+    );
+    let text = succeeds(&directory, &command);
+    assert!(text.contains("PD of the drives alone: "), "{text}");
+    assert!(text.contains("replies lost"), "{text}");
+    let mut written = files(&directory.join("out"));
+    written.sort();
+    assert_eq!(written, ["bank.bin", "drive.json", "log.csv"]);
+    let summary = fs::read_to_string(directory.join("out/drive.json")).expect("it is there");
+    let summary: serde_json::Value = serde_json::from_str(&summary).expect("it is JSON");
+    assert_eq!(summary["ticks"], 6000);
+    assert!(
+        summary["tracking_ratio"].as_f64().expect("a number") > 1.0,
+        "{summary}"
+    );
+    let rows = fs::read_to_string(directory.join("out/log.csv")).expect("it is there");
+    assert!(rows.lines().count() > 5990);
+    let again = succeeds(&directory, &command);
+    let figures = |text: &str| text.lines().take(2).collect::<Vec<_>>().join(" ");
+    assert_eq!(
+        figures(&text),
+        figures(&again),
+        "the same seed, the same figures"
+    );
+}
+
+#[test]
+fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
+    let directory = directory("commission");
+    let text = succeeds(
+        &directory,
+        &format!("commission --profile {} --bus sim --out out", profile()),
+    );
+    for step in ["Find", "Turn", "Zero", "Torque", "Friction"] {
+        assert!(text.contains(&format!("{step}: passed")), "{text}");
+    }
+    assert_eq!(files(&directory.join("out")), ["commission.json"]);
+}
+
+#[test]
+fn contradictions_and_missing_buses_are_one_line() {
+    let directory = directory("bus-mistakes");
+    let cases = [
+        ("rate_hz = 1000.0", "rate_hz = 5000.0", "rate_hz 5000"),
+        (
+            "rate_hz = 1000.0",
+            "rate_hz = 2000.0",
+            "bus 0: commands and replies take 0.81 ms, rate_hz 2000 leaves 0.50 ms",
+        ),
+        (
+            "bus = 1",
+            "bus = 2",
+            "joint 4: bus 2 contradicts the 2 buses",
+        ),
+        (
+            "gear = 6.0",
+            "gear = 60.0",
+            "joint 1: range of position 0.6666667 contradicts the travel",
+        ),
+        (
+            "torque_limit = 28.0",
+            "torque_limit = 29.0",
+            "joint 4: torque_limit 29 contradicts the torque of the arm 28",
+        ),
+        (
+            "id = 2",
+            "id = 1",
+            "joint 2: id 1 contradicts the same id of joint 1",
+        ),
+        ("sign = 1.0", "sign = 0.5", "joint 1: size of sign 0.25"),
+        ("kp = 3330.0", "kq = 3330.0", "unknown field `kq`"),
+        (
+            "robot = \"ur5\"",
+            "robot = \"panda\"",
+            "6 joints contradict the 7 joints of robot 'panda'",
+        ),
+    ];
+    for (from, to, named) in cases {
+        let file = changed(&directory, from, to);
+        let command = format!(
+            "drive --profile {} --bus sim --trajectory validation --out out",
+            file.display()
+        );
+        let line = fails(&directory, &command);
+        assert!(
+            line.contains(named) && line.contains("changed.toml"),
+            "{line}"
+        );
+    }
+    let profile = profile();
+    for (bus, named) in [
+        (
+            "socketcan:nowhere7,nowhere8",
+            "bus socketcan:nowhere7,nowhere8: ",
+        ),
+        (
+            "slcan:/dev/ttyNOWHERE7,/dev/ttyNOWHERE8",
+            "bus slcan:/dev/ttyNOWHERE7",
+        ),
+        (
+            "fdcanusb:/dev/ttyNOWHERE7",
+            "1 named, the profile has 2 buses",
+        ),
+    ] {
+        for command in ["drive --trajectory validation", "commission"] {
+            let line = fails(
+                &directory,
+                &format!("{command} --profile {profile} --bus {bus} --out out"),
+            );
+            assert!(line.contains(named), "{line}");
+        }
+    }
+    let line = fails(
+        &directory,
+        &format!("drive --profile {profile} --bus can0 --trajectory validation --out out"),
+    );
+    assert!(line.contains("not one of sim, socketcan:IF"), "{line}");
+    assert!(!directory.join("out").exists());
+}
+
+#[test]
+fn a_bus_without_drives_is_silent_in_one_line() {
+    let directory = directory("bus-silent");
+    let command = format!(
+        "drive --profile {} --bus udp:239.74.163.61:43161,239.74.163.62:43162 --trajectory validation --out out",
+        profile()
+    );
+    let output = host_sim(&directory, &command);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    if stderr.contains("error: bus udp:") && !stderr.contains("is silent") {
+        println!("skipped: no multicast on this machine: {stderr}");
+        return;
+    }
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        stderr.contains("is silent, torque off: no drive of the profile answers"),
+        "{stderr}"
+    );
+    assert_eq!(stderr.lines().count(), 1, "{stderr}");
+}
+
+/// A Damiao drive in Python: takes commands, stands where it is told, and prints the torques that it was sent.
+const PYTHON_DRIVES: &str = r#"
+import struct, sys, time
+import can
+bus = [can.Bus(interface="udp_multicast", channel=f"239.74.163.{n}", port=43160 + n - 70) for n in (71, 72)]
+on, q, ranges = {}, {}, lambda i: (40.0, 45.0, 54.0) if i <= 3 else (20.0, 30.0, 10.0)
+code = lambda x, m, n: max(0, min(n, round((x + m) * n / (2 * m))))
+print("ready", flush=True)
+end, seen = time.time() + 20, 0
+while time.time() < end:
+    for line in bus:
+        m = line.recv(0.0005)
+        if m is None or m.is_extended_id:
+            continue
+        d = bytes(m.data)
+        if m.arbitration_id == 0x7FF:
+            i = d[0]
+            if d[2] == 0x33:
+                v = ranges(i)[d[3] - 21]
+                line.send(can.Message(arbitration_id=0x10 + i, is_extended_id=False, data=bytes([i, 0, 0x33, d[3]]) + struct.pack("<f", v)))
+                continue
+        else:
+            i = m.arbitration_id
+            if not 1 <= i <= 6 or len(d) != 8:
+                continue
+            if d[:7] == b"\xff" * 7:
+                on[i] = d[7] == 0xFC if d[7] in (0xFC, 0xFD) else on.get(i, False)
+            elif on.get(i):
+                p = (d[0] << 8) | d[1]
+                kp = ((d[3] & 15) << 8) | d[4]
+                if kp:
+                    q[i] = p
+                    seen += 1
+        P, V, T = ranges(i)
+        p, v, t = q.get(i, code(0, P, 65535)), code(0, V, 4095), code(0, T, 4095)
+        line.send(can.Message(arbitration_id=0x10 + i, is_extended_id=False, data=bytes([(on.get(i, False) << 4) | i, p >> 8, p & 255, v >> 4, ((v & 15) << 4) | (t >> 8), t & 255, 30, 30])))
+    if seen > 3000 and not any(on.values()):
+        break
+print("commands", seen, flush=True)
+"#;
+
+#[test]
+fn drives_in_python_can_are_armed_and_follow() {
+    let python = std::env::var("FORETORQUE_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let there = Command::new(&python)
+        .args(["-c", "import can, msgpack"])
+        .stderr(Stdio::null())
+        .status();
+    if !there.is_ok_and(|status| status.success()) {
+        println!(
+            "skipped: {python} has no python-can with msgpack; FORETORQUE_PYTHON names one that has"
+        );
+        return;
+    }
+    let directory = directory("bus-python");
+    let slow = changed(&directory, "rate_hz = 1000.0", "rate_hz = 100.0");
+    let still: Vec<String> = [0.0, 6.0]
+        .iter()
+        .map(|t| format!("{t}{}", ",0".repeat(18)))
+        .collect();
+    let header = states(6)
+        .lines()
+        .next()
+        .map(|columns| format!("t_s,{columns}"));
+    let rows = format!("{}\n{}\n", header.unwrap_or_default(), still.join("\n"));
+    fs::write(directory.join("still.csv"), rows).expect("it can be written");
+    let mut drives = Command::new(&python)
+        .args(["-c", PYTHON_DRIVES])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let mut output = std::io::BufReader::new(drives.stdout.take().expect("it is piped"));
+    let mut line = String::new();
+    std::io::BufRead::read_line(&mut output, &mut line).expect("it writes");
+    if line.trim() != "ready" {
+        let _ = drives.wait();
+        println!("skipped: no multicast on this machine");
+        return;
+    }
+    let command = format!(
+        "drive --profile {} --bus udp:239.74.163.71:43161,239.74.163.72:43162 --trajectory still.csv --out out",
+        slow.display()
+    );
+    let text = succeeds(&directory, &command);
+    assert!(text.contains("600 ticks at 100 Hz"), "{text}");
+    let _ = drives.wait();
+    line.clear();
+    std::io::BufRead::read_line(&mut output, &mut line).expect("it writes");
+    let count: u32 = line
+        .trim()
+        .trim_start_matches("commands ")
+        .parse()
+        .expect("a number");
+    assert!(count > 3000, "{count} commands with stiffness");
+}
