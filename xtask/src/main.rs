@@ -7,6 +7,7 @@ mod demo;
 mod faults;
 mod flash;
 mod fuzz;
+mod mutants;
 mod outside;
 mod setup;
 mod shell;
@@ -39,6 +40,7 @@ Commands:
   capi     Set up, build the static library for C and its example
   words    Check the first lines of doc comments and the lengths of sentences
   circles  List import circles between source files
+  mutants  Substitute limits and checks one by one; each must fail a test of the library
 
 Options:
       --toolchain <WAY>  Source of the board's toolchain. Default: the first of these that works
@@ -60,7 +62,7 @@ delete the directory and the script.
 ";
 
 /// Commands and the options each takes; all take `--toolchain`.
-const COMMANDS: [(&str, &[&str]); 11] = [
+const COMMANDS: [(&str, &[&str]); 12] = [
     ("help", &[]),
     ("setup", &["check"]),
     ("demo", &[]),
@@ -72,6 +74,7 @@ const COMMANDS: [(&str, &[&str]); 11] = [
     ("capi", &[]),
     ("words", &[]),
     ("circles", &[]),
+    ("mutants", &[]),
 ];
 
 /// The command line.
@@ -140,6 +143,7 @@ fn run(request: &Request) -> Result<()> {
         "capi" => capi::run(forced),
         "words" => words::run(),
         "circles" => circles::run(),
+        "mutants" => mutants::run(),
         _ => {
             print!("{HELP}");
             Ok(())

@@ -127,10 +127,10 @@ impl Budget {
     fn unexplained(&self, measured: &[Measured]) -> Vec<String> {
         let explained = |line: &Line| {
             let goal = measured.iter().find(|m| m.quantity == line.quantity);
-            let raised = self
-                .raises
-                .iter()
-                .any(|raise| raise.quantity == line.quantity && raise.new >= line.limit);
+            // The last raise of a quantity counts; earlier ones are history.
+            let mut raises = self.raises.iter().rev();
+            let raised = raises.find(|raise| raise.quantity == line.quantity);
+            let raised = raised.is_some_and(|raise| raise.new >= line.limit);
             line.limit <= fresh(line.value)
                 || raised
                 || goal.is_some_and(|goal| goal.allowed == Some(line.limit))
@@ -216,8 +216,8 @@ impl Budget {
         {
             let fresh = fresh(*value);
             let before = self.line(quantity).map_or(fresh, |line| line.limit);
-            let raises = self.raises.iter().rev();
-            let raised = raises.clone().find(|raise| raise.quantity == *quantity);
+            let mut raises = self.raises.iter().rev();
+            let raised = raises.find(|raise| raise.quantity == *quantity);
             // A raise counts from the limit that it names.
             let before = match raised {
                 Some(raise) if raise.old == before => raise.new,
