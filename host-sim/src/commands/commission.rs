@@ -72,7 +72,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "{file}: rest_rad is missing: the pose of rest without torque"
         )));
     }
-    on_arm(&profile.robot, (arguments, &profile))
+    on_arm(&Robot::load(&profile.robot)?, (arguments, &profile))
 }
 
 impl OnArm for (&Arguments, &Profile) {

@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::boards::{OnArm, on_arm};
 use super::log_options::LogOptions;
 use super::progress::Bar;
@@ -14,9 +15,11 @@ use std::path::{Path, PathBuf};
 /// Replay logs to the board's learner, row by row, and score it against batch least squares and against its start
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name or a description file
+    /// Robot: a built-in name, or a TOML, URDF or MJCF file
     #[arg(long)]
     robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
     /// Log (CSV, ROS 2 bag, MCAP); given several times, batch least squares learns each from the others
     #[arg(long = "log", value_name = "FILE", required = true)]
     logs: Vec<PathBuf>,
@@ -34,7 +37,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    on_arm(&arguments.robot, arguments)
+    on_arm(&arguments.arm.load(&arguments.robot)?, arguments)
 }
 
 impl OnArm for &Arguments {
