@@ -26,7 +26,9 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
     let here = Directory::new("identify-round");
     log(&here.file("train.csv.gz"), 6000, 0.0, None, 0.3);
     log(&here.file("unseen.csv"), 2000, 1.1, None, 0.0);
-    let (_, report) = here.identified("--log train.csv.gz --validate unseen.csv --truth ur5");
+    let (_, report) = here.identified(
+        "--log train.csv.gz --validate unseen.csv --truth ur5 --columns coulomb-viscous",
+    );
     assert_eq!(report["rank"], 52);
     for method in [
         "ols",

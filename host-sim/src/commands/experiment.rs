@@ -151,15 +151,15 @@ struct Excitation {
     robot: String,
 }
 
-/// Learned against frozen, in closed loop, over everything that may go wrong
+/// Learning on a world of arms, in closed loop, over everything that may go wrong
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 struct Learning {
-    /// List the scenarios
+    /// List arms and scenarios
     #[arg(long)]
     list: bool,
-    /// Only the scenarios whose names begin so
-    #[arg(long, value_name = "NAME")]
+    /// Only the arms and scenarios whose names begin so; either may be left out: panda/slow, panda, /slow
+    #[arg(long, value_name = "ARM/SCENARIO")]
     only: Option<String>,
     /// The short form
     #[arg(long)]
@@ -174,11 +174,12 @@ struct Learning {
     out: Option<PathBuf>,
     #[command(flatten)]
     snapshot: Snapshot,
-    #[command(flatten)]
-    beside: Beside,
-    /// Seed of plant, prior, paths and noise
+    /// First seed of arms, paths, noise and events
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Number of seeds
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    seeds: u64,
 }
 
 /// The paper's experiment step by step, then every method over noise, friction and outliers
@@ -399,19 +400,18 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
 
 fn run_learning(arguments: &Learning) -> Result<(), Failure> {
     let Some(out) = &arguments.out else {
-        for (name, shows) in learning::scenarios() {
+        for (name, shows) in learning::names() {
             say(format_args!("{name:<26} {shows}"))?;
         }
         return Ok(());
     };
     let config = LearningConfig {
-        seed: arguments.seed,
+        seeds: (arguments.seed, arguments.seeds),
         only: arguments.only.clone(),
         quick: arguments.quick,
     };
     study(out, &arguments.snapshot, |progress| {
-        let mut board = arguments.beside.connect()?;
-        Ok(Some(learning::run(&config, board.as_mut(), progress)?))
+        Ok(Some(learning::run(&config, progress)?))
     })
 }
 

@@ -181,11 +181,11 @@ pub(crate) fn mistyped() -> Vec<(String, &'static [&'static str])> {
             &["--lost", "between 0 and 1"],
         ),
         (
-            "experiment learning --board native --only frobnicate --out out".to_owned(),
+            "experiment learning --only frobnicate --out out".to_owned(),
             &["'frobnicate'", "--list"],
         ),
         (
-            "experiment learning --board native --snapshot none.txt --out out".to_owned(),
+            "experiment learning --snapshot none.txt --out out".to_owned(),
             &["none.txt"],
         ),
         (

@@ -1,6 +1,7 @@
 //! The board's tick and its learning, in the order in which the board does them.
 
-use super::setup::{N, P, PERIOD_S, Set};
+use super::PERIOD_S;
+use super::setup::{N, P, Set};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
@@ -8,13 +9,12 @@ use foretorque::learning::{
     ConfigError, Exchange, Learner, LearnerConfig, LearnerReport, LearnerState,
 };
 use foretorque_link::bank::NETWORK_SEED;
-use foretorque_link::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason, SafetyStatus};
+use foretorque_link::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyReason};
 use foretorque_link::wire::SampleFrame;
 
 /// Safety, feed-forward, learner and the mailbox between them.
 ///
-/// The session of the firmware calls these functions in this order too; that its answers are the same bits over its
-/// link, in the emulator, is what [`super::emulated`] shows.
+/// The session of the firmware calls these functions in this order too; the soak compares the bits of its answers.
 pub(super) struct Controller {
     safety: Safety<N>,
     feedforward: FeedForward<Ur5, N, P>,
@@ -90,11 +90,6 @@ impl Controller {
             self.learner.learn(&learning_sample, &mut self.exchange);
         }
         torque
-    }
-
-    /// Whether torque leaves the board, and why not.
-    pub(super) fn safety(&self) -> SafetyStatus {
-        self.safety.status()
     }
 
     /// The parameters that the torque is computed from, payload included.

@@ -1,4 +1,4 @@
-//! The setup that all scenarios of one seed share: the true arm, the wrong prior, the paths.
+//! The setup of the soak: the true UR5, the wrong prior, the paths.
 
 use crate::StudyError;
 use crate::prior::bank_of;
@@ -6,9 +6,8 @@ use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::JointMotion;
 use foretorque_workbench::board::BoardError;
-use foretorque_workbench::closed_loop::control::PdConfig;
 use foretorque_workbench::closed_loop::motion_f32;
-use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
+use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::metrics::TorqueError;
 use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::robot::{Perturbation, Robot};
@@ -19,22 +18,19 @@ use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
 pub(super) const N: usize = JOINTS;
 /// Base parameters of it.
 pub(super) const P: usize = PARAMETERS;
-/// Period of the tick, s.
-pub(super) const PERIOD_S: f64 = 1e-3;
 /// Everything that is learnt.
 pub(super) type Set = ParameterSet<N, P>;
 
 /// Points of the unseen path on which sets are judged.
 const UNSEEN_POINTS: usize = 250;
 
-/// The setup of all scenarios of a seed.
+/// The setup of a seed.
 pub(super) struct Setup {
     pub(super) seed: u64,
     /// The arm as described.
     pub(super) described: Robot,
     /// The arm as it is.
     pub(super) truth: Robot,
-    nominal: ReferenceModel<N>,
     /// The wrong prior: inertias 20 % and friction 40 % off.
     pub(super) wrong: Set,
     /// The unseen path.
@@ -54,7 +50,6 @@ impl Setup {
         });
         Ok(Self {
             seed,
-            nominal: ReferenceModel::new(&described).ok_or(StudyError::Joints(N))?,
             wrong: bank_of::<Ur5, N, P>(&wrong)
                 .set::<Ur5, N, P>()
                 .map_err(BoardError::Bank)?,
@@ -64,25 +59,10 @@ impl Setup {
         })
     }
 
-    /// The true arm with its viscous friction times `viscous`. `stream` separates its noise from that of other arms of this
-    /// seed.
-    pub(super) fn plant(
-        &self,
-        config: PlantConfig,
-        viscous: f64,
-        stream: u64,
-    ) -> Result<Plant<N>, StudyError> {
-        let seed = self.seed.wrapping_mul(1000).wrapping_add(stream);
-        let mut arm = self.truth.clone();
-        for joint in &mut arm.joints {
-            joint.friction.viscous *= viscous;
-        }
-        Plant::new(&arm, config, seed).ok_or(StudyError::Joints(N))
-    }
-
-    /// PD control of the arm as described.
-    pub(super) fn pd(&self, bandwidth_hz: f64) -> PdConfig<N> {
-        PdConfig::tuned(&self.nominal, bandwidth_hz, PERIOD_S)
+    /// The true arm.
+    pub(super) fn plant(&self, config: PlantConfig) -> Result<Plant<N>, StudyError> {
+        let seed = self.seed.wrapping_mul(1000);
+        Plant::new(&self.truth, config, seed).ok_or(StudyError::Joints(N))
     }
 
     /// The task of the arm: a path through via points, another one for each `stream`.
@@ -112,17 +92,5 @@ impl Setup {
             error.add(needed, predicted, &state.qd);
         }
         error
-    }
-
-    /// RMS difference of two runs of torques, each joint in units of its limit.
-    pub(super) fn in_limits(&self, a: &[Joints<N>], b: &[Joints<N>]) -> f64 {
-        let joints = self.described.joints.iter();
-        let limits = Joints::<N>::from_iterator(joints.map(|joint| joint.limits.torque));
-        let squares: f64 = a
-            .iter()
-            .zip(b)
-            .map(|(a, b)| (a - b).component_div(&limits).norm_squared())
-            .sum();
-        (squares / a.len().max(1) as f64).sqrt()
     }
 }

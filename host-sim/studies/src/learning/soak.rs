@@ -1,15 +1,15 @@
 //! Ten million ticks of learning: nothing overflows, nothing drifts away, and the board gives the same bits.
 
+use super::PERIOD_S;
 use super::controller::Controller;
-use super::drive::unarmed;
-use super::scenario::PAYLOAD_COM_M;
-use super::setup::{N, P, PERIOD_S, Setup};
+use super::setup::{N, P, Setup};
 use super::twin::Twin;
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::ur5::{JOINTS, Ur5};
 use foretorque::joint::{JointMeasurement, JointSample};
 use foretorque::learning::{Estimator, MeasurementWindow, torque_row};
 use foretorque_link::bank::ParameterBank;
+use foretorque_link::safety::SafetyReason;
 use foretorque_link::wire::SampleFrame;
 use foretorque_workbench::board::Client;
 use foretorque_workbench::closed_loop::motion_f32;
@@ -70,6 +70,8 @@ const PATH_S: f64 = 590.0;
 const ROUND_S: f64 = 600.0;
 /// In every so many seconds a payload of 2 kg is held for the last ten.
 const PAYLOAD_EVERY_S: f64 = 40.0;
+/// Centre of mass of the payload in the frame of the last link, m: 5 cm beyond the flange and aside.
+const PAYLOAD_COM_M: [f64; 3] = [0.02, -0.01, 0.0823 + 0.05];
 /// Ticks between two evaluations at what is large.
 const CHUNK: usize = 1000;
 
@@ -86,7 +88,7 @@ struct Source<'w> {
 
 impl<'w> Source<'w> {
     fn new(setup: &'w Setup) -> Result<Self, StudyError> {
-        let plant = setup.plant(PlantConfig::default(), 1.0, 0)?;
+        let plant = setup.plant(PlantConfig::default())?;
         let payload = Payload::cube(2.0, PAYLOAD_COM_M, 0.0, f64::INFINITY);
         let loaded = plant.clone().with_events(Events {
             payloads: vec![payload],
@@ -172,6 +174,10 @@ pub fn run(
     report.board_ticks_count = board_ticks;
     report.board_ticks_with_other_bits_count = other_bits?;
     outcome(report)
+}
+
+fn unarmed(reason: SafetyReason) -> StudyError {
+    StudyError::Unusable(format!("the board was not armed: {reason}"))
 }
 
 fn stopped(what: &str) -> StudyError {

@@ -30,7 +30,7 @@ pub(super) struct Twin {
 
 /// Prior covariance of the parameters, in units of the prior standard deviations: friction uncorrelated, base parameters
 /// correlated by the uncertainty of whole links.
-pub(super) fn prior_covariance() -> DMatrix<f64> {
+fn prior_covariance() -> DMatrix<f64> {
     let friction = N * FRICTION_COLUMNS;
     let mut covariance = DMatrix::<f64>::identity(friction + P, friction + P);
     let mut rigid = covariance.view_mut((friction, friction), (P, P));

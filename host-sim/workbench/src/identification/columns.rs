@@ -3,7 +3,9 @@
 use super::error::UnknownName;
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::{LINK_PARAMETERS, Robot};
-use foretorque::dynamics::{FrictionColumn, FrictionPoint, SHEAR_WIDTH, STRIBECK_WIDTH};
+use foretorque::dynamics::{
+    COGGING_COLUMNS, FrictionColumn, FrictionPoint, SHEAR_WIDTH, STRIBECK_WIDTH,
+};
 use nalgebra::{DMatrix, DVector};
 use std::fmt;
 use std::str::FromStr;
@@ -204,9 +206,17 @@ impl<const N: usize> Layout<N> {
                 friction: None,
             });
         }
-        let friction = feels_gravity(&model).map(|feels| -> Vec<FrictionTerm> {
+        let feels = feels_gravity(&model);
+        // A column that is always zero drops out: load of an upright axis, cogging of a drive without cycles.
+        let friction: [Vec<FrictionTerm>; N] = std::array::from_fn(|joint| {
+            let cycles = robot.joints[joint].friction.cogging_cycles_rev > 0.0;
             let terms = set.0.iter().copied();
-            terms.filter(|&term| feels || term != LOAD).collect()
+            let shown = terms.filter(|&term| match term {
+                LOAD => feels[joint],
+                Board(column) => cycles || !COGGING_COLUMNS.contains(&column),
+                _ => true,
+            });
+            shown.collect()
         });
         for (joint, active) in active.iter_mut().enumerate() {
             for &term in &friction[joint] {
@@ -315,6 +325,26 @@ impl<const N: usize> Layout<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cogging_of_drives_without_cycles_has_no_columns() {
+        let full = ColumnSet::from_str("full").expect("known word");
+        let cogging = |robot: &Robot, layout: &[Parameter]| {
+            let friction = layout.iter().filter_map(|p| p.friction);
+            let cogging = friction.filter(
+                |(term, _)| matches!(term, Board(column) if COGGING_COLUMNS.contains(column)),
+            );
+            let cycles = robot.joints.iter();
+            let cycles = cycles.filter(|joint| joint.friction.cogging_cycles_rev > 0.0);
+            (cogging.count(), cycles.count())
+        };
+        let panda = Robot::load("panda").expect("built in");
+        let layout = Layout::<7>::new(&panda, &full).expect("seven joints");
+        assert_eq!(cogging(&panda, &layout.parameters), (0, 0));
+        let ur5 = Robot::load("ur5").expect("built in");
+        let layout = Layout::<6>::new(&ur5, &full).expect("six joints");
+        assert_eq!(cogging(&ur5, &layout.parameters), (12, 6));
+    }
 
     #[test]
     fn friction_grows_with_the_load_where_gravity_makes_one() {

@@ -4,6 +4,7 @@
 //! zero-phase filter) → `normal` (one pass over any number of rows, bounded memory) → `methods` → `validation` → `record`.
 
 mod bank;
+mod blocks;
 mod bootstrap;
 mod cogging;
 mod columns;

@@ -168,6 +168,8 @@ pub struct MethodResult<const N: usize> {
     pub candidate: Candidate<N>,
     /// Its linear part with covariance, if it has one.
     pub fit: Option<Fit<N>>,
+    /// The fit that takes the place of a model with networks where those are worse on unseen rows.
+    pub linear: Option<Fit<N>>,
     /// The robot it describes, if it describes one.
     pub robot: Option<Robot>,
     /// Rows it was trained on.
@@ -191,6 +193,7 @@ impl<const N: usize> MethodResult<N> {
             name,
             candidate,
             fit: None,
+            linear: None,
             robot: None,
             rows,
             epochs: 0,

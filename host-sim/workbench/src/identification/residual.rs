@@ -53,18 +53,49 @@ pub(super) fn residual<const N: usize>(
         .collect();
     let networks: [JointNetwork; N] = networks.try_into().map_err(|_| IdentifyError::Untrained)?;
     let (fit, cogging) = linear;
-    let candidate = Candidate::Residual {
+    let alone = data.sums.clean.subset(problem.layout, problem.board);
+    let alone = wls(&alone, problem.board).ok_or(IdentifyError::Unsolvable)?;
+    let alone = widened(&alone, problem.layout, problem.board);
+    let mut candidate = Candidate::Residual {
         theta: fit.theta.clone(),
         cogging,
         networks: Box::new(networks),
         limits,
     };
+    let plain = Candidate::Linear(alone.theta.clone());
+    let mut fit = fit;
+    // Networks and cogging that do not even fit their own rows better are left out.
+    let square =
+        |candidate: &Candidate<N>| weighted_square(problem.layout, data, candidate, &alone.sigma);
+    let better = square(&candidate) <= square(&plain);
+    if !better {
+        (candidate, fit) = (plain, alone.clone());
+    }
     Ok(MethodResult {
         fit: Some(fit),
+        linear: Some(alone),
         epochs: mean.len(),
         losses: thinned(&mean),
         ..MethodResult::plain(MethodName::BpResidual, candidate, data.sample.len())
     })
+}
+
+/// Mean square residual of the sampled rows, every joint in units of its `sigma`, N·m.
+fn weighted_square<const N: usize>(
+    layout: &Layout<N>,
+    data: &TrainingData<'_, N>,
+    candidate: &Candidate<N>,
+    sigma: &[f64; N],
+) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for row in &data.sample {
+        let torque = candidate.torque(layout, row);
+        for joint in (0..N).filter(|&joint| row.moving[joint]) {
+            sum += ((row.clean[joint] - torque[joint]) / sigma[joint]).powi(2);
+            count += 1.0;
+        }
+    }
+    sum / f64::max(count, 1.0)
 }
 
 /// Columns of the board and cogging fitted in turns: cogging is fast against every other column, so few turns suffice.

@@ -1,5 +1,6 @@
 //! All methods side by side on the same logs.
 
+use super::blocks::with_block_deviations;
 use super::bootstrap::parameter_intervals;
 use super::cogging::CoggingAmplitudes;
 use super::columns::{ColumnSet, Layout};
@@ -16,7 +17,7 @@ use super::judge::{Judgement, after_fit, description};
 use super::methods::{Fit, MethodName, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
-use super::record::{MethodRecord, RIVALS, Report};
+use super::record::{MethodRecord, RIVALS, Report, ValidationRecord};
 use super::solve::solve_all;
 use super::stream::for_each_prepared;
 use super::truth::{error_curve, truths};
@@ -101,7 +102,7 @@ pub fn identify<const N: usize>(
         methods: &config.methods,
         seed: config.seed,
     };
-    let study = Study {
+    let mut study = Study {
         problem,
         dataset: &dataset,
         bound: wls(&data.sums.all, &layout).ok_or(IdentifyError::Unsolvable)?,
@@ -385,19 +386,26 @@ impl<const N: usize> Study<'_, N> {
 
     /// Adds the errors on unseen logs to `methods`; returns the torques on the first of them.
     fn validate(
-        &self,
+        &mut self,
         (logs, kind): (&[PathBuf], Unseen),
         prepare: &PrepareConfig,
         methods: &mut Methods,
         notes: &mut Vec<String>,
     ) -> Result<Trace<N>, IdentifyError> {
         let Problem { robot, layout, .. } = self.problem;
-        let results = self.results.iter();
+        // The linear part of networks competes with them, and takes their place where it is better on unseen rows.
+        let fallback = self
+            .results
+            .iter()
+            .position(|result| result.linear.is_some())
+            .filter(|_| kind == Unseen::Validation);
+        let linear = fallback.and_then(|place| self.results[place].linear.clone());
+        let linear = linear.map(|fit| (Candidate::Linear(fit.theta.clone()), fit));
         let rivals = self.rivals();
-        let candidates: Vec<&Candidate<N>> = results
-            .map(|result| &result.candidate)
-            .chain(&rivals)
-            .collect();
+        let results = self.results.iter().map(|result| &result.candidate);
+        let last = linear.iter().map(|(candidate, _)| candidate);
+        let candidates: Vec<&Candidate<N>> = results.chain(&rivals).chain(last).collect();
+        let mut of_linear = BTreeMap::new();
         let mut trace = Vec::new();
         for path in logs {
             (self.progress)(&format!("validating {}", path.display()));
@@ -406,6 +414,10 @@ impl<const N: usize> Study<'_, N> {
                 scores.add(layout, own, &prepared, &candidates);
             })?;
             let limit = scores.propagated(layout, &self.bound.covariance);
+            if linear.is_some() {
+                let record = scores.record(candidates.len() - 1, self.problem.seed);
+                of_linear.insert(key_of(path, logs), record);
+            }
             for (place, result) in self.results.iter().enumerate() {
                 let mut record = scores.record(place, self.problem.seed);
                 record.cramer_rao_nrmse_moving_ratio = Some(limit);
@@ -437,6 +449,34 @@ impl<const N: usize> Study<'_, N> {
                 trace = scores.trace;
             }
         }
+        if let (Some(place), Some((candidate, fit))) = (fallback, linear) {
+            let result = &mut self.results[place];
+            let Some(method) = methods.get_mut(&result.name.to_string()) else {
+                return Ok(trace);
+            };
+            let error = |records: &BTreeMap<String, ValidationRecord>| {
+                let errors = records.values().map(|log| log.joints_nrmse_moving_ratio);
+                errors.sum::<f64>()
+            };
+            // A figure that is not a number is worse than any.
+            let better = error(&method.validation) <= error(&of_linear);
+            if !of_linear.is_empty() && !better {
+                notes.push(format!(
+                    "{}: on the validation logs its networks are worse than the linear part, which stands in for them",
+                    result.name
+                ));
+                method.validation = of_linear;
+                (result.candidate, result.fit) = (candidate, Some(fit));
+                for (_, _, predicted) in &mut trace {
+                    if let Some(linear) = predicted.last().copied() {
+                        predicted[place] = linear;
+                    }
+                }
+            }
+            for (_, _, predicted) in &mut trace {
+                predicted.pop();
+            }
+        }
         Ok(trace)
     }
 
@@ -459,25 +499,28 @@ impl<const N: usize> Study<'_, N> {
             board,
             ..
         } = self.problem;
+        let sums = self.dataset.sums.clean.subset(layout, board);
+        let honest = |fit: Fit<N>| {
+            with_block_deviations(fit, (&sums, board), (&self.dataset.sample, layout))
+        };
         if let (true, Some(fit)) = (complete, &result.fit) {
-            return Ok(fit.clone());
+            return Ok(honest(fit.clone()));
         }
         if let (Candidate::Residual { .. }, Some(fit)) = (&result.candidate, &result.fit) {
             let places = layout.places_of(board);
-            return Ok(Fit {
+            return Ok(honest(Fit {
                 theta: fit.theta.select_rows(&places),
                 covariance: fit.covariance.select_rows(&places).select_columns(&places),
                 ..*fit
-            });
+            }));
         }
-        let sums = self.dataset.sums.clean.subset(layout, board);
         let free = wls(&sums, board).ok_or(IdentifyError::Unsolvable)?;
         let fit = match result.name {
             MethodName::Consistent => consistent(robot, board, &free).map(|found| found.fit),
             MethodName::Evidence => evidence(robot, board, &sums, &free.sigma),
             _ => Some(free),
         };
-        fit.ok_or(IdentifyError::Unsolvable)
+        fit.map(honest).ok_or(IdentifyError::Unsolvable)
     }
 }
 

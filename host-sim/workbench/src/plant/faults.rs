@@ -24,18 +24,22 @@ pub struct ReportFaults {
     pub late: f64,
 }
 
+impl ReportFaults {
+    /// No fault; an outlier would be 20 % of the limit, twenty times the usual noise.
+    pub const NONE: Self = Self {
+        torque_gain: 1.0,
+        outliers: 0.0,
+        outlier_size: 0.2,
+        glitches: 0.0,
+        not_a_number: 0.0,
+        lost: 0.0,
+        late: 0.0,
+    };
+}
+
 impl Default for ReportFaults {
-    /// None; an outlier would be 20 % of the limit, twenty times the usual noise.
     fn default() -> Self {
-        Self {
-            torque_gain: 1.0,
-            outliers: 0.0,
-            outlier_size: 0.2,
-            glitches: 0.0,
-            not_a_number: 0.0,
-            lost: 0.0,
-            late: 0.0,
-        }
+        Self::NONE
     }
 }
 

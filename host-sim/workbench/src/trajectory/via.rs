@@ -123,6 +123,15 @@ impl<const N: usize> ViaPath<N> {
         (0..=points).map(share).fold(0.0, f64::max)
     }
 
+    /// This path, `factor` times slower.
+    pub fn stretched(mut self, factor: f64) -> Self {
+        self.segment_s *= factor;
+        for (_, slope) in &mut self.via {
+            *slope /= factor;
+        }
+        self
+    }
+
     /// This path, of `joint` alone until about `alone_s`; the others wait at their start.
     pub fn of_joint_until(mut self, joint: usize, alone_s: f64) -> Self {
         let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);

@@ -1,0 +1,410 @@
+//! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
+
+use super::batch::Rows;
+use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm, rated_payload};
+use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
+use crate::StudyError;
+use crate::prior::bank_of;
+use foretorque::arm::Arm;
+use foretorque::feedforward::{ParameterSet, evaluate};
+use foretorque::joint::JointMeasurement;
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::safety::SafetyState;
+use foretorque_link::wire::{Field, TelemetryFrame};
+use foretorque_workbench::board::{BoardError, Client, Native};
+use foretorque_workbench::closed_loop::control::PdConfig;
+use foretorque_workbench::closed_loop::{ClosedLoop, motion_f32};
+use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
+use foretorque_workbench::metrics::{MOVING_RAD_S, TrackingError};
+use foretorque_workbench::plant::Plant;
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::trajectory::Trajectory;
+use std::time::Duration;
+
+/// Bandwidth of the PD loop, Hz.
+const BANDWIDTH_HZ: f64 = 6.0;
+/// Ticks between two comparisons of torques.
+const EVERY: usize = 5;
+/// Points of the unseen path, and ticks between two looks at it.
+const UNSEEN_POINTS: usize = 250;
+const LOOK: usize = 500;
+/// Time of the look at which learning is compared with batch identification, s.
+const EARLY_S: f64 = 30.0;
+/// Joints below this share of their torque limit count as having it.
+const LEAST_TORQUE: f64 = 0.02;
+/// Length of the windows, s; rows this soon after a payload changes are in none, s.
+const WINDOW_S: usize = 10;
+const GRACE_S: f64 = 2.5;
+/// Time from a pick to the look at its mass, s.
+const WEIGHED_S: f64 = 3.0;
+/// Code of an alarm of change detection.
+const ALARM: u8 = 1;
+
+/// An arm of one seed.
+pub(super) struct Bench<const N: usize> {
+    seed: u64,
+    described: Robot,
+    truth: Robot,
+    bare: Robot,
+    rated: f64,
+    /// PD control of a motor drive, and of one with a torque loop.
+    pd: [PdConfig<N>; 2],
+    unseen: Vec<State<N>>,
+    scale: Joints<N>,
+}
+
+/// Errors of one second, squares in units of the joints' scale: learnt, start, and values.
+type Second = [f64; 3];
+
+/// Record of one run.
+struct Trace<const N: usize> {
+    seconds: Vec<Second>,
+    tracking: TrackingError<N>,
+    alarms: u32,
+    /// Payload mass the board reports, kg, by tick of the look.
+    weighed: Vec<f64>,
+    curve: Vec<(f64, f64)>,
+    rows: Rows<N>,
+    armed: bool,
+}
+
+impl<const N: usize> Bench<N> {
+    pub(super) fn new(arm: &WorldArm, seed: u64) -> Result<Self, StudyError> {
+        let described = arm.described()?;
+        let (mut rotors, _) = described.with_assumed_rotors();
+        let pd = |robot: &Robot| {
+            let model = ReferenceModel::<N>::new(robot).ok_or(StudyError::Joints(N))?;
+            Ok::<_, StudyError>(PdConfig::tuned(&model, BANDWIDTH_HZ, PERIOD_S))
+        };
+        let motor = pd(&rotors)?;
+        for joint in &mut rotors.joints {
+            joint.drive.rotor_inertia /= 1.0 + TORQUE_LOOP_GAIN;
+        }
+        let validation = Trajectory::<N>::validation(&described, seed.wrapping_add(2));
+        let length_s = validation.duration_s();
+        let points = 0..UNSEEN_POINTS;
+        let unseen = points.map(|k| validation.at(length_s * k as f64 / UNSEEN_POINTS as f64));
+        let mut bench = Self {
+            seed,
+            truth: WorldArm::truth(&described, seed),
+            bare: WorldArm::bare(&described, arm.name == "ur10e"),
+            rated: rated_payload::<N>(&described).ok_or(StudyError::Joints(N))?,
+            pd: [motor, pd(&rotors)?],
+            unseen: unseen.collect(),
+            scale: Joints::zeros(),
+            described,
+        };
+        let limits = bench.truth.each(|joint| joint.limits.torque);
+        let limits = Joints::<N>::from(limits.ok_or(StudyError::Joints(N))?);
+        let needed = bench.needed(&bench.plant(&Scenario::plain(), Source::Current)?);
+        let squares = needed.iter().fold(Joints::zeros(), |sum: Joints<N>, tau| {
+            sum + tau.component_mul(tau) / UNSEEN_POINTS as f64
+        });
+        bench.scale = squares.map(f64::sqrt).sup(&(limits * LEAST_TORQUE));
+        Ok(bench)
+    }
+
+    /// The true arm; errors of its drives belong to the seed, so that all scenarios have the same.
+    fn plant(&self, scenario: &Scenario, source: Source) -> Result<Plant<N>, StudyError> {
+        Plant::new(&self.truth, scenario.plant(source), self.seed).ok_or(StudyError::Joints(N))
+    }
+
+    /// Torques that `plant` needs along the unseen path.
+    fn needed(&self, plant: &Plant<N>) -> Vec<Joints<N>> {
+        let motions = self.unseen.iter();
+        motions.map(|state| plant.true_torque(state)).collect()
+    }
+
+    /// Error of a set on the unseen path, in units of the joints' scale.
+    fn unseen_error<A: Arm<N, P>, const P: usize>(
+        &self,
+        set: &ParameterSet<N, P>,
+        needed: &[Joints<N>],
+    ) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (state, needed) in self.unseen.iter().zip(needed) {
+            let torque: Joints<N> = evaluate::<A, N, P>(set, &motion_f32(state)).total.cast();
+            for j in (0..N).filter(|&j| state.qd[j].abs() > MOVING_RAD_S) {
+                sum += ((torque[j] - needed[j]) / self.scale[j]).powi(2);
+                count += 1.0;
+            }
+        }
+        (sum / f64::max(count, 1.0)).sqrt()
+    }
+
+    /// All scenarios of this arm whose names begin with `only`.
+    pub(super) fn scenarios<A: Arm<N, P>, const P: usize>(
+        &self,
+        arm: &WorldArm,
+        config: &LearningConfig,
+        only: &str,
+        done: &dyn Fn(usize),
+    ) -> Result<Vec<ScenarioReport>, StudyError> {
+        let mut reports = Vec::new();
+        let description = bank_of::<A, N, P>(&self.bare);
+        let mut banks: Vec<(Source, ParameterBank)> = Vec::new();
+        for scenario in Scenario::all(config.quick).filter(|s| s.name.starts_with(only)) {
+            for &(start, source) in scenario.starts {
+                let bank = match start {
+                    Start::Description => description.clone(),
+                    Start::Bank => match banks.iter().find(|(known, _)| *known == source) {
+                        Some((_, bank)) => bank.clone(),
+                        None => {
+                            let bank = self.identified::<A, P>(&description, source)?;
+                            banks.push((source, bank.clone()));
+                            bank
+                        }
+                    },
+                };
+                let figures = self.figures::<A, P>(&scenario, (start, source), &bank, config)?;
+                let names = format!("{start:?}-{source:?}").to_lowercase();
+                reports.push(ScenarioReport {
+                    arm: arm.name.to_owned(),
+                    scenario: format!("{}-{names}", scenario.name),
+                    seed: self.seed,
+                    curve: figures.1,
+                    figures: figures.0,
+                });
+                done(scenario.ticks(config.quick));
+            }
+        }
+        Ok(reports)
+    }
+
+    /// The bank that batch identification makes of 40 s of a path of its own.
+    fn identified<A: Arm<N, P>, const P: usize>(
+        &self,
+        start: &ParameterBank,
+        source: Source,
+    ) -> Result<ParameterBank, StudyError> {
+        let scenario = Scenario::plain();
+        let path = scenario.trajectory::<N>(&self.described, self.seed.wrapping_add(900), false);
+        let plant = self.plant(&scenario, source)?;
+        let trace = self.run::<A, P>(
+            (plant, source),
+            &path,
+            Some((start, false)),
+            scenario.ticks(false),
+            0.0,
+        )?;
+        let start = start.set::<A, N, P>().map_err(BoardError::Bank)?;
+        Ok(trace.rows.fit::<A, P>(&start))
+    }
+
+    fn figures<A: Arm<N, P>, const P: usize>(
+        &self,
+        scenario: &Scenario,
+        (start, source): (Start, Source),
+        bank: &ParameterBank,
+        config: &LearningConfig,
+    ) -> Result<(Figures, Vec<(f64, f64)>), StudyError> {
+        let quick = config.quick;
+        let path = scenario.trajectory::<N>(&self.described, self.seed, quick);
+        let events = scenario.events::<N>(&self.described, self.rated, self.seed, quick);
+        let plant = self.plant(scenario, source)?;
+        let plant = plant
+            .with_events(events.clone())
+            .with_faults(scenario.faults());
+        let ticks = scenario.ticks(quick);
+        let learnt = self.run::<A, P>(
+            (plant.clone(), source),
+            &path,
+            Some((bank, true)),
+            ticks,
+            EARLY_S,
+        )?;
+        let mut figures = Figures::new();
+        let mut put = |name: &'static str, value: f64| figures.insert(name, value);
+        let last = |t_s: f64| learnt.curve.iter().rfind(|(at, _)| *at <= t_s + 1e-9);
+        let early = last(EARLY_S).map_or(f64::NAN, |(_, error)| *error);
+        put("unseen_over_start_ratio", early);
+        let windows = windows(&learnt.seconds);
+        if !windows.is_empty() {
+            let worse = windows.iter().filter(|ratio| **ratio > 1.05).count();
+            put(
+                "windows_above_1.05_percent",
+                100.0 * worse as f64 / windows.len() as f64,
+            );
+            put(
+                "worst_window_ratio",
+                windows.iter().copied().fold(0.0, f64::max),
+            );
+        }
+        let sum = |k: usize| learnt.seconds.iter().map(|s| s[k]).sum::<f64>();
+        put("mean_over_start_ratio", (sum(0) / sum(1)).sqrt());
+        put("tracking_learnt_mrad", learnt.tracking.mean_rms_mrad());
+        put("armed_at_the_end_count", f64::from(u8::from(learnt.armed)));
+        if scenario.event == Event::None {
+            put("alarms_count", f64::from(learnt.alarms));
+        }
+        if let Event::Payloads(share) = scenario.event {
+            let mass = share * self.rated;
+            let errors = learnt
+                .weighed
+                .iter()
+                .map(|found| 100.0 * (found / mass - 1.0).abs());
+            put(
+                "payload_mass_error_worst_percent",
+                errors.fold(0.0, f64::max),
+            );
+        }
+        if scenario.against_batch {
+            let set = bank.set::<A, N, P>().map_err(BoardError::Bank)?;
+            let batch = learnt.rows.fit::<A, P>(&set);
+            let batch = batch.set::<A, N, P>().map_err(BoardError::Bank)?;
+            let needed = self.needed(&plant);
+            let batch = self.unseen_error::<A, P>(&batch, &needed)
+                / self.unseen_error::<A, P>(&set, &needed);
+            put("batch_over_start_ratio", batch);
+            put("unseen_over_batch_ratio", early / batch);
+        }
+        if scenario.against_pd {
+            let alone = self.run::<A, P>((plant, source), &path, None, ticks, 0.0)?;
+            let alone = alone.tracking.mean_rms_mrad();
+            put(
+                "tracking_over_pd_ratio",
+                learnt.tracking.mean_rms_mrad() / alone,
+            );
+        }
+        if start == Start::Description {
+            let above = learnt.curve.iter().rfind(|(_, error)| *error > 0.35);
+            put("stays_below_0.35_s", above.map_or(0.0, |(t_s, _)| *t_s));
+        }
+        Ok((figures, learnt.curve))
+    }
+
+    /// Plays `path`, with the board that starts from a bank and learns, or not; or without one.
+    ///
+    /// * `rows_s` rows for batch identification are kept up to this time, s; 0 keeps all
+    fn run<A: Arm<N, P>, const P: usize>(
+        &self,
+        (mut plant, source): (Plant<N>, Source),
+        path: &Trajectory<N>,
+        start: Option<(&ParameterBank, bool)>,
+        ticks: usize,
+        rows_s: f64,
+    ) -> Result<Trace<N>, StudyError> {
+        let mut board = None;
+        let mut started = None;
+        if let Some((bank, _)) = start {
+            let native = Box::new(Native::<A, N, P>::new()?);
+            let mut client = Client::connect::<A, P>(native, Duration::from_secs(1))?;
+            client.upload_bank(bank)?;
+            started = Some(bank.set::<A, N, P>().map_err(BoardError::Bank)?);
+            board = Some(client);
+        }
+        let mut play = ClosedLoop::new(
+            &mut plant,
+            &self.pd[usize::from(source == Source::Link)],
+            path,
+            PERIOD_S,
+            board.as_mut(),
+        )?;
+        let learns = start.is_some_and(|(_, learns)| learns);
+        if let Some(board) = &mut board {
+            board.learning(learns)?;
+            board.stream(Field::Quality.bit() | Field::Decision.bit(), 2)?;
+        }
+        let mut trace = Trace {
+            seconds: Vec::new(),
+            tracking: TrackingError::default(),
+            alarms: 0,
+            weighed: Vec::new(),
+            curve: Vec::new(),
+            rows: Rows::new(),
+            armed: true,
+        };
+        let (mut acting, mut decided, mut mass) = (Joints::zeros(), 0, 0.0);
+        let (mut carried, mut changed_s) = (false, f64::NEG_INFINITY);
+        for tick in 0..ticks {
+            let t_s = tick as f64 * PERIOD_S;
+            if let (Some(board), Some(started), true) = (&mut board, &started, learns)
+                && tick.is_multiple_of(LOOK)
+            {
+                let set = board
+                    .read_bank()?
+                    .set::<A, N, P>()
+                    .map_err(BoardError::Bank)?;
+                let needed = self.needed(&plant);
+                let before = self.unseen_error::<A, P>(started, &needed);
+                let error = self.unseen_error::<A, P>(&set, &needed) / before;
+                trace.curve.push((t_s, error));
+            }
+            let record = play.tick(&mut plant, board.as_mut())?;
+            if (carried, plant.carried().is_some()) != (carried, carried) {
+                (carried, changed_s) = (plant.carried().is_some(), t_s);
+            }
+            if carried && (t_s - changed_s - WEIGHED_S).abs() < 0.5 * PERIOD_S {
+                trace.weighed.push(mass);
+            }
+            if 2 * tick > ticks {
+                trace.tracking.add(&(record.desired.q - record.q));
+            }
+            if rows_s == 0.0 || t_s < rows_s {
+                let measured = record.reported.map(|reported| JointMeasurement {
+                    q: reported.q.cast(),
+                    tau: reported.tau.cast(),
+                });
+                trace.rows.push(measured.as_ref());
+            }
+            if let (Some(started), true, true) = (
+                &started,
+                tick % EVERY == 0,
+                t_s - changed_s > GRACE_S && tick > 0,
+            ) {
+                let needed = plant.true_torque(&record.desired);
+                let motion = motion_f32(&record.desired);
+                let frozen: Joints<N> = evaluate::<A, N, P>(started, &motion).total.cast();
+                let second = t_s as usize;
+                trace
+                    .seconds
+                    .resize(trace.seconds.len().max(second + 1), [0.0; 3]);
+                for j in (0..N).filter(|&j| record.desired.qd[j].abs() > MOVING_RAD_S) {
+                    let square = |tau: f64| ((tau - needed[j]) / self.scale[j]).powi(2);
+                    let sums = &mut trace.seconds[second];
+                    sums[0] += square(acting[j]);
+                    sums[1] += square(frozen[j]);
+                    sums[2] += 1.0;
+                }
+            }
+            acting = record.feed_forward.cast();
+            if let Some(board) = &mut board {
+                trace.armed = board.safety().state == SafetyState::Armed;
+                for frame in board.take_telemetry() {
+                    watch::<N>(&frame, &mut decided, &mut trace.alarms, &mut mass);
+                }
+            }
+        }
+        Ok(trace)
+    }
+}
+
+/// Takes the payload mass and new alarms out of a frame.
+fn watch<const N: usize>(
+    frame: &TelemetryFrame,
+    decided: &mut u32,
+    alarms: &mut u32,
+    mass: &mut f64,
+) {
+    for (field, bytes) in frame.fields(N) {
+        let word = |place: usize| bytes.get(place..place + 4)?.try_into().ok();
+        match field {
+            Field::Quality => *mass = word(8).map_or(0.0, |w| f64::from(f32::from_le_bytes(w))),
+            Field::Decision => {
+                let count = word(0).map_or(0, u32::from_le_bytes);
+                *alarms += u32::from(count != *decided && bytes.get(4) == Some(&ALARM));
+                *decided = count;
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Learnt error over that of the start on every window with motion.
+fn windows(seconds: &[Second]) -> Vec<f64> {
+    let windows = seconds.windows(WINDOW_S).map(|window| {
+        let sum = |k: usize| window.iter().map(|second| second[k]).sum::<f64>();
+        (sum(0) / sum(1)).sqrt()
+    });
+    windows.filter(|ratio| ratio.is_finite()).collect()
+}

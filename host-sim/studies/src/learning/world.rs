@@ -1,0 +1,443 @@
+//! The world of arms, and the scenarios that every arm plays, as tables.
+
+use super::PERIOD_S;
+use crate::StudyError;
+use foretorque_workbench::dynamics::{Joints, ReferenceModel};
+use foretorque_workbench::plant::{Events, Payload, PlantConfig, PlantEffects, Push, ReportFaults};
+use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::trajectory::via::ViaPath;
+use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// One arm: name, description, and the kind of arm it stands for.
+#[derive(Debug)]
+pub(super) struct WorldArm {
+    pub(super) name: &'static str,
+    text: &'static str,
+    pub(super) kind: &'static str,
+}
+
+macro_rules! arms {
+    ($($name:literal, $file:literal, $kind:literal;)*) => {
+        &[$(WorldArm { name: $name, text: include_str!(concat!("../../../robots/", $file)), kind: $kind }),*]
+    };
+}
+
+/// All arms. Masses of the true arm differ from the description by up to 20 %.
+pub(super) const ARMS: &[WorldArm] = arms! {
+    "ur5", "ur5.toml", "industrial, 6 joints, data sheet";
+    "panda", "panda.urdf", "7 joints, URDF without rotors and friction";
+    "iiwa", "iiwa.toml", "7 joints, LWR class, no rotors and friction";
+    "gen3", "gen3.toml", "7 light joints, Gen3 class, no rotors and friction";
+    "ur10e", "ur10e.toml", "industrial, 6 joints, data sheet, guessed rotors";
+    "mit6", "mit6.toml", "6 low-ratio MIT actuators, little friction";
+    "small5", "small5.toml", "5 hobby servos, much friction";
+    "eight", "eight.toml", "8 joints, no rotors and friction";
+};
+
+/// Gain of the torque loop around a sensor behind the gear.
+pub(super) const TORQUE_LOOP_GAIN: f64 = 9.0;
+/// Largest relative error of a rotor inertia that is described, and range of those that are not, rad/s²: the torque limit
+/// over the inertia.
+const ROTOR_ERROR: f64 = 0.25;
+/// Friction of joints whose description has none: Coulomb, share of the torque limit; viscous, the same at the speed limit.
+const COULOMB_SHARE: f64 = 0.04;
+const VISCOUS_SHARE: f64 = 0.06;
+
+impl WorldArm {
+    /// The arm as described.
+    pub(super) fn described(&self) -> Result<Robot, StudyError> {
+        Ok(Robot::parse(self.name, self.text)?)
+    }
+
+    /// The description without friction, and without rotors where `described` gives them for certain: what a URDF has.
+    pub(super) fn bare(described: &Robot, guessed_rotors: bool) -> Robot {
+        let mut bare = described.clone();
+        for joint in &mut bare.joints {
+            (joint.friction.viscous, joint.friction.coulomb) = (0.0, 0.0);
+            if !guessed_rotors {
+                joint.drive.rotor_inertia = 0.0;
+            }
+        }
+        bare
+    }
+
+    /// The arm as it is.
+    pub(super) fn truth(described: &Robot, seed: u64) -> Robot {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(7);
+        let (robot, _) = described.with_assumed_rotors();
+        let mut truth = robot.perturbed(seed, &Perturbation::PLANT);
+        for joint in &mut truth.joints {
+            joint.drive.rotor_inertia *= 1.0 + ROTOR_ERROR * random.random_range(-1.0..1.0);
+            let (limits, friction) = (joint.limits, &mut joint.friction);
+            if friction.coulomb <= 0.0 {
+                friction.coulomb = COULOMB_SHARE * limits.torque * random.random_range(0.7..1.3);
+                friction.viscous = VISCOUS_SHARE * limits.torque / limits.velocity;
+                (friction.stribeck_ratio, friction.stribeck_velocity) = (0.25, 0.1);
+            }
+        }
+        truth
+    }
+}
+
+/// Parameters of the board when a scenario begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Start {
+    /// The description without friction and rotors.
+    Description,
+    /// Identified by weighted least squares on 40 s of another path.
+    Bank,
+}
+
+/// Origin of the measured torque.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    /// Motor current, with gain error and drifting offset.
+    Current,
+    /// A sensor behind the gear, inside a torque loop: friction and rotor are not measured.
+    Link,
+    /// Motor current of a rigid arm with exact sensors and 1 % noise.
+    Rigid,
+}
+
+/// Motion of the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Motion {
+    /// Via points, as fast as the arm may.
+    Rich,
+    /// That shape, eight times slower.
+    Slow,
+    /// Via points for 15 s, then standstill.
+    ThenStill,
+    /// The second joint alone for half of the time, then all.
+    OneJointFirst,
+}
+
+/// Disturbances of the arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Event {
+    /// No disturbance.
+    None,
+    /// A body of this share of the rated payload, picked up and let go.
+    Payloads(f64),
+    /// Pushes of 10–35 % of the torque limit.
+    Pushes,
+}
+
+/// One scenario.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scenario {
+    pub(super) name: &'static str,
+    pub(super) shows: &'static str,
+    pub(super) starts: &'static [(Start, Source)],
+    pub(super) motion: Motion,
+    pub(super) event: Event,
+    /// Length, s, and that of the short form; 0 leaves the scenario out of it.
+    seconds: f64,
+    quick_s: f64,
+    /// Growth of viscous friction in a minute, share.
+    drift_min: f64,
+    torque_noise: f64,
+    drive_gain: f64,
+    faults: ReportFaults,
+    /// PD control alone is run too.
+    pub(super) against_pd: bool,
+    /// Batch least squares on the rows of the run is the rival.
+    pub(super) against_batch: bool,
+}
+
+const BANK: &[(Start, Source)] = &[(Start::Bank, Source::Current)];
+
+const PLAIN: Scenario = Scenario {
+    name: "",
+    shows: "",
+    starts: BANK,
+    motion: Motion::Rich,
+    event: Event::None,
+    seconds: 40.0,
+    quick_s: 0.0,
+    drift_min: 0.0,
+    torque_noise: 0.01,
+    drive_gain: 1.0,
+    faults: ReportFaults::NONE,
+    against_pd: false,
+    against_batch: false,
+};
+
+/// Name, description, difference from the plain scenario.
+type Row = (&'static str, &'static str, fn(&mut Scenario));
+
+const SCENARIOS: &[Row] = &[
+    ("path", "one rich path, nothing goes wrong", |s| {
+        s.starts = &[
+            (Start::Description, Source::Current),
+            (Start::Description, Source::Link),
+            (Start::Bank, Source::Current),
+            (Start::Bank, Source::Link),
+        ];
+        (s.seconds, s.quick_s) = (60.0, 30.0);
+        (s.against_pd, s.against_batch) = (true, true);
+    }),
+    ("rigid", "a rigid arm with exact sensors", |s| {
+        s.starts = &[(Start::Description, Source::Rigid)];
+        (s.quick_s, s.against_pd) = (22.0, true);
+    }),
+    ("slow", "slow motion from a bank", |s| {
+        (s.motion, s.against_batch) = (Motion::Slow, true);
+        (s.seconds, s.quick_s) = (120.0, 40.0);
+    }),
+    ("drift", "viscous friction grows by 30 % in a minute", |s| {
+        (s.seconds, s.quick_s, s.drift_min) = (120.0, 60.0, 0.3);
+    }),
+    ("calm", "undisturbed for ten minutes", |s| {
+        (s.seconds, s.quick_s) = (600.0, 60.0);
+    }),
+    (
+        "payload",
+        "15 % of the rated payload, picked up and let go",
+        |s| {
+            s.event = Event::Payloads(0.15);
+            (s.seconds, s.quick_s) = (80.0, 28.0);
+        },
+    ),
+    ("payload-rated", "60 % of the rated payload", |s| {
+        s.event = Event::Payloads(0.6);
+        s.seconds = 80.0;
+    }),
+    ("pushes", "collisions of 0.1 to 2.5 s", |s| {
+        s.event = Event::Pushes;
+        s.seconds = 120.0;
+    }),
+    ("standstill", "15 s of path, then standstill", |s| {
+        s.motion = Motion::ThenStill
+    }),
+    ("one-joint", "the second joint alone, then all", |s| {
+        s.motion = Motion::OneJointFirst;
+        s.seconds = 60.0;
+    }),
+    (
+        "outliers",
+        "1 % of the torques off by 20 % of the limit",
+        |s| s.faults.outliers = 0.01,
+    ),
+    ("noise-x5", "torque noise of 5 % of the limit", |s| {
+        s.torque_noise = 0.05
+    }),
+    ("wrong-sign", "reported torque with the wrong sign", |s| {
+        s.faults.torque_gain = -1.0
+    }),
+    ("sensor-gain", "reported torque 20 % too large", |s| {
+        s.faults.torque_gain = 1.2
+    }),
+    (
+        "drive-gain",
+        "torque constants 20 % below the model's",
+        |s| s.drive_gain = 0.8,
+    ),
+    (
+        "glitches",
+        "0.1 % of the positions with a flipped bit",
+        |s| s.faults.glitches = 0.001,
+    ),
+    ("lost-and-late", "5 % of the samples lost, 5 % late", |s| {
+        (s.faults.lost, s.faults.late) = (0.05, 0.05);
+    }),
+    ("not-a-number", "1 % of the samples not finite", |s| {
+        s.faults.not_a_number = 0.01;
+    }),
+];
+
+/// First event and time from one to the next, s; a payload is held for half of it.
+const FIRST_EVENT_S: f64 = 12.0;
+const CYCLE_S: f64 = 10.0;
+
+impl Scenario {
+    /// The scenario in which nothing happens.
+    pub(super) const fn plain() -> Self {
+        PLAIN
+    }
+
+    /// All scenarios, or those of the short form.
+    pub(super) fn all(quick: bool) -> impl Iterator<Item = Self> {
+        let scenarios = SCENARIOS.iter().map(|(name, shows, change)| {
+            let mut scenario = Self {
+                name,
+                shows,
+                ..PLAIN
+            };
+            change(&mut scenario);
+            scenario
+        });
+        scenarios.filter(move |scenario| !quick || scenario.quick_s > 0.0)
+    }
+
+    /// Length in ticks.
+    pub(super) fn ticks(&self, quick: bool) -> usize {
+        let seconds = if quick { self.quick_s } else { self.seconds };
+        (seconds / PERIOD_S).round() as usize
+    }
+
+    /// The plant, its mechanics apart.
+    pub(super) fn plant(&self, source: Source) -> PlantConfig {
+        let config = PlantConfig {
+            step_rate_hz: 4000.0,
+            torque_noise: self.torque_noise,
+            viscous_drift: self.drift_min / 60.0,
+            load_friction: 0.02,
+            drive_gain: self.drive_gain,
+            effects: PlantEffects::NONE,
+        };
+        let elastic = PlantEffects {
+            twist_mrad: 5.0,
+            twist_damping: 0.1,
+            presliding_mrad: 0.3,
+            backlash_mrad: 0.05,
+            warm_viscous_fall: 0.2,
+            warm_up_s: 300.0,
+            delay_ms: 1.0,
+            delay_jitter_ms: 1.0,
+            sampling_jitter_ms: 0.02,
+            ..PlantEffects::NONE
+        };
+        let effects = match source {
+            Source::Rigid => return config,
+            Source::Current => PlantEffects {
+                drive_gain_spread: 0.08,
+                torque_offset: 0.01,
+                torque_offset_drift: 0.003,
+                ..elastic
+            },
+            Source::Link => PlantEffects {
+                torque_loop_gain: TORQUE_LOOP_GAIN,
+                torque_offset: 0.003,
+                ..elastic
+            },
+        };
+        PlantConfig { effects, ..config }
+    }
+
+    /// Faults of the reports.
+    pub(super) fn faults(&self) -> ReportFaults {
+        self.faults
+    }
+
+    /// Motion of the arm, another one for each scenario.
+    pub(super) fn trajectory<const N: usize>(
+        &self,
+        robot: &Robot,
+        seed: u64,
+        quick: bool,
+    ) -> Trajectory<N> {
+        let seconds = self.ticks(quick) as f64 * PERIOD_S;
+        let mix = |sum: u64, byte: u8| sum.wrapping_mul(31).wrapping_add(u64::from(byte));
+        let seed = self.name.bytes().fold(seed, mix);
+        let random = |seconds| ViaPath::random(robot, seed, seconds, VALIDATION_PEAK_RAD_S);
+        Trajectory::Via(match self.motion {
+            Motion::Rich => random(seconds),
+            Motion::Slow => random(seconds / 8.0).stretched(8.0),
+            Motion::ThenStill => random(15.0),
+            Motion::OneJointFirst => random(seconds).of_joint_until(1, 0.5 * seconds),
+        })
+    }
+
+    /// Disturbances; `rated` is the rated payload, kg.
+    pub(super) fn events<const N: usize>(
+        &self,
+        robot: &Robot,
+        rated: f64,
+        seed: u64,
+        quick: bool,
+    ) -> Events<N> {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut events = Events::default();
+        let end_s = self.ticks(quick) as f64 * PERIOD_S;
+        let mut from_s = FIRST_EVENT_S;
+        while from_s + 0.6 * CYCLE_S <= end_s {
+            match self.event {
+                Event::None => break,
+                Event::Payloads(share) => {
+                    let to_s = from_s + 0.5 * CYCLE_S;
+                    let com = [0.02, -0.01, 0.05];
+                    events
+                        .payloads
+                        .push(Payload::cube(share * rated, com, from_s, to_s));
+                }
+                Event::Pushes => events.pushes.push(push(robot, from_s, &mut random)),
+            }
+            from_s += CYCLE_S + random.random_range(0.0..1.0);
+        }
+        events
+    }
+}
+
+/// A collision with a random link: up to 10–35 % of the limit on the joints below it, just that on its own.
+fn push<const N: usize>(robot: &Robot, from_s: f64, random: &mut ChaCha8Rng) -> Push<N> {
+    let (touched, size) = (random.random_range(0..N), random.random_range(0.10..0.35));
+    let torque = Joints::from_fn(|j, _| {
+        let limit = robot.joints[j].limits.torque;
+        let share: f64 = random.random_range(-1.0..1.0);
+        match j.cmp(&touched) {
+            std::cmp::Ordering::Less => size * share * limit,
+            std::cmp::Ordering::Equal => size * share.signum() * limit,
+            std::cmp::Ordering::Greater => 0.0,
+        }
+    });
+    Push {
+        torque,
+        from_s,
+        to_s: from_s + random.random_range(0.1..2.5),
+    }
+}
+
+/// Rated payload, kg: the mass whose weight takes at most a third of any joint's torque limit, over 200 poses.
+pub(super) fn rated_payload<const N: usize>(robot: &Robot) -> Option<f64> {
+    let bare = ReferenceModel::<N>::new(robot)?;
+    let loaded = bare.with_payload(&Payload::cube(1.0, [0.0, 0.0, 0.05], 0.0, 0.0).body);
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let mut worst = 0.0_f64;
+    for _ in 0..200 {
+        let q = Joints::from_fn(|j, _| {
+            let (low, high) = robot.joints[j].limits.position;
+            random.random_range(low..high)
+        });
+        let weight = loaded.gravity_torques(&q) - bare.gravity_torques(&q);
+        for (torque, joint) in weight.iter().zip(&robot.joints) {
+            worst = worst.max(torque.abs() / joint.limits.torque);
+        }
+    }
+    Some(1.0 / (3.0 * worst))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_arm_is_described_and_carries_a_payload() {
+        let rated = |arm: &WorldArm| -> f64 {
+            let robot = arm.described().expect("described");
+            let rated = match robot.joint_count() {
+                5 => rated_payload::<5>(&robot),
+                6 => rated_payload::<6>(&robot),
+                7 => rated_payload::<7>(&robot),
+                _ => rated_payload::<8>(&robot),
+            };
+            rated.expect("as many joints")
+        };
+        for (arm, (least, most)) in ARMS.iter().zip([
+            (3.0, 7.0),
+            (2.0, 5.0),
+            (5.0, 15.0),
+            (1.0, 3.0),
+            (7.0, 14.0),
+            (1.0, 4.0),
+            (0.1, 0.6),
+            (3.0, 12.0),
+        ]) {
+            let rated = rated(arm);
+            assert!((least..most).contains(&rated), "{}: {rated} kg", arm.name);
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Standard deviations that correlated residuals leave.
+//!
+//! Rows of a log are not independent: what the model misses stays for tenths of seconds. Taken as white, it shrinks the
+//! covariance too fast. The variance of block sums over that of independent values [Conway 1963, batch means] is the factor
+//! by which each joint's rows count less.
+
+use super::columns::Layout;
+use super::dataset::SampleRow;
+use super::methods::Fit;
+use super::normal::{NormalEquations, solve};
+
+/// Fewest blocks, so that their variance is known, and most rows of one.
+const BLOCKS: usize = 40;
+const MOST_ROWS: usize = 500;
+
+/// Variance of a block's sum over that of as many independent values, at least 1.
+fn inflation(residuals: &[f64]) -> f64 {
+    let length = (residuals.len() / BLOCKS).clamp(1, MOST_ROWS);
+    let blocks = residuals.chunks_exact(length);
+    let count = blocks.len() * length;
+    let sums: f64 = blocks.map(|block| block.iter().sum::<f64>().powi(2)).sum();
+    let squares: f64 = residuals[..count].iter().map(|e| e * e).sum();
+    if squares > 0.0 {
+        (sums / squares).max(1.0)
+    } else {
+        1.0
+    }
+}
+
+/// This fit with the covariance that the residuals of `sample` really leave.
+///
+/// * `sums` equations of all rows, in `layout`; `sample` rows in `wide`, a layout of the same robot
+pub(super) fn with_block_deviations<const N: usize>(
+    fit: Fit<N>,
+    (sums, layout): (&NormalEquations<N>, &Layout<N>),
+    (sample, wide): (&[SampleRow<N>], &Layout<N>),
+) -> Fit<N> {
+    let mut theta = nalgebra::DVector::zeros(wide.parameters.len());
+    for (value, place) in fit.theta.iter().zip(wide.places_of(layout)) {
+        theta[place] = *value;
+    }
+    let sigma = std::array::from_fn(|joint| {
+        let moving = sample.iter().filter(|row| row.moving[joint]);
+        let residuals: Vec<f64> = moving
+            .map(|row| row.clean[joint] - row.linear(wide, &theta, joint))
+            .collect();
+        fit.sigma[joint] * inflation(&residuals).sqrt()
+    });
+    let (gram, moment) = sums.weighted(layout, &sigma);
+    match solve(&gram, &moment) {
+        // A prior may have made the fit surer than its rows.
+        Some((_, covariance)) => {
+            let free = fit.covariance.diagonal();
+            let shares = free.zip_map(&covariance.diagonal(), |own, found| {
+                if found > 0.0 && own > found {
+                    own / found
+                } else {
+                    1.0
+                }
+            });
+            let scale = shares.map(f64::sqrt);
+            let covariance = nalgebra::DMatrix::from_fn(scale.len(), scale.len(), |r, c| {
+                covariance[(r, c)] * scale[r] * scale[c]
+            });
+            Fit { covariance, ..fit }
+        }
+        None => fit,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identification::columns::ColumnSet;
+    use crate::identification::dataset::{RowSums, random_rows};
+    use crate::identification::methods::wls;
+    use crate::robot::Robot;
+    use rand::{Rng, SeedableRng};
+
+    #[test]
+    fn deviations_cover_the_errors_that_correlated_residuals_make() {
+        let robot = Robot::load("ur5").expect("built in");
+        let layout = Layout::<6>::new(&robot, &ColumnSet::plain()).expect("six joints");
+        // Residuals that stay for 20 rows, on motion that hardly changes sign in that time.
+        let (mut white, mut blocks) = (0.0, 0.0);
+        for seed in 0..4 {
+            let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+            let mut state = [0.0; 6];
+            let mut rows = random_rows(&layout, 6000, seed, [2.0, 1.0, 3.0], 0.0, |_, _| 0.0);
+            let motions: Vec<_> = rows.iter().step_by(20).cloned().collect();
+            for (k, row) in rows.iter_mut().enumerate() {
+                *row = motions[k / 20].clone();
+                for (state, tau) in state.iter_mut().zip(&mut row.clean) {
+                    *state = 0.95 * *state + random.random_range(-0.3..0.3);
+                    *tau = *state;
+                }
+                row.tau = row.clean;
+            }
+            let mut sums = RowSums::new(&layout);
+            sums.add(&layout, &rows.iter().collect::<Vec<_>>());
+            let fit = wls(&sums.clean, &layout).expect("solvable");
+            let error = |fit: &Fit<6>| {
+                let ratios = fit.theta.component_div(&fit.deviations());
+                ratios.norm_squared() / ratios.len() as f64
+            };
+            white += error(&fit) / 4.0;
+            let rows = (rows.as_slice(), &layout);
+            blocks += error(&with_block_deviations(fit, (&sums.clean, &layout), rows)) / 4.0;
+        }
+        // The truth is zero: errors in standard deviations have mean square 1 where those are honest.
+        assert!(white > 6.0, "{white}");
+        assert!((0.4..2.0).contains(&blocks), "{blocks}");
+    }
+}
