@@ -65,7 +65,7 @@ fn an_arm_of_seven_joints_runs_in_a_closed_loop_and_learns() {
 }
 
 #[test]
-fn a_robot_without_an_arm_in_the_firmware_is_refused_by_name() {
+fn a_described_robot_has_an_arm_and_an_unknown_one_is_refused() {
     let directory = directory("no-arm");
     let ur5 = include_str!("../robots/ur5.toml");
     let other = ur5.replacen("name = \"ur5\"", "name = \"ur99\"", 1);
