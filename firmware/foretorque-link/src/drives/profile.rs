@@ -22,7 +22,7 @@ pub struct Ranges {
 
 /// Protocol of a drive, with the scales of its fields.
 ///
-/// Each scale must equal the one configured in the drive; [`super::DriveProfile::read_scale`] asks the drive for it.
+/// Each scale must equal the one configured in the drive; an order of the kind `ReadScale` asks the drive for it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]

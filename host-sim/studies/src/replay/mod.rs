@@ -123,7 +123,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
                 for _ in 0..20 {
                     torque = self.tick(Some(&sample));
                 }
-                let limit = A::LIMITS[joint].torque;
+                let limit = A::limits()[joint].torque;
                 largest = largest.max(f64::from(torque[joint].abs() / limit));
             }
         }
@@ -231,7 +231,7 @@ fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut board = Board::<A, N, P>::new(&start)?;
     let mut history = VecDeque::new();
     let mut scores: Vec<Scores<N>> = paths.iter().map(|_| Scores::default()).collect();
-    let limits = std::array::from_fn(|joint| f64::from(A::LIMITS[joint].torque));
+    let limits = std::array::from_fn(|joint| f64::from(A::limits()[joint].torque));
     for (number, stretch) in stretches.iter().enumerate() {
         progress("log replayed", number, stretches.len());
         let fresh = history.is_empty();

@@ -158,7 +158,7 @@ impl<A: Arm<N, P>, W: Network + Operator, const N: usize, const P: usize>
     fn find(&mut self) -> Result<(), BusError> {
         let gravity = self.model.gravity_torques(&self.rest);
         for joint in 0..N {
-            let most = RESTING * f64::from(A::LIMITS[joint].torque);
+            let most = RESTING * f64::from(A::limits()[joint].torque);
             if gravity[joint].abs() > most {
                 let (rest, gravity) = (self.rest[joint], gravity[joint]);
                 return Err(mistake(
@@ -317,7 +317,7 @@ impl<A: Arm<N, P>, W: Network + Operator, const N: usize, const P: usize>
 
     /// Pushes a joint with rising torques until it moves, then compares push and coasting with its inertia.
     fn torque(&mut self, joint: usize) -> Result<(), BusError> {
-        let limit = f64::from(A::LIMITS[joint].torque);
+        let limit = f64::from(A::limits()[joint].torque);
         let inertia = self.model.mass_matrix(&self.rest)[(joint, joint)];
         self.settle(joint, 0.1)?;
         for level in LEVELS {

@@ -197,7 +197,7 @@ impl<const N: usize> Plant<N> {
     /// step, then `qd += h qdd`, `q += h qd`: friction enters implicitly, so the steep Coulomb sign stays stable.
     /// First order: the error is proportional to the step; at 8 kHz the arm is within a milliradian of a step 16 times
     /// finer after one second of open loop (the test holds it to that). A payload is there, or not, from the first step
-    /// that begins in its time; it comes and goes at the speed of the hand. Elastic gears: see [`Gear::step`].
+    /// that begins in its time; it comes and goes at the speed of the hand. Elastic gears: see `Gear::step`.
     pub fn advance(&mut self, tau: &Joints<N>, period_s: f64) {
         self.tau = tau.zip_map(&self.torque_limit, |tau, limit| tau.clamp(-limit, limit));
         let steps = (period_s * self.config.step_rate_hz).round().max(1.0);
