@@ -183,7 +183,7 @@ fn the_log_of_the_flashable_firmware_is_text() {
     let lines: Vec<&str> = log.lines().collect();
     assert_eq!(
         lines[0],
-        "info: boot: odrive-v3, clock Emulated at 168000000 Hz, started by Unknown, left before by None at 0x0"
+        "info: boot: odrive-v3, clock Virtual at 168000000 Hz, started by Unknown, left before by None at 0x0"
     );
     assert!(lines[1].starts_with("info: store: "), "{log}");
     assert!(lines[2].starts_with(&hello), "{log}");

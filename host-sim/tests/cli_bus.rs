@@ -33,7 +33,7 @@ fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
     assert!(text.contains("replies lost"), "{text}");
     let mut written = files(&directory.join("out"));
     written.sort();
-    assert_eq!(written, ["bank.bin", "drive.json", "log.csv"]);
+    assert_eq!(written, ["bank.bin", "drive.json", "log.csv", "log.mcap"]);
     let summary = fs::read_to_string(directory.join("out/drive.json")).expect("it is there");
     let summary: serde_json::Value = serde_json::from_str(&summary).expect("it is JSON");
     assert_eq!(summary["ticks"], 6000);

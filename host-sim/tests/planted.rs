@@ -63,7 +63,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let late = |rows: &mut Vec<Row>| {
         let before = rows.clone();
         for k in 0..rows.len() {
-            rows[k][TAU..].copy_from_slice(&before[k.saturating_sub(4)][TAU..]);
+            rows[k][TAU..].copy_from_slice(&before[k.saturating_sub(20)][TAU..]);
         }
     };
     let cases: [(&str, Change, &str); 11] = [

@@ -72,7 +72,7 @@ fn every_test_that_a_page_names_is_there() {
             // `cargo test -p PACKAGE --test NAME`, or `--test NAME` of the workbench.
             let package = index.checked_sub(1).map_or("", |before| words[before]);
             let directories: &[&str] = match package {
-                "foretorque" => &["firmware/tests"],
+                "foretorque-link" => &["firmware/foretorque-link/tests"],
                 "foretorque-capi" => &["firmware/capi/tests"],
                 "acceptance" => &["tests/tests"],
                 _ => &[

@@ -64,9 +64,12 @@ fn wrong(words: &[&str], program: &Command) -> Option<String> {
     }
     let known = |option: &&str| {
         ["help", "version", ""].contains(option)
-            || command
-                .get_arguments()
-                .any(|argument| argument.get_long() == Some(option))
+            || command.get_arguments().any(|argument| {
+                argument.get_long() == Some(option)
+                    || argument
+                        .get_all_aliases()
+                        .is_some_and(|names| names.contains(option))
+            })
     };
     let unknown = asked.into_iter().find(|option| !known(option))?;
     Some(format!("{} has no --{unknown}", command.get_name()))

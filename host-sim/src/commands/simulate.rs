@@ -171,6 +171,7 @@ impl MotionArguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    super::terminal::keep_stdout_for(&arguments.out);
     let robot = arguments.arm.load(&arguments.robot)?;
     joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }

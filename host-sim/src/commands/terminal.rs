@@ -2,11 +2,24 @@
 
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Results go to stdout, so lines about them go to stderr.
+static RESULTS_ON_STDOUT: AtomicBool = AtomicBool::new(false);
+
+/// Sends the lines of [`say`] to stderr if `out` is `-`.
+pub(super) fn keep_stdout_for(out: &Path) {
+    RESULTS_ON_STDOUT.store(out == Path::new("-"), Ordering::Relaxed);
+}
 
 /// Writes a line to stdout. Nobody listening any more (`host-sim … | head -1`) is no failure: the files are what counts.
 ///
 /// Errors: any other that the system gives, such as a full disk.
 pub(super) fn say(line: impl Display) -> io::Result<()> {
+    if RESULTS_ON_STDOUT.load(Ordering::Relaxed) {
+        return received(writeln!(io::stderr(), "{line}"));
+    }
     received(writeln!(io::stdout(), "{line}"))
 }
 

@@ -51,6 +51,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    super::terminal::keep_stdout_for(&arguments.out);
     on_arm(&arguments.arm.load(&arguments.robot)?, arguments)
 }
 

@@ -200,6 +200,13 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         &self.variance
     }
 
+    /// Inflation of the noise of the next row of `joint`, for the correlation of its innovations; 1 without correlation.
+    pub fn correlation(&self, joint: usize) -> f32 {
+        self.correlation
+            .get(joint)
+            .map_or(1.0, NoiseCorrelation::factor)
+    }
+
     /// Update with the torque `tau` of `joint`, N·m, and its `row`.
     ///
     /// * `limit` torque limit of the joint, N·m

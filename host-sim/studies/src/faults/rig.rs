@@ -100,12 +100,21 @@ impl Rig {
         message: &HostMessage<JOINTS>,
     ) -> Result<BoardMessage<JOINTS>, BoardError> {
         let frame = self.frame(message);
-        let mut round = self.send(&frame.bytes)?;
+        let mut round = self.send_frame(&frame)?;
         round.answers.pop().ok_or(BoardError::UnexpectedAnswer)
     }
 
     /// Sends `line`, and [`MARKERS`] requests for the counters behind it; judges all that the board answers meanwhile.
     pub(super) fn send(&mut self, line: &[u8]) -> Result<Round, BoardError> {
+        self.exchange(line, None)
+    }
+
+    /// Sends `frame` as [`send`](Self::send) does, and waits for its answer: orders about parameters take their time.
+    pub(super) fn send_frame(&mut self, frame: &Frame) -> Result<Round, BoardError> {
+        self.exchange(&frame.bytes, Some(frame.sequence))
+    }
+
+    fn exchange(&mut self, line: &[u8], mut awaited: Option<u16>) -> Result<Round, BoardError> {
         let markers = [(); MARKERS as usize].map(|()| self.frame(&HostMessage::Statistics));
         let mut bytes = line.to_vec();
         bytes.extend(markers.iter().flat_map(|marker| &marker.bytes));
@@ -115,8 +124,10 @@ impl Rig {
             ..Round::default()
         };
         let deadline = Instant::now() + PATIENCE;
+        let mut marked = false;
         loop {
             for (sequence, message) in self.listen()? {
+                awaited = awaited.filter(|&number| number != sequence);
                 // Unasked messages of the board.
                 if sequence == 0 {
                     continue;
@@ -134,9 +145,10 @@ impl Rig {
                 let errors = errors(statistics);
                 round.noticed |= errors != self.errors;
                 self.errors = errors;
-                if place == MARKERS {
-                    return Ok(round);
-                }
+                marked |= place == MARKERS;
+            }
+            if marked && awaited.is_none() {
+                return Ok(round);
             }
             if Instant::now() > deadline {
                 return Err(BoardError::Timeout(self.transport.name()));

@@ -69,7 +69,7 @@ pub fn bad_uploads(
         let good = set(number);
         let frames = upload(&mut host, &good, good.len(), true);
         for frame in frames {
-            host.rig.send(&frame.bytes)?;
+            host.rig.send_frame(&frame)?;
         }
         let accepted = spoilt_upload(&mut host, bad, number, &mut random)?;
         // A bank that is read back is compared piece by piece with the reference's.
@@ -142,7 +142,7 @@ fn spoilt_upload(
     }
     let mut answer = None;
     for frame in &frames {
-        answer = host.rig.send(&frame.bytes)?.answers.pop();
+        answer = host.rig.send_frame(frame)?.answers.pop();
     }
     // The answer to the last frame: a commit must not be acknowledged, and without one nothing must be in force.
     Ok(committed && answer == Some(BoardMessage::Ack))
@@ -199,7 +199,7 @@ mod tests {
         let bank = set(5);
         let frames = upload(&mut host, &bank, bank.len(), false);
         for frame in frames {
-            host.rig.send(&frame.bytes).unwrap();
+            host.rig.send_frame(&frame).unwrap();
         }
         let offset = HostMessage::BankRead {
             source: BankSource::Live,

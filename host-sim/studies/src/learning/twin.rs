@@ -16,6 +16,9 @@ const VARIANCE_GAIN: f64 = 2.3;
 const FIRST_ROWS: f64 = 4.0;
 const NOTICED_ROWS: f64 = VARIANCE_GAIN / (VARIANCE_STEP - 1.0);
 
+/// Sweeps of Hildreth's method.
+const SWEEPS: usize = 200;
+
 /// The twin. Parameters in prior standard deviations from the start.
 pub(super) struct Twin {
     config: LearnerConfig<N, P>,
@@ -65,8 +68,16 @@ impl Twin {
     }
 
     /// Takes in the torque `tau` of `joint` with its row, as the estimator does:
-    /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(z, ±k) / √S`, then the bounds by way of P, three at most.
-    pub(super) fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32) {
+    /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(e) / S`, then the bounds by way of P.
+    ///
+    /// * `inflation` of the row's noise, as the estimator measured it
+    pub(super) fn correct(
+        &mut self,
+        joint: usize,
+        row: &LinearParameters<N, P>,
+        tau: f32,
+        inflation: f32,
+    ) {
         let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
         let unit = f64::from(self.config.noise * limit);
         let raw = wide(row);
@@ -82,7 +93,8 @@ impl Twin {
         *turn = (*turn + 1) % columns;
         let spread = &self.covariance * &phi;
         let s = phi.dot(&spread) + self.variance[joint];
-        self.covariance.ger(-1.0 / s, &spread, &spread, 1.0);
+        let total = phi.dot(&spread) + f64::from(inflation) * self.variance[joint];
+        self.covariance.ger(-1.0 / total, &spread, &spread, 1.0);
         let z = innovation / s.sqrt();
         let (variance, noticed) = (&mut self.variance[joint], &mut self.noticed[joint]);
         let mut step = VARIANCE_STEP;
@@ -92,35 +104,37 @@ impl Twin {
         }
         *variance *= if z.abs() > MEDIAN { step } else { 1.0 / step };
         *variance = variance.clamp(VARIANCE_RANGE.0, VARIANCE_RANGE.1);
-        let most = f64::from(self.config.outlier_sigmas);
+        let most = f64::from(self.config.outlier_sigmas) * s.sqrt();
         self.theta
-            .axpy(z.clamp(-most, most) / s.sqrt(), &spread, 1.0);
-        for _ in 0..3 {
-            self.project(joint * FRICTION_COLUMNS);
-        }
+            .axpy(innovation.clamp(-most, most) / total, &spread, 1.0);
+        self.bound(joint * FRICTION_COLUMNS);
     }
 
-    /// Moves the worst violated bound of the friction whose columns begin at `first` by way of the covariance.
-    fn project(&mut self, first: usize) {
-        let mut worst = (1e-4, DVector::zeros(self.theta.len()));
-        for bound in &DISSIPATION_BOUNDS {
-            let mut direction = DVector::zeros(self.theta.len());
-            let mut value = 0.0;
+    /// Moves the friction whose columns begin at `first` within its bounds by way of the covariance: θ ← θ + P Aᵀ λ, with
+    /// the multipliers of Hildreth's method.
+    fn bound(&mut self, first: usize) {
+        const BOUNDS: usize = DISSIPATION_BOUNDS.len();
+        let mut rows = DMatrix::zeros(BOUNDS, self.theta.len());
+        let mut values = [0.0; BOUNDS];
+        for (i, bound) in DISSIPATION_BOUNDS.iter().enumerate() {
             for (k, &a) in (first..).zip(bound) {
-                direction[k] = f64::from(a) * self.sigma[k];
-                value += f64::from(a) * (self.start[k] + self.sigma[k] * self.theta[k]);
-            }
-            let deviation = direction.norm();
-            if -value / deviation > worst.0 {
-                worst = (-value / deviation, direction / deviation);
+                rows[(i, k)] = f64::from(a) * self.sigma[k];
+                values[i] += f64::from(a) * (self.start[k] + self.sigma[k] * self.theta[k]);
             }
         }
-        let (violation, direction) = worst;
-        let spread = &self.covariance * &direction;
-        let variance = direction.dot(&spread);
-        if variance > 0.0 {
-            self.theta.axpy(violation / variance, &spread, 1.0);
+        if values.iter().all(|&value| value >= 0.0) {
+            return;
         }
+        let spread = &self.covariance * rows.transpose();
+        let gram = rows * &spread;
+        let mut multipliers = DVector::zeros(BOUNDS);
+        for _ in 0..SWEEPS {
+            for i in 0..BOUNDS {
+                let value = values[i] + gram.row(i).transpose().dot(&multipliers);
+                multipliers[i] = f64::max(0.0, multipliers[i] - value / gram[(i, i)]);
+            }
+        }
+        self.theta += spread * multipliers;
     }
 
     /// Largest distance of any parameter of `estimate`, prior standard deviations.

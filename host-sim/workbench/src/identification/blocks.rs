@@ -86,7 +86,7 @@ mod tests {
         for seed in 0..4 {
             let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
             let mut state = [0.0; 6];
-            let mut rows = random_rows(&layout, 6000, seed, [2.0, 1.0, 3.0], 0.0, |_, _| 0.0);
+            let mut rows = random_rows(&layout, 6000, seed, [2.0, 1.0, 3.0], 1e-9, |_, _| 0.0);
             let motions: Vec<_> = rows.iter().step_by(20).cloned().collect();
             for (k, row) in rows.iter_mut().enumerate() {
                 *row = motions[k / 20].clone();
