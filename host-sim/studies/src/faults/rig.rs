@@ -116,8 +116,12 @@ impl Rig {
 
     fn exchange(&mut self, line: &[u8], mut awaited: Option<u16>) -> Result<Round, BoardError> {
         let markers = [(); MARKERS as usize].map(|()| self.frame(&HostMessage::Statistics));
+        // The reference gets frames in the order of their answers: markers must not overtake a frame that is awaited.
+        let mut behind: Vec<u8> = markers.iter().flat_map(|it| it.bytes.clone()).collect();
         let mut bytes = line.to_vec();
-        bytes.extend(markers.iter().flat_map(|marker| &marker.bytes));
+        if awaited.is_none() {
+            bytes.append(&mut behind);
+        }
         self.post(&bytes)?;
         let mut round = Round {
             resynchronised: MARKERS + 1,
@@ -147,8 +151,11 @@ impl Rig {
                 self.errors = errors;
                 marked |= place == MARKERS;
             }
-            if marked && awaited.is_none() {
+            if marked {
                 return Ok(round);
+            }
+            if awaited.is_none() && !behind.is_empty() {
+                self.post(&std::mem::take(&mut behind))?;
             }
             if Instant::now() > deadline {
                 return Err(BoardError::Timeout(self.transport.name()));

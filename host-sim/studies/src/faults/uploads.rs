@@ -2,7 +2,6 @@
 
 use super::Campaign;
 use super::link::{ARM_EVERY, Host};
-use super::rig::Frame;
 use super::store::set;
 use foretorque::arm::ur5::JOINTS;
 use foretorque_link::bank::ParameterBank;
@@ -67,8 +66,8 @@ pub fn bad_uploads(
     let mut host = Host::new(transport, false)?;
     for number in 1..=times {
         let good = set(number);
-        let frames = upload(&mut host, &good, good.len(), true);
-        for frame in frames {
+        for message in upload(&good, good.len()) {
+            let frame = host.rig.frame(&message);
             host.rig.send_frame(&frame)?;
         }
         let accepted = spoilt_upload(&mut host, bad, number, &mut random)?;
@@ -94,27 +93,21 @@ pub fn bad_uploads(
     Ok(host.close(campaign, true))
 }
 
-/// The frames of an upload of the first `length` bytes of `bank`, with the commit of all of it.
-fn upload(host: &mut Host, bank: &[u8], length: usize, referred: bool) -> Vec<Frame> {
-    let mut frame = |message: HostMessage<JOINTS>| match referred {
-        true => host.rig.frame(&message),
-        false => host.rig.vain_frame(&message),
-    };
+/// The messages of an upload of the first `length` bytes of `bank`, with the commit of all of it.
+fn upload(bank: &[u8], length: usize) -> Vec<HostMessage<JOINTS>> {
     let pieces = bank.get(..length).unwrap_or(bank).chunks(CHUNK).enumerate();
-    let mut frames: Vec<Frame> = pieces
-        .map(|(place, piece)| {
-            frame(HostMessage::BankWrite {
-                offset: (place * CHUNK) as u16,
-                bytes: piece.iter().copied().collect(),
-            })
+    let mut messages: Vec<_> = pieces
+        .map(|(place, piece)| HostMessage::BankWrite {
+            offset: (place * CHUNK) as u16,
+            bytes: piece.iter().copied().collect(),
         })
         .collect();
-    frames.push(frame(HostMessage::BankCommit {
+    messages.push(HostMessage::BankCommit {
         length: bank.len() as u16,
         crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bank),
         mac: None,
-    }));
-    frames
+    });
+    messages
 }
 
 /// Uploads what must not be taken over. True when the board took it.
@@ -131,18 +124,22 @@ fn spoilt_upload(
     } else {
         bank.len()
     };
-    let mut frames = upload(host, &bank, length, false);
+    let mut messages = upload(&bank, length);
     let committed = bad != BadUpload::Interrupted || random.random();
     if !committed {
-        frames.pop();
+        messages.pop();
     }
     if bad == BadUpload::Reset {
-        let reset = host.rig.frame(&HostMessage::Reset);
-        frames.insert(frames.len() - 1, reset);
+        messages.insert(messages.len() - 1, HostMessage::Reset);
     }
     let mut answer = None;
-    for frame in &frames {
-        answer = host.rig.send_frame(frame)?.answers.pop();
+    for message in &messages {
+        // The reference gets the reset alone.
+        let frame = match message {
+            HostMessage::Reset => host.rig.frame(message),
+            _ => host.rig.vain_frame(message),
+        };
+        answer = host.rig.send_frame(&frame)?.answers.pop();
     }
     // The answer to the last frame: a commit must not be acknowledged, and without one nothing must be in force.
     Ok(committed && answer == Some(BoardMessage::Ack))
@@ -197,8 +194,8 @@ mod tests {
         let native = Native::<Ur5, JOINTS, PARAMETERS>::new().unwrap();
         let mut host = Host::new(Box::new(native), false).unwrap();
         let bank = set(5);
-        let frames = upload(&mut host, &bank, bank.len(), false);
-        for frame in frames {
+        for message in upload(&bank, bank.len()) {
+            let frame = host.rig.vain_frame(&message);
             host.rig.send_frame(&frame).unwrap();
         }
         let offset = HostMessage::BankRead {
