@@ -19,7 +19,7 @@ use super::whole_log::WholeLog;
 use crate::dynamics::{Joints, State};
 use crate::robot::Robot;
 use compare::compare;
-use delay::{Delay, delay, step_rows};
+use delay::{Delay, delay};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -179,9 +179,9 @@ pub fn judge<const N: usize>(
                         let qd = prepared.states[row].qd[joint];
                         if qd.abs() > own.still_rad_s {
                             sums.joints[joint].add(x, &[tau[joint]]);
-                            let tau = |row: usize| prepared.tau.get(row * N + joint).copied();
-                            delays[joint].add(x, qd, (row, step_rows(own.period_s)), &tau);
                         }
+                        let tau = |row: usize| prepared.tau.get(row * N + joint).copied();
+                        delays[joint].add(x, qd, (row, stride, own.period_s), &tau);
                     }
                 }
             },
