@@ -1,9 +1,6 @@
 //! MCAP beside CSV: every tick, the same numbers, read back by this program and, where it is installed, by another reader.
 
-#[expect(dead_code, reason = "other tests use the rest of it")]
-mod program;
-
-use program::{directory, host_sim, succeeds};
+use crate::program::{directory, host_sim, succeeds};
 use std::process::Command;
 
 /// Compares FILE.mcap with FILE.csv column by column: prints the number of rows and of topics.

@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail};
 
 use crate::capi;
+use crate::circles;
 use crate::fuzz;
 use crate::outside;
 use crate::setup::{self, Way};
@@ -55,6 +56,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     }));
     outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("words", words::run));
+    outcomes.push(pass("circles", circles::run));
     outcomes.push(pass("library for C", || {
         capi::bring_compiler()?;
         capi::build(tools)

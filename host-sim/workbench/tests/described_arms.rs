@@ -32,15 +32,11 @@ fn sample<A: Arm<N, P>, const N: usize, const P: usize>(tick: u32) -> JointSampl
         friction[FrictionColumn::Viscous] = 0.4;
         friction[FrictionColumn::Coulomb] = 0.2;
     }
-    let desired = motion(
-        tick as f32 * 1e-3,
-        &A::limits().map(|limits| limits.position),
-    );
-    let tau = evaluate::<A, N, P>(&truth, &desired).total;
-    JointSample {
-        desired,
-        measured: Some(JointMeasurement { q: desired.q, tau }),
-    }
+    let ranges = A::limits().map(|limits| limits.position);
+    let desired = motion(tick as f32 * 1e-3, &ranges);
+    let (q, tau) = (desired.q, evaluate::<A, N, P>(&truth, &desired).total);
+    let measured = Some(JointMeasurement { q, tau });
+    JointSample { desired, measured }
 }
 
 /// Everything that a session answers, compiled and read: torques, flags, and the bank after learning.
@@ -62,10 +58,8 @@ fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
         assert_eq!(torques[0].map(f32::to_bits), torques[1].map(f32::to_bits));
         assert_eq!(rows[0].map(f32::to_bits), rows[1].map(f32::to_bits));
     }
-    assert_eq!(
-        LearnerConfig::for_arm::<A>(1e-3),
-        LearnerConfig::for_arm::<Described<N, P>>(1e-3)
-    );
+    let config = LearnerConfig::for_arm::<Described<N, P>>(1e-3);
+    assert_eq!(LearnerConfig::for_arm::<A>(1e-3), config);
     for index in 0..prior_factor_count(N) {
         let read = prior_factor::<Described<N, P>, N, P>(index);
         assert_eq!(prior_factor::<A, N, P>(index), read);
@@ -83,19 +77,12 @@ fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
     for tick in 1..4000 {
         let sample = sample::<A, N, P>(tick);
         let [a, b] = [&mut compiled, &mut read].map(|client| client.sample(&sample).unwrap());
-        let bits = |total: &JointVector<N>| total.map(f32::to_bits);
-        assert_eq!(
-            (a.flags, bits(&a.total)),
-            (b.flags, bits(&b.total)),
-            "tick {tick}"
-        );
+        let [a, b] = [a, b].map(|reply| (reply.flags, reply.total.map(f32::to_bits)));
+        assert_eq!(a, b, "tick {tick}");
     }
     let learnt = [&mut compiled, &mut read].map(|client| client.read_bank().unwrap());
     assert!(learnt[0] == learnt[1], "learnt banks differ");
-    assert!(
-        learnt[0] != adopted,
-        "nothing was learnt, so nothing was compared"
-    );
+    assert!(learnt[0] != adopted, "nothing was learnt");
 }
 
 #[test]
@@ -138,13 +125,10 @@ fn arms_of_one_to_eight_joints_run_and_learn() {
 fn a_bank_of_another_arm_is_named() {
     let board = Box::new(Native::<Panda, 7, 48>::new().unwrap());
     let mut client = Client::<7>::connect::<Panda, 48>(board, BOOT).unwrap();
-    let error = client
-        .upload_bank(&ParameterBank::nominal::<Ur5, 6, 40>())
-        .unwrap_err();
+    let bank = ParameterBank::nominal::<Ur5, 6, 40>();
+    let error = client.upload_bank(&bank).unwrap_err();
     assert!(matches!(error, BoardError::WrongBank { .. }));
     let text = error.to_string();
-    assert!(
-        text.starts_with("the bank is for ur5 (") && text.contains("drives panda ("),
-        "{text}"
-    );
+    let named = text.starts_with("the bank is for ur5 (") && text.contains("drives panda (");
+    assert!(named, "{text}");
 }

@@ -9,7 +9,6 @@ use super::dataset::Dataset;
 use super::dataset::SampleRow;
 use super::error::IdentifyError;
 use super::evidence::evidence;
-use super::filter::Butterworth;
 use super::fourier::folded;
 use super::gains::with_gains;
 use super::holdout::{errors, learning_curves, split};
@@ -22,7 +21,6 @@ use super::solve::solve_all;
 use super::stream::for_each_prepared;
 use super::truth::{error_curve, truths};
 use super::validation::{FileScores, Trace};
-use super::whole_log::WholeLog;
 use crate::robot::Robot;
 use foretorque::feedforward::JointNetwork;
 use nalgebra::DVector;
@@ -80,7 +78,7 @@ pub fn identify<const N: usize>(
     progress: Progress<'_>,
 ) -> Result<Outcome<N>, IdentifyError> {
     for path in logs.iter().chain(validate).chain(&config.test) {
-        check_cut_offs::<N>(path, robot, &config.prepare)?;
+        config.prepare.check::<N>(path, robot)?;
     }
     let (robot, drive_gains) = if config.gains_from_standstill {
         progress("drive gains");
@@ -234,28 +232,6 @@ fn figures<const N: usize>(
         condition_number_equilibrated: equilibrated,
         ..Report::default()
     }
-}
-
-/// Check that the rows of a log are near enough for the filters.
-///
-/// Errors: the log's; [`IdentifyError::CutOff`].
-pub(super) fn check_cut_offs<const N: usize>(
-    path: &Path,
-    robot: &Robot,
-    config: &PrepareConfig,
-) -> Result<(), IdentifyError> {
-    let period_s = WholeLog::<N>::open(path, robot)?.period_s();
-    let torque = config.torque_hz.map(|hz| ("--torque-hz", hz));
-    for (option, hz) in [("--motion-hz", config.motion_hz)]
-        .into_iter()
-        .chain(torque)
-    {
-        if Butterworth::new(hz, period_s).is_none() {
-            let (path, rate_hz) = (path.to_owned(), 1.0 / period_s);
-            return Err(IdentifyError::CutOff(path, option, hz, rate_hz));
-        }
-    }
-    Ok(())
 }
 
 /// Dataset of the training logs, in one pass.
