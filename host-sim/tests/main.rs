@@ -9,7 +9,6 @@ mod cli_bus;
 mod excitation;
 mod identification;
 mod logged;
-mod mcap;
 mod orphans;
 mod planted;
 mod program;

@@ -1,11 +1,12 @@
 use super::arm::ArmOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::terminal::show;
-use super::{Failure, key, unusable};
+use super::{Failure, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bank::{BankError, ParameterBank};
 use foretorque_link::wire::BankSource;
+use foretorque_link::write_key::{KEY_BYTES, WriteKey};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::write_whole;
@@ -75,7 +76,7 @@ impl Arguments {
         };
         let mut board = board.connect::<A, N, P>(None)?;
         if let Some(file) = &self.key_file {
-            board.set_write_key(key::read(file)?);
+            board.set_write_key(read_key(file)?);
         }
         let Some(source) = self.read else {
             board.upload_bank(&read(&self.file)?)?;
@@ -199,4 +200,50 @@ pub(super) fn read(path: &Path) -> Result<ParameterBank, Failure> {
 pub(super) fn bytes(bank: &ParameterBank) -> Result<Vec<u8>, Failure> {
     let mut buffer = vec![0; ParameterBank::MAX_BYTES];
     Ok(bank.encode(&mut buffer)?.to_vec())
+}
+
+/// The key in `path`: 32 hexadecimal digits in one line.
+///
+/// Errors: the file's, or that it holds no key.
+pub(super) fn read_key(path: &Path) -> Result<WriteKey, Failure> {
+    let text =
+        fs::read_to_string(path).map_err(|error| foretorque_workbench::files::at(path, error))?;
+    let key = key_bytes(text.trim()).and_then(WriteKey::from_slot);
+    key.ok_or_else(|| {
+        unusable(format!(
+            "{}: not a write key: 32 hexadecimal digits, not all 0 or f",
+            path.display()
+        ))
+    })
+}
+
+fn key_bytes(text: &str) -> Option<[u8; KEY_BYTES]> {
+    let mut key = [0; KEY_BYTES];
+    let digits = text.as_bytes();
+    if digits.len() != 2 * KEY_BYTES || !digits.iter().all(u8::is_ascii_hexdigit) {
+        return None;
+    }
+    for (byte, pair) in key.iter_mut().zip(digits.chunks(2)) {
+        *byte = u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok()?;
+    }
+    Some(key)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_32_hexadecimal_digits() {
+        assert_eq!(key_bytes(&"0a".repeat(16)), Some([10; 16]));
+        for wrong in [
+            "",
+            "0a",
+            &"0g".repeat(16),
+            &"+a".repeat(16),
+            &"0a".repeat(17),
+        ] {
+            assert_eq!(key_bytes(wrong), None, "{wrong}");
+        }
+    }
 }

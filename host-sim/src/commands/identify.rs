@@ -1,5 +1,4 @@
-use super::arm::RobotOptions;
-use super::log_options::LogOptions;
+use super::arm::{LogOptions, RobotOptions};
 use super::progress::Lines;
 use super::terminal::show;
 use super::{Failure, not_negative, positive, unsupported, unusable};

@@ -15,8 +15,6 @@ mod experiment;
 mod faults;
 mod generate;
 mod identify;
-mod key;
-mod log_options;
 mod motion_log;
 mod on_board;
 mod progress;

@@ -1,6 +1,5 @@
-use super::arm::RobotOptions;
+use super::arm::{LogOptions, RobotOptions};
 use super::boards::on_arm;
-use super::log_options::LogOptions;
 use super::progress::Bar;
 use super::terminal::show;
 use super::{Failure, bank};

@@ -5,7 +5,7 @@ use super::on_board;
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S, Scene, Verdict};
 use super::terminal::{self, show};
-use super::{Failure, bank, key, unusable};
+use super::{Failure, bank, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
@@ -107,7 +107,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let stream = arguments.stream();
     let mut board = arguments.board.connect::<A, N, P>(stream.as_deref())?;
     if let Some(file) = &arguments.key_file {
-        board.set_write_key(key::read(file)?);
+        board.set_write_key(bank::read_key(file)?);
     }
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
@@ -244,7 +244,7 @@ impl<const N: usize> Log<N> {
             report.tracking_rms_mrad,
             report.link.errors()
         )?;
-        if report.learning {
+        if report.run.learning {
             show!("{}", report.learnt.line())?;
         }
         if report.store == StoreHealth::Failing {

@@ -2,7 +2,7 @@ use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::progress::Bar;
 use super::simulate::PERIOD_S;
-use super::{Failure, bank, key, not_over};
+use super::{Failure, bank, not_over};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque_workbench::closed_loop::motion_f32;
@@ -91,7 +91,7 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {
         if let Some(file) = &arguments.key_file {
-            board.set_write_key(key::read(file)?);
+            board.set_write_key(bank::read_key(file)?);
         }
         board.upload_bank(bank)?;
     }

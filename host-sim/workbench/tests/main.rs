@@ -7,8 +7,6 @@ mod driven;
 mod emulated_board;
 mod emulated_drive;
 mod emulated_safety;
-mod generated_arms;
 mod native_board;
-mod profiles;
 mod talk;
 mod trial;
