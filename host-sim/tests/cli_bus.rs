@@ -1,8 +1,9 @@
 //! The commands `drive` and `commission`: on simulated drives, on a bus of python-can, and on buses that are not there.
 
 use crate::program::{
-    directory, fails, files, host_sim, json, number, still, succeeds, text, write,
+    command, directory, fails, failure, files, host_sim, json, number, still, succeeds, text, write,
 };
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -212,4 +213,33 @@ fn drives_in_python_can_are_armed_and_follow() {
         .parse()
         .expect("a number");
     assert!(count > 3000, "{count} commands with stiffness");
+}
+
+#[test]
+fn an_interrupt_switches_the_torque_off_and_is_a_failure() {
+    let directory = directory("drive-interrupted");
+    let arguments = format!(
+        "drive --profile {} --bus sim --trajectory validation --alone --duration-s 600 --out out",
+        profile()
+    );
+    let child = command(&directory, &arguments)
+        .stderr(Stdio::piped())
+        .spawn();
+    let child = child.expect("it starts");
+    let rows = || -> u64 {
+        let entries = fs::read_dir(directory.join("out")).into_iter().flatten();
+        let size = |entry: std::io::Result<fs::DirEntry>| entry.ok()?.metadata().ok();
+        entries.filter_map(size).map(|file| file.len()).sum()
+    };
+    while rows() < 10_000 {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    let id = nix::unistd::Pid::from_raw(child.id().cast_signed());
+    nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGTERM).expect("it is ours");
+    let output = child.wait_with_output().expect("it ends");
+    let line = failure(&arguments, &output);
+    assert!(
+        line.contains("interrupted after ") && line.contains(", torque off"),
+        "{line}"
+    );
 }
