@@ -14,7 +14,6 @@ use super::error::IdentifyError;
 use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
 use super::stream::for_each_prepared;
-use super::study::check_cut_offs;
 use super::whole_log::WholeLog;
 use crate::dynamics::{Joints, State};
 use crate::robot::Robot;
@@ -145,7 +144,7 @@ pub fn judge<const N: usize>(
     let mut judgement = Judgement::default();
     let mut extremes = [Extremes::NONE; N];
     for path in logs {
-        check_cut_offs::<N>(path, robot, config)?;
+        config.check::<N>(path, robot)?;
         let limits = robot.each(|joint| joint.limits.torque).ok_or_else(other)?;
         judgement.period_s = scan(path, robot, &limits, &mut extremes)?;
     }
