@@ -27,7 +27,8 @@ impl<const P: usize> JointEntries<P> {
 ///
 /// The friction of two joints is coupled only through the rigid body: given that, it is independent, because no row
 /// contains both. With friction first, the entries of U between the friction of two joints are therefore zero after any
-/// number of rows. They are neither stored nor computed.
+/// number of rows. They are neither stored nor computed. Likewise the friction of a joint is coupled to the links before it
+/// by no row of its own: its entries of U before the first column of its rows are zeros, and stay so.
 ///
 /// U is stored by rows in square arrays; diagonal and lower triangle are zeros. The lower triangle of the rigid rows holds
 /// compensation instead: U_ji is the rounding error of U_ij, added with the next row.
@@ -36,6 +37,9 @@ pub struct UdFilter<const N: usize, const P: usize> {
     friction: [[JointEntries<P>; FRICTION_COLUMNS]; N],
     rigid: [[f32; P]; P],
     diagonal: LinearParameters<N, P>,
+    /// First column of the rigid body in the rows of each joint, rounded down to a multiple of `ROWS`; P before the first
+    /// row.
+    first: [usize; N],
 }
 
 impl<const N: usize, const P: usize> UdFilter<N, P> {
@@ -45,6 +49,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             friction: [[JointEntries::ZERO; FRICTION_COLUMNS]; N],
             rigid: [[0.0; P]; P],
             diagonal: LinearParameters::filled(1.0),
+            first: [P; N],
         }
     }
 
@@ -53,6 +58,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         self.friction.as_flattened_mut().fill(JointEntries::ZERO);
         self.rigid.as_flattened_mut().fill(0.0);
         self.diagonal.iter_mut().for_each(|d| *d = 1.0);
+        self.first = [P; N];
     }
 
     /// Measurement update with the row `phi` of `joint` and noise variance `variance`. [Bierman 1977, ch. V.3]
@@ -71,7 +77,8 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     ///
     /// Assumes: `phi` finite, `variance` positive. Entries of `phi` for the friction of other joints are ignored.
     ///
-    /// Cost: `(2 N FRICTION_COLUMNS + P) P` multiply-adds; about an eighth of that for f; `P + FRICTION_COLUMNS` divisions.
+    /// Cost: at most `(2 N FRICTION_COLUMNS + P) P` multiply-adds, a third less on a serial arm; about an eighth of that for f;
+    /// `P + FRICTION_COLUMNS` divisions.
     pub fn update(
         &mut self,
         joint: usize,
@@ -82,6 +89,14 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let Some(friction) = phi.friction.get(joint) else {
             return f32::NAN;
         };
+        let leading = phi.rigid.as_chunks::<ROWS>().0;
+        let leading = leading.iter().take_while(|block| **block == [0.0; ROWS]);
+        let row_first = ROWS * leading.count();
+        let Some(first) = self.first.get_mut(joint) else {
+            return f32::NAN;
+        };
+        *first = row_first.min(*first);
+        let first = *first;
         // f, replaced by λ.
         let mut lambda = self.transposed_times(joint, friction, &phi.rigid);
         let mut v = JointEntries::ZERO;
@@ -90,7 +105,11 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         };
         let mut alpha = Alpha::new(variance);
         alpha.absorb_all(&mut lambda.own, &mut v.own, d);
-        alpha.absorb_all(&mut lambda.rigid, &mut v.rigid, &mut self.diagonal.rigid);
+        let parts = [&mut lambda.rigid, &mut v.rigid, &mut self.diagonal.rigid];
+        // Before the first column f is zero.
+        if let [Some(lambda), Some(v), Some(d)] = parts.map(|part| part.get_mut(first..)) {
+            alpha.absorb_all(lambda, v, d);
+        }
         self.update_factors(joint, &lambda, &v, gain);
         alpha.value
     }
@@ -109,9 +128,9 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             own: *friction,
             rigid: *rigid,
         };
-        if let Some(rows) = self.friction.get(joint) {
+        if let (Some(rows), Some(&first)) = (self.friction.get(joint), self.first.get(joint)) {
             add_rows(&mut f.own, rows, |row| &row.own, friction, 0);
-            add_rows(&mut f.rigid, rows, |row| &row.rigid, friction, 0);
+            add_rows(&mut f.rigid, rows, |row| &row.rigid, friction, first);
         }
         let (rows, rest) = self.rigid.as_chunks::<ROWS>();
         let (weights, rest_weights) = rigid.as_chunks::<ROWS>();
@@ -158,13 +177,18 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         if let (Some(rows), Some(gain)) = (rows, gain.friction.get_mut(joint)) {
             *gain = own.corner(rows, |row| &mut row.own, 0);
         }
-        let (rows, rest) = self.friction.as_flattened_mut().as_chunks_mut::<ROWS>();
-        let (gains, rest_gains) = gain.friction.as_flattened_mut().as_chunks_mut::<ROWS>();
-        for (rows, gain) in rows.iter_mut().zip(gains) {
-            beyond.sweep(rows, |row| &mut row.rigid, 0, gain);
-        }
-        for (row, gain) in rest.iter_mut().zip(rest_gains) {
-            beyond.sweep(from_mut(row), |row| &mut row.rigid, 0, from_mut(gain));
+        let first = self.first.get(joint).copied().unwrap_or(0);
+        let joints = self.friction.iter_mut().zip(&mut gain.friction);
+        for ((rows, gain), &own_first) in joints.zip(&self.first) {
+            let first = own_first.max(first);
+            let (rows, rest) = rows.as_chunks_mut::<ROWS>();
+            let (gains, rest_gains) = gain.as_chunks_mut::<ROWS>();
+            for (rows, gain) in rows.iter_mut().zip(gains) {
+                beyond.sweep(rows, |row| &mut row.rigid, first, gain);
+            }
+            for (row, gain) in rest.iter_mut().zip(rest_gains) {
+                beyond.sweep(from_mut(row), |row| &mut row.rigid, first, from_mut(gain));
+            }
         }
         let (gains, rest_gains) = gain.rigid.as_chunks_mut::<ROWS>();
         let start = gains.len() * ROWS;
@@ -174,7 +198,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
                 break;
             };
             *gain = beyond.corner(rows, |row| row, block * ROWS);
-            beyond.sweep_compensated(rows, below, block, gain);
+            beyond.sweep_compensated(rows, below, block, first / ROWS, gain);
             rest = below;
         }
         for (place, (row, gain)) in rest.iter_mut().zip(rest_gains).enumerate() {

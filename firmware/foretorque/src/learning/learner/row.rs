@@ -2,10 +2,11 @@
 
 use super::{Learner, increment};
 use crate::arm::Arm;
+use crate::dynamics::Pose;
 use crate::joint::JointVector;
 use crate::learning::conditioning::{ConditionedSample, cogging_attenuation};
 use crate::learning::decision::Reason;
-use crate::learning::estimator::torque_row;
+use crate::learning::estimator::torque_row_at;
 use crate::learning::exchange::MotionRange;
 use crate::learning::parameters::{LinearParameters, NETWORK_BOUND, network_inputs};
 use crate::learning::quality::Observation;
@@ -49,8 +50,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         tick: u32,
         joint: usize,
         sample: &ConditionedSample<N>,
+        pose: &Pose<N>,
     ) -> Option<f32> {
-        let (outcome, step) = self.row(tick, joint, sample);
+        let (outcome, step) = self.row(tick, joint, sample, pose);
         let statistics = &mut self.state.statistics;
         increment(match outcome {
             RowOutcome::Gated => &mut statistics.gated,
@@ -68,6 +70,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         tick: u32,
         joint: usize,
         sample: &ConditionedSample<N>,
+        pose: &Pose<N>,
     ) -> (RowOutcome, Option<f32>) {
         let (Some(limits), Some(&qd), Some(&tau)) = (
             A::limits().get(joint),
@@ -76,7 +79,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         ) else {
             return (RowOutcome::Rejected, None);
         };
-        let columns = torque_row::<A, N, P>(joint, sample);
+        let columns = torque_row_at::<A, N, P>(joint, pose, &sample.motion);
         let mut payload = 0.0;
         let beta = self.state.supervisor.payload_base.iter();
         for (column, beta) in columns.rigid.iter().zip(beta) {
