@@ -95,7 +95,7 @@ impl<const N: usize> Angles<N> {
     #[inline]
     pub fn of(q: &JointVector<N>) -> Option<Self> {
         let mut pairs = [SinCos { sin: 0.0, cos: 1.0 }; N];
-        for (pair, &q) in pairs.iter_mut().zip(q.iter()) {
+        for (pair, &q) in pairs.iter_mut().zip(q.as_slice()) {
             if !is_angle(q) {
                 return None;
             }

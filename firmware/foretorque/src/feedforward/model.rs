@@ -58,8 +58,9 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         before: &ParameterSet<N, P>,
         loaded: &Loaded<N, P>,
     ) {
-        let both = set.rigid.iter().zip(loaded.rigid.iter());
-        for (rigid, (set, loaded)) in self.rigid.iter_mut().zip(both) {
+        // Slices: iterators of a matrix look for the end of a column at every entry.
+        let both = set.rigid.as_slice().iter().zip(loaded.rigid.as_slice());
+        for (rigid, (set, loaded)) in self.rigid.as_mut_slice().iter_mut().zip(both) {
             *rigid = set - loaded;
         }
         self.share = *share;
@@ -72,7 +73,7 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         }
         let networks = set.network.iter().zip(&before.network);
         for (learnt, (set, before)) in self.network.iter_mut().zip(networks) {
-            *learnt |= set != before;
+            *learnt |= set.layers() != before.layers();
         }
     }
 }

@@ -346,7 +346,9 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let covariance = self.filter.friction_covariance(joint, &BOUNDED);
         let direction = violation.multipliers(&covariance);
         if direction.iter().all(|a| a.is_finite()) {
-            gain.iter_mut().for_each(|gain| *gain *= *step);
+            for part in gain.parts_mut() {
+                part.iter_mut().for_each(|gain| *gain *= *step);
+            }
             *step = 1.0;
             self.filter.add_friction_gain(joint, &direction, gain);
         }

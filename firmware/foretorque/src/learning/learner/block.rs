@@ -70,7 +70,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let mut drives = estimate.friction.map(FrictionParameters);
         // Cogging removed by the motion filter is in the torque as far as the active set commands it.
         let active = drives.iter_mut().zip(&state.active.friction);
-        for (joint, ((drive, active), &qd)) in active.zip(sample.motion.qd.iter()).enumerate() {
+        for (joint, ((drive, active), &qd)) in active.zip(sample.motion.qd.as_slice()).enumerate() {
             let gain = joint_attenuation::<A, N, P>(joint, qd, self.config.inv_period);
             for column in COGGING_COLUMNS {
                 let active = active[column];
@@ -225,8 +225,9 @@ fn is_plausible<A: Arm<N, P>, const N: usize, const P: usize>(
     sample: &ConditionedSample<N>,
     acceleration_limit: f32,
 ) -> bool {
-    let motion = sample.motion.qd.iter().zip(sample.motion.qdd.iter());
-    let mut joints = motion.zip(sample.tau.iter()).zip(A::limits());
+    let motion = sample.motion.qd.as_slice().iter();
+    let motion = motion.zip(sample.motion.qdd.as_slice());
+    let mut joints = motion.zip(sample.tau.as_slice()).zip(A::limits());
     joints.all(|(((qd, qdd), tau), limits)| {
         qd.abs() <= 2.0 * limits.velocity
             && qdd.abs() <= acceleration_limit

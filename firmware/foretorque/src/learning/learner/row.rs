@@ -81,7 +81,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         };
         let columns = torque_row_at::<A, N, P>(joint, pose, &sample.motion);
         let mut payload = 0.0;
-        let beta = self.state.supervisor.payload_base.iter();
+        let beta = self.state.supervisor.payload_base.as_slice();
         for (column, beta) in columns.rigid.iter().zip(beta) {
             payload += column * beta;
         }
@@ -228,8 +228,8 @@ fn grow<const N: usize>(range: &mut MotionRange<N>, qd: &JointVector<N>, qdd: &J
             *widest += if beyond < step { beyond } else { step };
         }
     };
-    let velocity = range.velocity.iter_mut().zip(qd.iter());
+    let velocity = range.velocity.iter_mut().zip(qd.as_slice());
     velocity.for_each(|(widest, &qd)| widen(widest, qd, RANGE_STEP.0));
-    let acceleration = range.acceleration.iter_mut().zip(qdd.iter());
+    let acceleration = range.acceleration.iter_mut().zip(qdd.as_slice());
     acceleration.for_each(|(widest, &qdd)| widen(widest, qdd, RANGE_STEP.1));
 }
