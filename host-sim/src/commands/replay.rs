@@ -5,7 +5,7 @@ use super::terminal::show;
 use super::{Failure, bank};
 use clap::Args;
 use foretorque::arm::Arm;
-use foretorque::learning::ParameterSet;
+use foretorque::learning::{ParameterSet, StartDeviations};
 use foretorque_studies::replay::{self, ReplayPath};
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::Robot;
@@ -43,9 +43,12 @@ impl Arguments {
         &self,
         robot: &Robot,
     ) -> Result<(), Failure> {
-        let set = match &self.bank {
-            Some(file) => bank::read(file)?.set::<A, N, P>()?,
-            None => ParameterSet::nominal::<A>(1),
+        let (set, deviations) = match &self.bank {
+            Some(file) => {
+                let bank = bank::read(file)?;
+                (bank.set::<A, N, P>()?, bank.start_deviations::<A, N, P>())
+            }
+            None => (ParameterSet::nominal::<A>(1), StartDeviations::PRIOR),
         };
         let name = |path: &Path| path.display().to_string();
         let start = self.bank.as_deref().map_or("description".to_owned(), name);
@@ -57,7 +60,8 @@ impl Arguments {
         let files = ReportFiles::create(&self.out)?;
         let bar = Bar::new();
         let progress = |stage, done, all| bar.show(stage, done, all);
-        let outcome = replay::run::<A, N, P>(robot, &paths, (&start, set), self.seed, &progress)?;
+        let start = (start.as_str(), set, deviations);
+        let outcome = replay::run::<A, N, P>(robot, &paths, start, self.seed, &progress)?;
         drop(bar);
         let page = files.finish(&outcome.report, &outcome.page)?;
         show!("{}", outcome.text.trim_end())?;

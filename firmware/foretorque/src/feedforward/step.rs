@@ -1,10 +1,10 @@
 use super::Torque;
 use super::config::FeedForwardConfig;
 use super::model::{AtSpeed, Difference, LearntRange, Loaded, TickMotion};
-use super::shares::{Shares, select};
+use super::shares::{Shares, evaluate, select};
 use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, Pose, cogging, is_angle, rnea_of};
-use crate::joint::{JointSample, JointVector};
+use crate::dynamics::{BaseParameters, Pose, cogging, is_angle, rnea, rnea_of};
+use crate::joint::{JointMotion, JointSample, JointVector};
 use crate::learning::{
     Exchange, LearnerReport, LearningSample, LearntShare, LinearParameters, ParameterSet,
 };
@@ -111,6 +111,19 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.committed_difference = Difference::none();
         self.generation = self.generation.wrapping_add(1);
         self.rounds_without_set = ROUNDS_WITHOUT_SET;
+    }
+
+    /// Torque of the parameters in force for `motion`, N × N·m: loaded set, learnt change by the share of each joint, and
+    /// payload, without limits other than the network's bound.
+    pub fn torque<A: Arm<N, P>>(&self, motion: &JointMotion<N>) -> JointVector<N> {
+        let mut set = self.active;
+        set.rigid = self.loaded.rigid + self.payload;
+        let mut torque = evaluate::<A, N, P>(&set, motion).total;
+        let learnt = rnea::<A, N, P>(&self.active_difference.rigid, motion);
+        for (joint, share) in self.active_difference.share.iter().enumerate() {
+            torque[joint] += share * learnt[joint];
+        }
+        torque
     }
 
     /// Bring the learnt `set` into the torque with its `share`.

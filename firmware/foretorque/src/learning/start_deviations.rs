@@ -19,7 +19,7 @@ pub struct StartDeviations<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> StartDeviations<N, P> {
-    /// Prior deviations, of a set that nothing is known about.
+    /// Prior deviations, of a set without deviations of its own.
     pub const PRIOR: Self = Self {
         friction: [[u8::MAX; FRICTION_COLUMNS]; N],
         rigid: [u8::MAX; P],

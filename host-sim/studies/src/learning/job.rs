@@ -1,13 +1,14 @@
 //! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
 
 use super::batch::Rows;
-use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm, rated_payload};
+use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
 use crate::StudyError;
 use crate::prior::bank_of;
 use foretorque::arm::Arm;
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::JointMeasurement;
+use foretorque::learning::rated_payload;
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::safety::SafetyState;
 use foretorque_link::wire::{Field, TelemetryFrame};
@@ -46,7 +47,6 @@ pub(super) struct Bench<const N: usize> {
     described: Robot,
     truth: Robot,
     bare: Robot,
-    rated: f64,
     /// PD control of a motor drive, and of one with a torque loop.
     pd: [PdConfig<N>; 2],
     unseen: Vec<State<N>>,
@@ -88,7 +88,6 @@ impl<const N: usize> Bench<N> {
             seed,
             truth: WorldArm::truth(&described, seed),
             bare: WorldArm::bare(&described, arm.name == "ur10e"),
-            rated: rated_payload::<N>(&described).ok_or(StudyError::Joints(N))?,
             pd: [motor, pd(&rotors)?],
             unseen: unseen.collect(),
             scale: Joints::zeros(),
@@ -200,7 +199,8 @@ impl<const N: usize> Bench<N> {
     ) -> Result<(Figures, Vec<(f64, f64)>), StudyError> {
         let quick = config.quick;
         let path = scenario.trajectory::<N>(&self.described, self.seed, quick);
-        let events = scenario.events::<N>(&self.described, self.rated, self.seed, quick);
+        let rated = f64::from(rated_payload::<A, N, P>());
+        let events = scenario.events::<N>(&self.described, rated, self.seed, quick);
         let plant = self.plant(scenario, source)?;
         let plant = plant
             .with_events(events.clone())
@@ -238,7 +238,7 @@ impl<const N: usize> Bench<N> {
             put("alarms_count", f64::from(learnt.alarms));
         }
         if let Event::Payloads(share) = scenario.event {
-            let mass = share * self.rated;
+            let mass = share * rated;
             let errors = learnt
                 .weighed
                 .iter()

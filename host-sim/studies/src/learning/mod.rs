@@ -14,6 +14,7 @@ mod world;
 pub use bars::Comparison;
 
 use crate::{Outcome, Progress, StudyError};
+use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::parallel::{cores, in_parallel};
 use job::Bench;
@@ -117,25 +118,12 @@ fn of_arm(
     scenario: &str,
     done: &dyn Fn(usize),
 ) -> Result<Vec<ScenarioReport>, StudyError> {
-    // Room for the base parameters of arms whose first axis is upright.
-    match arm.described()?.joint_count() {
-        5 => of_size::<5, 36>(arm, seed, config, scenario, done),
-        6 => of_size::<6, 40>(arm, seed, config, scenario, done),
-        7 => of_size::<7, 48>(arm, seed, config, scenario, done),
-        8 => of_size::<8, 60>(arm, seed, config, scenario, done),
-        joints => Err(StudyError::Joints(joints)),
-    }
-}
-
-fn of_size<const N: usize, const P: usize>(
-    arm: &WorldArm,
-    seed: u64,
-    config: &LearningConfig,
-    scenario: &str,
-    done: &dyn Fn(usize),
-) -> Result<Vec<ScenarioReport>, StudyError> {
-    Described::<N, P>::read(&arm.described()?).ok_or(StudyError::Joints(N))?;
-    Bench::<N>::new(arm, seed)?.scenarios::<Described<N, P>, P>(arm, config, scenario, done)
+    let robot = arm.described()?;
+    arms!(robot, N, P => {
+        Described::<N, P>::read(&robot).ok_or(StudyError::Joints(N))?;
+        let bench = Bench::<N>::new(arm, seed)?;
+        bench.scenarios::<Described<N, P>, P>(arm, config, scenario, done)
+    }, else Err(StudyError::Joints(robot.joint_count())))
 }
 
 #[cfg(test)]

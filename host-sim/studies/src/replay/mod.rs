@@ -9,9 +9,9 @@ use crate::real_ur5::{PATHS, geometric_mean};
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{self, PARAMETERS, Ur5};
-use foretorque::feedforward::{FeedForward, FeedForwardConfig, ParameterSet, evaluate};
+use foretorque::feedforward::{FeedForward, FeedForwardConfig, FeedForwardState, ParameterSet};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Exchange, Learner, LearnerConfig};
+use foretorque::learning::{Exchange, Learner, LearnerConfig, StartDeviations};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
@@ -38,10 +38,11 @@ const CLOSE: f64 = 1.1;
 /// Length of the window in which the board may not lose to its start, s.
 const WATCHED_S: f64 = 3.0;
 
-/// A start of the board, and its pace.
+/// Parameters of the board before the first row, and the period of the rows.
 #[derive(Clone, Copy)]
 struct Start<const N: usize, const P: usize> {
     set: ParameterSet<N, P>,
+    deviations: StartDeviations<N, P>,
     period_s: f64,
 }
 
@@ -70,20 +71,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
         let set = start.set;
         let mut feedforward = FeedForward::new(FeedForwardConfig::for_arm::<A, P>(period_s), set)?;
         feedforward.set_learning(true);
+        let config = LearnerConfig::for_arm::<A>(period_s);
+        let mut learner = Learner::empty(config);
+        learner.restart_with(config, &set, &start.deviations)?;
         Ok(Self {
             start: *start,
             feedforward,
-            learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
+            learner,
             exchange: Exchange::new(),
             decided: 0,
             decisions: BTreeMap::new(),
             clipped: 0,
             ticks: 0,
         })
-    }
-
-    fn active(&self) -> &ParameterSet<N, P> {
-        &self.feedforward.state().active
     }
 
     fn tick(&mut self, sample: Option<&JointSample<N>>) -> JointVector<N> {
@@ -131,13 +131,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
     }
 }
 
-/// Plays a stretch to the board. `history` holds the sets of the last ten seconds.
+/// Play a stretch to the board. `history` holds the states of the last ten seconds.
 fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     board: &mut Board<A, N, P>,
-    history: &mut VecDeque<ParameterSet<N, P>>,
+    history: &mut VecDeque<FeedForwardState<N, P>>,
     stretch: &Stretch<N>,
 ) -> Predictions {
     let start = board.start;
+    let loaded = FeedForwardState::new(start.set);
     let mut predicted = Predictions {
         newest: Vec::new(),
         aged: Vec::new(),
@@ -148,17 +149,16 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     board.tick(None);
     for row in &stretch.rows {
         let desired = motion_f32(&row.state);
-        let torques =
-            |set: &ParameterSet<N, P>| evaluate::<A, N, P>(set, &desired).total.cast::<f64>();
-        predicted.newest.extend(torques(board.active()).iter());
-        predicted.frozen.extend(torques(&start.set).iter());
+        let torques = |state: &FeedForwardState<N, P>| state.torque::<A>(&desired).cast::<f64>();
+        let newest = board.feedforward.state();
+        predicted.newest.extend(torques(newest).iter());
+        predicted.frozen.extend(torques(&loaded).iter());
         if history.len() as f64 * start.period_s >= AGE_S {
             history.pop_front();
         }
-        history.push_back(*board.active());
-        predicted
-            .aged
-            .extend(torques(history.front().unwrap_or(&start.set)).iter());
+        history.push_back(*newest);
+        let aged = torques(history.front().unwrap_or(&loaded));
+        predicted.aged.extend(aged.iter());
         let from = before.unwrap_or(row.measured);
         for k in 1..=start.ticks() {
             let share = f32::from(k) / f32::from(start.ticks());
@@ -195,7 +195,11 @@ pub fn real_ur5(
         name: (*name).to_owned(),
         files: files.iter().map(|file| directory.join(file)).collect(),
     });
-    let start = ("data sheet", ParameterSet::nominal::<Ur5>(1));
+    let start = (
+        "data sheet",
+        ParameterSet::nominal::<Ur5>(1),
+        StartDeviations::PRIOR,
+    );
     let robot = Robot::load("ur5")?;
     let paths: Vec<ReplayPath> = paths.collect();
     // The clocks of these logs have lost rows; the controller's period is known.
@@ -204,13 +208,13 @@ pub fn real_ur5(
 
 /// Replays logs to a board that starts from a set, on the clock of the first log. Returns the figures and the page.
 ///
-/// * `start` its name, and the set
+/// * `start` its name, the set, and its deviations
 ///
 /// Errors: a log is missing or damaged; an identification fails.
 pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
     robot: &Robot,
     paths: &[ReplayPath],
-    start: (&str, ParameterSet<N, P>),
+    start: (&str, ParameterSet<N, P>, StartDeviations<N, P>),
     seed: u64,
     progress: Progress<'_>,
 ) -> Result<Outcome<ReplayReport>, StudyError> {
@@ -220,14 +224,18 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
 fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
     robot: &Robot,
     paths: &[ReplayPath],
-    (named, set): (&str, ParameterSet<N, P>),
+    (named, set, deviations): (&str, ParameterSet<N, P>, StartDeviations<N, P>),
     seed: u64,
     period_s: Option<f64>,
     progress: Progress<'_>,
 ) -> Result<Outcome<ReplayReport>, StudyError> {
     let logs = logs::read::<N>(paths, robot, seed, progress)?;
     let (stretches, period_s) = (logs.stretches, period_s.unwrap_or(logs.period_s));
-    let start = Start { set, period_s };
+    let start = Start {
+        set,
+        deviations,
+        period_s,
+    };
     let mut board = Board::<A, N, P>::new(&start)?;
     let mut history = VecDeque::new();
     let mut scores: Vec<Scores<N>> = paths.iter().map(|_| Scores::default()).collect();

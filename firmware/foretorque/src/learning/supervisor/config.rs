@@ -59,6 +59,7 @@ impl SupervisorConfig {
         let block_ticks = (0.01 * inv_period + 0.5) as u32;
         // Each joint of a block is processed in a tick of its own.
         let shortest = N as u32 + 1;
+        let rated = rated_payload::<A, N, P>();
         Self {
             block_ticks: if block_ticks > shortest {
                 block_ticks
@@ -70,10 +71,10 @@ impl SupervisorConfig {
                 drift: 3.2,
                 threshold: 25.0,
             },
-            max_payload_mass: 1.2 * rated_payload::<A, N, P>(),
-            min_payload_mass: 0.25,
+            max_payload_mass: 1.2 * rated,
+            min_payload_mass: 0.05 * rated,
             max_com_distance: MAX_COM_DISTANCE,
-            max_mass_sigma: 0.15,
+            max_mass_sigma: 0.03 * rated,
             block_inflation: 5.0,
             residual_ratio: 0.6,
             quiet_level: 0.5,
