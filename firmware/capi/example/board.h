@@ -1,4 +1,4 @@
-/* What the example wants of a board. */
+/* Functions that the example needs from a board. */
 #ifndef BOARD_H
 #define BOARD_H
 

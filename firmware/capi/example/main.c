@@ -1,6 +1,6 @@
 /* foretorque in a C program: 300 ticks of a moving arm while it learns, torques out through semihosting.
  *
- * Everything a board needs besides the library is in this directory: start-up, linker script, and this file. Where it says
+ * Everything a board needs besides the library is in this directory: start-up, linker script, and this file. Where it reads
  * "your board", a real program talks to sensors and drives instead. */
 #include "foretorque.h"
 
@@ -8,7 +8,7 @@
 
 #define TICKS 300
 
-/* The caller owns the memory. foretorque_size() says how much is needed; it is checked below. */
+/* The caller owns the memory. foretorque_size() is how much is needed; it is checked below. */
 static _Alignas(8) unsigned char memory[48 * 1024];
 
 /* Numbers that another machine can make exactly: a linear congruence, and sums and products of f32 with no fused steps. */
@@ -23,7 +23,7 @@ static float any(void)
 static void next_sample(ForetorqueSample *sample, uint32_t tick)
 {
 	for (int joint = 0; joint < FORETORQUE_JOINTS; joint++) {
-		/* Your board: what the arm shall do in the next tick, and what its sensors say. */
+		/* Your board: what the arm shall do in the next tick, and what its sensors measure. */
 		float way = (float)tick * 0.002f + 0.1f * (float)joint;
 		sample->q_rad[joint] = way;
 		sample->qd_rad_s[joint] = 2.0f + 0.1f * any();

@@ -21,9 +21,9 @@ enum ForetorqueStatus
   FORETORQUE_STATUS_OK = 0,
   // A pointer is null.
   FORETORQUE_STATUS_NULL = 1,
-  // The memory is smaller than `foretorque_size` says, or the room too small for the bank.
+  // The memory is smaller than `foretorque_size`, or the buffer too small for the bank.
   FORETORQUE_STATUS_TOO_SMALL = 2,
-  // The memory is not aligned as `foretorque_alignment` says.
+  // The memory is not aligned to `foretorque_alignment`.
   FORETORQUE_STATUS_MISALIGNED = 3,
   // The period is not between 0.1 ms and 100 ms.
   FORETORQUE_STATUS_PERIOD = 4,
@@ -31,7 +31,7 @@ enum ForetorqueStatus
   FORETORQUE_STATUS_BANK = 5,
   // Only while learning is off.
   FORETORQUE_STATUS_LEARNING_ON = 6,
-  // The safety refuses; the reason says why.
+  // The safety refuses, with the reason.
   FORETORQUE_STATUS_REFUSED = 7,
   // Only while no torque flows.
   FORETORQUE_STATUS_ARMED = 8,
@@ -44,7 +44,7 @@ typedef int32_t ForetorqueStatus;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// Feed-forward, safety and learner of one arm. Opaque: C sees a pointer into its own memory.
+// Feed-forward, safety and learner of one arm. Opaque: C has a pointer into its own memory.
 typedef struct Foretorque Foretorque;
 
 // Input of one tick.
@@ -109,7 +109,7 @@ typedef struct ForetorqueLimits {
 extern "C" {
 #endif // __cplusplus
 
-// Bytes of memory that `foretorque_init` wants.
+// Bytes of memory that `foretorque_init` requires.
 uintptr_t foretorque_size(void);
 
 // Alignment of that memory, in bytes.
@@ -124,7 +124,7 @@ uint32_t foretorque_arm_hash(void);
 // Every call takes a few kilobytes of stack.
 //
 // # Safety
-// `memory` points to `size` bytes that nobody else uses as long as the result is used; `out` may be written.
+// `memory` points to `size` bytes that nothing else uses as long as the result is used; `out` may be written.
 ForetorqueStatus foretorque_init(void *memory, uintptr_t size, float period_s, struct Foretorque **out);
 
 // Takes over a parameter bank from its bytes, whole or not at all, from the next tick on. Only while learning is off.
@@ -133,13 +133,13 @@ ForetorqueStatus foretorque_init(void *memory, uintptr_t size, float period_s, s
 // `it` comes from `foretorque_init`, and no other call on it is under way; `bytes` points to `length` bytes.
 ForetorqueStatus foretorque_load_bank(struct Foretorque *it, const uint8_t *bytes, uintptr_t length);
 
-// Writes the bank in force, what was learnt included, into `room` of `size` bytes, and its length into `length`.
+// Writes the bank in force, what was learnt included, into `buffer` of `size` bytes, and its length into `length`.
 //
 // # Safety
-// `it` comes from `foretorque_init`, and no other call on it is under way; `room` points to `size` bytes; `length` may be
+// `it` comes from `foretorque_init`, and no other call on it is under way; `buffer` points to `size` bytes; `length` may be
 // written.
 ForetorqueStatus foretorque_save_bank(struct Foretorque *it,
-                                      uint8_t *room,
+                                      uint8_t *buffer,
                                       uintptr_t size,
                                       uintptr_t *length);
 

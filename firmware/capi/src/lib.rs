@@ -38,9 +38,9 @@ pub enum ForetorqueStatus {
     Ok = 0,
     /// A pointer is null.
     Null = 1,
-    /// The memory is smaller than `foretorque_size` says, or the room too small for the bank.
+    /// The memory is smaller than `foretorque_size`, or the buffer too small for the bank.
     TooSmall = 2,
-    /// The memory is not aligned as `foretorque_alignment` says.
+    /// The memory is not aligned to `foretorque_alignment`.
     Misaligned = 3,
     /// The period is not between 0.1 ms and 100 ms.
     Period = 4,
@@ -48,7 +48,7 @@ pub enum ForetorqueStatus {
     Bank = 5,
     /// Only while learning is off.
     LearningOn = 6,
-    /// The safety refuses; the reason says why.
+    /// The safety refuses, with the reason.
     Refused = 7,
     /// Only while no torque flows.
     Armed = 8,
@@ -76,7 +76,7 @@ impl ForetorqueSample {
     /// The sample at `place`; fields that are not to be read may be uninitialised.
     ///
     /// # Safety
-    /// `place` is aligned, and the fields of the desired motion, `measured` and those that it asks for may be read.
+    /// `place` is aligned, and the fields of the desired motion, `measured` and those that it announces may be read.
     unsafe fn read(place: *const Self) -> JointSample<JOINTS> {
         // SAFETY: field by field, as the caller promises.
         unsafe {
@@ -145,7 +145,7 @@ pub struct ForetorqueLimits {
     pub measurement_ticks: u32,
 }
 
-/// Feed-forward, safety and learner of one arm. Opaque: C sees a pointer into its own memory.
+/// Feed-forward, safety and learner of one arm. Opaque: C has a pointer into its own memory.
 pub struct Foretorque {
     feed_forward: FeedForward,
     safety: Safety<JOINTS>,
@@ -156,7 +156,7 @@ pub struct Foretorque {
     /// Learning sample of the last tick, until the learner takes it.
     lesson: Option<LearningSample<JOINTS>>,
     bank: ParameterBank,
-    /// Room for a bank on its way in, which is not believed before all of it is.
+    /// Buffer for a bank on its way in, which has no effect before all of it is checked.
     incoming: ParameterBank,
     period_s: f32,
 }
@@ -166,7 +166,7 @@ impl Foretorque {
     /// period cannot work; then `place` is worth nothing.
     ///
     /// # Safety
-    /// `place` is aligned, may be written and is nobody else's.
+    /// `place` is aligned, may be written and is not shared.
     unsafe fn init_in_place(place: *mut Self, period_s: f32) -> Option<()> {
         /// A learner of zeros, until it is restarted: the image of one with a single other number in it would take 33 kB.
         const BLANK: Learner = {
@@ -269,7 +269,7 @@ impl Foretorque {
     }
 }
 
-/// Bytes of memory that `foretorque_init` wants.
+/// Bytes of memory that `foretorque_init` requires.
 #[unsafe(no_mangle)]
 pub extern "C" fn foretorque_size() -> usize {
     size_of::<Foretorque>()
@@ -293,7 +293,7 @@ pub extern "C" fn foretorque_arm_hash() -> u32 {
 /// Every call takes a few kilobytes of stack.
 ///
 /// # Safety
-/// `memory` points to `size` bytes that nobody else uses as long as the result is used; `out` may be written.
+/// `memory` points to `size` bytes that nothing else uses as long as the result is used; `out` may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_init(
     memory: *mut core::ffi::c_void,
@@ -334,7 +334,7 @@ pub unsafe extern "C" fn foretorque_load_bank(
     if bytes.is_null() {
         return ForetorqueStatus::Null;
     }
-    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile; `length` bytes lie at `bytes`.
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile; `length` bytes lie at `bytes`.
     let (it, bytes) = unsafe { (it.as_mut(), slice::from_raw_parts(bytes, length)) };
     let Some(it) = it else {
         return ForetorqueStatus::Null;
@@ -351,33 +351,33 @@ pub unsafe extern "C" fn foretorque_load_bank(
     }
 }
 
-/// Writes the bank in force, what was learnt included, into `room` of `size` bytes, and its length into `length`.
+/// Writes the bank in force, what was learnt included, into `buffer` of `size` bytes, and its length into `length`.
 ///
 /// # Safety
-/// `it` comes from `foretorque_init`, and no other call on it is under way; `room` points to `size` bytes; `length` may be
+/// `it` comes from `foretorque_init`, and no other call on it is under way; `buffer` points to `size` bytes; `length` may be
 /// written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_save_bank(
     it: *mut Foretorque,
-    room: *mut u8,
+    buffer: *mut u8,
     size: usize,
     length: *mut usize,
 ) -> ForetorqueStatus {
-    if room.is_null() || length.is_null() {
+    if buffer.is_null() || length.is_null() {
         return ForetorqueStatus::Null;
     }
-    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile; `size` bytes lie at `room`, which are
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile; `size` bytes lie at `buffer`, which are
     // initialised before there is a reference to them.
-    let (it, room) = unsafe {
-        ptr::write_bytes(room, 0, size);
-        (it.as_mut(), slice::from_raw_parts_mut(room, size))
+    let (it, buffer) = unsafe {
+        ptr::write_bytes(buffer, 0, size);
+        (it.as_mut(), slice::from_raw_parts_mut(buffer, size))
     };
     let Some(it) = it else {
         return ForetorqueStatus::Null;
     };
     it.bank
         .refresh::<Arm, _, _>(&it.feed_forward.state().active);
-    let Ok(bytes) = it.bank.encode(room) else {
+    let Ok(bytes) = it.bank.encode(buffer) else {
         return ForetorqueStatus::TooSmall;
     };
     // SAFETY: not null, and may be written.
@@ -391,7 +391,7 @@ pub unsafe extern "C" fn foretorque_save_bank(
 /// `it` comes from `foretorque_init`, and no other call on it is under way.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_set_learning(it: *mut Foretorque, on: u8) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
     let Some(it) = (unsafe { it.as_mut() }) else {
         return ForetorqueStatus::Null;
     };
@@ -439,7 +439,7 @@ unsafe fn step(
     out: *mut ForetorqueTorque,
     guarded: bool,
 ) -> ForetorqueStatus {
-    // SAFETY: null or what the caller says it is, and used by nobody else meanwhile.
+    // SAFETY: null or what the caller guarantees, and not shared meanwhile.
     let it = unsafe { it.as_mut() };
     let (Some(it), false) = (it, out.is_null()) else {
         return ForetorqueStatus::Null;
@@ -460,7 +460,7 @@ unsafe fn step(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_arm(it: *mut Foretorque, reason: *mut u8) -> ForetorqueStatus {
     // SAFETY: as the caller promises.
-    unsafe { ask(it, reason, Safety::arm) }
+    unsafe { command(it, reason, Safety::arm) }
 }
 
 /// Clears a latched fault; the board is disarmed then. `Refused` while the torque still ramps to zero or a motor is hot.
@@ -473,17 +473,17 @@ pub unsafe extern "C" fn foretorque_clear_fault(
     reason: *mut u8,
 ) -> ForetorqueStatus {
     // SAFETY: as the caller promises.
-    unsafe { ask(it, reason, Safety::clear) }
+    unsafe { command(it, reason, Safety::clear) }
 }
 
 /// # Safety
 /// As those of `foretorque_arm`.
-unsafe fn ask(
+unsafe fn command(
     it: *mut Foretorque,
     reason: *mut u8,
     request: fn(&mut Safety<JOINTS>) -> Result<(), SafetyReason>,
 ) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
     let it = unsafe { it.as_mut() };
     let (Some(it), false) = (it, reason.is_null()) else {
         return ForetorqueStatus::Null;
@@ -514,10 +514,10 @@ pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueSta
 /// As those of `foretorque_disarm`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> ForetorqueStatus {
-    let known = SafetyReason::ALL.get(usize::from(reason)).copied();
-    let fault = match known {
+    let reason = SafetyReason::ALL.get(usize::from(reason)).copied();
+    let fault = match reason {
         None | Some(SafetyReason::None) => SafetyReason::Stopped,
-        Some(known) => known,
+        Some(reason) => reason,
     };
     // SAFETY: as the caller promises.
     unsafe {
@@ -551,7 +551,7 @@ pub unsafe extern "C" fn foretorque_set_brake(
     it: *mut Foretorque,
     close_us: u32,
 ) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
     let Some(it) = (unsafe { it.as_mut() }) else {
         return ForetorqueStatus::Null;
     };
@@ -608,7 +608,7 @@ pub unsafe extern "C" fn foretorque_limits(
 /// # Safety
 /// As those of `foretorque_disarm`.
 unsafe fn act(it: *mut Foretorque, action: impl FnOnce(&mut Foretorque)) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
     match unsafe { it.as_mut() } {
         Some(it) => {
             action(it);
@@ -624,7 +624,7 @@ unsafe fn act(it: *mut Foretorque, action: impl FnOnce(&mut Foretorque)) -> Fore
 /// `it` comes from `foretorque_init`, and no other call on it is under way: a tick must not interrupt it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_learn(it: *mut Foretorque) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and used by nobody else meanwhile.
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
     let Some(it) = (unsafe { it.as_mut() }) else {
         return ForetorqueStatus::Null;
     };

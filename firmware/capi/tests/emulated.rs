@@ -65,7 +65,7 @@ fn native() -> Vec<String> {
         tick: 0,
     };
     let mut numbers = Numbers(1);
-    let mut said = Vec::new();
+    let mut lines = Vec::new();
     let mut it = ptr::null_mut();
     let (mut bank, mut length) = ([0_u8; 4096], 0);
     // SAFETY: the memory is large enough, aligned and outlives the last call; every pointer is to a variable above.
@@ -79,7 +79,7 @@ fn native() -> Vec<String> {
             let lost = tick % 10 == 9;
             let given = if lost { ptr::null() } else { &raw const sample };
             foretorque_step(it, given, &raw mut torque);
-            said.push(line(&torque.total_nm));
+            lines.push(line(&torque.total_nm));
             foretorque_learn(it);
         }
         foretorque_set_learning(it, 0);
@@ -89,8 +89,8 @@ fn native() -> Vec<String> {
         assert_eq!(loaded, ForetorqueStatus::Ok);
         foretorque_step(it, &raw const sample, &raw mut torque);
     }
-    said.push(line(&torque.rigid_nm));
-    said
+    lines.push(line(&torque.rigid_nm));
+    lines
 }
 
 fn emulated() -> Vec<String> {
@@ -132,7 +132,7 @@ fn emulated() -> Vec<String> {
         thread::sleep(Duration::from_millis(10));
     };
     assert!(status.success(), "main returned {status}");
-    let text = fs::read_to_string(out).expect("it has said something");
+    let text = fs::read_to_string(out).expect("it has written something");
     text.lines().map(str::to_owned).collect()
 }
 
@@ -172,8 +172,8 @@ fn bad_calls_are_answered_and_change_nothing() {
         foretorque_set_learning(it, 1);
         let refused = foretorque_load_bank(it, junk.as_ptr(), junk.len());
         assert_eq!(refused, LearningOn);
-        let (mut room, mut length) = ([0_u8; 16], 0);
-        let saved = foretorque_save_bank(it, room.as_mut_ptr(), room.len(), &raw mut length);
+        let (mut buffer, mut length) = ([0_u8; 16], 0);
+        let saved = foretorque_save_bank(it, buffer.as_mut_ptr(), buffer.len(), &raw mut length);
         assert_eq!((saved, length), (TooSmall, 0));
         assert_eq!(foretorque_learn(ptr::null_mut()), Null);
         assert_eq!(foretorque_step(it, ptr::null(), ptr::null_mut()), Null);

@@ -10,8 +10,8 @@
 //!
 //! Where a sample requests it, the reply waits until `learn` has used the learning sample and wakes `tick` again.
 //!
-//! `tick` reads at most [`FRAMES_PER_MS`] frames in each millisecond of a period, and none while replies have no space. The
-//! rest stays in the ring until the next timer tick or byte, so no burst starves the tasks below.
+//! `tick` reads the frames that [`FrameBound`] allows, and none while replies have no space. The rest stays in the ring until
+//! the next timer tick or byte.
 //!
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
@@ -37,6 +37,7 @@ use crate::chip::LINK_BYTES_S;
 use crate::clock;
 use crate::counter::{self, Counter};
 use crate::fault::{self, Reason};
+use crate::frame_bound::FrameBound;
 use crate::key_slot;
 use crate::link::{self, RECEIVE_RING, RECEIVED, TRANSMIT_RING, Wire};
 use crate::log;
@@ -52,8 +53,6 @@ const TICK: Interrupt = Interrupt::EXTI1;
 const LEARN: Interrupt = Interrupt::EXTI2;
 /// Ticks between two lines of the log.
 const LOG_EVERY: u32 = 1000;
-/// Frames that are read in each millisecond of a period: a sample and three commands, each at most a tenth of it.
-const FRAMES_PER_MS: u32 = 4;
 
 /// Ticks run, for the log.
 static TICKS: AtomicU32 = AtomicU32::new(0);
@@ -219,7 +218,7 @@ pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
             drive,
             kept,
             losses: 0,
-            frames_left: 0,
+            bound: FrameBound::default(),
             latency: CostMeter::new(),
         },
         learner,
@@ -256,7 +255,7 @@ pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
     drive: B::Drive,
     kept: SafetyReason,
     losses: u32,
-    frames_left: u32,
+    bound: FrameBound,
     latency: CostMeter,
 }
 
@@ -295,32 +294,17 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
     fn run_locked(&mut self, mailboxes: &mut Mailboxes<N, P>) {
         self.drive.watch(self.session);
         if tick_timer::take_due() {
-            let period_ms = self.session.configuration().period_us.div_ceil(1000);
-            self.frames_left = FRAMES_PER_MS * period_ms;
+            self.bound.refill(self.session.configuration().period_us);
             self.session
                 .timer_tick(mailboxes, self.out, self.drive.own());
         }
         self.session.poll_parameters(mailboxes, self.out);
         self.put_out(mailboxes, false);
-        // A timer that stands still refills nothing: then the host waits for each reply.
-        let bounded = self.timer.runs();
-        while self.waiting.room() >= FrameBuffer::CAPACITY
-            && self.out.has_room()
-            && !(bounded && self.frames_left == 0)
-        {
+        let timer = self.timer.runs();
+        while self.waiting.free() >= FrameBuffer::CAPACITY && self.out.has_space() {
             let mut frame = [0; MAX_FRAME];
-            let mut count = 0;
-            for slot in &mut frame {
-                let Some(byte) = self.received.take() else {
-                    break;
-                };
-                *slot = byte;
-                count += 1;
-                if byte == 0 {
-                    self.frames_left = self.frames_left.saturating_sub(1);
-                    break;
-                }
-            }
+            let received = &mut self.received;
+            let count = self.bound.take(timer, &mut frame, || received.take());
             if count == 0 {
                 break;
             }

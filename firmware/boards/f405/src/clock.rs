@@ -3,7 +3,7 @@
 use foretorque_link::wire::{ChipStatus, ClockSource};
 use stm32f4xx_hal::pac::{FLASH, RCC};
 
-use crate::chip;
+use crate::{chip, image};
 
 /// Result of the bring-up.
 #[derive(Clone, Copy, Debug)]
@@ -88,10 +88,13 @@ pub fn start(rcc: &RCC, flash: &FLASH, crystal_hz: u32) -> Clocks {
     }
 }
 
-/// Clock and option bytes for the hello.
+/// Clock, option bytes and program for the hello.
 pub fn status(clocks: &Clocks, flash: &FLASH) -> ChipStatus {
     if clocks.source == ClockSource::Virtual {
-        return ChipStatus::VIRTUAL;
+        return ChipStatus {
+            image: image::check(),
+            ..ChipStatus::VIRTUAL
+        };
     }
     let options = flash.optcr().read();
     ChipStatus {
@@ -104,6 +107,7 @@ pub fn status(clocks: &Clocks, flash: &FLASH) -> ChipStatus {
             0xCC => 2,
             _ => 1,
         },
+        image: image::check(),
     }
 }
 

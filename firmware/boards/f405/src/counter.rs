@@ -15,7 +15,7 @@ const INSTRUCTIONS: u8 = 2;
 static KIND: AtomicU8 = AtomicU8::new(NONE);
 
 /// Instructions between the two reads of [`elapsed`]; far more than those of a read.
-const KNOWN: u32 = 256;
+const LOOP_INSTRUCTIONS: u32 = 256;
 
 /// Starts the cycle counter of the core.
 pub fn start_cycles(core: &mut cortex_m::Peripherals) -> CounterKind {
@@ -28,12 +28,12 @@ pub fn start_cycles(core: &mut cortex_m::Peripherals) -> CounterKind {
 /// Starts the emulator's counter. Its cycle counter reads zero, but TIM2 counts nanoseconds of virtual time, which under
 /// `-icount shift=S` are executed instructions × 2^S; the prescaler takes the 2^S out.
 ///
-/// Without `-icount` virtual time says nothing about instructions, and costs are not counted.
+/// Without `-icount` virtual time does not count instructions, and costs are not counted.
 pub fn start_instructions(timer: &TIM2) -> CounterKind {
     timer.psc().reset();
     timer.cr1().write(|w| w.cen().enabled());
     let (first, second) = (elapsed(timer), elapsed(timer));
-    let scale = first / KNOWN;
+    let scale = first / LOOP_INSTRUCTIONS;
     if first != second || !scale.is_power_of_two() || scale > 1 << 10 {
         return CounterKind::None;
     }
@@ -58,13 +58,13 @@ impl Clock for Counter {
 pub fn now() -> u32 {
     match KIND.load(Ordering::Relaxed) {
         CYCLES => cortex_m::peripheral::DWT::cycle_count(),
-        // SAFETY: a read of a counter nobody writes after the start; it has no side effect.
+        // SAFETY: a read of a counter that is not written after the start; it has no side effect.
         INSTRUCTIONS => unsafe { &*TIM2::ptr() }.cnt().read().bits(),
         _ => 0,
     }
 }
 
-/// Counts that [`KNOWN`] instructions, two in a round of the loop, and one read of the timer take.
+/// Counts that [`LOOP_INSTRUCTIONS`] instructions, two in a round of the loop, and one read of the timer take.
 #[inline(never)]
 fn elapsed(timer: &TIM2) -> u32 {
     let start = timer.cnt().read().bits();
@@ -73,7 +73,7 @@ fn elapsed(timer: &TIM2) -> u32 {
         asm!(
             "2: subs {rounds}, #1",
             "bne 2b",
-            rounds = inout(reg) KNOWN / 2 => _,
+            rounds = inout(reg) LOOP_INSTRUCTIONS / 2 => _,
             options(nomem, nostack)
         )
     };

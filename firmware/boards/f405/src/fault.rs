@@ -29,8 +29,8 @@ pub enum Reason {
     Setup = 4,
     /// The stack ran out of its region; there is no place.
     Stack = 5,
-    /// The host asked for it; there is no place.
-    Asked = 6,
+    /// The host requested it; there is no place.
+    Requested = 6,
 }
 
 /// Record kept over a reset: a mark, reason, place, and their check word. The linker leaves the section alone at start-up,
@@ -42,7 +42,7 @@ static mut KEPT: MaybeUninit<[u32; 4]> = MaybeUninit::uninit();
 #[unsafe(link_section = ".uninit.latched")]
 static mut LATCHED: MaybeUninit<[u32; 3]> = MaybeUninit::uninit();
 
-/// Says that [`KEPT`] and [`LATCHED`] were written by this firmware: power-on leaves anything there.
+/// Mark that [`KEPT`] and [`LATCHED`] were written by this firmware: power-on leaves anything there.
 const MARK: u32 = 0x7041_5553;
 
 /// Torque enable: a pin without state, because a fault handler must be able to make one out of nothing.
@@ -86,7 +86,7 @@ pub fn take() -> (Reason, u32) {
         3 => Reason::Unexpected,
         4 => Reason::Setup,
         5 => Reason::Stack,
-        6 => Reason::Asked,
+        6 => Reason::Requested,
         _ => Reason::None,
     };
     (reason, place)
@@ -123,7 +123,7 @@ pub fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
     match kept {
         Reason::Panic | Reason::Setup => ResetReason::Panic,
         Reason::HardFault | Reason::Unexpected | Reason::Stack => ResetReason::Fault,
-        Reason::Asked => ResetReason::Software,
+        Reason::Requested => ResetReason::Software,
         Reason::None if chip.porrstf().bit_is_set() => ResetReason::PowerOn,
         Reason::None if chip.wdgrstf().bit_is_set() || chip.wwdgrstf().bit_is_set() => {
             ResetReason::Watchdog
@@ -135,13 +135,13 @@ pub fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
     }
 }
 
-/// Makes the outputs safe, keeps the reason and restarts. The torque stays off until somebody arms the board anew.
+/// Makes the outputs safe, keeps the reason and restarts. The torque stays off until the host arms the board again.
 pub fn leave<B: Board>(reason: Reason, place: u32) -> ! {
     cortex_m::interrupt::disable();
     // The constructor is what switches off; an infallible pin cannot refuse.
     let _ = TorqueEnable::new(EnablePin::<B>::default());
     let kept = &raw mut KEPT;
-    // SAFETY: interrupts are off and this does not return: nobody else looks at the words again before the reset.
+    // SAFETY: interrupts are off and this does not return: nothing reads the words before the reset.
     unsafe {
         kept.cast::<[u32; 4]>().write_volatile([
             MARK,

@@ -20,7 +20,7 @@ pub(crate) fn write_key() -> Option<WriteKey> {
         static _write_key: [u8; KEY_BYTES];
     }
     // SAFETY: the address is in the flash, aligned for bytes, and never changes while the firmware runs. Volatile, because
-    // the compiler knows nothing of what is there.
+    // the compiler must not assume what is there.
     WriteKey::from_slot(unsafe { (&raw const _write_key).read_volatile() })
 }
 

@@ -1,5 +1,5 @@
-//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`can`], [`chip`] and
-//! [`flash_driver`] are there.
+//! foretorque on the STM32F405: chip support, and the boards that carry it. On the host only [`can`], [`chip`],
+//! [`flash_driver`], [`frame_bound`] and [`image`] are there.
 //!
 //! | module | contents |
 //! |---|---|
@@ -9,7 +9,8 @@
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
 //! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
-//! | `link`, `ring` | serial link, and the queues of its bytes |
+//! | [`frame_bound`], `link`, `ring` | serial link, its bound and the queues of its bytes |
+//! | [`image`] | check of the program in flash |
 //! | `statics` | session and learner in static memory |
 //! | `flash_driver`, `key_slot`, `store_flash`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
 //!
@@ -19,6 +20,8 @@
 pub mod can;
 pub mod chip;
 pub mod flash_driver;
+pub mod frame_bound;
+pub mod image;
 
 #[cfg(target_os = "none")]
 pub mod app;

@@ -111,7 +111,7 @@ impl Wire {
             }
             received = true;
         }
-        // A byte that finds some to send shares its interrupt with them, and says nothing of receiving.
+        // A byte that finds some to send shares its interrupt with them, and measures nothing of receiving.
         let sent = self.transmit();
         if received && !sent {
             note_cost(counter::now().wrapping_sub(start));
@@ -143,11 +143,11 @@ impl Wire {
     }
 }
 
-/// Queues frames and wakes the interrupt, which does the sending. False when they found no room; then none is sent,
+/// Queues frames and wakes the interrupt, which does the sending. False where they do not fit; then none is sent,
 /// because half a frame is worth nothing to the other side.
 #[inline(always)]
 pub fn send(waiting: &mut Sender<TRANSMIT_RING>, bytes: &[u8]) -> bool {
-    if bytes.len() > waiting.room() {
+    if bytes.len() > waiting.free() {
         return false;
     }
     let queued = bytes.iter().all(|&byte| waiting.put(byte));

@@ -11,7 +11,7 @@ use stm32f4xx_hal::pac::USART3;
 const SIZE: usize = 1024;
 
 static RING: [AtomicU8; SIZE] = [const { AtomicU8::new(0) }; SIZE];
-/// The name by which probe-rs knows that the channel carries defmt.
+/// The name by which probe-rs recognises that the channel carries defmt.
 static NAME: [u8; 6] = *b"defmt\0";
 
 /// One channel of a SEGGER RTT control block, as debug probes expect it in memory.

@@ -31,7 +31,7 @@ impl Board for OdriveV3 {
         b.pb12.into_push_pull_output_in_state(PinState::Low);
         // Alternate function 7 is USART2 (DS8626 table 9).
         a.pa2.into_alternate::<7>();
-        // Held high while nobody is plugged in: an open line is full of start bits.
+        // Held high while nothing is plugged in: an open line is full of start bits.
         a.pa3.into_alternate::<7>().internal_pull_up(true);
     }
 }

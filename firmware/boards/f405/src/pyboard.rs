@@ -1,4 +1,4 @@
-//! The second board: pyboard v1.1, an STM32F405RG on a card that anybody can buy, in front of a servo drive.
+//! The second board: pyboard v1.1, an STM32F405RG on a card that is sold everywhere, in front of a servo drive.
 //!
 //! Sources: as of [`crate::odrive_v3`], and the card's schematics PYBv1.1.
 
@@ -33,7 +33,7 @@ impl Board for Pyboard {
         b.pb8.into_push_pull_output_in_state(PinState::Low);
         // Alternate function 7 is USART2 (DS8626 table 9).
         a.pa2.into_alternate::<7>();
-        // Held high while nobody is plugged in: an open line is full of start bits.
+        // Held high while nothing is plugged in: an open line is full of start bits.
         a.pa3.into_alternate::<7>().internal_pull_up(true);
     }
 }

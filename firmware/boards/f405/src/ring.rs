@@ -29,7 +29,7 @@ impl<const N: usize> Sender<N> {
 
     /// Bytes that can be put in.
     #[inline(always)]
-    pub fn room(&self) -> usize {
+    pub fn free(&self) -> usize {
         // SAFETY: as above.
         unsafe { assert_unchecked(self.0.capacity() == N - 1) };
         self.0.capacity() - self.0.len()

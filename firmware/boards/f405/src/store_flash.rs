@@ -1,4 +1,4 @@
-//! Registers of the flash interface of the chip. The HAL's own driver asks the chip for its size, which faults in the
+//! Registers of the flash interface of the chip. The HAL's own driver reads the size of the chip, which faults in the
 //! emulator. There these registers do nothing, which the store notices by reading back.
 
 use cortex_m::asm::dsb;

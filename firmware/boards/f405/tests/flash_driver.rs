@@ -97,7 +97,7 @@ fn driver() -> FlashDriver<Shared> {
 }
 
 #[test]
-fn an_error_of_one_operation_does_not_fail_the_next() {
+fn m9_an_error_of_one_operation_does_not_fail_the_next() {
     for flag in [1 << 1, 1 << 4, 1 << 5, 1 << 6, 1 << 7] {
         let mut flash = driver();
         flash.erase(0, STORE_SECTOR_BYTES as u32).unwrap();

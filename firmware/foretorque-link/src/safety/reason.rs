@@ -29,7 +29,7 @@ macro_rules! reasons {
 
         impl SafetyReason {
             /// Every reason, in the order of their codes.
-            pub const ALL: [Self; 23] = [$(Self::$reason),*];
+            pub const ALL: [Self; 24] = [$(Self::$reason),*];
         }
 
         impl fmt::Display for SafetyReason {
@@ -72,6 +72,7 @@ reasons! {
     /// (Limit: [`ARM_DISTANCE`](super::ARM_DISTANCE).)
     FollowingError = "measured position too far from the desired one",
     GravityLost = "no sound rigid-body share for a joint",
+    Image = "program in flash damaged",
 }
 
 impl SafetyReason {

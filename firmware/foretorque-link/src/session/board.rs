@@ -2,8 +2,8 @@ use crate::bank::name;
 use crate::safety::{SafetyReason, SafetyStatus};
 use crate::wire::size::LinkCapacity;
 use crate::wire::{
-    BoardHello, Capabilities, ChipStatus, Configuration, CounterKind, MAC_BYTES, NackReason,
-    ResetReason,
+    BoardHello, Capabilities, ChipStatus, Configuration, CounterKind, ImageStatus, MAC_BYTES,
+    NackReason, ResetReason,
 };
 use crate::write_key::WriteKey;
 use foretorque::arm::Arm;
@@ -83,7 +83,7 @@ pub struct BoardDescription<C = NoClock> {
     pub write_key: Option<WriteKey>,
     /// Seed of the challenges; differs from start to start. `None` where there was no randomness: then no challenge is given.
     pub seed: Option<[u8; MAC_BYTES]>,
-    /// Clock and option bytes.
+    /// Clock, option bytes and program.
     pub chip: ChipStatus,
 }
 
@@ -108,6 +108,9 @@ impl<C> BoardDescription<C> {
     /// The fault at the start. A firmware that restarted itself cannot be armed before the host clears it.
     pub(super) fn first_fault(&self) -> SafetyReason {
         use ResetReason::{Fault, Panic, Watchdog};
+        if self.chip.image == ImageStatus::Damaged {
+            return SafetyReason::Image;
+        }
         match (self.kept_fault, self.reset_reason) {
             (SafetyReason::None, Watchdog | Panic | Fault) => SafetyReason::Restarted,
             (kept, _) => kept,
@@ -118,6 +121,14 @@ impl<C> BoardDescription<C> {
     pub(super) fn sustains(&self, period_us: u32) -> Result<(), NackReason> {
         let long = period_us >= self.chip.shortest_period_us;
         long.then_some(()).ok_or(NackReason::Period)
+    }
+
+    /// Errors: the program is damaged; only another one mends that.
+    pub(super) fn sound(&self) -> Result<(), NackReason> {
+        match self.chip.image {
+            ImageStatus::Damaged => Err(NackReason::Unsafe(SafetyReason::Image)),
+            ImageStatus::Unsealed | ImageStatus::Sound => Ok(()),
+        }
     }
 
     /// Errors: [`NackReason::NotCapable`].

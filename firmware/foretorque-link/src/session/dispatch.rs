@@ -165,6 +165,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 controller.stop(mailbox);
             }
             HostMessage::ClearFault => {
+                board.sound()?;
                 controller.clear_fault()?;
             }
             HostMessage::Request { code } => {
@@ -182,6 +183,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 }
                 let committed = &controller.feed_forward().state().committed;
                 parameters.read(sequence, Order::Save, committed)?;
+                // The learner's bounds lie around the loaded set: with a key, around a signed one for ever.
+                if board.write_key.is_some() {
+                    controller.drop_learnt(&mut parameters.parameters.set);
+                }
                 self.rested_us = 0;
                 return Ok(None);
             }

@@ -9,6 +9,13 @@ use serde::Serialize;
 /// CRC-32 of frames and parameter banks (ISO-HDLC, the one of zip and Ethernet; 1 KiB of table).
 pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
+/// CRC-32 of frames and banks over some bytes in turn.
+pub fn checksum<const PARTS: usize>(parts: [&[u8]; PARTS]) -> u32 {
+    let mut digest = CRC.digest();
+    parts.iter().for_each(|part| digest.update(part));
+    digest.finalize()
+}
+
 #[derive(Serialize)]
 struct Frame<'a, M> {
     version: u8,
@@ -150,7 +157,7 @@ impl FrameBuffer {
     }
 
     /// It takes two more of the largest frames.
-    pub const fn has_room(&self) -> bool {
+    pub const fn has_space(&self) -> bool {
         self.length + 2 * MAX_FRAME <= Self::CAPACITY
     }
 

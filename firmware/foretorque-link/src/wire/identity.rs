@@ -81,7 +81,20 @@ pub enum ClockSource {
     Bare,
 }
 
-/// Clock and option bytes of the chip, read at the start.
+/// Result of the check of the program in flash, at the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ImageStatus {
+    /// No checksum in it: an ELF file straight from the linker.
+    #[default]
+    Unsealed,
+    /// The checksum is right.
+    Sound,
+    /// The checksum is wrong: the board cannot be armed.
+    Damaged,
+}
+
+/// Clock, option bytes and program of the chip, read at the start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ChipStatus {
@@ -94,6 +107,8 @@ pub struct ChipStatus {
     pub brown_out: u8,
     /// Read-out protection: 0 none, 1, 2; [`UNKNOWN`](Self::UNKNOWN).
     pub read_out_protection: u8,
+    /// Check of the program.
+    pub image: ImageStatus,
 }
 
 impl ChipStatus {
@@ -105,6 +120,7 @@ impl ChipStatus {
         shortest_period_us: *Configuration::PERIODS_US.start(),
         brown_out: Self::UNKNOWN,
         read_out_protection: Self::UNKNOWN,
+        image: ImageStatus::Unsealed,
     };
 }
 
@@ -189,7 +205,7 @@ pub struct BoardHello {
     /// Counts from the first instructions to the first hello; 0 without a counter.
     #[serde(with = "postcard::fixint::le")]
     pub boot_counts: u32,
-    /// Clock and option bytes.
+    /// Clock, option bytes and program.
     pub chip: ChipStatus,
 }
 

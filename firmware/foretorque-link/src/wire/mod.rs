@@ -16,15 +16,15 @@ pub mod size;
 pub(crate) use codec::CRC;
 #[cfg(test)]
 pub(crate) use codec::encode_as;
-pub use codec::{EncodeError, FrameBuffer, encode};
+pub use codec::{EncodeError, FrameBuffer, checksum, encode};
 pub use decoder::{DecodeError, Decoder, FrameView};
 pub use frames::{
     EvaluatedFrame, ExcitedFrame, FullTorqueFrame, MotionFrame, SampleFlags, SampleFrame,
     TorqueFrame,
 };
 pub use identity::{
-    BoardHello, Capabilities, ChipStatus, ClockSource, Configuration, CounterKind, Pacing,
-    ReplyMode, ResetReason,
+    BoardHello, Capabilities, ChipStatus, ClockSource, Configuration, CounterKind, ImageStatus,
+    Pacing, ReplyMode, ResetReason,
 };
 pub use message::{BankSource, BoardMessage, HostMessage, NackReason};
 pub use record::{Field, TELEMETRY_BYTES, TelemetryFrame};

@@ -36,7 +36,7 @@ pub(super) struct Difference<const N: usize, const P: usize> {
     /// Times the share.
     friction: [FrictionParameters; N],
     /// The network of the joint is not the one that was loaded.
-    network: [bool; N],
+    pub(super) network: [bool; N],
 }
 
 impl<const N: usize, const P: usize> Difference<N, P> {

@@ -139,6 +139,18 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         blend.write(&mut self.active);
     }
 
+    /// Take out of `set`, a copy of the committed one, what was learnt since the load; a learnt network becomes silent.
+    pub fn drop_learnt(&self, set: &mut ParameterSet<N, P>) {
+        set.rigid = self.loaded.rigid;
+        set.friction = self.loaded.friction;
+        let learnt = &self.committed_difference.network;
+        for (network, &learnt) in set.network.iter_mut().zip(learnt) {
+            if learnt {
+                *network = network.silenced();
+            }
+        }
+    }
+
     /// Make what is active the fallback, and the centre of the bound on learnt change.
     pub(super) fn commit(&mut self) {
         self.committed = self.active;

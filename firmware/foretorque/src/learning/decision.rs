@@ -1,59 +1,90 @@
-/// Reason code of a supervisor decision. A code is part of the wire format and is never reused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[repr(u8)]
-pub enum Reason {
+use core::fmt;
+
+/// Declares the reasons with their codes and texts, in the order of their codes.
+macro_rules! reasons {
+    ($($(#[$attribute:meta])* $reason:ident = $code:literal, $text:literal;)*) => {
+        /// Reason code of a supervisor decision. A code is part of the wire format and is never reused.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[repr(u8)]
+        pub enum Reason {
+            $($(#[$attribute])* $reason = $code,)*
+        }
+
+        impl Reason {
+            /// Every reason, in the order of their codes, which begin at 1.
+            pub const ALL: [Self; 25] = [$(Self::$reason),*];
+        }
+
+        impl fmt::Display for Reason {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(match self {
+                    $(Self::$reason => $text,)*
+                })
+            }
+        }
+    };
+}
+
+reasons! {
     /// Alarm of change detection. Figure: CUSUM.
-    Alarm = 1,
+    Alarm = 1, "alarm";
     /// Payload promoted: it enters the torque. Figure: mass, kg.
-    Promoted = 2,
+    Promoted = 2, "payload promoted";
     /// Payload hypothesis refused: outside the plausible range. Figure: mass, kg.
-    Implausible = 3,
+    Implausible = 3, "payload refused: implausible";
     /// Payload hypothesis refused: uncertain mass. Figure: standard deviation of the mass, kg.
-    Uncertain = 4,
+    Uncertain = 4, "payload refused: uncertain";
     /// Payload hypothesis refused: large residual. Figure: ratio of its mean square residual to that of the active set.
-    Residual = 5,
+    Residual = 5, "payload refused: residual";
     /// Transient disturbance: it ended before a promotion. Figure: seconds since the alarm.
-    Transient = 6,
+    Transient = 6, "transient disturbance";
     /// The common learnt share falls below a quarter, or a rollback to the snapshot on request. Figure: the share.
-    RolledBack = 7,
+    RolledBack = 7, "rolled back";
     /// Payload released: the parameters are those of before it. Figure: mass, kg.
-    Released = 8,
+    Released = 8, "payload released";
     /// Commit of the active set, on request.
-    Committed = 9,
+    Committed = 9, "committed on request";
     /// Snapshot of the active set, on request.
-    SnapshotTaken = 10,
+    SnapshotTaken = 10, "snapshot taken";
     /// Payload set to zero, on request. Figure: mass before, kg.
-    PayloadZeroed = 11,
+    PayloadZeroed = 11, "payload set to zero";
     /// Request refused: no snapshot to roll back to. Figure: code of the request.
-    RequestRefused = 12,
+    RequestRefused = 12, "request refused";
     /// Learning frozen: saturated torque.
-    FrozenSaturated = 13,
+    FrozenSaturated = 13, "frozen: torque saturated";
     /// Learning frozen: no fresh sample.
-    FrozenStale = 14,
+    FrozenStale = 14, "frozen: no fresh sample";
     /// Learning frozen: a number is not finite.
-    FrozenNotFinite = 15,
+    FrozenNotFinite = 15, "frozen: not finite";
     /// Learning stopped by an emergency stop.
-    FrozenStopped = 16,
+    FrozenStopped = 16, "frozen: emergency stop";
     /// Learning resumed after a freeze or an emergency stop.
-    Resumed = 17,
+    Resumed = 17, "learning resumed";
     /// Relearning begins: the change is no payload. Friction is learnt again in the estimate only.
-    Relearning = 18,
+    Relearning = 18, "relearning begins";
     /// Relearning ends; change detection restarts. Figure: the common learnt share by the evidence.
-    RelearningEnded = 19,
+    RelearningEnded = 19, "relearning ends";
     /// Network candidate promoted. Figure: ratio of mean squares, candidate to active network.
-    NetworkPromoted = 20,
+    NetworkPromoted = 20, "network promoted";
     /// Active network silenced: the torque is better without. Figure: ratio of mean squares, with to without network.
-    NetworkSilenced = 21,
+    NetworkSilenced = 21, "network silenced";
     /// Trust below its threshold. Figure: trust.
-    TrustLost = 22,
+    TrustLost = 22, "trust lost";
     /// Trust above its threshold again. Figure: trust.
-    TrustRegained = 23,
+    TrustRegained = 23, "trust regained";
     /// Measured torques oppose those of the loaded set: a reversed sign, which keeps learnt sets out of the torque.
     /// Figure: −1.
-    Reversed = 24,
+    Reversed = 24, "torques reversed";
     /// The common learnt share rises above one half. Figure: the share.
-    Followed = 25,
+    Followed = 25, "following begins";
+}
+
+impl Reason {
+    /// The reason of a code; `None` for 0, which is no decision, and for an unknown code.
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(code).checked_sub(1)?).copied()
+    }
 }
 
 /// Decision of the supervisor.
@@ -149,6 +180,17 @@ impl DecisionLog {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_code_means_its_reason() {
+        for (code, reason) in (1..).zip(Reason::ALL) {
+            assert_eq!(
+                (reason as u8, Reason::from_code(code)),
+                (code, Some(reason))
+            );
+        }
+        assert_eq!([0, 26].map(Reason::from_code), [None; 2]);
+    }
 
     #[test]
     fn the_log_holds_the_newest_decisions_only() {

@@ -395,7 +395,6 @@ fn push<const N: usize>(robot: &Robot, from_s: f64, random: &mut ChaCha8Rng) -> 
 mod tests {
     use super::*;
     use foretorque::learning::rated_payload;
-    use foretorque_workbench::arms;
     use foretorque_workbench::board::Described;
     use foretorque_workbench::dynamics::ReferenceModel;
 
@@ -422,7 +421,7 @@ mod tests {
     fn every_arm_carries_its_rated_payload_with_a_third_of_its_torque() {
         for arm in ARMS {
             let robot = arm.described().expect("described");
-            let share = arms!(robot, N, P => {
+            let share = foretorque_workbench::arms!(robot, N, P => {
                 Described::<N, P>::read(&robot).expect("as many joints");
                 heaviest::<N>(&robot, rated_payload::<Described<N, P>, N, P>().into())
             }, else panic!("{}: no such arm", arm.name));

@@ -49,7 +49,7 @@ impl Drive for StageAndEncoder {
         let stage = MotorStage::new(output, StageEnable, FaultInput, SCALE);
         let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
         let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
-        // The first reading brings nothing, it only asks: so the first tick has a position.
+        // The first frame only requests a reading, so that the first tick has a position.
         let _ = encoder.measure::<1>(None, true);
         Some(Self {
             stage: JointStage::new(stage.ok()?, JOINT),

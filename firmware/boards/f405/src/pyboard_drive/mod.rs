@@ -2,7 +2,7 @@
 //! as pulse width and direction, and an AS5047 class encoder.
 //!
 //! Card and chip are those of [`Pyboard`]; here is what this board has besides. **Scale, signs and zero are
-//! an example: they belong to one joint and its drive, and docs/board.md says how to find them.** Sources: as there, and the
+//! an example: they belong to one joint and its drive, and docs/board.md describes how to find them.** Sources: as there, and the
 //! data sheets AS5047P v1-06 and DS8626, table 9 (alternate functions).
 
 mod drive;
@@ -71,7 +71,7 @@ pub(crate) const ENCODER: EncoderConfig = EncoderConfig {
     ratio: 1.0,
     largest_step: 1000,
 };
-/// One turn of the encoder is one of the joint: at start it is believed to be within ± π.
+/// One turn of the encoder is one of the joint: at start it is taken to be within ± π.
 pub(crate) const TURN: TurnReference = TurnReference::Near(0.0);
 
 /// The board.
@@ -102,7 +102,7 @@ impl Board for PyboardDrive {
         a.pa7.into_alternate::<5>();
         // Alternate function 7 is USART2 (DS8626 table 9).
         a.pa2.into_alternate::<7>();
-        // Held high while nobody is plugged in: an open line is full of start bits.
+        // Held high while nothing is plugged in: an open line is full of start bits.
         a.pa3.into_alternate::<7>().internal_pull_up(true);
     }
 }

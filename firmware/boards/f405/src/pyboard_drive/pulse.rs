@@ -52,12 +52,12 @@ impl SetDutyCycle for Pulse {
     }
 }
 
-/// Lets pulses through, or holds the output low. A fault at the break input keeps it shut whatever is said here.
+/// Lets pulses through, or holds the output low. A fault at the break input keeps it shut whatever is written here.
 pub(crate) fn gate(open: bool) {
     timer().bdtr().modify(|_, w| w.moe().bit(open));
 }
 
-/// The break input has shut the gate since this was asked last.
+/// The break input has shut the gate since the last call.
 pub(crate) fn take_break() -> bool {
     let status = timer().sr();
     let broken = status.read().bif().bit_is_set();

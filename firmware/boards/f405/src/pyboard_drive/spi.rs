@@ -47,7 +47,7 @@ impl SpiDevice for EncoderDevice {
     }
 }
 
-/// One operation of a frame. An encoder asks and answers in one breath; nothing else is needed here.
+/// One operation of a frame. Request and answer are one transfer.
 fn execute(operation: &mut Operation<'_, u8>) -> Result<(), ErrorKind> {
     let Operation::TransferInPlace(bytes) = operation else {
         return Err(ErrorKind::Other);

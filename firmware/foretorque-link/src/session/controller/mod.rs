@@ -1,4 +1,4 @@
-//! Samples to torques: player, plausibility, feed-forward, safety, learning mailbox. Knows messages, never bytes.
+//! Samples to torques: player, plausibility, feed-forward, safety, learning mailbox. Works on messages, never bytes.
 
 mod parameters;
 mod sample_gaps;

@@ -135,6 +135,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         Ok(())
     }
 
+    /// Takes out of `set`, a copy of the committed one, what was learnt since the load.
+    pub(in crate::session) fn drop_learnt(&self, set: &mut ParameterSet<N, P>) {
+        self.feed_forward.state().drop_learnt(set);
+    }
+
     /// Shares of the active set for one motion, without state.
     pub(in crate::session) fn evaluate(&self, motion: &MotionFrame<N>) -> EvaluatedFrame<N> {
         let active = &self.feed_forward.state().active;

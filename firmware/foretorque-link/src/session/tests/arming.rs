@@ -195,7 +195,7 @@ fn timed(pacing: Pacing) -> Board {
 }
 
 #[test]
-fn samples_older_than_the_time_out_arm_no_board() {
+fn c2_samples_older_than_the_time_out_arm_no_board() {
     let refused = no_torque(SafetyReason::NoSample);
     for pacing in [Pacing::Link, Pacing::SysTick] {
         for (silent, armed) in [(49, true), (51, false), (1000, false), (100_000, false)] {
@@ -217,7 +217,7 @@ fn samples_older_than_the_time_out_arm_no_board() {
 }
 
 #[test]
-fn an_arm_that_moved_since_arming_gets_no_torque() {
+fn c2_an_arm_that_moved_since_arming_gets_no_torque() {
     use SafetyReason::{DesiredJump, DesiredNotFinite, EffortRange, None, PositionJump, TooFar};
     type Change = fn(&mut JointSample<N>);
     let cases: [(Change, SafetyReason); 6] = [
@@ -263,7 +263,7 @@ fn an_arm_that_moved_since_arming_gets_no_torque() {
 }
 
 #[test]
-fn a_clock_too_slow_for_the_period_is_reported_and_refuses_to_arm() {
+fn m6_a_clock_too_slow_for_the_period_is_reported_and_refuses_to_arm() {
     let chip = ChipStatus {
         clock: ClockSource::Bare,
         shortest_period_us: 10_500,
@@ -297,6 +297,34 @@ fn a_clock_too_slow_for_the_period_is_reported_and_refuses_to_arm() {
     }
     samples(&mut board);
     board.acknowledged(HostMessage::Arm);
+}
+
+#[test]
+fn m7_a_board_with_a_damaged_program_cannot_be_armed() {
+    for (image, reason) in [
+        (ImageStatus::Unsealed, SafetyReason::None),
+        (ImageStatus::Sound, SafetyReason::None),
+        (ImageStatus::Damaged, SafetyReason::Image),
+    ] {
+        let chip = ChipStatus {
+            image,
+            ..ChipStatus::VIRTUAL
+        };
+        let mut board = Board::described(BoardDescription {
+            chip,
+            ..BoardDescription::plain(NoClock)
+        });
+        assert_eq!(board.session.safety().reason, reason);
+        let reply = match reason {
+            SafetyReason::None => ACK,
+            reason => no_torque(reason),
+        };
+        (0..ARM_SAMPLES).for_each(|_| _ = board.sample(0));
+        assert_eq!(board.request(HostMessage::ClearFault), reply);
+        assert_eq!(board.request(HostMessage::Arm), reply);
+        assert_eq!(board.session.latched_fault(), reason);
+        assert_eq!(board.session.torque_enabled(), reply == ACK);
+    }
 }
 
 #[test]

@@ -1,9 +1,11 @@
+use super::store::storing_with;
 use super::*;
 use crate::excitation::{
     ExcitationCommand, ExcitationProgram, ExcitationState, JointSeries, MotionBounds,
 };
 use crate::wire::MAC_BYTES;
 use crate::write_key::WriteKey;
+use foretorque::feedforward::evaluate;
 
 type Mac = [u8; MAC_BYTES];
 
@@ -161,7 +163,7 @@ fn protected() -> [HostMessage<N>; 6] {
 }
 
 #[test]
-fn on_a_keyed_board_an_unsigned_order_is_refused_and_changes_nothing() {
+fn m4_on_a_keyed_board_an_unsigned_order_is_refused_and_changes_nothing() {
     let mut board = locked(1);
     let before = *board.session.feed_forward().state();
     for message in protected() {
@@ -176,6 +178,56 @@ fn on_a_keyed_board_an_unsigned_order_is_refused_and_changes_nothing() {
         HostMessage::ClearFault,
     ] {
         board.acknowledged(message);
+    }
+}
+
+/// A save makes nothing that was learnt the centre of the learner's bounds.
+#[test]
+fn m4_the_bounds_of_learning_stay_around_the_signed_bank() {
+    for keyed in [true, false] {
+        let (mut board, _) = storing_with(keyed.then(|| key(3)));
+        let bank = uploaded();
+        let permit = |board: &mut Board, message: HostMessage<N>| {
+            if keyed {
+                let order = message.protected().unwrap();
+                assert_eq!(board.unlock(3, order), ACK);
+            }
+            assert_eq!(board.request(message), ACK);
+        };
+        let nonce = if keyed {
+            board.challenge()
+        } else {
+            [0; MAC_BYTES]
+        };
+        assert_eq!(board.upload(&bank, signature(3, &nonce, &bank)), ACK);
+        permit(&mut board, HostMessage::Learning { on: true });
+        // Six N·m more than the bank on every joint.
+        let set = board.session.feed_forward().state().active;
+        for k in 0..6000 {
+            let mut sample = sample(k);
+            let torque = evaluate::<Ur5, N, P>(&set, &sample.desired).total;
+            sample.measured.as_mut().unwrap().tau = torque.map(|torque| torque + 6.0);
+            board.send(&HostMessage::Sample(SampleFrame::new(&sample)));
+            board.learn();
+        }
+        permit(&mut board, HostMessage::Request { code: 3 });
+        for k in 6000..6100 {
+            board.sample(k);
+            board.learn();
+        }
+        board.acknowledged(HostMessage::Learning { on: false });
+        let learnt = board.read_from(BankSource::Committed);
+        assert_ne!(learnt, bank);
+        permit(&mut board, HostMessage::Save);
+        permit(&mut board, HostMessage::Restore);
+        let restored = board.read();
+        let columns = |bytes: &[u8]| {
+            let mut bank = ParameterBank::empty();
+            bank.decode_into(bytes).unwrap();
+            bank.columns
+        };
+        let wanted = if keyed { &bank } else { &learnt };
+        assert_eq!(columns(&restored), columns(wanted), "keyed {keyed}");
     }
 }
 

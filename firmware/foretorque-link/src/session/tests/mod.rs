@@ -16,7 +16,7 @@ use crate::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyState};
 use crate::telemetry::Statistics;
 use crate::wire::{
     BankSource, CHUNK, CRC, Capabilities, ChipStatus, ClockSource, Decoder, HostMessage,
-    NackReason, Pacing, ResetReason, SampleFrame, TorqueFrame, encode,
+    ImageStatus, NackReason, Pacing, ResetReason, SampleFrame, TorqueFrame, encode,
 };
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::FeedForwardConfig;

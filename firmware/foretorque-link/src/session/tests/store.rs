@@ -1,5 +1,6 @@
 use super::*;
 use crate::store::{Store, StoreError};
+use crate::write_key::WriteKey;
 use core::convert::Infallible;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use std::cell::Cell;
@@ -46,8 +47,13 @@ impl NorFlash for Flash {
 
 /// A board with a store, whose flash is worn out while the cell is true.
 fn storing() -> (Board, Rc<Cell<bool>>) {
+    storing_with(None)
+}
+
+pub(super) fn storing_with(write_key: Option<WriteKey>) -> (Board, Rc<Cell<bool>>) {
     let mut board = Board::described(BoardDescription {
         capabilities: Capabilities::LEARNING | Capabilities::STORE,
+        write_key,
         ..BoardDescription::plain(NoClock)
     });
     let worn = Rc::<Cell<bool>>::default();
@@ -132,7 +138,7 @@ fn nothing_is_saved_while_torque_flows() {
 }
 
 #[test]
-fn while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing() {
+fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing() {
     let (mut board, _) = storing();
     for _ in 0..ARM_SAMPLES {
         board.sample(0);
@@ -188,7 +194,7 @@ fn a_save_stores_the_committed_set() {
 }
 
 #[test]
-fn saves_are_a_minute_apart_and_restarts_do_not_shorten_it() {
+fn m4_saves_are_a_minute_apart_and_restarts_do_not_shorten_it() {
     let board = |reset_reason| {
         let mut board = Board::described(BoardDescription {
             capabilities: Capabilities::STORE | Capabilities::TIMER,

@@ -36,7 +36,7 @@ impl Timeline {
     fn armed(pacing: Pacing) -> Self {
         let mut timeline = Self::new(pacing, 1);
         (0..ARM_SAMPLES).for_each(|_| timeline.period(Timing::Exact));
-        timeline.ask(HostMessage::Arm);
+        timeline.request(HostMessage::Arm);
         (0..50).for_each(|_| timeline.period(Timing::Exact));
         assert!(timeline.torque() > 20.0, "{pacing:?}");
         timeline
@@ -89,7 +89,7 @@ impl Timeline {
         replies.len()
     }
 
-    fn ask(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
+    fn request(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
         let arms = message == HostMessage::Arm;
         let reply = self.board.request(message);
         if arms && reply == ACK {
@@ -158,10 +158,12 @@ fn every_promise_holds_at_every_timing_in_both_pacings() {
                 gap = random / 97 % 150;
             }
             match timeline.state() {
-                SafetyState::Disarmed if k % 5 == 0 => _ = timeline.ask(HostMessage::Arm),
-                SafetyState::Fault if k % 5 == 0 => _ = timeline.ask(HostMessage::ClearFault),
-                SafetyState::Armed if random % 1009 == 1 => _ = timeline.ask(HostMessage::Stop),
-                SafetyState::Armed if random % 499 == 2 => _ = timeline.ask(HostMessage::Disarm),
+                SafetyState::Disarmed if k % 5 == 0 => _ = timeline.request(HostMessage::Arm),
+                SafetyState::Fault if k % 5 == 0 => _ = timeline.request(HostMessage::ClearFault),
+                SafetyState::Armed if random % 1009 == 1 => _ = timeline.request(HostMessage::Stop),
+                SafetyState::Armed if random % 499 == 2 => {
+                    _ = timeline.request(HostMessage::Disarm)
+                }
                 _ => {}
             }
             torques += u32::from(timeline.torque() > 10.0);
@@ -170,9 +172,9 @@ fn every_promise_holds_at_every_timing_in_both_pacings() {
     }
 }
 
-/// M1: one hold time for both pacings.
+/// One hold time for both pacings.
 #[test]
-fn a_silent_host_loses_its_torque_equally_fast_in_both_pacings() {
+fn m1_a_silent_host_loses_its_torque_equally_fast_in_both_pacings() {
     for pacing in PACINGS {
         let mut timeline = Timeline::armed(pacing);
         let full = timeline.torque();
@@ -202,9 +204,9 @@ fn a_silent_host_loses_its_torque_equally_fast_in_both_pacings() {
     }
 }
 
-/// M2: the timer takes no implausible sample back.
+/// The timer takes no implausible sample back.
 #[test]
-fn one_implausible_sample_in_four_latches_in_both_pacings() {
+fn m2_one_implausible_sample_in_four_latches_in_both_pacings() {
     for pacing in PACINGS {
         let mut timeline = Timeline::armed(pacing);
         for k in 0..900 {
@@ -221,9 +223,9 @@ fn one_implausible_sample_in_four_latches_in_both_pacings() {
     }
 }
 
-/// M3: samples beyond their period are not fresh, and the torque of all of them is one slew step.
+/// Samples beyond their period are not fresh, and the torque of all of them is one slew step.
 #[test]
-fn a_burst_out_of_a_buffer_is_not_played_at_line_speed() {
+fn m3_a_burst_out_of_a_buffer_is_not_played_at_line_speed() {
     for (pacing, at_once) in [(Pacing::Link, 2), (Pacing::SysTick, 0)] {
         let mut timeline = Timeline::armed(pacing);
         (0..8).for_each(|_| timeline.silence());
@@ -241,13 +243,13 @@ fn a_burst_out_of_a_buffer_is_not_played_at_line_speed() {
     }
 }
 
-/// M10 (d): commands use up numbers of frames, but no time.
+/// Commands use up numbers of frames, but no time.
 #[test]
-fn commands_widen_no_plausibility_check() {
+fn m10_commands_widen_no_plausibility_check() {
     for pacing in PACINGS {
         let mut timeline = Timeline::armed(pacing);
         for _ in 0..200 {
-            timeline.ask(HostMessage::Statistics);
+            timeline.request(HostMessage::Statistics);
         }
         let mut moved = slow(timeline.arrives);
         moved.measured.as_mut().unwrap().q[0] += 0.05;
@@ -259,16 +261,16 @@ fn commands_widen_no_plausibility_check() {
     }
 }
 
-/// M11: temperatures reach every joint, whatever the numbers of frames.
+/// Temperatures reach every joint, whatever the numbers of frames.
 #[test]
-fn the_temperatures_of_all_joints_arrive_between_commands() {
+fn m11_the_temperatures_of_all_joints_arrive_between_commands() {
     for pacing in PACINGS {
         let mut timeline = Timeline::new(pacing, 1);
         for k in 0..N as u8 {
             let frame = SampleFrame::new(&slow(0)).in_period(k);
             timeline.send(frame.with_temperature(60 + k as i8));
             timeline.timer();
-            timeline.ask(HostMessage::Statistics);
+            timeline.request(HostMessage::Statistics);
         }
         let temperatures = *timeline.board.session.temperatures_c();
         assert_eq!(temperatures, [60, 61, 62, 63, 64, 65], "{pacing:?}");
@@ -352,9 +354,9 @@ impl LocalSensor for Braked {
     }
 }
 
-/// M8: the torque of gravity at the measured position is kept until the brake is closed.
+/// The torque of gravity at the measured position is kept until the brake is closed.
 #[test]
-fn a_board_with_a_brake_holds_the_arm_until_it_is_closed() {
+fn m8_a_board_with_a_brake_holds_the_arm_until_it_is_closed() {
     for pacing in PACINGS {
         for orderly in [false, true] {
             let mut board = timed(pacing);

@@ -5,7 +5,8 @@ use super::*;
 use crate::bank::{BankError, ColumnId, ColumnKind};
 use crate::excitation::ExcitationError;
 use crate::safety::SafetyReason;
-use crate::store::StoreError;
+use crate::store::{StoreError, StoreHealth};
+use crate::telemetry::Statistics;
 use std::string::String;
 
 const PAGE: &str = include_str!("../../../../../docs/protocol.md");
@@ -186,6 +187,52 @@ fn the_types_of_the_hello_on_the_page_read_a_hello_to_its_end() {
         }
     }
     assert!(rest.is_empty(), "{} bytes are not on the page", rest.len());
+}
+
+/// Names and values of all numbers in the debug output of a type, in its order.
+fn numbers(debug: &str) -> Vec<(String, i64)> {
+    let (mut outer, mut found) = (Vec::new(), Vec::new());
+    for token in debug.split_inclusive(['{', '}', ',']) {
+        let (name, value) = token.split_once(": ").unwrap_or(("", token));
+        let value = value.trim_end_matches([',', ' ', '}']);
+        if token.ends_with('{') {
+            outer.push(name.trim());
+        } else if let Ok(value) = value.parse() {
+            let path = outer.iter().filter(|outer| !outer.is_empty());
+            let path: Vec<_> = path.copied().chain([name.trim()]).collect();
+            found.push((path.join("."), value));
+        }
+        if token.ends_with('}') {
+            outer.pop();
+        }
+    }
+    found
+}
+
+#[test]
+fn the_order_of_the_statistics_on_the_page_is_that_of_the_type() {
+    let section = PAGE.split("## Statistics").nth(1).unwrap();
+    let section = section.split("\n## ").next().unwrap();
+    let rows = section.lines().filter(|line| line.starts_with("| "));
+    let (mut bytes, mut wanted) = (Vec::new(), Vec::new());
+    for line in rows.skip(1) {
+        let mut cells = line.split('|').skip(1);
+        let width = width(cells.next().unwrap()).unwrap();
+        for name in cells.next().unwrap().split('`').skip(1).step_by(2) {
+            let value = wanted.len() as u8 + 1;
+            if name == "store" {
+                bytes.push(StoreHealth::Failing as u8);
+            } else {
+                bytes.push(value);
+                bytes.extend(core::iter::repeat_n(0, width - 1));
+                wanted.push((name.into(), i64::from(value)));
+            }
+        }
+    }
+    let (statistics, rest) = postcard::take_from_bytes::<Statistics>(&bytes).unwrap();
+    assert!(rest.is_empty());
+    assert_eq!(statistics.store, StoreHealth::Failing);
+    assert_eq!(numbers(&std::format!("{statistics:?}")), wanted);
 }
 
 #[test]

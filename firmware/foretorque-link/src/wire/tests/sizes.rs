@@ -101,6 +101,7 @@ pub(super) fn frames<const J: usize>() -> [Vec<(String, Vec<u8>)>; 2] {
         chip: ChipStatus {
             brown_out: 1,
             read_out_protection: 1,
+            image: ImageStatus::Sound,
             ..ChipStatus::VIRTUAL
         },
     };

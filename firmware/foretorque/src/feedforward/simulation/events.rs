@@ -143,7 +143,7 @@ fn carry(cell: &mut Cell, mass: f32) -> (u32, PayloadEstimate) {
 }
 
 #[test]
-fn a_payload_is_in_the_torque_in_a_quarter_of_a_second_and_out_again_when_it_is_put_down() {
+fn m12_a_payload_is_in_the_torque_in_a_quarter_of_a_second_and_out_again_when_it_is_put_down() {
     let mut cell = Cell::settled();
     for (mass, times, median, worst) in
         [(3.0, 8, 280, 700), (1.0, 4, 500, 2500), (5.0, 4, 500, 2500)]
@@ -175,7 +175,7 @@ fn a_payload_is_in_the_torque_in_a_quarter_of_a_second_and_out_again_when_it_is_
 }
 
 #[test]
-fn a_push_is_no_payload_and_leaves_nothing_behind() {
+fn m12_a_push_is_no_payload_and_leaves_nothing_behind() {
     let mut cell = Cell::settled();
     let mut dice = Dice(5);
     let (mut during, mut after, mut alarms) = (0, 0, 0);
@@ -209,7 +209,7 @@ fn a_push_is_no_payload_and_leaves_nothing_behind() {
 }
 
 #[test]
-fn a_torque_sensor_of_the_wrong_sign_changes_no_torque() {
+fn m12_a_torque_sensor_of_the_wrong_sign_changes_no_torque() {
     let mut board = Board::new(wrong_prior(1), 0);
     let mut plant = Plant::new(AS_IT_IS);
     board.feedforward.set_learning(true);
@@ -230,7 +230,7 @@ fn a_torque_sensor_of_the_wrong_sign_changes_no_torque() {
 }
 
 #[test]
-fn the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right() {
+fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right() {
     let prior = wrong_prior(1);
     let mut board = Board::new(prior, 0);
     let mut config = LearnerConfig::for_arm::<Ur5>(PERIOD as f32);
@@ -265,7 +265,7 @@ fn the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right() {
 }
 
 #[test]
-fn after_any_event_the_guard_is_healthy_again() {
+fn m12_after_any_event_the_guard_is_healthy_again() {
     let mut cell = Cell::settled();
     // Leaning on the elbow for longer than any trial lasts.
     cell.plant.push[2] = 30.0;
@@ -360,7 +360,7 @@ fn life(first: u32) -> (Vec<[u32; N]>, u32) {
 /// The counters of ticks, loads and requests wrap without an effect: after 2³¹ and 2³² ticks, while the board learns,
 /// carries, rolls back and loads.
 #[test]
-fn across_every_wrap_the_torques_are_those_of_an_unwrapped_twin() {
+fn c1_across_every_wrap_the_torques_are_those_of_an_unwrapped_twin() {
     let wrap = LearningSample::<N>::LAST_TICK + 1;
     // Where the board learns, at the ends of a round, and where it carries, rolls back and loads.
     let places = [9000, 14_499, 14_503, 16_300, 18_101, 18_201].map(|after| wrap - after);

@@ -121,7 +121,7 @@ fn broken(first: u32, then: u32) -> Vec<&'static str> {
 }
 
 #[test]
-fn loads_requests_and_publications_take_effect_at_every_distance_and_across_every_wrap() {
+fn c1_loads_requests_and_publications_take_effect_at_every_distance_and_across_every_wrap() {
     let around =
         |point: u32| [-40, -25, -7, -1, 0, 1, 7, 40].map(|by| point.wrapping_add_signed(by));
     let points = [around(0), around(1 << 31)].concat();

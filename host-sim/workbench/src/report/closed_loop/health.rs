@@ -3,6 +3,7 @@
 use crate::closed_loop::TickRecord;
 use crate::dynamics::Joints;
 use crate::robot::Robot;
+use foretorque::learning::Reason;
 use foretorque::limits::Flags;
 use foretorque_link::safety::{SafetyState, SafetyStatus};
 use foretorque_link::wire::{Field, TelemetryFrame};
@@ -17,36 +18,6 @@ const ASKED_RAD: f64 = 0.1;
 const MOVED_SHARE: f64 = 0.1;
 /// Last part of a run over which the learnt torque is averaged, s.
 const LAST_S: f64 = 10.0;
-/// Decisions of the supervisor by their codes ([`foretorque::learning::Reason`]).
-const DECISIONS: [&str; 26] = [
-    "no decision",
-    "alarm",
-    "payload promoted",
-    "payload refused: implausible",
-    "payload refused: uncertain",
-    "payload refused: residual",
-    "transient disturbance",
-    "rolled back",
-    "payload released",
-    "committed",
-    "snapshot taken",
-    "payload set to zero",
-    "request refused",
-    "frozen: torque saturated",
-    "frozen: no fresh sample",
-    "frozen: not finite",
-    "frozen: emergency stop",
-    "learning resumed",
-    "relearning begins",
-    "relearning ends",
-    "network promoted",
-    "network silenced",
-    "trust lost",
-    "trust regained",
-    "common gain of all torques",
-    "following begins",
-];
-
 /// One kind of decision of the supervisor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DecisionRecord {
@@ -89,7 +60,7 @@ pub(super) struct Health<const N: usize> {
     /// Squares of the learnt change by second, in torque limits, and ticks.
     changes: Vec<(f64, usize)>,
     pub(super) learnt: LearntRecord,
-    newest: (u32, usize),
+    newest: (u32, u8),
 }
 
 impl<const N: usize> Health<N> {
@@ -185,7 +156,7 @@ impl<const N: usize> Health<N> {
                     Field::Decision => {
                         let count = word(0).map_or(0, u32::from_le_bytes);
                         let code = bytes.get(4).copied().unwrap_or(0);
-                        self.decision(count, usize::from(code), t_s, every_s);
+                        self.decision(count, code, t_s, every_s);
                     }
                     _ => {}
                 }
@@ -193,10 +164,13 @@ impl<const N: usize> Health<N> {
         }
     }
 
-    fn decision(&mut self, count: u32, code: usize, t_s: f64, every_s: f64) {
+    fn decision(&mut self, count: u32, code: u8, t_s: f64, every_s: f64) {
         let code = if count == 0 { 0 } else { code };
-        let name = DECISIONS.get(code).map(|name| (*name).to_owned());
-        let name = name.unwrap_or_else(|| format!("decision {code}"));
+        let name = match (code, Reason::from_code(code)) {
+            (_, Some(reason)) => reason.to_string(),
+            (0, None) => "no decision".to_owned(),
+            (code, None) => format!("decision {code}"),
+        };
         let known = &mut self.learnt.decisions;
         let place = known.iter().position(|known| known.decision == name);
         let place = place.unwrap_or_else(|| {
@@ -378,7 +352,7 @@ mod tests {
         assert_eq!(
             line,
             "learning: nothing adopted; no decision 1.0 s, 1 x following begins (1.0 s), \
-             1 x common gain of all torques (1.5 s)"
+             1 x torques reversed (1.5 s)"
         );
     }
 }
