@@ -30,7 +30,14 @@ impl<'a> Tree<'a> {
         };
         for (index, joint) in document.joints.iter().enumerate() {
             let named_by = format!("joint '{}'", joint.name);
-            let parent = tree.link(&joint.parent, &named_by)?;
+            let parent = tree.link(&joint.parent, &named_by).map_err(|mut problem| {
+                if let (UrdfProblem::UnknownLink { mend, .. }, Ok(_)) =
+                    (&mut problem, tree.link(&joint.child, ""))
+                {
+                    *mend = format!(" (--base '{}' begins the arm behind it)", joint.child);
+                }
+                problem
+            })?;
             let child = tree.link(&joint.child, &named_by)?;
             tree.parent.push(parent);
             tree.child.push(child);
@@ -58,6 +65,7 @@ impl<'a> Tree<'a> {
         found.ok_or_else(|| UrdfProblem::UnknownLink {
             link: name.to_owned(),
             named_by: named_by.to_owned(),
+            mend: String::new(),
         })
     }
 
@@ -151,18 +159,20 @@ impl<'a> Tree<'a> {
             .map_or(self.child[joint], |joint| self.farthest(joint))
     }
 
-    /// A single finger by its name, with no turning joint after it.
+    /// A finger by its name: a chain of joints called like parts of a gripper. One that forks is the palm on a wrist.
     fn is_finger(&self, joint: usize) -> bool {
         let element = &self.document.joints[joint];
         let names = [&element.name, &element.child].map(|name| name.to_lowercase());
-        let finger = ["grip", "jaw", "finger", "claw", "knuckle"];
-        self.reach(joint) == 1
-            && finger
-                .iter()
-                .any(|word| names.iter().any(|name| name.contains(word)))
+        let words = ["grip", "jaw", "finger", "claw", "knuckle", "thumb"];
+        let is_called = words
+            .iter()
+            .any(|word| names.iter().any(|name| name.contains(word)));
+        let body = self.rigid_body(self.child[joint], Placement::identity(), None);
+        let beyond: Vec<usize> = self.moving_joints(&body).collect();
+        is_called && beyond.len() < 2 && beyond.iter().all(|&joint| self.is_finger(joint))
     }
 
-    /// Joints from base to the link where everything beyond is fixed, prismatic, mimic or a single finger.
+    /// Joints from base to the link where everything beyond is fixed, prismatic, mimic or fingers.
     pub(super) fn only_path(&self, base: usize) -> Result<Vec<usize>, UrdfProblem> {
         let mut end = base;
         loop {
