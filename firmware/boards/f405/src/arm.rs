@@ -5,8 +5,8 @@ use foretorque_link::session::{Housekeeping, Mailboxes, Session};
 use crate::counter::Counter;
 use crate::store_flash::StoreFlash;
 
-pub use foretorque::arm::ur5::{
-    JOINTS, Learner as BoardLearner, LearnerConfig, PARAMETERS, ParameterSet, Ur5 as Arm,
+pub use crate::described::{
+    Arm, JOINTS, Learner as BoardLearner, LearnerConfig, PARAMETERS, ParameterSet,
 };
 
 /// Session of a board.

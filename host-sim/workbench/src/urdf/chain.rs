@@ -88,6 +88,8 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             })?,
             // Collision shapes of a URDF are meshes as a rule.
             capsules: Vec::new(),
+            link_name: Some(document.links[tree.child[index]].name.clone()),
+            link_frame,
             dh_frame: None,
         });
     }
@@ -115,6 +117,10 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         gravity: document.gravity,
         joints,
         flange: link_frame.snapped(),
+        link_names: Some((
+            document.links[base].name.clone(),
+            document.links[tip].name.clone(),
+        )),
         log_columns: None,
         workspace: Workspace::default(),
     };

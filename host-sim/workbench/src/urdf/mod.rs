@@ -16,7 +16,7 @@ mod tree;
 mod write;
 
 pub use error::{JointProblem, UrdfError, UrdfProblem};
-pub use write::write;
+pub use write::{mjcf, sdf, write};
 
 use crate::robot::Robot;
 use std::collections::HashSet;
