@@ -334,9 +334,7 @@ fn identify_arm<const N: usize>(
             say(format_args!("bank    {}", path.display()))?;
         }
         None if refused.is_some() => {}
-        None => say(
-            "no bank: a bank has no room for the columns of this fit (see --columns)",
-        )?,
+        None => say("no bank: a bank has no room for the columns of this fit (see --columns)")?,
     }
     say(format_args!("report  {}", shown.display()))?;
     match refused {

@@ -536,6 +536,17 @@ fn a_chain_of_fingers_is_no_arm_and_a_palm_is_a_wrist() {
             .len(),
         2
     );
+    // A wrist that carries a jaw.
+    let wrist = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
+    let wrist = wrist.replace("\"hand\"", "\"gripper\"").replace(
+        r#""left_finger" type="prismatic""#,
+        r#""jaw" type="revolute""#,
+    );
+    let start = wrist.find(r#"<joint name="right_finger""#).unwrap();
+    let end = wrist.find("<link name=\"right\"/>").unwrap();
+    let wrist = format!("{}{}", &wrist[..start], &wrist[end + 21..]);
+    let robot = parse("t", &wrist, &Selection::default()).unwrap().robot;
+    assert_eq!((robot.joints.len(), &*robot.joints[2].name), (3, "wrist"));
     let palm = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
     let palm = palm.replace("hand", "gripper");
     let robot = parse("t", &palm, &Selection::default()).unwrap().robot;

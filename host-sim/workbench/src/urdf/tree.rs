@@ -159,8 +159,9 @@ impl<'a> Tree<'a> {
             .map_or(self.child[joint], |joint| self.farthest(joint))
     }
 
-    /// A finger by its name: a chain of joints called like parts of a gripper. One that forks is the palm on a wrist.
-    fn is_finger(&self, joint: usize) -> bool {
+    /// A finger by its name, called like a part of a gripper: the last joint of a branch, or at a fork a chain of such joints.
+    /// A single one that carries another is the wrist under a gripper.
+    fn is_finger(&self, joint: usize, at_fork: bool) -> bool {
         let element = &self.document.joints[joint];
         let names = [&element.name, &element.child].map(|name| name.to_lowercase());
         let words = ["grip", "jaw", "finger", "claw", "knuckle", "thumb"];
@@ -169,7 +170,8 @@ impl<'a> Tree<'a> {
             .any(|word| names.iter().any(|name| name.contains(word)));
         let body = self.rigid_body(self.child[joint], Placement::identity(), None);
         let beyond: Vec<usize> = self.moving_joints(&body).collect();
-        is_called && beyond.len() < 2 && beyond.iter().all(|&joint| self.is_finger(joint))
+        let is_chain = || beyond.len() == 1 && self.is_finger(beyond[0], true);
+        is_called && (beyond.is_empty() || at_fork && is_chain())
     }
 
     /// Joints from base to the link where everything beyond is fixed, prismatic, mimic or fingers.
@@ -186,7 +188,7 @@ impl<'a> Tree<'a> {
             if moving.len() > 1 {
                 on.retain(|&joint| self.reach(joint) > 1);
             }
-            on.retain(|&joint| end == base || !self.is_finger(joint));
+            on.retain(|&joint| end == base || !self.is_finger(joint, moving.len() > 1));
             match on[..] {
                 // Nothing but a joint that no arm can have: its refusal names it.
                 [] if end == base && moving.len() == 1 => end = self.child[moving[0]],

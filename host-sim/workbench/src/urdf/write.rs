@@ -171,7 +171,7 @@ pub fn sdf(robot: &Robot) -> String {
         let [name, parent] = &part.names;
         let [xx, yy, zz, xy, xz, yz] = tensor(&part.link);
         out += &format!(
-            r#"  <joint name="{joint}" type="revolute"><pose relative_to="{parent}">{pose}</pose>
+            r#"  <joint name="{joint}" type="revolute"><pose relative_to="{around}">{pose}</pose>
     <parent>{parent}</parent><child>{name}</child>
     <axis><xyz>{axis}</xyz>
       <limit><lower>{lower}</lower><upper>{upper}</upper><effort>{torque}</effort><velocity>{velocity}</velocity></limit>
@@ -181,6 +181,8 @@ pub fn sdf(robot: &Robot) -> String {
     <inertia><ixx>{xx}</ixx><iyy>{yy}</iyy><izz>{zz}</izz><ixy>{xy}</ixy><ixz>{xz}</ixz><iyz>{yz}</iyz></inertia></inertial></link>
 "#,
             joint = escaped(&part.joint.name),
+            // A model may hang on the world, and not be placed in it.
+            around = if parent == WORLD { "__model__" } else { parent },
             pose = pose(&part.placement),
             axis = list(&part.axis),
             lower = limits.position.0,
