@@ -645,7 +645,7 @@ fn torques_agree<const N: usize>(name: &str, robot: &Robot, tolerance_nm: f64) {
         }
         rows += 1;
     }
-    println!("{name}: off by {worst:?} N·m (MuJoCo, Pinocchio on MJCF and URDF, Drake on SDF)");
+    eprintln!("{name}: off by {worst:?} N·m (MuJoCo, Pinocchio on MJCF and URDF, Drake on SDF)");
     assert_eq!(rows, 200);
 }
 
@@ -696,7 +696,7 @@ fn temporary_corpus() {
                     let text = error.to_string();
                     let named = |flag: &str| {
                         text.split_once(flag)
-                            .and_then(|(_, rest)| rest.split('\'').nth(1))
+                            .and_then(|(_, rest)| rest.split('\'').next())
                             .map(str::to_owned)
                     };
                     used.push(text.clone());

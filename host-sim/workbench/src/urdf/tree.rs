@@ -151,10 +151,13 @@ impl<'a> Tree<'a> {
         usize::from(turns) + next.map(|&joint| self.reach(joint)).max().unwrap_or(0)
     }
 
-    /// The last link on the longest path that begins with `joint`.
+    /// The last link on the longest path that begins with `joint`, before fingers.
     fn farthest(&self, joint: usize) -> usize {
+        let body = self.rigid_body(self.child[joint], Placement::identity(), None);
+        let at_fork = self.moving_joints(&body).count() > 1;
         let next = self.carried[self.child[joint]].iter().copied();
         let next = next.filter(|&joint| self.reach(joint) > 0);
+        let next = next.filter(|&joint| self.is_fixed(joint) || !self.is_finger(joint, at_fork));
         next.max_by_key(|&joint| self.reach(joint))
             .map_or(self.child[joint], |joint| self.farthest(joint))
     }
