@@ -24,7 +24,7 @@ fn main() {
             return;
         };
         let chosen = format!(
-            "#[path = {module:?}]\npub mod module;\npub use module::{{\n    JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, {arm} as Arm,\n}};\n"
+            "#[path = {module:?}]\npub mod module;\npub use module::{{\n    JOINTS, Learner, PARAMETERS, {arm} as Arm,\n}};\n"
         );
         let out = PathBuf::from(std::env::var("OUT_DIR").unwrap_or_default());
         if let Err(error) = std::fs::write(out.join("described_arm.rs"), chosen) {

@@ -1,6 +1,6 @@
 use super::Failure;
 use super::arm::ArmOptions;
-use super::terminal::say;
+use super::terminal::show;
 use clap::{Args, ValueEnum};
 use foretorque_workbench::urdf;
 
@@ -36,18 +36,19 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let write = match arguments.format {
         Format::Toml => {
             for note in &notes {
-                say(format_args!("# {note}"))?;
+                show!("# {note}")?;
             }
-            return Ok(say(robot.to_toml()?.trim_end())?);
+            show!("{}", robot.to_toml()?.trim_end())?;
+            return Ok(());
         }
         Format::Urdf => urdf::write,
         Format::Mjcf => urdf::mjcf,
         Format::Sdf => urdf::sdf,
     };
-    say(write(&robot).trim_end())?;
+    show!("{}", write(&robot).trim_end())?;
     // Nothing may stand before the declaration of an XML.
     for note in &notes {
-        say(format_args!("<!-- {} -->", note.replace("--", "- -")))?;
+        show!("<!-- {} -->", note.replace("--", "- -"))?;
     }
     Ok(())
 }

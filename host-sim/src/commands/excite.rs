@@ -1,6 +1,6 @@
-use super::arm::ArmOptions;
+use super::arm::RobotOptions;
 use super::progress::Bar;
-use super::terminal::say;
+use super::terminal::show;
 use super::{Failure, unsupported, unusable};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
@@ -16,11 +16,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name or a description file
-    #[arg(long)]
-    robot: String,
     #[command(flatten)]
-    arm: ArmOptions,
+    robot: RobotOptions,
     /// Directory for excitation.json, excitation.csv, excitation.html and excitation.svg
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -87,7 +84,7 @@ impl From<CriterionName> for Criterion {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut robot = arguments.arm.load(&arguments.robot)?;
+    let mut robot = arguments.robot.load()?;
     let positive = |name: &str, value: f64| {
         if value.is_finite() && value > 0.0 {
             Ok(())
@@ -151,11 +148,11 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
     if let Some(certificate) = &excitation.certificate {
         for (joint, share) in robot.joints.iter().zip(&certificate.speed_share) {
             if *share < 1.0 {
-                say(format_args!(
+                show!(
                     "joint '{}' moves at {:.0} % of its speed and acceleration limits: the torque limits allow no more, friction included",
                     joint.name,
                     100.0 * share
-                ))?;
+                )?;
             }
         }
         let errors = certificate.predicted_error_nm.iter();
@@ -163,11 +160,11 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
         let errors: Vec<String> = errors
             .map(|(error, share)| format!("{error:.4} ({:.2} %)", 100.0 * share))
             .collect();
-        say(format_args!(
+        show!(
             "predicted torque error of the joints {} N·m RMS (share of the torque limit; 10 s, 1 % noise)",
             errors.join(", ")
-        ))?;
-        say(format_args!(
+        )?;
+        show!(
             "{:.3} % of the torque, condition number {:.1} (links' base regressor, {} columns, {}, raw SI; {:.1} in the board's frames), {} limits kept on {} points and between them",
             certificate.predicted_nrmse_percent,
             certificate.condition_number_dh,
@@ -176,12 +173,9 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
             certificate.condition_number_board,
             certificate.limits.len(),
             certificate.points,
-        ))?;
+        )?;
     }
-    say(format_args!(
-        "{}",
-        arguments.out.join("excitation.json").display()
-    ))?;
+    show!("{}", arguments.out.join("excitation.json").display())?;
     Ok(())
 }
 

@@ -1,5 +1,6 @@
 //! Properties of a board with this chip.
 
+use foretorque::arm::Arm;
 use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::pac::{GPIOA, GPIOB};
 use stm32f4xx_hal::rcc::Rcc;
@@ -35,13 +36,19 @@ pub trait Drive: Sized + Send {
     fn start() -> Option<Self>;
 
     /// Before the ticks of a round: reports faults of stage and encoder to the session.
-    fn watch(&mut self, session: &mut BoardSession);
+    fn watch<A: Arm<N, P>, const N: usize, const P: usize>(
+        &mut self,
+        session: &mut BoardSession<A, N, P>,
+    );
 
     /// Sensor of the own joint.
     fn own(&mut self) -> &mut Self::Own;
 
     /// After a tick: enable and torque command follow the session.
-    fn follow(&mut self, session: &mut BoardSession);
+    fn follow<A: Arm<N, P>, const N: usize, const P: usize>(
+        &mut self,
+        session: &mut BoardSession<A, N, P>,
+    );
 
     /// Writes to the log what has changed; from the idle loop.
     fn report();

@@ -3,9 +3,7 @@
 //! `cargo xtask arm` writes such a module and sets the variable.
 
 #[cfg(not(described_arm))]
-pub use foretorque::arm::ur5::{
-    JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5 as Arm,
-};
+pub use foretorque::arm::ur5::{JOINTS, Learner, PARAMETERS, Ur5 as Arm};
 
 #[cfg(described_arm)]
 include!(concat!(env!("OUT_DIR"), "/described_arm.rs"));

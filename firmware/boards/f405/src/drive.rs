@@ -1,6 +1,7 @@
 //! The drive of a board that drives nothing itself but the enable. A board with a motor stage and an encoder has one of
 //! its own, as [`crate::pyboard_drive`] has.
 
+use foretorque::arm::Arm;
 use foretorque_link::hal::TorqueEnable;
 use foretorque_link::session::NoLocalSensor;
 
@@ -28,7 +29,11 @@ impl<B: Board> Drive for EnableOnly<B> {
     }
 
     #[inline(always)]
-    fn watch(&mut self, _: &mut BoardSession) {}
+    fn watch<A: Arm<N, P>, const N: usize, const P: usize>(
+        &mut self,
+        _: &mut BoardSession<A, N, P>,
+    ) {
+    }
 
     #[inline(always)]
     fn own(&mut self) -> &mut NoLocalSensor {
@@ -36,7 +41,10 @@ impl<B: Board> Drive for EnableOnly<B> {
     }
 
     #[inline(always)]
-    fn follow(&mut self, session: &mut BoardSession) {
+    fn follow<A: Arm<N, P>, const N: usize, const P: usize>(
+        &mut self,
+        session: &mut BoardSession<A, N, P>,
+    ) {
         let on = session.torque_enabled();
         if self.enable.is_on() != on {
             // This pin cannot refuse.

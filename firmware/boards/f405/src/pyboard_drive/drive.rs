@@ -3,6 +3,7 @@
 use core::cell::Cell;
 
 use cortex_m::interrupt::{self, Mutex};
+use foretorque::arm::Arm;
 use foretorque_link::drive::{JointEncoder, JointStage};
 use foretorque_link::hal::{
     AbsoluteEncoder, EncoderError, MotorStage, PwmWithDirection, StageError,
@@ -13,7 +14,7 @@ use super::pins::{DirectionPin, FaultInput, StageEnable};
 use super::pulse::Pulse;
 use super::spi::EncoderDevice;
 use super::{ENCODER, JOINT, SCALE, TURN};
-use crate::arm::{BoardSession, JOINTS};
+use crate::arm::BoardSession;
 use crate::board::Drive;
 
 /// Errors of stage and encoder, for the log, which the tick does not write.
@@ -49,14 +50,17 @@ impl Drive for StageAndEncoder {
         let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
         let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
         // The first reading brings nothing, it only asks: so the first tick has a position.
-        let _ = encoder.measure::<JOINTS>(None, true);
+        let _ = encoder.measure::<1>(None, true);
         Some(Self {
             stage: JointStage::new(stage.ok()?, JOINT),
             encoder,
         })
     }
 
-    fn watch(&mut self, session: &mut BoardSession) {
+    fn watch<A: Arm<N, P>, const N: usize, const P: usize>(
+        &mut self,
+        session: &mut BoardSession<A, N, P>,
+    ) {
         self.stage.check(session);
     }
 
@@ -64,7 +68,10 @@ impl Drive for StageAndEncoder {
         &mut self.encoder
     }
 
-    fn follow(&mut self, session: &mut BoardSession) {
+    fn follow<A: Arm<N, P>, const N: usize, const P: usize>(
+        &mut self,
+        session: &mut BoardSession<A, N, P>,
+    ) {
         self.stage.apply(session);
         let seen = Faults {
             stage: self.stage.last_error(),
