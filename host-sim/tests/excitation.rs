@@ -130,15 +130,12 @@ fn what_no_excitation_can_keep_ends_with_one_line() {
         ("ur5 --table-m 0.5", no_path),
         ("ur5 --condition-limit 5", badly_conditioned),
         ("ur5 --improve no_such_file.json", "no_such_file.json"),
-        (
-            "weak.toml --range-rad 3",
-            "no path keeps all limits; the best one has torque of ",
-        ),
+        ("weak.toml --range-rad 3", "even where it hardly moves"),
         (
             "ur5 --range-rad 0.001",
             "within these limits torque cannot see all base parameters",
         ),
-        ("ur5 --period-s 0.3", badly_conditioned),
+        ("ur5 --period-s 0.3 --condition-limit 60", badly_conditioned),
     ] {
         let search = "excite --starts 1 --iterations 8 --out x --robot";
         let line = fails(&directory, &format!("{search} {arguments}"));

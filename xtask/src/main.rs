@@ -1,5 +1,6 @@
 //! Set-up, demo, bench and test of foretorque in one command each.
 
+mod arm;
 mod capi;
 mod circles;
 mod flash;
@@ -35,6 +36,7 @@ Commands:
   faults   Set up, inject every fault into every board, write target/foretorque/faults.json
   fuzz     Set up, fuzz decoder, bank loader, session and store, write target/foretorque/fuzz.json
   flash    Set up, build, write .bin and .hex to target/foretorque/flash, flash the ELF by probe-rs
+  arm      Set up, describe an arm, build its firmware into target/foretorque/arms/NAME, print the sizes
   capi     Set up, build the static library for C and its example
   words    Check the first lines of doc comments and the lengths of sentences
   circles  List import circles between source files
@@ -48,6 +50,8 @@ Options:
       --check            setup: change nothing, list what is installed and missing, fail if anything is missing
       --board <BOARD>    flash: odrive (default), pyboard or drive
       --image            flash: write the images, flash nothing
+      --urdf <FILE>      arm: URDF, MJCF or TOML
+      --name <NAME>      arm: name of the arm; --base, --tip, --link-mass VALUE, --weld and --repair as of host-sim
       --accept           bench: write docs/budget.md anew; limits go down, never up
                          faults: write the counts into tests/snapshots/faults.txt instead of comparing them
       --runs <N>         fuzz: executions in all (default 100000000)
@@ -60,7 +64,7 @@ delete the directory and the script.
 ";
 
 /// Commands and the options each takes; all take `--toolchain`.
-const COMMANDS: [(&str, &[&str]); 12] = [
+const COMMANDS: [(&str, &[&str]); 13] = [
     ("help", &[]),
     ("setup", &["check"]),
     ("demo", &[]),
@@ -69,6 +73,10 @@ const COMMANDS: [(&str, &[&str]); 12] = [
     ("faults", &["accept"]),
     ("fuzz", &["runs"]),
     ("flash", &["board", "image"]),
+    (
+        "arm",
+        &["urdf", "name", "base", "tip", "link-mass", "weld", "repair"],
+    ),
     ("capi", &[]),
     ("words", &[]),
     ("circles", &[]),
@@ -85,6 +93,10 @@ struct Request {
     image: bool,
     board: Board,
     runs: Option<u64>,
+    urdf: Option<String>,
+    name: Option<String>,
+    /// Options of `arm` for host-sim.
+    selection: Vec<String>,
 }
 
 /// Reads the command line; the error is one line for the user.
@@ -108,6 +120,14 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             Long("runs") => {
                 let number = args.value()?.parse::<NonZeroU64>();
                 request.runs = Some(number.map_err(|error| format!("--runs: {error}"))?.get());
+            }
+            Long("urdf") => request.urdf = Some(args.value()?.string()?),
+            Long("name") => request.name = Some(args.value()?.string()?),
+            Long(flag @ ("weld" | "repair")) => request.selection.push(format!("--{flag}")),
+            Long(option @ ("base" | "tip" | "link-mass")) => {
+                let option = format!("--{option}");
+                let value = args.value()?.string()?;
+                request.selection.extend([option, value]);
             }
             Value(name) if request.command.is_empty() => request.command = name.string()?,
             other => return Err(other.unexpected()),
@@ -138,6 +158,10 @@ fn run(request: &Request) -> Result<()> {
         "faults" => runs::faults(forced, request.accept),
         "fuzz" => fuzz::run(forced, request.runs.unwrap_or(fuzz::RUNS)),
         "flash" => flash::run(forced, request.board, request.image),
+        "arm" => match (&request.urdf, &request.name) {
+            (Some(urdf), Some(name)) => arm::run(forced, urdf, name, &request.selection),
+            _ => anyhow::bail!("`cargo xtask arm` needs --urdf FILE and --name NAME"),
+        },
         "capi" => capi::run(forced),
         "words" => words::run(),
         "circles" => circles::run(),
@@ -194,6 +218,8 @@ mod tests {
         let mut fuzz = command("fuzz");
         fuzz.runs = Some(7);
         assert_eq!(request("fuzz --runs 7"), Ok(fuzz));
+        let arm = request("arm --urdf a.urdf --tip hand --name a --weld").unwrap();
+        assert_eq!(arm.selection, ["--tip", "hand", "--weld"]);
         assert!(request("bench --accept").unwrap().accept);
         assert_eq!(request(""), Ok(command("help")));
         assert_eq!(request("test --help"), Ok(command("help")));
@@ -213,6 +239,7 @@ mod tests {
             ("fuzz --runs 0", "zero"),
             ("flash --board nucleo", "odrive, pyboard or drive"),
             ("test --image", "--image"),
+            ("demo --urdf a", "--urdf"),
         ] {
             let error = request(line).unwrap_err();
             assert!(error.contains(named), "`{line}` gave `{error}`");

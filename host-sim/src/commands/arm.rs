@@ -10,11 +10,14 @@ use foretorque_workbench::urdf::{Import, Selection};
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = "Arm")]
 pub(super) struct ArmOptions {
-    /// Link of a URDF that the arm stands on, or the joint that leaves it; without it the root
+    /// Name of the arm, in place of that in its file: lower-case letters, digits and underscores, a letter first
+    #[arg(long = "name", value_name = "NAME")]
+    called: Option<String>,
+    /// Link of a URDF or MJCF that the arm stands on, or the joint that leaves it; without it the root
     #[arg(long, value_name = "NAME")]
     base: Option<String>,
-    /// Link of a URDF that the arm ends at, or its joint; without it the arm ends where only fixed, prismatic and mimic
-    /// joints or single fingers follow
+    /// Link of a URDF or MJCF that the arm ends at, or its joint; without it the arm ends where only fixed, prismatic and
+    /// mimic joints or fingers follow
     #[arg(long, value_name = "NAME")]
     tip: Option<String>,
     /// Make what hangs on the arm beside its path part of the link that carries it, at its zero
@@ -73,6 +76,14 @@ impl ArmOptions {
             link_mass: self.link_mass,
         };
         let mut import = Robot::load_selected(name, &selection)?;
+        if let Some(called) = &self.called {
+            if !Robot::is_name(called) {
+                return Err(unusable(format!(
+                    "--name {called}: must be lower-case letters, digits and underscores, a letter first"
+                )));
+            }
+            import.robot.name.clone_from(called);
+        }
         type Place = fn(&mut Joint) -> &mut f64;
         let rotor: Place = |joint| &mut joint.drive.rotor_inertia;
         let torque: Place = |joint| &mut joint.limits.torque;

@@ -57,11 +57,11 @@ impl fmt::Display for BoardChoice {
 }
 
 impl BoardChoice {
-    /// The ELF that runs on the board, where it is an emulated one.
-    fn elf(&self) -> Option<PathBuf> {
+    /// The image that runs on the board, where it is an emulated one.
+    fn image(&self) -> Option<Image> {
         match self {
-            Self::Qemu => Some(Image::Bulk.default_elf()),
-            Self::QemuUsart => Some(Image::Joint.default_elf()),
+            Self::Qemu => Some(Image::Bulk),
+            Self::QemuUsart => Some(Image::Joint),
             Self::Native | Self::Serial(_) => None,
         }
     }
@@ -77,6 +77,7 @@ impl BoardChoice {
     ) -> Result<Client<N>, Failure> {
         let emulated = |image| -> Result<Box<dyn Transport>, Failure> {
             let mut options = QemuOptions::new(image);
+            options.elf = image.elf_of(A::name());
             options.log = stream.map(Path::to_owned);
             Ok(Box::new(Emulator::start(&options)?))
         };
@@ -89,11 +90,13 @@ impl BoardChoice {
         Ok(Client::connect::<A, P>(transport, BOOT)?)
     }
 
-    /// Writes the log in `stream` as text into `file`, and removes the stream.
+    /// Writes the log in `stream` of the board of `arm` as text into `file`, and removes the stream.
     ///
     /// Errors: of the files; a stream that is no log of the board's firmware.
-    pub(super) fn write_log(&self, stream: &Path, file: &Path) -> Result<(), Failure> {
-        let elf = self.elf().unwrap_or_default();
+    pub(super) fn write_log(&self, arm: &str, stream: &Path, file: &Path) -> Result<(), Failure> {
+        let elf = self
+            .image()
+            .map_or_else(PathBuf::new, |image| image.elf_of(arm));
         let bytes = |path: &Path| {
             fs::read(path).map_err(|error| foretorque_workbench::files::at(path, error))
         };
@@ -104,10 +107,10 @@ impl BoardChoice {
     }
 
     /// Version of the compiler of the board's code, from its ELF.
-    pub(super) fn toolchain(&self) -> String {
+    pub(super) fn toolchain(&self, arm: &str) -> String {
         let elf = match self {
             Self::Native => std::env::current_exe().ok(),
-            _ => self.elf(),
+            _ => self.image().map(|image| image.elf_of(arm)),
         };
         elf.and_then(|elf| compiler_of(&elf))
             .unwrap_or_else(|| "unknown".to_owned())

@@ -1,26 +1,54 @@
 use super::Failure;
 use super::arm::ArmOptions;
 use super::terminal::show;
-use clap::Args;
+use clap::{Args, ValueEnum};
+use foretorque_workbench::urdf;
 
-/// Print the description of an arm as TOML: a start for a file with all that a URDF does not have
+/// Print the description of an arm, with what was assumed for it: a start for a file with all that a URDF does not have
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name or a description file (TOML or URDF)
+    /// Robot: a built-in name or a description file (TOML, URDF or MJCF)
     robot: String,
     #[command(flatten)]
     arm: ArmOptions,
+    /// Format; TOML keeps everything, the others what they have elements for
+    #[arg(long, value_enum, default_value_t = Format::Toml)]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Toml,
+    Urdf,
+    Mjcf,
+    Sdf,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let import = arguments.arm.import(&arguments.robot)?;
     let (robot, assumed) = import.robot.with_assumed_rotors();
-    for note in &import.notes {
-        show!("# {note}")?;
-    }
+    let mut notes = import.notes;
     if !assumed.is_empty() {
-        show!("# assumed: rotor inertia of joints {assumed:?}, torque limit / 200 rad/s²")?;
+        notes.push(format!(
+            "assumed: rotor inertia of joints {assumed:?}, torque limit / 200 rad/s²"
+        ));
     }
-    show!("{}", robot.to_toml()?.trim_end())?;
+    let write = match arguments.format {
+        Format::Toml => {
+            for note in &notes {
+                show!("# {note}")?;
+            }
+            show!("{}", robot.to_toml()?.trim_end())?;
+            return Ok(());
+        }
+        Format::Urdf => urdf::write,
+        Format::Mjcf => urdf::mjcf,
+        Format::Sdf => urdf::sdf,
+    };
+    show!("{}", write(&robot).trim_end())?;
+    // Nothing may stand before the declaration of an XML.
+    for note in &notes {
+        show!("<!-- {} -->", note.replace("--", "- -"))?;
+    }
     Ok(())
 }

@@ -24,17 +24,18 @@ pub(super) struct Arguments {
     /// Objective of the search
     #[arg(long, value_enum, default_value_t = CriterionName::Constrained)]
     criterion: CriterionName,
-    /// Limit of the condition number for `constrained` (links' base regressor, raw SI, standard DH frames)
-    #[arg(long, default_value_t = 60.0)]
-    condition_limit: f64,
+    /// Limit of the condition number for `constrained` (links' base regressor, raw SI); without it 60, or the best where no
+    /// path reaches that
+    #[arg(long)]
+    condition_limit: Option<f64>,
     /// Seed of the search
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Starts of the search
-    #[arg(long, default_value_t = 24)]
+    #[arg(long, default_value_t = 8)]
     starts: usize,
     /// Most iterations of a round for the best quarter of the starts
-    #[arg(long, default_value_t = 240)]
+    #[arg(long, default_value_t = 80)]
     iterations: usize,
     /// Period of the fundamental, s; at most 1000
     #[arg(long, default_value_t = 10.0)]
@@ -99,7 +100,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         )));
     }
     positive("range-rad", arguments.range_rad)?;
-    positive("condition-limit", arguments.condition_limit)?;
+    positive("condition-limit", arguments.condition_limit.unwrap_or(1.0))?;
     positive("starts", arguments.starts as f64)?;
     positive("iterations", arguments.iterations as f64)?;
     if arguments.no_table {
@@ -123,7 +124,10 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
         // A given trajectory keeps its period.
         period_s: given.as_ref().map_or(arguments.period_s, |e| e.period_s),
         criterion: arguments.criterion.into(),
-        condition_limit: arguments.condition_limit,
+        condition_limit: arguments
+            .condition_limit
+            .unwrap_or(SearchConfig::default().condition_limit),
+        condition_required: arguments.condition_limit.is_some(),
         seed: arguments.seed,
         starts: arguments.starts,
         iterations: arguments.iterations,
@@ -142,12 +146,30 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
     json.write_all(b"\n")?;
     json.finish()?;
     if let Some(certificate) = &excitation.certificate {
+        for (joint, share) in robot.joints.iter().zip(&certificate.speed_share) {
+            if *share < 1.0 {
+                show!(
+                    "joint '{}' moves at {:.0} % of its speed and acceleration limits: the torque limits allow no more, friction included",
+                    joint.name,
+                    100.0 * share
+                )?;
+            }
+        }
+        let errors = certificate.predicted_error_nm.iter();
+        let errors = errors.zip(&certificate.predicted_error_of_limit);
+        let errors: Vec<String> = errors
+            .map(|(error, share)| format!("{error:.4} ({:.2} %)", 100.0 * share))
+            .collect();
         show!(
-            "predicted torque error {:.3} % (10 s, 1 % noise), condition number {:.1} (links' base regressor, {} columns, \
-             standard DH frames, raw SI; {:.1} in the board's frames), {} limits kept on {} points and between them",
+            "predicted torque error of the joints {} N·m RMS (share of the torque limit; 10 s, 1 % noise)",
+            errors.join(", ")
+        )?;
+        show!(
+            "{:.3} % of the torque, condition number {:.1} (links' base regressor, {} columns, {}, raw SI; {:.1} in the board's frames), {} limits kept on {} points and between them",
             certificate.predicted_nrmse_percent,
             certificate.condition_number_dh,
             certificate.condition_number_columns,
+            certificate.condition_number_frames,
             certificate.condition_number_board,
             certificate.limits.len(),
             certificate.points,

@@ -391,7 +391,7 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
             _ => None,
         };
         let boards = (&mut bulk, usart.as_mut());
-        let names = (choice.to_string(), choice.toolchain());
+        let names = (choice.to_string(), choice.toolchain(Ur5::NAME));
         let outcome =
             demo::run::<Ur5, JOINTS, PARAMETERS>(&robot, &config, names, boards, progress)?;
         Ok(Some(outcome))

@@ -293,7 +293,7 @@ fn identify_arm<const N: usize>(
             show!("bank    {}", path.display())?;
         }
         None if refused.is_some() => {}
-        None => show!("no bank: no firmware arm is called '{}'", robot.name)?,
+        None => show!("no bank: a bank has no room for the columns of this fit (see --columns)")?,
     }
     show!("report  {}", shown.display())?;
     match refused {

@@ -83,7 +83,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     drop(place);
     if let (Some(stream), Some(log)) = (arguments.stream(), &arguments.log) {
         // Of a run that failed the log is of the more interest, but its own failure of less.
-        let written = arguments.board.write_log(&stream, log);
+        let written = arguments.board.write_log(&robot.name, &stream, log);
         return outcome.and(written);
     }
     outcome
@@ -133,7 +133,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         board: arguments.board.to_string(),
         seed: arguments.motion.seed,
         period_s: PERIOD_S,
-        toolchain: arguments.board.toolchain(),
+        toolchain: arguments.board.toolchain(&robot.name),
         learning: arguments.learn,
         boot_us: board.hello().boot_us(),
     };

@@ -34,6 +34,8 @@ pub mod clock;
 #[cfg(target_os = "none")]
 pub mod counter;
 #[cfg(target_os = "none")]
+pub mod described;
+#[cfg(target_os = "none")]
 pub mod drive;
 #[cfg(target_os = "none")]
 pub mod fault;

@@ -51,6 +51,19 @@ impl Image {
     }
 }
 
+impl Image {
+    /// The ELF for the arm called `arm`: that of `cargo xtask arm` where there is one, else [`Self::default_elf`].
+    pub fn elf_of(self, arm: &str) -> PathBuf {
+        let arms = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/foretorque/arms");
+        let own = arms.join(arm).join(self.name());
+        if own.is_file() {
+            own
+        } else {
+            self.default_elf()
+        }
+    }
+}
+
 /// How the emulator is run.
 #[derive(Clone, Debug)]
 pub struct QemuOptions {

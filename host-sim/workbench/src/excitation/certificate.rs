@@ -99,6 +99,15 @@ pub struct Certificate {
     pub condition_number_note: &'static str,
     /// Predicted torque error on task motion: RMS over joints of error RMS / torque RMS.
     pub predicted_nrmse_percent: f64,
+    /// Predicted torque error of every joint on task motion, N·m RMS.
+    pub predicted_error_nm: Vec<f64>,
+    /// The same as shares of the torque limits.
+    pub predicted_error_of_limit: Vec<f64>,
+    /// Share of the joints' velocity and acceleration limits that the search used: 1 unless the torque limits, friction
+    /// included, allow no more.
+    pub speed_share: Vec<f64>,
+    /// Link frames of `condition_number_dh`: standard DH where the description has DH rows, joint frames elsewhere.
+    pub condition_number_frames: &'static str,
     /// Assumptions of the prediction.
     pub predicted_nrmse_note: String,
     /// Half −ln det of the information, per parameter, SI: what D-optimality makes small. Only differences mean something.

@@ -18,12 +18,14 @@ const POINTS: usize = 10_000;
 const STEP_S: f64 = 1e-3;
 
 /// Facts about the search that a certificate reports.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Provenance {
     pub(super) criterion: Criterion,
     pub(super) starts: usize,
+    /// Infinite where there is none.
     pub(super) condition_limit: f64,
     pub(super) range_rad: f64,
+    pub(super) speed_share: Vec<f64>,
 }
 
 const BETWEEN: &str = "position, velocity, acceleration: K h^2/8 with K the bound of the second derivative of the series; \
@@ -54,14 +56,20 @@ pub(super) fn certify<const N: usize>(
     let experiment = &objective.experiment;
     // Every tenth point: sums over a smooth periodic function do not need more.
     let sparse: Vec<State<N>> = states.iter().step_by(10).copied().collect();
-    let (condition_dh, worth) = experiment
+    let (condition_dh, worth, errors) = experiment
         .figures(&objective.rows, &sparse)
         .ok_or(ExcitationError::Unseen)?;
     let condition_board = condition_number(&board, &sparse);
-    if origin.criterion == Criterion::Constrained {
+    let has_dh = robot.joints.iter().all(|joint| joint.dh_frame.is_some());
+    let frames = if has_dh {
+        "standard DH frames"
+    } else {
+        "joint frames"
+    };
+    if origin.criterion == Criterion::Constrained && origin.condition_limit.is_finite() {
         limits.push(LimitCheck::at_most(
             "condition number",
-            "base regressor of the links, standard DH frames",
+            &format!("base regressor of the links, {frames}"),
             "1",
             (condition_dh, origin.condition_limit),
         ));
@@ -76,6 +84,14 @@ pub(super) fn certify<const N: usize>(
         condition_number_board: condition_board,
         condition_number_note: CONDITION_NOTE,
         predicted_nrmse_percent: 100.0 * worth.ln_error.exp(),
+        predicted_error_of_limit: errors
+            .iter()
+            .zip(&robot.joints)
+            .map(|(error, joint)| error / joint.limits.torque)
+            .collect(),
+        predicted_error_nm: errors,
+        speed_share: origin.speed_share.clone(),
+        condition_number_frames: frames,
         predicted_nrmse_note: format!(
             "weighted least squares on {SAMPLES} samples at 1 kHz, white torque noise of {} % of the torque limits, base, \
              rotor, viscous and Coulomb parameters ({} columns), task: 4 quintic via-point paths of 30 s; rows below {MOVING_RAD_S} \

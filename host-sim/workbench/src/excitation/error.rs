@@ -23,6 +23,20 @@ pub enum ExcitationError {
         /// The joint, from 1.
         joint: usize,
     },
+    /// No motion that was tried, however slow, keeps the torque limit of a joint.
+    #[error(
+        "excitation: joint '{joint}' needs {needed_nm:.1} N·m even where it hardly moves, of which {friction_nm:.1} N·m are friction, its limit is {limit_nm} N·m: correct it with --torque-limits"
+    )]
+    TooWeak {
+        /// The joint.
+        joint: String,
+        /// Torque needed, N·m.
+        needed_nm: f64,
+        /// Coulomb friction in it, N·m.
+        friction_nm: f64,
+        /// Torque limit, N·m.
+        limit_nm: f64,
+    },
     /// No pose has that clearance.
     #[error(
         "excitation: no path keeps all limits; in no pose is {of} clear by more than {largest_m:.3} m, asked for {required_m} m"

@@ -45,6 +45,8 @@ pub(super) struct Experiment<const N: usize> {
     weight: [f64; N],
     /// Mean over joints of the task's information, each divided by the joint's mean square torque.
     task: DMatrix<f64>,
+    /// Mean information of the task about the torque of each joint.
+    tasks: Vec<DMatrix<f64>>,
     links: usize,
 }
 
@@ -92,27 +94,20 @@ impl<const N: usize> Experiment<N> {
             // Sums over the same rows on both sides of the fraction: their number cancels.
             if count[j] > 0.0 {
                 task += &moments[j] / (power[j] * N as f64);
+                moments[j] /= count[j];
             }
         }
         Some(Self {
             weight: std::array::from_fn(|j| (NOISE * robot.joints[j].limits.torque).powi(-2)),
             task,
+            tasks: moments,
             links: rows.link_count(),
         })
     }
 
-    /// Figures of the path with the regressor rows `transposed` (one row a column, joints fastest); with `adjoint`, also
-    /// d(shares · worth) / d(rows), added to it. `None` where parameters cannot be distinguished.
-    ///
-    /// With C the covariance, T the task and M = n/K Σ w wᵀ/σ²: error² = tr(C T), so
-    /// `d ln error = −(C T C w / error²)·dw n/(K σ²)`; `d ln det M = 2 C w·dw …`;
-    /// for the eigenvalues λ of the raw information, `dλ = 2 (v·w)(v·dw)/K`.
-    pub(super) fn worth(
-        &self,
-        transposed: &DMatrix<f64>,
-        shares: impl Fn(&Worth) -> Worth,
-        adjoint: Option<&mut DMatrix<f64>>,
-    ) -> Option<Worth> {
+    /// Information of the rows `transposed` on all parameters, and its factors: the rows over their variances, the inverse,
+    /// ln det. `None` where parameters cannot be distinguished.
+    fn covariance(&self, transposed: &DMatrix<f64>) -> Option<(DMatrix<f64>, DMatrix<f64>, f64)> {
         let points = (transposed.ncols() / N) as f64;
         let scale = SAMPLES / points;
         let mut weighted = transposed.clone();
@@ -120,9 +115,6 @@ impl<const N: usize> Experiment<N> {
             row *= self.weight[column % N] * scale;
         }
         let information = &weighted * transposed.transpose();
-        let links = transposed.rows(0, self.links);
-        let raw = links * links.transpose() / points;
-
         // The rows' units differ by orders of magnitude: factorise with a diagonal of ones.
         let size = information
             .diagonal()
@@ -144,6 +136,26 @@ impl<const N: usize> Experiment<N> {
                 covariance[(i, j)] *= size[i] * size[j];
             }
         }
+        Some((weighted, covariance, log_det))
+    }
+
+    /// Figures of the path with the regressor rows `transposed` (one row a column, joints fastest); with `adjoint`, also
+    /// d(shares · worth) / d(rows), added to it. `None` where parameters cannot be distinguished.
+    ///
+    /// With C the covariance, T the task and M = n/K Σ w wᵀ/σ²: error² = tr(C T), so
+    /// `d ln error = −(C T C w / error²)·dw n/(K σ²)`; `d ln det M = 2 C w·dw …`;
+    /// for the eigenvalues λ of the raw information, `dλ = 2 (v·w)(v·dw)/K`.
+    pub(super) fn worth(
+        &self,
+        transposed: &DMatrix<f64>,
+        shares: impl Fn(&Worth) -> Worth,
+        adjoint: Option<&mut DMatrix<f64>>,
+    ) -> Option<Worth> {
+        let points = (transposed.ncols() / N) as f64;
+        let links = transposed.rows(0, self.links);
+        let raw = links * links.transpose() / points;
+        let (weighted, covariance, log_det) = self.covariance(transposed)?;
+        let parameters = covariance.nrows() as f64;
         let error_squared = covariance.dot(&self.task);
         let eigen = raw.symmetric_eigen();
         let lambda = &eigen.eigenvalues;
@@ -158,7 +170,7 @@ impl<const N: usize> Experiment<N> {
         let worth = Worth {
             ln_condition,
             ln_error: 0.5 * error_squared.ln(),
-            ln_spread: -0.5 * log_det / size.len() as f64,
+            ln_spread: -0.5 * log_det / parameters,
         };
         if let Some(adjoint) = adjoint {
             let share = shares(&worth);
@@ -167,7 +179,7 @@ impl<const N: usize> Experiment<N> {
                 *adjoint -= (steep * &weighted) * (share.ln_error / error_squared);
             }
             if share.ln_spread != 0.0 {
-                *adjoint -= (&covariance * &weighted) * (share.ln_spread / size.len() as f64);
+                *adjoint -= (&covariance * &weighted) * (share.ln_spread / parameters);
             }
             if share.ln_condition != 0.0 {
                 let mut vectors = eigen.eigenvectors.clone();
@@ -183,9 +195,13 @@ impl<const N: usize> Experiment<N> {
         Some(worth)
     }
 
-    /// Condition number of the raw base regressor of the links, and the figures of the path through `states`; rows of joints
-    /// at rest count as unusable.
-    pub(super) fn figures(&self, rows: &Rows<N>, states: &[State<N>]) -> Option<(f64, Worth)> {
+    /// Condition number of the raw base regressor of the links, the figures of the path through `states`, and the predicted
+    /// torque error of every joint on task motion, N·m; rows of joints at rest count as unusable.
+    pub(super) fn figures(
+        &self,
+        rows: &Rows<N>,
+        states: &[State<N>],
+    ) -> Option<(f64, Worth, Vec<f64>)> {
         let mut transposed = transposed(rows, states);
         let condition = condition(&transposed, rows.link_count());
         for (k, state) in states.iter().enumerate() {
@@ -197,7 +213,9 @@ impl<const N: usize> Experiment<N> {
             }
         }
         let worth = self.worth(&transposed, |_| Worth::NONE, None)?;
-        Some((condition, worth))
+        let (_, covariance, _) = self.covariance(&transposed)?;
+        let errors = self.tasks.iter().map(|task| covariance.dot(task).sqrt());
+        Some((condition, worth, errors.collect()))
     }
 }
 

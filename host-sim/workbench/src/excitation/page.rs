@@ -88,7 +88,7 @@ fn certified(page: Page, certificate: &Certificate) -> Page {
     )
     .card(
         format!("{:.1}", certificate.condition_number_dh),
-        "condition number, standard DH link frames",
+        format!("condition number, {}", certificate.condition_number_frames),
     )
     .card(
         format!("{:.1}", certificate.condition_number_board),

@@ -4,13 +4,13 @@ use super::certificate::Certificate;
 use super::certify::{Provenance, certify};
 use super::clearance::Clearances;
 use super::error::ExcitationError;
-use super::information::{Criterion, Experiment};
+use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
 use super::objective::{INSTANTS, Objective, PenaltyWeights, basis, descend};
 use super::path::Excitation;
 use super::rows::{Frames, Rows};
 use super::series::{Extremes, JointSeries, ORDER};
 use super::variables::{Bases, VARIABLES};
-use crate::dynamics::Joints;
+use crate::dynamics::{Joints, State};
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use rand::{Rng, SeedableRng};
@@ -37,6 +37,14 @@ const FINAL_WEIGHTS: [f64; 2] = [3e3, 3e4];
 const REPAIRS: usize = 4;
 /// Random candidates for each start.
 const POOL: usize = 8;
+/// Least share of its tightest limit that a random series uses.
+const LEAST_SHARE: f64 = 0.4;
+/// Random series by which feasible speeds are found, and instants of each.
+const TRIALS: usize = 256;
+const TRIAL_INSTANTS: usize = 50;
+/// Factor on the speed of a joint whose torque is too large, and steps before a joint counts as too weak: to 2 %.
+const SLOWER: f64 = 0.7;
+const SLOWDOWNS: usize = 12;
 
 /// Configuration of a search.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +55,8 @@ pub struct SearchConfig {
     pub criterion: Criterion,
     /// Limit of the condition number under [`Criterion::Constrained`].
     pub condition_limit: f64,
+    /// A result beyond that limit is none. Otherwise the best one counts where no start keeps it.
+    pub condition_required: bool,
     /// Seed of the starts.
     pub seed: u64,
     /// Starts.
@@ -65,6 +75,7 @@ impl Default for SearchConfig {
             period_s: 10.0,
             criterion: Criterion::Constrained,
             condition_limit: 60.0,
+            condition_required: true,
             seed: 1,
             starts: 24,
             iterations: 240,
@@ -86,7 +97,10 @@ pub fn optimise<const N: usize>(
     given: Option<&Excitation>,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Excitation, ExcitationError> {
-    let search = Search::<N>::new(robot, config)?;
+    let mut search = Search::<N>::new(robot, config)?;
+    if given.is_none() {
+        search.adapt_speed()?;
+    }
     let threads = config.threads.map_or_else(cores, NonZeroUsize::get);
     let starts = match given {
         Some(excitation) => vec![search.variables(excitation)],
@@ -123,7 +137,18 @@ pub fn optimise<const N: usize>(
         };
         results.insert(0, search.certified(kept));
     }
-    search.best(results)
+    let found = search.best(&results);
+    if config.condition_required || found.is_ok() {
+        return found;
+    }
+    // No start keeps the condition number: the certificates are made anew without it.
+    search.origin.condition_limit = f64::INFINITY;
+    let again = |excitation: Excitation| search.certified(excitation);
+    let results: Vec<_> = results
+        .into_iter()
+        .map(|result| result.and_then(again))
+        .collect();
+    search.best(&results)
 }
 
 /// One robot and one task, ready for any number of starts.
@@ -187,9 +212,91 @@ impl<'a, const N: usize> Search<'a, N> {
                 starts: config.starts,
                 condition_limit: config.condition_limit,
                 range_rad: config.range_rad,
+                speed_share: vec![1.0; N],
             },
             clearance,
         })
+    }
+
+    /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
+    /// them. Gravity, friction and inertia are those of the description.
+    ///
+    /// Errors: [`ExcitationError::TooWeak`], naming the joint.
+    fn adapt_speed(&mut self) -> Result<(), ExcitationError> {
+        let full = self.objective.limits.clone();
+        for _ in 0..SLOWDOWNS {
+            let needed = self.least_torques();
+            let share = |j: usize| needed[j] / self.objective.torque[j];
+            if (0..N).all(|j| share(j) <= 1.0) {
+                return Ok(());
+            }
+            for j in 0..N {
+                // The joints before a weak one shake it, too: they slow down half as much.
+                let beyond = (j + 1..N).any(|k| share(k) > 1.0);
+                let factor = match (share(j) > 1.0, beyond) {
+                    (true, _) => SLOWER,
+                    (false, true) => SLOWER.sqrt(),
+                    (false, false) => 1.0,
+                };
+                self.origin.speed_share[j] *= factor;
+                let speed = self.origin.speed_share[j];
+                self.objective.limits[j].qd = full[j].qd * speed;
+                self.objective.limits[j].qdd = full[j].qdd * speed;
+            }
+        }
+        let needed = self.least_torques();
+        let share = |j: &usize| needed[*j] / self.objective.torque[*j];
+        let worst = (0..N).max_by(|a, b| share(a).total_cmp(&share(b)));
+        match worst.filter(|j| share(j) > 1.0) {
+            Some(j) => Err(ExcitationError::TooWeak {
+                joint: self.robot.joints[j].name.clone(),
+                needed_nm: needed[j],
+                friction_nm: self.robot.joints[j].friction.coulomb,
+                limit_nm: self.robot.joints[j].limits.torque,
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// Largest torque of every joint, N·m, on the random series that comes nearest to keeping all torque limits.
+    fn least_torques(&self) -> [f64; N] {
+        let omega = TAU / self.config.period_s;
+        let width = self.objective.rows.count();
+        let mut block = vec![0.0; N * width];
+        let mut best = (f64::INFINITY, [f64::INFINITY; N]);
+        for trial in 0..TRIALS {
+            let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
+            random.set_stream(trial as u64);
+            let series: Vec<JointSeries> = self
+                .objective
+                .limits
+                .iter()
+                .map(|limits| {
+                    let share = random.random_range(LEAST_SHARE..1.0);
+                    JointSeries::random(limits, omega, INSTANTS, share, &mut random)
+                })
+                .collect();
+            let mut most = [0.0_f64; N];
+            for k in 0..TRIAL_INSTANTS {
+                let t_s = self.config.period_s * k as f64 / TRIAL_INSTANTS as f64;
+                let mut state = State::rest(Joints::<N>::zeros());
+                for (j, series) in series.iter().enumerate() {
+                    (state.q[j], state.qd[j], state.qdd[j]) = series.at(t_s, omega);
+                }
+                self.objective.rows.write(&state, SIGN_WIDTH, &mut block);
+                for (most, row) in most.iter_mut().zip(block.chunks_exact(width)) {
+                    let parameters = self.objective.parameters.iter();
+                    let tau: f64 = row.iter().zip(parameters).map(|(y, x)| y * x).sum();
+                    *most = most.max(tau.abs());
+                }
+            }
+            let shares = most.iter().zip(&self.objective.torque);
+            let share = shares.fold(0.0_f64, |worst, (tau, limit)| worst.max(tau / limit));
+            if share < best.0 {
+                best = (share, most);
+            }
+        }
+        best.1
     }
 
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
@@ -205,7 +312,7 @@ impl<'a, const N: usize> Search<'a, N> {
                     .limits
                     .iter()
                     .flat_map(|limits| {
-                        let share = random.random_range(0.4..1.0);
+                        let share = random.random_range(LEAST_SHARE..1.0);
                         let series =
                             JointSeries::random(limits, omega, INSTANTS, share, &mut random);
                         self.bases.variables(&series)
@@ -315,21 +422,21 @@ impl<'a, const N: usize> Search<'a, N> {
     /// The best result that holds; the first of equals.
     fn best(
         &self,
-        results: Vec<Result<Excitation, ExcitationError>>,
+        results: &[Result<Excitation, ExcitationError>],
     ) -> Result<Excitation, ExcitationError> {
         let score = |certificate: &Certificate| match self.config.criterion {
             Criterion::Condition => certificate.condition_number_dh,
             Criterion::DOptimal => certificate.ln_spread,
             Criterion::VOptimal | Criterion::Constrained => certificate.predicted_nrmse_percent,
         };
-        let mut best: Option<(f64, Excitation)> = None;
+        let mut best: Option<(f64, &Excitation)> = None;
         let mut missed: Option<(f64, ExcitationError)> = None;
         let mut refused = ExcitationError::Unseen;
         for result in results {
             let excitation = match result {
                 Ok(excitation) => excitation,
                 Err(error) => {
-                    refused = error;
+                    refused = error.clone();
                     continue;
                 }
             };
@@ -349,7 +456,7 @@ impl<'a, const N: usize> Search<'a, N> {
             }
         }
         match (best, missed) {
-            (Some((_, excitation)), _) => Ok(excitation),
+            (Some((_, excitation)), _) => Ok(excitation.clone()),
             (None, Some((_, error))) => Err(error),
             (None, None) => Err(refused),
         }

@@ -31,7 +31,8 @@ pub(super) struct Extremes {
 }
 
 impl Extremes {
-    /// The limits of all joints, their ranges no wider than ±`range_rad`, `share` of each.
+    /// The limits of all joints, `share` of each. Ranges are no wider than ±`range_rad` about zero, or about the end of the
+    /// range that is nearest to zero.
     ///
     /// Errors: [`ExcitationError::Infeasible`] where the range is empty.
     pub(super) fn of_limits(
@@ -41,8 +42,9 @@ impl Extremes {
     ) -> Result<Vec<Self>, ExcitationError> {
         let of_joint = |(index, joint): (usize, &crate::robot::Joint)| {
             let limits = &joint.limits;
-            let low = limits.position.0.max(-range_rad);
-            let high = limits.position.1.min(range_rad);
+            let (low, high) = limits.position;
+            let centre = 0.0_f64.max(low).min(high);
+            let (low, high) = (low.max(centre - range_rad), high.min(centre + range_rad));
             let (middle, half) = (0.5 * (low + high), 0.5 * (high - low) * share);
             // Not a number must be refused, too.
             if half.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {

@@ -14,6 +14,8 @@ pub(super) struct RobotFile {
     pub(super) name: String,
     #[serde(default = "earth")]
     pub(super) gravity_m_s2: [f64; 3],
+    /// Links at both ends, for files of other formats.
+    pub(super) link_names: Option<(String, String)>,
     pub(super) joints: Vec<JointFile>,
     pub(super) flange: Option<FrameFile>,
     #[serde(skip_serializing)]
@@ -51,6 +53,7 @@ fn earth() -> [f64; 3] {
 #[serde(deny_unknown_fields)]
 pub(super) struct JointFile {
     pub(super) name: String,
+    pub(super) link_name: Option<String>,
     pub(super) dh: Option<DhFile>,
     pub(super) frame: Option<FrameFile>,
     pub(super) link: LinkFile,
@@ -105,13 +108,8 @@ pub(super) struct InertiaFile {
 pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
     let raw: RobotFile = toml::from_str(text).map_err(|error| syntax(file, text, &error))?;
     let check = Check { file };
-    let name_is_plain = raw
-        .name
-        .chars()
-        .all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
-    let starts_with_letter = raw.name.starts_with(|c: char| c.is_ascii_lowercase());
     check.that(
-        name_is_plain && starts_with_letter,
+        Robot::is_name(&raw.name),
         "name",
         "must be lower-case letters, digits and underscores, a letter first",
     )?;
@@ -158,6 +156,8 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
             friction: joint.friction,
             limits: joint.limits,
             capsules: capsules(&joint.capsules, &end, &check, &at)?,
+            link_name: joint.link_name.clone(),
+            link_frame: Placement::identity(),
             dh_frame: joint.dh.is_some().then_some(end),
         });
         link_end = end;
@@ -187,6 +187,7 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
         gravity: Vector3::from(raw.gravity_m_s2),
         joints,
         flange,
+        link_names: raw.link_names,
         log_columns: raw.log_columns,
     })
 }

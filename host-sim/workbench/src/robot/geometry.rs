@@ -15,6 +15,12 @@ pub struct Placement {
     pub origin: Vector3<f64>,
 }
 
+impl Default for Placement {
+    fn default() -> Self {
+        Self::identity()
+    }
+}
+
 impl Placement {
     /// The frame that coincides with its parent.
     pub fn identity() -> Self {

@@ -147,6 +147,10 @@ pub struct Joint {
     pub limits: Limits,
     /// Volume of the link, in the joint frame.
     pub capsules: Vec<Capsule>,
+    /// Name of the moved link, where the description gives one.
+    pub link_name: Option<String>,
+    /// Frame of that link in the file it was read from, in the joint frame.
+    pub link_frame: Placement,
     /// The standard DH frame of the link, at its far end, in the joint frame; `None` where the description gives no DH row.
     pub dh_frame: Option<Placement>,
 }
@@ -162,6 +166,8 @@ pub struct Robot {
     pub joints: Vec<Joint>,
     /// Placement of the flange in the last link frame.
     pub flange: Placement,
+    /// Names of the link that the arm stands on and of the one that it ends at, where the description gives them.
+    pub link_names: Option<(String, String)>,
     /// Column names of foreign logs, if the description gives any.
     pub log_columns: Option<LogColumns>,
     /// Obstacles of the arm.
@@ -173,6 +179,12 @@ fn one() -> f64 {
 }
 
 impl Robot {
+    /// Whether an arm may be called so: like a Rust module.
+    pub fn is_name(name: &str) -> bool {
+        let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+        name.chars().all(plain) && name.starts_with(|c: char| c.is_ascii_lowercase())
+    }
+
     /// Number of joints.
     pub fn joint_count(&self) -> usize {
         self.joints.len()

@@ -28,6 +28,7 @@ impl Robot {
         toml::to_string(&RobotFile {
             name: self.name.clone(),
             gravity_m_s2: self.gravity.into(),
+            link_names: self.link_names.clone(),
             joints,
             // Part of the last link by now.
             tool: None,
@@ -48,6 +49,7 @@ fn joint_file(joint: &Joint, here: &Placement) -> JointFile {
     };
     JointFile {
         name: joint.name.clone(),
+        link_name: joint.link_name.clone(),
         dh: joint.dh_frame.map(|end| DhFile {
             d_m: here.origin.z,
             a_m: end.origin.x,

@@ -31,9 +31,15 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     let end = end.filter(|_| !selection.weld);
     let moving = path.iter().filter(|&&joint| !tree.is_fixed(joint)).count();
     if !(1..=MAX_JOINTS).contains(&moving) {
-        return Err(UrdfProblem::JointCount(moving));
+        let mut moved = path.iter().filter(|&&joint| !tree.is_fixed(joint));
+        let last = moved.nth(MAX_JOINTS - 1).map(|&joint| tree.child[joint]);
+        return Err(UrdfProblem::JointCount {
+            joints: moving,
+            tip: last.map_or(String::new(), |link| document.links[link].name.clone()),
+        });
     }
     let mut notes = tree.left_out(base, &path, end);
+    notes.extend(document.notes.iter().cloned());
     if !notes.is_empty() {
         notes.insert(
             0,
@@ -60,6 +66,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         let turn = turn.map_err(|problem| UrdfProblem::Joint {
             joint: element.name.clone(),
             problem,
+            mend: without(document, &path, index),
         })?;
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
@@ -69,7 +76,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             placement: joint_frame.then(&turn).snapped(),
             link,
             drive: Drive {
-                rotor_inertia: 0.0,
+                rotor_inertia: element.rotor,
                 gain: 1.0,
                 encoder_bits: ENCODER_BITS,
             },
@@ -77,9 +84,12 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             limits: limits(element, &mut notes).map_err(|problem| UrdfProblem::Joint {
                 joint: element.name.clone(),
                 problem: JointProblem::Limit(problem),
+                mend: String::new(),
             })?,
             // Collision shapes of a URDF are meshes as a rule.
             capsules: Vec::new(),
+            link_name: Some(document.links[tree.child[index]].name.clone()),
+            link_frame,
             dh_frame: None,
         });
     }
@@ -96,19 +106,39 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             without.join("', '")
         ));
     }
+    let bare = joints.iter().all(|joint| joint.drive.rotor_inertia == 0.0);
+    let rotors = if bare { "rotor inertias 0, " } else { "" };
     notes.push(format!(
-        "drives are not described: rotor inertias 0, gains 1 N·m/A, {ENCODER_BITS}-bit encoders"
+        "drives are not described: {rotors}gains 1 N·m/A, {ENCODER_BITS}-bit encoders"
     ));
     assume_torques(&mut joints, &mut notes);
     let robot = Robot {
         name: plain_name(&document.name),
-        gravity: Vector3::new(0.0, 0.0, -9.81),
+        gravity: document.gravity,
         joints,
         flange: link_frame.snapped(),
+        link_names: Some((
+            document.links[base].name.clone(),
+            document.links[tip].name.clone(),
+        )),
         log_columns: None,
         workspace: Workspace::default(),
     };
     Ok(Import { robot, notes })
+}
+
+/// The option that keeps the longer part of the path beside `joint`, in brackets.
+fn without(document: &Document, path: &[usize], joint: usize) -> String {
+    let usable = |joint: &&usize| usable(&document.joints[**joint]).is_ok();
+    let mut sides = path.split(|&other| other == joint);
+    let [before, after] = [sides.next(), sides.next()]
+        .map(|side| side.unwrap_or_default().iter().filter(usable).count());
+    let element = &document.joints[joint];
+    match (before, after) {
+        (0, 0) => String::new(),
+        _ if after >= before => format!(" (--base '{}' begins behind it)", element.child),
+        _ => format!(" (--tip '{}' ends before it)", element.parent),
+    }
 }
 
 fn usable(joint: &JointElement) -> Result<&JointElement, JointProblem> {
@@ -172,11 +202,16 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
             ));
             CONTINUOUS_RANGE
         }
-        (_, None, None) => {
+        // As files have it that give no range.
+        (_, None, None) | (_, Some(0.0), Some(0.0) | None) | (_, None, Some(0.0)) => {
             notes.push(format!("joint '{}': no range, ±π rad is taken", joint.name));
             (-PI, PI)
         }
-        _ => return Err("needs a lower limit below its upper limit".to_owned()),
+        _ => {
+            return Err(
+                "needs a lower limit below its upper limit (or none: ±π rad is taken)".to_owned(),
+            );
+        }
     };
     let acceleration = match limit.acceleration {
         Some(_) => positive("acceleration", limit.acceleration)?,

@@ -1,19 +1,28 @@
-//! The elements of a URDF that matter to dynamics, as they are written.
+//! The elements of a URDF or MJCF that matter to dynamics, as they are written.
 
-use super::UrdfProblem;
+use super::{UrdfProblem, mjcf};
 use crate::robot::{Link, Placement};
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::Node;
 use std::f64::consts::FRAC_PI_2;
+use std::path::Path;
 
 /// Angles this close to a multiple of π/2 are that multiple. URDF files write right angles as 1.5708 or 1.57079632679;
 /// taken literally, such an arm has nearly dependent inertial parameters, which neither a torque sensor nor f32
 /// resolves, and its zero entries cost multiplications.
-const RIGHT_ANGLE_TOLERANCE: f64 = 1e-5;
+pub(super) const RIGHT_ANGLE_TOLERANCE: f64 = 1e-5;
+
+/// Gravity of a file that states none, m/s².
+pub(super) const EARTH: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
 /// All links and joints of a file.
+#[derive(Default)]
 pub(super) struct Document {
     pub(super) name: String,
+    /// Acceleration of gravity in the frame of the root, m/s².
+    pub(super) gravity: Vector3<f64>,
+    /// One sentence for each part that is not read.
+    pub(super) notes: Vec<String>,
     pub(super) links: Vec<LinkElement>,
     pub(super) joints: Vec<JointElement>,
 }
@@ -26,6 +35,7 @@ pub(super) struct LinkElement {
 }
 
 /// A joint.
+#[derive(Default)]
 pub(super) struct JointElement {
     pub(super) name: String,
     pub(super) kind: String,
@@ -40,6 +50,8 @@ pub(super) struct JointElement {
     pub(super) limit: LimitElement,
     /// Viscous (N·m·s/rad) and Coulomb (N·m) friction.
     pub(super) friction: (f64, f64),
+    /// Rotor inertia reflected to the link side, kg·m²; 0 where the file gives none.
+    pub(super) rotor: f64,
 }
 
 /// The limits of a joint, as far as they are given.
@@ -52,14 +64,59 @@ pub(super) struct LimitElement {
     pub(super) acceleration: Option<f64>,
 }
 
+/// Prefixes without a declaration that are declared for a file; there is no sense in more.
+const MOST_PREFIXES: usize = 16;
+
+/// The text with its undeclared namespace prefixes declared, as parsers of robots overlook them.
+fn with_prefixes(text: &str) -> String {
+    let mut text = text.to_owned();
+    for _ in 0..MOST_PREFIXES {
+        let prefix = match xml(&text) {
+            Err(roxmltree::Error::UnknownNamespace(prefix, _)) => prefix,
+            _ => break,
+        };
+        let root = ["<robot", "<mujoco"]
+            .iter()
+            .filter_map(|root| text.find(root));
+        let Some(place) = root.min() else { break };
+        let end = text[place..].find([' ', '>', '\n', '\t', '\r']);
+        text.insert_str(
+            place + end.unwrap_or(0),
+            &format!(" xmlns:{prefix}=\"{prefix}\""),
+        );
+    }
+    text
+}
+
+fn xml(text: &str) -> Result<roxmltree::Document<'_>, roxmltree::Error> {
+    let options = roxmltree::ParsingOptions {
+        allow_dtd: true,
+        ..Default::default()
+    };
+    roxmltree::Document::parse_with_options(text, options)
+}
+
+/// The XML of a file; a document type is allowed.
+pub(super) fn parsed(text: &str) -> Result<roxmltree::Document<'_>, UrdfProblem> {
+    xml(text).map_err(|error| UrdfProblem::Syntax(error.to_string()))
+}
+
 /// Reads all links and joints.
-pub(super) fn read(text: &str) -> Result<Document, UrdfProblem> {
-    let xml =
-        roxmltree::Document::parse(text).map_err(|error| UrdfProblem::Syntax(error.to_string()))?;
+///
+/// * `file` path of the text, for the files that it includes
+pub(super) fn read(file: &str, text: &str) -> Result<Document, UrdfProblem> {
+    let text = &with_prefixes(text);
+    let xml = parsed(text)?;
     let root = xml.root_element();
+    if root.has_tag_name("mujoco") {
+        let whole = mjcf::with_included(Path::new(file), text.to_owned())?;
+        return mjcf::read(parsed(&whole)?.root_element());
+    }
     if root.tag_name().name() != "robot" {
         let found = root.tag_name().name();
-        return Err(UrdfProblem::Syntax(format!("<{found}> instead of <robot>")));
+        return Err(UrdfProblem::Syntax(format!(
+            "<{found}> instead of <robot> or <mujoco>"
+        )));
     }
     let is_macro = |node: Node<'_, '_>| {
         node.tag_name()
@@ -80,12 +137,14 @@ pub(super) fn read(text: &str) -> Result<Document, UrdfProblem> {
     unique(joints.iter().map(|joint| joint.name.as_str()))?;
     Ok(Document {
         name: root.attribute("name").unwrap_or_default().to_owned(),
+        gravity: EARTH,
+        notes: Vec::new(),
         links,
         joints,
     })
 }
 
-fn unique<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), UrdfProblem> {
+pub(super) fn unique<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), UrdfProblem> {
     let mut seen = std::collections::HashSet::new();
     for name in names {
         if !seen.insert(name) {
@@ -161,6 +220,7 @@ fn joint(node: Node<'_, '_>) -> Result<JointElement, UrdfProblem> {
         mimic: child(node, "mimic").is_some(),
         limit,
         friction,
+        rotor: 0.0,
     })
 }
 
@@ -187,18 +247,18 @@ fn squared(angle: f64) -> f64 {
     }
 }
 
-fn children<'a, 'input>(
+pub(super) fn children<'a, 'input>(
     node: Node<'a, 'input>,
-    name: &'static str,
+    name: &str,
 ) -> impl Iterator<Item = Node<'a, 'input>> {
     node.children().filter(move |node| node.has_tag_name(name))
 }
 
-fn child<'a, 'input>(node: Node<'a, 'input>, name: &'static str) -> Option<Node<'a, 'input>> {
+pub(super) fn child<'a, 'input>(node: Node<'a, 'input>, name: &str) -> Option<Node<'a, 'input>> {
     children(node, name).next()
 }
 
-fn problem(node: Node<'_, '_>, what: &str) -> UrdfProblem {
+pub(super) fn problem(node: Node<'_, '_>, what: &str) -> UrdfProblem {
     let line = node.document().text_pos_at(node.range().start).row;
     let element = node.tag_name().name();
     UrdfProblem::Element {
@@ -207,31 +267,31 @@ fn problem(node: Node<'_, '_>, what: &str) -> UrdfProblem {
     }
 }
 
-fn required_child<'a, 'input>(
+pub(super) fn required_child<'a, 'input>(
     node: Node<'a, 'input>,
-    name: &'static str,
+    name: &str,
 ) -> Result<Node<'a, 'input>, UrdfProblem> {
     child(node, name).ok_or_else(|| problem(node, &format!("has no <{name}>")))
 }
 
-fn required<'a>(node: Node<'a, '_>, name: &str) -> Result<&'a str, UrdfProblem> {
+pub(super) fn required<'a>(node: Node<'a, '_>, name: &str) -> Result<&'a str, UrdfProblem> {
     node.attribute(name)
         .ok_or_else(|| problem(node, &format!("has no attribute '{name}'")))
 }
 
-fn number(node: Node<'_, '_>, name: &str) -> Result<f64, UrdfProblem> {
+pub(super) fn number(node: Node<'_, '_>, name: &str) -> Result<f64, UrdfProblem> {
     let text = required(node, name)?;
     parse_number(text).ok_or_else(|| problem(node, &format!("{name}=\"{text}\" is not a number")))
 }
 
-fn optional(node: Node<'_, '_>, name: &str) -> Result<Option<f64>, UrdfProblem> {
+pub(super) fn optional(node: Node<'_, '_>, name: &str) -> Result<Option<f64>, UrdfProblem> {
     match node.attribute(name) {
         Some(_) => number(node, name).map(Some),
         None => Ok(None),
     }
 }
 
-fn vector(node: Node<'_, '_>, name: &str) -> Result<Option<Vector3<f64>>, UrdfProblem> {
+pub(super) fn vector(node: Node<'_, '_>, name: &str) -> Result<Option<Vector3<f64>>, UrdfProblem> {
     let Some(text) = node.attribute(name) else {
         return Ok(None);
     };
@@ -245,7 +305,7 @@ fn vector(node: Node<'_, '_>, name: &str) -> Result<Option<Vector3<f64>>, UrdfPr
     }
 }
 
-fn parse_number(text: &str) -> Option<f64> {
+pub(super) fn parse_number(text: &str) -> Option<f64> {
     text.trim()
         .parse()
         .ok()

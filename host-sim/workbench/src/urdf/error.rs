@@ -17,7 +17,7 @@ pub enum UrdfProblem {
     #[error("cannot be read: {0}")]
     Unreadable(String),
     /// Not XML, or not a robot.
-    #[error("not a URDF: {0}")]
+    #[error("not a URDF or MJCF: {0}")]
     Syntax(String),
     /// Macros that have not been expanded.
     #[error("contains xacro macros: expand them first (xacro FILE)")]
@@ -31,12 +31,14 @@ pub enum UrdfProblem {
         problem: String,
     },
     /// A link is named that does not exist.
-    #[error("{named_by} names '{link}', which is neither a link nor a joint")]
+    #[error("{named_by} names '{link}', which is neither a link nor a joint{mend}")]
     UnknownLink {
         /// The name.
         link: String,
         /// The joint or option that names it.
         named_by: String,
+        /// Option that mends it, in brackets; empty where there is none.
+        mend: String,
     },
     /// Two links or joints have the same name.
     #[error("the name '{0}' is used twice")]
@@ -64,15 +66,22 @@ pub enum UrdfProblem {
         tips: Vec<String>,
     },
     /// The arm has no joint, or more than the board supports.
-    #[error("{}", joint_count(*.0))]
-    JointCount(usize),
+    #[error("{}", joint_count(*.joints, .tip))]
+    JointCount {
+        /// Moving joints from base to tip.
+        joints: usize,
+        /// Link of the eighth.
+        tip: String,
+    },
     /// A joint of the arm cannot be used.
-    #[error("joint '{joint}' {problem}")]
+    #[error("joint '{joint}' {problem}{mend}")]
     Joint {
         /// The joint.
         joint: String,
         /// Why.
         problem: JointProblem,
+        /// Option that leaves it out, in brackets; empty where none does.
+        mend: String,
     },
     /// A moving link has neither mass nor anything with mass bolted to it.
     #[error(
@@ -111,9 +120,11 @@ pub enum JointProblem {
     Axis,
 }
 
-fn joint_count(count: usize) -> String {
+fn joint_count(count: usize, tip: &str) -> String {
     match count {
         0 => "no moving joint between base and tip".to_owned(),
-        _ => format!("{count} moving joints, an arm has at most 8"),
+        _ => format!(
+            "{count} moving joints, an arm has at most 8: choose its ends with --base and --tip, such as --tip '{tip}'"
+        ),
     }
 }

@@ -1,6 +1,6 @@
-//! Reads an arm from a URDF file.
+//! Reads an arm from a URDF or MJCF file.
 //!
-//! A URDF is a tree of links; the arm is one path in it, from a base link to a tip link. Joint frames of a URDF are
+//! Both are a tree of links; the arm is one path in it, from a base link to a tip link. Joint frames of a URDF are
 //! Craig link frames when the joint axis is z; other axes are turned onto z here, without moving the joint's zero.
 //! Everything bolted to a moving link by fixed joints becomes part of that link. What hangs on the tip link, and what
 //! moves beside the path, is left out unless it is welded, and listed in [`Import::notes`].
@@ -11,13 +11,15 @@
 mod chain;
 mod document;
 mod error;
+mod mjcf;
 mod tree;
 mod write;
 
 pub use error::{JointProblem, UrdfError, UrdfProblem};
-pub use write::write;
+pub use write::{mjcf, sdf, write};
 
 use crate::robot::Robot;
+use std::collections::HashSet;
 use std::path::Path;
 
 /// Which path of the tree is the arm.
@@ -80,7 +82,17 @@ pub fn load(file: &Path, selection: &Selection<'_>) -> Result<Import, UrdfError>
 /// assert_eq!(import.robot.joints[0].link.mass, 2.0);
 /// ```
 pub fn parse(file: &str, text: &str, selection: &Selection<'_>) -> Result<Import, UrdfError> {
-    document::read(text)
+    let document = document::read(file, text).map(|mut document| {
+        if selection.base.is_some() {
+            // A part of a robot hangs on a link of another file.
+            let links: HashSet<String> = document.links.iter().map(|l| l.name.clone()).collect();
+            document
+                .joints
+                .retain(|joint| links.contains(&joint.parent));
+        }
+        document
+    });
+    document
         .and_then(|document| chain::arm(&document, selection))
         .map_err(|problem| UrdfError {
             file: file.to_owned(),

@@ -328,15 +328,15 @@ fn panda_reaches_as_its_manufacturer_states() {
 fn what_is_not_an_arm_is_refused_with_one_line() {
     // --base ; --tip ; text of the file ; its replacement ; message
     let cases = r##"
-        ; left ; ; ; joint 'left_finger' is prismatic: only revolute, continuous and fixed joints are supported
+        ; left ; ; ; joint 'left_finger' is prismatic: only revolute, continuous and fixed joints are supported (--tip 'hand' ends before it)
         ; nose ; ; ; --tip names 'nose', which is neither a link nor a joint
         cellar ; hand ; ; ; --base names 'cellar', which is neither a link nor a joint
         hand ; base ; ; ; link 'base' is not carried by link 'hand'
         fore ; hand ; ; ; no moving joint between base and tip
-        ; hand ; "elbow" type="continuous" ; "elbow" type="floating" ; joint 'elbow' is floating: only revolute, continuous and fixed joints are supported
-        ; hand ; "shoulder" type="revolute" ; "shoulder" type="planar" ; joint 'shoulder' is planar: only revolute, continuous and fixed joints are supported
-        ; hand ; <dynamics ; <mimic joint="shoulder"/><dynamics ; joint 'elbow' mimics another joint: an arm's joints move on their own
-        ; hand ; <axis xyz="0 1 0"/> ; <axis xyz="0 0 0"/> ; joint 'shoulder' has an axis of length zero
+        ; hand ; "elbow" type="continuous" ; "elbow" type="floating" ; joint 'elbow' is floating: only revolute, continuous and fixed joints are supported (--tip 'upper' ends before it)
+        ; hand ; "shoulder" type="revolute" ; "shoulder" type="planar" ; joint 'shoulder' is planar: only revolute, continuous and fixed joints are supported (--base 'upper' begins behind it)
+        ; hand ; <dynamics ; <mimic joint="shoulder"/><dynamics ; joint 'elbow' mimics another joint: an arm's joints move on their own (--tip 'upper' ends before it)
+        ; hand ; <axis xyz="0 1 0"/> ; <axis xyz="0 0 0"/> ; joint 'shoulder' has an axis of length zero (--base 'upper' begins behind it)
         ; hand ; <mass value="2"/> ; <mass value="0"/> ; link 'upper': mass is 0, must be positive
         ; hand ; <mass value="2"/> ; ; line 8: <inertial> has no <mass>
         ; hand ; <mass value="2"/> ; <mass value="2 kg"/> ; line 8: <mass> value="2 kg" is not a number
@@ -344,7 +344,8 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ; hand ; iyy="0.03" ; iyy="0.3" ; link 'upper': inertia breaks the triangle inequality: no body has these principal moments (--repair takes the nearest of a body)
         ; hand ; ixx="0.01" ixy="0" ; ixx="0.01" ixy="0.02" ; link 'upper': inertia is not positive definite (--repair takes the nearest of a body)
         ; hand ; xyz="0 0 0.5" ; xyz="0 0.5" ; line 6: <origin> xyz="0 0.5" is not three numbers
-        ; hand ; lower="-2" upper="2" ; lower="2" upper="2" ; joint 'shoulder' needs a lower limit below its upper limit
+        ; hand ; lower="-2" upper="2" ; lower="2" upper="2" ; joint 'shoulder' needs a lower limit below its upper limit (or none: ±π rad is taken)
+        ; hand ; <parent link="base"/> ; <parent link="bass"/> ; joint 'shoulder' names 'bass', which is neither a link nor a joint (--base 'upper' begins the arm behind it)
         ; hand ; <child link="upper"/> ; <child link="uper"/> ; joint 'shoulder' names 'uper', which is neither a link nor a joint
         ; hand ; <child link="camera"/> ; <child link="fore"/> ; link 'fore' closes a loop or has two parents, only a tree is an arm
         ; hand ; <parent link="base"/> ; <parent link="fore"/> ; link 'upper' closes a loop or has two parents, only a tree is an arm
@@ -372,7 +373,10 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         assert_eq!(error.unwrap_err().to_string(), format!("t: {message}"));
     }
     let error = parse("t", "<sdf/>", &Selection::default()).unwrap_err();
-    assert_eq!(error.to_string(), "t: not a URDF: <sdf> instead of <robot>");
+    assert_eq!(
+        error.to_string(),
+        "t: not a URDF or MJCF: <sdf> instead of <robot> or <mujoco>"
+    );
     let start = ARM.find(r#"<link name="fore">"#).unwrap();
     let end = ARM.find(r#"<joint name="wrist""#).unwrap();
     let weightless = format!("{}<link name=\"fore\"/>{}", &ARM[..start], &ARM[end..]);
@@ -395,7 +399,7 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         parse("t", "<robot", &selection)
             .unwrap_err()
             .to_string()
-            .starts_with("t: not a URDF: ")
+            .starts_with("t: not a URDF or MJCF: ")
     );
 }
 
@@ -420,4 +424,301 @@ fn a_damaged_file_is_read_or_refused_but_never_panics() {
             }
         }
     }
+}
+
+/// Default classes, degrees, a turned and shifted joint, an actuator's limit, a gripper whose fingers are coupled.
+const MJCF: &str = r#"<!DOCTYPE mujoco><mujoco model="Two">
+  <compiler angle="degree" eulerseq="XYZ"/>
+  <option gravity="0 0 -9.8"/>
+  <default><joint armature="0.1" damping="1"/>
+    <default class="arm"><joint axis="0 1 0" range="-90 90"/><motor ctrlrange="-30 30"/>
+      <default class="small"><joint armature="0.02" frictionloss="0.3"/></default></default></default>
+  <worldbody><body name="stand" pos="0 0 1" childclass="arm">
+    <body name="upper" pos="0 0 0.5"><inertial pos="0.2 0 0" mass="2" diaginertia="0.01 0.03 0.03"/>
+      <joint name="shoulder" actuatorfrcrange="-40 50"/>
+      <frame pos="0.3 0 0"><body name="fore" euler="90 0 0">
+        <inertial pos="0.2 0 0" mass="1" fullinertia="0.01 0.02 0.02 0 0 0"/>
+        <joint name="elbow" class="small" axis="0 0 1" pos="0.1 0 0" ref="10"/>
+        <body name="left"><joint name="slide" type="slide"/><inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/></body>
+        <body name="right"><joint name="turn"/><inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/></body>
+      </body></frame></body></body></worldbody>
+  <actuator><motor joint="elbow" class="arm" gear="0.5"/><position joint="shoulder" forcerange="-35 35"/></actuator>
+  <equality><joint joint1="turn" joint2="slide"/></equality></mujoco>"#;
+
+#[test]
+fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
+    let import = parse("t", MJCF, &Selection::default()).unwrap();
+    let [shoulder, elbow] = &import.robot.joints[..] else {
+        panic!("{:?}", import.notes);
+    };
+    assert_eq!(import.robot.gravity.z, -9.8);
+    assert_eq!((&*shoulder.name, &*elbow.name), ("shoulder", "elbow"));
+    assert_eq!(shoulder.limits.position, (-FRAC_PI_2, FRAC_PI_2));
+    assert_eq!(
+        (shoulder.drive.rotor_inertia, elbow.drive.rotor_inertia),
+        (0.1, 0.02)
+    );
+    assert_eq!((elbow.friction.viscous, elbow.friction.coulomb), (1.0, 0.3));
+    assert_eq!((shoulder.limits.torque, elbow.limits.torque), (35.0, 15.0));
+    // The elbow turns about z of the forearm, y of the upper arm, at (0.3 + 0.1, 0, 0); at q = 10° the forearm is as drawn.
+    let q = Joints::<2>::new(0.0, 10.0_f64.to_radians());
+    let lever_elbow = 0.1;
+    let gravity = ReferenceModel::<2>::new(&import.robot)
+        .unwrap()
+        .gravity_torques(&q);
+    let expected = -9.8 * (2.0 * 0.2 + 0.5);
+    assert!((gravity[0] - expected).abs() < 1e-12, "{gravity}");
+    assert!(
+        (gravity[1].abs() - 9.8 * lever_elbow).abs() < 1e-12,
+        "{gravity}"
+    );
+    assert!(
+        import
+            .notes
+            .iter()
+            .any(|note| note.contains("ends at link 'fore'")),
+        "{:?}",
+        import.notes
+    );
+}
+
+#[test]
+fn parts_of_an_mjcf_that_change_the_dynamics_are_refused_by_name() {
+    for (good, bad, named) in [
+        (
+            "<worldbody>",
+            "<worldbody><replicate count=\"2\"/>",
+            "line 7: <replicate> cannot be read",
+        ),
+        (
+            "eulerseq",
+            "inertiafromgeom=\"true\" eulerseq",
+            "inertiafromgeom=\"true\" cannot be read",
+        ),
+        ("ref=\"10\"", "axis=\"0 0\"", "axis"),
+        ("mass=\"2\"", "mass=\"two\"", "mass=\"two\" is not a number"),
+        ("euler=\"90 0 0\"", "euler=\"90 0\"", "'euler'"),
+        (
+            "<worldbody>",
+            "<include file=\"no.xml\"/><worldbody>",
+            "file=\"no.xml\"",
+        ),
+        (
+            "name=\"turn\"",
+            "name=\"slide\"",
+            "the name 'slide' is used twice",
+        ),
+    ] {
+        assert!(MJCF.contains(good), "{good}");
+        let error = parse("t", &MJCF.replacen(good, bad, 1), &Selection::default()).unwrap_err();
+        assert!(error.to_string().contains(named), "{error}");
+        assert_eq!(error.to_string().lines().count(), 1);
+    }
+}
+
+#[test]
+fn a_chain_of_fingers_is_no_arm_and_a_palm_is_a_wrist() {
+    let hand = ARM
+        .replace(
+            r#""left_finger" type="prismatic""#,
+            r#""left_finger" type="revolute""#,
+        )
+        .replace(
+            r#"<link name="left"/>"#,
+            r#"<link name="left"/><joint name="left_finger_tip" type="revolute">
+          <parent link="left"/><child link="left_tip"/></joint><link name="left_tip"/>"#,
+        );
+    assert_eq!(
+        parse("t", &hand, &Selection::default())
+            .unwrap()
+            .robot
+            .joints
+            .len(),
+        2
+    );
+    // A wrist that carries a jaw.
+    let wrist = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
+    let wrist = wrist.replace("\"hand\"", "\"gripper\"").replace(
+        r#""left_finger" type="prismatic""#,
+        r#""jaw" type="revolute""#,
+    );
+    let start = wrist.find(r#"<joint name="right_finger""#).unwrap();
+    let end = wrist.find("<link name=\"right\"/>").unwrap();
+    let wrist = format!("{}{}", &wrist[..start], &wrist[end + 21..]);
+    let robot = parse("t", &wrist, &Selection::default()).unwrap().robot;
+    assert_eq!((robot.joints.len(), &*robot.joints[2].name), (3, "wrist"));
+    let palm = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
+    let palm = palm.replace("hand", "gripper");
+    let robot = parse("t", &palm, &Selection::default()).unwrap().robot;
+    assert_eq!(robot.joints[2].name, "wrist");
+    let loose = ARM.replace("<robot ", "<!DOCTYPE robot><robot foo:bar=\"1\" ");
+    assert_eq!(parse("t", &loose, &TO_HAND).unwrap().robot.joints.len(), 2);
+}
+
+#[test]
+fn a_written_arm_is_the_arm_again_with_the_names_of_its_links() {
+    let arm = parse("t", ARM, &TO_HAND).unwrap().robot;
+    let states = crate::dynamics::random_states::<2>(20);
+    let torques = |robot: &Robot| -> Vec<Joints<2>> {
+        let model = ReferenceModel::<2>::new(robot).unwrap();
+        states
+            .iter()
+            .map(|state| model.inverse_dynamics(state))
+            .collect()
+    };
+    let mut bare = arm.clone();
+    for text in [write(&arm), mjcf(&arm)] {
+        let again = parse("t", &text, &Selection::default()).unwrap().robot;
+        for (here, there) in torques(&arm).iter().zip(torques(&again)) {
+            assert!((here - there).amax() < 1e-12, "{text}");
+        }
+        for link in ["upper", "fore", "hand"] {
+            assert!(text.contains(&format!("name=\"{link}\"")), "{link}: {text}");
+        }
+        assert_eq!(again.joints[1].friction, arm.joints[1].friction);
+        assert!(text.contains("\"0 1 0\""), "the axis of the file: {text}");
+    }
+    // An armature is where a URDF has no place for it.
+    bare.joints[0].drive.rotor_inertia = 0.5;
+    let again = parse("t", &mjcf(&bare), &Selection::default())
+        .unwrap()
+        .robot;
+    assert_eq!(again.joints[0].drive.rotor_inertia, 0.5);
+    assert!(sdf(&bare).contains("<drake:rotor_inertia>0.5</drake:rotor_inertia>"));
+}
+
+/// Torques of the written models by the tools that read them against ours; see `tests/data/written/README.md`.
+#[test]
+fn mujoco_and_pinocchio_compute_our_torques_from_the_written_models() {
+    const TOLERANCE_NM: f64 = 1e-6;
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+    for (name, description) in [
+        ("ur5", "ur5".to_owned()),
+        ("gen3", format!("{root}/host-sim/robots/gen3.toml")),
+        (
+            "oblique",
+            format!("{root}/tests/data/pinocchio/arms/oblique.urdf"),
+        ),
+        ("eight", format!("{root}/host-sim/robots/eight.toml")),
+    ] {
+        let robot = Robot::load(&description).unwrap().with_assumed_rotors().0;
+        for (ending, text) in [
+            ("xml", mjcf(&robot)),
+            ("urdf", write(&robot)),
+            ("sdf", sdf(&robot)),
+        ] {
+            let file = format!("{root}/tests/data/written/{name}.{ending}");
+            let written = std::fs::read_to_string(&file).unwrap();
+            assert!(written == text, "{file} is stale: see the README beside it");
+        }
+        crate::joints!(robot.joint_count(), N => torques_agree::<N>(name, &robot, TOLERANCE_NM), else panic!("{name}"));
+    }
+}
+
+fn torques_agree<const N: usize>(name: &str, robot: &Robot, tolerance_nm: f64) {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/written");
+    let file = std::fs::File::open(format!("{root}/{name}.csv.gz")).unwrap();
+    let mut reader = csv::Reader::from_reader(flate2::read::GzDecoder::new(file));
+    let model = ReferenceModel::<N>::new(robot).unwrap();
+    let mut bare = robot.clone();
+    for joint in &mut bare.joints {
+        joint.drive.rotor_inertia = 0.0;
+    }
+    let bare = ReferenceModel::<N>::new(&bare).unwrap();
+    let damping = Joints::<N>::from_fn(|j, _| robot.joints[j].friction.viscous);
+    let (mut rows, mut worst) = (0, [0.0_f64; 4]);
+    for row in reader.deserialize() {
+        let row: Vec<f64> = row.unwrap();
+        let [q, qd, qdd, by_mujoco, by_mjcf, by_urdf, by_sdf] =
+            std::array::from_fn(|k| Joints::<N>::from_fn(|j, _| row[k * N + j]));
+        let state = State { q, qd, qdd };
+        let ours = model.inverse_dynamics(&state);
+        let errors = [
+            ours + damping.component_mul(&qd) - by_mujoco,
+            ours - by_mjcf,
+            bare.inverse_dynamics(&state) - by_urdf,
+            ours - by_sdf,
+        ];
+        for (worst, error) in worst.iter_mut().zip(errors) {
+            assert!(error.amax() <= tolerance_nm, "{name}: {error}");
+            *worst = worst.max(error.amax());
+        }
+        rows += 1;
+    }
+    eprintln!("{name}: off by {worst:?} N·m (MuJoCo, Pinocchio on MJCF and URDF, Drake on SDF)");
+    assert_eq!(rows, 200);
+}
+
+#[test]
+fn temporary_writer() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+    for (name, description) in [
+        ("ur5", "ur5".to_owned()),
+        ("gen3", format!("{root}/host-sim/robots/gen3.toml")),
+        (
+            "oblique",
+            format!("{root}/tests/data/pinocchio/arms/oblique.urdf"),
+        ),
+        ("eight", format!("{root}/host-sim/robots/eight.toml")),
+    ] {
+        let robot = Robot::load(&description).unwrap().with_assumed_rotors().0;
+        for (ending, text) in [
+            ("xml", mjcf(&robot)),
+            ("urdf", write(&robot)),
+            ("sdf", sdf(&robot)),
+        ] {
+            std::fs::write(format!("{root}/tests/data/written/{name}.{ending}"), text).unwrap();
+        }
+    }
+}
+
+#[test]
+fn temporary_corpus() {
+    let mut out = String::new();
+    for entry in std::fs::read_dir("/work/corpus/files").unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.display().to_string();
+        let mut selection = Selection::default();
+        let (mut tip, mut base);
+        let mut used = Vec::new();
+        for _ in 0..6 {
+            match load(&path, &selection) {
+                Ok(import) => {
+                    let joints: Vec<&str> = import.robot.joints.iter().map(|j| &*j.name).collect();
+                    out += &format!(
+                        "ok {name} {} {used:?} {joints:?} tip {:?}\n",
+                        joints.len(),
+                        import.robot.link_names
+                    );
+                    break;
+                }
+                Err(error) => {
+                    let text = error.to_string();
+                    let named = |flag: &str| {
+                        text.split_once(flag)
+                            .and_then(|(_, rest)| rest.split('\'').next())
+                            .map(str::to_owned)
+                    };
+                    used.push(text.clone());
+                    if let Some(found) = named("--tip '").filter(|_| selection.tip.is_none()) {
+                        tip = found;
+                        selection.tip = Some(Box::leak(tip.into_boxed_str()));
+                    } else if let Some(found) =
+                        named("--base '").filter(|_| selection.base.is_none())
+                    {
+                        base = found;
+                        selection.base = Some(Box::leak(base.into_boxed_str()));
+                    } else if text.contains("--repair") {
+                        selection.repair = true;
+                    } else if text.contains("--link-mass") {
+                        selection.link_mass = Some(1.0);
+                    } else {
+                        out += &format!("BAD {name} {used:?}\n");
+                        break;
+                    }
+                }
+            }
+        }
+    }
+    std::fs::write("/tmp/robot-corpus.txt", out).unwrap();
 }

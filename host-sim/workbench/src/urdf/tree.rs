@@ -30,7 +30,14 @@ impl<'a> Tree<'a> {
         };
         for (index, joint) in document.joints.iter().enumerate() {
             let named_by = format!("joint '{}'", joint.name);
-            let parent = tree.link(&joint.parent, &named_by)?;
+            let parent = tree.link(&joint.parent, &named_by).map_err(|mut problem| {
+                if let (UrdfProblem::UnknownLink { mend, .. }, Ok(_)) =
+                    (&mut problem, tree.link(&joint.child, ""))
+                {
+                    *mend = format!(" (--base '{}' begins the arm behind it)", joint.child);
+                }
+                problem
+            })?;
             let child = tree.link(&joint.child, &named_by)?;
             tree.parent.push(parent);
             tree.child.push(child);
@@ -58,6 +65,7 @@ impl<'a> Tree<'a> {
         found.ok_or_else(|| UrdfProblem::UnknownLink {
             link: name.to_owned(),
             named_by: named_by.to_owned(),
+            mend: String::new(),
         })
     }
 
@@ -143,26 +151,33 @@ impl<'a> Tree<'a> {
         usize::from(turns) + next.map(|&joint| self.reach(joint)).max().unwrap_or(0)
     }
 
-    /// The last link on the longest path that begins with `joint`.
+    /// The last link on the longest path that begins with `joint`, before fingers.
     fn farthest(&self, joint: usize) -> usize {
+        let body = self.rigid_body(self.child[joint], Placement::identity(), None);
+        let at_fork = self.moving_joints(&body).count() > 1;
         let next = self.carried[self.child[joint]].iter().copied();
         let next = next.filter(|&joint| self.reach(joint) > 0);
+        let next = next.filter(|&joint| self.is_fixed(joint) || !self.is_finger(joint, at_fork));
         next.max_by_key(|&joint| self.reach(joint))
             .map_or(self.child[joint], |joint| self.farthest(joint))
     }
 
-    /// A single finger by its name, with no turning joint after it.
-    fn is_finger(&self, joint: usize) -> bool {
+    /// A finger by its name, called like a part of a gripper: the last joint of a branch, or at a fork a chain of such joints.
+    /// A single one that carries another is the wrist under a gripper.
+    fn is_finger(&self, joint: usize, at_fork: bool) -> bool {
         let element = &self.document.joints[joint];
         let names = [&element.name, &element.child].map(|name| name.to_lowercase());
-        let finger = ["grip", "jaw", "finger", "claw", "knuckle"];
-        self.reach(joint) == 1
-            && finger
-                .iter()
-                .any(|word| names.iter().any(|name| name.contains(word)))
+        let words = ["grip", "jaw", "finger", "claw", "knuckle", "thumb"];
+        let is_called = words
+            .iter()
+            .any(|word| names.iter().any(|name| name.contains(word)));
+        let body = self.rigid_body(self.child[joint], Placement::identity(), None);
+        let beyond: Vec<usize> = self.moving_joints(&body).collect();
+        let is_chain = || beyond.len() == 1 && self.is_finger(beyond[0], true);
+        is_called && (beyond.is_empty() || at_fork && is_chain())
     }
 
-    /// Joints from base to the link where everything beyond is fixed, prismatic, mimic or a single finger.
+    /// Joints from base to the link where everything beyond is fixed, prismatic, mimic or fingers.
     pub(super) fn only_path(&self, base: usize) -> Result<Vec<usize>, UrdfProblem> {
         let mut end = base;
         loop {
@@ -176,7 +191,7 @@ impl<'a> Tree<'a> {
             if moving.len() > 1 {
                 on.retain(|&joint| self.reach(joint) > 1);
             }
-            on.retain(|&joint| end == base || !self.is_finger(joint));
+            on.retain(|&joint| end == base || !self.is_finger(joint, moving.len() > 1));
             match on[..] {
                 // Nothing but a joint that no arm can have: its refusal names it.
                 [] if end == base && moving.len() == 1 => end = self.child[moving[0]],

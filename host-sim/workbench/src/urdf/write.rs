@@ -1,36 +1,82 @@
-//! An arm as a URDF file.
+//! An arm as a URDF, MJCF or SDF file, with the links, names and axes of the file that it came from.
 
-use crate::robot::{Placement, Robot};
-use nalgebra::Rotation3;
+use crate::robot::{Joint, Link, Placement, Robot};
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 
-/// The URDF of an arm: joint frames are Craig's link frames, axes their z, link inertias about the centres of mass.
+/// The link that MJCF and SDF have without saying so.
+const WORLD: &str = "world";
+
+/// A joint with the link that it moves, in the frames of the file.
+struct Part<'a> {
+    joint: &'a Joint,
+    /// Name of the link, and of the link that carries it.
+    names: [String; 2],
+    /// Frame of the link in that of the link before, at q = 0.
+    placement: Placement,
+    /// Axis of the joint in the frame of the link.
+    axis: Vector3<f64>,
+    link: Link,
+}
+
+/// The parts of an arm, then name and placement of its tip in the last link, unless that is the last link itself.
+fn parts(robot: &Robot) -> (String, Vec<Part<'_>>, Option<(String, Placement)>) {
+    let ends = robot.link_names.as_ref();
+    let base = ends.map_or("base", |ends| &ends.0);
+    let mut parent = (escaped(base), Placement::identity());
+    let mut parts = Vec::new();
+    for (number, joint) in (1..).zip(&robot.joints) {
+        let name = joint.link_name.as_deref();
+        let name = name.map_or_else(|| format!("link{number}"), escaped);
+        let inside = joint.link_frame.inverse();
+        let in_parent = parent.1.inverse().then(&joint.placement);
+        parts.push(Part {
+            joint,
+            names: [name.clone(), parent.0],
+            placement: in_parent.then(&joint.link_frame).snapped(),
+            axis: inside.snapped().rot_parent_child.column(2).into_owned(),
+            link: joint.link.placed(&inside),
+        });
+        parent = (name, joint.link_frame);
+    }
+    let tip = escaped(ends.map_or("flange", |ends| &ends.1));
+    let placed = parent.1.inverse().then(&robot.flange).snapped();
+    let tip = (tip != parent.0).then_some((tip, placed));
+    (escaped(base), parts, tip)
+}
+
+/// The URDF of an arm.
 ///
 /// A URDF has no place for rotor inertias, drive gains, Stribeck friction and ripple: the TOML description
 /// ([`Robot::to_toml`]) keeps them.
 pub fn write(robot: &Robot) -> String {
+    let (base, parts, tip) = parts(robot);
     let mut out = format!(
-        "<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n  <link name=\"base\"/>\n",
+        "<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n  <link name=\"{base}\"/>\n",
         escaped(&robot.name)
     );
-    let mut parent = "base".to_owned();
-    for (index, joint) in robot.joints.iter().enumerate() {
-        let child = format!("link{}", index + 1);
-        let (limits, friction, link) = (&joint.limits, &joint.friction, &joint.link);
-        let (com, i) = (&link.com, &link.inertia_com);
+    let origin = |frame: &Placement| {
+        let (xyz, rpy) = (list(&frame.origin), list(&angles(frame)));
+        format!("<origin xyz=\"{xyz}\" rpy=\"{rpy}\"/>")
+    };
+    for part in &parts {
+        let (limits, friction) = (&part.joint.limits, &part.joint.friction);
+        let [name, parent] = &part.names;
+        let [xx, yy, zz, xy, xz, yz] = tensor(&part.link);
         out += &format!(
-            r#"  <joint name="{name}" type="revolute">
-    <parent link="{parent}"/> <child link="{child}"/> <axis xyz="0 0 1"/>
+            r#"  <joint name="{joint}" type="revolute">
+    <parent link="{parent}"/> <child link="{name}"/> <axis xyz="{axis}"/>
     {origin}
     <limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="{torque}" acceleration="{acceleration}"/>
     <dynamics damping="{viscous}" friction="{coulomb}"/>
   </joint>
-  <link name="{child}"><inertial>
-    <origin xyz="{x} {y} {z}" rpy="0 0 0"/> <mass value="{mass}"/>
-    <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="{ixy}" ixz="{ixz}" iyz="{iyz}"/>
+  <link name="{name}"><inertial>
+    <origin xyz="{com}" rpy="0 0 0"/> <mass value="{mass}"/>
+    <inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="{xy}" ixz="{xz}" iyz="{yz}"/>
   </inertial></link>
 "#,
-            name = escaped(&joint.name),
-            origin = origin(&joint.placement),
+            joint = escaped(&part.joint.name),
+            axis = list(&part.axis),
+            origin = origin(&part.placement),
             lower = limits.position.0,
             upper = limits.position.1,
             velocity = limits.velocity,
@@ -38,39 +84,158 @@ pub fn write(robot: &Robot) -> String {
             acceleration = limits.acceleration,
             viscous = friction.viscous,
             coulomb = friction.coulomb,
-            x = com.x,
-            y = com.y,
-            z = com.z,
-            mass = link.mass,
-            ixx = i.m11,
-            iyy = i.m22,
-            izz = i.m33,
-            ixy = i.m12,
-            ixz = i.m13,
-            iyz = i.m23,
+            com = list(&part.link.com),
+            mass = part.link.mass,
         );
-        parent = child;
     }
-    let flange = origin(&robot.flange);
-    out + &format!(
-        r#"  <joint name="flange" type="fixed">
-    <parent link="{parent}"/> <child link="flange"/>
-    {flange}
-  </joint>
-  <link name="flange"/>
-</robot>
-"#
-    )
+    if let (Some((tip, placed)), Some(last)) = (tip, parts.last()) {
+        out += &format!(
+            "  <joint name=\"{tip}_fixed\" type=\"fixed\">\n    <parent link=\"{}\"/> <child link=\"{tip}\"/>\n    {}\n  \
+             </joint>\n  <link name=\"{tip}\"/>\n",
+            last.names[0],
+            origin(&placed)
+        );
+    }
+    out + "</robot>\n"
 }
 
-fn origin(frame: &Placement) -> String {
-    let (roll, pitch, yaw) =
-        Rotation3::from_matrix_unchecked(frame.rot_parent_child).euler_angles();
-    let at = &frame.origin;
-    format!(
-        "<origin xyz=\"{} {} {}\" rpy=\"{roll} {pitch} {yaw}\"/>",
-        at.x, at.y, at.z
-    )
+/// The MJCF of an arm: rotor inertias are armatures, Coulomb friction is frictionloss, viscous friction damping.
+///
+/// An MJCF has no place for velocity and acceleration limits, drive gains, Stribeck friction and ripple.
+pub fn mjcf(robot: &Robot) -> String {
+    let (base, parts, tip) = parts(robot);
+    let place = |frame: &Placement| {
+        let rot = Rotation3::from_matrix_unchecked(frame.rot_parent_child);
+        let turn = UnitQuaternion::from_rotation_matrix(&rot);
+        let [w, x, y, z] = [turn.w, turn.i, turn.j, turn.k].map(number);
+        format!("pos=\"{}\" quat=\"{w} {x} {y} {z}\"", list(&frame.origin))
+    };
+    let mut out = format!(
+        "<mujoco model=\"{}\">\n  <compiler angle=\"radian\" autolimits=\"true\"/>\n  <option gravity=\"{}\"/>\n  <worldbody>\n",
+        escaped(&robot.name),
+        list(&robot.gravity)
+    );
+    // The world is there already.
+    let is_world = base == WORLD;
+    if !is_world {
+        out += &format!("  <body name=\"{base}\">\n");
+    }
+    let mut motors = String::new();
+    for part in &parts {
+        let (joint, torque) = (escaped(&part.joint.name), part.joint.limits.torque);
+        let (lower, upper) = part.joint.limits.position;
+        out += &format!(
+            r#"  <body name="{name}" {place}>
+    <inertial pos="{com}" mass="{mass}" fullinertia="{inertia}"/>
+    <joint name="{joint}" type="hinge" axis="{axis}" range="{lower} {upper}" actuatorfrcrange="-{torque} {torque}"
+      armature="{armature}" damping="{viscous}" frictionloss="{coulomb}"/>
+"#,
+            name = part.names[0],
+            place = place(&part.placement),
+            com = list(&part.link.com),
+            mass = part.link.mass,
+            inertia = tensor(&part.link).join(" "),
+            axis = list(&part.axis),
+            armature = part.joint.drive.rotor_inertia,
+            viscous = part.joint.friction.viscous,
+            coulomb = part.joint.friction.coulomb,
+        );
+        motors += &format!(
+            "    <motor name=\"{joint}\" joint=\"{joint}\" ctrlrange=\"-{torque} {torque}\"/>\n"
+        );
+    }
+    if let Some((tip, placed)) = tip {
+        out += &format!("  <body name=\"{tip}\" {}/>\n", place(&placed));
+    }
+    out += &"  </body>\n".repeat(parts.len() + usize::from(!is_world));
+    out + "  </worldbody>\n  <actuator>\n" + &motors + "  </actuator>\n</mujoco>\n"
+}
+
+/// The SDF of an arm, fixed to the world. Rotor inertias stand in Drake's element for them, the only one there is.
+pub fn sdf(robot: &Robot) -> String {
+    let (base, parts, tip) = parts(robot);
+    let pose = |frame: &Placement| format!("{} {}", list(&frame.origin), list(&angles(frame)));
+    let mut out = format!(
+        r#"<?xml version="1.0"?>
+<sdf version="1.9" xmlns:drake="http://drake.mit.edu"><model name="{}">
+"#,
+        escaped(&robot.name)
+    );
+    if base != WORLD {
+        out += &format!(
+            "  <link name=\"{base}\"/>\n  <joint name=\"{base}_fixed\" type=\"fixed\"><parent>{WORLD}</parent><child>{base}</child></joint>\n"
+        );
+    }
+    for part in &parts {
+        let (limits, friction) = (&part.joint.limits, &part.joint.friction);
+        let [name, parent] = &part.names;
+        let [xx, yy, zz, xy, xz, yz] = tensor(&part.link);
+        out += &format!(
+            r#"  <joint name="{joint}" type="revolute"><pose relative_to="{around}">{pose}</pose>
+    <parent>{parent}</parent><child>{name}</child>
+    <axis><xyz>{axis}</xyz>
+      <limit><lower>{lower}</lower><upper>{upper}</upper><effort>{torque}</effort><velocity>{velocity}</velocity></limit>
+      <dynamics><damping>{viscous}</damping><friction>{coulomb}</friction></dynamics></axis>
+    <drake:rotor_inertia>{rotor}</drake:rotor_inertia></joint>
+  <link name="{name}"><pose relative_to="{joint}">0 0 0 0 0 0</pose><inertial><pose>{com} 0 0 0</pose><mass>{mass}</mass>
+    <inertia><ixx>{xx}</ixx><iyy>{yy}</iyy><izz>{zz}</izz><ixy>{xy}</ixy><ixz>{xz}</ixz><iyz>{yz}</iyz></inertia></inertial></link>
+"#,
+            joint = escaped(&part.joint.name),
+            // A model may hang on the world, and not be placed in it.
+            around = if parent == WORLD { "__model__" } else { parent },
+            pose = pose(&part.placement),
+            axis = list(&part.axis),
+            lower = limits.position.0,
+            upper = limits.position.1,
+            torque = limits.torque,
+            velocity = limits.velocity,
+            viscous = friction.viscous,
+            coulomb = friction.coulomb,
+            rotor = part.joint.drive.rotor_inertia,
+            com = list(&part.link.com),
+            mass = part.link.mass,
+        );
+    }
+    if let (Some((tip, placed)), Some(last)) = (tip, parts.last()) {
+        out += &format!(
+            "  <frame name=\"{tip}\" attached_to=\"{}\"><pose>{}</pose></frame>\n",
+            last.names[0],
+            pose(&placed)
+        );
+    }
+    let gravity = list(&robot.gravity);
+    out + &format!("  <!-- gravity of the world: {gravity} -->\n</model></sdf>\n")
+}
+
+/// Roll, pitch and yaw about fixed axes, rad.
+fn angles(frame: &Placement) -> Vector3<f64> {
+    let rot = Rotation3::from_matrix_unchecked(frame.rot_parent_child);
+    let (roll, pitch, yaw) = rot.euler_angles();
+    Vector3::new(roll, pitch, yaw)
+}
+
+/// Tensor entries about the centre of mass, kg·m²: xx, yy, zz, xy, xz, yz.
+fn tensor(link: &Link) -> [String; 6] {
+    let i = &link.inertia_com;
+    // Entries that only rounding has made are none.
+    let least = 1e-15 * i.amax();
+    [i.m11, i.m22, i.m33, i.m12, i.m13, i.m23]
+        .map(|x| if x.abs() < least { 0.0 } else { x })
+        .map(number)
+}
+
+fn list(vector: &Vector3<f64>) -> String {
+    let entries: Vec<String> = vector.iter().map(|x| number(*x)).collect();
+    entries.join(" ")
+}
+
+/// All digits of a value, with an exponent where it is small; 0 for what rounding has left of it.
+fn number(value: f64) -> String {
+    match value.abs() {
+        size if size < 1e-16 => "0".to_owned(),
+        size if size < 1e-4 => format!("{value:e}"),
+        _ => format!("{value}"),
+    }
 }
 
 fn escaped(name: &str) -> String {

@@ -4,9 +4,9 @@
 #[cfg(target_os = "none")]
 foretorque_f405::image!(
     foretorque_f405::odrive_v3::OdriveV3,
-    foretorque::arm::ur5::Ur5,
-    foretorque::arm::ur5::JOINTS,
-    foretorque::arm::ur5::PARAMETERS
+    foretorque_f405::described::Arm,
+    foretorque_f405::described::JOINTS,
+    foretorque_f405::described::PARAMETERS
 );
 
 #[cfg(not(target_os = "none"))]
