@@ -2,7 +2,7 @@ use super::Torque;
 use crate::arm::Arm;
 use crate::dynamics::{friction, rnea};
 use crate::joint::{JointMotion, JointVector};
-use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet, network_inputs};
+use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet, network_output};
 use crate::limits::{Flags, cut};
 use nalgebra::SVector;
 
@@ -83,9 +83,9 @@ fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
     flags: &mut Flags,
 ) -> JointVector<N> {
     let mut shares = JointVector::<N>::zeros();
-    let joints = networks.iter().zip(A::limits()).zip(qd.iter());
-    for (share, ((network, limits), &qd)) in shares.iter_mut().zip(joints) {
-        *share = network_share(network, &network_inputs(qd), limits.torque, flags);
+    let joints = networks.iter().zip(A::limits()).zip(qd.as_slice());
+    for (share, ((network, limits), &qd)) in shares.as_mut_slice().iter_mut().zip(joints) {
+        *share = bounded_share(network_output(network, qd), limits.torque, flags);
     }
     shares
 }
@@ -99,6 +99,12 @@ pub(super) fn network_share(
     flags: &mut Flags,
 ) -> f32 {
     let [[output]] = network.forward(inputs).data.0;
+    bounded_share(output, torque_limit, flags)
+}
+
+/// Share for the `output` of a network, cut to its bound, N·m.
+#[inline(always)]
+fn bounded_share(output: f32, torque_limit: f32, flags: &mut Flags) -> f32 {
     let (bounded, was_cut) = cut(output, NETWORK_BOUND);
     *flags |= Flags::when(was_cut, Flags::NETWORK_CLIPPED);
     bounded * torque_limit

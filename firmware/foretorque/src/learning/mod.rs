@@ -86,11 +86,11 @@ pub use exchange::{
     Exchange, LearnerReport, LearningSample, MotionRange, Publication, Request, RequestPending,
 };
 pub use learner::{Learner, LearnerState, LearnerStatistics};
-pub(crate) use parameters::network_inputs_at;
 pub use parameters::{
     JointNetwork, LinearParameters, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
     network_inputs,
 };
+pub(crate) use parameters::{network_inputs_at, network_output};
 pub use payload::{payload_bound, rated_payload};
 pub use prior_covariance::{prior_factor, prior_factor_count, prior_floor};
 pub use quality::{ModelQuality, PayloadEstimate, Phase};

@@ -79,6 +79,15 @@ pub(crate) fn network_inputs_at(qd: f32, sign: &SmoothedSign) -> SVector<f32, NE
     SVector::from([0.5 * qd, sign.narrow, sign.wide])
 }
 
+/// Output of a joint's network at the joint velocity `qd`, rad/s, in units of the joint's torque limit, without its bound.
+///
+/// Not inlined, for flash; the tick has the inputs at hand.
+#[inline(never)]
+pub(crate) fn network_output(network: &JointNetwork, qd: f32) -> f32 {
+    let [[output]] = network.forward(&network_inputs(qd)).data.0;
+    output
+}
+
 /// Vector over the linear parameters θ of an arm, friction first; also a torque row, or their standard deviations.
 ///
 /// Two fields instead of one array: `P + N · FRICTION_COLUMNS` is no array length in stable Rust.

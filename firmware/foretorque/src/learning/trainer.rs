@@ -1,5 +1,7 @@
 use super::dense_ud::DenseUdFilter;
-use super::parameters::{JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, network_inputs};
+use super::parameters::{
+    JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, network_inputs, network_output,
+};
 use crate::limits::cut;
 use crate::network::StepParameters;
 use nalgebra::SVector;
@@ -219,7 +221,7 @@ impl<const N: usize> NetworkTrainer<N> {
         };
         let bounded = |output: f32| cut(output, NETWORK_BOUND).0;
         let silent = square(0.0);
-        let active_square = square(bounded(active.forward(&x)[0]));
+        let active_square = square(bounded(network_output(active, row.qd)));
         let candidate_square = square(bounded(output));
         if !(row.residual + inverse + active_square + candidate_square + silent).is_finite() {
             return None;

@@ -8,7 +8,7 @@ use crate::learning::conditioning::{ConditionedSample, cogging_attenuation};
 use crate::learning::decision::Reason;
 use crate::learning::estimator::torque_row_at;
 use crate::learning::exchange::MotionRange;
-use crate::learning::parameters::{LinearParameters, NETWORK_BOUND, network_inputs};
+use crate::learning::parameters::{LinearParameters, NETWORK_BOUND, network_output};
 use crate::learning::quality::Observation;
 use crate::learning::trainer::{NetworkDecision, NetworkRow};
 use crate::limits::cut;
@@ -132,8 +132,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let Some(network) = state.active.network.get(joint) else {
             return RowOutcome::Rejected;
         };
-        let [[output]] = network.forward(&network_inputs(row.qd)).data.0;
-        let network = cut(output, NETWORK_BOUND).0;
+        let network = cut(network_output(network, row.qd), NETWORK_BOUND).0;
         let residual = (row.tau - rigid - friction) * inv_limit;
         state.monitor.add_row(
             joint,

@@ -27,6 +27,7 @@ pub(crate) struct Link {
 
 impl Link {
     /// Initialises a board in place; `None` if a limit of the arm cannot work.
+    #[inline(never)]
     pub(crate) fn init(place: &'static mut MaybeUninit<Self>) -> Option<&'static mut Self> {
         let session = Session::new(BoardDescription {
             write_key: key(),

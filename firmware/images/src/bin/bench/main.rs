@@ -48,28 +48,52 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
     let link = cortex_m::singleton!(: MaybeUninit<commands::Link> = MaybeUninit::uninit())?;
     let mut link = commands::Link::init(link)?;
     for row in rows::ROWS {
-        // Every row starts from the same stage, so that a row added or removed does not move the others.
-        let mut stage = stage::Stage::new(learner, link)?;
-        for _ in 0..calls {
-            stage.vary();
-            if row.name == rows::COMMAND {
-                stage.link.next();
-            }
-            let count = machine::count(row.run, &mut stage);
-            cortex_m_semihosting::hprintln!("{} {}", row.name, count);
-        }
-        (learner, link) = (stage.learner, stage.link);
+        (learner, link) = count_row(row, calls, learner, link)?;
     }
     if ticks > 0 {
-        let mut stage = stage::Stage::new(learner, link)?;
-        let spread = long_run::of_step(&mut stage, ticks);
-        cortex_m_semihosting::hprintln!(
-            "feedforward_step {} {} {}",
-            spread.least,
-            spread.sum,
-            spread.most
-        );
+        count_long_run(ticks, learner, link)?;
     }
+    Some(())
+}
+
+/// Counts the calls of a row from a new stage, so that a row added or removed does not move the others. A function of its
+/// own: the stack has no room for two stages.
+#[cfg(target_os = "none")]
+#[inline(never)]
+fn count_row(
+    row: &rows::Row,
+    calls: u32,
+    learner: &'static mut Learner,
+    link: &'static mut commands::Link,
+) -> Option<(&'static mut Learner, &'static mut commands::Link)> {
+    let mut stage = stage::Stage::new(learner, link)?;
+    for _ in 0..calls {
+        stage.vary();
+        if row.name == rows::COMMAND {
+            stage.link.next();
+        }
+        let count = machine::count(row.run, &mut stage);
+        cortex_m_semihosting::hprintln!("{} {}", row.name, count);
+    }
+    Some((stage.learner, stage.link))
+}
+
+/// Counts the ticks of the long run.
+#[cfg(target_os = "none")]
+#[inline(never)]
+fn count_long_run(
+    ticks: u32,
+    learner: &'static mut Learner,
+    link: &'static mut commands::Link,
+) -> Option<()> {
+    let mut stage = stage::Stage::new(learner, link)?;
+    let spread = long_run::of_step(&mut stage, ticks);
+    cortex_m_semihosting::hprintln!(
+        "feedforward_step {} {} {}",
+        spread.least,
+        spread.sum,
+        spread.most
+    );
     Some(())
 }
 
