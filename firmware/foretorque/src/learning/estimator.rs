@@ -90,7 +90,7 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// * process noise: a random walk of friction up to the prior variance; one column a row, in turn, with the noise of all.
 ///   Nothing is forgotten exponentially
 /// * R: measured variance of the joint, at which half of the |z| exceed 0.6745
-/// * ρ: correlation of the joint's rows, from batch means; the update of P has ρ R in place of R
+/// * ρ: correlation of rows, from batch means, mean of all joints; the update of P has ρ R in place of R
 /// * k: innovations beyond it count as k [Huber 1964]
 ///
 /// Each row ends at the most likely estimate within the sign bounds of the joint's friction. Nothing else bounds the estimate; the tick bounds the
@@ -214,11 +214,19 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         &self.variance
     }
 
-    /// Inflation of the noise of the next row of `joint`, for the correlation of its innovations; 1 without correlation.
+    /// Correlation factor ρ of `joint`: variance of a sum of its innovations over that of independent ones, at least 1.
     pub fn correlation(&self, joint: usize) -> f32 {
         self.correlation
             .get(joint)
             .map_or(1.0, NoiseCorrelation::factor)
+    }
+
+    /// Inflation of the noise of the next row: mean correlation factor of all joints.
+    ///
+    /// The factor slows the covariance down. Weights between joints stay those of the variances, as in batch least squares:
+    /// a factor of each joint would take the weight from heavy joints, whose model error lasts, and give it to light ones.
+    pub fn inflation(&self) -> f32 {
+        NoiseCorrelation::pooled(&self.correlation)
     }
 
     /// Update with the torque `tau` of `joint`, N·m, and its `row`.
@@ -239,6 +247,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let inv_noise = 1.0 / (config.noise * limit);
         let sigma = config.sigma();
         let innovation = (tau - row.dot(&self.parameters)) * inv_noise;
+        let inflation = self.inflation();
         let measured = self.variance.get_mut(joint)?;
         let effective_rows = self.effective_rows.get_mut(joint)?;
         if !innovation.is_finite() {
@@ -262,7 +271,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         scale(&mut phi.rigid, &sigma.rigid);
         let mut gain = LinearParameters::filled(0.0);
         let correlation = self.correlation.get_mut(joint)?;
-        let inflated = correlation.factor() * *measured;
+        let inflated = inflation * *measured;
         let total = self.filter.update(joint, &phi, inflated, &mut gain);
         let variance = total - inflated + *measured;
         if !(variance > 0.0 && variance.is_finite()) {

@@ -14,7 +14,7 @@
 //! | learnt | the estimate, in steps of bounded torque | supervisor | tick | at most once a round |
 //! | active | single set nearest to the torque: loaded and learnt by the [`LearntShare`] | learner and tick | `Save`, reports | at most once a round |
 //! | committed | active set of the last commit | tick, on commit and load | tick: fallback, centre of the bound on learnt change | on commit, at every load |
-//! | checkpoint | estimate, learnt set, shares, evidence and payload of one instant | supervisor, while healthy | supervisor: alarm, emergency stop, release of a payload | every 128 ticks; two are kept, and one from before a payload |
+//! | checkpoint | estimate, learnt set, shares, evidence and payload of one instant | supervisor, while healthy | supervisor: alarm, emergency stop, release of a payload | every 0.128 s; two are kept, and one from before a payload |
 //! | snapshot | copy of learnt set, shares and networks | [`Request::Snapshot`] | [`Request::Rollback`] | on request |
 //! | network candidate | network of a joint in training | trainer | trainer: comparison with the active network | with every accepted row of the joint |
 //! | payload hypothesis | seven parameters of a body at the last link | payload test | supervisor; after promotion the tick, as an addition to the rigid body | every block of a test, and for 10 s after promotion |
@@ -22,10 +22,10 @@
 //! # Shares
 //!
 //! ```text
-//! torque_j = loaded_j + w_j (learnt_j − loaded_j)     w_j = clip(Σ d r / (Σ d² + σ_j² L), 0, 1)
+//! torque_j = loaded_j + w_j (learnt_j − loaded_j)     w_j = clip((Σ d r − 2 √(ρ_j σ_j² Σ d²)) / Σ d², 0, 1)
 //! ```
-//! d is the torque of the estimate and r the measured torque, both less that of the loaded set, on rows before they are
-//! learnt. The sums fade over 10 s. L is the number of rows in 0.5 s, which count as one observation.
+//! d is the torque of the estimate at the older checkpoint and r the measured torque, both less that of the loaded set. The
+//! sums fade over 10 s. ρ is the correlation factor of the joint's innovations.
 //!
 //! # Supervisor
 //!
@@ -47,7 +47,7 @@
 //!
 //! * Healthy: the learnt set moves to the estimate and the shares to their evidence, by at most 0.5 % of the torque limit a
 //!   round. Following begins (25) at a common share of 1/2 and ends (7) at 1/4.
-//! * alarm: estimate, learnt set and shares return to the checkpoint of 128 to 256 ticks ago and are frozen.
+//! * alarm: estimate, learnt set and shares return to the checkpoint of 0.128 s to 0.256 s ago and are frozen.
 //! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6).
 //! * relearning: the variance of friction is raised; the torque stays as it is.
 //!

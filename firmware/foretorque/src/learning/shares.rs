@@ -1,6 +1,7 @@
 //! Shares of loaded set and estimate in the torque of each joint.
 
 use super::parameters::LinearParameters;
+use crate::math::sqrt;
 
 /// Part of the way from the loaded set to the learnt one that the torque takes, 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,15 +54,18 @@ fn blend(from: &[f32], values: &mut [f32], share: f32) {
     }
 }
 
+/// Standard deviations that noise takes from a share.
+const SIGNIFICANCE: f32 = 2.0;
 /// Residual of both sets, standard deviations, beyond which a row counts less: an outlier fits neither.
 const CLIP: f32 = 6.0;
 
 /// Evidence for the shares: sums over rows before they are learnt, faded.
 ///
 /// ```text
-/// w_j = clip(Σ d r / (Σ d² + σ_j² L), 0, 1)     d = estimate − loaded     r = measured − loaded     torques of a row
+/// w_j = clip((Σ d r − 2 √(ρ_j σ_j² Σ d²)) / Σ d², 0, 1)     d = estimate − loaded     r = measured − loaded
 /// ```
-/// * the least-squares share, shrunk to 0 as one block of L correlated rows of noise requires
+/// * the least-squares share, less two of its standard deviations under noise with the correlation factor ρ
+/// * the estimate is that of the older checkpoint: a newer one has learnt the noise that is still in r
 /// * rows with a large change weigh most, so a share falls fast where the estimate is wrong
 ///
 /// Torques in units of the torque limit.
@@ -123,10 +127,10 @@ impl<const N: usize> ShareEvidence<N> {
 
     /// Share of `joint`; 0 while the torques are reversed.
     ///
-    /// * `noise` σ² L: variance of the measurement times the rows that count as one observation
-    pub(super) fn share(&self, joint: usize, noise: f32) -> f32 {
+    /// * `variance` ρ σ² of the measurement
+    pub(super) fn share(&self, joint: usize, variance: f32) -> f32 {
         let (cross, power) = self.joints.get(joint).copied().unwrap_or_default();
-        let share = cross / (power + noise);
+        let share = (cross - SIGNIFICANCE * sqrt(variance * power)) / power;
         // A comparison with a not-a-number is false.
         match share > 0.0 && !self.is_reversed() {
             true if share < 1.0 => share,
@@ -154,7 +158,7 @@ mod tests {
 
     const FADE: f32 = 1.0 - 1.0 / 1667.0;
     const SIGMA: f32 = 0.01;
-    const NOISE: f32 = 83.0 * SIGMA * SIGMA;
+    const NOISE: f32 = 9.0 * SIGMA * SIGMA;
 
     fn none() -> ShareEvidence<2> {
         ShareEvidence::NONE
@@ -176,7 +180,8 @@ mod tests {
     fn a_right_change_gets_all_and_a_wrong_one_nothing() {
         let mut evidence = ShareEvidence::NONE;
         assert_eq!(evidence.share(0, NOISE), 0.0);
-        assert!(after(&mut evidence, 4000, 0.1, 0.1) > 0.98);
+        // 1 − 2 √(ρ σ² / Σ d²) = 0.979.
+        assert!(after(&mut evidence, 4000, 0.1, 0.1) > 0.97);
         // Suddenly wrong by five times as much.
         assert!(after(&mut evidence, 170, -0.5, 0.0) < 0.25);
         assert_eq!(after(&mut none(), 1000, -0.1, 0.1), 0.0);

@@ -1,9 +1,6 @@
 use super::parameters::LinearParameters;
 use crate::dynamics::FRICTION_COLUMNS;
 
-/// Factor on the deviations of a loaded set. Analytic ones of identification are 2 to 3 times too small, because residuals
-/// are correlated.
-const INFLATION: f32 = 3.0;
 /// Least part of the prior deviation: drives change after identification.
 const LEAST: f32 = 0.05;
 /// Parts are stored in bytes.
@@ -25,11 +22,11 @@ impl<const N: usize, const P: usize> StartDeviations<N, P> {
         rigid: [u8::MAX; P],
     };
 
-    /// Part for a parameter of a set: three times its `deviation`, within 5 % to 100 % of the `prior` one.
+    /// Part for a parameter of a set: its `deviation`, within 5 % to 100 % of the `prior` one.
     ///
     /// A deviation that is not a positive number gives the prior one.
     pub fn part(deviation: f32, prior: f32) -> u8 {
-        let part = INFLATION * deviation / prior;
+        let part = deviation / prior;
         if deviation > 0.0 && part < 1.0 {
             let part = if part > LEAST { part } else { LEAST };
             (part / UNIT + 0.5) as u8
@@ -55,7 +52,7 @@ mod tests {
     #[test]
     fn a_part_lies_within_its_range_whatever_the_deviation() {
         let part = |deviation| StartDeviations::<1, 1>::part(deviation, 2.0);
-        for (deviation, expected) in [(0.2, 77), (2.0, 255), (1e-6, 13), (0.0, 255), (-1.0, 255)] {
+        for (deviation, expected) in [(0.6, 77), (2.0, 255), (1e-6, 13), (0.0, 255), (-1.0, 255)] {
             assert_eq!(part(deviation), expected, "{deviation}");
         }
         assert_eq!([part(f32::NAN), part(f32::INFINITY)], [255; 2]);

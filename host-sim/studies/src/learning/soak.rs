@@ -270,7 +270,7 @@ fn twin(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize),
         {
             let row = torque_row::<Ur5, N, P>(joint, &seen);
             let limit = <Ur5 as foretorque::arm::Arm<N, P>>::LIMITS[joint].torque;
-            let inflation = estimator.correlation(joint);
+            let inflation = estimator.inflation();
             let taken = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
             if taken.is_some() {
                 twin.correct(joint, &row, seen.tau[joint], inflation);

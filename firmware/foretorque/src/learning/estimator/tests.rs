@@ -205,7 +205,7 @@ fn a_million_rows_agree_with_exact_arithmetic() {
         let joint = tick as usize % N;
         let limit = Ur5::LIMITS[joint].torque;
         let (row, tau) = row_and_torque(tick, joint, &mut random);
-        let factor = f64::from(estimator.correlation[joint].factor());
+        let factor = f64::from(estimator.inflation());
         let before = estimator.correct(&config, joint, limit, &row, tau);
         assert!(before.is_some());
         let unit = f64::from(config.noise * limit);

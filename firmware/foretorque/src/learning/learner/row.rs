@@ -158,7 +158,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             *slot = correction.variance;
         }
         let loaded = columns.dot(&state.supervisor.loaded);
-        let torques = [tau * inv_limit, loaded * inv_limit, correction.residual];
+        let [_, older] = &state.supervisor.checkpoints;
+        let torques = [tau, loaded, tau - columns.dot(&older.estimate)];
+        let torques = torques.map(|torque| torque * inv_limit);
         let memory = self.config.supervisor.share_memory_s * self.config.inv_period;
         let fade = 1.0 - N as f32 / memory;
         let evidence = &mut state.supervisor.learnt.evidence;
@@ -203,7 +205,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Share of the estimate in the torque of `joint` by the evidence.
     pub(super) fn share(&self, joint: usize) -> f32 {
         let variance = self.state.estimate.variance().get(joint);
-        let noise = self.config.noise * self.config.noise * self.config.block_rows();
+        let noise = self.config.noise * self.config.noise * self.state.estimate.correlation(joint);
         let evidence = &self.state.supervisor.learnt.evidence;
         variance.map_or(0.0, |variance| evidence.share(joint, variance * noise))
     }
