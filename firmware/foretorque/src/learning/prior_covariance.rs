@@ -19,8 +19,8 @@ const FACTORS_PER_LINK: usize = 11;
 const RELATIVE_SIGMA: f32 = 0.2;
 /// Standard deviation of a centre of mass along each axis: relative to its distance from the joint, and added to it, m.
 const COM_SIGMA: (f32, f32) = (0.05, 0.003);
-/// Standard deviation of a rotor that the description lacks: its acceleration torque, in units of the torque limit at
-/// [`FLOOR_ACCELERATION`].
+/// Acceleration torque of an unknown rotor, in units of the torque limit at [`FLOOR_ACCELERATION`]: descriptions often lack
+/// rotors.
 const ROTOR_TORQUE: f32 = 0.05;
 /// Torque of the floor, in units of the torque limit: the part of a base parameter's uncertainty that no link explains.
 const FLOOR: f32 = 1.5e-3;
@@ -172,11 +172,11 @@ const fn link_uncertainty<const N: usize, const P: usize>(
         let [mass, x, y, z, xx, yy, zz, ..] = arm.links[joint];
         let inverse = if mass > 0.0 { 1.0 / mass } else { 0.0 };
         let square = (x * x + y * y + z * z) * inverse;
-        let described = RELATIVE_SIGMA * arm.rotors[joint];
-        let absent = ROTOR_TORQUE * arm.limits[joint].torque / FLOOR_ACCELERATION;
+        let known = RELATIVE_SIGMA * arm.rotors[joint];
+        let unknown = ROTOR_TORQUE * arm.limits[joint].torque / FLOOR_ACCELERATION;
         links[joint] = LinkUncertainty {
             link: arm.links[joint],
-            rotor: if described > 0.0 { described } else { absent },
+            rotor: sqrt(known * known + unknown * unknown),
             shift: COM_SIGMA.0 * sqrt(square * inverse) + COM_SIGMA.1,
             // Relative to the mean moment about the centre of mass.
             moment: RELATIVE_SIGMA * (xx + yy + zz - 2.0 * square) / 3.0,

@@ -33,15 +33,15 @@ fn curve(prior: Set, drive: Drive, seconds: u32) -> Vec<f64> {
     let mut largest_step = 0.0f32;
     for tick in 0..1000 * seconds {
         let sample = plant.sample(tick);
-        let before = *board.active();
+        let before = *board.feedforward.state();
         let torque = board.tick(&sample);
         // Without any friction in the description the bound on learnt change may bite before the first commit.
         let bounded = torque.flags.contains(Flags::LEARNED_CLIPPED);
         let described = prior.friction != [FrictionParameters::NONE; N];
         assert!(!bounded || !described && tick < 9000, "tick {tick}");
         if torque.flags.contains(Flags::SET_ADOPTED) {
-            let [old, new] = [&before, board.active()]
-                .map(|set| evaluate::<Ur5, N, P>(set, &sample.desired).total);
+            let [old, new] = [&before, board.feedforward.state()]
+                .map(|state| state.torque::<Ur5>(&sample.desired));
             for j in 0..N {
                 let step = (new[j] - old[j]).abs() / Ur5::LIMITS[j].torque;
                 largest_step = largest_step.max(step);

@@ -247,8 +247,10 @@ fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right
     for tick in 0..3000 {
         board.tick(&plant.sample(tick));
     }
-    assert!(reasons(&board).contains(&Reason::Followed));
-    assert!(!reasons(&board).contains(&Reason::RolledBack));
+    // Estimates of the first tenths of a second may be followed and left again.
+    let following = |reason: &&Reason| [Reason::Followed, Reason::RolledBack].contains(reason);
+    let decided = reasons(&board);
+    assert_eq!(decided.iter().rfind(following), Some(&Reason::Followed));
     let share = board.learner.state().share().joint;
     assert!(share.iter().all(|share| *share > 0.9), "{share:?}");
     let mut least = 1.0f32;
