@@ -101,7 +101,7 @@ pub struct Certificate {
     pub predicted_nrmse_percent: f64,
     /// Predicted torque error of every joint on task motion, N·m RMS.
     pub predicted_error_nm: Vec<f64>,
-    /// The same as shares of the torque limits.
+    /// Those errors as shares of the torque limits.
     pub predicted_error_of_limit: Vec<f64>,
     /// Share of the joints' velocity and acceleration limits that the search used: 1 unless the torque limits, friction
     /// included, allow no more.

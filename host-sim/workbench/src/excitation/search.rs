@@ -503,4 +503,33 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn joints_slow_down_to_what_friction_leaves_and_a_weak_one_is_named() {
+        let config = SearchConfig::default();
+        let adapted = |robot: &Robot| {
+            let mut search = Search::<6>::new(robot, &config).expect("six joints");
+            let found = search.adapt_speed();
+            (found, search.origin.speed_share)
+        };
+        let mut robot = Robot::load("ur5").expect("built in");
+        assert_eq!(adapted(&robot), (Ok(()), vec![1.0; 6]));
+        // At the speed limit friction alone would take a quarter more than the torque limit.
+        let limits = robot.joints[2].limits;
+        robot.joints[2].friction.viscous = 1.25 * limits.torque / limits.velocity;
+        let (found, shares) = adapted(&robot);
+        assert_eq!(found, Ok(()));
+        assert!(
+            shares[2] < 1.0 && shares[2] > 0.2 && shares[5] == 1.0,
+            "{shares:?}"
+        );
+        // Gravity at the shoulder.
+        robot.joints[1].limits.torque = 1.0;
+        let message = adapted(&robot).0.expect_err("too weak").to_string();
+        assert!(
+            message.contains("its limit is 1 N·m: correct it with --torque-limits"),
+            "{message}"
+        );
+        assert!(message.contains(&robot.joints[1].name), "{message}");
+    }
 }
