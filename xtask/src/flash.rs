@@ -147,7 +147,11 @@ fn place_of_seal(elf: &[u8]) -> Result<(u32, usize)> {
         .context("the firmware has no symbols")?;
     let (symbols, names) = table;
     let mut symbols = symbols.iter();
-    let symbol = symbols.find(|symbol| names.get(symbol.st_name as usize) == Ok(SEAL));
+    let symbol = symbols.find(|symbol| {
+        names
+            .get(symbol.st_name as usize)
+            .is_ok_and(|name| name == SEAL)
+    });
     let address = symbol
         .with_context(|| format!("the firmware has no {SEAL}"))?
         .st_value;
