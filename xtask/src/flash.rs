@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
+use crc::{CRC_32_ISO_HDLC, Crc};
 use elf::ElfBytes;
 use elf::abi::PT_LOAD;
 use elf::endian::LittleEndian;
@@ -18,6 +19,11 @@ use crate::toolchain;
 const OUT: &str = "target/foretorque/flash";
 /// Name of the boards' chip for probe-rs.
 const CHIP: &str = "STM32F405RGTx";
+/// First byte of the flash.
+const FLASH_START: u32 = 0x0800_0000;
+/// Symbol of the words for length and checksum of the program, and their bytes (`foretorque_f405::image`).
+const SEAL: &str = "FORETORQUE_SEAL";
+const SEAL_BYTES: usize = 8;
 /// Value of an erased byte of flash.
 const ERASED: u8 = 0xff;
 /// Bytes of a line of Intel HEX.
@@ -67,9 +73,20 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
     shell::run(firmware.args(["--bin", board.binary()]))?;
     let elf = toolchain::elf(board.binary());
     let bytes = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
-    let segments = loadable(&bytes)?;
-    write_images(&segments, board.binary())?;
+    let mut sealed = bytes.clone();
+    seal(&mut sealed)?;
+    write_images(&loadable(&sealed)?, board.binary())?;
+    let sealed_elf = shell::root()
+        .join(OUT)
+        .join(board.binary())
+        .with_extension("elf");
+    fs::write(&sealed_elf, &sealed)
+        .with_context(|| format!("cannot write {}", sealed_elf.display()))?;
     println!("ELF:  {} ({} bytes)", shown(&elf).display(), bytes.len());
+    println!(
+        "      {} (likewise, with its checksum)",
+        shown(&sealed_elf).display()
+    );
     if board == Board::Odrive {
         println!("demo: {}", compared(&bytes));
     }
@@ -84,7 +101,7 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
     }
     let mut download = command("probe-rs");
     download.args(["download", "--chip", CHIP, "--verify"]);
-    shell::run(download.arg(&elf))?;
+    shell::run(download.arg(&sealed_elf))?;
     shell::run(command("probe-rs").args(["reset", "--chip", CHIP]))
 }
 
@@ -98,6 +115,66 @@ fn compared(bytes: &[u8]) -> String {
         Ok(_) => format!("other bytes than {}: the source has changed", ELF_COPY),
         Err(_) => "has not run here; `cargo xtask demo` emulates this very file".into(),
     }
+}
+
+/// Writes length and checksum of the program into an ELF file.
+///
+/// The board checks them at its start. One whose file has none starts too, and reports so.
+fn seal(elf: &mut [u8]) -> Result<()> {
+    let program = loadable(elf)?;
+    let base = program.first().map_or(0, |(address, _)| *address);
+    ensure!(
+        base == FLASH_START,
+        "the program does not begin with the flash"
+    );
+    let (address, offset) = place_of_seal(elf)?;
+    let words = seal_of(&flat(&program), (address - base) as usize)?;
+    let place = elf.get_mut(offset..offset + SEAL_BYTES);
+    place
+        .context("the ELF file is too short")?
+        .copy_from_slice(&words);
+    Ok(())
+}
+
+/// Address of the seal, and its place in the file.
+fn place_of_seal(elf: &[u8]) -> Result<(u32, usize)> {
+    let file = ElfBytes::<LittleEndian>::minimal_parse(elf)?;
+    let table = file
+        .symbol_table()?
+        .context("the firmware has no symbols")?;
+    let (symbols, names) = table;
+    let mut symbols = symbols.iter();
+    let symbol = symbols.find(|symbol| {
+        names
+            .get(symbol.st_name as usize)
+            .is_ok_and(|name| name == SEAL)
+    });
+    let address = symbol
+        .with_context(|| format!("the firmware has no {SEAL}"))?
+        .st_value;
+    let segments = file.segments().context("the firmware is not linked")?;
+    let holds = |start: u64, bytes: u64| (start..start + bytes).contains(&address);
+    let segment = segments
+        .iter()
+        .find(|it| it.p_type == PT_LOAD && holds(it.p_vaddr, it.p_filesz));
+    let segment = segment.with_context(|| format!("{SEAL} is not in the flash"))?;
+    let offset = segment.p_offset + (address - segment.p_vaddr);
+    Ok((u32::try_from(address)?, usize::try_from(offset)?))
+}
+
+/// Length of the program and CRC-32 of it without the seal at `place`.
+fn seal_of(program: &[u8], place: usize) -> Result<[u8; SEAL_BYTES]> {
+    let outside = || format!("{SEAL} is not in the program");
+    let before = program.get(..place).with_context(outside)?;
+    let behind = program.get(place + SEAL_BYTES..).with_context(outside)?;
+    let crc = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+    let mut digest = crc.digest();
+    digest.update(before);
+    digest.update(behind);
+    let words = [u32::try_from(program.len())?, digest.finalize()];
+    let mut seal = [0; SEAL_BYTES];
+    seal.copy_from_slice(words.map(u32::to_le_bytes).as_flattened());
+    Ok(seal)
 }
 
 /// Address and bytes for the flash, in ascending order.
@@ -236,6 +313,18 @@ mod tests {
         let expected: Vec<_> = bytes_of(&segments()).collect();
         assert_eq!(read_hex(&text).unwrap(), expected);
         assert!(text.starts_with(":020000040800F2\n"), "{}", &text[..40]);
+    }
+
+    #[test]
+    fn the_seal_covers_all_but_itself() {
+        // The check value of this CRC, of the digits 1 to 9.
+        let seal = [17, 0, 0, 0, 0x26, 0x39, 0xF4, 0xCB];
+        for content in [0, 0xFF] {
+            let mut program = b"1234\0\0\0\0\0\0\0\x0056789".to_vec();
+            program[4..12].fill(content);
+            assert_eq!(seal_of(&program, 4).unwrap(), seal);
+        }
+        assert!(seal_of(b"1234", 0).is_err());
     }
 
     #[test]

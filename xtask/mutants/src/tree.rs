@@ -1,0 +1,215 @@
+//! Copy of the workspace in which all mutants of a campaign are compiled at once, each behind a switch.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use serde_json::Value;
+
+use crate::places::{self, Place};
+
+/// Packages whose library tests judge, and their root modules.
+const PACKAGES: [(&str, &str); 2] = [
+    ("foretorque", "firmware/foretorque/src"),
+    ("foretorque-link", "firmware/foretorque-link/src"),
+];
+
+/// The switch, a module of the first package in the copy.
+const SWITCH: &str = r#"//! Switch of the mutants.
+extern crate std;
+use std::io::Write as _;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+static ACTIVE: OnceLock<u32> = OnceLock::new();
+static REACHED: [AtomicU32; 1024] = [const { AtomicU32::new(0) }; 1024];
+
+/// Whether a mutant acts; on demand its number is written to a file instead.
+pub fn on(number: u32) -> bool {
+    let active = *ACTIVE.get_or_init(|| {
+        let number = std::env::var("FORETORQUE_MUTANT").ok();
+        number.and_then(|number| number.parse().ok()).unwrap_or(0)
+    });
+    if active == u32::MAX {
+        let bit = 1 << (number % 32);
+        if REACHED[number as usize / 32].fetch_or(bit, Ordering::Relaxed) & bit == 0 {
+            let path = std::env::var("FORETORQUE_REACHED").unwrap();
+            let file = std::fs::OpenOptions::new().append(true).create(true).open(path);
+            writeln!(file.unwrap(), "{number}").unwrap();
+        }
+    }
+    active == number
+}
+"#;
+
+/// Most mutants of one campaign: bits of the switch.
+pub(crate) const MOST: usize = 32_000;
+
+/// A mutant: its file and its place there. The number of its switch is its index and 1.
+#[derive(Clone, Debug)]
+pub(crate) struct Mutant {
+    pub(crate) file: String,
+    pub(crate) place: Place,
+}
+
+/// The copy.
+pub(crate) struct Tree {
+    root: PathBuf,
+    copy: PathBuf,
+}
+
+impl Tree {
+    /// Copies every tracked file that differs, so that what has not changed is not compiled again.
+    pub(crate) fn new(root: &Path) -> Result<Self> {
+        let copy = root.join("target/mutants");
+        let listed = Command::new("git")
+            .args([
+                "ls-files",
+                "-z",
+                "--cached",
+                "--others",
+                "--exclude-standard",
+            ])
+            .current_dir(root)
+            .output()?;
+        ensure!(listed.status.success(), "`git ls-files` failed");
+        for path in String::from_utf8(listed.stdout)?.split_terminator('\0') {
+            if let Ok(bytes) = fs::read(root.join(path)) {
+                write(&copy.join(path), &bytes)?;
+            }
+        }
+        Ok(Self {
+            root: root.to_owned(),
+            copy,
+        })
+    }
+
+    /// Writes the mutants that compile into the copy; the others are dropped.
+    pub(crate) fn plant(&self, mutants: &mut Vec<Option<Mutant>>) -> Result<()> {
+        ensure!(mutants.len() < MOST, "more than {MOST} mutants");
+        let (_, sources) = PACKAGES[0];
+        write(
+            &self.copy.join(sources).join("mutation.rs"),
+            SWITCH.as_bytes(),
+        )?;
+        let lib = fs::read_to_string(self.root.join(sources).join("lib.rs"))?;
+        let lib = lib + "\npub mod mutation;\n";
+        write(&self.copy.join(sources).join("lib.rs"), lib.as_bytes())?;
+        let check = ["check", "--lib", "--message-format=json"];
+        self.until_it_compiles(check, mutants).map(|_| ())
+    }
+
+    /// Builds the library tests, without the mutants that do not compile in them; the programs.
+    pub(crate) fn build(&self, mutants: &mut [Option<Mutant>]) -> Result<Vec<PathBuf>> {
+        let test = ["test", "--lib", "--no-run", "--message-format=json"];
+        let output = self.until_it_compiles(test, mutants)?;
+        let programs = messages(&output)
+            .filter_map(|message| message["executable"].as_str().map(PathBuf::from))
+            .collect::<Vec<_>>();
+        ensure!(programs.len() == PACKAGES.len(), "{programs:?}");
+        Ok(programs)
+    }
+
+    /// Calls cargo, and drops the mutants at its errors, until there are none.
+    fn until_it_compiles<const ARGS: usize>(
+        &self,
+        args: [&str; ARGS],
+        mutants: &mut [Option<Mutant>],
+    ) -> Result<Vec<u8>> {
+        for _ in 0..20 {
+            let ranges = self.write_mutants(mutants)?;
+            let mut cargo = self.cargo(&args);
+            let output = cargo.stderr(Stdio::null()).output()?;
+            if output.status.success() {
+                return Ok(output.stdout);
+            }
+            let errors = errors(&output.stdout);
+            let mut dropped = 0;
+            for (file, at) in &errors {
+                let inside = ranges.get(file).into_iter().flatten();
+                let inside =
+                    inside.filter(|(_, range)| range.start <= at.start && at.start < range.end);
+                if let Some((number, _)) = inside.min_by_key(|(_, range)| range.len()) {
+                    let mutant = &mut mutants[*number as usize - 1];
+                    dropped += usize::from(mutant.take().is_some());
+                }
+            }
+            ensure!(dropped > 0, "the copy does not compile: {errors:?}");
+        }
+        bail!("the copy does not compile after 20 rounds");
+    }
+
+    /// Writes every file with mutants; the place of each in it, by file.
+    fn write_mutants(
+        &self,
+        mutants: &[Option<Mutant>],
+    ) -> Result<BTreeMap<String, Vec<(u32, Range<usize>)>>> {
+        let mut files: BTreeMap<&str, Vec<(u32, &Place)>> = BTreeMap::new();
+        for (number, mutant) in (1..).zip(mutants) {
+            if let Some(Mutant { file, place }) = mutant {
+                files.entry(file).or_default().push((number, place));
+            }
+        }
+        let mut ranges = BTreeMap::new();
+        for (file, places) in files {
+            let text = fs::read_to_string(self.root.join(file))?;
+            let (text, places) = places::apply(&text, &places);
+            write(&self.copy.join(file), text.as_bytes())?;
+            ranges.insert(file.to_owned(), places);
+        }
+        Ok(ranges)
+    }
+
+    /// Working directory of a test program.
+    pub(crate) fn directory(&self, program: usize) -> PathBuf {
+        let (_, sources) = PACKAGES[program];
+        self.copy.join(sources).join("..")
+    }
+
+    fn cargo(&self, args: &[&str]) -> Command {
+        let mut cargo = Command::new("cargo");
+        cargo.current_dir(&self.copy).args(args);
+        cargo.arg("--target-dir").arg(self.copy.join("target"));
+        for (package, _) in PACKAGES {
+            cargo.args(["-p", package]);
+        }
+        cargo
+    }
+}
+
+/// Writes a file unless it has this content.
+fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    if fs::read(path).is_ok_and(|old| old == bytes) {
+        return Ok(());
+    }
+    if let Some(directory) = path.parent() {
+        fs::create_dir_all(directory)?;
+    }
+    fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn messages(output: &[u8]) -> impl Iterator<Item = Value> {
+    let lines = output.split(|&byte| byte == b'\n');
+    lines.filter_map(|line| serde_json::from_slice(line).ok())
+}
+
+/// File and bytes of every error of the compiler.
+fn errors(output: &[u8]) -> Vec<(String, Range<usize>)> {
+    let mut found = Vec::new();
+    for message in messages(output) {
+        let message = &message["message"];
+        if message["level"] != "error" {
+            continue;
+        }
+        let spans = message["spans"].as_array().into_iter().flatten();
+        for span in spans.filter(|span| span["is_primary"] == true) {
+            let at = |key: &str| span[key].as_u64().unwrap_or(0) as usize;
+            let file = span["file_name"].as_str().unwrap_or_default();
+            found.push((file.to_owned(), at("byte_start")..at("byte_end")));
+        }
+    }
+    found
+}
