@@ -2,8 +2,9 @@
 //!
 //! | priority | task | woken by | deadline |
 //! |---|---|---|---|
-//! | 4 | `byte`: one byte from or to the link | USART2 | 5 µs, the next byte at 2 Mbaud |
-//! | 4 | `timer`: notes that a tick is due | SysTick | the period |
+//! | 5 | `byte`: one byte from or to the link | USART2 | 5 µs, the next byte at 2 Mbaud |
+//! | 5 | `timer`: notes that a tick is due | SysTick | the period |
+//! | 4 | frames of a drive bus, on the board that has one | CAN, UART4, USART6 | a frame, 47 µs |
 //! | 3 | `tick`: decode, feed-forward, reply | the end of a frame, or `timer` | the period |
 //! | 2 | `learn`: one learning sample a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
 //! | 0 | `idle`: log, banks, store, watchdog | every interrupt | the watchdog's time |
@@ -128,7 +129,7 @@ pub fn start<B: Board>(
         b: chip.GPIOB,
     };
     B::start_pins(ports, &mut rcc);
-    let Some(mut drive) = B::Drive::start() else {
+    let Some(mut drive) = B::Drive::start(&clocks) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
 
@@ -488,12 +489,12 @@ macro_rules! image {
                 (Shared { mailboxes }, local)
             }
 
-            #[task(binds = USART2, priority = 4, local = [wire])]
+            #[task(binds = USART2, priority = 5, local = [wire])]
             fn on_byte(cx: on_byte::Context) {
                 byte(cx.local.wire);
             }
 
-            #[task(binds = SysTick, priority = 4)]
+            #[task(binds = SysTick, priority = 5)]
             fn on_timer(_: on_timer::Context) {
                 timer();
             }

@@ -4,7 +4,8 @@ use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::pac::{GPIOA, GPIOB};
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::arm::BoardSession;
+use crate::arm::{BoardSession, JOINTS};
+use crate::clock::Clocks;
 use crate::pin::Pin;
 
 /// A board: constants, pins, and the drive of its joint.
@@ -29,10 +30,10 @@ pub trait Board: Send + 'static {
 /// Hardware that the board drives itself, called by the tick's task.
 pub trait Drive: Sized + Send {
     /// Sensor of the own joint.
-    type Own: LocalSensor;
+    type Own: LocalSensor<JOINTS>;
 
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
-    fn start() -> Option<Self>;
+    fn start(clocks: &Clocks) -> Option<Self>;
 
     /// Before the ticks of a round: reports faults of stage and encoder to the session.
     fn watch(&mut self, session: &mut BoardSession);

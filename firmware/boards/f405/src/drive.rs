@@ -6,6 +6,7 @@ use foretorque_link::session::NoLocalSensor;
 
 use crate::arm::BoardSession;
 use crate::board::{Board, Drive};
+use crate::clock::Clocks;
 use crate::fault::EnablePin;
 
 /// The enable pin; torque is put out by whoever reads the replies, and measured there.
@@ -18,7 +19,7 @@ impl<B: Board> Drive for EnableOnly<B> {
     type Own = NoLocalSensor;
 
     #[inline(always)]
-    fn start() -> Option<Self> {
+    fn start(_: &Clocks) -> Option<Self> {
         // Switched off by its constructor; only a session that a host has armed switches it on.
         let Ok(enable) = TorqueEnable::new(EnablePin::default());
         Some(Self {

@@ -7,7 +7,7 @@ use foretorque_link::drive::{JointEncoder, JointStage};
 use foretorque_link::hal::{
     AbsoluteEncoder, EncoderError, MotorStage, PwmWithDirection, StageError,
 };
-use foretorque_link::session::LocalSensor as _;
+use foretorque_link::session::LocalSensor;
 
 use super::pins::{DirectionPin, FaultInput, StageEnable};
 use super::pulse::Pulse;
@@ -15,6 +15,7 @@ use super::spi::EncoderDevice;
 use super::{ENCODER, JOINT, SCALE, TURN};
 use crate::arm::{BoardSession, JOINTS};
 use crate::board::Drive;
+use crate::clock::Clocks;
 
 /// Errors of stage and encoder, for the log, which the tick does not write.
 #[derive(Clone, Copy, PartialEq)]
@@ -43,13 +44,13 @@ impl Drive for StageAndEncoder {
     type Own = JointEncoder<EncoderDevice>;
 
     #[inline(never)]
-    fn start() -> Option<Self> {
+    fn start(_: &Clocks) -> Option<Self> {
         let output = PwmWithDirection::new(Pulse::start(), DirectionPin);
         let stage = MotorStage::new(output, StageEnable, FaultInput, SCALE);
         let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
         let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
         // The first reading brings nothing, it only asks: so the first tick has a position.
-        let _ = encoder.measure::<JOINTS>(None, true);
+        let _ = LocalSensor::<JOINTS>::measure(&mut encoder, &mut None, true);
         Some(Self {
             stage: JointStage::new(stage.ok()?, JOINT),
             encoder,
