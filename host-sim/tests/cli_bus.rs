@@ -262,3 +262,33 @@ fn drives_in_python_can_are_armed_and_follow() {
         .expect("a number");
     assert!(count > 3000, "{count} commands with stiffness");
 }
+
+#[test]
+fn an_interrupt_switches_the_torque_off_and_is_a_failure() {
+    let directory = directory("drive-interrupted");
+    let command = format!(
+        "drive --profile {} --bus sim --trajectory validation --alone --duration-s 600 --out out",
+        profile()
+    );
+    let child = Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .current_dir(&directory)
+        .args(command.split_whitespace())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let rows = || -> u64 {
+        let entries = fs::read_dir(directory.join("out")).into_iter().flatten();
+        let size = |entry: std::io::Result<fs::DirEntry>| entry.ok()?.metadata().ok();
+        entries.filter_map(size).map(|file| file.len()).sum()
+    };
+    while rows() < 10_000 {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    let id = nix::unistd::Pid::from_raw(child.id().cast_signed());
+    nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGTERM).expect("it is ours");
+    let output = child.wait_with_output().expect("it ends");
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("interrupted after "), "{text}");
+    assert!(text.contains(", torque off"), "{text}");
+}

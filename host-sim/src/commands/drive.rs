@@ -2,7 +2,7 @@ use super::boards::{OnArm, on_arm};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
-use super::terminal::say;
+use super::terminal::{interrupted, say};
 use super::{Failure, bank, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
@@ -22,7 +22,6 @@ use foretorque_workbench::trajectory::via::ViaPath;
 use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S, VALIDATION_S};
 use serde::Serialize;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Standard deviation of the torque that a simulated drive reports, as a share of the joint's limit.
@@ -239,10 +238,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             set = ParameterSet::nominal::<A>(NETWORK_SEED);
             set.rigid.fill(0.0);
         }
-        let interrupted = Arc::new(AtomicBool::new(false));
-        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-            signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
-        }
+        let interrupted = interrupted();
         let mut player = BusPlayer::<A, W, N, P>::new(self.config, set, network)?;
         player.arm()?;
         let mut played = Played {
@@ -252,7 +248,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             counted: 0,
             ended: None,
         };
-        let outcome = self.follow(&mut played, alone, &interrupted, log);
+        let outcome = self.follow(&mut played, alone, interrupted, log);
         let parked = played.player.park();
         if let Err(failure) = outcome {
             played.ended = Some(failure.to_string());

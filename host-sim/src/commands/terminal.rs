@@ -3,7 +3,12 @@
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::Path;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use signal_hook::low_level::emulate_default_handler;
 
 /// Results go to stdout, so lines about them go to stderr.
 static RESULTS_ON_STDOUT: AtomicBool = AtomicBool::new(false);
@@ -29,15 +34,31 @@ pub(crate) fn complain(failure: impl Display) {
     let _ = writeln!(io::stderr(), "error: {failure}");
 }
 
-/// Removes unfinished files when the user interrupts (Ctrl-C, or SIGTERM), and ends with code 130.
+/// Set by the first signal to a command that ends by itself.
+static INTERRUPTED: OnceLock<AtomicBool> = OnceLock::new();
+
+/// Removes unfinished files on SIGINT, SIGTERM or SIGHUP, and ends by that signal; a command that has called
+/// [`interrupted`] only after a second one.
 ///
 /// Errors: a system that lets no handler be set.
 pub(super) fn clean_up_when_interrupted() -> io::Result<()> {
-    let handler = || {
-        foretorque_workbench::files::remove_unfinished();
-        std::process::exit(130);
-    };
-    ctrlc::set_handler(handler).map_err(io::Error::other)
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    std::thread::spawn(move || {
+        for signal in signals.forever() {
+            let orderly = INTERRUPTED.get();
+            if orderly.is_some_and(|flag| !flag.swap(true, Ordering::Relaxed)) {
+                continue;
+            }
+            foretorque_workbench::files::remove_unfinished();
+            let _ = emulate_default_handler(signal);
+        }
+    });
+    Ok(())
+}
+
+/// True after the first signal, which does not end the program any more: the command has a torque to switch off.
+pub(super) fn interrupted() -> &'static AtomicBool {
+    INTERRUPTED.get_or_init(AtomicBool::default)
 }
 
 /// The command that is running, to be typed again from the workspace's root.

@@ -76,11 +76,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         }
         match message {
             HostMessage::Hello => {
-                // Another host may be sending: it does not inherit the torque.
-                controller.disarm();
-                controller.interrupt_samples();
                 // A host that begins anew inherits no torque.
                 controller.disarm();
+                controller.interrupt_samples();
                 return Ok(Some(self.hello()));
             }
             // A tick; `receive` runs it.

@@ -205,7 +205,7 @@ pub(super) fn compare<const N: usize>(
         ([joint], 0) if heavy.len() > 1 => judgement.find(
             true,
             format!(
-                "torque of joint {} is {:.2} times the description's, those of the others are not: drive gain, unit, or mass?",
+                "torque of joint {} is {:.2} times the description's, those of the others are not: drive gain, unit, mass, or another arm?",
                 **joint + 1,
                 own[**joint].scale
             ),

@@ -19,7 +19,7 @@ use super::whole_log::WholeLog;
 use crate::dynamics::{Joints, State};
 use crate::robot::Robot;
 use compare::compare;
-use delay::{Delay, delay};
+use delay::{Delay, delay, step_rows};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -160,7 +160,7 @@ pub fn judge<const N: usize>(
     };
     let mut sums = NormalEquations::new(&layout);
     let mut delays = [(); N].map(|()| Delay::default());
-    let mut gain = 1.0;
+    let (mut gain, mut period_s) = (1.0, judgement.period_s);
     for path in logs {
         for_each_prepared(
             path,
@@ -169,22 +169,18 @@ pub fn judge<const N: usize>(
             config,
             &mut judgement.notes,
             &mut |own, prepared| {
-                gain = own.noise_gain();
+                (gain, period_s) = (own.noise_gain(), own.period_s);
                 let stride = own.stride();
                 for row in prepared.core.clone().step_by(stride) {
                     let tau = Joints::from_fn(|joint, _| prepared.tau[row * N + joint]);
                     sample.add(prepared.states[row], tau);
                     for joint in 0..N {
                         let x = prepared.columns(&layout, row, joint);
-                        let inside = row > 0 && row + 1 < prepared.states.len();
-                        if inside && prepared.states[row].qd[joint].abs() > own.still_rad_s {
+                        let qd = prepared.states[row].qd[joint];
+                        if qd.abs() > own.still_rad_s {
                             sums.joints[joint].add(x, &[tau[joint]]);
-                            let rate = [row + 1, row - 1].map(|row| prepared.tau[row * N + joint]);
-                            let qd = prepared.states[row].qd[joint];
-                            if qd.abs() > FAST_RAD_S {
-                                let rate = (rate[0] - rate[1]) / (2.0 * own.period_s);
-                                delays[joint].add(x, qd, tau[joint], rate);
-                            }
+                            let tau = |row: usize| prepared.tau.get(row * N + joint).copied();
+                            delays[joint].add(x, qd, (row, step_rows(own.period_s)), &tau);
                         }
                     }
                 }
@@ -207,7 +203,7 @@ pub fn judge<const N: usize>(
     }
     compare(&mut judgement, robot, &sample.rows, &extremes, gain);
     if !judgement.refuses() {
-        delay(&mut judgement, &delays);
+        delay(&mut judgement, &delays, period_s);
     }
     Ok(judgement)
 }
