@@ -47,7 +47,7 @@ use crate::tick_timer::{self, TickTimer};
 use crate::watchdog::{self, TASKS, Watchdog};
 
 /// Interrupt of the tick's task.
-const TICK: Interrupt = Interrupt::EXTI1;
+pub(crate) const TICK: Interrupt = Interrupt::EXTI1;
 /// Interrupt of the learner's task.
 const LEARN: Interrupt = Interrupt::EXTI2;
 /// Ticks between two lines of the log.
@@ -127,6 +127,7 @@ pub fn start<B: Board>(
     let ports = Ports {
         a: chip.GPIOA,
         b: chip.GPIOB,
+        c: chip.GPIOC,
     };
     B::start_pins(ports, &mut rcc);
     let Some(mut drive) = B::Drive::start(&clocks) else {

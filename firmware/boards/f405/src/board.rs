@@ -1,7 +1,7 @@
 //! Properties of a board with this chip.
 
 use foretorque_link::session::LocalSensor;
-use stm32f4xx_hal::pac::{GPIOA, GPIOB};
+use stm32f4xx_hal::pac::{GPIOA, GPIOB, GPIOC};
 use stm32f4xx_hal::rcc::Rcc;
 
 use crate::arm::{BoardSession, JOINTS};
@@ -54,4 +54,6 @@ pub struct Ports {
     pub a: GPIOA,
     /// Port B.
     pub b: GPIOB,
+    /// Port C.
+    pub c: GPIOC,
 }

@@ -113,6 +113,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         }
     }
 
+    /// A tick has run since the last call of [`follow`](Self::follow).
+    pub fn ticked(&self) -> bool {
+        self.ticked
+    }
+
     /// Fault of the drives, as far as the board has found one.
     pub fn fault(&self) -> Option<super::BusFault> {
         match &self.side {

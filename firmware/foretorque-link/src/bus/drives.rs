@@ -1,6 +1,6 @@
 //! The drives of one arm: replies in, phases of switching on and off, command frames out.
 
-use super::config::BusJoint;
+use super::config::{BUSES, BusJoint};
 use super::fault::{BusFault, FaultCause};
 use super::joint::{JointCounters, JointLink, STATE_PERIODS};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
@@ -300,6 +300,8 @@ impl<const N: usize> BusDrives<N> {
         };
         let mut saturation = Saturation::default();
         let mut frames = Frames::new();
+        // All drives answer one SYNC of CiA 402; no other frame is the same for two of them.
+        let mut last = [None; BUSES as usize];
         for index in self.order.map(usize::from) {
             let Some(Some(link)) = self.links.get_mut(index) else {
                 continue;
@@ -368,7 +370,12 @@ impl<const N: usize> BusDrives<N> {
                 }
             }
             for frame in &frames {
-                send(joint.bus, frame);
+                let Some(last) = last.get_mut(usize::from(joint.bus)) else {
+                    continue;
+                };
+                if last.replace(*frame) != Some(*frame) {
+                    send(joint.bus, frame);
+                }
             }
         }
         saturation
