@@ -86,15 +86,31 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         let wiring = Wiring::<6>::decode(&bytes).expect("the board reads it");
         assert_eq!((wiring.role, wiring.wires), (expected, wires));
         let joints: Vec<bool> = wiring.joints.iter().map(Option::is_some).collect();
-        assert_eq!(joints, [more.is_empty(), true, more.is_empty(), more.is_empty(), more.is_empty(), more.is_empty()]);
+        assert_eq!(
+            joints,
+            [
+                more.is_empty(),
+                true,
+                more.is_empty(),
+                more.is_empty(),
+                more.is_empty(),
+                more.is_empty()
+            ]
+        );
         bytes[5] ^= 1;
         assert_eq!(Wiring::<6>::decode(&bytes), None);
     }
     let line = fails(
         &directory,
-        &format!("wiring --profile {} --role uart --joint 7 --out x", profile()),
+        &format!(
+            "wiring --profile {} --role uart --joint 7 --out x",
+            profile()
+        ),
     );
-    assert!(line.contains("--joint 7: the arm has joints 1 to 6"), "{line}");
+    assert!(
+        line.contains("--joint 7: the arm has joints 1 to 6"),
+        "{line}"
+    );
 }
 
 #[test]

@@ -64,14 +64,21 @@ impl OnArm for (&Arguments, &Profile) {
         let mut wiring = profile.wiring::<A, N, P>(role, wires)?;
         if let Some(only) = arguments.joint {
             if !(1..=N).contains(&only) {
-                return Err(unusable(format!("--joint {only}: the arm has joints 1 to {N}")));
+                return Err(unusable(format!(
+                    "--joint {only}: the arm has joints 1 to {N}"
+                )));
             }
-            let others = (1..).zip(&mut wiring.joints).filter(|(joint, _)| *joint != only);
+            let others = (1..)
+                .zip(&mut wiring.joints)
+                .filter(|(joint, _)| *joint != only);
             others.for_each(|(_, slot)| *slot = None);
         }
         let mut buffer = vec![0; Wiring::<N>::BYTES];
         let bytes = wiring.encode(&mut buffer).map_err(|_| {
-            unusable(format!("{}: more drives than the flash of a board holds", profile.file))
+            unusable(format!(
+                "{}: more drives than the flash of a board holds",
+                profile.file
+            ))
         })?;
         write_whole(&arguments.out, bytes)?;
         let (count, out) = (bytes.len(), arguments.out.display());

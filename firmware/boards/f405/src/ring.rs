@@ -13,9 +13,7 @@ pub struct Sender<const N: usize, T: 'static = u8>(Producer<'static, T>);
 pub struct Receiver<const N: usize, T: 'static = u8>(Consumer<'static, T>);
 
 /// The two ends of `queue`.
-pub fn split<const N: usize, T>(
-    queue: &'static mut Queue<T, N>,
-) -> (Sender<N, T>, Receiver<N, T>) {
+pub fn split<const N: usize, T>(queue: &'static mut Queue<T, N>) -> (Sender<N, T>, Receiver<N, T>) {
     let (sender, receiver) = queue.split();
     (Sender(sender), Receiver(receiver))
 }

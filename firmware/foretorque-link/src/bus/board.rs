@@ -96,7 +96,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         }
         Self {
             side: match wiring.role {
-                Role::Master => Side::Master(BusDrives::new::<A, P>(&joints, 1e-6 * PERIOD_US as f32)),
+                Role::Master => {
+                    Side::Master(BusDrives::new::<A, P>(&joints, 1e-6 * PERIOD_US as f32))
+                }
                 Role::InLine => Side::InLine(LineMotion::new(&joints)),
             },
             period_us: PERIOD_US,

@@ -1,6 +1,6 @@
+use super::drives::micros;
 use crate::drives::{DriveProfile, ProfileError, Protocol, Ranges, Scale};
 use crate::safety::SafetyLimits;
-use super::drives::micros;
 use core::fmt;
 use foretorque::arm::Arm;
 use foretorque::learning::LearnerConfig;

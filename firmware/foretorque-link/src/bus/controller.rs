@@ -229,7 +229,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         self.feed_forward.applied(&torque.total);
         let used = sample.as_ref().and_then(|sample| sample.measured);
         mailbox.post(self.feed_forward.learning_sample(used));
-        self.drives.follow(sample.as_ref().map(|sample| &sample.desired));
+        self.drives
+            .follow(sample.as_ref().map(|sample| &sample.desired));
         let (enabled, safety) = (self.safety.enabled(), &mut self.safety);
         self.drives.advance(enabled, || safety.arm().is_ok());
         if self.fault().is_some() {

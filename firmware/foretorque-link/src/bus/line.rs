@@ -51,7 +51,8 @@ impl MotionFilter {
             ahead[2] + k * error / (t * t),
         ]);
         // The position itself is known.
-        self.state.map(|[q, qd, qdd]| [command.unwrap_or(q), qd, qdd])
+        self.state
+            .map(|[q, qd, qdd]| [command.unwrap_or(q), qd, qdd])
     }
 }
 
@@ -118,7 +119,11 @@ impl<const N: usize> LineMotion<N> {
             tau: JointVector::zeros(),
         });
         let (mut commanded, mut replied) = (true, true);
-        let motion = desired.q.iter_mut().zip(desired.qd.iter_mut()).zip(desired.qdd.iter_mut());
+        let motion = desired
+            .q
+            .iter_mut()
+            .zip(desired.qd.iter_mut())
+            .zip(desired.qdd.iter_mut());
         let slots = measured.q.iter_mut().zip(measured.tau.iter_mut());
         for ((slot, ((q, qd), qdd)), (position, torque)) in
             self.joints.iter_mut().zip(motion).zip(slots)

@@ -362,19 +362,29 @@ pub(super) fn add_torque(frame: &mut Frame, torque: f32, carry: &mut f32) {
     let before = value.scaled(0.5, 0.01, 1e-3).unwrap_or(0.0);
     let mut bytes = Bytes::new();
     let mut code = |step: f32, most: i32| {
-        let wanted = nearest(before / step).saturating_add(carried(torque / step, carry, -most, most));
+        let wanted =
+            nearest(before / step).saturating_add(carried(torque / step, carry, -most, most));
         wanted.clamp(-most, most)
     };
     match value {
         Value::Byte(_) => put(&mut bytes, &(code(0.5, i8::MAX.into()) as i8).to_le_bytes()),
         Value::Integer(_, Resolution::Int16) => {
-            put(&mut bytes, &(code(0.01, i16::MAX.into()) as i16).to_le_bytes());
+            put(
+                &mut bytes,
+                &(code(0.01, i16::MAX.into()) as i16).to_le_bytes(),
+            );
         }
         Value::Integer(..) => put(&mut bytes, &code(1e-3, i32::MAX).to_le_bytes()),
         Value::Float(_) => put(&mut bytes, &(before + torque).to_le_bytes()),
     }
     let place = end.saturating_sub(bytes.len())..end;
-    for (to, from) in frame.bytes_mut().get_mut(place).unwrap_or_default().iter_mut().zip(&bytes) {
+    for (to, from) in frame
+        .bytes_mut()
+        .get_mut(place)
+        .unwrap_or_default()
+        .iter_mut()
+        .zip(&bytes)
+    {
         *to = *from;
     }
 }

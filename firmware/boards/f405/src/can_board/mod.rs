@@ -141,7 +141,10 @@ impl Drive for BusDrive {
         let role = wiring.as_ref().map_or(Role::InLine, |wiring| wiring.role);
         let ports = ports::start(clocks, wiring.as_ref());
         let mut profiles = [None; JOINTS];
-        for (slot, joint) in profiles.iter_mut().zip(wiring.iter().flat_map(|w| &w.joints)) {
+        for (slot, joint) in profiles
+            .iter_mut()
+            .zip(wiring.iter().flat_map(|w| &w.joints))
+        {
             *slot = joint.map(|joint| joint.drive);
         }
         let expiry = match clocks.source {
@@ -251,9 +254,8 @@ impl Board for CanBoard {
     type Drive = BusDrive;
 
     fn start_pins(ports: Ports, rcc: &mut Rcc) {
-        rcc.apb1enr().modify(|_, w| {
-            w.can1en().enabled().can2en().enabled().uart4en().enabled()
-        });
+        rcc.apb1enr()
+            .modify(|_, w| w.can1en().enabled().can2en().enabled().uart4en().enabled());
         rcc.apb2enr().modify(|_, w| w.usart6en().enabled());
         let a = ports.a.split(rcc);
         let b = ports.b.split(rcc);

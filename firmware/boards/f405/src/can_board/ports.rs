@@ -71,7 +71,11 @@ pub(super) fn start(clocks: &Clocks, wiring: Option<&Wiring<JOINTS>>) -> [FrameP
             Direction::Send
         };
         let bare = clocks.source == ClockSource::Bare;
-        let apb2_hz = if bare { clocks.apb1_hz } else { 2 * clocks.apb1_hz };
+        let apb2_hz = if bare {
+            clocks.apb1_hz
+        } else {
+            2 * clocks.apb1_hz
+        };
         let acknowledges = in_line || emulated;
         return [
             TextPort::start(Uart::Usart6, apb2_hz, first, acknowledges),
@@ -81,7 +85,8 @@ pub(super) fn start(clocks: &Clocks, wiring: Option<&Wiring<JOINTS>>) -> [FrameP
     }
     let bit_s = wiring.map_or(BIT_S, |wiring| wiring.bit_s);
     // SAFETY: the first and only values of both, whose clocks run.
-    let [mut can1, can2] = unsafe { [Controller::Can1, Controller::Can2].map(|c| Peripheral::new(c)) };
+    let [mut can1, can2] =
+        unsafe { [Controller::Can1, Controller::Can2].map(|c| Peripheral::new(c)) };
     open_filters(&mut can1);
     let started = |registers| {
         let timing = timing(clocks.apb1_hz, bit_s).ok()?;

@@ -104,7 +104,8 @@ impl TextPort {
             self.sent += 1;
         }
         let unfinished = self.sent < self.sending.len();
-        self.uart.write(CR1, if unfinished { ON | TXEIE } else { ON });
+        self.uart
+            .write(CR1, if unfinished { ON | TXEIE } else { ON });
     }
 }
 

@@ -297,8 +297,13 @@ fn torque_is_added_to_every_form_of_a_moteus_command_that_has_the_field() {
         let Some(Request::Command(passed)) = drive.accept(&frame) else {
             panic!("{frame:?}");
         };
-        assert!((passed.torque - 1.75).abs() < 0.03, "{resolution:?} {passed:?}");
-        assert!((passed.position - 0.5).abs() < 1e-3 && frame.bytes().len() == frames[0].bytes().len());
+        assert!(
+            (passed.torque - 1.75).abs() < 0.03,
+            "{resolution:?} {passed:?}"
+        );
+        assert!(
+            (passed.position - 0.5).abs() < 1e-3 && frame.bytes().len() == frames[0].bytes().len()
+        );
     }
     // Mode 10 and a position, without the field of the torque.
     let drive = profile(PROTOCOLS[4].0);

@@ -6,6 +6,8 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
+mod bus;
+#[cfg(target_os = "none")]
 mod commands;
 #[cfg(target_os = "none")]
 mod long_run;
@@ -47,9 +49,11 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
     let mut learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
     let link = cortex_m::singleton!(: MaybeUninit<commands::Link> = MaybeUninit::uninit())?;
     let mut link = commands::Link::init(link)?;
+    let bus = cortex_m::singleton!(: MaybeUninit<bus::Bus> = MaybeUninit::uninit())?;
+    let mut bus = bus::Bus::init(bus)?;
     for row in rows::ROWS {
         // Every row starts from the same stage, so that a row added or removed does not move the others.
-        let mut stage = stage::Stage::new(learner, link)?;
+        let mut stage = stage::Stage::new(learner, link, bus)?;
         for _ in 0..calls {
             stage.vary();
             if row.name == rows::COMMAND {
@@ -58,10 +62,10 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
             let count = machine::count(row.run, &mut stage);
             cortex_m_semihosting::hprintln!("{} {}", row.name, count);
         }
-        (learner, link) = (stage.learner, stage.link);
+        (learner, link, bus) = (stage.learner, stage.link, stage.bus);
     }
     if ticks > 0 {
-        let mut stage = stage::Stage::new(learner, link)?;
+        let mut stage = stage::Stage::new(learner, link, bus)?;
         let spread = long_run::of_step(&mut stage, ticks);
         cortex_m_semihosting::hprintln!(
             "feedforward_step {} {} {}",
