@@ -48,7 +48,7 @@ Options:
                            rustup     `rustup target add`, bounded in time
                            debian     core built from Debian's Rust packages and linked as a toolchain
       --check            setup: change nothing, list what is installed and missing, fail if anything is missing
-      --board <BOARD>    flash: odrive (default), pyboard or drive
+      --board <BOARD>    flash: odrive (default), pyboard, drive or can
       --image            flash: write the images, flash nothing
       --accept           bench: write docs/budget.md anew; limits go down, never up
                          faults: write the counts into tests/snapshots/faults.txt instead of comparing them

@@ -334,7 +334,7 @@ impl<const N: usize> BusDrives<N> {
                     (enabled || by_command).then_some(resting)
                 }
                 BusPhase::Running(_) if armed => Some(JointCommand {
-                    position: value(&self.desired.q).clamp(low, high),
+                    position: value(&self.desired.q).max(low).min(high),
                     velocity: value(&self.desired.qd),
                     torque: value(torque),
                     kp: gains * joint.kp,

@@ -364,7 +364,7 @@ pub(super) fn add_torque(frame: &mut Frame, torque: f32, carry: &mut f32) {
     let mut code = |step: f32, most: i32| {
         let wanted =
             nearest(before / step).saturating_add(carried(torque / step, carry, -most, most));
-        wanted.clamp(-most, most)
+        wanted.max(-most).min(most)
     };
     match value {
         Value::Byte(_) => put(&mut bytes, &(code(0.5, i8::MAX.into()) as i8).to_le_bytes()),

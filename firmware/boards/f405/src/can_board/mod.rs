@@ -281,11 +281,14 @@ impl Board for CanBoard {
 #[macro_export]
 macro_rules! frame_handlers {
     ($($name:ident)*) => {
-        $(
-            #[stm32f4xx_hal::pac::interrupt]
-            fn $name() {
-                $crate::can_board::interrupt();
-            }
-        )*
+        mod frame_handlers {
+            use stm32f4xx_hal::pac::interrupt;
+            $(
+                #[interrupt]
+                fn $name() {
+                    $crate::can_board::interrupt();
+                }
+            )*
+        }
     };
 }
