@@ -76,6 +76,8 @@ impl Transport for Twin {
         self.board.send(bytes)?;
         let (session, drives) = self.board.parts();
         if !drives.ticked() {
+            let in_line = self.in_line.as_mut().filter(|_| !session.torque_enabled());
+            in_line.into_iter().for_each(InLine::clear);
             return Ok(());
         }
         let left = &mut self.left;

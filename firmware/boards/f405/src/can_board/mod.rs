@@ -201,9 +201,6 @@ impl Drive for BusDrive {
         }
         let Self { drives, orders, .. } = self;
         let Some(drives) = &mut drives.0 else { return };
-        if !drives.ticked() {
-            return;
-        }
         let mut give = |order| {
             if !orders.put(order) {
                 LOST.store(
@@ -214,6 +211,13 @@ impl Drive for BusDrive {
             // It runs at once, so the next order finds room.
             rtic::pend(WAKE);
         };
+        if !drives.ticked() {
+            // A stop does not wait for the next tick.
+            if !on {
+                give(Order::Add(None));
+            }
+            return;
+        }
         let off = OFF.load(Ordering::Relaxed);
         let torques = drives.follow(session, off, |bus, frame| give(Order::Send(bus, *frame)));
         give(Order::Add(torques.map(|torques| torques.data.0[0])));
