@@ -10,7 +10,16 @@ use crate::toolchain;
 pub(crate) fn run(forced: Option<Way>, accept: bool) -> Result<()> {
     let board = setup::run(forced)?.board;
     let mut build = board.board_cargo("build");
-    shell::run(build.args(["--bin", "bench", "--bin", "joint", "--bin", "joint-drive", "--bin", "joint-can"]))?;
+    shell::run(build.args([
+        "--bin",
+        "bench",
+        "--bin",
+        "joint",
+        "--bin",
+        "joint-drive",
+        "--bin",
+        "joint-can",
+    ]))?;
     let version = capture(board.tool("rustc").arg("--version"));
     let version = version.context("rustc reports no version")?;
     foretorque_cost::bench(&toolchain::elves(), &shell::root(), version.trim(), accept)

@@ -4,9 +4,7 @@ use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 use foretorque::learning::ParameterSet;
 use foretorque_link::bus::{BusPhase, BusTick};
-use foretorque_link::drives::{
-    Cia402, ControlMode, Moteus, Odrive, Protocol, Ranges, Resolution,
-};
+use foretorque_link::drives::{Cia402, ControlMode, Moteus, Odrive, Protocol, Ranges, Resolution};
 use foretorque_link::safety::SafetyState;
 use foretorque_workbench::bus::sim::{
     DriveTruth, LineFault, LineFaults, SimulatedDrive, SimulatedNetwork, plant_config,
@@ -376,12 +374,16 @@ fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
         (
             "cyber-gear",
             spoken(&profile, Protocol::CyberGear),
-            Some(spoken(&profile, |ranges| Protocol::CyberGear(limited(ranges)))),
+            Some(spoken(&profile, |ranges| {
+                Protocol::CyberGear(limited(ranges))
+            })),
         ),
         (
             "robstride",
             spoken(&profile, Protocol::RobStride),
-            Some(spoken(&profile, |ranges| Protocol::RobStride(limited(ranges)))),
+            Some(spoken(&profile, |ranges| {
+                Protocol::RobStride(limited(ranges))
+            })),
         ),
         ("moteus int16", moteus(Resolution::Int16), None),
         ("moteus f32", moteus(Resolution::F32), None),
@@ -405,7 +407,9 @@ fn short_tracking_mrad(profile: &Profile, forward: bool) -> f64 {
         player.check().expect("no fault");
         sum += (player.network.plant.q() - path.at(t_s).q).norm_squared() / 6.0;
     }
-    let lost: u32 = (0..6).map(|joint| player.controller.counters(joint).lost).sum();
+    let lost: u32 = (0..6)
+        .map(|joint| player.controller.counters(joint).lost)
+        .sum();
     assert!(lost < 12, "{lost} periods without a reply");
     let reason = player.park().expect("the bus is there");
     assert!(player.network.all_off(), "{reason}");
@@ -420,7 +424,10 @@ fn every_family_of_drives_is_driven_and_a_fault_or_another_scale_ends_the_torque
         let alone = short_tracking_mrad(&profile, false);
         let with = short_tracking_mrad(&profile, true);
         println!("{name}: {alone:.3} mrad alone, {with:.3} mrad with");
-        assert!(alone > 1.5 * with, "{name}: {alone} mrad alone, {with} mrad with");
+        assert!(
+            alone > 1.5 * with,
+            "{name}: {alone} mrad alone, {with} mrad with"
+        );
         // The first torque of a drive that is switched on holds the arm where it stands.
         let mut arming = player(&profile, &path, true);
         let before = *arming.network.plant.q();
@@ -428,8 +435,14 @@ fn every_family_of_drives_is_driven_and_a_fault_or_another_scale_ends_the_torque
         let moved = (arming.network.plant.q() - before).amax();
         assert!(moved < 0.01, "{name}: {moved} rad");
         for (fault, message) in [
-            (LineFault::Dead(4), "torque off: joint 5: the drive does not answer"),
-            (LineFault::DriveFault(1, 0x8), "torque off: joint 2: the drive reports fault 0x8"),
+            (
+                LineFault::Dead(4),
+                "torque off: joint 5: the drive does not answer",
+            ),
+            (
+                LineFault::DriveFault(1, 0x8),
+                "torque off: joint 2: the drive reports fault 0x8",
+            ),
         ] {
             let mut faulty = player(&profile, &path, true);
             faulty.arm().expect("it arms");

@@ -143,7 +143,9 @@ impl TextEnd {
         let whole = self.bytes.iter().rposition(|byte| *byte == b'\n');
         let rest = self.bytes.split_off(whole.map_or(0, |end| end + 1));
         let lines = std::mem::replace(&mut self.bytes, rest);
-        let lines = lines.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let lines = lines
+            .split(|byte| *byte == b'\n')
+            .filter(|line| !line.is_empty());
         lines.map(<[u8]>::to_vec).collect()
     }
 }
@@ -216,7 +218,10 @@ impl FrameBoard for Emulated {
         for (port, frame) in frames {
             let port = usize::from(*port);
             let line = write_line(frame, Direction::Receive);
-            self.ports[port].stream.write_all(&line).expect("it listens");
+            self.ports[port]
+                .stream
+                .write_all(&line)
+                .expect("it listens");
             let mut acknowledged = 0;
             while acknowledged == 0 {
                 acknowledged += self.take(port, true);
@@ -297,7 +302,9 @@ fn ride(board: impl FrameBoard + 'static, rate_hz: f64, duration_s: f64, forward
     let plant = plant_config(PlantConfig::default());
     let mut plant = Plant::<JOINTS>::new(&truth, plant, 1).expect("six joints");
     plant.place(&path.at(0.0).q);
-    let config = profile.config::<Ur5, JOINTS, PARAMETERS>().expect("it fits the arm");
+    let config = profile
+        .config::<Ur5, JOINTS, PARAMETERS>()
+        .expect("it fits the arm");
     let noise = Joints::from_fn(|j, _| if j < 3 { 1.5 } else { 0.28 });
     let network = SimulatedNetwork::new(plant, &config, profile.bus[0], &noise, 1);
     let (network, sent) = (Rc::new(RefCell::new(network)), Rc::default());
@@ -339,8 +346,15 @@ fn ride(board: impl FrameBoard + 'static, rate_hz: f64, duration_s: f64, forward
     let (mut torques, mut squares, mut counted) = (Vec::new(), 0.0, 0);
     for tick in 0..ticks(duration_s) {
         let t_s = tick as f64 / rate_hz;
-        let reply = client.sample(&sample(t_s + profile.lead_s())).expect("a torque");
-        assert_eq!(reply.safety.state, SafetyState::Armed, "{t_s} s: {}", reply.safety);
+        let reply = client
+            .sample(&sample(t_s + profile.lead_s()))
+            .expect("a torque");
+        assert_eq!(
+            reply.safety.state,
+            SafetyState::Armed,
+            "{t_s} s: {}",
+            reply.safety
+        );
         torques.push(reply.total);
         if t_s > duration_s - JUDGED_S {
             // The plant is where the command of the tick before has brought it.
@@ -367,7 +381,10 @@ fn six_drives_follow_a_board_three_times_better_with_its_torque() {
             "{rate_hz} Hz: {alone:.3} mrad alone, {with:.3} mrad with, ratio {:.2}",
             alone / with
         );
-        assert!(alone > 3.0 * with, "{rate_hz} Hz: {alone} mrad alone, {with} mrad with");
+        assert!(
+            alone > 3.0 * with,
+            "{rate_hz} Hz: {alone} mrad alone, {with} mrad with"
+        );
     }
 }
 
@@ -381,7 +398,11 @@ fn the_emulated_master_sends_the_bits_of_its_twin() {
         assert!(seen.torques == expected.torques, "{rate_hz} Hz: torques");
         assert!(seen.sent == expected.sent, "{rate_hz} Hz: frames");
         assert!(seen.sent.len() > JOINTS * seen.torques.len());
-        let largest = seen.torques.iter().map(|torque| torque.amax()).fold(0.0, f32::max);
+        let largest = seen
+            .torques
+            .iter()
+            .map(|torque| torque.amax())
+            .fold(0.0, f32::max);
         assert!(largest > 10.0, "{largest} N·m");
     }
 }
@@ -399,7 +420,9 @@ fn traffic(wiring: &Wiring<JOINTS>, period: u32) -> Ported {
             ..JointCommand::default()
         };
         frames.clear();
-        let _ = joint.drive.command(&command, &mut Carry::default(), &mut frames);
+        let _ = joint
+            .drive
+            .command(&command, &mut Carry::default(), &mut frames);
         ported.extend(frames.iter().map(|frame| (0, *frame)));
         let foreign = [period as u8, index as u8, 0xff, 0xff];
         ported.push((0, Frame::standard(0x300 + index as u32, &foreign)));
@@ -501,7 +524,10 @@ fn pass(board: impl FrameBoard + 'static, wiring: &Wiring<JOINTS>) -> Rounds {
                 };
                 let error = (command.torque - torque[joint]).abs();
                 let step = drives[joint].torque_resolution();
-                assert!(error <= 2.0 * step, "period {period}, joint {joint}: {command:?}, {torque}");
+                assert!(
+                    error <= 2.0 * step,
+                    "period {period}, joint {joint}: {command:?}, {torque}"
+                );
                 changed += u32::from(came != left);
             }
         }
@@ -527,7 +553,10 @@ fn a_board_in_line_adds_its_torque_to_commands_alone() {
     let emulated = pass(Emulated::start("in-line", Some(&wiring)), &wiring);
     for (period, ((_, one), (_, other))) in twin.iter().zip(&emulated).enumerate() {
         for port in 0..2 {
-            assert!(of_port(one, port) == of_port(other, port), "period {period}");
+            assert!(
+                of_port(one, port) == of_port(other, port),
+                "period {period}"
+            );
         }
     }
 }
@@ -541,7 +570,11 @@ fn a_board_without_a_wiring_passes_every_frame_and_refuses_to_arm() {
         board.deliver(&sent);
         let left = board.left();
         for port in 0..2 {
-            assert_eq!(of_port(&sent, port), of_port(&left, 1 - port), "period {period}");
+            assert_eq!(
+                of_port(&sent, port),
+                of_port(&left, 1 - port),
+                "period {period}"
+            );
         }
     }
     let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(Box::new(board), PATIENCE)
@@ -592,7 +625,11 @@ fn the_client_of_moteus_drives_its_motor_through_the_board() {
     let mut wiring = wiring(&profile(500.0), Role::InLine);
     wiring.wires = Wires::Uart;
     for (joint, slot) in wiring.joints.iter_mut().enumerate() {
-        let only = slot.map(|slot| BusJoint { drive, bus: 0, ..slot });
+        let only = slot.map(|slot| BusJoint {
+            drive,
+            bus: 0,
+            ..slot
+        });
         *slot = only.filter(|_| joint == 0);
     }
     let mut board = Emulated::start("moteus", Some(&wiring));
@@ -609,7 +646,10 @@ fn the_client_of_moteus_drives_its_motor_through_the_board() {
     let (mut taken, mut buffer) = (0, [0; 512]);
     host.stream.set_nonblocking(true).expect("it can");
     while client.try_wait().expect("it is ours").is_none() {
-        assert!(std::time::Instant::now() < deadline, "{taken} commands came");
+        assert!(
+            std::time::Instant::now() < deadline,
+            "{taken} commands came"
+        );
         if let Ok(count) = near.read(&mut buffer) {
             host.stream.set_nonblocking(false).expect("it can");
             host.stream.write_all(&buffer[..count]).expect("it listens");
@@ -645,12 +685,19 @@ fn the_client_of_moteus_drives_its_motor_through_the_board() {
     output.read_to_string(&mut text).expect("it is text");
     let rows: Vec<Vec<f64>> = text
         .lines()
-        .map(|line| line.split(' ').map(|word| word.parse().expect(line)).collect())
+        .map(|line| {
+            line.split(' ')
+                .map(|word| word.parse().expect(line))
+                .collect()
+        })
         .collect();
     assert_eq!((rows.len(), taken), (20, 20), "{text}");
     for row in rows {
         assert_eq!((row[0], row[1]), (10.0, 0.5));
-        assert!((row[2] - 0.25).abs() < 1e-6, "not armed: the torque of the client alone");
+        assert!(
+            (row[2] - 0.25).abs() < 1e-6,
+            "not armed: the torque of the client alone"
+        );
     }
     drop(far);
 }

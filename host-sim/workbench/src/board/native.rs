@@ -115,12 +115,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N>> Transport
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.select_arm();
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
-            self.session.receive(
-                frame,
-                &mut self.mailboxes,
-                &mut self.out,
-                &mut self.sensor,
-            );
+            self.session
+                .receive(frame, &mut self.mailboxes, &mut self.out, &mut self.sensor);
             if self.housekeeping.work(&mut self.mailboxes.parameters) {
                 self.session
                     .poll_parameters(&mut self.mailboxes, &mut self.out);

@@ -183,7 +183,12 @@ impl Profile {
             role,
             wires,
             bit_s,
-            joints: self.config::<A, N, P>()?.joints.into_iter().map(Some).collect(),
+            joints: self
+                .config::<A, N, P>()?
+                .joints
+                .into_iter()
+                .map(Some)
+                .collect(),
         })
     }
 

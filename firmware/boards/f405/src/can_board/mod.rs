@@ -178,7 +178,10 @@ impl Drive for BusDrive {
     }
 
     fn watch(&mut self, _: &mut BoardSession) {
-        while let Some((port, frame)) = self.arrived.take() {
+        for _ in 0..ARRIVED {
+            let Some((port, frame)) = self.arrived.take() else {
+                break;
+            };
             if let Some(drives) = &mut self.drives.0 {
                 drives.receive(port, &frame);
             }

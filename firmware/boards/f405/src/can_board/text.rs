@@ -19,7 +19,7 @@ const ON: u32 = 1 << 13 | RXNE | 1 << 3 | 1 << 2;
 
 /// A serial port of the chip (RM0090 30.6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Uart {
+pub(super) enum Uart {
     /// UART4, on PA0 and PA1.
     Uart4,
     /// USART6, on PC6 and PC7.
@@ -52,7 +52,7 @@ const BRR: usize = 0x08;
 const CR1: usize = 0x0c;
 
 /// Port whose frames are lines.
-pub struct TextPort {
+pub(super) struct TextPort {
     uart: Uart,
     direction: Direction,
     /// Lines that arrive are acknowledged by `OK`, as an adapter does: for moteus' client, and for the tests.
@@ -69,7 +69,12 @@ impl TextPort {
     /// Starts the port. At most one exists on a `uart`, whose clock runs.
     ///
     /// * `direction` of the lines that this port sends
-    pub fn start(uart: Uart, clock_hz: u32, direction: Direction, acknowledges: bool) -> Self {
+    pub(super) fn start(
+        uart: Uart,
+        clock_hz: u32,
+        direction: Direction,
+        acknowledges: bool,
+    ) -> Self {
         uart.write(BRR, (clock_hz + BAUD / 2) / BAUD);
         uart.write(CR1, ON);
         Self {
