@@ -45,10 +45,10 @@ unpack_emulator() {
     apt-get install --download-only --yes --no-install-recommends "${bounded[@]}" -o Debug::NoLocking=1 \
         -o "Dir::Cache::archives=$stage/archives" qemu-system-arm
     for archive in "$stage"/archives/*.deb; do
-        dpkg-deb -x "$archive" "$stage/root"
+        dpkg-deb -x "$archive" "$stage/unpacked"
     done
-    for directory in "$stage"/root/usr/lib/*-linux-* "$stage"/root/lib/*-linux-*; do
-        libraries+=${libraries:+:}$place${directory#"$stage/root"}
+    for directory in "$stage"/unpacked/usr/lib/*-linux-* "$stage"/unpacked/lib/*-linux-*; do
+        libraries+=${libraries:+:}$place${directory#"$stage/unpacked"}
     done
     {
         echo '#!/bin/sh'
@@ -58,7 +58,7 @@ unpack_emulator() {
     } >"$stage/start"
     chmod +x "$stage/start"
     rm -rf "$place"
-    mv "$stage/root" "$place"
+    mv "$stage/unpacked" "$place"
     "$stage/start" --version
     mv "$stage/start" "$bin/qemu-system-arm"
 }

@@ -8,7 +8,7 @@ fn main() -> ExitCode {
     match commands::run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            commands::complain(&failure);
+            commands::show_failure(&failure);
             ExitCode::from(commands::exit_code(&failure))
         }
     }

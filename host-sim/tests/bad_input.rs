@@ -1,34 +1,16 @@
 //! Messages about unusable input, a terminal that hangs up, and a board that dies: one line, no panic, nothing half written.
 
-mod mistyped;
-
+use crate::program::{command, directory, failure, still, succeeds, write};
 use foretorque_workbench::board::qemu::Image;
-use mistyped::mistyped;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use std::fs;
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-const COLUMNS: [(&str, &str); 3] = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2")];
-
-fn command(directory: &Path, arguments: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
-    command
-        .current_dir(directory)
-        .args(arguments.split_whitespace())
-        .stdin(Stdio::null());
-    command
-}
-
-/// An empty directory for one test.
-fn directory(name: &str) -> PathBuf {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("bad-{name}"));
-    let _ = fs::remove_dir_all(&directory);
-    fs::create_dir_all(&directory).expect("the directory of the tests can be written");
-    directory
-}
-
-/// All files below a directory, with what they hold.
+/// All files below a directory, with their content.
 fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut found = Vec::new();
     for entry in fs::read_dir(directory).expect("it is there") {
@@ -44,34 +26,17 @@ fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     found
 }
 
-/// The one line of a program that failed.
+/// The one line of a program that failed without a result.
 fn line(arguments: &str, output: &Output) -> String {
-    let stderr = String::from_utf8(output.stderr.clone()).expect("it speaks UTF-8");
-    assert!(!output.status.success(), "`{arguments}` went well");
-    let usage = stderr.starts_with("error: --") || stderr.trim_end().ends_with("(see --help)");
-    let code = Some(1 + i32::from(usage));
-    assert_eq!(output.status.code(), code, "`{arguments}` wrote {stderr}");
-    assert_eq!(stderr.lines().count(), 1, "`{arguments}` wrote {stderr}");
-    assert!(
-        stderr.starts_with("error: "),
-        "`{arguments}` wrote {stderr}"
-    );
-    assert!(!stderr.contains("panicked"), "`{arguments}` wrote {stderr}");
     assert!(output.stdout.is_empty(), "`{arguments}` wrote to stdout");
-    stderr
+    failure(arguments, output)
 }
 
-/// A table of two still UR5 states, 1 ms apart, with one change.
+/// A table of three still UR5 states, 1 ms apart, with one change.
 fn table(change: impl Fn(&mut Vec<Vec<String>>)) -> String {
-    let names = COLUMNS
-        .iter()
-        .flat_map(|(name, unit)| (1..=6).map(move |joint| format!("{name}{joint}_{unit}")));
-    let mut rows = vec![std::iter::once("t_s".to_owned()).chain(names).collect()];
-    for t_s in ["0", "0.001", "0.002"] {
-        let mut row = vec!["0".to_owned(); 19];
-        row[0] = t_s.to_owned();
-        rows.push(row);
-    }
+    let good = still(6, &["0", "0.001", "0.002"]);
+    let lines = good.lines().map(|line| line.split(',').map(str::to_owned));
+    let mut rows = lines.map(Iterator::collect).collect();
     change(&mut rows);
     rows.iter().map(|row| row.join(",") + "\n").collect()
 }
@@ -110,27 +75,27 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ("file", String::new()),
         ("bank.bin", "no bank at all".to_owned()),
     ] {
-        fs::write(directory.join(name), text).expect("it can be written");
+        write(directory.join(name), text);
     }
     let before = files(&directory);
-    for (arguments, words) in mistyped() {
-        let output = command(&directory, &arguments).output().expect("it starts");
-        let stderr = line(&arguments, &output);
+    let lines = include_str!("mistyped.txt").lines();
+    for case in lines.filter(|line| !line.starts_with('#')) {
+        let mut words = case.split(" | ");
+        let arguments = words.next().expect("a command line");
+        let output = command(&directory, arguments).output().expect("it starts");
+        let stderr = line(arguments, &output);
         for word in words {
             assert!(stderr.contains(word), "`{arguments}` wrote {stderr}");
         }
-        assert!(files(&directory) == before, "`{arguments}` left something");
-        assert!(
-            !directory.join("out").exists(),
-            "`{arguments}` left a directory"
-        );
+        let left = files(&directory) != before || directory.join("out").exists();
+        assert!(!left, "`{arguments}` left something");
     }
 }
 
 #[test]
 fn a_missing_emulator_is_told_in_one_line() {
     let directory = directory("emulator");
-    fs::write(directory.join("good.csv"), table(|_| {})).expect("it can be written");
+    write(directory.join("good.csv"), table(|_| {}));
     assert!(Image::Bulk.default_elf().is_file(), "the firmware is built");
     let before = files(&directory);
     for arguments in [
@@ -150,32 +115,17 @@ fn a_missing_emulator_is_told_in_one_line() {
 #[test]
 fn a_terminal_that_hangs_up_is_no_failure() {
     let directory = directory("pipe");
-    let made = command(
-        &directory,
-        "run --robot ur5 --trajectory validation --duration-s 0.1 --out out",
-    );
     let hung_up = |mut command: Command| {
         let (reader, writer) = std::io::pipe().expect("the system has pipes");
         drop(reader);
-        let output = command
-            .stdout(writer)
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("it starts")
-            .wait_with_output()
-            .expect("it ends");
-        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(
-            output.status.success() && stderr.is_empty(),
-            "{command:?}: {stderr}"
-        );
+        let child = command.stdout(writer).stderr(Stdio::piped()).spawn();
+        let output = child.expect("it starts").wait_with_output();
+        let output = output.expect("it ends");
+        let sound = output.status.success() && output.stderr.is_empty();
+        assert!(sound, "{command:?}: {output:?}");
     };
-    hung_up(made);
-    assert!(
-        directory.join("out/report.html").is_file(),
-        "the work is done"
-    );
     for arguments in [
+        "run --robot ur5 --trajectory validation --duration-s 0.1 --out out",
         "--help",
         "--version",
         "experiment --list",
@@ -184,34 +134,40 @@ fn a_terminal_that_hangs_up_is_no_failure() {
     ] {
         hung_up(command(&directory, arguments));
     }
-    assert!(
-        directory.join("demo/report.json").is_file(),
-        "the work is done"
-    );
+    for done in ["out/report.html", "demo/report.json"] {
+        assert!(directory.join(done).is_file(), "{done}");
+    }
+}
+
+/// What `look` finds within a minute, while `child` runs.
+fn awaited<T>(child: &mut Child, what: &str, look: impl Fn(&Child) -> Option<T>) -> T {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    loop {
+        if let Some(found) = look(child) {
+            return found;
+        }
+        assert!(Instant::now() < deadline, "{what}");
+        let status = child.try_wait().expect("it is ours");
+        assert!(status.is_none(), "it ended early");
+        std::thread::sleep(Duration::from_millis(2));
+    }
 }
 
 #[test]
 fn an_interrupted_run_leaves_nothing() {
     let directory = directory("interrupted");
     let arguments = "simulate --robot ur5 --trajectory validation --out log.csv";
-    let mut child = command(&directory, arguments)
+    let child = command(&directory, arguments)
         .stderr(Stdio::piped())
-        .spawn()
-        .expect("it starts");
-    let deadline = Instant::now() + Duration::from_secs(60);
-    while files(&directory).is_empty() {
-        assert!(Instant::now() < deadline, "no unfinished file is seen");
-        assert!(
-            child.try_wait().expect("it is ours").is_none(),
-            "it ended early"
-        );
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    let child_id = nix::unistd::Pid::from_raw(child.id().cast_signed());
-    nix::sys::signal::kill(child_id, nix::sys::signal::Signal::SIGINT).expect("it is ours");
+        .spawn();
+    let mut child = child.expect("it starts");
+    awaited(&mut child, "no unfinished file is seen", |_| {
+        (!files(&directory).is_empty()).then_some(())
+    });
+    let id = Pid::from_raw(child.id().cast_signed());
+    kill(id, Signal::SIGINT).expect("it is ours");
     let output = child.wait_with_output().expect("it ends");
-    let ended_by = std::os::unix::process::ExitStatusExt::signal(&output.status);
-    assert_eq!(ended_by, Some(nix::sys::signal::Signal::SIGINT as i32));
+    assert_eq!(output.status.signal(), Some(Signal::SIGINT as i32));
     assert!(files(&directory).is_empty(), "{:?}", files(&directory));
 }
 
@@ -246,30 +202,20 @@ fn results_of_an_earlier_run_do_not_stay() {
     let directory = directory("stale");
     let simulate =
         "simulate --robot ur5 --trajectory validation --exact --duration-s 12 --out log.csv";
-    for arguments in [
-        simulate,
-        "identify --robot ur5 --log log.csv --methods consistent --out out",
-    ] {
-        let output = command(&directory, arguments).output().expect("it starts");
-        assert!(output.status.success(), "{output:?}");
-    }
+    let identify = |methods: &str| {
+        let line = format!("identify --robot ur5 --log log.csv --methods {methods} --out out");
+        succeeds(&directory, &line)
+    };
+    succeeds(&directory, simulate);
+    identify("consistent");
     assert!(directory.join("out/robot.toml").exists());
-    let arguments = "identify --robot ur5 --log log.csv --methods wls --out out";
-    let output = command(&directory, arguments).output().expect("it starts");
-    assert!(output.status.success(), "{output:?}");
+    identify("wls");
     for stale in ["robot.toml", "robot.urdf"] {
         assert!(!directory.join("out").join(stale).exists(), "{stale}");
     }
-    let compared = command(&directory, "compare out out --out c.html").output();
-    let compared = compared.expect("it starts");
-    assert_eq!(
-        String::from_utf8_lossy(&compared.stdout),
-        "no figure differs\n"
-    );
-    let shell = command(&directory, "completions bash")
-        .output()
-        .expect("it starts");
-    assert!(String::from_utf8_lossy(&shell.stdout).contains("complete"));
+    let compared = succeeds(&directory, "compare out out --out c.html");
+    assert_eq!(compared, "no figure differs\n");
+    assert!(succeeds(&directory, "completions bash").contains("complete"));
 }
 
 /// Process id of an emulator that `child` started and that has run for a while (clock ticks of processor time).
@@ -298,31 +244,18 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
         ("experiment", "experiment demo --out out"),
     ] {
         let directory = directory(&format!("dying-{name}"));
-        let mut child = command(&directory, arguments)
+        let mut command = command(&directory, arguments);
+        let child = command
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            .spawn()
-            .expect("it starts");
-        let deadline = Instant::now() + Duration::from_secs(60);
-        let emulator = loop {
-            if let Some(emulator) = busy_emulator(&child) {
-                break emulator;
-            }
-            assert!(Instant::now() < deadline, "no emulator is seen at work");
-            assert!(
-                child.try_wait().expect("it is ours").is_none(),
-                "it ended early"
-            );
-            std::thread::sleep(Duration::from_millis(5));
-        };
-        let emulator = nix::unistd::Pid::from_raw(emulator);
-        nix::sys::signal::kill(emulator, nix::sys::signal::Signal::SIGKILL).expect("it is ours");
+            .spawn();
+        let mut child = child.expect("it starts");
+        let emulator = awaited(&mut child, "no emulator is seen at work", busy_emulator);
+        kill(Pid::from_raw(emulator), Signal::SIGKILL).expect("it is ours");
         let output = child.wait_with_output().expect("it ends");
         let stderr = line(arguments, &output);
-        assert!(
-            stderr.contains("qemu") && stderr.contains("died"),
-            "{stderr}"
-        );
+        let named = stderr.contains("qemu") && stderr.contains("died");
+        assert!(named, "{stderr}");
         assert!(files(&directory).is_empty(), "{:?}", files(&directory));
     }
 }

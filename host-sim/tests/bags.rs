@@ -1,23 +1,12 @@
-//! Logs of real arms as ROS 2 bags: identified from and replayed as they are.
+//! Logs of real arms as ROS 2 bags, identified from and replayed as they are; and MCAP beside CSV: every tick, the same
+//! numbers, read back by this program and, where it is installed, by another reader.
 
-#[expect(dead_code, reason = "other tests use the rest of it")]
-mod program;
-
-use program::{directory, succeeds};
-use serde_json::Value;
-use std::fs;
-use std::path::Path;
+use crate::program::{directory, host_sim, json, number, succeeds};
+use std::process::Command;
 
 fn data(name: &str) -> String {
-    format!(
-        "{}/../tests/data/ros2-bags/{name}",
-        env!("CARGO_MANIFEST_DIR")
-    )
-}
-
-fn report(directory: &Path) -> Value {
-    let text = fs::read_to_string(directory.join("out/report.json")).expect("it was written");
-    serde_json::from_str(&text).expect("it is JSON")
+    let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ros2-bags");
+    format!("{bags}/{name}")
 }
 
 #[test]
@@ -36,7 +25,7 @@ fn a_bag_gives_the_parameters_of_the_table_that_another_reader_made_of_it() {
                 "identify --robot {robot} --log {log} --methods wls {filters} --force --out out"
             );
             succeeds(&directory, &arguments);
-            let report = report(&directory);
+            let report = json(directory.join("out/report.json"));
             report["methods"]["wls"]["parameters"].to_string()
         });
         assert!(tables[0].len() > 1000);
@@ -52,23 +41,68 @@ fn a_bag_is_replayed_to_the_board() {
         &directory,
         &format!("replay --robot panda --log {log} --out out"),
     );
-    assert!(
-        stdout.contains("worst 3 s of the newest parameters"),
-        "{stdout}"
-    );
-    let report = report(&directory);
+    let worst = "worst 3 s of the newest parameters";
+    assert!(stdout.contains(worst), "{stdout}");
+    let report = json(directory.join("out/report.json"));
     assert_eq!(
         (&report["robot"], &report["start"]),
         (&"panda".into(), &"description".into())
     );
     // 24 s at 30 Hz in 17 ticks a row; the ends belong to the filters.
-    let ticks = report["ticks_count"].as_u64().expect("a number");
-    assert!((10_000..12_400).contains(&ticks), "{ticks}");
-    let newest = report["newest_vs_rich_wls_ratio"]
-        .as_f64()
-        .expect("a number");
-    let frozen = report["frozen_vs_rich_wls_ratio"]
-        .as_f64()
-        .expect("a number");
-    assert!(newest > 0.0 && frozen > 1.0, "{newest} {frozen}");
+    let ticks = number(&report["ticks_count"]);
+    assert!((10e3..12.4e3).contains(&ticks), "{ticks}");
+    assert!(number(&report["newest_vs_rich_wls_ratio"]) > 0.0);
+    assert!(number(&report["frozen_vs_rich_wls_ratio"]) > 1.0);
+}
+
+/// Compares FILE.mcap with FILE.csv column by column: prints the number of rows and of topics.
+const OUTSIDE: &str = "
+import csv, json, sys
+from mcap.reader import make_reader
+rows = list(csv.DictReader(open(sys.argv[1] + '.csv')))
+topics = {}
+with open(sys.argv[1] + '.mcap', 'rb') as file:
+    for _, channel, message in make_reader(file).iter_messages():
+        topics.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
+seen = set()
+for messages in topics.values():
+    assert len(messages) == len(rows), len(messages)
+    for row, (time, values) in zip(rows, messages):
+        assert time == round(float(row['t_s']) * 1e9)
+        for name, value in values.items():
+            assert value == float(row[name]), (name, value, row[name])
+            seen.add(name)
+assert seen | {'t_s'} == set(rows[0]), set(rows[0]) - seen
+print(len(rows), len(topics))
+";
+
+#[test]
+fn a_run_is_written_as_mcap_with_every_tick_and_the_numbers_of_the_csv() {
+    let directory = directory("mcap");
+    succeeds(
+        &directory,
+        "run --robot ur5 --trajectory validation --duration-s 3 --telemetry all/1 --out out",
+    );
+    let check = |log: &str| {
+        let arguments = format!("identify --robot ur5 --log out/log.{log} --data-check");
+        let shown = String::from_utf8(host_sim(&directory, &arguments).stdout).expect("text");
+        assert!(shown.contains("joint 6"), "{shown}");
+        shown.replace(&format!("log.{log}"), "log")
+    };
+    assert_eq!(check("csv"), check("mcap"));
+    let python = |arguments: &[&str]| {
+        let output = Command::new("python3")
+            .args(arguments)
+            .current_dir(&directory)
+            .output();
+        output.ok().filter(|output| output.status.success())
+    };
+    if python(&["-c", "import mcap"]).is_none() {
+        return;
+    }
+    for (table, expected) in [("out/log", "3000 "), ("out/telemetry", "2999 ")] {
+        let output = python(&["-c", OUTSIDE, table]).expect("the tables agree");
+        let shown = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(shown.starts_with(expected), "{table}: {shown}");
+    }
 }

@@ -1,15 +1,12 @@
 //! The program with boards on a serial port and in the emulator, and its messages about boards it cannot use.
 
-mod program;
-
+use crate::program::{directory, fails, files, states, succeeds, text, write};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque_link::wire::PROTOCOL_VERSION;
 use foretorque_workbench::board::{Native, Transport};
-use program::{directory, fails, files, states, succeeds};
 use serialport::{SerialPort, TTYPort};
-use std::fs;
 use std::io::{Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -90,7 +87,7 @@ fn of_the_next_version(frame: &[u8]) -> Vec<u8> {
 #[test]
 fn a_board_that_drives_another_robot_is_refused() {
     let directory = directory("other-robot");
-    fs::write(directory.join("states.csv"), states(6)).expect("it can be written");
+    write(directory.join("states.csv"), states(6));
     let native = Native::<Panda, 7, 48>::new().expect("the arm's limits are usable");
     let board = PlayedBoard::start(native, <[u8]>::to_vec);
     let stderr = fails(
@@ -112,7 +109,7 @@ fn a_board_that_drives_another_robot_is_refused() {
 #[test]
 fn a_board_on_a_serial_port_computes_torque() {
     let directory = directory("serial");
-    fs::write(directory.join("states.csv"), states(6)).expect("it can be written");
+    write(directory.join("states.csv"), states(6));
     let native = Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable");
     let board = PlayedBoard::start(native, <[u8]>::to_vec);
     succeeds(
@@ -126,8 +123,7 @@ fn a_board_on_a_serial_port_computes_torque() {
         &directory,
         "torque --robot ur5 --in states.csv --out native.csv",
     );
-    let [serial, native] = ["tau.csv", "native.csv"]
-        .map(|name| fs::read(directory.join(name)).expect("it was written"));
+    let [serial, native] = ["tau.csv", "native.csv"].map(|name| text(directory.join(name)));
     assert!(serial == native, "the port changes nothing");
 }
 
@@ -156,7 +152,7 @@ fn a_board_of_another_protocol_version_is_refused() {
 #[test]
 fn the_emulated_board_says_that_it_drives_another_robot() {
     let directory = directory("emulated-panda");
-    fs::write(directory.join("states.csv"), states(7)).expect("it can be written");
+    write(directory.join("states.csv"), states(7));
     for board in ["qemu", "qemu-usart"] {
         let stderr = fails(
             &directory,
@@ -175,7 +171,7 @@ fn the_log_of_the_flashable_firmware_is_text() {
         &directory,
         "run --robot ur5 --board qemu-usart --trajectory validation --duration-s 1.2 --out out --log logs/board.log",
     );
-    let log = fs::read_to_string(directory.join("logs/board.log")).expect("it was written");
+    let log = text(directory.join("logs/board.log"));
     let hello = format!(
         "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
         Ur5::HASH
@@ -197,9 +193,7 @@ fn the_log_of_the_flashable_firmware_is_text() {
         "{log}"
     );
     assert_eq!(lines.len(), 4);
-    let mut made = files(&directory);
-    made.sort();
-    assert_eq!(made, ["logs", "out"]);
+    assert_eq!(files(&directory), ["logs", "out"]);
     assert_eq!(files(&directory.join("logs")), ["board.log"]);
     let stderr = fails(
         &directory,

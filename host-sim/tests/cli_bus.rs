@@ -1,8 +1,8 @@
 //! The commands `drive` and `commission`: on simulated drives, on a bus of python-can, and on buses that are not there.
 
-mod program;
-
-use program::{directory, fails, files, host_sim, states, succeeds};
+use crate::program::{
+    command, directory, fails, failure, files, host_sim, json, number, still, succeeds, text, write,
+};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -14,10 +14,10 @@ fn profile() -> String {
 
 /// The profile with `from` replaced by `to`.
 fn changed(directory: &Path, from: &str, to: &str) -> PathBuf {
-    let text = fs::read_to_string(profile()).expect("it is there");
-    assert!(text.contains(from), "{from}");
+    let profile = text(profile());
+    assert!(profile.contains(from), "{from}");
     let file = directory.join("changed.toml");
-    fs::write(&file, text.replacen(from, to, 1)).expect("it can be written");
+    write(&file, profile.replacen(from, to, 1));
     file
 }
 
@@ -28,28 +28,19 @@ fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
     let command = format!(
         "drive --profile {profile} --bus sim --trajectory validation --duration-s 6 --learn --out out"
     );
-    let text = succeeds(&directory, &command);
-    assert!(text.contains("PD of the drives alone: "), "{text}");
-    assert!(text.contains("replies lost"), "{text}");
-    let mut written = files(&directory.join("out"));
-    written.sort();
+    let shown = succeeds(&directory, &command);
+    assert!(shown.contains("PD of the drives alone: "), "{shown}");
+    assert!(shown.contains("replies lost"), "{shown}");
+    let written = files(&directory.join("out"));
     assert_eq!(written, ["bank.bin", "drive.json", "log.csv", "log.mcap"]);
-    let summary = fs::read_to_string(directory.join("out/drive.json")).expect("it is there");
-    let summary: serde_json::Value = serde_json::from_str(&summary).expect("it is JSON");
+    let summary = json(directory.join("out/drive.json"));
     assert_eq!(summary["ticks"], 6000);
-    assert!(
-        summary["tracking_ratio"].as_f64().expect("a number") > 1.0,
-        "{summary}"
-    );
-    let rows = fs::read_to_string(directory.join("out/log.csv")).expect("it is there");
+    assert!(number(&summary["tracking_ratio"]) > 1.0, "{summary}");
+    let rows = text(directory.join("out/log.csv"));
     assert!(rows.lines().count() > 5990);
     let again = succeeds(&directory, &command);
     let figures = |text: &str| text.lines().take(2).collect::<Vec<_>>().join(" ");
-    assert_eq!(
-        figures(&text),
-        figures(&again),
-        "the same seed, the same figures"
-    );
+    assert_eq!(figures(&shown), figures(&again), "one seed, one result");
 }
 
 #[test]
@@ -116,81 +107,51 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
 #[test]
 fn contradictions_and_missing_buses_are_one_line() {
     let directory = directory("bus-mistakes");
-    let cases = [
-        ("rate_hz = 1000.0", "rate_hz = 5000.0", "rate_hz 5000"),
-        (
-            "rate_hz = 1000.0",
-            "rate_hz = 2000.0",
-            "bus 0: commands and replies take 0.81 ms, rate_hz 2000 leaves 0.50 ms",
-        ),
-        (
-            "bus = 1",
-            "bus = 2",
-            "joint 4: bus 2 contradicts the 2 buses",
-        ),
-        (
-            "gear = 6.0",
-            "gear = 60.0",
-            "joint 1: range of position 0.6666667 contradicts the travel",
-        ),
-        (
-            "torque_limit = 28.0",
-            "torque_limit = 29.0",
-            "joint 4: torque_limit 29 contradicts the torque of the arm 28",
-        ),
-        (
-            "id = 2",
-            "id = 1",
-            "joint 2: id 1 contradicts the same id of joint 1",
-        ),
-        ("sign = 1.0", "sign = 0.5", "joint 1: size of sign 0.25"),
-        ("kp = 3330.0", "kq = 3330.0", "unknown field `kq`"),
-        (
-            "robot = \"ur5\"",
-            "robot = \"panda\"",
-            "6 joints contradict the 7 joints of robot 'panda'",
-        ),
-    ];
-    for (from, to, named) in cases {
-        let file = changed(&directory, from, to);
-        let command = format!(
-            "drive --profile {} --bus sim --trajectory validation --out out",
-            file.display()
+    // Line of the profile, its replacement, and the words of the refusal.
+    let cases = "\
+rate_hz = 1000.0 | rate_hz = 5000.0 | rate_hz 5000
+rate_hz = 1000.0 | rate_hz = 2000.0 | bus 0: commands and replies take 0.81 ms, rate_hz 2000 leaves 0.50 ms
+bus = 1 | bus = 2 | joint 4: bus 2 contradicts the 2 buses
+gear = 6.0 | gear = 60.0 | joint 1: range of position 0.6666667 contradicts the travel
+torque_limit = 28.0 | torque_limit = 29.0 | joint 4: torque_limit 29 contradicts the torque of the arm 28
+id = 2 | id = 1 | joint 2: id 1 contradicts the same id of joint 1
+sign = 1.0 | sign = 0.5 | joint 1: size of sign 0.25
+kp = 3330.0 | kq = 3330.0 | unknown field `kq`
+robot = \"ur5\" | robot = \"panda\" | 6 joints contradict the 7 joints of robot 'panda'";
+    for case in cases.lines() {
+        let parts: Vec<&str> = case.split(" | ").collect();
+        let file = changed(&directory, parts[0], parts[1]);
+        let file = file.display();
+        let line = fails(
+            &directory,
+            &format!("drive --profile {file} --bus sim --trajectory validation --out out"),
         );
-        let line = fails(&directory, &command);
-        assert!(
-            line.contains(named) && line.contains("changed.toml"),
-            "{line}"
-        );
+        let named = line.contains(parts[2]) && line.contains("changed.toml");
+        assert!(named, "{line}");
     }
     let profile = profile();
+    let serial = "/dev/ttyNOWHERE7";
     for (bus, named) in [
         (
             "socketcan:nowhere7,nowhere8",
             "bus socketcan:nowhere7,nowhere8: ",
         ),
         (
-            "slcan:/dev/ttyNOWHERE7,/dev/ttyNOWHERE8",
-            "bus slcan:/dev/ttyNOWHERE7",
+            &format!("slcan:{serial},/dev/ttyNOWHERE8"),
+            &format!("bus slcan:{serial}"),
         ),
         (
-            "fdcanusb:/dev/ttyNOWHERE7",
+            &format!("fdcanusb:{serial}"),
             "1 named, the profile has 2 buses",
         ),
+        ("can0", "not one of sim, socketcan:IF"),
     ] {
         for command in ["drive --trajectory validation", "commission"] {
-            let line = fails(
-                &directory,
-                &format!("{command} --profile {profile} --bus {bus} --out out"),
-            );
+            let arguments = format!("{command} --profile {profile} --bus {bus} --out out");
+            let line = fails(&directory, &arguments);
             assert!(line.contains(named), "{line}");
         }
     }
-    let line = fails(
-        &directory,
-        &format!("drive --profile {profile} --bus can0 --trajectory validation --out out"),
-    );
-    assert!(line.contains("not one of sim, socketcan:IF"), "{line}");
     assert!(!directory.join("out").exists());
 }
 
@@ -271,16 +232,7 @@ fn drives_in_python_can_are_armed_and_follow() {
     }
     let directory = directory("bus-python");
     let slow = changed(&directory, "rate_hz = 1000.0", "rate_hz = 100.0");
-    let still: Vec<String> = [0.0, 6.0]
-        .iter()
-        .map(|t| format!("{t}{}", ",0".repeat(18)))
-        .collect();
-    let header = states(6)
-        .lines()
-        .next()
-        .map(|columns| format!("t_s,{columns}"));
-    let rows = format!("{}\n{}\n", header.unwrap_or_default(), still.join("\n"));
-    fs::write(directory.join("still.csv"), rows).expect("it can be written");
+    write(directory.join("still.csv"), still(6, &["0", "6"]));
     let mut drives = Command::new(&python)
         .args(["-c", PYTHON_DRIVES])
         .stdout(Stdio::piped())
@@ -314,16 +266,14 @@ fn drives_in_python_can_are_armed_and_follow() {
 #[test]
 fn an_interrupt_switches_the_torque_off_and_is_a_failure() {
     let directory = directory("drive-interrupted");
-    let command = format!(
+    let arguments = format!(
         "drive --profile {} --bus sim --trajectory validation --alone --duration-s 600 --out out",
         profile()
     );
-    let child = Command::new(env!("CARGO_BIN_EXE_host-sim"))
-        .current_dir(&directory)
-        .args(command.split_whitespace())
+    let child = command(&directory, &arguments)
         .stderr(Stdio::piped())
-        .spawn()
-        .expect("it starts");
+        .spawn();
+    let child = child.expect("it starts");
     let rows = || -> u64 {
         let entries = fs::read_dir(directory.join("out")).into_iter().flatten();
         let size = |entry: std::io::Result<fs::DirEntry>| entry.ok()?.metadata().ok();
@@ -335,8 +285,9 @@ fn an_interrupt_switches_the_torque_off_and_is_a_failure() {
     let id = nix::unistd::Pid::from_raw(child.id().cast_signed());
     nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGTERM).expect("it is ours");
     let output = child.wait_with_output().expect("it ends");
-    let text = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(text.contains("interrupted after "), "{text}");
-    assert!(text.contains(", torque off"), "{text}");
+    let line = failure(&arguments, &output);
+    assert!(
+        line.contains("interrupted after ") && line.contains(", torque off"),
+        "{line}"
+    );
 }

@@ -1,12 +1,12 @@
 //! The optimised excitation keeps its limits on a grid that the search never saw, and its certificate is true.
 
+use crate::program::{directory, fails, write};
 use foretorque_studies::excitation::recount;
 use foretorque_workbench::excitation::{
     Certificate, Criterion, Excitation, SearchConfig, optimise,
 };
 use foretorque_workbench::robot::Robot;
 use std::f64::consts::PI;
-use std::process::Command;
 
 fn ur5() -> Robot {
     Robot::load("ur5").expect("built in")
@@ -50,18 +50,20 @@ fn every_limit_holds_between_the_points_that_were_checked() {
 fn a_recount_sees_what_breaks_a_limit() {
     let robot = ur5();
     let excitation = found(&robot, &short(1));
-    let broken = |change: &dyn Fn(&mut Robot)| {
+    let changes: [fn(&mut Robot); 6] = [
+        |robot| robot.joints[0].limits.velocity *= 0.5,
+        |robot| robot.joints[1].limits.acceleration *= 0.3,
+        |robot| robot.joints[2].limits.torque *= 0.2,
+        |robot| robot.joints[3].limits.position = (-0.1, 0.1),
+        |robot| robot.workspace.table_height = Some(0.4),
+        |robot| robot.workspace.clearance = 0.3,
+    ];
+    for (place, change) in changes.iter().enumerate() {
         let mut other = robot.clone();
         change(&mut other);
         let counted = recount::<6>(&other, &excitation, PI, 2000).expect("certified");
-        counted.violations
-    };
-    assert!(broken(&|robot| robot.joints[0].limits.velocity *= 0.5) > 0);
-    assert!(broken(&|robot| robot.joints[1].limits.acceleration *= 0.3) > 0);
-    assert!(broken(&|robot| robot.joints[2].limits.torque *= 0.2) > 0);
-    assert!(broken(&|robot| robot.joints[3].limits.position = (-0.1, 0.1)) > 0);
-    assert!(broken(&|robot| robot.workspace.table_height = Some(0.4)) > 0);
-    assert!(broken(&|robot| robot.workspace.clearance = 0.3) > 0);
+        assert!(counted.violations > 0, "change {place}");
+    }
 }
 
 #[test]
@@ -111,83 +113,36 @@ fn each_criterion_is_lower_where_it_was_asked_for() {
 }
 
 #[test]
-fn what_cannot_be_done_ends_with_one_line_and_a_failure() {
-    let out = std::env::temp_dir().join(format!("foretorque-excite-{}", std::process::id()));
-    let cases: [(&[&str], &str); 5] = [
-        (&["--criterion", "e-optimal"], "invalid value 'e-optimal'"),
-        (&["--range-rad", "0"], "--range-rad is 0, must be positive"),
-        // The arm cannot stand in a table up to its shoulder.
-        (&["--table-m", "0.5"], "no path keeps all limits"),
-        (
-            &["--condition-limit", "5"],
-            "no path keeps all limits; the best one has condition number",
-        ),
-        (&["--improve", "no_such_file.json"], "no_such_file.json"),
-    ];
-    for (arguments, message) in cases {
-        let run = Command::new(env!("CARGO_BIN_EXE_host-sim"))
-            .args([
-                "excite",
-                "--robot",
-                "ur5",
-                "--starts",
-                "1",
-                "--iterations",
-                "8",
-                "--out",
-            ])
-            .arg(&out)
-            .args(arguments)
-            .output()
-            .expect("runs");
-        assert!(!run.status.success(), "{arguments:?}");
-        let stderr = String::from_utf8_lossy(&run.stderr);
-        let first = stderr.lines().next().unwrap_or_default();
-        assert!(first.contains(message), "{arguments:?}: {stderr}");
-        assert!(!out.exists(), "{arguments:?} leaves files");
-    }
-}
-
-#[test]
-fn limits_that_no_excitation_can_keep_are_named_in_one_line() {
-    let directory = std::env::temp_dir().join(format!("foretorque-limits-{}", std::process::id()));
-    std::fs::create_dir_all(&directory).expect("can be written");
+fn what_no_excitation_can_keep_ends_with_one_line() {
+    let directory = directory("excite");
     let ur5 = include_str!("../robots/ur5.toml");
     // Of the shoulder, whose torque against gravity no path of this arm keeps below 1 N·m.
-    let (before, after) = ur5
-        .split_once("torque_nm = 150")
-        .expect("the description gives a limit");
-    let (middle, rest) = after.split_once("torque_nm = 150").expect("of joint 2 too");
-    let weak = format!("{before}torque_nm = 150{middle}torque_nm = 1{rest}");
-    std::fs::write(directory.join("weak.toml"), weak).expect("can be written");
+    let limit = "torque_nm = 150";
+    let parts: Vec<&str> = ur5.splitn(3, limit).collect();
+    let weak = format!("{}{limit}{}torque_nm = 1{}", parts[0], parts[1], parts[2]);
+    write(directory.join("weak.toml"), weak);
+    let no_path = "no path keeps all limits";
+    let badly_conditioned = "no path keeps all limits; the best one has condition number";
     for (arguments, message) in [
+        ("ur5 --criterion e-optimal", "invalid value 'e-optimal'"),
+        ("ur5 --range-rad 0", "--range-rad is 0, must be positive"),
+        // The arm cannot stand in a table up to its shoulder.
+        ("ur5 --table-m 0.5", no_path),
+        ("ur5 --condition-limit 5", badly_conditioned),
+        ("ur5 --improve no_such_file.json", "no_such_file.json"),
         (
-            ["--robot", "weak.toml", "--range-rad", "3"],
+            "weak.toml --range-rad 3",
             "no path keeps all limits; the best one has torque of ",
         ),
         (
-            ["--robot", "ur5", "--range-rad", "0.001"],
+            "ur5 --range-rad 0.001",
             "within these limits torque cannot see all base parameters",
         ),
-        (
-            ["--robot", "ur5", "--period-s", "0.3"],
-            "no path keeps all limits; the best one has condition number",
-        ),
+        ("ur5 --period-s 0.3", badly_conditioned),
     ] {
-        let run = Command::new(env!("CARGO_BIN_EXE_host-sim"))
-            .current_dir(&directory)
-            .args(["excite", "--starts", "1", "--iterations", "8", "--out", "x"])
-            .args(arguments)
-            .output()
-            .expect("runs");
-        let stderr = String::from_utf8_lossy(&run.stderr);
-        assert_eq!(run.status.code(), Some(1), "{arguments:?}: {stderr}");
-        assert_eq!(stderr.lines().count(), 1, "{arguments:?}: {stderr}");
-        assert!(
-            stderr.starts_with("error: ") && stderr.contains(message),
-            "{stderr}"
-        );
-        assert!(!directory.join("x").exists(), "{arguments:?} leaves files");
+        let search = "excite --starts 1 --iterations 8 --out x --robot";
+        let line = fails(&directory, &format!("{search} {arguments}"));
+        assert!(line.contains(message), "{arguments}: {line}");
+        assert!(!directory.join("x").exists(), "{arguments} leaves files");
     }
-    std::fs::remove_dir_all(&directory).expect("can be taken away");
 }

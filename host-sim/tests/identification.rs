@@ -1,43 +1,30 @@
 //! The command `identify` as a user runs it: parameters of a known arm, one line for each defect of a log.
 
-mod logged;
-
+use crate::logged::{identified, identify, log};
+use crate::program::{directory, failure, number, succeeds, text, write};
 use foretorque_workbench::robot::Robot;
-use logged::{Directory, log};
-use serde_json::Value;
-use std::fs;
 use std::path::Path;
 
 /// One column of a table, header left out.
 fn column(path: &Path, index: usize) -> Vec<f64> {
-    let text = fs::read_to_string(path).expect("reads");
+    let text = text(path);
     let fields = text.lines().skip(1).map(|row| row.split(',').nth(index));
     fields
         .map(|field| field.expect("has it").parse().expect("a number"))
         .collect()
 }
 
-fn number(value: &Value) -> f64 {
-    value.as_f64().expect("a number")
-}
-
 #[test]
 fn parameters_come_back_from_a_log_and_the_bank_loads() {
-    let here = Directory::new("identify-round");
-    log(&here.file("train.csv.gz"), 6000, 0.0, None, 0.3);
-    log(&here.file("unseen.csv"), 2000, 1.1, None, 0.0);
-    let (_, report) = here.identified(
+    let here = directory("identify-round");
+    log(&here.join("train.csv.gz"), 6000, 0.0, None, 0.3);
+    log(&here.join("unseen.csv"), 2000, 1.1, None, 0.0);
+    let (_, report) = identified(
+        &here,
         "--log train.csv.gz --validate unseen.csv --truth ur5 --columns coulomb-viscous",
     );
     assert_eq!(report["rank"], 52);
-    for method in [
-        "ols",
-        "wls",
-        "irls",
-        "consistent",
-        "bp_physical",
-        "bp_residual",
-    ] {
+    for method in "ols wls irls consistent bp_physical bp_residual".split(' ') {
         let record = &report["methods"][method];
         let error = number(&record["validation"]["unseen.csv"]["joints_nrmse_moving_ratio"]);
         assert!(error < 0.01, "{method}: {error:?}");
@@ -48,11 +35,14 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
     }
     let epochs = report["methods"]["bp_physical"]["epochs_to_1_05_wls"][0].as_u64();
     assert!(epochs.expect("reached") > 1);
-    here.succeeds("torque --robot ur5 --in unseen.csv --out tau.csv --bank out/parameters.bank");
+    succeeds(
+        &here,
+        "torque --robot ur5 --in unseen.csv --out tau.csv --bank out/parameters.bank",
+    );
     // The board's own torque of the bank, first joint, against the log.
     let (wanted, found) = (
-        column(&here.file("unseen.csv"), 19),
-        column(&here.file("tau.csv"), 1),
+        column(&here.join("unseen.csv"), 19),
+        column(&here.join("tau.csv"), 1),
     );
     let pairs = wanted.iter().zip(&found);
     let error: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
@@ -62,11 +52,11 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
 
 #[test]
 fn the_consistent_parameters_are_a_description_that_can_be_used() {
-    let here = Directory::new("identify-consistent");
+    let here = directory("identify-consistent");
     // Noise enough to drive least squares out of the physical parameters.
-    log(&here.file("train.csv"), 2000, 0.0, None, 3.0);
-    let (_, report) = here.identified("--log train.csv --methods irls,consistent");
-    let load = |name: &str| Robot::load(&here.file(name).to_string_lossy()).expect(name);
+    log(&here.join("train.csv"), 2000, 0.0, None, 3.0);
+    let (_, report) = identified(&here, "--log train.csv --methods irls,consistent");
+    let load = |name: &str| Robot::load(&here.join(name).to_string_lossy()).expect(name);
     let identified = load("out/robot.toml");
     let parameters = &report["methods"]["consistent"]["parameters"];
     // The base parameters of the description are the ones that were reported.
@@ -84,98 +74,71 @@ fn the_consistent_parameters_are_a_description_that_can_be_used() {
     }
     let in_urdf = load("out/robot.urdf");
     assert!((in_urdf.joints[1].link.mass - identified.joints[1].link.mass).abs() < 1e-12);
-    here.succeeds("generate --robot out/robot.toml --out ur5.rs");
+    succeeds(&here, "generate --robot out/robot.toml --out ur5.rs");
 }
 
 #[test]
 fn defects_of_a_log_are_reported_in_one_line() {
-    let here = Directory::new("identify-wrong");
-    log(&here.file("good.csv"), 2000, 0.0, None, 0.1);
-    let text_of_good = fs::read_to_string(here.file("good.csv")).expect("reads");
-    let lines: Vec<&str> = text_of_good.lines().collect();
+    let here = directory("identify-wrong");
+    log(&here.join("good.csv"), 2000, 0.0, None, 0.1);
+    let good = text(here.join("good.csv"));
+    let lines: Vec<&str> = good.lines().collect();
     let fields: Vec<&str> = lines[9].split(',').collect();
+    let header = |from, to| (1, lines[0].replace(from, to));
+    let row = |from, to| (10, lines[9].replace(from, to));
     let cases = [
+        (header("tau3_nm", "x"), "column tau3_nm is missing"),
+        (header("tau6_nm", "q7_rad"), "column q7_rad is one too many"),
+        (header("tau3_nm", "tau2_nm"), "column tau2_nm appears twice"),
         (
-            1,
-            lines[0].replace("tau3_nm", "x"),
-            "1: column tau3_nm is missing",
+            (10, fields[1..].join(",")),
+            "24 fields where the header has 25",
         ),
         (
-            1,
-            lines[0].replace("tau6_nm", "q7_rad"),
-            "1: column q7_rad is one too many",
+            (10, format!("{},0", lines[9])),
+            "26 fields where the header has 25",
         ),
         (
-            1,
-            lines[0].replace("tau3_nm", "tau2_nm"),
-            "1: column tau2_nm appears twice",
+            row(fields[4], "NaN"),
+            "column q4_rad: \"NaN\" is not a finite number",
         ),
         (
-            10,
-            fields[1..].join(","),
-            "10: 24 fields where the header has 25",
+            row(fields[0], "0.001"),
+            "column t_s: 0.001 does not come after 0.035",
         ),
         (
-            10,
-            format!("{},0", lines[9]),
-            "10: 26 fields where the header has 25",
-        ),
-        (
-            10,
-            lines[9].replace(fields[4], "NaN"),
-            "10: column q4_rad: \"NaN\" is not a finite number",
-        ),
-        (
-            10,
-            lines[9].replace(fields[0], "0.001"),
-            "10: column t_s: 0.001 does not come after 0.035",
-        ),
-        (
-            10,
-            lines[8].to_owned(),
-            "10: column t_s: 0.035 does not come after 0.035",
+            (10, lines[8].to_owned()),
+            "column t_s: 0.035 does not come after 0.035",
         ),
     ];
-    for (number, replacement, expected) in cases {
+    for ((number, replacement), expected) in cases {
         let mut lines = lines.clone();
         lines[number - 1] = &replacement;
-        fs::write(here.file("bad.csv"), lines.join("\n")).expect("writes");
-        let done = here.identify("--log bad.csv --out out");
-        let message = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert!(!done.status.success(), "{expected}");
-        assert!(
-            message.contains(&format!("bad.csv:{expected}")),
-            "{message}"
-        );
-        assert_eq!(message.lines().count(), 1, "{message}");
+        write(here.join("bad.csv"), lines.join("\n"));
+        let message = failure(expected, &identify(&here, "--log bad.csv --out out"));
+        let expected = format!("bad.csv:{number}: {expected}");
+        assert!(message.contains(&expected), "{message}");
     }
+    let cut_off = "good.csv: --motion-hz is 95, must be below 90.0000";
     for (wrong, expected) in [
         ("--methods olz", "unknown method 'olz'"),
         ("--columns friction", "unknown column set 'friction'"),
         ("--filter fourier", "needs --period-s or --excitation"),
         ("--gains standstill", "no motor currents"),
         ("--still-rad-s 50", "no joint moves"),
-        (
-            "--motion-hz 95",
-            "good.csv: --motion-hz is 95, must be below 90.0000",
-        ),
+        ("--motion-hz 95", cut_off),
     ] {
-        let done = here.identify(&format!("--log good.csv --out out {wrong}"));
-        let message = String::from_utf8_lossy(&done.stderr);
-        assert!(
-            !done.status.success() && message.contains(expected),
-            "{message}"
-        );
+        let done = identify(&here, &format!("--log good.csv --out out {wrong}"));
+        let message = failure(wrong, &done);
+        assert!(message.contains(expected), "{message}");
     }
 }
 
 #[test]
 fn a_joint_that_stands_still_is_named_by_its_unseen_parameters() {
-    let here = Directory::new("identify-still");
-    log(&here.file("still.csv"), 2000, 0.0, Some(5), 0.1);
-    let done = here.identify("--log still.csv --out out");
-    let message = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert!(!done.status.success());
+    let here = directory("identify-still");
+    log(&here.join("still.csv"), 2000, 0.0, Some(5), 0.1);
+    let message = failure("still", &identify(&here, "--log still.csv --out out"));
     for name in ["rank deficient", "Ia6", "Fv6", "Fc6"] {
         assert!(message.contains(name), "{message}");
     }
@@ -184,14 +147,15 @@ fn a_joint_that_stands_still_is_named_by_its_unseen_parameters() {
 
 #[test]
 fn columns_absent_on_the_board_are_named_the_others_reach_it() {
-    let here = Directory::new("identify-columns");
-    log(&here.file("log.csv"), 4000, 0.0, None, 0.1);
+    let here = directory("identify-columns");
+    log(&here.join("log.csv"), 4000, 0.0, None, 0.1);
     let columns = "coulomb-viscous+offset+stribeck+load+cogging+cubic";
-    let (stdout, report) = here.identified(&format!(
-        "--log log.csv --columns {columns} --methods wls,irls"
-    ));
+    let (stdout, report) = identified(
+        &here,
+        &format!("--log log.csv --columns {columns} --methods wls,irls"),
+    );
     assert!(stdout.contains("the board has no column cubic"), "{stdout}");
-    let bank = here.succeeds("bank out/parameters.bank");
+    let bank = succeeds(&here, "bank out/parameters.bank");
     // An identified column has a value other than zero.
     for name in ["Fv1", "Fc1", "Fs1", "Fb1", "Fl2", "Fo1", "Gs1", "Gc1"] {
         let line = bank
@@ -210,14 +174,13 @@ fn columns_absent_on_the_board_are_named_the_others_reach_it() {
 
 #[test]
 fn a_gap_splits_the_log_and_is_noted() {
-    let here = Directory::new("identify-gap");
-    log(&here.file("whole.csv"), 4000, 0.0, None, 0.1);
-    let content = fs::read_to_string(here.file("whole.csv")).expect("reads");
-    let rows = content.lines().enumerate();
-    let kept = rows.filter(|(row, _)| !(1500..1600).contains(row));
-    let kept: Vec<&str> = kept.map(|(_, line)| line).collect();
-    fs::write(here.file("cut.csv"), kept.join("\n")).expect("writes");
-    let (stdout, report) = here.identified("--log cut.csv --validate whole.csv --methods wls");
+    let here = directory("identify-gap");
+    log(&here.join("whole.csv"), 4000, 0.0, None, 0.1);
+    let content = text(here.join("whole.csv"));
+    let mut rows: Vec<&str> = content.lines().collect();
+    rows.drain(1500..1600);
+    write(here.join("cut.csv"), rows.join("\n"));
+    let (stdout, report) = identified(&here, "--log cut.csv --validate whole.csv --methods wls");
     assert!(
         stdout.contains("cut.csv:1501: column t_s: gap of 0.5"),
         "{stdout}"

@@ -1,5 +1,6 @@
 //! However the program ends, no emulator outlives it, and no report is left half written.
 
+use crate::program::{directory, write};
 use foretorque_workbench::excitation::{Excitation, QuickConfig};
 use foretorque_workbench::robot::Robot;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
@@ -21,7 +22,7 @@ fn status(id: i32) -> Option<(char, i32)> {
 }
 
 fn runs(id: i32) -> bool {
-    // A process that ended may wait for somebody to ask how.
+    // A process that ended may wait to be reaped.
     status(id).is_some_and(|(state, _)| !matches!(state, 'Z' | 'X'))
 }
 
@@ -44,7 +45,7 @@ fn soon<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// Ends the emulator of a test that failed, which nobody else would.
+/// Ends the emulator of a test that failed, which nothing else would.
 struct Undertaker(i32);
 
 impl Drop for Undertaker {
@@ -65,7 +66,7 @@ fn start(board: &str, out: &PathBuf) -> Child {
         .arg(out)
         .stderr(Stdio::null())
         .stdout(Stdio::null());
-    // A test that was started in the background would pass its deafness to Ctrl-C on.
+    // A test that was started in the background would pass on that it ignores Ctrl-C.
     let hear = || {
         // SAFETY: the default action is no handler that could do harm.
         unsafe { signal(Signal::SIGINT, SigHandler::SigDfl) }?;
@@ -78,9 +79,7 @@ fn start(board: &str, out: &PathBuf) -> Child {
 
 #[test]
 fn an_emulator_ends_with_the_program_however_that_ends() {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("orphans");
-    let _ = fs::remove_dir_all(&directory);
-    fs::create_dir_all(&directory).expect("the test has a directory");
+    let directory = directory("orphans");
     let quick = QuickConfig {
         candidates: 1,
         ..QuickConfig::default()
@@ -98,7 +97,7 @@ fn an_emulator_ends_with_the_program_however_that_ends() {
     .enumerate()
     {
         let out = directory.join(format!("{place}"));
-        fs::write(out.with_extension("json"), &excitation).expect("the directory is ours");
+        write(out.with_extension("json"), &excitation);
         let mut program = start(board, &out);
         let id = program.id() as i32;
         // In the middle of the run: the log is under way.

@@ -1,12 +1,10 @@
 //! Mistakes planted into a sound log: each is named in one line, none yields a bank.
 
-#[expect(dead_code, reason = "other tests use the rest of it")]
-mod logged;
-
+use crate::logged::{identify, log, log_of};
+use crate::program::{directory, failure, succeeds, text, write};
 use foretorque_workbench::robot::{Link, Robot};
-use logged::{Directory, log, log_of};
 use nalgebra::{Matrix3, Vector3};
-use std::fs;
+use std::ops::Range;
 
 /// One row: time, then positions, velocities, accelerations and torques of six joints.
 type Row = Vec<f64>;
@@ -40,14 +38,18 @@ fn each(change: impl Fn(&mut Row) + 'static) -> Change {
 
 #[test]
 fn each_planted_mistake_is_named_and_none_yields_a_bank() {
-    let here = Directory::new("planted");
-    log(&here.file("good.csv"), 3000, 0.0, None, 0.05);
-    let good = fs::read_to_string(here.file("good.csv")).expect("reads");
+    let here = directory("planted");
+    log(&here.join("good.csv"), 3000, 0.0, None, 0.05);
+    let good = text(here.join("good.csv"));
     let swap = |a: usize, b: usize, width: usize| {
         each(move |row: &mut Row| (0..width).for_each(|k| row.swap(a + k, b + k)))
     };
-    let scale = |from: usize, to: usize, factor: f64| {
-        each(move |row: &mut Row| row[from..to].iter_mut().for_each(|value| *value *= factor))
+    let scale = |columns: Range<usize>, factor: f64| {
+        each(move |row| {
+            row[columns.clone()]
+                .iter_mut()
+                .for_each(|value| *value *= factor)
+        })
     };
     let noise = |rows: &mut Vec<Row>| {
         let mut state = 1_u64;
@@ -66,77 +68,47 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             rows[k][TAU..].copy_from_slice(&before[k.saturating_sub(4)][TAU..]);
         }
     };
-    let cases: [(&str, Change, &str); 11] = [
+    let all = TAU..TAU + 6;
+    let one = |joint: usize| TAU + joint - 1..TAU + joint;
+    let swapped_positions = each(|row| (0..3).for_each(|k| row.swap(Q + 6 * k, Q + 1 + 6 * k)));
+    let swapped_joints = each(|row| {
+        let quantities = [0, 6, 12, 18].iter();
+        quantities.for_each(|k| row.swap(Q + 1 + k, Q + 2 + k));
+    });
+    let cases: [(Change, &str); 11] = [
         (
-            "degrees",
-            scale(Q, Q + 18, 57.295_779_513),
+            scale(Q..Q + 18, 57.295_779_513),
             "are these degrees (--units q=deg)?",
         ),
+        (scale(all.clone(), 1e3), "is this mN·m (--units tau=mNm)?"),
+        (scale(all, -1.0), "has the wrong sign"),
+        (scale(one(3), -1.0), "torque of joint 3 has the wrong sign"),
         (
-            "mN·m",
-            scale(TAU, TAU + 6, 1e3),
-            "is this mN·m (--units tau=mNm)?",
-        ),
-        (
-            "sign of all",
-            scale(TAU, TAU + 6, -1.0),
-            "has the wrong sign",
-        ),
-        (
-            "sign of one",
-            scale(TAU + 2, TAU + 3, -1.0),
-            "torque of joint 3 has the wrong sign",
-        ),
-        (
-            "swapped torques",
             swap(TAU + 1, TAU + 3, 1),
             "torques of joints 2 and 4 are swapped",
         ),
+        (swapped_positions, "positions of joints 1 and 2 are swapped"),
         (
-            "swapped positions",
-            each(|row| (0..3).for_each(|k| row.swap(Q + 6 * k, Q + 1 + 6 * k))),
-            "positions of joints 1 and 2 are swapped",
-        ),
-        (
-            "swapped joints",
-            each(|row| {
-                [0, 6, 12, 18]
-                    .iter()
-                    .for_each(|k| row.swap(Q + 1 + k, Q + 2 + k))
-            }),
+            swapped_joints,
             "positions and torques of joints 2 and 3 are swapped",
         ),
+        (swap(Q, TAU, 6), "positions and torques are swapped"),
+        (scale(one(4), 10.0), "torque of joint 4 is "),
+        (Box::new(late), " ms behind the positions"),
         (
-            "q and tau",
-            swap(Q, TAU, 6),
-            "positions and torques are swapped",
-        ),
-        (
-            "gain of one",
-            scale(TAU + 3, TAU + 4, 10.0),
-            "torque of joint 4 is ",
-        ),
-        ("late torque", Box::new(late), " ms behind the positions"),
-        (
-            "noise",
             Box::new(noise),
             "are noise: they follow neither the motion nor gravity",
         ),
     ];
-    let judged = |name: &str, words: &str| {
-        let done = here.identify("--log bad.csv --methods wls --out out");
-        let message = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert_eq!(done.status.code(), Some(1), "{name}: {message}");
-        assert!(
-            message.starts_with("error: ") && message.contains(words),
-            "{name}: {message}"
-        );
-        assert_eq!(message.lines().count(), 1, "{name}: {message}");
-        assert!(!here.file("out/parameters.bank").exists(), "{name}");
+    let judged = |words: &str| {
+        let done = identify(&here, "--log bad.csv --methods wls --out out");
+        let message = failure(words, &done);
+        assert!(message.contains(words), "{words}: {message}");
+        assert!(!here.join("out/parameters.bank").exists(), "{words}");
     };
-    for (name, change, words) in &cases {
-        fs::write(here.file("bad.csv"), planted(&good, change.as_ref())).expect("writes");
-        judged(name, words);
+    for (change, words) in &cases {
+        write(here.join("bad.csv"), planted(&good, change.as_ref()));
+        judged(words);
     }
     let mut loaded = Robot::load("ur5").expect("built in");
     let last = loaded.joints.last_mut().expect("six");
@@ -146,49 +118,49 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         inertia_com: Matrix3::identity() * 0.005,
     };
     last.link = Link::lumped(&[last.link, hand]).expect("two");
-    log_of(&loaded, &here.file("bad.csv"), 3000, 0.0, None, 0.05);
-    judged(
-        "payload",
-        " kg at the flange explains what the description does not",
-    );
-    let ur10 = format!(
-        "{}/../tests/data/ros2-bags/ur10.toml",
-        env!("CARGO_MANIFEST_DIR")
-    );
-    let ur10 = Robot::load(&ur10).expect("a robot");
-    log_of(&ur10, &here.file("bad.csv"), 3000, 0.0, None, 0.05);
-    judged("another arm", "another arm");
+    log_of(&loaded, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
+    judged(" kg at the flange explains what the description does not");
+    let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ros2-bags");
+    let ur10 = Robot::load(&format!("{bags}/ur10.toml")).expect("a robot");
+    log_of(&ur10, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
+    judged("another arm");
     // A sound log of a plant that is not its description passes, and so does a refused one by force.
-    here.succeeds("identify --robot ur5 --log good.csv --methods wls --out out");
-    assert!(here.file("out/parameters.bank").exists());
-    here.identify("--log bad.csv --methods wls --out out");
-    assert!(
-        !here.file("out/parameters.bank").exists(),
-        "a bank of an earlier run"
-    );
-    here.succeeds("identify --robot ur5 --log bad.csv --methods wls --force --out out");
-    assert!(here.file("out/parameters.bank").exists());
+    for (arguments, bank) in [
+        ("good.csv --methods wls", true),
+        ("bad.csv --methods wls", false),
+        ("bad.csv --methods wls --force", true),
+    ] {
+        identify(&here, &format!("--out out --log {arguments}"));
+        assert_eq!(
+            here.join("out/parameters.bank").exists(),
+            bank,
+            "{arguments}"
+        );
+    }
 }
 
 #[test]
 fn an_inaccurate_description_is_no_mistake() {
-    let here = Directory::new("planted-none");
+    let here = directory("planted-none");
     for seed in [1, 2, 3] {
-        here.succeeds(&format!(
-            "simulate --robot ur5 --trajectory validation --seed {seed} --duration-s 15 --torque-noise 0.002 --out plant.csv"
-        ));
-        let stdout = here.succeeds("identify --robot ur5 --log plant.csv --data-check");
-        assert!(
-            stdout.contains("no finding that refuses a bank"),
-            "{stdout}"
+        succeeds(
+            &here,
+            &format!(
+                "simulate --robot ur5 --trajectory validation --seed {seed} --duration-s 15 --torque-noise 0.002 --out plant.csv"
+            ),
         );
-        let stdout = here.succeeds(
+        let stdout = succeeds(&here, "identify --robot ur5 --log plant.csv --data-check");
+        let sound = "no finding that refuses a bank";
+        assert!(stdout.contains(sound), "{stdout}");
+        let stdout = succeeds(
+            &here,
             "identify --robot ur5 --log plant.csv --validate plant.csv --methods wls --out out",
         );
-        assert!(stdout.contains("holds what the training log"), "{stdout}");
-        assert!(
-            stdout.contains("torque error joint by joint, wls:"),
-            "{stdout}"
-        );
+        for words in [
+            "holds what the training log",
+            "torque error joint by joint, wls:",
+        ] {
+            assert!(stdout.contains(words), "{stdout}");
+        }
     }
 }

@@ -41,11 +41,8 @@ fn data_sheet_gives_nominal<A: Arm<N, P>, const N: usize, const P: usize>() {
     let beta = base_parameters::<A, N, P>(&links, &rotors);
     for (k, (value, nominal)) in beta.iter().zip(&A::NOMINAL).enumerate() {
         let error = (value - nominal).abs();
-        let name = A::NAME;
-        assert!(
-            error <= BASE_TOLERANCE,
-            "{name}: base parameter {k} off by {error:e}"
-        );
+        let near = error <= BASE_TOLERANCE;
+        assert!(near, "{}: base parameter {k} off by {error:e}", A::NAME);
     }
 }
 

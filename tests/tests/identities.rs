@@ -27,11 +27,8 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     qdd: &JointVector<N>,
 ) -> Joints<N> {
     let beta = BaseParameters::<P>::from_fn(|k, _| A::NOMINAL[k]);
-    let motion = JointMotion {
-        q: *q,
-        qd: *qd,
-        qdd: *qdd,
-    };
+    let (q, qd, qdd) = (*q, *qd, *qdd);
+    let motion = JointMotion { q, qd, qdd };
     rnea::<A, N, P>(&beta, &motion).map(f64::from)
 }
 
@@ -61,11 +58,8 @@ fn is_affine<A: Arm<N, P>, const N: usize, const P: usize>() {
         let half = qdd * 0.5;
         let whole = torque::<A, N, P>(&q, &qd, &qdd) + torque::<A, N, P>(&q, &qd, &zero);
         let halves = torque::<A, N, P>(&q, &qd, &half) * 2.0;
-        assert!(
-            close(&whole, &halves, &tolerance::<A, N, P>(4.0)),
-            "{} {q}",
-            A::NAME
-        );
+        let affine = close(&whole, &halves, &tolerance::<A, N, P>(4.0));
+        assert!(affine, "{} {q}", A::NAME);
     }
 }
 
@@ -86,19 +80,13 @@ fn has_a_mass_matrix<A: Arm<N, P>, const N: usize, const P: usize>() {
         for i in 0..N {
             for j in 0..i {
                 let error = (mass[(i, j)] - mass[(j, i)]).abs();
-                assert!(
-                    error <= allowed[i] + allowed[j],
-                    "{} M{i}{j}: {error:e}",
-                    A::NAME
-                );
+                let symmetric = error <= allowed[i] + allowed[j];
+                assert!(symmetric, "{} M{i}{j}: {error:e}", A::NAME);
             }
         }
         let symmetric = (mass + mass.transpose()) * 0.5;
-        assert!(
-            symmetric.cholesky().is_some(),
-            "{}: M is not positive definite",
-            A::NAME
-        );
+        let definite = symmetric.cholesky().is_some();
+        assert!(definite, "{}: M is not positive definite", A::NAME);
     }
 }
 
@@ -110,17 +98,13 @@ fn gravity_is_a_gradient<A: Arm<N, P>, const N: usize, const P: usize>() {
         let gradient = Joints::<N>::from_fn(|joint, _| {
             let mut step = Joints::<N>::zeros();
             step[joint] = STEP;
-            let rest = Joints::<N>::zeros();
-            (model.energy(&(wide + step), &rest) - model.energy(&(wide - step), &rest))
-                / (2.0 * STEP)
+            let energy = |q| model.energy(&q, &Joints::zeros());
+            (energy(wide + step) - energy(wide - step)) / (2.0 * STEP)
         });
         let of_gravity = gravity_torque::<A, N, P>(&A::NOMINAL.into(), &q).map(f64::from);
         for tau in [torque::<A, N, P>(&q, &zero, &zero), of_gravity] {
-            assert!(
-                close(&tau, &gradient, &tolerance::<A, N, P>(1.0)),
-                "{} {q}",
-                A::NAME
-            );
+            let same = close(&tau, &gradient, &tolerance::<A, N, P>(1.0));
+            assert!(same, "{} {q}", A::NAME);
         }
     }
 }
@@ -133,11 +117,8 @@ fn power_is_balanced<A: Arm<N, P>, const N: usize, const P: usize>() {
         let energy = |t: f64| model.energy(&(q + qd * t + qdd * (0.5 * t * t)), &(qd + qdd * t));
         let change = (energy(STEP) - energy(-STEP)) / (2.0 * STEP);
         let allowed = tolerance::<A, N, P>(1.0).dot(&qd.abs());
-        assert!(
-            (power - change).abs() <= allowed,
-            "{}: {power} W, {change} W",
-            A::NAME
-        );
+        let balanced = (power - change).abs() <= allowed;
+        assert!(balanced, "{}: {power} W, {change} W", A::NAME);
     }
 }
 

@@ -29,9 +29,8 @@ fn worse(a: f64, b: f64) -> f64 {
 }
 
 fn largest<const N: usize>(errors: &Joints<N>) -> f64 {
-    errors
-        .iter()
-        .fold(0.0, |worst, error| worse(worst, error.abs()))
+    let errors = errors.iter();
+    errors.fold(0.0, |worst, error| worse(worst, error.abs()))
 }
 
 /// Standard parameters as the tables name them, in the order of eq. 14.
@@ -80,10 +79,8 @@ fn reference_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
         let expected: Joints<N> = table.joints::<N>(row, "tau", "_nm").into();
         tau = worse(tau, largest(&(model.inverse_dynamics(&state) - expected)));
         let expected: Joints<N> = table.joints::<N>(row, "gravity", "_nm").into();
-        gravity = worse(
-            gravity,
-            largest(&(model.gravity_torques(&state.q) - expected)),
-        );
+        let error = model.gravity_torques(&state.q) - expected;
+        gravity = worse(gravity, largest(&error));
         let matrix = model.mass_matrix(&state.q);
         for i in 0..N {
             for j in 0..N {
@@ -93,26 +90,19 @@ fn reference_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
             }
         }
     }
-    println!(
-        "{name}: reference off by {tau:.1e} N·m, gravity {gravity:.1e} N·m, M {mass:.1e} kg·m²"
-    );
-    assert!(tau <= REFERENCE_TOLERANCE, "{name}: torque off by {tau:e}");
-    assert!(
-        gravity <= REFERENCE_TOLERANCE,
-        "{name}: gravity off by {gravity:e}"
-    );
-    assert!(
-        mass <= REFERENCE_TOLERANCE,
-        "{name}: mass matrix off by {mass:e}"
-    );
+    for (error, of) in [(tau, "torque"), (gravity, "gravity"), (mass, "mass matrix")] {
+        println!("{name}: {of} of the reference off by {error:.1e}");
+        assert!(
+            error <= REFERENCE_TOLERANCE,
+            "{name}: {of} off by {error:e}"
+        );
+    }
 }
 
 fn reference_regressor_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
     let name = A::NAME;
-    let (table, expected) = (
-        Table::pinocchio(name),
-        Table::pinocchio(&format!("{name}_regressor")),
-    );
+    let table = Table::pinocchio(name);
+    let expected = Table::pinocchio(&format!("{name}_regressor"));
     assert_eq!(table.len(), expected.len(), "{name}");
     let model = ReferenceModel::<N>::new(&description(name)).expect("as many joints as the table");
     let mut worst = 0.0_f64;
@@ -131,19 +121,13 @@ fn reference_regressor_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
                 } else {
                     0.0
                 };
-                assert_eq!(
-                    regressor[(joint, LINK_PARAMETERS * N + rotor)],
-                    entry,
-                    "{name}"
-                );
+                let found = regressor[(joint, LINK_PARAMETERS * N + rotor)];
+                assert_eq!(found, entry, "{name}");
             }
         }
     }
     println!("{name}: regressor off by {worst:.1e}");
-    assert!(
-        worst <= TABULATED_TOLERANCE,
-        "{name}: regressor off by {worst:e}"
-    );
+    assert!(worst <= TABULATED_TOLERANCE, "{name}: {worst:e}");
 }
 
 /// Largest torque error of the board's f32 code over a table, N·m.
@@ -165,44 +149,33 @@ fn board_error<A: Arm<N, P>, const N: usize, const P: usize>() -> Joints<N> {
 fn board_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
     let worst = board_error::<A, N, P>();
     let shares = Joints::<N>::from_fn(|joint, _| worst[joint] / f64::from(A::LIMITS[joint].torque));
-    println!(
-        "{}: board off by {:.1e} of the torque limits",
-        A::NAME,
-        largest(&shares)
-    );
-    for (joint, share) in shares.iter().enumerate() {
-        assert!(
-            *share <= LIMIT_SHARE,
-            "{}: joint {}: {share:e}",
-            A::NAME,
-            joint + 1
-        );
+    let (name, worst) = (A::NAME, largest(&shares));
+    println!("{name}: board off by {worst:.1e} of the torque limits");
+    for (joint, share) in (1..).zip(shares.iter()) {
+        assert!(*share <= LIMIT_SHARE, "{name}: joint {joint}: {share:e}");
     }
 }
 
 /// Rows of the board's regressor are the table's columns of the base set.
 fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
-    let (table, expected) = (
-        Table::pinocchio(A::NAME),
-        Table::pinocchio(&format!("{}_regressor", A::NAME)),
-    );
+    let name = A::NAME;
+    let table = Table::pinocchio(name);
+    let expected = Table::pinocchio(&format!("{name}_regressor"));
     let flags = A::COLUMNS.iter().flat_map(|columns| columns.inertial);
-    let independent: Vec<usize> = flags
+    let independent = flags
         .enumerate()
-        .filter_map(|(standard, is_base)| is_base.then_some(standard))
-        .collect();
+        .filter_map(|(k, is_base)| is_base.then_some(k));
+    let independent: Vec<usize> = independent.collect();
     let mut worst = 0.0_f64;
     for state in 0..table.len() {
         let motion = motion::<N>(&table, state);
         for joint in 0..N {
             let row = regressor_row::<A, N, P>(joint, &motion);
-            let entries = independent
-                .iter()
-                .map(|&c| regressor_entry(&expected, state, joint, c));
-            let entries: Vec<f64> = entries.collect();
+            let entry = |&column: &usize| regressor_entry(&expected, state, joint, column);
+            let entries: Vec<f64> = independent.iter().map(entry).collect();
             let scale = entries
                 .iter()
-                .fold(1.0_f64, |max, entry| max.max(entry.abs()));
+                .fold(1.0, |max: f64, entry| max.max(entry.abs()));
             for (value, entry) in row.iter().zip(&entries) {
                 let error = (f64::from(*value) - entry).abs() / scale;
                 worst = worse(worst, error);
@@ -214,15 +187,12 @@ fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
                 } else {
                     0.0
                 };
-                assert_eq!(*value, entry, "{}", A::NAME);
+                assert_eq!(*value, entry, "{name}");
             }
         }
     }
-    println!(
-        "{}: board's regressor off by {worst:.1e} of its largest entry",
-        A::NAME
-    );
-    assert!(worst <= ROW_TOLERANCE, "{}: {worst:e}", A::NAME);
+    println!("{name}: board's regressor off by {worst:.1e} of its largest entry");
+    assert!(worst <= ROW_TOLERANCE, "{name}: {worst:e}");
 }
 
 #[test]

@@ -34,10 +34,8 @@ pub(crate) fn run() -> Result<()> {
             let text = fs::read_to_string(root().join(&path));
             let text = text.with_context(|| format!("cannot read {path}"))?;
             let home = path.trim_end_matches(file).to_owned();
-            crates
-                .entry(home)
-                .or_default()
-                .push((file.to_owned(), text));
+            let sources = crates.entry(home).or_default();
+            sources.push((file.to_owned(), text));
         }
     }
     let mut count = 0;
@@ -45,9 +43,9 @@ pub(crate) fn run() -> Result<()> {
         for circle in Crate::new(sources).circles() {
             count += 1;
             println!("circle in {home}");
-            circle
-                .iter()
-                .for_each(|import| println!("  {home}{import}"));
+            for import in circle {
+                println!("  {home}{import}");
+            }
         }
     }
     if count > 0 {
@@ -85,14 +83,12 @@ impl Crate {
             let mut path: Path = parts.map(str::to_owned).collect();
             path.pop_if(|last| matches!(last.as_str(), "mod" | "lib" | "main"));
             let imports = imports(&text);
-            (
-                path,
-                Module {
-                    file,
-                    text,
-                    imports,
-                },
-            )
+            let module = Module {
+                file,
+                text,
+                imports,
+            };
+            (path, module)
         });
         Self(modules.collect())
     }
@@ -225,14 +221,10 @@ fn imports(text: &str) -> Vec<Import> {
         } else if !code.starts_with("//") {
             let words = code.split(|c: char| !c.is_alphanumeric() && c != '_' && c != ':');
             for word in words.filter(|word| word.contains("::") && !word.starts_with(':')) {
-                let path = word
-                    .trim_end_matches(':')
-                    .split("::")
-                    .map(str::to_owned)
-                    .collect();
+                let parts = word.trim_end_matches(':').split("::");
                 found.push(Import {
                     line,
-                    path,
+                    path: parts.map(str::to_owned).collect(),
                     name: None,
                     public: false,
                 });

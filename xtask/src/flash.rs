@@ -9,7 +9,7 @@ use elf::abi::PT_LOAD;
 use elf::endian::LittleEndian;
 use ihex::Record;
 
-use crate::demo;
+use crate::runs::ELF_COPY;
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command};
 use crate::toolchain;
@@ -94,15 +94,12 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
 
 /// Whether the ELF is byte for byte the one that the last demo emulated.
 fn compared(bytes: &[u8]) -> String {
-    let copy = shell::root().join(demo::ELF_COPY);
+    let copy = shell::root().join(ELF_COPY);
     match fs::read(copy) {
         Ok(emulated) if emulated == bytes => {
-            format!("the same bytes as {}, which it emulated", demo::ELF_COPY)
+            format!("the same bytes as {}, which it emulated", ELF_COPY)
         }
-        Ok(_) => format!(
-            "other bytes than {}: the source has changed",
-            demo::ELF_COPY
-        ),
+        Ok(_) => format!("other bytes than {}: the source has changed", ELF_COPY),
         Err(_) => "has not run here; `cargo xtask demo` emulates this very file".into(),
     }
 }

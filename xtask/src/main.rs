@@ -1,14 +1,12 @@
 //! Set-up, demo, bench and test of foretorque in one command each.
 
-mod bench;
 mod capi;
 mod circles;
-mod demo;
-mod faults;
 mod flash;
 mod fuzz;
 mod mutants;
 mod outside;
+mod runs;
 mod setup;
 mod shell;
 mod test;
@@ -134,10 +132,10 @@ fn run(request: &Request) -> Result<()> {
     match request.command.as_str() {
         "setup" if request.check => setup::check(forced),
         "setup" => setup::run(forced).and_then(|_| capi::bring_compiler()),
-        "demo" => demo::run(forced),
+        "demo" => runs::demo(forced),
         "test" => test::run(forced),
-        "bench" => bench::run(forced, request.accept),
-        "faults" => faults::run(forced, request.accept),
+        "bench" => runs::bench(forced, request.accept),
+        "faults" => runs::faults(forced, request.accept),
         "fuzz" => fuzz::run(forced, request.runs.unwrap_or(fuzz::RUNS)),
         "flash" => flash::run(forced, request.board, request.image),
         "capi" => capi::run(forced),
@@ -184,27 +182,17 @@ mod tests {
             command: name.into(),
             ..Request::default()
         };
-        let debian = Request {
-            toolchain: Some(Way::Debian),
-            check: true,
-            ..command("setup")
-        };
-        assert_eq!(request("setup --toolchain debian --check"), Ok(debian));
-        let debian = Request {
-            toolchain: Some(Way::Debian),
-            ..command("demo")
-        };
-        assert_eq!(request("--toolchain=debian demo"), Ok(debian));
-        let flash = Request {
-            board: Board::Pyboard,
-            image: true,
-            ..command("flash")
-        };
+        let mut setup = command("setup");
+        (setup.toolchain, setup.check) = (Some(Way::Debian), true);
+        assert_eq!(request("setup --toolchain debian --check"), Ok(setup));
+        let mut demo = command("demo");
+        demo.toolchain = Some(Way::Debian);
+        assert_eq!(request("--toolchain=debian demo"), Ok(demo));
+        let mut flash = command("flash");
+        (flash.board, flash.image) = (Board::Pyboard, true);
         assert_eq!(request("flash --image --board pyboard"), Ok(flash));
-        let fuzz = Request {
-            runs: Some(7),
-            ..command("fuzz")
-        };
+        let mut fuzz = command("fuzz");
+        fuzz.runs = Some(7);
         assert_eq!(request("fuzz --runs 7"), Ok(fuzz));
         assert!(request("bench --accept").unwrap().accept);
         assert_eq!(request(""), Ok(command("help")));

@@ -31,12 +31,8 @@ pub(crate) fn gate(tools: Tools) -> Result<()> {
         }
         let mut build = tools.board.tool("cargo");
         build.args(["build", "--release", "--locked", "--target", target]);
-        build.args([
-            "--target-dir",
-            "target/outside",
-            "--manifest-path",
-            manifest,
-        ]);
+        build.args(["--target-dir", "target/outside"]);
+        build.args(["--manifest-path", manifest]);
         shell::run(&mut build)?;
     }
     let mut tree = tools.board.tool("cargo");
@@ -57,10 +53,8 @@ pub(crate) fn gate(tools: Tools) -> Result<()> {
 
 /// The core of `target` is there.
 fn installed(toolchain: Toolchain, target: &str) -> Result<bool> {
-    let output = toolchain
-        .tool("rustc")
-        .args(["--print", "sysroot"])
-        .output();
+    let mut rustc = toolchain.tool("rustc");
+    let output = rustc.args(["--print", "sysroot"]).output();
     let sysroot = output.context("cannot start `rustc`")?.stdout;
     let sysroot = String::from_utf8_lossy(&sysroot);
     let libraries = Path::new(sysroot.trim()).join("lib/rustlib").join(target);

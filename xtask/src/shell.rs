@@ -19,10 +19,8 @@ pub(crate) fn root() -> PathBuf {
 pub(crate) fn command(program: &str) -> Command {
     let mut command = Command::new(program);
     // `cargo run` exports the cargo it is; a toolchain of another name must find its own.
-    command
-        .current_dir(root())
-        .env_remove("CARGO")
-        .stdin(Stdio::null());
+    command.current_dir(root()).env_remove("CARGO");
+    command.stdin(Stdio::null());
     command
 }
 
@@ -37,9 +35,8 @@ pub(crate) fn line(command: &Command) -> String {
 
 /// Runs with the output shown; an exit code other than zero is an error.
 pub(crate) fn run(command: &mut Command) -> Result<()> {
-    let status = command
-        .status()
-        .with_context(|| format!("cannot start `{}`", line(command)))?;
+    let status = command.status();
+    let status = status.with_context(|| format!("cannot start `{}`", line(command)))?;
     if !status.success() {
         bail!("`{}` failed ({status})", line(command));
     }
@@ -49,10 +46,8 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
 /// Standard output of a command that succeeds in silence; `None` when it cannot start or fails.
 pub(crate) fn capture(command: &mut Command) -> Option<String> {
     let output = command.output().ok()?;
-    output
-        .status
-        .success()
-        .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+    let text = || String::from_utf8_lossy(&output.stdout).into_owned();
+    output.status.success().then(text)
 }
 
 /// Runs in silence for at most `limit`, then ends the child; the error carries the child's own first `error` line.
@@ -82,20 +77,15 @@ pub(crate) fn run_bounded(command: &mut Command, limit: Duration) -> Result<()> 
         if start.elapsed() > limit {
             child.kill()?;
             child.wait()?;
-            bail!(
-                "`{}` took more than {} s and was ended",
-                line(command),
-                limit.as_secs()
-            );
+            let (line, limit) = (line(command), limit.as_secs());
+            bail!("`{line}` took more than {limit} s and was ended");
         }
         thread::sleep(Duration::from_millis(20));
     };
     if !status.success() {
         let text = reader.join().unwrap_or_default();
-        let reason = text
-            .lines()
-            .find(|line| line.starts_with("error"))
-            .unwrap_or("error: no reason given");
+        let reason = text.lines().find(|line| line.starts_with("error"));
+        let reason = reason.unwrap_or("error: no reason given");
         // rustup writes its whole chain of causes on that line.
         let reason: String = reason.chars().take(160).collect();
         bail!("`{}`: {reason}", line(command));
@@ -109,10 +99,8 @@ pub(crate) fn timed<T>(task: &str, work: impl FnOnce() -> Result<T>) -> Result<T
     let start = Instant::now();
     let outcome = work();
     let verdict = if outcome.is_ok() { "done" } else { "failed" };
-    println!(
-        "set-up: {verdict} after {:.1} s",
-        start.elapsed().as_secs_f64()
-    );
+    let seconds = start.elapsed().as_secs_f64();
+    println!("set-up: {verdict} after {seconds:.1} s");
     outcome
 }
 
@@ -134,9 +122,7 @@ mod tests {
         let script = "echo noise >&2; echo 'error: no route to host' >&2; exit 1";
         let error =
             run_bounded(command("sh").args(["-c", script]), Duration::from_secs(60)).unwrap_err();
-        assert!(
-            error.to_string().ends_with("error: no route to host"),
-            "{error}"
-        );
+        let reason = "error: no route to host";
+        assert!(error.to_string().ends_with(reason), "{error}");
     }
 }

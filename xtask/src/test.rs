@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail};
 
 use crate::capi;
+use crate::circles;
 use crate::fuzz;
 use crate::outside;
 use crate::setup::{self, Way};
@@ -55,6 +56,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     }));
     outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("words", words::run));
+    outcomes.push(pass("circles", circles::run));
     outcomes.push(pass("library for C", || {
         capi::bring_compiler()?;
         capi::build(tools)
@@ -77,29 +79,16 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     outcomes.push(pass("docs", || shell::run(&mut docs)));
 
     println!("\n{:<16} {:<7} {:>8}", "gate", "result", "seconds");
-    for Outcome {
-        name,
-        passed,
-        seconds,
-    } in &outcomes
-    {
-        println!(
-            "{name:<16} {:<7} {seconds:>8.1}",
-            if *passed { "ok" } else { "FAILED" }
-        );
+    for outcome in &outcomes {
+        let (name, seconds) = (outcome.name, outcome.seconds);
+        let result = if outcome.passed { "ok" } else { "FAILED" };
+        println!("{name:<16} {result:<7} {seconds:>8.1}");
     }
-    println!(
-        "{:<16} {:<7} {:>8.1}\n",
-        "all",
-        "",
-        start.elapsed().as_secs_f64()
-    );
+    let seconds = start.elapsed().as_secs_f64();
+    println!("{:<16} {:<7} {seconds:>8.1}\n", "all", "");
     println!("{} passed, {} failed", counts.passed, counts.failed);
-    let failed: Vec<_> = outcomes
-        .iter()
-        .filter(|outcome| !outcome.passed)
-        .map(|outcome| outcome.name)
-        .collect();
+    let failed = outcomes.iter().filter(|outcome| !outcome.passed);
+    let failed: Vec<_> = failed.map(|outcome| outcome.name).collect();
     if !failed.is_empty() {
         bail!("failed: {}", failed.join(", "));
     }
@@ -210,33 +199,15 @@ all doctests ran in 0.31s; merged doctests compilation took 0.20s
 test result: nonsense";
         let results = output.lines().filter_map(parse_result);
         let sum = results.fold(Counts::default(), Counts::plus);
-        assert_eq!(
-            sum,
-            Counts {
-                passed: 15,
-                failed: 2
-            }
-        );
+        let (passed, failed) = (15, 2);
+        assert_eq!(sum, Counts { passed, failed });
     }
 
     #[test]
     fn a_test_program_that_dies_without_a_result_line_is_a_failure() {
-        let seen = Counts {
-            passed: 7,
-            failed: 0,
-        };
-        assert_eq!(
-            attribute(seen, false),
-            Counts {
-                passed: 7,
-                failed: 1
-            }
-        );
-        assert_eq!(attribute(seen, true), seen);
-        let counted = Counts {
-            passed: 7,
-            failed: 2,
-        };
-        assert_eq!(attribute(counted, false), counted);
+        for (failed, ended_well, expected) in [(0, false, 1), (0, true, 0), (2, false, 2)] {
+            let seen = Counts { passed: 7, failed };
+            assert_eq!(attribute(seen, ended_well).failed, expected);
+        }
     }
 }

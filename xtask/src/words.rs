@@ -7,14 +7,7 @@ use anyhow::{Context as _, Result, bail};
 use crate::shell::root;
 
 /// Beginnings of a doc comment that name no quantity.
-const BEGINNINGS: [&str; 6] = [
-    "What",
-    "When",
-    "How far",
-    "How often",
-    "How many",
-    "The same",
-];
+const BEGINNINGS: &str = "What,When,How far,How often,How many,The same";
 
 /// Bounds of README.md: words in all, words of a mean sentence.
 const README_WORDS: usize = 600;
@@ -28,17 +21,15 @@ pub(crate) fn run() -> Result<()> {
     let mut broken = Vec::new();
     for path in files(".rs")? {
         for (line, first) in bad_first_lines(&read(&path)?) {
-            broken.push(format!(
-                "{path}:{line}: a doc comment begins with `{first}`"
-            ));
+            let line = format!("{path}:{line}: a doc comment begins with `{first}`");
+            broken.push(line);
         }
     }
     let readme = read("README.md")?;
     let words = readme.split_whitespace().count();
     if words > README_WORDS {
-        broken.push(format!(
-            "README.md:1: {words} words, at most {README_WORDS}"
-        ));
+        let line = format!("README.md:1: {words} words, at most {README_WORDS}");
+        broken.push(line);
     }
     broken.extend(too_long("README.md", &readme, README_MEAN));
     let pages = files(".md")?;
@@ -87,11 +78,12 @@ fn bad_first_lines(text: &str) -> Vec<(usize, &'static str)> {
         let doc = line.strip_prefix("///").or(line.strip_prefix("//!"));
         if let (Some(doc), false) = (doc, inside) {
             let doc = doc.trim_start();
-            let begins = |words: &&&str| {
-                let rest = doc.strip_prefix(**words);
+            let begins = |words: &&str| {
+                let rest = doc.strip_prefix(*words);
                 rest.is_some_and(|rest| !rest.starts_with(char::is_alphanumeric))
             };
-            found.extend(BEGINNINGS.iter().find(begins).map(|words| (number, *words)));
+            let words = BEGINNINGS.split(',').find(begins);
+            found.extend(words.map(|words| (number, words)));
         }
         inside = doc.is_some();
     }
@@ -170,12 +162,10 @@ fn without_links(line: &str) -> String {
     let mut code = false;
     let mut rest = line;
     while let Some(c) = rest.chars().next() {
-        if let (false, Some(target)) = (code, rest.strip_prefix("](")) {
-            rest = target.split_once(')').map_or("", |(_, behind)| behind);
-            continue;
-        }
-        if let (false, Some(picture)) = (code, rest.strip_prefix("![")) {
-            rest = picture.split_once(')').map_or("", |(_, behind)| behind);
+        // The target of a link, or a picture.
+        let inside = rest.strip_prefix("](").or(rest.strip_prefix("!["));
+        if let (false, Some(inside)) = (code, inside) {
+            rest = inside.split_once(')').map_or("", |(_, behind)| behind);
             continue;
         }
         code ^= c == '`';

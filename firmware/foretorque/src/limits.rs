@@ -93,10 +93,8 @@ impl BitOrAssign for Flags {
 /// `value` cut to ±`bound`, and whether it was cut. A not-a-number passes uncut.
 #[inline]
 pub fn cut(value: f32, bound: f32) -> (f32, bool) {
-    if value > bound {
-        (bound, true)
-    } else if value < -bound {
-        (-bound, true)
+    if value.abs() > bound {
+        (bound.copysign(value), true)
     } else {
         (value, false)
     }

@@ -1,9 +1,9 @@
-//! Which arm: the options that every command with a robot takes.
+//! Options that commands share: the robot, the arm in its description, the columns of logs.
 
-use super::terminal::say;
-use super::{Failure, unusable};
+use super::terminal::show;
+use super::{Failure, positive, unusable};
 use clap::Args;
-use foretorque_workbench::robot::{Joint, Robot};
+use foretorque_workbench::robot::{EffortKind, Joint, LOG_SOURCES, LogColumns, Robot, Units};
 use foretorque_workbench::urdf::{Import, Selection};
 
 /// Arm of a URDF, and values that take the place of the description's.
@@ -24,29 +24,46 @@ pub(super) struct ArmOptions {
     #[arg(long)]
     repair: bool,
     /// Mass of links without inertial data
-    #[arg(long, value_name = "KG")]
+    #[arg(long, value_name = "KG", value_parser = positive)]
     link_mass: Option<f64>,
     /// Rotor inertias reflected to the link side: one for all joints, or one for each
-    #[arg(long, value_name = "KG_M2,...", value_delimiter = ',')]
+    #[arg(long, value_name = "KG_M2,...", value_delimiter = ',', value_parser = positive)]
     rotor_inertia: Vec<f64>,
     /// Torque limits: one for all joints, or one for each
-    #[arg(long, value_name = "NM,...", value_delimiter = ',')]
+    #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = positive)]
     torque_limits: Vec<f64>,
     /// Velocity limits: one for all joints, or one for each
-    #[arg(long, value_name = "RAD_S,...", value_delimiter = ',')]
+    #[arg(long, value_name = "RAD_S,...", value_delimiter = ',', value_parser = positive)]
     velocity_limits: Vec<f64>,
     /// Drive gains: one for all joints, or one for each
-    #[arg(long, value_name = "NM_A,...", value_delimiter = ',')]
+    #[arg(long, value_name = "NM_A,...", value_delimiter = ',', value_parser = positive)]
     drive_gains: Vec<f64>,
     /// Coulomb friction of the simulated arm: one for all joints, or one for each
-    #[arg(long, value_name = "NM,...", value_delimiter = ',')]
+    #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = positive)]
     friction: Vec<f64>,
+}
+
+/// The robot of a command.
+#[derive(Debug, Args)]
+pub(super) struct RobotOptions {
+    /// Robot: a built-in name, or a TOML, URDF or MJCF file; its log_columns map foreign logs
+    #[arg(long)]
+    robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
+}
+
+impl RobotOptions {
+    /// Errors: those of [`ArmOptions::load`].
+    pub(super) fn load(&self) -> Result<Robot, Failure> {
+        self.arm.load(&self.robot)
+    }
 }
 
 impl ArmOptions {
     /// The arm called `name`, with its notes.
     ///
-    /// Errors: of the description; a list of another length than the joints; a value that is not positive.
+    /// Errors: of the description; a list of another length than the joints.
     pub(super) fn import(&self, name: &str) -> Result<Import, Failure> {
         let selection = Selection {
             base: self.base.as_deref(),
@@ -55,30 +72,19 @@ impl ArmOptions {
             repair: self.repair,
             link_mass: self.link_mass,
         };
-        if self
-            .link_mass
-            .is_some_and(|mass| !(mass.is_finite() && mass > 0.0))
-        {
-            return Err(unusable("--link-mass must be positive"));
-        }
         let mut import = Robot::load_selected(name, &selection)?;
         type Place = fn(&mut Joint) -> &mut f64;
-        let places: [(&str, &[f64], Place); 5] = [
-            ("--rotor-inertia", &self.rotor_inertia, |joint| {
-                &mut joint.drive.rotor_inertia
-            }),
-            ("--torque-limits", &self.torque_limits, |joint| {
-                &mut joint.limits.torque
-            }),
-            ("--velocity-limits", &self.velocity_limits, |joint| {
-                &mut joint.limits.velocity
-            }),
-            ("--drive-gains", &self.drive_gains, |joint| {
-                &mut joint.drive.gain
-            }),
-            ("--friction", &self.friction, |joint| {
-                &mut joint.friction.coulomb
-            }),
+        let rotor: Place = |joint| &mut joint.drive.rotor_inertia;
+        let torque: Place = |joint| &mut joint.limits.torque;
+        let velocity: Place = |joint| &mut joint.limits.velocity;
+        let gain: Place = |joint| &mut joint.drive.gain;
+        let friction: Place = |joint| &mut joint.friction.coulomb;
+        let places = [
+            ("--rotor-inertia", &self.rotor_inertia, rotor),
+            ("--torque-limits", &self.torque_limits, torque),
+            ("--velocity-limits", &self.velocity_limits, velocity),
+            ("--drive-gains", &self.drive_gains, gain),
+            ("--friction", &self.friction, friction),
         ];
         let joints = import.robot.joint_count();
         for (option, values, place) in places {
@@ -90,12 +96,6 @@ impl ArmOptions {
                 return Err(unusable(format!(
                     "{option} has {found} values, the arm has {joints} joints"
                 )));
-            }
-            if let Some(bad) = values
-                .iter()
-                .find(|value| !(value.is_finite() && **value > 0.0))
-            {
-                return Err(unusable(format!("{option}: {bad} must be positive")));
             }
             for (joint, value) in import.robot.joints.iter_mut().zip(values.iter().cycle()) {
                 *place(joint) = *value;
@@ -110,8 +110,49 @@ impl ArmOptions {
     pub(super) fn load(&self, name: &str) -> Result<Robot, Failure> {
         let import = self.import(name)?;
         for note in &import.notes {
-            say(format_args!("note: {note}"))?;
+            show!("note: {note}")?;
         }
         Ok(import.robot)
+    }
+}
+
+/// Options that all commands with `--log` share.
+#[derive(Debug, Args)]
+pub(super) struct LogOptions {
+    /// Columns of the logs: ros, rtde, franka, lerobot, or a TOML file with t_s, q_rad, tau_nm (see
+    /// docs/identification.md); found without it where the log is of a known source
+    #[arg(long, value_name = "SOURCE|FILE")]
+    columns_from: Option<String>,
+    /// Names of the columns of logs without a header row, separated by commas
+    #[arg(long, value_delimiter = ',', value_name = "LIST")]
+    names: Vec<String>,
+    /// Units of the logs where they are not SI, such as q=deg,t=ms,tau=mNm
+    #[arg(long)]
+    units: Option<Units>,
+    /// Quantity in the torque columns: torque, current (times the drive gain) or motor (times gear_ratios of --columns-from)
+    #[arg(long)]
+    effort: Option<EffortKind>,
+}
+
+impl LogOptions {
+    /// Gives the robot the columns that were asked for, in the place of those of its description.
+    ///
+    /// Errors: a file that is no map.
+    pub(super) fn apply(&self, robot: &mut Robot) -> Result<(), Failure> {
+        let mut columns = match self.columns_from.as_deref() {
+            None => robot.log_columns.clone().unwrap_or_default(),
+            Some(name) if LOG_SOURCES.contains(&name) => LogColumns {
+                source: Some(name.to_owned()),
+                ..LogColumns::default()
+            },
+            Some(file) => LogColumns::load(file)?,
+        };
+        if !self.names.is_empty() {
+            columns.names.clone_from(&self.names);
+        }
+        columns.effort = self.effort.or(columns.effort);
+        columns.all_units.clone_from(&self.units);
+        robot.log_columns = (columns != LogColumns::default()).then_some(columns);
+        Ok(())
     }
 }

@@ -1,11 +1,12 @@
 use super::arm::ArmOptions;
-use super::boards::{BoardChoice, OnArm, on_arm};
-use super::terminal::say;
-use super::{Failure, key, unusable};
+use super::boards::{BoardChoice, on_arm};
+use super::terminal::show;
+use super::{Failure, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bank::{BankError, ParameterBank};
 use foretorque_link::wire::BankSource;
+use foretorque_link::write_key::{KEY_BYTES, WriteKey};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::write_whole;
@@ -56,27 +57,26 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             // Before a board is disturbed: is it a bank?
             read(&arguments.file)?;
         }
-        if let Some((live, stored)) = on_arm(&arguments.arm.load(robot)?, arguments)? {
+        let robot = &arguments.arm.load(robot)?;
+        let found: Result<_, Failure> = on_arm!(robot, A, N, P => arguments.exchange::<A, N, P>());
+        if let Some((live, stored)) = found? {
             return differences(&live, &stored);
         }
     }
     print(&read(&arguments.file)?)
 }
 
-impl OnArm for &Arguments {
-    /// Live and stored bank, where their difference is wanted.
-    type Output = Option<(ParameterBank, ParameterBank)>;
-
-    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
-        self,
-        _: &Robot,
-    ) -> Result<Self::Output, Failure> {
+impl Arguments {
+    /// Sends the bank to the board, or brings it; live and stored bank where their difference is wanted.
+    fn exchange<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+    ) -> Result<Option<(ParameterBank, ParameterBank)>, Failure> {
         let Some(board) = &self.board else {
             return Ok(None);
         };
         let mut board = board.connect::<A, N, P>(None)?;
         if let Some(file) = &self.key_file {
-            board.set_write_key(key::read(file)?);
+            board.set_write_key(read_key(file)?);
         }
         let Some(source) = self.read else {
             board.upload_bank(&read(&self.file)?)?;
@@ -101,35 +101,35 @@ impl OnArm for &Arguments {
 
 /// Prints what has changed from the stored bank to the live one.
 fn differences(live: &ParameterBank, stored: &ParameterBank) -> Result<(), Failure> {
-    say(format_args!(
+    show!(
         "{:<8} {:>14} {:>14} {:>14}",
-        "column", "stored (SI)", "live", "change"
-    ))?;
+        "column",
+        "stored (SI)",
+        "live",
+        "change"
+    )?;
     for column in &live.columns {
         // Columns that a bank does not have are zero.
         let before = stored.column(column.id).map_or(0.0, |column| column.value);
-        say(format_args!(
+        show!(
             "{:<8} {:>14.6} {:>14.6} {:>14.6}",
             column.id.to_string(),
             before,
             column.value,
             column.value - before
-        ))?;
+        )?;
     }
     let pairs = live.weights.iter().zip(&stored.weights);
     let changes = pairs.map(|(live, stored)| f64::from(live - stored).powi(2));
     let rms = (changes.sum::<f64>() / live.weights.len().max(1) as f64).sqrt();
-    say(format_args!("\nweights   changed by {rms:.6} RMS"))?;
+    show!("\nweights   changed by {rms:.6} RMS")?;
     Ok(())
 }
 
 fn print(bank: &ParameterBank) -> Result<(), Failure> {
-    say(format_args!(
-        "arm       {} ({:08x})",
-        bank.arm, bank.arm_hash
-    ))?;
+    show!("arm       {} ({:08x})", bank.arm, bank.arm_hash)?;
     let network = &bank.network;
-    say(format_args!(
+    show!(
         "network   {} × {}-{}-{} {:?}, {} weights",
         network.blocks,
         network.inputs,
@@ -137,39 +137,40 @@ fn print(bank: &ParameterBank) -> Result<(), Failure> {
         network.outputs,
         network.activation,
         bank.weights.len()
-    ))?;
-    say(format_args!(
+    )?;
+    show!(
         "usable    {}",
         match usable(bank) {
             Ok(()) => format!("yes, on a board that drives {}", bank.arm),
             Err(error) => format!("no: {error}"),
         }
-    ))?;
-    say(format_args!(
-        "\n{:<8} {:>14} {:>14}",
-        "column", "value (SI)", "deviation"
-    ))?;
+    )?;
+    show!("\n{:<8} {:>14} {:>14}", "column", "value (SI)", "deviation")?;
     for column in &bank.columns {
-        say(format_args!(
+        show!(
             "{:<8} {:>14.6} {:>14.6}",
             column.id.to_string(),
             column.value,
             column.deviation
-        ))?;
+        )?;
     }
-    say(format_args!(
+    show!(
         "\n{:<8} {:>10} {:>12} {:>14} {:>12}",
-        "joint", "limit N·m", "slew N·m/s", "network share", "gain N·m/A"
-    ))?;
+        "joint",
+        "limit N·m",
+        "slew N·m/s",
+        "network share",
+        "gain N·m/A"
+    )?;
     for (joint, (limits, gain)) in bank.limits.iter().zip(&bank.drive_gains_nm_a).enumerate() {
-        say(format_args!(
+        show!(
             "{:<8} {:>10} {:>12} {:>14} {:>12}",
             joint + 1,
             limits.torque_nm,
             limits.slew_nm_s,
             limits.network_share,
             gain
-        ))?;
+        )?;
     }
     Ok(())
 }
@@ -199,4 +200,50 @@ pub(super) fn read(path: &Path) -> Result<ParameterBank, Failure> {
 pub(super) fn bytes(bank: &ParameterBank) -> Result<Vec<u8>, Failure> {
     let mut buffer = vec![0; ParameterBank::MAX_BYTES];
     Ok(bank.encode(&mut buffer)?.to_vec())
+}
+
+/// The key in `path`: 32 hexadecimal digits in one line.
+///
+/// Errors: the file's, or that it holds no key.
+pub(super) fn read_key(path: &Path) -> Result<WriteKey, Failure> {
+    let text =
+        fs::read_to_string(path).map_err(|error| foretorque_workbench::files::at(path, error))?;
+    let key = key_bytes(text.trim()).and_then(WriteKey::from_slot);
+    key.ok_or_else(|| {
+        unusable(format!(
+            "{}: not a write key: 32 hexadecimal digits, not all 0 or f",
+            path.display()
+        ))
+    })
+}
+
+fn key_bytes(text: &str) -> Option<[u8; KEY_BYTES]> {
+    let mut key = [0; KEY_BYTES];
+    let digits = text.as_bytes();
+    if digits.len() != 2 * KEY_BYTES || !digits.iter().all(u8::is_ascii_hexdigit) {
+        return None;
+    }
+    for (byte, pair) in key.iter_mut().zip(digits.chunks(2)) {
+        *byte = u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok()?;
+    }
+    Some(key)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_32_hexadecimal_digits() {
+        assert_eq!(key_bytes(&"0a".repeat(16)), Some([10; 16]));
+        for wrong in [
+            "",
+            "0a",
+            &"0g".repeat(16),
+            &"+a".repeat(16),
+            &"0a".repeat(17),
+        ] {
+            assert_eq!(key_bytes(wrong), None, "{wrong}");
+        }
+    }
 }

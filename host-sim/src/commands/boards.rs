@@ -1,14 +1,12 @@
 //! Which board, and how it is reached.
 
-use super::{Failure, unsupported};
+use super::Failure;
 use foretorque::arm::Arm;
-use foretorque_workbench::arms;
 use foretorque_workbench::board::log::Messages;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::serial::{self, Serial};
-use foretorque_workbench::board::{Client, Described, Native, Transport};
+use foretorque_workbench::board::{Client, Native, Transport};
 use foretorque_workbench::files::write_whole;
-use foretorque_workbench::robot::Robot;
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -136,27 +134,22 @@ fn compiler_of(elf: &Path) -> Option<String> {
         })
 }
 
-/// Work for a robot and its arm.
-pub(super) trait OnArm {
-    /// Result of the visit.
-    type Output;
-
-    /// Does the work with the arm `A` of `robot`.
-    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
-        self,
-        robot: &Robot,
-    ) -> Result<Self::Output, Failure>;
-}
-
-/// Does `work` with the arm of `robot`: the code of the board with the constants of the description.
+/// `on_arm!(robot, A, N, P => work)`: `work` with the arm `A` of `robot`, the code of the board with the constants of the
+/// description.
 ///
-/// Errors: those of the work.
-pub(super) fn on_arm<W: OnArm>(robot: &Robot, work: W) -> Result<W::Output, Failure> {
-    arms!(robot, N, P => {
-        Described::<N, P>::read(robot).ok_or_else(|| unsupported(N))?;
-        work.on::<Described<N, P>, N, P>(robot)
-    }, else Err(unsupported(robot.joint_count())))
+/// Errors: those of the work; a robot that is too large.
+macro_rules! on_arm {
+    ($robot:expr, $arm:ident, $n:ident, $p:ident => $work:expr) => {
+        foretorque_workbench::arms!($robot, $n, $p => {
+            type $arm = foretorque_workbench::board::Described<$n, $p>;
+            match <$arm>::read($robot) {
+                Some(_) => $work,
+                None => Err($crate::commands::unsupported($n)),
+            }
+        }, else Err($crate::commands::unsupported($robot.joint_count())))
+    };
 }
+pub(super) use on_arm;
 
 #[cfg(test)]
 mod tests {

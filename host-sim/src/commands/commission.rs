@@ -1,6 +1,6 @@
-use super::boards::{OnArm, on_arm};
+use super::boards::on_arm;
 use super::drive::wired;
-use super::terminal::say;
+use super::terminal::{show, write_line};
 use super::{Failure, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
@@ -73,17 +73,17 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "{file}: rest_rad is missing: the pose of rest without torque"
         )));
     }
-    on_arm(&Robot::load(&profile.robot)?, (arguments, &profile))
+    let robot = &Robot::load(&profile.robot)?;
+    on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot))
 }
 
-impl OnArm for (&Arguments, &Profile) {
-    type Output = ();
-
+impl Arguments {
     fn on<A: Arm<N, P>, const N: usize, const P: usize>(
-        self,
+        &self,
+        profile: &Profile,
         robot: &Robot,
     ) -> Result<(), Failure> {
-        let (arguments, profile) = self;
+        let arguments = self;
         let config = profile.config::<A, N, P>()?;
         let rest = Joints::<N>::from_column_slice(&profile.rest_rad);
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
@@ -119,14 +119,14 @@ fn steps<A: Arm<N, P>, W: Network + Operator, const N: usize, const P: usize>(
         if outcome.is_err() {
             break;
         }
-        say(format_args!("{name:?}: passed"))?;
+        show!("{name:?}: passed")?;
     }
     let text = serde_json::to_string_pretty(&arm.found.as_slice())? + "\n";
     write_whole(&arguments.out.join("commission.json"), text.as_bytes())?;
     outcome?;
     if arguments.step.is_none() {
-        say(
-            "next: host-sim excite, host-sim drive --trajectory excitation.json, host-sim identify",
+        show!(
+            "next: host-sim excite, host-sim drive --trajectory excitation.json, host-sim identify"
         )?;
     }
     Ok(())
@@ -170,7 +170,7 @@ impl Operator for Attended {
             name: "terminal".to_owned(),
             error,
         };
-        say(format_args!("{request}, then press Enter")).map_err(gone)?;
+        write_line(format_args!("{request}, then press Enter")).map_err(gone)?;
         let mut line = String::new();
         match io::stdin().lock().read_line(&mut line).map_err(gone)? {
             0 => Err(gone(io::ErrorKind::UnexpectedEof.into())),

@@ -1,4 +1,4 @@
-use super::terminal::say;
+use super::terminal::show;
 use super::{Failure, unusable};
 use clap::Args;
 use foretorque_workbench::files::{at, write_whole};
@@ -46,10 +46,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let rows: Vec<[String; 4]> = shown.map(|key| row(key, a.get(key), b.get(key))).collect();
     let width = rows.iter().map(|row| row[0].len()).max().unwrap_or(0);
     for [key, a, b, ratio] in &rows {
-        say(format_args!("{key:<width$} {a:>14} {b:>14} {ratio:>10}"))?;
+        show!("{key:<width$} {a:>14} {b:>14} {ratio:>10}")?;
     }
     if rows.is_empty() {
-        say("no figure differs")?;
+        show!("no figure differs")?;
     }
     if let Some(out) = &arguments.out {
         let names = [&arguments.a, &arguments.b].map(|path| path.display().to_string());

@@ -1,6 +1,6 @@
 use super::Failure;
 use super::arm::ArmOptions;
-use super::terminal::say;
+use super::terminal::show;
 use clap::Args;
 
 /// Print the description of an arm as TOML: a start for a file with all that a URDF does not have
@@ -16,13 +16,11 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let import = arguments.arm.import(&arguments.robot)?;
     let (robot, assumed) = import.robot.with_assumed_rotors();
     for note in &import.notes {
-        say(format_args!("# {note}"))?;
+        show!("# {note}")?;
     }
     if !assumed.is_empty() {
-        say(format_args!(
-            "# assumed: rotor inertia of joints {assumed:?}, torque limit / 200 rad/s²"
-        ))?;
+        show!("# assumed: rotor inertia of joints {assumed:?}, torque limit / 200 rad/s²")?;
     }
-    say(format_args!("{}", robot.to_toml()?.trim_end()))?;
+    show!("{}", robot.to_toml()?.trim_end())?;
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! Options for events on the simulated arm and faults of its reports.
 
-use super::{Failure, unusable};
+use super::{Failure, finite, not_negative, positive, share, unusable};
 use clap::Args;
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::plant::{Events, Payload, PlantConfig, PlantEffects, Push, ReportFaults};
@@ -14,7 +14,7 @@ use std::str::FromStr;
 pub(super) struct DisturbanceArguments {
     /// A payload of so many kg is in the hand from T1 to T2, s; may be given several times
     #[arg(long, value_name = "KG@T1..T2")]
-    payload: Vec<During<f64>>,
+    payload: Vec<During<Mass>>,
     /// Centre of mass of the payloads in the frame of the last link, m
     #[arg(
         long,
@@ -27,31 +27,31 @@ pub(super) struct DisturbanceArguments {
     #[arg(long, value_name = "J:NM@T1..T2")]
     push: Vec<During<JointTorque>>,
     /// Growth of viscous friction, share in ten minutes
-    #[arg(long, default_value_t = 0.3, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.3, allow_hyphen_values = true, value_parser = growth)]
     viscous_drift: f64,
     /// Coulomb friction under load, share of the torque against gravity and velocity products
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = not_negative)]
     load_friction: f64,
     /// Torque the drives make over the torque asked of them: torque constants that are wrong
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, value_parser = positive)]
     drive_gain: f64,
     /// Factor on every reported torque: a wrong current sensor; negative = wrong sign
-    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true, value_parser = not_zero)]
     sensor_gain: f64,
     /// Share of reported torques that are off by 20 % of the limit
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     outliers: f64,
     /// Share of reported positions with a flipped encoder bit
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     glitches: f64,
     /// Share of reports that carry a number that is none
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     not_a_number: f64,
     /// Share of reports that are lost: in no log, and the board has none in that tick
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     lost: f64,
     /// Share of reports that are late: the one before comes in their place
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     late: f64,
     /// Effects of real drives: elastic gears, backlash, sticking, drifting sensors, delays (see docs/identification.md)
     #[arg(long, value_name = "FILE.toml")]
@@ -63,6 +63,19 @@ pub(super) struct DisturbanceArguments {
 struct During<T> {
     what: T,
     time_s: Range<f64>,
+}
+
+/// A mass, kg.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Mass(f64);
+
+impl FromStr for Mass {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mass = positive(text).map_err(|error| format!("a mass {error}"))?;
+        Ok(Self(mass))
+    }
 }
 
 /// A torque on one joint.
@@ -77,11 +90,17 @@ struct JointTorque {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Triple([f64; 3]);
 
-fn number(text: &str) -> Result<f64, String> {
-    let value = text.trim().parse::<f64>().ok();
-    value
-        .filter(|value| value.is_finite())
-        .ok_or_else(|| format!("'{text}' is no number"))
+/// A growth that leaves something of what grows.
+fn growth(text: &str) -> Result<f64, String> {
+    let value = finite(text)?;
+    let least = || "must be more than -1".to_owned();
+    (value > -1.0).then_some(value).ok_or_else(least)
+}
+
+fn not_zero(text: &str) -> Result<f64, String> {
+    let value = finite(text)?;
+    let zero = || "must be a number other than 0".to_owned();
+    (value != 0.0).then_some(value).ok_or_else(zero)
 }
 
 impl FromStr for JointTorque {
@@ -95,7 +114,7 @@ impl FromStr for JointTorque {
                 .ok()
                 .filter(|joint| *joint > 0)
                 .ok_or_else(|| format!("'{joint}' is no joint, they count from 1"))?,
-            torque_nm: number(torque)?,
+            torque_nm: finite(torque)?,
         })
     }
 }
@@ -104,7 +123,7 @@ impl FromStr for Triple {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let values: Vec<f64> = text.split(',').map(number).collect::<Result<_, _>>()?;
+        let values: Vec<f64> = text.split(',').map(finite).collect::<Result<_, _>>()?;
         let values = values.try_into().map_err(|_| "not three numbers")?;
         Ok(Self(values))
     }
@@ -121,7 +140,7 @@ where
             .split_once('@')
             .ok_or("no @ between what and when it happens")?;
         let (from, to) = time.split_once("..").ok_or("no .. between begin and end")?;
-        let time_s = number(from)?..number(to)?;
+        let time_s = finite(from)?..finite(to)?;
         if time_s.start < 0.0 || time_s.is_empty() {
             return Err("it must begin at 0 s or later, and end after that".to_owned());
         }
@@ -135,17 +154,8 @@ where
 impl DisturbanceArguments {
     /// The plant, its noise apart.
     ///
-    /// Errors: a number that makes no sense.
+    /// Errors: a file of effects that is none.
     pub(super) fn plant_config(&self) -> Result<PlantConfig, Failure> {
-        if !(self.drive_gain.is_finite() && self.drive_gain > 0.0) {
-            return Err(unusable("--drive-gain must be positive"));
-        }
-        if !(self.load_friction.is_finite() && self.load_friction >= 0.0) {
-            return Err(unusable("--load-friction must not be negative"));
-        }
-        if !(self.viscous_drift.is_finite() && self.viscous_drift > -1.0) {
-            return Err(unusable("--viscous-drift must be more than -1"));
-        }
         Ok(PlantConfig {
             viscous_drift: self.viscous_drift / 600.0,
             load_friction: self.load_friction,
@@ -160,29 +170,23 @@ impl DisturbanceArguments {
 
     /// Events that the options name.
     ///
-    /// Errors: a joint it has not, a mass that is none.
+    /// Errors: a joint it has not.
     pub(super) fn events<const N: usize>(&self) -> Result<Events<N>, Failure> {
         let mut events = Events::default();
         for During { what, time_s } in &self.payload {
-            if !(what.is_finite() && *what > 0.0) {
-                return Err(unusable("--payload: a mass must be positive"));
-            }
-            let Triple(com_m) = self.payload_com;
-            events
-                .payloads
-                .push(Payload::cube(*what, com_m, time_s.start, time_s.end));
+            let (Mass(mass), Triple(com_m)) = (*what, self.payload_com);
+            let payload = Payload::cube(mass, com_m, time_s.start, time_s.end);
+            events.payloads.push(payload);
         }
         for During { what, time_s } in &self.push {
             let mut torque = Joints::<N>::zeros();
-            match torque.get_mut(what.joint - 1) {
-                Some(slot) => *slot = what.torque_nm,
-                None => {
-                    return Err(unusable(format!(
-                        "--push: there is no joint {}, the last one is {N}",
-                        what.joint
-                    )));
-                }
-            }
+            let joint = what.joint;
+            let missing = || {
+                unusable(format!(
+                    "--push: there is no joint {joint}, the last one is {N}"
+                ))
+            };
+            *torque.get_mut(joint - 1).ok_or_else(missing)? = what.torque_nm;
             events.pushes.push(Push {
                 torque,
                 from_s: time_s.start,
@@ -193,24 +197,8 @@ impl DisturbanceArguments {
     }
 
     /// Faults of the arm's reports that the options name.
-    ///
-    /// Errors: a share that is none.
-    pub(super) fn faults(&self) -> Result<ReportFaults, Failure> {
-        for (share, option) in [
-            (self.outliers, "--outliers"),
-            (self.glitches, "--glitches"),
-            (self.not_a_number, "--not-a-number"),
-            (self.lost, "--lost"),
-            (self.late, "--late"),
-        ] {
-            if !(0.0..=1.0).contains(&share) {
-                return Err(unusable(format!("{option} must lie between 0 and 1")));
-            }
-        }
-        if !(self.sensor_gain.is_finite() && self.sensor_gain != 0.0) {
-            return Err(unusable("--sensor-gain must be a number other than 0"));
-        }
-        Ok(ReportFaults {
+    pub(super) fn faults(&self) -> ReportFaults {
+        ReportFaults {
             torque_gain: self.sensor_gain,
             outliers: self.outliers,
             glitches: self.glitches,
@@ -218,7 +206,7 @@ impl DisturbanceArguments {
             lost: self.lost,
             late: self.late,
             ..ReportFaults::default()
-        })
+        }
     }
 }
 
@@ -228,13 +216,13 @@ mod tests {
 
     #[test]
     fn what_happens_is_read_as_it_is_written() {
-        let payload: During<f64> = "2.5@1..4.5".parse().expect("a payload");
-        assert_eq!((payload.what, payload.time_s), (2.5, 1.0..4.5));
+        let payload: During<Mass> = "2.5@1..4.5".parse().expect("a payload");
+        assert_eq!((payload.what, payload.time_s), (Mass(2.5), 1.0..4.5));
         let push: During<JointTorque> = "2:-30@0.5..0.6".parse().expect("a push");
         assert_eq!((push.what.joint, push.what.torque_nm), (2, -30.0));
         assert_eq!(push.time_s, 0.5..0.6);
         for bad in ["2.5", "2.5@1", "x@1..2", "2@2..1", "2@-1..2", "2@1..1"] {
-            assert!(bad.parse::<During<f64>>().is_err(), "{bad}");
+            assert!(bad.parse::<During<Mass>>().is_err(), "{bad}");
         }
         for bad in ["3@1..2", "0:3@1..2", "x:3@1..2", "1:@1..2"] {
             assert!(bad.parse::<During<JointTorque>>().is_err(), "{bad}");

@@ -1,9 +1,9 @@
-use super::boards::{OnArm, on_arm};
+use super::boards::on_arm;
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
-use super::terminal::{interrupted, say};
-use super::{Failure, bank, unusable};
+use super::terminal::{interrupted, show};
+use super::{Failure, bank, positive, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
@@ -44,7 +44,7 @@ pub(super) struct Arguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Play this long, s; an excitation repeats, `validation` is made as long, everything else ends by itself
-    #[arg(long)]
+    #[arg(long, value_parser = positive)]
     duration_s: Option<f64>,
     /// Parameter bank to start from; without it the description's rigid body
     #[arg(long, value_name = "FILE")]
@@ -88,22 +88,18 @@ struct Summary {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let positive = |value: f64| value.is_finite() && value > 0.0;
-    if !arguments.duration_s.is_none_or(positive) {
-        return Err(unusable("--duration-s must be positive"));
-    }
     let profile = Profile::load(&arguments.profile)?;
-    on_arm(&Robot::load(&profile.robot)?, (arguments, &profile))
+    let robot = &Robot::load(&profile.robot)?;
+    on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot))
 }
 
-impl OnArm for (&Arguments, &Profile) {
-    type Output = ();
-
+impl Arguments {
     fn on<A: Arm<N, P>, const N: usize, const P: usize>(
-        self,
+        &self,
+        profile: &Profile,
         robot: &Robot,
     ) -> Result<(), Failure> {
-        let (arguments, profile) = self;
+        let arguments = self;
         let drive = Drive::<A, N, P>::new(arguments, profile, robot)?;
         if arguments.bus != BusChoice::Sim {
             let network = wired(&arguments.bus, profile)?;
@@ -125,9 +121,7 @@ impl OnArm for (&Arguments, &Profile) {
 pub(super) fn wired(bus: &BusChoice, profile: &Profile) -> Result<WiredNetwork, Failure> {
     let lines = bus.open(profile.bus.len())?;
     if let Err(reason) = real_time() {
-        say(format_args!(
-            "no priority of real time ({reason}): the ticks may come late"
-        ))?;
+        show!("no priority of real time ({reason}): the ticks may come late")?;
     }
     Ok(WiredNetwork::new(lines, 1.0 / profile.rate_hz))
 }
@@ -365,19 +359,18 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         if let Some(reason) = played.ended {
             return Err(unusable(reason));
         }
-        say(format_args!(
+        show!(
             "{} ticks at {} Hz, tracking error {rms:.3} mrad RMS in the second half",
-            summary.ticks, summary.rate_hz
-        ))?;
+            summary.ticks,
+            summary.rate_hz
+        )?;
         if let Some((alone, ratio)) = alone_mrad.zip(summary.tracking_ratio) {
-            say(format_args!(
-                "PD of the drives alone: {alone:.3} mrad, ratio {ratio:.2}"
-            ))?;
+            show!("PD of the drives alone: {alone:.3} mrad, ratio {ratio:.2}")?;
         }
         let lost: u32 = summary.periods_without_reply.iter().sum();
-        Ok(say(format_args!(
+        show!(
             "begin of the ticks: median {median:.0} µs late, 99.9 % {high:.0} µs, largest {largest:.0} µs; \
              {lost} replies lost"
-        ))?)
+        )
     }
 }

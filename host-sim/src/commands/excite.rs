@@ -1,6 +1,6 @@
-use super::arm::ArmOptions;
+use super::arm::RobotOptions;
 use super::progress::Bar;
-use super::terminal::say;
+use super::terminal::show;
 use super::{Failure, unsupported, unusable};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
@@ -16,11 +16,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name or a description file
-    #[arg(long)]
-    robot: String,
     #[command(flatten)]
-    arm: ArmOptions,
+    robot: RobotOptions,
     /// Directory for excitation.json, excitation.csv, excitation.html and excitation.svg
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -86,7 +83,7 @@ impl From<CriterionName> for Criterion {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut robot = arguments.arm.load(&arguments.robot)?;
+    let mut robot = arguments.robot.load()?;
     let positive = |name: &str, value: f64| {
         if value.is_finite() && value > 0.0 {
             Ok(())
@@ -145,7 +142,7 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
     json.write_all(b"\n")?;
     json.finish()?;
     if let Some(certificate) = &excitation.certificate {
-        say(format_args!(
+        show!(
             "predicted torque error {:.3} % (10 s, 1 % noise), condition number {:.1} (links' base regressor, {} columns, \
              standard DH frames, raw SI; {:.1} in the board's frames), {} limits kept on {} points and between them",
             certificate.predicted_nrmse_percent,
@@ -154,12 +151,9 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
             certificate.condition_number_board,
             certificate.limits.len(),
             certificate.points,
-        ))?;
+        )?;
     }
-    say(format_args!(
-        "{}",
-        arguments.out.join("excitation.json").display()
-    ))?;
+    show!("{}", arguments.out.join("excitation.json").display())?;
     Ok(())
 }
 

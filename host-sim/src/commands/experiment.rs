@@ -2,7 +2,7 @@
 
 use super::boards::BoardChoice;
 use super::progress::Bar;
-use super::terminal::say;
+use super::terminal::show;
 use super::{Failure, excite, unusable};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::Arm;
@@ -266,7 +266,7 @@ fn list() -> Result<(), Failure> {
     for study in studies.get_subcommands() {
         let shows = study.get_about().map(ToString::to_string);
         let shows = shows.unwrap_or_default();
-        say(format_args!("{:<12} {shows}", study.get_name()))?;
+        show!("{:<12} {shows}", study.get_name())?;
     }
     Ok(())
 }
@@ -296,8 +296,8 @@ fn study<R: Serialize>(
         return Ok(());
     };
     let page = files.finish(&outcome.report, &outcome.page)?;
-    say(outcome.text.trim_end())?;
-    say(format_args!("report {}", page.display()))?;
+    show!("{}", outcome.text.trim_end())?;
+    show!("report {}", page.display())?;
     snapshot.keep(&outcome.text)
 }
 
@@ -401,7 +401,7 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
 fn run_learning(arguments: &Learning) -> Result<(), Failure> {
     let Some(out) = &arguments.out else {
         for (name, shows) in learning::names() {
-            say(format_args!("{name:<26} {shows}"))?;
+            show!("{name:<26} {shows}")?;
         }
         return Ok(());
     };

@@ -1,6 +1,6 @@
 use super::experiment::Snapshot;
 use super::progress::Bar;
-use super::terminal::say;
+use super::terminal::show;
 use super::{Failure, unusable};
 use clap::Args;
 use foretorque_studies::faults::{Campaign, Lengths, scenarios, table};
@@ -48,7 +48,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     std::fs::create_dir_all(&scratch)?;
     let all = scenarios(lengths, arguments.seed, &scratch);
     let (bar, count) = (Bar::new(), all.len());
-    say(format_args!("{} seconds", table::header()))?;
+    show!("{} seconds", table::header())?;
     for (place, scenario) in all.into_iter().enumerate() {
         bar.show(scenario.name, place, count);
         let (name, start) = (scenario.name, Instant::now());
@@ -56,7 +56,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             .run()
             .map_err(|error| unusable(format!("{name}: {error}")))?;
         let seconds = start.elapsed().as_secs_f64();
-        say(format_args!("{} {seconds:>7.1}", table::row(&campaign)))?;
+        show!("{} {seconds:>7.1}", table::row(&campaign))?;
         report.campaigns.push(campaign);
         write(arguments, &report)?;
     }
@@ -73,12 +73,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .iter()
         .map(|campaign| campaign.injected)
         .sum();
-    say(format_args!(
+    show!(
         "{} campaigns, {injected} faults, {} not survived; {}",
         count,
         failed.len(),
         arguments.out.display()
-    ))?;
+    )?;
     if !failed.is_empty() {
         return Err(unusable(format!("not survived: {}", failed.join(", "))));
     }

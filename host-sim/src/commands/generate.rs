@@ -1,6 +1,6 @@
 use super::Failure;
 use super::arm::ArmOptions;
-use super::terminal::say;
+use super::terminal::show;
 use clap::Args;
 use foretorque_workbench::generate::write_arm_module;
 use std::path::PathBuf;
@@ -23,12 +23,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let joints = robot.joints.iter().map(|joint| joint.name.as_str());
     let joints: Vec<&str> = joints.collect();
     write_arm_module(&robot, &arguments.out)?;
-    say(format_args!(
+    show!(
         "{}: arm '{}' of {} joints: {}",
         arguments.out.display(),
         robot.name,
         robot.joint_count(),
         joints.join(", ")
-    ))?;
+    )?;
     Ok(())
 }

@@ -1,19 +1,19 @@
-use super::arm::ArmOptions;
-use super::log_options::LogOptions;
+use super::arm::{LogOptions, RobotOptions};
 use super::progress::Lines;
-use super::terminal::say;
-use super::{Failure, unsupported, unusable};
+use super::terminal::show;
+use super::{Failure, not_negative, positive, unsupported, unusable};
 use clap::Args;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::excitation::Excitation;
-use foretorque_workbench::files::{remove_stale, write_whole};
+use foretorque_workbench::files::{at, remove_stale, write_whole};
 use foretorque_workbench::identification::{
-    ColumnSet, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig, bank_of_fit,
-    identify, judge, page,
+    ColumnSet, Finding, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig,
+    bank_of_fit, identify, judge, page,
 };
 use foretorque_workbench::report::ReportFiles;
+use foretorque_workbench::report::page::{or_dash, ratio};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -23,11 +23,8 @@ use std::time::Duration;
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name or a description file; its log_columns map foreign logs
-    #[arg(long)]
-    robot: String,
     #[command(flatten)]
-    arm: ArmOptions,
+    robot: RobotOptions,
     /// Training log (CSV or CSV.gz); may be given several times
     #[arg(long = "log", value_name = "FILE", required = true)]
     logs: Vec<PathBuf>,
@@ -60,20 +57,20 @@ pub(super) struct Arguments {
     #[arg(long, default_value = "butterworth")]
     filter: Filter,
     /// Period of the training logs, s, for --filter fourier
-    #[arg(long, conflicts_with = "excitation")]
+    #[arg(long, conflicts_with = "excitation", value_parser = positive)]
     period_s: Option<f64>,
     /// The excitation.json that the training logs repeat, for --filter fourier
     #[arg(long, value_name = "FILE")]
     excitation: Option<PathBuf>,
     /// Cut-off of the zero-phase filter on the motion, Hz; above that on the torque, so that the filter on both sides
     /// of the equation is the same where it acts
-    #[arg(long, default_value_t = 40.0)]
+    #[arg(long, default_value_t = 40.0, value_parser = positive)]
     motion_hz: f64,
     /// Cut-off of the zero-phase filter on torque and regressor, Hz; 0 for none
-    #[arg(long, default_value_t = 20.0)]
+    #[arg(long, default_value_t = 20.0, value_parser = not_negative)]
     torque_hz: f64,
     /// A joint slower than this stands still, rad/s
-    #[arg(long, default_value_t = 0.05)]
+    #[arg(long, default_value_t = 0.05, value_parser = not_negative)]
     still_rad_s: f64,
     /// Where drive gains come from when the logs hold currents: the description, or the gravity torque of the description
     /// over the current while the arm stands still
@@ -104,33 +101,28 @@ enum Filter {
 
 /// The period to fold training logs on, if that is wanted.
 fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
-    let period_s = match (&arguments.excitation, arguments.period_s) {
-        (Some(path), _) => {
-            let text = std::fs::read_to_string(path)
-                .map_err(|error| foretorque_workbench::files::at(path, error))?;
-            let series: Excitation = serde_json::from_str(&text)
-                .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
-            Some(series.period_s)
-        }
-        (None, period_s) => period_s,
-    };
+    let mut period_s = arguments.period_s;
+    if let Some(path) = &arguments.excitation {
+        let text = std::fs::read_to_string(path).map_err(|error| at(path, error))?;
+        let series: Excitation = serde_json::from_str(&text)
+            .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
+        period_s = Some(series.period_s);
+    }
     match (arguments.filter, period_s) {
-        (Filter::Butterworth, None) => Ok(None),
-        (Filter::Butterworth, Some(_)) => Err(unusable(
-            "--period-s and --excitation belong to --filter fourier",
-        )),
-        (Filter::Fourier, Some(period_s)) if period_s.is_finite() && period_s > 0.0 => {
-            Ok(Some(period_s))
+        (Filter::Butterworth, Some(_)) => {
+            let reason = "--period-s and --excitation belong to --filter fourier";
+            Err(unusable(reason))
         }
-        (Filter::Fourier, Some(_)) => Err(unusable("--period-s must be positive")),
-        (Filter::Fourier, None) => Err(unusable(
-            "--filter fourier needs --period-s or --excitation",
-        )),
+        (Filter::Fourier, None) => {
+            let reason = "--filter fourier needs --period-s or --excitation";
+            Err(unusable(reason))
+        }
+        (_, period_s) => Ok(period_s),
     }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut robot = arguments.arm.load(&arguments.robot)?;
+    let mut robot = arguments.robot.load()?;
     arguments.columns_of_log.apply(&mut robot)?;
     let config = config(arguments, &robot)?;
     arms!(robot, N, P => {
@@ -139,25 +131,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
-    let not_negative = |name: &str, value: f64| {
-        if value.is_finite() && value >= 0.0 {
-            Ok(value)
-        } else {
-            Err(unusable(format!("{name} must not be negative")))
-        }
-    };
-    let torque_hz = not_negative("--torque-hz", arguments.torque_hz)?;
-    let motion_hz = not_negative("--motion-hz", arguments.motion_hz)?;
-    if motion_hz == 0.0 {
-        return Err(unusable("--motion-hz must be positive"));
-    }
     let truth = match &arguments.truth {
         Some(name) => {
             let truth = Robot::load(name)?;
             if truth.joint_count() != robot.joint_count() {
-                return Err(unusable(format!(
-                    "--truth {name}: another number of joints"
-                )));
+                let reason = format!("--truth {name}: another number of joints");
+                return Err(unusable(reason));
             }
             Some(match arguments.truth_seed {
                 Some(seed) => truth.perturbed(seed, &Perturbation::PLANT),
@@ -175,9 +154,9 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
         methods,
         columns: arguments.columns.clone(),
         prepare: PrepareConfig {
-            motion_hz,
-            torque_hz: (torque_hz > 0.0).then_some(torque_hz),
-            still_rad_s: not_negative("--still-rad-s", arguments.still_rad_s)?,
+            motion_hz: arguments.motion_hz,
+            torque_hz: Some(arguments.torque_hz).filter(|hz| *hz > 0.0),
+            still_rad_s: arguments.still_rad_s,
         },
         gains_from_standstill: arguments.gains == Gains::Standstill,
         fold_period_s: fold_period_s(arguments)?,
@@ -215,16 +194,11 @@ fn identify_arm<const N: usize>(
     if let Some(refused) = judgement.findings.iter().find(|finding| finding.refuses)
         && !arguments.force
     {
-        let names: Vec<String> = arguments
-            .logs
-            .iter()
-            .map(|log| log.display().to_string())
-            .collect();
+        let names = arguments.logs.iter().map(|log| log.display().to_string());
+        let (names, text) = (names.collect::<Vec<_>>().join(", "), &refused.text);
         remove_stale(out, &RESULTS)?;
         return Err(unusable(format!(
-            "{}: {} (no bank; --force identifies all the same)",
-            names.join(", "),
-            refused.text
+            "{names}: {text} (no bank; --force identifies all the same)"
         )));
     }
     let bar = ProgressBar::new_spinner();
@@ -253,98 +227,79 @@ fn identify_arm<const N: usize>(
     let report = &outcome.report;
     let refused = report.findings.iter().find(|finding| finding.refuses);
     let refused = refused.filter(|_| !arguments.force);
-    let bank = if refused.is_none() {
-        bank(&outcome)
-    } else {
-        None
+    let bank = match refused {
+        Some(_) => None,
+        None => bank(&outcome),
     };
     remove_stale(out, &RESULTS)?;
     let shown = files.finish(report, &page::<N>(report, &outcome.trace))?;
     for note in &report.notes {
-        say(format_args!("note  {note}"))?;
+        show!("note  {note}")?;
     }
     for finding in &report.findings {
         let kind = if finding.refuses { "wrong" } else { "warning" };
-        say(format_args!("{kind}  {}", finding.text))?;
+        show!("{kind}  {}", finding.text)?;
     }
     for (joint, gain) in report.drive_gains.iter().enumerate() {
         let found = gain.std_nm_a.map_or_else(
             || "of the description, standstill does not tell it".to_owned(),
             |std| format!("± {std:.3}, description {:.3}", gain.description_nm_a),
         );
-        say(format_args!(
+        show!(
             "gain  joint {}  {:.3} N·m/A {found}",
             joint + 1,
             gain.gain_nm_a
-        ))?;
+        )?;
     }
-    say(format_args!(
+    show!(
         "rank {}, condition number {:.1} ({})",
-        report.rank, report.condition_number, report.condition_number_of
-    ))?;
+        report.rank,
+        report.condition_number,
+        report.condition_number_of
+    )?;
     for (name, method) in &report.methods {
         let mut line = format!(
             "{name:<14} {:>7} epochs {:>8.3} s",
             method.epochs, method.seconds
         );
         for (file, record) in method.validation.iter().chain(&method.test) {
-            let joints: Vec<String> = record
-                .rmse_moving_nm
-                .iter()
-                .map(|rmse| newton_metres(*rmse))
-                .collect();
-            line += &format!(
-                "   {file} {} N·m ({:.2} %)",
-                joints.join(" "),
-                100.0 * record.joints_nrmse_moving_ratio
-            );
+            let joints = newton_metres(&record.rmse_moving_nm);
+            let percent = 100.0 * record.joints_nrmse_moving_ratio;
+            line += &format!("   {file} {joints} N·m ({percent:.2} %)");
         }
-        say(format_args!("{line}"))?;
+        show!("{line}")?;
     }
     let floors = report.data_check.iter().flat_map(|check| &check.joints);
-    let floors: Vec<String> = floors
-        .map(|joint| newton_metres(Some(joint.noise_floor_nm)))
-        .collect();
-    let joints = |errors: &[Option<f64>]| -> String {
-        errors
-            .iter()
-            .map(|error| newton_metres(*error))
-            .collect::<Vec<_>>()
-            .join(" ")
-    };
-    say(format_args!(
+    let floors: Vec<_> = floors.map(|joint| Some(joint.noise_floor_nm)).collect();
+    show!(
         "torque error joint by joint, {}: {} N·m; description {}; noise alone {}",
         report.recommended,
-        joints(&report.headline_rmse_nm),
-        joints(&report.headline_description_rmse_nm),
-        floors.join(" ")
-    ))?;
+        newton_metres(&report.headline_rmse_nm),
+        newton_metres(&report.headline_description_rmse_nm),
+        newton_metres(&floors)
+    )?;
     if let Some(robot) = &outcome.robot {
-        let path = out.join("robot.toml");
-        write_whole(&path, robot.to_toml()?.as_bytes())?;
-        say(format_args!("robot   {}", path.display()))?;
-        let path = out.join("robot.urdf");
-        write_whole(&path, foretorque_workbench::urdf::write(robot).as_bytes())?;
-        say(format_args!("robot   {}", path.display()))?;
+        let urdf = foretorque_workbench::urdf::write(robot);
+        for (name, text) in [("robot.toml", robot.to_toml()?), ("robot.urdf", urdf)] {
+            let path = out.join(name);
+            write_whole(&path, text.as_bytes())?;
+            show!("robot   {}", path.display())?;
+        }
     }
     match bank {
         Some(bank) => {
             let path = out.join("parameters.bank");
             write_whole(&path, &super::bank::bytes(&bank)?)?;
-            say(format_args!("bank    {}", path.display()))?;
+            show!("bank    {}", path.display())?;
         }
         None if refused.is_some() => {}
-        None => say(format_args!(
-            "no bank: no firmware arm is called '{}'",
-            robot.name
-        ))?,
+        None => show!("no bank: no firmware arm is called '{}'", robot.name)?,
     }
-    say(format_args!("report  {}", shown.display()))?;
+    show!("report  {}", shown.display())?;
     match refused {
-        Some(finding) => Err(unusable(format!(
-            "{} (no bank; --force writes one)",
-            finding.text
-        ))),
+        Some(Finding { text, .. }) => {
+            Err(unusable(format!("{text} (no bank; --force writes one)")))
+        }
         None => Ok(()),
     }
 }
@@ -358,51 +313,46 @@ const RESULTS: [&str; 5] = [
     "robot.urdf",
 ];
 
-fn newton_metres(value: Option<f64>) -> String {
-    value.map_or("–".to_owned(), |value| format!("{value:.3}"))
+/// Values joint by joint, N·m, separated by spaces.
+fn newton_metres(joints: &[Option<f64>]) -> String {
+    let shown = joints.iter().map(|value| ratio(*value));
+    shown.collect::<Vec<_>>().join(" ")
 }
 
 /// Prints the judgement of `--data-check`.
 ///
 /// Errors: the first finding that refuses.
 fn show_check(judgement: &Judgement) -> Result<(), Failure> {
-    say(format_args!(
-        "rows every {:.3} ms",
-        1e3 * judgement.period_s
-    ))?;
+    show!("rows every {:.3} ms", 1e3 * judgement.period_s)?;
     for note in &judgement.notes {
-        say(format_args!("note  {note}"))?;
+        show!("note  {note}")?;
     }
     for (number, joint) in (1..).zip(&judgement.joints) {
-        let scale = joint
-            .scale_ratio
-            .map_or("–".to_owned(), |scale| format!("{scale:.2}"));
+        let scale = or_dash(joint.scale_ratio, |scale| format!("{scale:.2}"));
         let (low, high) = joint.position_rad;
-        say(format_args!(
+        show!(
             "joint {number}  {low:.2} … {high:.2} rad, {:.2} rad/s, torque {:.3} N·m RMS, noise {:.3} N·m, {:.0} % unexplained, {scale} × description",
             joint.speed_rad_s,
             joint.torque_rms_nm,
             joint.noise_floor_nm,
             100.0 * joint.unexplained_ratio
-        ))?;
+        )?;
     }
     if let Some(condition) = judgement.condition_number_equilibrated {
-        say(format_args!(
-            "every parameter is shown, condition number {condition:.0} at unit length"
-        ))?;
+        show!("every parameter is shown, condition number {condition:.0} at unit length")?;
     }
     if let Some((delay, deviation)) = judgement.delay_s {
-        say(format_args!(
+        show!(
             "torque delay {:.2} ± {:.2} ms",
             1e3 * delay,
             1e3 * deviation
-        ))?;
+        )?;
     }
     for finding in judgement.findings.iter().filter(|finding| !finding.refuses) {
-        say(format_args!("warning  {}", finding.text))?;
+        show!("warning  {}", finding.text)?;
     }
     match judgement.findings.iter().find(|finding| finding.refuses) {
         Some(finding) => Err(unusable(finding.text.clone())),
-        None => Ok(say("no finding that refuses a bank")?),
+        None => show!("no finding that refuses a bank"),
     }
 }

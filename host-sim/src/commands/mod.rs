@@ -15,8 +15,6 @@ mod experiment;
 mod faults;
 mod generate;
 mod identify;
-mod key;
-mod log_options;
 mod motion_log;
 mod on_board;
 mod progress;
@@ -28,7 +26,8 @@ mod torque;
 mod wiring;
 
 use clap::CommandFactory as _;
-pub(crate) use terminal::complain;
+use terminal::show;
+pub(crate) use terminal::show_failure;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
@@ -60,6 +59,30 @@ pub(crate) fn exit_code(failure: &Failure) -> u8 {
 
 fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Unusable(reason.into()))
+}
+
+/// A finite number, as the value of an option.
+fn finite(text: &str) -> Result<f64, String> {
+    let value = text.trim().parse::<f64>().ok();
+    let value = value.filter(|value| value.is_finite());
+    value.ok_or_else(|| format!("'{text}' is no number"))
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let positive = finite(text).ok().filter(|value| *value > 0.0);
+    positive.ok_or_else(|| "must be positive".to_owned())
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    let positive = finite(text).ok().filter(|value| *value >= 0.0);
+    positive.ok_or_else(|| "must not be negative".to_owned())
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let share = finite(text)
+        .ok()
+        .filter(|value| *value >= 0.0 && *value <= 1.0);
+    share.ok_or_else(|| "must lie between 0 and 1".to_owned())
 }
 
 /// Refuses a robot of so many joints.
@@ -134,7 +157,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Completions { shell } => {
             let mut text = Vec::new();
             clap_complete::generate(shell, &mut CommandLine::command(), "host-sim", &mut text);
-            Ok(terminal::say(String::from_utf8_lossy(&text).trim_end())?)
+            show!("{}", String::from_utf8_lossy(&text).trim_end())
         }
     }
 }

@@ -1,8 +1,7 @@
-use super::arm::ArmOptions;
-use super::boards::{OnArm, on_arm};
-use super::log_options::LogOptions;
+use super::arm::{LogOptions, RobotOptions};
+use super::boards::on_arm;
 use super::progress::Bar;
-use super::terminal::say;
+use super::terminal::show;
 use super::{Failure, bank};
 use clap::Args;
 use foretorque::arm::Arm;
@@ -15,11 +14,8 @@ use std::path::{Path, PathBuf};
 /// Replay logs to the board's learner, row by row, and score it against batch least squares and against its start
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name, or a TOML, URDF or MJCF file
-    #[arg(long)]
-    robot: String,
     #[command(flatten)]
-    arm: ArmOptions,
+    robot: RobotOptions,
     /// Log (CSV, ROS 2 bag, MCAP); given several times, batch least squares learns each from the others
     #[arg(long = "log", value_name = "FILE", required = true)]
     logs: Vec<PathBuf>,
@@ -37,39 +33,34 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    on_arm(&arguments.arm.load(&arguments.robot)?, arguments)
+    let mut robot = arguments.robot.load()?;
+    arguments.columns_of_log.apply(&mut robot)?;
+    on_arm!(&robot, A, N, P => arguments.replay::<A, N, P>(&robot))
 }
 
-impl OnArm for &Arguments {
-    type Output = ();
-
-    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
-        self,
+impl Arguments {
+    fn replay<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
         robot: &Robot,
     ) -> Result<(), Failure> {
-        let mut robot = robot.clone();
-        self.columns_of_log.apply(&mut robot)?;
         let set = match &self.bank {
             Some(file) => bank::read(file)?.set::<A, N, P>()?,
             None => ParameterSet::nominal::<A>(1),
         };
         let name = |path: &Path| path.display().to_string();
         let start = self.bank.as_deref().map_or("description".to_owned(), name);
-        let paths: Vec<ReplayPath> = self
-            .logs
-            .iter()
-            .map(|file| ReplayPath {
-                name: name(file),
-                files: vec![file.clone()],
-            })
-            .collect();
+        let path = |file: &PathBuf| ReplayPath {
+            name: name(file),
+            files: vec![file.clone()],
+        };
+        let paths: Vec<ReplayPath> = self.logs.iter().map(path).collect();
         let files = ReportFiles::create(&self.out)?;
         let bar = Bar::new();
         let progress = |stage, done, all| bar.show(stage, done, all);
-        let outcome = replay::run::<A, N, P>(&robot, &paths, (&start, set), self.seed, &progress)?;
+        let outcome = replay::run::<A, N, P>(robot, &paths, (&start, set), self.seed, &progress)?;
         drop(bar);
         let page = files.finish(&outcome.report, &outcome.page)?;
-        say(outcome.text.trim_end())?;
-        Ok(say(format_args!("report  {}", page.display()))?)
+        show!("{}", outcome.text.trim_end())?;
+        show!("report  {}", page.display())
     }
 }

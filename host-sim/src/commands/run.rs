@@ -1,11 +1,11 @@
-use super::arm::ArmOptions;
-use super::boards::{BoardChoice, OnArm, on_arm};
+use super::arm::RobotOptions;
+use super::boards::{BoardChoice, on_arm};
 use super::motion_log::{Effort, MotionLog};
 use super::on_board;
 use super::progress::Bar;
 use super::simulate::{MotionArguments, PERIOD_S, Scene, Verdict};
-use super::terminal::{self, say};
-use super::{Failure, bank, key, unusable};
+use super::terminal::{self, show};
+use super::{Failure, bank, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
@@ -32,11 +32,8 @@ const WATCH_TICKS: u16 = 10;
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name or a description file
-    #[arg(long)]
-    robot: String,
     #[command(flatten)]
-    arm: ArmOptions,
+    robot: RobotOptions,
     /// Board: native, qemu, qemu-usart or serial:PORT
     #[arg(long, default_value = "native")]
     board: BoardChoice,
@@ -72,18 +69,17 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let robot = arguments.arm.load(&arguments.robot)?;
+    let robot = &arguments.robot.load()?;
     if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
         return Err(unusable(format!(
             "--log: board {} has none, only qemu-usart",
             arguments.board
         )));
     }
-    // Asked before the emulator starts, which would have complaints of its own about the file; and the directory is there
-    // for what the emulator writes.
+    // Before the emulator starts, which would have an error of its own about the file; the emulator finds the directory.
     let log = arguments.log.as_deref().map(WholeFile::create);
     let place = log.transpose()?;
-    let outcome = on_arm(&robot, arguments);
+    let outcome = on_arm!(robot, A, N, P => play::<A, N, P>(arguments, robot));
     drop(place);
     if let (Some(stream), Some(log)) = (arguments.stream(), &arguments.log) {
         // Of a run that failed the log is of the more interest, but its own failure of less.
@@ -102,17 +98,6 @@ impl Arguments {
     }
 }
 
-impl OnArm for &Arguments {
-    type Output = ();
-
-    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
-        self,
-        robot: &Robot,
-    ) -> Result<(), Failure> {
-        play::<A, N, P>(self, robot)
-    }
-}
-
 fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     arguments: &Arguments,
     robot: &Robot,
@@ -122,7 +107,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let stream = arguments.stream();
     let mut board = arguments.board.connect::<A, N, P>(stream.as_deref())?;
     if let Some(file) = &arguments.key_file {
-        board.set_write_key(key::read(file)?);
+        board.set_write_key(bank::read_key(file)?);
     }
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
@@ -131,14 +116,11 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         on_board::load::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
     }
     let log = Log::<N>::create(arguments, &scene)?;
-    let started = board
-        .read_bank()?
-        .set::<A, N, P>()
-        .map_err(BoardError::Bank)?;
+    let set = board.read_bank()?.set::<A, N, P>();
+    let set = set.map_err(BoardError::Bank)?;
     let started = |motion: &State<N>| {
-        evaluate::<A, N, P>(&started, &motion_f32(motion))
-            .total
-            .cast()
+        let torque = evaluate::<A, N, P>(&set, &motion_f32(motion));
+        torque.total.cast()
     };
     let log = close_loop(arguments, &mut scene, &mut board, log, &started)?;
     board.learning(false)?;
@@ -255,22 +237,20 @@ impl<const N: usize> Log<N> {
         }
         write_whole(&out.join("bank.bin"), learnt)?;
         let page = ReportFiles::create(out)?.finish(report, &page)?;
-        arguments.verdict.say(&report.troubles)?;
-        say(format_args!(
+        arguments.verdict.show(&report.troubles)?;
+        show!(
             "{} ticks, tracking error {:.3} mrad RMS, {} link errors",
             report.ticks,
             report.tracking_rms_mrad,
             report.link.errors()
-        ))?;
-        if report.learning {
-            say(report.learnt.line())?;
+        )?;
+        if report.run.learning {
+            show!("{}", report.learnt.line())?;
         }
         if report.store == StoreHealth::Failing {
-            say(
-                "the board's flash keeps nothing: it runs from RAM, and forgets what it learnt at power-off",
-            )?;
+            show!("the board's flash keeps nothing: what it learnt is lost at power-off")?;
         }
-        say(page.display())?;
+        show!("{}", page.display())?;
         arguments.verdict.judge(&report.troubles)
     }
 }

@@ -1,8 +1,9 @@
-use super::arm::ArmOptions;
+use super::arm::RobotOptions;
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::progress::Bar;
-use super::{Failure, not_over, terminal, unsupported, unusable};
+use super::terminal::{keep_stdout_for, show};
+use super::{Failure, not_negative, not_over, positive, unsupported, unusable};
 use clap::Args;
 use foretorque_workbench::closed_loop::ClosedLoop;
 use foretorque_workbench::closed_loop::control::PdConfig;
@@ -18,11 +19,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name or a description file
-    #[arg(long)]
-    robot: String,
     #[command(flatten)]
-    arm: ArmOptions,
+    robot: RobotOptions,
     #[command(flatten)]
     motion: MotionArguments,
     /// Write motor currents, torque over drive gain, in the place of torques
@@ -49,13 +47,13 @@ pub(super) struct MotionArguments {
     #[arg(long, default_value_t = 1)]
     pub(super) seed: u64,
     /// Play this long, s; an excitation repeats, everything else ends by itself
-    #[arg(long)]
+    #[arg(long, value_parser = positive)]
     duration_s: Option<f64>,
     /// Bandwidth of the PD controller, Hz; at most 100
-    #[arg(long, default_value_t = 6.0)]
+    #[arg(long, default_value_t = 6.0, value_parser = bandwidth)]
     pd_bandwidth_hz: f64,
     /// Standard deviation of the torque noise, share of the torque limit
-    #[arg(long, default_value_t = 0.01)]
+    #[arg(long, default_value_t = 0.01, value_parser = not_negative)]
     torque_noise: f64,
     #[command(flatten)]
     disturbances: DisturbanceArguments,
@@ -70,6 +68,12 @@ pub(super) const PERIOD_S: f64 = 1e-3;
 /// Largest bandwidth of the PD controller, Hz: a tenth of the ticks in a second. A faster loop shakes the arm.
 const MOST_BANDWIDTH_HZ: f64 = 100.0;
 
+fn bandwidth(text: &str) -> Result<f64, String> {
+    let limit = format!("must be at most {MOST_BANDWIDTH_HZ}");
+    let hz = positive(text)?;
+    (hz <= MOST_BANDWIDTH_HZ).then_some(hz).ok_or(limit)
+}
+
 /// Argument for runs in trouble.
 #[derive(Debug, Args)]
 pub(super) struct Verdict {
@@ -81,11 +85,9 @@ pub(super) struct Verdict {
 
 impl Verdict {
     /// Names the troubles before everything else.
-    pub(super) fn say(&self, troubles: &[String]) -> Result<(), Failure> {
-        let lines = troubles.iter();
-        Ok(lines
-            .map(|trouble| format!("TROUBLE: {trouble}"))
-            .try_for_each(terminal::say)?)
+    pub(super) fn show(&self, troubles: &[String]) -> Result<(), Failure> {
+        let mut lines = troubles.iter();
+        lines.try_for_each(|trouble| show!("TROUBLE: {trouble}"))
     }
 
     /// Errors: a run in trouble, unless it was to keep going.
@@ -114,23 +116,11 @@ impl MotionArguments {
     ///
     /// Errors: a file that is none, a trajectory of another robot, numbers that make no sense.
     pub(super) fn scene<const N: usize>(&self, robot: &Robot) -> Result<Scene<N>, Failure> {
-        let positive = |value: f64| value.is_finite() && value > 0.0;
-        if !self.duration_s.is_none_or(positive) {
-            return Err(unusable("--duration-s must be positive"));
-        }
-        if !(positive(self.pd_bandwidth_hz) && self.pd_bandwidth_hz <= MOST_BANDWIDTH_HZ) {
-            return Err(unusable(format!(
-                "--pd-bandwidth-hz must be positive and at most {MOST_BANDWIDTH_HZ}"
-            )));
-        }
-        if !(self.torque_noise.is_finite() && self.torque_noise >= 0.0) {
-            return Err(unusable("--torque-noise must not be negative"));
-        }
         let (robot, assumed) = &robot.with_assumed_rotors();
         if !assumed.is_empty() {
-            terminal::say(format_args!(
+            show!(
                 "note: rotor inertias are not described at joints {assumed:?}: torque limit / 200 rad/s² is assumed"
-            ))?;
+            )?;
         }
         let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
         let truth = if self.exact {
@@ -150,19 +140,17 @@ impl MotionArguments {
             self.duration_s,
             PERIOD_S,
         )?;
+        let asked_s = self.duration_s.unwrap_or(f64::INFINITY);
         let duration_s = match &trajectory {
             Trajectory::Excitation { duration_s, .. } => *duration_s,
-            ends => self
-                .duration_s
-                .unwrap_or(f64::INFINITY)
-                .min(ends.duration_s()),
+            ends => asked_s.min(ends.duration_s()),
         };
         Ok(Scene {
             robot: robot.clone(),
             plant: Plant::new(&truth, config, self.seed)
                 .ok_or_else(other_size)?
                 .with_events(self.disturbances.events::<N>()?)
-                .with_faults(self.disturbances.faults()?),
+                .with_faults(self.disturbances.faults()),
             pd: PdConfig::tuned(&nominal, self.pd_bandwidth_hz, PERIOD_S),
             trajectory,
             ticks: (duration_s / PERIOD_S).round() as usize,
@@ -171,8 +159,8 @@ impl MotionArguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    super::terminal::keep_stdout_for(&arguments.out);
-    let robot = arguments.arm.load(&arguments.robot)?;
+    keep_stdout_for(&arguments.out);
+    let robot = arguments.robot.load()?;
     joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }
 
@@ -182,23 +170,17 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     let gains = arguments
         .current
         .then(|| Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain)));
-    let effort = if arguments.current {
-        Effort::Current
-    } else {
-        Effort::Torque
+    let effort = match arguments.current {
+        true => Effort::Current,
+        false => Effort::Torque,
     };
     let mut seen = ClosedLoopLog::new(&scene.robot, scene.ticks);
     let mut log = MotionLog::<N>::create(&arguments.out, arguments.mcap, effort, &[])?;
     let bar = Bar::new();
-    let mut play = ClosedLoop::new(
-        &mut scene.plant,
-        &scene.pd,
-        &scene.trajectory,
-        PERIOD_S,
-        None,
-    )?;
+    let (plant, path) = (&mut scene.plant, &scene.trajectory);
+    let mut play = ClosedLoop::new(plant, &scene.pd, path, PERIOD_S, None)?;
     for tick in 0..scene.ticks {
-        let record = play.tick(&mut scene.plant, None)?;
+        let record = play.tick(plant, None)?;
         seen.add(&record, None, None);
         // What is lost on the way is in no log.
         if let Some(mut seen) = record.reported {
@@ -214,16 +196,13 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     log.finish()?;
     drop(bar);
     let troubles = seen.troubles();
-    arguments.verdict.say(&troubles)?;
-    let errors: Vec<String> = seen
-        .tracking_rms_mrad()
-        .iter()
-        .map(|error| format!("{error:.3}"))
-        .collect();
-    terminal::say(format_args!(
+    arguments.verdict.show(&troubles)?;
+    let errors = seen.tracking_rms_mrad();
+    let errors: Vec<String> = errors.iter().map(|error| format!("{error:.3}")).collect();
+    show!(
         "{} ticks, tracking errors of the joints {} mrad RMS",
         scene.ticks,
         errors.join(", ")
-    ))?;
+    )?;
     arguments.verdict.judge(&troubles)
 }

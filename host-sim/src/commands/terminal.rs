@@ -1,6 +1,6 @@
-//! The one place that speaks to the terminal.
+//! All output to the terminal.
 
-use std::fmt::Display;
+use std::fmt::{Arguments, Display};
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::OnceLock;
@@ -13,24 +13,33 @@ use signal_hook::low_level::emulate_default_handler;
 /// Results go to stdout, so lines about them go to stderr.
 static RESULTS_ON_STDOUT: AtomicBool = AtomicBool::new(false);
 
-/// Sends the lines of [`say`] to stderr if `out` is `-`.
+/// Sends the lines of [`show!`](show) to stderr if `out` is `-`.
 pub(super) fn keep_stdout_for(out: &Path) {
     RESULTS_ON_STDOUT.store(out == Path::new("-"), Ordering::Relaxed);
 }
 
-/// Writes a line to stdout. Nobody listening any more (`host-sim … | head -1`) is no failure: the files are what counts.
+/// Writes a formatted line to stdout; see [`write_line`].
+macro_rules! show {
+    ($($argument:tt)*) => {
+        $crate::commands::terminal::write_line(format_args!($($argument)*))
+            .map_err($crate::commands::Failure::from)
+    };
+}
+pub(super) use show;
+
+/// Writes a line to stdout. A closed pipe (`host-sim … | head -1`) is no failure: the files are the result.
 ///
-/// Errors: any other that the system gives, such as a full disk.
-pub(super) fn say(line: impl Display) -> io::Result<()> {
+/// Errors: any other of the system, such as a full disk.
+pub(super) fn write_line(line: Arguments<'_>) -> io::Result<()> {
     if RESULTS_ON_STDOUT.load(Ordering::Relaxed) {
         return received(writeln!(io::stderr(), "{line}"));
     }
     received(writeln!(io::stdout(), "{line}"))
 }
 
-/// Writes the line that a command failed with to stderr, as far as somebody listens.
-pub(crate) fn complain(failure: impl Display) {
-    // No reader is left for an error message.
+/// Writes the line that a command failed with to stderr.
+pub(crate) fn show_failure(failure: impl Display) {
+    // A closed stderr leaves no place for an error message.
     let _ = writeln!(io::stderr(), "error: {failure}");
 }
 

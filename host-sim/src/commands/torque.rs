@@ -1,8 +1,8 @@
-use super::arm::ArmOptions;
-use super::boards::{BoardChoice, OnArm, on_arm};
+use super::arm::RobotOptions;
+use super::boards::{BoardChoice, on_arm};
 use super::progress::Bar;
 use super::simulate::PERIOD_S;
-use super::{Failure, bank, key, not_over};
+use super::{Failure, bank, not_over};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque_workbench::closed_loop::motion_f32;
@@ -17,11 +17,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
-    /// Robot: a built-in name or a description file
-    #[arg(long)]
-    robot: String,
     #[command(flatten)]
-    arm: ArmOptions,
+    robot: RobotOptions,
     /// Board: native, qemu, qemu-usart or serial:PORT
     #[arg(long, default_value = "native")]
     board: BoardChoice,
@@ -52,18 +49,8 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     super::terminal::keep_stdout_for(&arguments.out);
-    on_arm(&arguments.arm.load(&arguments.robot)?, arguments)
-}
-
-impl OnArm for &Arguments {
-    type Output = ();
-
-    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
-        self,
-        robot: &Robot,
-    ) -> Result<(), Failure> {
-        torque::<A, N, P>(self, robot)
-    }
+    let robot = &arguments.robot.load()?;
+    on_arm!(robot, A, N, P => torque::<A, N, P>(arguments, robot))
 }
 
 /// States one after the other, from a table or a trajectory.
@@ -94,20 +81,17 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     arguments: &Arguments,
     robot: &Robot,
 ) -> Result<(), Failure> {
+    let files = [&arguments.input, &arguments.bank].map(|file| file.as_deref());
     let trajectory = arguments.trajectory.as_deref().map(Path::new);
-    for read in [
-        arguments.input.as_deref(),
-        trajectory,
-        arguments.bank.as_deref(),
-    ] {
-        read.map_or(Ok(()), |read| not_over(read, &arguments.out))?;
+    for read in files.into_iter().chain([trajectory]).flatten() {
+        not_over(read, &arguments.out)?;
     }
     let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
     let (timed, states) = arguments.states::<N>(robot)?;
     let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {
         if let Some(file) = &arguments.key_file {
-            board.set_write_key(key::read(file)?);
+            board.set_write_key(bank::read_key(file)?);
         }
         board.upload_bank(bank)?;
     }
@@ -131,17 +115,9 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
         let mut row: Vec<String> = state.t_s.iter().map(f64::to_string).collect();
         row.extend(total.iter().map(f32::to_string));
         if bank.is_some() {
-            let shares = [
-                torque.shares.rigid,
-                torque.shares.friction,
-                torque.shares.network,
-            ];
-            row.extend(
-                shares
-                    .iter()
-                    .flat_map(|share| share.iter())
-                    .map(f32::to_string),
-            );
+            let shares = torque.shares;
+            let shares = [shares.rigid, shares.friction, shares.network];
+            row.extend(shares.iter().flatten().map(f32::to_string));
         }
         table.row(row)?;
         rows += 1;

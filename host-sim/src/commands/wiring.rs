@@ -1,5 +1,5 @@
-use super::boards::{OnArm, on_arm};
-use super::terminal::say;
+use super::boards::on_arm;
+use super::terminal::show;
 use super::{Failure, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
@@ -40,14 +40,16 @@ enum RoleName {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
-    on_arm(&Robot::load(&profile.robot)?, (arguments, &profile))
+    let robot = &Robot::load(&profile.robot)?;
+    on_arm!(robot, A, N, P => arguments.write::<A, N, P>(&profile))
 }
 
-impl OnArm for (&Arguments, &Profile) {
-    type Output = ();
-
-    fn on<A: Arm<N, P>, const N: usize, const P: usize>(self, _: &Robot) -> Result<(), Failure> {
-        let (arguments, profile) = self;
+impl Arguments {
+    fn write<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        profile: &Profile,
+    ) -> Result<(), Failure> {
+        let arguments = self;
         let (role, wires) = match arguments.role {
             RoleName::Master => (Role::Master, Wires::Can),
             RoleName::InLine => (Role::InLine, Wires::Can),
@@ -82,8 +84,8 @@ impl OnArm for (&Arguments, &Profile) {
         })?;
         write_whole(&arguments.out, bytes)?;
         let (count, out) = (bytes.len(), arguments.out.display());
-        Ok(say(format_args!(
+        show!(
             "{count} bytes; next: probe-rs download --chip STM32F405RGTx --binary-format bin --base-address 0x08080000 {out}"
-        ))?)
+        )
     }
 }

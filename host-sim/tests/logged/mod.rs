@@ -1,44 +1,19 @@
 //! Logs of a known arm, and the command `identify` on them.
 
+use crate::program::{host_sim, json, succeeds};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use serde_json::Value;
+use std::path::Path;
+use std::process::Output;
 
 const N: usize = 6;
 const PERIOD_S: f64 = 0.005;
 
-/// A directory that is removed at the end of its test.
-pub(crate) struct Directory(PathBuf);
-
-impl Directory {
-    pub(crate) fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
-        fs::create_dir_all(&path).expect("creates");
-        Self(path)
-    }
-
-    pub(crate) fn file(&self, name: &str) -> PathBuf {
-        self.0.join(name)
-    }
-}
-
-impl Drop for Directory {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
-
 /// A motion of all joints but `still`, with three tones each.
 fn motion(t_s: f64, phase: f64, still: Option<usize>) -> State<N> {
-    let zero = Joints::zeros();
-    let mut state = State {
-        q: zero,
-        qd: zero,
-        qdd: zero,
-    };
+    let mut state = State::rest(Joints::zeros());
     for joint in (0..N).filter(|joint| Some(*joint) != still) {
         for tone in 1..=3 {
             let w = 0.9 * f64::from(tone) + 0.13 * joint as f64;
@@ -92,33 +67,14 @@ pub(crate) fn log_of(
     table.finish().expect("finishes");
 }
 
-impl Directory {
-    /// Output of a command of the program, run in this directory.
-    pub(crate) fn run(&self, arguments: &str) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_host-sim"))
-            .args(arguments.split_whitespace())
-            .current_dir(&self.0)
-            .output()
-            .expect("runs")
-    }
+/// Output of `identify` in a directory.
+pub(crate) fn identify(directory: &Path, arguments: &str) -> Output {
+    host_sim(directory, &format!("identify --robot ur5 {arguments}"))
+}
 
-    /// Output of `identify` on logs of this directory.
-    pub(crate) fn identify(&self, arguments: &str) -> Output {
-        self.run(&format!("identify --robot ur5 {arguments}"))
-    }
-
-    /// Standard output of a command that succeeds.
-    pub(crate) fn succeeds(&self, arguments: &str) -> String {
-        let output = self.run(arguments);
-        let errors = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{errors}");
-        String::from_utf8(output.stdout).expect("UTF-8")
-    }
-
-    /// Standard output and report of a successful `identify` into `out`.
-    pub(crate) fn identified(&self, arguments: &str) -> (String, serde_json::Value) {
-        let stdout = self.succeeds(&format!("identify --robot ur5 --out out {arguments}"));
-        let text = fs::read_to_string(self.file("out/report.json")).expect("written");
-        (stdout, serde_json::from_str(&text).expect("JSON"))
-    }
+/// Standard output and report of a successful `identify` into `out`.
+pub(crate) fn identified(directory: &Path, arguments: &str) -> (String, Value) {
+    let arguments = format!("identify --robot ur5 --out out {arguments}");
+    let stdout = succeeds(directory, &arguments);
+    (stdout, json(directory.join("out/report.json")))
 }

@@ -1,75 +1,110 @@
 //! The program in a directory of its own, as its users call it.
 
+use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 /// An empty directory for one test.
 pub(crate) fn directory(name: &str) -> PathBuf {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
     let _ = fs::remove_dir_all(&directory);
     fs::create_dir_all(&directory).expect("the directory of the tests can be written");
     directory
 }
 
-pub(crate) fn host_sim(directory: &Path, arguments: &str) -> Output {
+/// The program with arguments separated by spaces.
+pub(crate) fn command(directory: &Path, arguments: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
+    let arguments = arguments.split_whitespace();
+    command.current_dir(directory).args(arguments);
+    command.stdin(Stdio::null());
     command
-        .current_dir(directory)
-        .args(arguments.split_whitespace());
-    command.output().expect("the program starts")
 }
 
+pub(crate) fn host_sim(directory: &Path, arguments: &str) -> Output {
+    let output = command(directory, arguments).output();
+    output.expect("the program starts")
+}
+
+/// Standard output of a run that succeeds.
 pub(crate) fn succeeds(directory: &Path, arguments: &str) -> String {
     let output = host_sim(directory, arguments);
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "`{arguments}` wrote {stderr}");
-    String::from_utf8(output.stdout).expect("it speaks UTF-8")
+    String::from_utf8(output.stdout).expect("UTF-8")
 }
 
 /// The one line that the program fails with.
 pub(crate) fn fails(directory: &Path, arguments: &str) -> String {
-    let output = host_sim(directory, arguments);
-    let stderr = String::from_utf8(output.stderr).expect("it speaks UTF-8");
+    failure(arguments, &host_sim(directory, arguments))
+}
+
+/// The one line of a run that failed.
+pub(crate) fn failure(arguments: &str, output: &Output) -> String {
+    let stderr = String::from_utf8(output.stderr.clone()).expect("UTF-8");
     // 2 for a wrong command line, of which an option is named first.
     let usage = stderr.starts_with("error: --") || stderr.trim_end().ends_with("(see --help)");
-    let code = 1 + i32::from(usage);
-    assert_eq!(
-        output.status.code(),
-        Some(code),
-        "`{arguments}` wrote {stderr}"
-    );
-    assert!(stderr.starts_with("error: "), "{stderr}");
-    assert_eq!(stderr.lines().count(), 1, "one line: {stderr}");
+    let code = Some(1 + i32::from(usage));
+    let line = stderr.starts_with("error: ") && stderr.lines().count() == 1;
+    let sound = output.status.code() == code && line && !stderr.contains("panicked");
+    assert!(sound, "`{arguments}` wrote {stderr}");
     stderr
 }
 
-/// Names of the files in a directory.
+/// Names of the files in a directory, sorted.
 pub(crate) fn files(directory: &Path) -> Vec<String> {
     let entries = fs::read_dir(directory).expect("it is there");
-    let name = |entry: std::io::Result<fs::DirEntry>| entry.expect("it is there").file_name();
-    entries
-        .map(|entry| name(entry).to_string_lossy().into_owned())
-        .collect()
+    let names = entries.map(|entry| entry.expect("it is there").file_name());
+    let mut names: Vec<_> = names.map(|name| name.to_string_lossy().into()).collect();
+    names.sort();
+    names
+}
+
+/// Content of a text file.
+pub(crate) fn text(path: impl AsRef<Path>) -> String {
+    let path = path.as_ref();
+    fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// Content of a JSON file.
+pub(crate) fn json(path: impl AsRef<Path>) -> Value {
+    serde_json::from_str(&text(path)).expect("it is JSON")
+}
+
+pub(crate) fn number(value: &Value) -> f64 {
+    value.as_f64().expect("a number")
+}
+
+pub(crate) fn write(path: impl AsRef<Path>, content: impl AsRef<[u8]>) {
+    fs::write(path, content).expect("it can be written");
+}
+
+/// Header of a table of states of an arm of `joints` joints.
+fn state_header(joints: usize) -> String {
+    let columns = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2")].into_iter();
+    let names = columns
+        .flat_map(|(name, unit)| (1..=joints).map(move |joint| format!("{name}{joint}_{unit}")));
+    names.collect::<Vec<_>>().join(",")
+}
+
+/// States of an arm of `joints` joints, all of them with one value in all columns.
+pub(crate) fn states_of(joints: usize, values: &[f64]) -> String {
+    let rows = values
+        .iter()
+        .map(|v| vec![v.to_string(); 3 * joints].join(","));
+    let lines = std::iter::once(state_header(joints)).chain(rows);
+    lines.map(|line| line + "\n").collect()
 }
 
 /// Two states of an arm of `joints` joints.
 pub(crate) fn states(joints: usize) -> String {
-    let columns = |name: &str, unit: &str| -> Vec<String> {
-        (1..=joints)
-            .map(|joint| format!("{name}{joint}_{unit}"))
-            .collect()
-    };
-    let header = [
-        columns("q", "rad"),
-        columns("qd", "rad_s"),
-        columns("qdd", "rad_s2"),
-    ];
-    let row = |value: f64| vec![value.to_string(); 3 * joints].join(",");
-    format!(
-        "{}\n{}\n{}\n",
-        header.concat().join(","),
-        row(0.25),
-        row(-0.5)
-    )
+    states_of(joints, &[0.25, -0.5])
+}
+
+/// States of an arm of `joints` joints that stand still at zero, at these times, s.
+pub(crate) fn still(joints: usize, times: &[&str]) -> String {
+    let zeros = states_of(joints, &vec![0.0; times.len()]);
+    let lines = ["t_s"].iter().chain(times).zip(zeros.lines());
+    lines.map(|(t_s, row)| format!("{t_s},{row}\n")).collect()
 }

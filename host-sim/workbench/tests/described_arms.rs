@@ -1,4 +1,4 @@
-//! Arms read at run time give the bits of compiled ones, for any number of joints.
+//! Arms read at run time give the bits of compiled ones, for any number of joints; modules of arms; shipped profiles.
 
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
@@ -10,7 +10,10 @@ use foretorque::learning::{LearnerConfig, ParameterSet, prior_factor, prior_fact
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::{BoardError, Client, Described, Native};
+use foretorque_workbench::bus::Profile;
+use foretorque_workbench::generate::{arm_hash, arm_module, write_arm_module};
 use foretorque_workbench::robot::Robot;
+use std::path::Path;
 use std::time::Duration;
 
 const BOOT: Duration = Duration::from_millis(10);
@@ -32,15 +35,11 @@ fn sample<A: Arm<N, P>, const N: usize, const P: usize>(tick: u32) -> JointSampl
         friction[FrictionColumn::Viscous] = 0.4;
         friction[FrictionColumn::Coulomb] = 0.2;
     }
-    let desired = motion(
-        tick as f32 * 1e-3,
-        &A::limits().map(|limits| limits.position),
-    );
-    let tau = evaluate::<A, N, P>(&truth, &desired).total;
-    JointSample {
-        desired,
-        measured: Some(JointMeasurement { q: desired.q, tau }),
-    }
+    let ranges = A::limits().map(|limits| limits.position);
+    let desired = motion(tick as f32 * 1e-3, &ranges);
+    let (q, tau) = (desired.q, evaluate::<A, N, P>(&truth, &desired).total);
+    let measured = Some(JointMeasurement { q, tau });
+    JointSample { desired, measured }
 }
 
 /// Everything that a session answers, compiled and read: torques, flags, and the bank after learning.
@@ -62,10 +61,8 @@ fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
         assert_eq!(torques[0].map(f32::to_bits), torques[1].map(f32::to_bits));
         assert_eq!(rows[0].map(f32::to_bits), rows[1].map(f32::to_bits));
     }
-    assert_eq!(
-        LearnerConfig::for_arm::<A>(1e-3),
-        LearnerConfig::for_arm::<Described<N, P>>(1e-3)
-    );
+    let config = LearnerConfig::for_arm::<Described<N, P>>(1e-3);
+    assert_eq!(LearnerConfig::for_arm::<A>(1e-3), config);
     for index in 0..prior_factor_count(N) {
         let read = prior_factor::<Described<N, P>, N, P>(index);
         assert_eq!(prior_factor::<A, N, P>(index), read);
@@ -83,19 +80,12 @@ fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
     for tick in 1..4000 {
         let sample = sample::<A, N, P>(tick);
         let [a, b] = [&mut compiled, &mut read].map(|client| client.sample(&sample).unwrap());
-        let bits = |total: &JointVector<N>| total.map(f32::to_bits);
-        assert_eq!(
-            (a.flags, bits(&a.total)),
-            (b.flags, bits(&b.total)),
-            "tick {tick}"
-        );
+        let [a, b] = [a, b].map(|reply| (reply.flags, reply.total.map(f32::to_bits)));
+        assert_eq!(a, b, "tick {tick}");
     }
     let learnt = [&mut compiled, &mut read].map(|client| client.read_bank().unwrap());
     assert!(learnt[0] == learnt[1], "learnt banks differ");
-    assert!(
-        learnt[0] != adopted,
-        "nothing was learnt, so nothing was compared"
-    );
+    assert!(learnt[0] != adopted, "nothing was learnt");
 }
 
 #[test]
@@ -138,13 +128,64 @@ fn arms_of_one_to_eight_joints_run_and_learn() {
 fn a_bank_of_another_arm_is_named() {
     let board = Box::new(Native::<Panda, 7, 48>::new().unwrap());
     let mut client = Client::<7>::connect::<Panda, 48>(board, BOOT).unwrap();
-    let error = client
-        .upload_bank(&ParameterBank::nominal::<Ur5, 6, 40>())
-        .unwrap_err();
+    let bank = ParameterBank::nominal::<Ur5, 6, 40>();
+    let error = client.upload_bank(&bank).unwrap_err();
     assert!(matches!(error, BoardError::WrongBank { .. }));
     let text = error.to_string();
-    assert!(
-        text.starts_with("the bank is for ur5 (") && text.contains("drives panda ("),
-        "{text}"
-    );
+    let named = text.starts_with("the bank is for ur5 (") && text.contains("drives panda (");
+    assert!(named, "{text}");
+}
+
+#[test]
+fn another_geometry_is_another_arm() {
+    let mut robot = Robot::load("ur5").unwrap();
+    robot.joints[3].placement.origin.x += 1e-4;
+    assert_ne!(arm_hash(&robot), Ur5::HASH);
+}
+
+#[test]
+fn new_arm_is_declared_beside_the_others_once() {
+    let robot = Robot::load("panda").unwrap();
+    let folder = std::env::temp_dir().join(format!("foretorque-arms-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let parent = folder.join("mod.rs");
+    std::fs::write(&parent, "//! Arms.\n\nmod identity;\npub mod ur5;\n").unwrap();
+    let file = folder.join("my_panda.rs");
+    for _ in 0..2 {
+        write_arm_module(&robot, &file).unwrap();
+        let text = std::fs::read_to_string(&parent).unwrap();
+        assert_eq!(
+            text,
+            "//! Arms.\n\npub mod my_panda;\nmod identity;\npub mod ur5;\n"
+        );
+    }
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), arm_module(&robot));
+    for bad in ["My.rs", "7.rs", "a-b.rs", "arm.txt"] {
+        let error = write_arm_module(&robot, &folder.join(bad)).unwrap_err();
+        assert_eq!(error.kind(), std::io::ErrorKind::InvalidInput, "{bad}");
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn shipped_profiles_are_sound() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../profiles");
+    let mut names = Vec::new();
+    for entry in folder.read_dir().unwrap() {
+        let path = entry.unwrap().path();
+        let profile = Profile::load(&path).unwrap();
+        let name = path.file_stem().unwrap().display().to_string();
+        for (place, joint) in profile.joint.iter().enumerate() {
+            assert_eq!(joint.drive.check(), Ok(()), "{name}, joint {}", place + 1);
+            let same = |other: &&_| {
+                let other: &&foretorque_workbench::bus::JointEntry = other;
+                other.bus == joint.bus && other.drive.id == joint.drive.id
+            };
+            assert_eq!(profile.joint.iter().filter(same).count(), 1, "{name}");
+        }
+        names.push(name);
+    }
+    for name in ["openarm", "yam", "piper-class", "moteus", "odrive"] {
+        assert!(names.iter().any(|shipped| shipped == name), "{name}");
+    }
 }

@@ -1,39 +1,28 @@
 //! The firmware in the emulator, through its real links.
 
-mod talk;
-
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use crate::talk::{Talk, credible, sample};
+use crate::trial::{PATIENCE, connected, native, scratch, started};
+use foretorque::arm::ur5::JOINTS;
 use foretorque_f405::chip;
 use foretorque_link::wire::{
     BoardMessage, Configuration, CounterKind, Decoder, HostMessage, Pacing, SampleFrame,
 };
 use foretorque_workbench::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
-use foretorque_workbench::board::{BoardError, Client, Native, Transport};
+use foretorque_workbench::board::{BoardError, Client, Transport};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use std::time::Duration;
-use talk::{PATIENCE, Talk, credible, sample};
 
-const BOOT: Duration = Duration::from_secs(5);
-
-/// Starts the emulator. A firmware that is not built fails the test with the command that builds it.
 fn emulator(image: Image) -> Emulator {
     started(&QemuOptions::new(image))
 }
 
-fn started(options: &QemuOptions) -> Emulator {
-    Emulator::start(options).unwrap_or_else(|error| panic!("{error}"))
-}
-
 fn client(image: Image) -> Client<JOINTS> {
-    Client::connect::<Ur5, PARAMETERS>(Box::new(emulator(image)), BOOT)
-        .unwrap_or_else(|error| panic!("{error}"))
-}
-
-fn native() -> Native<Ur5, JOINTS, PARAMETERS> {
-    Native::new().expect("the UR5's limits are usable")
+    connected(emulator(image))
 }
 
 #[test]
-fn the_flashable_firmware_boots_and_says_hello() {
+fn the_flashable_firmware_boots_and_sends_its_hello() {
     let client = client(Image::Joint);
     let hello = client.hello();
     assert_eq!(hello.arm.as_str(), "ur5");
@@ -45,9 +34,7 @@ fn the_flashable_firmware_boots_and_says_hello() {
 fn the_flashable_firmware_also_boots_when_time_is_that_of_the_wall() {
     let mut options = QemuOptions::new(Image::Joint);
     options.icount_shift = None;
-    let mut client =
-        Client::<JOINTS>::connect::<Ur5, PARAMETERS>(Box::new(started(&options)), BOOT)
-            .unwrap_or_else(|error| panic!("{error}"));
+    let mut client = connected(started(&options));
     assert_eq!(client.hello().counter, CounterKind::None);
     assert_eq!(client.sample(&sample(0)).expect("a torque").tick, 0);
 }
@@ -69,7 +56,7 @@ fn the_flashable_firmware_gives_the_same_bytes_as_the_native_board_while_it_lear
 fn the_second_board_answers_as_the_first_and_holds_its_own_enable_low() {
     // What goes to the set/reset register of GPIOB to switch PB8 off (RM0090 8.4.7).
     const OFF: &str = "write (size 4, offset 0x018, value 0x01000000)";
-    let trace = std::path::PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("pyboard.trace");
+    let trace = scratch("pyboard.trace");
     let mut options = QemuOptions::new(Image::Joint);
     options.elf.set_file_name("joint-pyboard");
     options.trace = Some(trace.clone());
@@ -77,11 +64,8 @@ fn the_second_board_answers_as_the_first_and_holds_its_own_enable_low() {
     let answered = Talk::begin(started(&options)).learn(100);
     assert!(answered == expected, "the two boards differ");
     let trace = std::fs::read_to_string(trace).expect("the emulator writes a trace");
-    assert!(
-        trace
-            .lines()
-            .any(|l| l.contains("GPIOB") && l.contains(OFF))
-    );
+    let off = |line: &str| line.contains("GPIOB") && line.contains(OFF);
+    assert!(trace.lines().any(off));
 }
 
 #[test]
@@ -90,10 +74,8 @@ fn the_bulk_firmware_gives_the_same_bytes_as_the_native_board_while_it_learns() 
     let answered = Talk::begin(emulator(Image::Bulk)).learn(10_000);
     assert!(answered == expected, "bulk and native board differ");
     let frozen = Talk::begin(native()).learn(0);
-    assert!(
-        expected[expected.len() - 60..] != frozen[frozen.len() - 60..],
-        "nothing was learnt"
-    );
+    let learnt = expected[expected.len() - 60..] != frozen[frozen.len() - 60..];
+    assert!(learnt, "nothing was learnt");
 }
 
 #[test]
@@ -114,10 +96,8 @@ fn costs_repeat_from_run_to_run() {
     assert!(first.tick_cost.mean > 1000 && first.receive_cost.mean > 10);
     // What docs/protocol.md allots to the interrupt.
     assert!(u64::from(first.receive_cost.max) <= chip::RECEIVE_INSTRUCTIONS);
-    assert_eq!(
-        (first.late_sets, first.learning_samples_lost, first.overruns),
-        (0, 0, 0)
-    );
+    let lost = [first.late_sets, first.learning_samples_lost, first.overruns];
+    assert_eq!(lost, [0; 3]);
     let (first, second) = (run(Image::Bulk), run(Image::Bulk));
     println!("bulk {first:?}");
     assert_eq!(first.tick_cost, second.tick_cost);
@@ -127,27 +107,23 @@ fn costs_repeat_from_run_to_run() {
 #[test]
 fn the_timer_runs_the_tick_at_its_period_when_it_paces() {
     let mut client = client(Image::Joint);
-    client.set_timeout(BOOT);
+    client.set_timeout(PATIENCE);
     let configuration = Configuration {
         period_us: 2000,
         pacing: Pacing::SysTick,
         ..Configuration::default()
     };
-    client
-        .configure(configuration)
-        .expect("the board has a timer");
+    let configured = client.configure(configuration);
+    configured.expect("the board has a timer");
     let mut last = None;
     for k in 0..20 {
-        let reply = client
-            .sample(&sample(k))
-            .expect("the timer answers the sample");
+        let reply = client.sample(&sample(k)).expect("an answer");
         assert!(last.is_none_or(|last| reply.tick > last), "ticks go on");
         last = Some(reply.tick);
     }
     // And back.
-    client
-        .configure(Configuration::default())
-        .expect("the link paces again");
+    let configured = client.configure(Configuration::default());
+    configured.expect("the link paces again");
     assert_eq!(client.sample(&sample(0)).expect("a torque").tick, 0);
     assert_eq!(client.sample(&sample(1)).expect("a torque").tick, 1);
 }
@@ -160,21 +136,18 @@ fn damaged_bytes_on_the_line_are_counted_and_stop_nothing() {
         if k % 3 == 1 {
             talk.sequence += 1;
             talk.frames.clear();
-            talk.frames
-                .push(talk.sequence, &message)
-                .expect("every message fits");
+            talk.frames.push(talk.sequence, &message).unwrap();
             let mut bytes = talk.frames.as_bytes().to_vec();
             let place = 5 + k as usize;
             bytes[place] = if bytes[place] == 0x55 { 0x56 } else { 0x55 };
             talk.link.send(&bytes).expect("the board listens");
         } else {
             let sequence = talk.sequence + 1;
-            talk.tell(&message);
-            assert_eq!(talk.hear().0, sequence, "the good sample is answered");
+            talk.send(&message);
+            assert_eq!(talk.receive().0, sequence, "the good sample is answered");
         }
     }
-    let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(Box::new(talk.link), BOOT)
-        .unwrap_or_else(|error| panic!("{error}"));
+    let mut client = connected(talk.link);
     let statistics = client.statistics().expect("counters");
     assert_eq!(statistics.crc_errors + statistics.framing_errors, 10);
     assert_eq!(statistics.ticks, 20);
@@ -185,41 +158,28 @@ fn damaged_bytes_on_the_line_are_counted_and_stop_nothing() {
 fn an_emulator_that_dies_in_the_middle_is_reported_and_leaves_no_process() {
     for image in [Image::Joint, Image::Bulk] {
         let emulator = emulator(image);
-        let id = nix::unistd::Pid::from_raw(emulator.process_id() as i32);
-        let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(Box::new(emulator), BOOT)
-            .unwrap_or_else(|error| panic!("{error}"));
+        let id = Pid::from_raw(emulator.process_id() as i32);
+        let mut client = connected(emulator);
         client.sample(&sample(0)).expect("a torque");
-        nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGKILL).expect("it is ours");
-        let error = (1..10)
-            .find_map(|k| client.sample(&sample(k)).err())
-            .expect("an error");
+        kill(id, Signal::SIGKILL).expect("it is ours");
+        let error = (1..10).find_map(|k| client.sample(&sample(k)).err());
+        let error = error.expect("an error");
         assert!(matches!(error, BoardError::Closed(..)), "{error}");
-        assert!(
-            error.to_string().contains("the emulator died: signal: 9"),
-            "{error}"
-        );
+        let died = "the emulator died: signal: 9";
+        assert!(error.to_string().contains(died), "{error}");
         drop(client);
-        assert!(
-            nix::sys::signal::kill(id, None).is_err(),
-            "the process is reaped"
-        );
+        assert!(kill(id, None).is_err(), "the process is reaped");
     }
 }
 
 #[test]
 fn a_board_out_of_scope_leaves_no_process_and_the_bulk_firmware_ends_by_itself() {
     let joint = emulator(Image::Joint);
-    let id = nix::unistd::Pid::from_raw(joint.process_id() as i32);
+    let id = Pid::from_raw(joint.process_id() as i32);
     drop(joint);
-    assert!(
-        nix::sys::signal::kill(id, None).is_err(),
-        "the process is reaped"
-    );
+    assert!(kill(id, None).is_err(), "the process is reaped");
     let bulk = emulator(Image::Bulk);
-    assert!(
-        bulk.hang_up(PATIENCE).expect("it can be waited for"),
-        "it ends well"
-    );
+    assert!(bulk.hang_up(PATIENCE).unwrap(), "it ends well");
 }
 
 #[test]
@@ -253,28 +213,26 @@ fn a_frame_of_the_board_fits_the_answer_it_is_for() {
     let frame = talk.ask(&HostMessage::Hello);
     let mut decoder = Decoder::new();
     let received = frame.iter().find_map(|&byte| {
-        decoder
-            .push(byte)
-            .map(|frame| frame.map(|frame| frame.message::<BoardMessage<JOINTS>>()))
+        let frame = decoder.push(byte)?;
+        Some(frame.map(|frame| frame.message::<BoardMessage<JOINTS>>()))
     });
     assert!(matches!(received, Some(Ok(Ok(BoardMessage::Hello(_))))));
 }
 
 #[test]
-fn no_lesson_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
+fn no_learning_sample_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
     // A board paced by its timer runs some twenty ticks for each sample that reaches it from here, one each millisecond of
     // its own time: there the learner has to be fast enough. Where the link paces the answer waits for it.
     for (pacing, samples) in [(Pacing::Link, 1500), (Pacing::SysTick, 100)] {
         let mut client = client(Image::Joint);
-        client.set_timeout(BOOT);
+        client.set_timeout(PATIENCE);
         let configuration = Configuration {
             period_us: 1000,
             pacing,
             ..Configuration::default()
         };
-        client
-            .configure(configuration)
-            .expect("the board's own period");
+        let configured = client.configure(configuration);
+        configured.expect("the board's own period");
         client.learning(true).expect("the board learns");
         for k in 0..samples {
             client.sample(&credible(k)).expect("a torque");
@@ -283,9 +241,7 @@ fn no_lesson_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
         println!("{pacing:?} {seen:?}");
         assert!(seen.ticks >= samples);
         assert!(pacing == Pacing::SysTick || seen.learn_cost.mean > 10_000);
-        assert_eq!(
-            (seen.late_sets, seen.learning_samples_lost, seen.overruns),
-            (0, 0, 0)
-        );
+        let lost = [seen.late_sets, seen.learning_samples_lost, seen.overruns];
+        assert_eq!(lost, [0; 3]);
     }
 }

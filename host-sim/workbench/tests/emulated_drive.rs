@@ -5,24 +5,22 @@
 //! replaced, the one that moves a byte over the bus and the one that reads the level of the fault line; all the rest is what
 //! is flashed.
 
-mod driven;
-mod patched;
-
-use driven::parts::{NEVER, drive};
-use driven::{PATIENCE, Trial, still, written};
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use crate::driven::parts::{NEVER, drive};
+use crate::driven::{Drive, Stage, written};
+use crate::trial::{connected, native, started, still};
+use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::Flags;
 use foretorque_link::safety::{SafetyReason, SafetyState};
-use foretorque_link::wire::{Configuration, Field, Pacing};
-use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
-use foretorque_workbench::board::{Client, Native};
-use std::fs;
+use foretorque_link::wire::Field;
+use foretorque_workbench::board::Client;
+use foretorque_workbench::board::qemu::{Image, QemuOptions};
 
 /// Of `firmware/boards/f405/src/pyboard_drive/mod.rs`: the joint, and the torque of a full duty, N·m.
 const JOINT: usize = 1;
 const FULL_SCALE_NM: f32 = 12.5 * 16.0;
 const TOP: f32 = 8400.0;
+
 /// A motion of all joints near the stretched arm, in which the shoulder's torque changes its sign.
 fn moving(k: u32) -> JointSample<JOINTS> {
     let t = k as f32 * 0.02;
@@ -38,7 +36,7 @@ fn moving(k: u32) -> JointSample<JOINTS> {
 
 #[test]
 fn a_board_with_nothing_plugged_in_refuses_to_arm_and_says_why() {
-    let mut trial = Trial::start("bare", &[]);
+    let mut trial = Drive::start("bare", &[]);
     assert_eq!(trial.client.safety().state, SafetyState::Fault);
     assert_eq!(trial.client.safety().reason, SafetyReason::Drive);
     assert_eq!(trial.refusal(), SafetyReason::Drive);
@@ -46,16 +44,17 @@ fn a_board_with_nothing_plugged_in_refuses_to_arm_and_says_why() {
     assert_eq!(trial.refusal(), SafetyReason::Drive, "it is still there");
     trial.is_off();
     let log = trial.log();
-    assert!(
-        log.contains("stage: the motor stage reports a fault"),
-        "{log}"
-    );
-    assert!(log.contains("encoder: encoder is not ready"), "{log}");
+    for line in [
+        "stage: the motor stage reports a fault",
+        "encoder: encoder is not ready",
+    ] {
+        assert!(log.contains(line), "{log}");
+    }
 }
 
 #[test]
 fn a_board_without_its_encoder_refuses_to_arm_and_says_why() {
-    let mut trial = Trial::start("blind", &[("4pins8pin_high", drive(NEVER))]);
+    let mut trial = Drive::start("blind", &[("4pins8pin_high", drive(NEVER))]);
     assert_eq!(trial.client.safety().state, SafetyState::Disarmed);
     for _ in 0..10 {
         let reply = trial.sample(&still());
@@ -71,7 +70,7 @@ fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
     // `mov.w r0, #256; bx lr`: no byte came in time.
     let silent = vec![0xF44F, 0x7080, 0x4770];
     let patches = [("3spi8exchange", silent), ("4pins8pin_high", drive(NEVER))];
-    let mut trial = Trial::start("bus", &patches);
+    let mut trial = Drive::start("bus", &patches);
     for tick in 0..10 {
         let reply = trial.sample(&still());
         assert_eq!(reply.tick, tick);
@@ -84,12 +83,8 @@ fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
 
 #[test]
 fn the_pulse_width_is_the_torque_of_the_joint_that_is_answered() {
-    let mut trial = Trial::armed("width", NEVER, NEVER);
-    let mut native = Client::connect::<Ur5, PARAMETERS>(
-        Box::new(Native::<Ur5, JOINTS, PARAMETERS>::new().expect("usable limits")),
-        PATIENCE,
-    )
-    .expect("it is there");
+    let mut trial = Drive::armed("width", NEVER, NEVER);
+    let mut native = connected(native());
     for _ in 0..5 {
         native.sample(&still()).expect("a torque");
     }
@@ -104,10 +99,8 @@ fn the_pulse_width_is_the_torque_of_the_joint_that_is_answered() {
         let torque = reply.total[JOINT];
         let stage = trial.stage();
         let wanted = torque.abs() / FULL_SCALE_NM * TOP;
-        assert!(
-            (f32::from(stage.width) - wanted).abs() <= 1.0,
-            "{k}: {torque} N·m, {stage:?}"
-        );
+        let near = (f32::from(stage.width) - wanted).abs() <= 1.0;
+        assert!(near, "{k}: {torque} N·m, {stage:?}");
         assert!(stage.enabled && stage.gate, "{k}");
         if stage.width > 0 {
             assert_eq!(stage.positive, torque > 0.0, "{k}: {torque} N·m");
@@ -115,11 +108,8 @@ fn the_pulse_width_is_the_torque_of_the_joint_that_is_answered() {
         positive += u32::from(torque > 0.0);
         negative += u32::from(torque < 0.0);
         // Driving a joint changes no bit of what is computed.
-        assert_eq!(
-            reply.total,
-            native.sample(&moving(k)).expect("a torque").total,
-            "{k}"
-        );
+        let same = native.sample(&moving(k)).expect("a torque");
+        assert_eq!(reply.total, same.total, "{k}");
     }
     assert!(positive > 20 && negative > 20, "{positive} and {negative}");
     trial.client.disarm().expect("it obeys");
@@ -128,7 +118,7 @@ fn the_pulse_width_is_the_torque_of_the_joint_that_is_answered() {
 
 #[test]
 fn the_position_is_the_encoders() {
-    let mut trial = Trial::equipped("angle", 300, NEVER, NEVER);
+    let mut trial = Drive::equipped("angle", 300, NEVER, NEVER);
     let fields = Field::MeasuredPosition.bit();
     trial.client.stream(fields, 1).expect("it fits");
     for _ in 0..10 {
@@ -145,7 +135,7 @@ fn the_position_is_the_encoders() {
 
 #[test]
 fn a_stop_ends_the_pulses_at_once() {
-    let mut trial = Trial::armed("stop", NEVER, NEVER);
+    let mut trial = Drive::armed("stop", NEVER, NEVER);
     trial.client.stop().expect("it obeys");
     trial.is_off();
     assert_eq!(trial.refusal(), SafetyReason::Stopped);
@@ -153,32 +143,12 @@ fn a_stop_ends_the_pulses_at_once() {
 
 #[test]
 fn silence_ends_the_pulses() {
-    let mut trial = Trial::equipped("silence", 0, NEVER, NEVER);
-    let configuration = Configuration {
-        // The time-out is some two hundred ticks then, which a busy host does not miss between two samples.
-        period_us: 250,
-        pacing: Pacing::SysTick,
-        ..Configuration::default()
-    };
-    trial
-        .client
-        .configure(configuration)
-        .expect("it has a timer");
-    for _ in 0..5 {
-        trial.sample(&still());
-    }
-    let armed = (0..100).any(|_| trial.client.arm(&still()).is_ok());
-    assert!(armed, "it can be armed");
-    trial.sample(&still());
-    let trace = fs::read_to_string(&trial.trace).expect("the emulator writes a trace");
+    let mut trial = Drive::equipped("silence", 0, NEVER, NEVER);
+    trial.arm_paced_by_timer();
+    let trace = trial.trace();
     let on = |line| matches!(written(line), Some(("GPIOB", 0x18, bits)) if bits == 1 << 8);
     assert!(trace.lines().any(on), "it was armed");
-    // The time of the emulator moves on with traffic on its link, in leaps; this traffic has no sample.
-    let silence = (0..10_000).find(|_| {
-        trial.client.statistics().expect("counters");
-        !trial.stage().enabled
-    });
-    assert!(silence.is_some(), "the torque ends");
+    trial.silence_until(|trace| !Stage::of(trace).enabled);
     trial.is_off();
     let after = trial.sample(&still());
     assert_eq!(after.safety.reason, SafetyReason::CommandTimeout);
@@ -186,7 +156,7 @@ fn silence_ends_the_pulses() {
 
 #[test]
 fn an_encoder_that_goes_silent_ends_the_torque_and_latches() {
-    let mut trial = Trial::armed("unplugged", 60, NEVER);
+    let mut trial = Drive::armed("unplugged", 60, NEVER);
     let mut ticks = 0;
     let mut reply = trial.sample(&still());
     while reply.safety.state != SafetyState::Fault {
@@ -203,7 +173,7 @@ fn an_encoder_that_goes_silent_ends_the_torque_and_latches() {
 
 #[test]
 fn a_fault_of_the_drive_ends_the_pulses_in_the_tick_in_which_it_is_seen() {
-    let mut trial = Trial::armed("fault", NEVER, 60);
+    let mut trial = Drive::armed("fault", NEVER, 60);
     let mut reply = trial.sample(&still());
     for _ in 0..60 {
         if reply.safety.state == SafetyState::Fault {
@@ -227,25 +197,14 @@ fn driving_a_joint_costs_what_the_page_of_the_board_says() {
         }
         client.statistics().expect("counters")
     };
-    let mut options = QemuOptions::new(Image::Joint);
-    options.elf = Image::Joint.default_elf();
-    let emulator = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
-    let mut plain = Client::connect::<Ur5, PARAMETERS>(Box::new(emulator), PATIENCE)
-        .unwrap_or_else(|error| panic!("{error}"));
+    let mut plain = connected(started(&QemuOptions::new(Image::Joint)));
     plain.arm(&still()).expect("it can be armed");
     let plain = cost(&mut plain);
-    let driving = cost(&mut Trial::armed("cost", NEVER, NEVER).client);
-    println!(
-        "joint {:?} joint-drive {:?}",
-        plain.reply_latency, driving.reply_latency
-    );
-    println!(
-        "joint {:?} joint-drive {:?}",
-        plain.tick_cost, driving.tick_cost
-    );
-    let more = driving
-        .reply_latency
-        .mean
-        .saturating_sub(plain.reply_latency.mean);
+    let driving = cost(&mut Drive::armed("cost", NEVER, NEVER).client);
+    let latencies = [plain, driving].map(|counted| counted.reply_latency);
+    println!("reply latency of joint and joint-drive {latencies:?}");
+    let costs = [plain, driving].map(|counted| counted.tick_cost);
+    println!("tick cost of joint and joint-drive {costs:?}");
+    let more = latencies[1].mean.saturating_sub(latencies[0].mean);
     assert!(more < 2000, "{more} instructions from sample to answer");
 }

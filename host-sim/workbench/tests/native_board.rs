@@ -1,5 +1,6 @@
 //! The client and the board in this process, through real frames.
 
+use crate::trial::{connected, native};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::FrictionColumn;
@@ -9,7 +10,7 @@ use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
 use foretorque_link::bank::{ColumnId, ColumnKind, NETWORK_SEED, ParameterBank};
 use foretorque_link::safety::{ARM_SAMPLES, SafetyReason, SafetyState};
 use foretorque_link::wire::{Configuration, NackReason, Pacing, ReplyMode};
-use foretorque_workbench::board::{BoardError, BoardShares, Client, Native, TickReply, Transport};
+use foretorque_workbench::board::{BoardError, BoardShares, Client, TickReply, Transport};
 use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
@@ -18,12 +19,8 @@ const N: usize = 6;
 const P: usize = 40;
 const BOOT: Duration = Duration::from_millis(10);
 
-fn native() -> Box<Native<Ur5, N, P>> {
-    Box::new(Native::new().expect("the UR5's limits are usable"))
-}
-
 fn client() -> Client<N> {
-    Client::connect::<Ur5, P>(native(), BOOT).expect("the native board answers")
+    connected(native())
 }
 
 /// A smooth motion of all joints of an arm a tenth heavier than its description and with friction, measured exactly.
@@ -40,13 +37,9 @@ fn sample(k: u32) -> JointSample<N> {
         qd: JointVector::from_fn(|j, _| (t + j as f32).cos()),
         qdd: JointVector::from_fn(|j, _| -(t + j as f32).sin()),
     };
-    JointSample {
-        desired,
-        measured: Some(JointMeasurement {
-            q: desired.q,
-            tau: evaluate::<Ur5, N, P>(&truth, &desired).total,
-        }),
-    }
+    let (q, tau) = (desired.q, evaluate::<Ur5, N, P>(&truth, &desired).total);
+    let measured = Some(JointMeasurement { q, tau });
+    JointSample { desired, measured }
 }
 
 fn bits(reply: &TickReply<N>) -> (u32, u16, Vec<u32>) {
@@ -55,7 +48,7 @@ fn bits(reply: &TickReply<N>) -> (u32, u16, Vec<u32>) {
 }
 
 #[test]
-fn the_board_says_who_it_is() {
+fn the_hello_names_the_arm() {
     let client = client();
     let hello = client.hello();
     assert_eq!(hello.arm.as_str(), Ur5::NAME);
@@ -66,9 +59,9 @@ fn the_board_says_who_it_is() {
 
 #[test]
 fn a_board_for_another_robot_is_turned_away() {
-    let error = Client::<N>::connect_as(native(), "ur10e", 7, BOOT).err();
+    let error = Client::<N>::connect_as(Box::new(native()), "ur10e", 7, BOOT).err();
     assert!(matches!(error, Some(BoardError::WrongRobot { .. })));
-    let error = Client::<7>::connect_as(native(), "ur5", Ur5::HASH, BOOT).err();
+    let error = Client::<7>::connect_as(Box::new(native()), "ur5", Ur5::HASH, BOOT).err();
     assert!(matches!(error, Some(BoardError::WrongRobot { .. })));
 }
 
@@ -92,10 +85,8 @@ impl Transport for Parrot {
 
     fn receive(&mut self, buffer: &mut [u8], _: Duration) -> io::Result<usize> {
         let count = buffer.len().min(self.1.len());
-        self.1
-            .drain(..count)
-            .zip(buffer)
-            .for_each(|(b, slot)| *slot = b);
+        let bytes = self.1.drain(..count).zip(buffer);
+        bytes.for_each(|(byte, slot)| *slot = byte);
         Ok(count)
     }
 }
@@ -109,10 +100,7 @@ fn foreign_silent_and_dead_boards_are_told_apart() {
     frame.extend(content);
     frame.extend(crc.to_le_bytes());
     frame.push(0);
-    assert!(
-        !crc.to_le_bytes().contains(&0),
-        "the frame was made by hand"
-    );
+    assert!(!crc.to_le_bytes().contains(&0), "made by hand");
     let connect = |bytes| {
         let parrot = Box::new(Parrot(bytes, VecDeque::new()));
         Client::<N>::connect::<Ur5, P>(parrot, BOOT).err().unwrap()
@@ -149,11 +137,10 @@ fn samples_through_frames_give_the_bits_of_the_bare_tick_with_learning_on() {
         let torque = bare.step(&received);
         learner.learn(&bare.learning_sample(received.measured), &mut exchange);
         let reply = client.sample_frame(&frame).unwrap();
-        assert_eq!(reply.tick, torque.tick);
-        assert_eq!(reply.flags, torque.flags);
+        let [answered, bare] = [reply.total, torque.total].map(|tau| tau.map(f32::to_bits));
         assert_eq!(
-            reply.total.map(f32::to_bits),
-            torque.total.map(f32::to_bits)
+            (reply.tick, reply.flags, answered),
+            (torque.tick, torque.flags, bare)
         );
     }
     let learnt = client.read_bank().unwrap().set::<Ur5, N, P>().unwrap();
@@ -170,24 +157,15 @@ fn decimated_shares_are_those_of_joint_tick_modulo_n() {
     };
     all.configure(full).unwrap();
     for k in 0..20 {
-        let (one, all) = (
-            one.sample(&sample(k)).unwrap(),
-            all.sample(&sample(k)).unwrap(),
-        );
+        let [one, all] = [&mut one, &mut all].map(|board| board.sample(&sample(k)).unwrap());
         assert_eq!(bits(&one), bits(&all));
         let (BoardShares::Joint(joint, shares), BoardShares::All(whole)) = (one.shares, all.shares)
         else {
             panic!("reply modes mixed up");
         };
         assert_eq!(joint, k as usize % N);
-        assert_eq!(
-            shares,
-            [
-                whole.rigid[joint],
-                whole.friction[joint],
-                whole.network[joint]
-            ]
-        );
+        let whole = [whole.rigid, whole.friction, whole.network];
+        assert_eq!(shares, whole.map(|share| share[joint]));
     }
 }
 
@@ -235,22 +213,18 @@ fn configuration_is_judged_and_restarts_the_tick() {
     };
     client.configure(wanted).unwrap();
     assert_eq!(client.sample(&sample(2)).unwrap().tick, 0);
+    let refused = |client: &mut Client<N>, wanted| match client.configure(wanted) {
+        Err(BoardError::Refused(reason)) => reason,
+        other => panic!("{other:?}"),
+    };
     wanted.period_us = 99;
-    assert!(matches!(
-        client.configure(wanted).unwrap_err(),
-        BoardError::Refused(NackReason::Period)
-    ));
+    assert_eq!(refused(&mut client, wanted), NackReason::Period);
     wanted.period_us = 1000;
     wanted.pacing = Pacing::SysTick;
-    assert!(matches!(
-        client.configure(wanted).unwrap_err(),
-        BoardError::Refused(NackReason::NotCapable)
-    ));
+    assert_eq!(refused(&mut client, wanted), NackReason::NotCapable);
     client.learning(true).unwrap();
-    assert!(matches!(
-        client.configure(Configuration::default()).unwrap_err(),
-        BoardError::Refused(NackReason::LearningOn)
-    ));
+    let default = Configuration::default();
+    assert_eq!(refused(&mut client, default), NackReason::LearningOn);
 }
 
 #[test]
@@ -265,11 +239,8 @@ fn reset_makes_a_used_board_answer_like_a_new_one() {
         client.learning(true).unwrap();
     }
     for k in 0..100 {
-        let (a, b) = (
-            used.sample(&sample(k)).unwrap(),
-            fresh.sample(&sample(k)).unwrap(),
-        );
-        assert_eq!(bits(&a), bits(&b));
+        let [a, b] = [&mut used, &mut fresh].map(|board| bits(&board.sample(&sample(k)).unwrap()));
+        assert_eq!(a, b);
     }
     assert_eq!(used.statistics().unwrap().ticks, 100);
 }
@@ -277,24 +248,20 @@ fn reset_makes_a_used_board_answer_like_a_new_one() {
 #[test]
 fn a_board_gives_torque_from_arming_to_disarming_and_none_after_a_stop() {
     let mut client = client();
-    assert_eq!(
-        client.sample(&sample(0)).unwrap().total,
-        JointVector::<N>::zeros()
-    );
-    client.arm(&sample(0)).unwrap();
-    for _ in 0..40 {
-        client.sample(&sample(0)).unwrap();
-    }
-    assert!(client.sample(&sample(0)).unwrap().total.norm() > 10.0);
+    let zero = JointVector::<N>::zeros();
+    assert_eq!(client.sample(&sample(0)).unwrap().total, zero);
+    let armed = |client: &mut Client<N>| {
+        client.arm(&sample(0)).unwrap();
+        let replies = (0..41).map(|_| client.sample(&sample(0)).unwrap());
+        replies.last().unwrap().total.norm()
+    };
+    assert!(armed(&mut client) > 10.0);
     client.disarm().unwrap();
     assert_eq!(client.safety().state, SafetyState::Disarmed);
-    client.arm(&sample(0)).unwrap();
-    for _ in 0..40 {
-        client.sample(&sample(0)).unwrap();
-    }
+    armed(&mut client);
     client.stop().unwrap();
     let stopped = client.sample(&sample(0)).unwrap();
-    assert_eq!(stopped.total, JointVector::<N>::zeros());
+    assert_eq!(stopped.total, zero);
     assert_eq!(stopped.safety.reason, SafetyReason::Stopped);
     assert!(matches!(
         client.arm(&sample(0)).unwrap_err(),

@@ -19,7 +19,8 @@
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use foretorque::arm::Arm as _;
+use foretorque::arm::Arm;
+use foretorque::learning::Learner;
 use foretorque_link::safety::{SafetyReason, Task};
 use foretorque_link::session::{BoardDescription, Mailboxes};
 use foretorque_link::store::Store;
@@ -31,7 +32,7 @@ use rtic::Mutex;
 use stm32f4xx_hal::pac::{self, Interrupt};
 use stm32f4xx_hal::prelude::*;
 
-use crate::arm::{Arm, BoardHousekeeping, BoardLearner, BoardMailboxes, BoardSession};
+use crate::arm::{BoardHousekeeping, BoardSession};
 use crate::board::{Board, Drive as _, Ports};
 use crate::chip::LINK_BYTES_S;
 use crate::clock;
@@ -61,17 +62,17 @@ static TICKS: AtomicU32 = AtomicU32::new(0);
 static TICKED: AtomicBool = AtomicBool::new(false);
 
 /// Static memory of the large parts.
-pub struct Statics {
-    mailboxes: MaybeUninit<BoardMailboxes>,
-    housekeeping: BoardHousekeeping,
-    session: MaybeUninit<BoardSession>,
-    learner: MaybeUninit<BoardLearner>,
+pub struct Statics<A: Arm<N, P>, const N: usize, const P: usize> {
+    mailboxes: MaybeUninit<Mailboxes<N, P>>,
+    housekeeping: BoardHousekeeping<A, N, P>,
+    session: MaybeUninit<BoardSession<A, N, P>>,
+    learner: MaybeUninit<Learner<A, N, P>>,
     receive_ring: Queue<u8, RECEIVE_RING>,
     transmit_ring: Queue<u8, TRANSMIT_RING>,
     out: FrameBuffer,
 }
 
-impl Statics {
+impl<A: Arm<N, P>, const N: usize, const P: usize> Statics<A, N, P> {
     /// Nothing in it.
     pub const fn empty() -> Self {
         Self {
@@ -87,26 +88,26 @@ impl Statics {
 }
 
 /// The parts of a started board, one for each task.
-pub struct Started<B: Board> {
+pub struct Started<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
     /// Shared by tick, learner and idle loop.
-    pub mailboxes: &'static mut BoardMailboxes,
+    pub mailboxes: &'static mut Mailboxes<N, P>,
     /// Of the link's interrupt.
     pub wire: Wire,
     /// Of the tick.
-    pub tick: Tick<B>,
+    pub tick: Tick<B, A, N, P>,
     /// Of the learner.
-    pub learner: &'static mut BoardLearner,
+    pub learner: &'static mut Learner<A, N, P>,
     /// Of the idle loop.
-    pub idle: Idle,
+    pub idle: Idle<A, N, P>,
 }
 
 /// Starts clocks, pins, session, learner and link; leaves by a reset if a constant of the board cannot work.
 #[inline(always)]
-pub fn start<B: Board>(
+pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
     chip: pac::Peripherals,
     mut core: cortex_m::Peripherals,
-    statics: &'static mut Statics,
-) -> Started<B> {
+    statics: &'static mut Statics<A, N, P>,
+) -> Started<B, A, N, P> {
     let (reason, place) = fault::take();
     let reset_reason = fault::reset_reason(reason, &chip.RCC);
     let kept = fault::latched();
@@ -130,7 +131,7 @@ pub fn start<B: Board>(
         c: chip.GPIOC,
     };
     B::start_pins(ports, &mut rcc);
-    let Some(mut drive) = B::Drive::start(&clocks) else {
+    let Some(mut drive) = B::Drive::<A, N, P>::start(&clocks) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
 
@@ -198,8 +199,8 @@ pub fn start<B: Board>(
     out.clear();
     defmt::info!(
         "hello: arm {=str} {=u32:#x}, {} counter, {}, {}, {=u32} counts ({=u32} us) from clock to hello",
-        Arm::NAME,
-        Arm::HASH,
+        A::NAME,
+        A::HASH,
         counter,
         session.configuration(),
         session.safety(),
@@ -248,23 +249,23 @@ pub fn timer() {
 }
 
 /// The tick's task: session, link and drive.
-pub struct Tick<B: Board> {
-    session: &'static mut BoardSession,
+pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
+    session: &'static mut BoardSession<A, N, P>,
     received: Receiver<RECEIVE_RING>,
     waiting: Sender<TRANSMIT_RING>,
     out: &'static mut FrameBuffer,
     timer: TickTimer,
-    drive: B::Drive,
+    drive: B::Drive<A, N, P>,
     kept: SafetyReason,
     losses: u32,
     frames_left: u32,
     latency: CostMeter,
 }
 
-impl<B: Board> Tick<B> {
+impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>) {
+    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>) {
         mailboxes.lock(|mailboxes| self.run_locked(mailboxes));
         // Without a learning sample too: the learner checks in.
         rtic::pend(LEARN);
@@ -293,7 +294,7 @@ impl<B: Board> Tick<B> {
     }
 
     #[inline(always)]
-    fn run_locked(&mut self, mailboxes: &mut BoardMailboxes) {
+    fn run_locked(&mut self, mailboxes: &mut Mailboxes<N, P>) {
         self.drive.watch(self.session);
         if tick_timer::take_due() {
             let period_ms = self.session.configuration().period_us.div_ceil(1000);
@@ -334,7 +335,7 @@ impl<B: Board> Tick<B> {
 
     /// Drives the outputs by the result, then sends the replies.
     #[inline(never)]
-    fn put_out(&mut self, mailboxes: &BoardMailboxes, answers: bool) {
+    fn put_out(&mut self, mailboxes: &Mailboxes<N, P>, answers: bool) {
         let Self {
             session,
             waiting,
@@ -369,9 +370,9 @@ impl<B: Board> Tick<B> {
 
 /// The learner's task: uses every learning sample that waits.
 #[inline(always)]
-pub fn learn(
-    learner: &mut BoardLearner,
-    mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>,
+pub fn learn<A: Arm<N, P>, const N: usize, const P: usize>(
+    learner: &mut Learner<A, N, P>,
+    mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>,
 ) {
     while let Some(sample) = mailboxes.lock(|mailboxes| mailboxes.learner.begin(learner)) {
         let start = counter::now();
@@ -386,18 +387,18 @@ pub fn learn(
 }
 
 /// The idle loop: log, store, watchdog.
-pub struct Idle {
+pub struct Idle<A: Arm<N, P>, const N: usize, const P: usize> {
     watchdog: Watchdog,
-    housekeeping: &'static mut BoardHousekeeping,
+    housekeeping: &'static mut BoardHousekeeping<A, N, P>,
     drain: Option<log::Drain>,
 }
 
-impl Idle {
+impl<A: Arm<N, P>, const N: usize, const P: usize> Idle<A, N, P> {
     /// Never returns.
     #[inline(always)]
     pub fn run<B: Board>(
         &mut self,
-        mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>,
+        mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>,
     ) -> ! {
         let (mut logged, mut ordered) = (0, false);
         loop {
@@ -416,7 +417,7 @@ impl Idle {
                     tick_timer::missed()
                 );
             }
-            B::Drive::report();
+            B::Drive::<A, N, P>::report();
             if let Some(drain) = &self.drain {
                 drain.empty();
             }
@@ -447,32 +448,33 @@ impl Idle {
     }
 }
 
-/// The firmware of a board: its interrupts and fault handlers.
+/// The firmware of a board for an arm of `N` joints and `P` base parameters: its interrupts and fault handlers.
 #[macro_export]
 macro_rules! image {
-    ($board:ty) => {
+    ($board:ty, $arm:ty, $n:expr, $p:expr) => {
         $crate::fault_handlers!($board);
 
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
+            use foretorque::learning::Learner;
+            use foretorque_link::session::Mailboxes;
             use $crate::app::{Idle, Started, Statics, Tick, byte, learn, start, timer};
-            use $crate::arm::{BoardLearner, BoardMailboxes};
             use $crate::link::Wire;
 
             #[shared]
             struct Shared {
-                mailboxes: &'static mut BoardMailboxes,
+                mailboxes: &'static mut Mailboxes<{ $n }, { $p }>,
             }
 
             #[local]
             struct Local {
                 wire: Wire,
-                tick: Tick<$board>,
-                learner: &'static mut BoardLearner,
-                idle: Idle,
+                tick: Tick<$board, $arm, { $n }, { $p }>,
+                learner: &'static mut Learner<$arm, { $n }, { $p }>,
+                idle: Idle<$arm, { $n }, { $p }>,
             }
 
-            #[init(local = [statics: Statics = Statics::empty()])]
+            #[init(local = [statics: Statics<$arm, { $n }, { $p }> = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let Started {
                     mailboxes,
@@ -480,7 +482,7 @@ macro_rules! image {
                     tick,
                     learner,
                     idle,
-                } = start::<$board>(cx.device, cx.core, cx.local.statics);
+                } = start::<$board, $arm, { $n }, { $p }>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
                     wire,
                     tick,

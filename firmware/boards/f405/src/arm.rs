@@ -1,17 +1,11 @@
-//! The arm of the images, and the types that follow from it.
+//! Types of a board that follow from its arm.
 
-use foretorque_link::session::{Housekeeping, Mailboxes, Session};
+use foretorque_link::session::{Housekeeping, Session};
 
 use crate::counter::Counter;
 use crate::store_flash::StoreFlash;
 
-pub use foretorque::arm::ur5::{
-    JOINTS, Learner as BoardLearner, LearnerConfig, PARAMETERS, ParameterSet, Ur5 as Arm,
-};
-
 /// Session of a board.
-pub type BoardSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
+pub type BoardSession<A, const N: usize, const P: usize> = Session<A, N, P, Counter>;
 /// Its housekeeping, with the store.
-pub type BoardHousekeeping = Housekeeping<Arm, JOINTS, PARAMETERS, StoreFlash>;
-/// Mailboxes between its tasks.
-pub type BoardMailboxes = Mailboxes<JOINTS, PARAMETERS>;
+pub type BoardHousekeeping<A, const N: usize, const P: usize> = Housekeeping<A, N, P, StoreFlash>;

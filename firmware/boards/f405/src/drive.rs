@@ -1,6 +1,7 @@
 //! The drive of a board that drives nothing itself but the enable. A board with a motor stage and an encoder has one of
 //! its own, as [`crate::pyboard_drive`] has.
 
+use foretorque::arm::Arm;
 use foretorque_link::hal::TorqueEnable;
 use foretorque_link::session::NoLocalSensor;
 
@@ -15,7 +16,7 @@ pub struct EnableOnly<B: Board> {
     measures: NoLocalSensor,
 }
 
-impl<B: Board> Drive for EnableOnly<B> {
+impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for EnableOnly<B> {
     type Own = NoLocalSensor;
 
     #[inline(always)]
@@ -29,7 +30,7 @@ impl<B: Board> Drive for EnableOnly<B> {
     }
 
     #[inline(always)]
-    fn watch(&mut self, _: &mut BoardSession) {}
+    fn watch(&mut self, _: &mut BoardSession<A, N, P>) {}
 
     #[inline(always)]
     fn own(&mut self) -> &mut NoLocalSensor {
@@ -37,7 +38,7 @@ impl<B: Board> Drive for EnableOnly<B> {
     }
 
     #[inline(always)]
-    fn follow(&mut self, session: &mut BoardSession) {
+    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
         let on = session.torque_enabled();
         if self.enable.is_on() != on {
             // This pin cannot refuse.

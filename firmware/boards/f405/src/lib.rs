@@ -3,8 +3,8 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | `app` | the schedule: `image!` makes the firmware of a board |
-//! | `arm`, `board` | the arm of the images; properties of a board |
+//! | `app` | the schedule: `image!` makes the firmware of a board for an arm |
+//! | `arm`, `board` | types that follow from the arm; properties of a board |
 //! | `odrive_v3`, `pyboard`, `pyboard_drive`, `can_board` | the boards |
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
 //! | [`can`] | driver of the two CAN controllers |

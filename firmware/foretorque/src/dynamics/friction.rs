@@ -9,7 +9,7 @@ pub use columns::{
     Real, SHEAR_WIDTH, STRIBECK_WIDTH, friction_prior,
 };
 
-use super::gravity_torque;
+use super::{Angles, gravity_torque, gravity_torque_at};
 use crate::arm::Arm;
 use crate::joint::JointVector;
 use crate::math::{SinCos, sin_cos_quarters, tanh_1_5_15};
@@ -116,6 +116,25 @@ pub fn friction_load<A: Arm<N, P>, const N: usize, const P: usize>(
     gravity_torque::<A, N, P>(A::nominal(), q)
 }
 
+/// Pose of an arm: its joint angles, and the torques that the gears carry there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose<const N: usize> {
+    /// Sines and cosines of the angles.
+    pub angles: Angles<N>,
+    /// [`friction_load`], N × N·m.
+    pub load: JointVector<N>,
+}
+
+impl<const N: usize> Pose<N> {
+    /// Pose at the joint positions `q`, N × rad; `None` if one is not a number or beyond ±1000 rad.
+    #[inline]
+    pub fn of<A: Arm<N, P>, const P: usize>(q: &JointVector<N>) -> Option<Self> {
+        let angles = Angles::of(q)?;
+        let load = gravity_torque_at::<A, N, P>(A::nominal(), &angles);
+        Some(Self { angles, load })
+    }
+}
+
 /// Friction torques at joint positions `q` and velocities `qd`, N × N·m: the drives must supply them, so they are positive
 /// along +qd.
 ///
@@ -128,7 +147,17 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
     q: &JointVector<N>,
     qd: &JointVector<N>,
 ) -> JointVector<N> {
-    let load = friction_load::<A, N, P>(q);
+    friction_under::<A, N, P>(parameters, q, qd, &friction_load::<A, N, P>(q))
+}
+
+/// [`friction`] where the gears carry `load`, N × N·m.
+#[inline(never)]
+pub(crate) fn friction_under<A: Arm<N, P>, const N: usize, const P: usize>(
+    parameters: &[FrictionParameters; N],
+    q: &JointVector<N>,
+    qd: &JointVector<N>,
+    load: &JointVector<N>,
+) -> JointVector<N> {
     JointVector::from_fn(|joint, _| {
         let row = friction_row(A::cogging_cycles()[joint], q[joint], qd[joint], load[joint]);
         parameters[joint].torque(&row)

@@ -1,6 +1,6 @@
 //! The joint torque regressor: one row, or all of them.
 
-use super::link::{LinkMotion, are_angles, origin, rotation};
+use super::link::{Angles, LinkMotion, origin};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
 use crate::joint::JointMotion;
@@ -10,49 +10,40 @@ use nalgebra::{SMatrix, SVector};
 ///
 /// * `joint` 0 to N − 1; any other gives a row of zeros
 ///
-/// Limits: where the squares of the angles sum to more than 1000² rad², or one is NaN, every entry is NaN.
+/// Limits: an angle beyond ±1000 rad or NaN makes every entry NaN.
 /// Cost: the outward recursion of [`super::rnea`] and up to about 55 multiply-adds for each link from `joint` on.
 pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
-    if !are_angles(&motion.q) {
-        return SVector::repeat(f32::NAN);
+    match Angles::of(&motion.q) {
+        Some(angles) => regressor_row_at::<A, N, P>(joint, &angles, motion),
+        None => SVector::repeat(f32::NAN),
     }
-    let mut link = LinkMotion::base::<A, N, P>();
-    outward!(A: J < N {
-        let rot = rotation::<A, N, P>(J, motion.q[J]);
-        link = link.next::<A, N, P>(J, &rot, motion);
-        if joint == J {
-            return row_from::<A, N, P>(J, link, motion);
-        }
-    });
-    SVector::zeros()
 }
 
-/// The row of joint `joint`, whose link moves like `link`; one instance for each joint, so that what is 0 in its own frame
-/// costs nothing.
-#[inline(always)]
+/// [`regressor_row`] at the angles of `motion`. One code for every joint: what is 0 in the frame of one is not in another's.
+#[inline(never)]
 #[expect(
     clippy::absurd_extreme_comparisons,
     reason = "the loop is written out joint by joint, the first one too"
 )]
-fn row_from<A: Arm<N, P>, const N: usize, const P: usize>(
+pub(crate) fn regressor_row_at<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
-    mut link: LinkMotion,
+    angles: &Angles<N>,
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
-    // Not `SVector::zeros()`, which hides the array: it would be copied at the end. And −0, not 0: where no link moves
-    // the joint it is stored, where one does it is not; zeros would be cleared by memset, all of them.
-    let mut row = SVector::from([-0.0; P]);
-    let mut axis = JointAxis::OWN;
+    let mut link = LinkMotion::base::<A, N, P>();
+    let mut axis = JointAxis::OWN_AT_RUN_TIME;
+    // Not `SVector::zeros()`, which hides the array: it would be copied at the end.
+    let mut row = SVector::from([0.0; P]);
     outward!(A: I < N {
-        if I > joint {
-            let rot = rotation::<A, N, P>(I, motion.q[I]);
-            link = link.next::<A, N, P>(I, &rot, motion);
+        let rot = angles.rotation::<A, P>(I);
+        link = link.next::<A, N, P>(I, &rot, motion);
+        if joint < I {
             axis = axis.carried(&rot, origin::<A, N, P>(I));
         }
-        if I >= joint {
+        if joint <= I {
             let entries = axis.power_of_unit_parameters(&link);
             for (index, entry) in A::index().link[I].iter().zip(entries) {
                 if let Some(index) = *index {
@@ -60,10 +51,10 @@ fn row_from<A: Arm<N, P>, const N: usize, const P: usize>(
                 }
             }
         }
+        if joint == I && let Some(index) = A::index().rotor[I] {
+            row[index] = motion.qdd[I];
+        }
     });
-    if let Some(index) = A::index().rotor[joint] {
-        row[index] = motion.qdd[joint];
-    }
     row
 }
 
@@ -84,11 +75,11 @@ pub fn regressor<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut rows = SMatrix::from([[0.0; N]; P]);
     let mut link = LinkMotion::base::<A, N, P>();
     let mut axes = [JointAxis::OWN; N];
-    if !are_angles(&motion.q) {
+    let Some(angles) = Angles::of(&motion.q) else {
         return SMatrix::repeat(f32::NAN);
-    }
+    };
     outward!(A: I < N {
-        let rot = rotation::<A, N, P>(I, motion.q[I]);
+        let rot = angles.rotation::<A, P>(I);
         link = link.next::<A, N, P>(I, &rot, motion);
         outward!(A: J < N {
             if J <= I {
@@ -124,6 +115,15 @@ impl JointAxis {
     const OWN: Self = Self {
         s: Vector::Z,
         v: Vector::ZERO,
+    };
+    /// [`OWN`](Self::OWN), its zeros unknown while compiling.
+    const OWN_AT_RUN_TIME: Self = Self {
+        s: Vector([
+            Term::variable(0.0),
+            Term::variable(0.0),
+            Term::variable(1.0),
+        ]),
+        v: Vector([Term::variable(0.0); 3]),
     };
 
     /// At the next link, whose frame sits at p and is turned by `rot` = R: `s' = Rᵀ s`, `v' = Rᵀ (v + s × p)`.

@@ -1,7 +1,7 @@
 //! Inverse dynamics by the recursive Newton–Euler algorithm.
 
 use super::BaseParameters;
-use super::link::{LinkMotion, is_angle, origin, rotation};
+use super::link::{Angles, LinkMotion, origin};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
@@ -27,29 +27,50 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     motion: &JointMotion<N>,
 ) -> JointVector<N> {
+    match Angles::of(&motion.q) {
+        Some(angles) => {
+            let [tau] = rnea_of::<A, N, P, 1>([beta], &angles, motion);
+            tau
+        }
+        None => JointVector::repeat(f32::NAN),
+    }
+}
+
+/// [`rnea`] of one or two parameter vectors at the `angles` of `motion`: the motion of the links is computed once.
+#[inline(never)]
+pub(crate) fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
+    betas: [&BaseParameters<P>; S],
+    angles: &Angles<N>,
+    motion: &JointMotion<N>,
+) -> [JointVector<N>; S] {
+    const { assert!(S <= 2, "written out for two parameter vectors") };
     let mut link = LinkMotion::base::<A, N, P>();
     let mut rot = [Matrix::ZERO; N];
     // First what each link needs for its own motion, then what it takes from the link before it: expressed in frame I,
     // about its origin.
-    let mut wrench = [Wrench::ZERO; N];
+    let mut wrench = [[Wrench::ZERO; N]; S];
     outward!(A: I < N {
-        if !is_angle(motion.q[I]) {
-            return JointVector::repeat(f32::NAN);
+        if !angles.ends_joint(I) {
+            return [JointVector::repeat(f32::NAN); S];
         }
-        rot[I] = rotation::<A, N, P>(I, motion.q[I]);
+        rot[I] = angles.rotation::<A, P>(I);
         link = link.next::<A, N, P>(I, &rot[I], motion);
-        wrench[I] = LinkParameters::of::<A, N, P>(beta, I).wrench(&link);
+        each!(K < S {
+            wrench[K][I] = LinkParameters::of::<A, N, P>(betas[K], I).wrench(&link);
+        }, 0 1);
     });
-    let mut tau = JointVector::zeros();
-    inward!(A: I < N {
-        if I + 1 < N {
-            let outer = (I + 1) % N;
-            wrench[I] = wrench[I].and(wrench[outer], &rot[outer], origin::<A, N, P>(outer));
-        }
-        // eq. 11, and the rotor, which turns with the joint alone.
-        let rotor = parameter(beta, A::index().rotor[I]);
-        tau[I] = (wrench[I].n.dot(Vector::Z) + rotor * Term::variable(motion.qdd[I])).value();
-    });
+    let mut tau = [JointVector::zeros(); S];
+    each!(K < S {
+        inward!(A: I < N {
+            if I + 1 < N {
+                let outer = (I + 1) % N;
+                wrench[K][I] = wrench[K][I].and(wrench[K][outer], &rot[outer], origin::<A, N, P>(outer));
+            }
+            // eq. 11, and the rotor, which turns with the joint alone.
+            let rotor = parameter(betas[K], A::index().rotor[I]);
+            tau[K][I] = (wrench[K][I].n.dot(Vector::Z) + rotor * Term::variable(motion.qdd[I])).value();
+        });
+    }, 0 1);
     tau
 }
 
@@ -61,19 +82,30 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
 ///
 /// Limits: those of [`rnea`].
 /// Cost: about 20 multiply-adds a joint at right angles, and one `sin_cos` a joint.
-#[inline(never)]
 pub fn gravity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     q: &JointVector<N>,
+) -> JointVector<N> {
+    match Angles::of(q) {
+        Some(angles) => gravity_torque_at::<A, N, P>(beta, &angles),
+        None => JointVector::repeat(f32::NAN),
+    }
+}
+
+/// [`gravity_torque`] at `angles`.
+#[inline(never)]
+pub(crate) fn gravity_torque_at<A: Arm<N, P>, const N: usize, const P: usize>(
+    beta: &BaseParameters<P>,
+    angles: &Angles<N>,
 ) -> JointVector<N> {
     let mut a = LinkMotion::base::<A, N, P>().a;
     let mut rot = [Matrix::ZERO; N];
     let mut wrench = [Wrench::ZERO; N];
     outward!(A: I < N {
-        if !is_angle(q[I]) {
+        if !angles.ends_joint(I) {
             return JointVector::repeat(f32::NAN);
         }
-        rot[I] = rotation::<A, N, P>(I, q[I]);
+        rot[I] = angles.rotation::<A, P>(I);
         a = rot[I].transposed_times(a);
         let LinkParameters { mass, first_moment, .. } = LinkParameters::of::<A, N, P>(beta, I);
         wrench[I] = Wrench { f: a.scale(mass), n: first_moment.cross(a) };

@@ -3,13 +3,13 @@
 use super::config::FeedForwardConfig;
 use super::shares::{JointShares, network_share};
 use crate::dynamics::{
-    BaseParameters, FRICTION_COLUMNS, FrictionParameters, FrictionPoint, SmoothedSign,
+    BaseParameters, FRICTION_COLUMNS, FrictionBound, FrictionColumn, FrictionParameters,
+    FrictionPoint, SmoothedSign,
 };
 use crate::joint::JointMotion;
 use crate::learning::{JointNetwork, MotionRange, NETWORK_INPUTS, ParameterSet, network_inputs_at};
 use crate::limits::{Flags, cut};
 use crate::math::SinCos;
-use nalgebra::{ArrayStorage, SVector};
 
 /// The linear parameters of the set that was last loaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,8 +58,9 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         before: &ParameterSet<N, P>,
         loaded: &Loaded<N, P>,
     ) {
-        let both = set.rigid.iter().zip(loaded.rigid.iter());
-        for (rigid, (set, loaded)) in self.rigid.iter_mut().zip(both) {
+        // Slices: iterators of a matrix look for the end of a column at every entry.
+        let both = set.rigid.as_slice().iter().zip(loaded.rigid.as_slice());
+        for (rigid, (set, loaded)) in self.rigid.as_mut_slice().iter_mut().zip(both) {
             *rigid = set - loaded;
         }
         self.share = *share;
@@ -72,10 +73,76 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         }
         let networks = set.network.iter().zip(&before.network);
         for (learnt, (set, before)) in self.network.iter_mut().zip(networks) {
-            *learnt |= set != before;
+            *learnt |= set.layers() != before.layers();
         }
     }
 }
+
+/// Range of motion for which the active set has been learnt, and the basis functions at its edges.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LearntRange<const N: usize> {
+    motion: MotionRange<N>,
+    /// At the largest speed of each joint, for a load of 1 N·m, without cogging.
+    edge: [AtSpeed; N],
+}
+
+impl<const N: usize> LearntRange<N> {
+    /// Empty range.
+    pub(super) const fn none() -> Self {
+        Self {
+            motion: MotionRange::NONE,
+            edge: [AtSpeed::REST; N],
+        }
+    }
+
+    /// Takes the range `motion`.
+    ///
+    /// Cost: one [`AtSpeed::new`] for each joint whose largest speed is another one.
+    pub(super) fn set(&mut self, motion: &MotionRange<N>) {
+        let speeds = motion.velocity.iter().zip(&self.motion.velocity);
+        for (edge, (&speed, &before)) in self.edge.iter_mut().zip(speeds) {
+            if speed != before {
+                *edge = AtSpeed::new(speed, SinCos { sin: 0.0, cos: 0.0 }, 1.0);
+            }
+        }
+        self.motion = *motion;
+    }
+
+    /// Basis functions of `joint` at its desired speed `qd`, rad/s, cut to the range: where it is beyond, those at the edge.
+    ///
+    /// * `desired` basis functions at the desired speed      * `load` of the gear, N·m
+    #[inline]
+    pub(super) fn cut(&self, joint: usize, qd: f32, load: f32, desired: &AtSpeed) -> AtSpeed {
+        if qd.abs() <= self.motion.velocity[joint] {
+            return *desired;
+        }
+        // All that depends on the speed is odd in it.
+        let sign = 1.0_f32.copysign(qd);
+        let edge = &self.edge[joint];
+        let mut cut = *desired;
+        for (k, (column, edge)) in cut.columns.iter_mut().zip(&edge.columns).enumerate() {
+            if ODD[k] {
+                *column = sign * edge;
+            }
+        }
+        cut.columns[FrictionColumn::Load as usize] *= load.abs();
+        for (input, edge) in cut.inputs.iter_mut().zip(&edge.inputs) {
+            *input = sign * edge;
+        }
+        cut
+    }
+}
+
+/// Columns that are odd in the speed, as all that dissipate; the others do not depend on it.
+const ODD: [bool; FRICTION_COLUMNS] = {
+    let (mut odd, mut k) = ([false; FRICTION_COLUMNS], 0);
+    while k < FRICTION_COLUMNS {
+        let bound = FrictionColumn::ALL[k].properties().bound;
+        odd[k] = !matches!(bound, FrictionBound::None);
+        k += 1;
+    }
+    odd
+};
 
 /// The motion of a tick: as it is wanted, and cut to what has been learnt.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -99,7 +166,7 @@ impl<const N: usize> TickMotion<N> {
     pub(super) fn take(
         &mut self,
         config: &FeedForwardConfig<N>,
-        range: &MotionRange<N>,
+        range: &LearntRange<N>,
         wanted: &JointMotion<N>,
         flags: &mut Flags,
     ) -> bool {
@@ -124,34 +191,34 @@ impl<const N: usize> TickMotion<N> {
             self.desired.qd[joint] = velocity;
             self.desired.qdd[joint] = acceleration;
             self.bounded.q[joint] = inside;
-            self.bounded.qd[joint] = cut(velocity, range.velocity[joint]).0;
-            self.bounded.qdd[joint] = cut(acceleration, range.acceleration[joint]).0;
+            self.bounded.qd[joint] = cut(velocity, range.motion.velocity[joint]).0;
+            self.bounded.qdd[joint] = cut(acceleration, range.motion.acceleration[joint]).0;
         }
         true
     }
 }
 
 /// Friction basis and network output of one joint at one speed.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct AtSpeed {
     columns: [f32; FRICTION_COLUMNS],
-    inputs: SVector<f32, NETWORK_INPUTS>,
+    inputs: [f32; NETWORK_INPUTS],
 }
 
 impl AtSpeed {
-    /// Uninitialised memory of it.
-    pub(super) const NONE: Self = Self {
+    /// All that is odd in the speed, at rest.
+    const REST: Self = Self {
         columns: [0.0; FRICTION_COLUMNS],
-        inputs: SVector::from_array_storage(ArrayStorage([[0.0; NETWORK_INPUTS]])),
+        inputs: [0.0; NETWORK_INPUTS],
     };
 
     /// At the speed `qd`, rad/s, where cogging is `cogging` and the gear carries `load`, N·m.
-    #[inline]
+    #[inline(never)]
     pub(super) fn new(qd: f32, cogging: SinCos, load: f32) -> Self {
         let sign = SmoothedSign::of(qd);
         Self {
             columns: FrictionPoint::new(qd, &sign, cogging, load).columns(),
-            inputs: network_inputs_at(qd, &sign),
+            inputs: network_inputs_at(qd, &sign).data.0[0],
         }
     }
 
@@ -173,7 +240,7 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         joint: usize,
         (rigid, friction): (f32, f32),
         network: &JointNetwork,
-        [desired, bounded]: &[AtSpeed; 2],
+        [desired, bounded]: [&AtSpeed; 2],
         torque_limit: f32,
         flags: &mut Flags,
     ) -> JointShares {
@@ -185,7 +252,34 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         JointShares {
             rigid,
             friction: friction + bounded.friction(&self.friction[joint]),
-            network: network_share(network, &speed.inputs, torque_limit, flags),
+            network: network_share(network, &speed.inputs.into(), torque_limit, flags),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dynamics::cogging;
+
+    #[test]
+    fn beyond_the_learnt_range_everything_is_what_it_is_at_the_edge() {
+        let (load, cogging) = (-7.3, cogging(202.0, 0.4));
+        for edge in [0.0, 0.003, 0.2, 1.7] {
+            let mut range = LearntRange::<1>::none();
+            range.set(&MotionRange {
+                velocity: [edge],
+                acceleration: [0.0],
+            });
+            for qd in [-3.0, -0.2, -1e-3, 0.0, 1e-3, 0.2, 0.21, 3.0] {
+                let desired = AtSpeed::new(qd, cogging, load);
+                let direct = AtSpeed::new(cut(qd, edge).0, cogging, load);
+                assert_eq!(
+                    range.cut(0, qd, load, &desired),
+                    direct,
+                    "{qd} beyond {edge}"
+                );
+            }
         }
     }
 }

@@ -1,13 +1,12 @@
 use super::Torque;
 use super::config::FeedForwardConfig;
-use super::model::{AtSpeed, Difference, Loaded, TickMotion};
+use super::model::{AtSpeed, Difference, LearntRange, Loaded, TickMotion};
 use super::shares::{Shares, select};
 use crate::arm::Arm;
-use crate::dynamics::{BaseParameters, cogging, friction_load, is_angle, rnea};
+use crate::dynamics::{BaseParameters, Pose, cogging, is_angle, rnea_of};
 use crate::joint::{JointSample, JointVector};
 use crate::learning::{
-    Exchange, LearnerReport, LearningSample, LearntShare, LinearParameters, MotionRange,
-    ParameterSet,
+    Exchange, LearnerReport, LearningSample, LearntShare, LinearParameters, ParameterSet,
 };
 use crate::limits::{Flags, cut, limit};
 
@@ -31,7 +30,7 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     /// Torque of the payload in the last tick, after its bound, N × N·m; part of the rigid-body share.
     pub payload_torque: JointVector<N>,
     /// The motion for which the active set has been learnt.
-    pub range: MotionRange<N>,
+    pub(super) range: LearntRange<N>,
     /// The set that was last loaded: what was learnt is measured from it.
     loaded: Loaded<N, P>,
     active_difference: Difference<N, P>,
@@ -67,7 +66,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             report: LearnerReport::new(),
             payload: BaseParameters::zeros(),
             payload_torque: JointVector::zeros(),
-            range: MotionRange::NONE,
+            range: LearntRange::none(),
             loaded: Loaded::new(&set),
             active_difference: Difference::none(),
             committed_difference: Difference::none(),
@@ -104,7 +103,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
     pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
         self.loaded = Loaded::new(set);
         self.payload.fill(0.0);
-        self.range = MotionRange::NONE;
+        self.range = LearntRange::none();
         self.learned = None;
         self.active = *set;
         self.committed = *set;
@@ -138,8 +137,6 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardScratch<const N: usize> {
     motion: TickMotion<N>,
-    /// Gear load as the friction model uses it, N × N·m.
-    load: JointVector<N>,
     /// Torques of the loaded set and of the payload for the motion as it is wanted, and of what the active and the
     /// committed set have learnt, for the motion that was learnt; N × N·m each.
     loaded: JointVector<N>,
@@ -155,7 +152,6 @@ impl<const N: usize> FeedForwardScratch<N> {
     pub fn new() -> Self {
         Self {
             motion: TickMotion::zero(),
-            load: JointVector::zeros(),
             loaded: JointVector::zeros(),
             payload: JointVector::zeros(),
             active: JointVector::zeros(),
@@ -183,8 +179,8 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 ///
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///
-/// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: four times the RNEA, the
-/// gravity torques, smoothed signs and Stribeck peaks at two speeds of each joint, all networks twice.
+/// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: the motion of the links
+/// and the gravity torques twice, the wrenches four times, all networks twice.
 #[inline(never)]
 pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
@@ -197,11 +193,18 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     if !motion.take(config, &state.range, &sample.desired, &mut flags) {
         return hold(config, state, flags | Flags::NOT_FINITE);
     }
-    scratch.load = friction_load::<A, N, P>(&motion.desired.q);
-    scratch.loaded = rnea::<A, N, P>(&state.loaded.rigid, &motion.desired);
-    scratch.payload = rnea::<A, N, P>(&state.payload, &motion.desired);
-    scratch.active = rnea::<A, N, P>(&state.active_difference.rigid, &motion.bounded);
-    scratch.committed = rnea::<A, N, P>(&state.committed_difference.rigid, &motion.bounded);
+    let Some(pose) = Pose::of::<A, P>(&motion.desired.q) else {
+        return hold(config, state, flags | Flags::NOT_FINITE);
+    };
+    [scratch.loaded, scratch.payload] = rnea_of::<A, N, P, 2>(
+        [&state.loaded.rigid, &state.payload],
+        &pose.angles,
+        &motion.desired,
+    );
+    let learnt =
+        [&state.active_difference, &state.committed_difference].map(|learnt| &learnt.rigid);
+    [scratch.active, scratch.committed] =
+        rnea_of::<A, N, P, 2>(learnt, &pose.angles, &motion.bounded);
     // Where nothing was measured the joint is where it should be.
     let (place, lead) = match &sample.measured {
         Some(measured) => (&measured.q, config.lead),
@@ -209,7 +212,6 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     };
     let recommitted = core::mem::take(&mut state.recommitted);
     let mut ignored = Flags::NONE;
-    let mut speeds = [AtSpeed::NONE; 2];
     for joint in 0..N {
         let limits = &config.limits[joint];
         let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
@@ -217,12 +219,11 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
             A::cogging_cycles()[joint],
             cogging_place(place[joint] + qd * lead, q),
         );
-        let load = scratch.load[joint];
-        // In place: as a new array they would be copied.
-        for (speed, qd) in speeds.iter_mut().zip([qd, motion.bounded.qd[joint]]) {
-            *speed = AtSpeed::new(qd, cogging, load);
-        }
-        let friction = speeds[0].friction(&state.loaded.friction[joint]);
+        let load = pose.load[joint];
+        let desired = AtSpeed::new(qd, cogging, load);
+        let bounded = state.range.cut(joint, qd, load, &desired);
+        let speeds = [&desired, &bounded];
+        let friction = desired.friction(&state.loaded.friction[joint]);
         let active = state.active_difference.shares(
             joint,
             (
@@ -231,7 +232,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
                 friction,
             ),
             &state.active.network[joint],
-            &speeds,
+            speeds,
             limits.torque,
             &mut flags,
         );
@@ -243,7 +244,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
                 friction,
             ),
             &state.committed.network[joint],
-            &speeds,
+            speeds,
             limits.torque,
             &mut ignored,
         );
@@ -385,7 +386,7 @@ pub fn adopt<const N: usize, const P: usize>(
                 state.recommitted = true;
             }
             state.payload = finished.payload;
-            state.range = finished.range;
+            state.range.set(&finished.range);
             state.report = finished.report;
             state.adoption |= Flags::SET_ADOPTED;
             if finished.closed != due {

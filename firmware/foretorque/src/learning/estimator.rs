@@ -9,9 +9,9 @@ use super::start_deviations::StartDeviations;
 use super::ud::UdFilter;
 use crate::arm::Arm;
 use crate::dynamics::{
-    FRICTION_COLUMNS, RANDOM_WALK_COLUMNS, friction_load, friction_row, regressor_row,
+    FRICTION_COLUMNS, Pose, RANDOM_WALK_COLUMNS, friction_row, regressor_row_at,
 };
-use crate::joint::JointMotion;
+use crate::joint::{JointMotion, JointVector};
 use crate::limits::cut;
 use crate::math::sqrt;
 use bounds::{BOUNDED, Violation};
@@ -39,28 +39,42 @@ const FIRST_ROWS: f32 = 4.0;
 const FACTORS_PER_TICK: usize = 3;
 
 /// Torque row of one joint: N·m for each unit of each linear parameter.
-#[inline(never)]
 pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     sample: &ConditionedSample<N>,
 ) -> LinearParameters<N, P> {
+    match Pose::of::<A, P>(&sample.motion.q) {
+        Some(pose) => torque_row_at::<A, N, P>(joint, &pose, &sample.motion),
+        None => LinearParameters::filled(f32::NAN),
+    }
+}
+
+/// [`torque_row`] in the `pose` of `motion`.
+#[inline(never)]
+pub(super) fn torque_row_at<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
+    pose: &Pose<N>,
+    motion: &JointMotion<N>,
+) -> LinearParameters<N, P> {
     let mut row = LinearParameters::filled(0.0);
-    row.rigid = regressor_row::<A, N, P>(joint, &sample.motion).data.0[0];
-    let friction = joint_friction_row::<A, N, P>(joint, &sample.motion);
+    row.rigid = regressor_row_at::<A, N, P>(joint, &pose.angles, motion)
+        .data
+        .0[0];
+    let friction = joint_friction_row::<A, N, P>(joint, &pose.load, motion);
     if let (Some(slot), Some(friction)) = (row.friction.get_mut(joint), friction) {
         *slot = friction;
     }
     row
 }
 
-/// Friction columns of `joint` in `motion`; `None` if there is no such joint.
-#[inline(always)]
+/// Friction columns of `joint` in `motion`, where the gears carry `load`, N × N·m; `None` if there is no such joint.
+#[inline(never)]
 pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
+    load: &JointVector<N>,
     motion: &JointMotion<N>,
 ) -> Option<[f32; FRICTION_COLUMNS]> {
-    let loads = friction_load::<A, N, P>(&motion.q);
-    let (&cycles, &load) = (A::cogging_cycles().get(joint)?, loads.get(joint)?);
+    let (&cycles, &load) = (A::cogging_cycles().get(joint)?, load.get(joint)?);
     let (&q, &qd) = (motion.q.get(joint)?, motion.qd.get(joint)?);
     Some(friction_row(cycles, q, qd, load))
 }
@@ -332,7 +346,9 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let covariance = self.filter.friction_covariance(joint, &BOUNDED);
         let direction = violation.multipliers(&covariance);
         if direction.iter().all(|a| a.is_finite()) {
-            gain.iter_mut().for_each(|gain| *gain *= *step);
+            for part in gain.parts_mut() {
+                part.iter_mut().for_each(|gain| *gain *= *step);
+            }
             *step = 1.0;
             self.filter.add_friction_gain(joint, &direction, gain);
         }

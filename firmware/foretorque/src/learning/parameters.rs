@@ -55,7 +55,7 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
 
     /// True if every parameter is finite.
     pub fn is_finite(&self) -> bool {
-        let rigid = self.rigid.iter().all(|p| p.is_finite());
+        let rigid = self.rigid.as_slice().iter().all(|p| p.is_finite());
         let friction = self
             .friction
             .iter()

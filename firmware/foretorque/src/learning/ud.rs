@@ -1,6 +1,7 @@
+mod queries;
 mod rows;
 
-use super::parameters::{LinearParameters, dot};
+use super::parameters::LinearParameters;
 use crate::dynamics::FRICTION_COLUMNS;
 use core::array::{from_mut, from_ref};
 use core::mem::take;
@@ -27,7 +28,8 @@ impl<const P: usize> JointEntries<P> {
 ///
 /// The friction of two joints is coupled only through the rigid body: given that, it is independent, because no row
 /// contains both. With friction first, the entries of U between the friction of two joints are therefore zero after any
-/// number of rows. They are neither stored nor computed.
+/// number of rows. They are neither stored nor computed. Likewise the friction of a joint is coupled to the links before it
+/// by no row of its own: its entries of U before the first column of its rows are zeros, and stay so.
 ///
 /// U is stored by rows in square arrays; diagonal and lower triangle are zeros. The lower triangle of the rigid rows holds
 /// compensation instead: U_ji is the rounding error of U_ij, added with the next row.
@@ -36,6 +38,9 @@ pub struct UdFilter<const N: usize, const P: usize> {
     friction: [[JointEntries<P>; FRICTION_COLUMNS]; N],
     rigid: [[f32; P]; P],
     diagonal: LinearParameters<N, P>,
+    /// First column of the rigid body in the rows of each joint, rounded down to a multiple of `ROWS`; P before the first
+    /// row.
+    first: [usize; N],
 }
 
 impl<const N: usize, const P: usize> UdFilter<N, P> {
@@ -45,6 +50,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             friction: [[JointEntries::ZERO; FRICTION_COLUMNS]; N],
             rigid: [[0.0; P]; P],
             diagonal: LinearParameters::filled(1.0),
+            first: [P; N],
         }
     }
 
@@ -53,6 +59,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         self.friction.as_flattened_mut().fill(JointEntries::ZERO);
         self.rigid.as_flattened_mut().fill(0.0);
         self.diagonal.iter_mut().for_each(|d| *d = 1.0);
+        self.first = [P; N];
     }
 
     /// Measurement update with the row `phi` of `joint` and noise variance `variance`. [Bierman 1977, ch. V.3]
@@ -71,7 +78,8 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     ///
     /// Assumes: `phi` finite, `variance` positive. Entries of `phi` for the friction of other joints are ignored.
     ///
-    /// Cost: `(2 N FRICTION_COLUMNS + P) P` multiply-adds; about an eighth of that for f; `P + FRICTION_COLUMNS` divisions.
+    /// Cost: at most `(2 N FRICTION_COLUMNS + P) P` multiply-adds, a third less on a serial arm; about an eighth of that for f;
+    /// `P + FRICTION_COLUMNS` divisions.
     pub fn update(
         &mut self,
         joint: usize,
@@ -82,6 +90,14 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let Some(friction) = phi.friction.get(joint) else {
             return f32::NAN;
         };
+        let leading = phi.rigid.as_chunks::<ROWS>().0;
+        let leading = leading.iter().take_while(|block| **block == [0.0; ROWS]);
+        let row_first = ROWS * leading.count();
+        let Some(first) = self.first.get_mut(joint) else {
+            return f32::NAN;
+        };
+        *first = row_first.min(*first);
+        let first = *first;
         // f, replaced by λ.
         let mut lambda = self.transposed_times(joint, friction, &phi.rigid);
         let mut v = JointEntries::ZERO;
@@ -90,7 +106,11 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         };
         let mut alpha = Alpha::new(variance);
         alpha.absorb_all(&mut lambda.own, &mut v.own, d);
-        alpha.absorb_all(&mut lambda.rigid, &mut v.rigid, &mut self.diagonal.rigid);
+        let parts = [&mut lambda.rigid, &mut v.rigid, &mut self.diagonal.rigid];
+        // Before the first column f is zero.
+        if let [Some(lambda), Some(v), Some(d)] = parts.map(|part| part.get_mut(first..)) {
+            alpha.absorb_all(lambda, v, d);
+        }
         self.update_factors(joint, &lambda, &v, gain);
         alpha.value
     }
@@ -109,9 +129,9 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             own: *friction,
             rigid: *rigid,
         };
-        if let Some(rows) = self.friction.get(joint) {
+        if let (Some(rows), Some(&first)) = (self.friction.get(joint), self.first.get(joint)) {
             add_rows(&mut f.own, rows, |row| &row.own, friction, 0);
-            add_rows(&mut f.rigid, rows, |row| &row.rigid, friction, 0);
+            add_rows(&mut f.rigid, rows, |row| &row.rigid, friction, first);
         }
         let (rows, rest) = self.rigid.as_chunks::<ROWS>();
         let (weights, rest_weights) = rigid.as_chunks::<ROWS>();
@@ -158,13 +178,18 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         if let (Some(rows), Some(gain)) = (rows, gain.friction.get_mut(joint)) {
             *gain = own.corner(rows, |row| &mut row.own, 0);
         }
-        let (rows, rest) = self.friction.as_flattened_mut().as_chunks_mut::<ROWS>();
-        let (gains, rest_gains) = gain.friction.as_flattened_mut().as_chunks_mut::<ROWS>();
-        for (rows, gain) in rows.iter_mut().zip(gains) {
-            beyond.sweep(rows, |row| &mut row.rigid, 0, gain);
-        }
-        for (row, gain) in rest.iter_mut().zip(rest_gains) {
-            beyond.sweep(from_mut(row), |row| &mut row.rigid, 0, from_mut(gain));
+        let first = self.first.get(joint).copied().unwrap_or(0);
+        let joints = self.friction.iter_mut().zip(&mut gain.friction);
+        for ((rows, gain), &own_first) in joints.zip(&self.first) {
+            let first = own_first.max(first);
+            let (rows, rest) = rows.as_chunks_mut::<ROWS>();
+            let (gains, rest_gains) = gain.as_chunks_mut::<ROWS>();
+            for (rows, gain) in rows.iter_mut().zip(gains) {
+                beyond.sweep(rows, |row| &mut row.rigid, first, gain);
+            }
+            for (row, gain) in rest.iter_mut().zip(rest_gains) {
+                beyond.sweep(from_mut(row), |row| &mut row.rigid, first, from_mut(gain));
+            }
         }
         let (gains, rest_gains) = gain.rigid.as_chunks_mut::<ROWS>();
         let start = gains.len() * ROWS;
@@ -174,145 +199,13 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
                 break;
             };
             *gain = beyond.corner(rows, |row| row, block * ROWS);
-            beyond.sweep_compensated(rows, below, block, gain);
+            beyond.sweep_compensated(rows, below, block, first / ROWS, gain);
             rest = below;
         }
         for (place, (row, gain)) in rest.iter_mut().zip(rest_gains).enumerate() {
             let (row, gain) = (from_mut(row), from_mut(gain));
             *gain = beyond.corner(row, |row| row, start + place);
             beyond.sweep(row, |row| row, start + place + 1, gain);
-        }
-    }
-
-    /// Variance of friction column `column` of `joint`, in units of the prior variance; `None` if there is none.
-    ///
-    /// ```text
-    /// P_kk = D_k + Σ U_kj² D_j (j > k)
-    /// ```
-    pub fn friction_variance(&self, joint: usize, column: usize) -> Option<f32> {
-        let row = self.friction.get(joint)?.get(column)?;
-        let (friction, rigid) = (self.diagonal.friction.get(joint)?, &self.diagonal.rigid);
-        let own = *friction.get(column)?;
-        Some(own + weighted_squares(&row.own, friction) + weighted_squares(&row.rigid, rigid))
-    }
-
-    /// Variance of base parameter `column`, as [`friction_variance`](Self::friction_variance).
-    pub fn rigid_variance(&self, column: usize) -> Option<f32> {
-        let own = *self.diagonal.rigid.get(column)?;
-        let (row, diagonal) = (self.rigid.get(column)?, &self.diagonal.rigid);
-        Some(own + weighted_squares(row.get(column..)?, diagonal.get(column..)?))
-    }
-
-    /// Prediction variance φᵀPφ of the friction torque of `joint`, for the friction columns `phi`.
-    ///
-    /// ```text
-    /// φᵀPφ = Σ D_j f_j²     f = Uᵀφ
-    /// ```
-    ///
-    /// Cost: `(FRICTION_COLUMNS + 2) (FRICTION_COLUMNS + P)` multiply-adds.
-    pub(super) fn friction_prediction_variance(
-        &self,
-        joint: usize,
-        phi: &[f32; FRICTION_COLUMNS],
-    ) -> f32 {
-        let f = self.transposed_times(joint, phi, &[0.0; P]);
-        let Some(diagonal) = self.diagonal.friction.get(joint) else {
-            return 0.0;
-        };
-        let own = f.own.iter().zip(diagonal);
-        let rigid = f.rigid.iter().zip(&self.diagonal.rigid);
-        let mut variance = 0.0;
-        for (f, d) in own.chain(rigid) {
-            variance += d * f * f;
-        }
-        variance
-    }
-
-    /// Covariance of the friction columns `chosen` of `joint`, in units of the prior variances; 0 for the others.
-    ///
-    /// ```text
-    /// P_ik = Σ U_ij D_j U_kj
-    /// ```
-    ///
-    /// Cost: `(c + 1) / 2` products of length `FRICTION_COLUMNS + P` for each of the `c` columns chosen.
-    pub(super) fn friction_covariance(
-        &self,
-        joint: usize,
-        chosen: &[bool; FRICTION_COLUMNS],
-    ) -> [[f32; FRICTION_COLUMNS]; FRICTION_COLUMNS] {
-        let mut covariance = [[0.0; FRICTION_COLUMNS]; FRICTION_COLUMNS];
-        let (Some(rows), Some(diagonal)) =
-            (self.friction.get(joint), self.diagonal.friction.get(joint))
-        else {
-            return covariance;
-        };
-        for (i, row) in rows
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| chosen.get(*i) == Some(&true))
-        {
-            let mut scaled = *row;
-            set(&mut scaled.own, i, 1.0);
-            scale(&mut scaled.own, diagonal);
-            scale(&mut scaled.rigid, &self.diagonal.rigid);
-            for (k, other) in rows.iter().enumerate().take(i + 1) {
-                if chosen.get(k) == Some(&true) {
-                    // The unit diagonal is not stored.
-                    let unit = if k == i {
-                        scaled.own.get(i).copied().unwrap_or(0.0)
-                    } else {
-                        0.0
-                    };
-                    let product =
-                        unit + dot(&scaled.own, &other.own) + dot(&scaled.rigid, &other.rigid);
-                    for (row, column) in [(i, k), (k, i)] {
-                        if let Some(row) = covariance.get_mut(row) {
-                            set(row, column, product);
-                        }
-                    }
-                }
-            }
-        }
-        covariance
-    }
-
-    /// Add P φ to `gain`, for a row φ with friction `phi` of `joint` only; the filter stays as it is.
-    ///
-    /// ```text
-    /// v = D Uᵀφ     P φ = U v
-    /// ```
-    ///
-    /// * `gain` in units of the prior standard deviations
-    ///
-    /// Cost: `(N FRICTION_COLUMNS + P / 2) P` multiply-adds, no division.
-    #[inline(never)]
-    pub(super) fn add_friction_gain(
-        &self,
-        joint: usize,
-        phi: &[f32; FRICTION_COLUMNS],
-        gain: &mut LinearParameters<N, P>,
-    ) {
-        let mut v = self.transposed_times(joint, phi, &[0.0; P]);
-        let Some(diagonal) = self.diagonal.friction.get(joint) else {
-            return;
-        };
-        scale(&mut v.own, diagonal);
-        scale(&mut v.rigid, &self.diagonal.rigid);
-        for (rows, gain) in self.friction.iter().zip(&mut gain.friction) {
-            for (row, gain) in rows.iter().zip(gain) {
-                *gain += dot(&row.rigid, &v.rigid);
-            }
-        }
-        if let (Some(rows), Some(gain)) = (self.friction.get(joint), gain.friction.get_mut(joint)) {
-            for ((row, gain), own) in rows.iter().zip(gain).zip(&v.own) {
-                *gain += dot(&row.own, &v.own) + own;
-            }
-        }
-        // The lower triangle is compensation, not U.
-        for (i, (row, gain)) in self.rigid.iter().zip(&mut gain.rigid).enumerate() {
-            if let (Some([first, rest @ ..]), Some(row)) = (v.rigid.get(i..), row.get(i + 1..)) {
-                *gain += first + dot(row, rest);
-            }
         }
     }
 
@@ -439,21 +332,6 @@ fn add_column<'a>(
         *u += step * *a;
     }
     *c *= before * inverse;
-}
-
-/// Product of two vectors, entry by entry.
-#[inline(always)]
-fn scale(vector: &mut [f32], by: &[f32]) {
-    vector.iter_mut().zip(by).for_each(|(x, by)| *x *= by);
-}
-
-/// Sum Σ u² d.
-fn weighted_squares(row: &[f32], diagonal: &[f32]) -> f32 {
-    let mut sum = 0.0;
-    for (u, d) in row.iter().zip(diagonal) {
-        sum += u * u * d;
-    }
-    sum
 }
 
 #[cfg(test)]

@@ -5,7 +5,8 @@
 mod run {
     use core::mem::MaybeUninit;
 
-    use foretorque_f405::arm::{Arm, BoardLearner, BoardSession, JOINTS, PARAMETERS};
+    use foretorque::arm::ur5::{JOINTS, Learner, PARAMETERS, Ur5};
+    use foretorque_f405::arm::BoardSession;
     use foretorque_f405::counter::{self, Counter};
     use foretorque_f405::statics::{init_learner, init_session};
     use foretorque_images::semihost::{Streams, exit};
@@ -33,14 +34,14 @@ mod run {
             reset_reason: ResetReason::Unknown,
             ..BoardDescription::plain(Counter)
         };
-        let place = cortex_m::singleton!(: MaybeUninit<BoardSession> = MaybeUninit::uninit())?;
+        let place = cortex_m::singleton!(: MaybeUninit<BoardSession<Ur5, JOINTS, PARAMETERS>> = MaybeUninit::uninit())?;
         let session = init_session(place, board)?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = &session.feed_forward().state().active;
-        let place = cortex_m::singleton!(: MaybeUninit<BoardLearner> = MaybeUninit::uninit())?;
+        let place = cortex_m::singleton!(: MaybeUninit<Learner> = MaybeUninit::uninit())?;
         let learner = init_learner(place, period_s, prior)?;
         let housekeeping =
-            cortex_m::singleton!(: Housekeeping<Arm, JOINTS, PARAMETERS> = Housekeeping::empty())?;
+            cortex_m::singleton!(: Housekeeping<Ur5, JOINTS, PARAMETERS> = Housekeeping::empty())?;
         housekeeping.start(None);
         let mut mailboxes = Mailboxes::new();
         let mut out = FrameBuffer::new();

@@ -12,7 +12,7 @@ mod trial {
     use core::hint::black_box;
 
     use foretorque::arm::Arm as _;
-    use foretorque_f405::arm::{Arm, JOINTS, PARAMETERS};
+    use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
     use foretorque_f405::fault::{self, EnablePin, Reason};
     use foretorque_f405::odrive_v3::OdriveV3;
     use foretorque_link::hal::TorqueEnable;

@@ -8,8 +8,8 @@
 mod proof {
     use core::hint::black_box;
 
+    use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
     use foretorque::learning::{Learner, LearnerConfig};
-    use foretorque_f405::arm::{Arm, JOINTS, PARAMETERS};
     use foretorque_link::session::{
         BoardDescription, Clock, Housekeeping, Mailboxes, NoLocalSensor, Session,
     };

@@ -1,17 +1,15 @@
 //! The main job: start from a wrong prior, learn on the board in closed loop, freeze, play a path nobody has seen.
 
-mod config;
 mod long_run;
 mod page;
 mod record;
 mod setup;
 mod stages;
-mod usart;
 
-pub use config::DemoConfig;
 pub use record::{
     BeforeAfter, DemoReport, LearningPoint, LinkFigures, TickPhases, Tracking, UsartFigures,
 };
+pub use setup::DemoConfig;
 
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::Arm;
@@ -35,7 +33,7 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
     let setup = Setup::<N>::new::<A, P>(robot, config, progress)?;
     let long = long_run::long_run(bulk, &setup, config, progress)?;
     let usart = usart
-        .map(|board| usart::run(board, &setup, config, &long.replies, progress))
+        .map(|board| long_run::usart_run(board, &setup, config, &long.replies, progress))
         .transpose()?;
     let [frozen, statistics] = &long.statistics;
     let report = DemoReport {

@@ -1,7 +1,6 @@
 //! The stages that a board goes through: it is asked along a path, it tracks, it learns.
 
-use super::config::PAGE_POINTS;
-use super::setup::Setup;
+use super::setup::{PAGE_POINTS, Setup};
 use crate::{Progress, StudyError};
 use foretorque::feedforward::Torque;
 use foretorque_workbench::board::{BoardError, Client};

@@ -64,55 +64,47 @@ fn ur5() -> Robot {
 /// Time, positions, velocities and torques of a row; joint 6 turns on.
 fn row(k: usize) -> (f64, [f64; 6], [f64; 6], [f64; 6]) {
     let t = 0.25 * k as f64;
-    let joint = |j: usize| j as f64;
-    (
-        t,
-        std::array::from_fn(|j| {
-            if j == 5 {
-                0.5 * t
-            } else {
-                (t + joint(j)).sin()
-            }
-        }),
-        std::array::from_fn(|j| if j == 5 { 0.5 } else { (t + joint(j)).cos() }),
-        std::array::from_fn(|j| 10.0 * joint(j) + t),
-    )
+    let phases: [f64; 6] = std::array::from_fn(|j| t + j as f64);
+    let (mut q, mut qd) = (phases.map(f64::sin), phases.map(f64::cos));
+    (q[5], qd[5]) = (0.5 * t, 0.5);
+    (t, q, qd, std::array::from_fn(|j| 10.0 * j as f64 + t))
 }
 
-/// A log with these column names and units.
-fn table(
-    names: [&dyn Fn(usize) -> String; 3],
-    time: &str,
-    separator: &str,
-    scale: [f64; 4],
-) -> String {
-    let [t_unit, q_unit, qd_unit, tau_unit] = scale;
-    let mut header = vec![time.to_owned()];
-    for name in names {
-        header.extend((0..6).map(name).filter(|name| !name.is_empty()));
-    }
-    let mut text = header.join(separator) + "\n";
-    for k in 0..ROWS {
+/// A log whose columns of positions, velocities and torques have these names, and whose quantities these units.
+///
+/// `{0}` and `{1}` stand for the number of a joint from 0 and from 1, `{name}` for its name.
+fn table(names: [&str; 3], time: &str, separator: &str, units: [f64; 4]) -> String {
+    let joints = ur5().joints;
+    let column = |pattern: &str, j: usize| {
+        let pattern = pattern
+            .replace("{0}", &j.to_string())
+            .replace("{name}", &joints[j].name);
+        pattern.replace("{1}", &(j + 1).to_string())
+    };
+    let columns = names
+        .iter()
+        .flat_map(|name| (0..6).map(|j| column(name, j)));
+    let header: Vec<String> = std::iter::once(time.to_owned()).chain(columns).collect();
+    let rows = (0..ROWS).map(|k| {
         let (t, q, qd, tau) = row(k);
-        let mut fields = vec![(t / t_unit).to_string()];
-        for (name, (values, unit)) in
-            names
-                .iter()
-                .zip([(q, q_unit), (qd, qd_unit), (tau, tau_unit)])
-        {
-            let there = (0..6).filter(|joint| !name(*joint).is_empty());
-            fields.extend(there.map(|joint| (values[joint] / unit).to_string()));
-        }
-        text += &(fields.join(separator) + "\n");
-    }
-    text
+        let values = [
+            (&[t][..], units[0]),
+            (&q, units[1]),
+            (&qd, units[2]),
+            (&tau, units[3]),
+        ];
+        let fields = values
+            .iter()
+            .flat_map(|(values, unit)| values.iter().map(move |v| v / unit));
+        fields.map(|field| field.to_string()).collect::<Vec<_>>()
+    });
+    let lines = std::iter::once(header).chain(rows);
+    lines.map(|line| line.join(separator) + "\n").collect()
 }
 
 fn own() -> String {
-    let name =
-        |name: &'static str, unit: &'static str| move |j: usize| format!("{name}{}_{unit}", j + 1);
     table(
-        [&name("q", "rad"), &name("qd", "rad_s"), &name("tau", "nm")],
+        ["q{1}_rad", "qd{1}_rad_s", "tau{1}_nm"],
         "t_s",
         ",",
         [1.0; 4],
@@ -125,51 +117,29 @@ fn is_the_motion(rows: &[LogRow<6>], name: &str) {
         let (t, q, qd, tau) = row(k);
         let close = |a: &[f64; 6], b: &[f64; 6]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
         assert!((found.t_s - t).abs() < 1e-9, "{name}");
-        assert!(
-            close(&found.q, &q) && close(&found.tau, &tau),
-            "{name} row {k}: {found:?}"
-        );
-        assert!(
-            close(&found.qd, &qd) || found.qd == [0.0; 6],
-            "{name} row {k}"
-        );
+        let moved = close(&found.qd, &qd) || found.qd == [0.0; 6];
+        let same = close(&found.q, &q) && close(&found.tau, &tau) && moved;
+        assert!(same, "{name} row {k}: {found:?}");
     }
 }
 
 #[test]
 fn every_source_gives_the_same_rows() {
     let here = Directory::new("log-sources");
-    let zero = |pattern: &'static str| move |j: usize| pattern.replace("{0}", &j.to_string());
-    let joints: Vec<String> = ur5()
-        .joints
-        .iter()
-        .map(|joint| joint.name.clone())
-        .collect();
-    let named = |end: &'static str| {
-        let joints = joints.clone();
-        move |j: usize| format!("{}_joint/{end}", joints[j])
-    };
     let degrees = [1.0, PI / 180.0, PI / 180.0, 1.0];
-    let dots = |end: &'static str| {
-        let joints = joints.clone();
-        move |j: usize| format!("{}.{end}", joints[j])
-    };
     let semicolons = own().replace(',', ";").replace('.', ",");
-    let headless: String = own()
-        .lines()
-        .skip(1)
-        .map(|line| format!("{line}\n"))
-        .collect();
     let rtde = [
-        zero("actual_q_{0}"),
-        zero("actual_qd_{0}"),
-        zero("actual_current_as_torque_{0}"),
+        "actual_q_{0}",
+        "actual_qd_{0}",
+        "actual_current_as_torque_{0}",
     ];
-    let franka = [
-        zero("state.q[{0}]"),
-        zero("state.dq[{0}]"),
-        zero("state.tau_J[{0}]"),
+    let franka = ["state.q[{0}]", "state.dq[{0}]", "state.tau_J[{0}]"];
+    let ros = [
+        "{name}_joint/position",
+        "{name}_joint/velocity",
+        "{name}_joint/effort",
     ];
+    let lerobot = ["{name}.pos", "{name}.vel", "{name}.torque"];
     let known = [
         ("own.csv", own(), ""),
         ("tabs.csv", own().replace(',', "\t"), ""),
@@ -178,37 +148,22 @@ fn every_source_gives_the_same_rows() {
         ("comment.csv", format!("# {}", own().replace(',', " ")), ""),
         (
             "rtde.csv",
-            table([&rtde[0], &rtde[1], &rtde[2]], "timestamp", " ", [1.0; 4]),
+            table(rtde, "timestamp", " ", [1.0; 4]),
             "columns of rtde",
         ),
         (
             "franka.csv",
-            table(
-                [&franka[0], &franka[1], &franka[2]],
-                "time",
-                ",",
-                [1e-3, 1.0, 1.0, 1.0],
-            ),
+            table(franka, "time", ",", [1e-3, 1.0, 1.0, 1.0]),
             "columns of franka",
         ),
         (
             "ros.csv",
-            table(
-                [&named("position"), &named("velocity"), &named("effort")],
-                "t_s",
-                ",",
-                [1.0; 4],
-            ),
+            table(ros, "t_s", ",", [1.0; 4]),
             "joint shoulder_pan of the description is shoulder_pan_joint/position there",
         ),
         (
             "lerobot.csv",
-            table(
-                [&dots("pos"), &dots("vel"), &dots("torque")],
-                "timestamp",
-                ",",
-                degrees,
-            ),
+            table(lerobot, "timestamp", ",", degrees),
             "columns of lerobot",
         ),
     ];
@@ -217,29 +172,17 @@ fn every_source_gives_the_same_rows() {
         is_the_motion(&rows, name);
         assert!(notes.contains(note), "{name}: {notes}");
     }
-    let plain = [zero("a{0}"), zero("b{0}"), zero("c{0}")];
-    let plain = table(
-        [&plain[0], &plain[1], &plain[2]],
-        "T",
-        ",",
-        [1e-3, PI / 180.0, PI / 180.0, 1e-3],
-    );
+    let units = [1e-3, PI / 180.0, PI / 180.0, 1e-3];
+    let plain = table(["a{0}", "b{0}", "c{0}"], "T", ",", units);
+    let own = own();
+    let (header, headless) = own.split_once('\n').expect("header");
+    let names: Vec<String> = header.split(',').map(str::to_owned).collect();
     let list = "[\"a0\", \"a1\", \"a2\", \"a3\", \"a4\", \"a5\"]";
     let map = "t_s = \"T\"\nqd_rad_s = \"b{0}\"\ntau_nm = \"c{0}\"\nunits = \"t=ms,q=deg,tau=mNm\"\nq_rad = ";
     for (text, names, columns) in [
-        (&plain, Vec::new(), format!("{map}\"a{{0}}\"")),
+        (&*plain, Vec::new(), format!("{map}\"a{{0}}\"")),
         (&plain, Vec::new(), format!("{map}{list}")),
-        (
-            &headless,
-            own()
-                .lines()
-                .next()
-                .expect("header")
-                .split(',')
-                .map(str::to_owned)
-                .collect(),
-            String::new(),
-        ),
+        (headless, names, String::new()),
     ] {
         let mut robot = ur5();
         let columns: LogColumns = toml::from_str(&columns).expect("a map");
@@ -257,59 +200,43 @@ fn wrapped_angles_continue_on_continuous_joints_only() {
         let (t, mut q, qd, tau) = row(k);
         q[5] -= TAU * ((q[5] + PI) / TAU).floor();
         let values = [&[t][..], &q, &qd, &tau].concat();
-        text += &(values
-            .iter()
-            .map(f64::to_string)
-            .collect::<Vec<_>>()
-            .join(",")
-            + "\n");
+        let fields: Vec<String> = values.iter().map(f64::to_string).collect();
+        text += &(fields.join(",") + "\n");
     }
     let (rows, notes) = here.read("wrapped.csv", &text, &ur5()).expect("continuous");
     is_the_motion(&rows, "wrapped");
-    assert!(
-        notes.contains("angles un-wrapped: joint 6 1 times"),
-        "{notes}"
-    );
+    let wraps = "angles un-wrapped: joint 6 1 times";
+    assert!(notes.contains(wraps), "{notes}");
     let mut limited = ur5();
     limited.joints[5].limits.position = (-3.0, 3.0);
-    let refused = here
-        .read("wrapped.csv", &text, &limited)
-        .expect_err("limited");
-    assert!(
-        refused.starts_with("wrapped.csv:28: column q6_rad: a jump of -6.158 rad"),
-        "{refused}"
-    );
+    let refused = here.read("wrapped.csv", &text, &limited);
+    let refused = refused.expect_err("limited");
+    let jump = "wrapped.csv:28: column q6_rad: a jump of -6.158 rad";
+    assert!(refused.starts_with(jump), "{refused}");
 }
 
 #[test]
 fn logs_that_do_not_fit_are_refused_by_name() {
     let here = Directory::new("log-refused");
     let own = own();
-    let first = |count: usize| {
-        own.lines()
-            .take(count)
-            .map(|line| format!("{line}\n"))
-            .collect::<String>()
-    };
-    let foreign = own
-        .replace("t_s", "clock_time")
-        .replace("q", "jnt_pos")
-        .replace("tau", "load_torque");
+    let lines: Vec<&str> = own.split_inclusive('\n').collect();
+    let foreign = own.replace("t_s", "clock_time").replace("q", "jnt_pos");
+    let foreign = foreign.replace("tau", "load_torque");
     let cases = [
         (
             "headless.csv",
-            first(5).split_once('\n').expect("rows").1.to_owned(),
+            lines[1..5].concat(),
             "headless.csv:1: no header row, 19 numbers: name the columns by --names",
         ),
         (
             "one.csv",
-            first(2),
+            lines[..2].concat(),
             "one.csv: 1 rows, a motion needs 3 at least",
         ),
-        ("none.csv", first(1), "none.csv: no rows"),
+        ("none.csv", lines[0].to_owned(), "none.csv: no rows"),
         (
             "huge.csv",
-            first(9).replace("51.5", "1e300"),
+            lines[..9].concat().replace("51.5", "1e300"),
             "huge.csv:8: column tau6_nm: 1e300 is no measurement",
         ),
         (
@@ -354,33 +281,20 @@ fn bags_are_read_as_another_reader_reads_them() {
     }
     let ur10 = data.join("ur10.toml").display().to_string();
     same::<6>(&ur10, data.join("ur10.db3"), data.join("ur10.csv.gz"), 3441);
-    same::<7>(
-        "panda",
-        data.join("panda.db3"),
-        data.join("panda.csv.gz"),
-        727,
-    );
-    same::<7>(
-        "panda",
-        data.join("panda.mcap"),
-        data.join("panda.csv.gz"),
-        727,
-    );
+    for log in ["panda.db3", "panda.mcap"] {
+        same::<7>("panda", data.join(log), data.join("panda.csv.gz"), 727);
+    }
     // A file that was cut reads up to its last whole chunk, and a cut database is refused.
     let here = Directory::new("log-cut");
     let whole = fs::read(data.join("panda.mcap")).expect("reads");
     let cut = here.0.join("cut.mcap");
     fs::write(&cut, &whole[..whole.len() / 2]).expect("writes");
     let panda = Robot::load("panda").expect("built in");
-    let (rows, _) = match read::<7>(&cut, &panda) {
-        Ok(found) => found,
+    match read::<7>(&cut, &panda) {
+        Ok((rows, _)) => assert!(rows.len() < 727),
         // The whole file is one chunk.
-        Err(refused) => {
-            assert!(refused.contains("cut.mcap"), "{refused}");
-            (Vec::new(), String::new())
-        }
-    };
-    assert!(rows.len() < 727);
+        Err(refused) => assert!(refused.contains("cut.mcap"), "{refused}"),
+    }
     let bag = fs::read(data.join("panda.db3")).expect("reads");
     let cut = here.0.join("cut.db3");
     fs::write(&cut, &bag[..bag.len() / 2]).expect("writes");

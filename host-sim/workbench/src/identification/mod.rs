@@ -4,8 +4,6 @@
 //! zero-phase filter) → `normal` (one pass over any number of rows, bounded memory) → `methods` → `validation` → `record`.
 
 mod bank;
-mod blocks;
-mod bootstrap;
 mod cogging;
 mod columns;
 mod consistent;
@@ -16,8 +14,10 @@ mod filter;
 mod fourier;
 mod gains;
 mod holdout;
+mod identify;
 mod judge;
 mod log;
+mod log_search;
 #[cfg(test)]
 mod log_tests;
 mod methods;
@@ -32,6 +32,7 @@ mod speed;
 mod stream;
 mod study;
 mod truth;
+mod uncertainty;
 mod validation;
 mod whole_log;
 
@@ -41,6 +42,7 @@ pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
 pub use dataset::SampleRow;
 pub use error::{IdentifyError, UnknownName};
 pub use filter::{Butterworth, despiked};
+pub use identify::{IdentifyConfig, Outcome, identify};
 pub use judge::{Finding, JointCheck, Judgement, judge};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
@@ -52,5 +54,4 @@ pub use record::{
 };
 pub use solve::fit_rows;
 pub use stream::for_each_prepared;
-pub use study::{IdentifyConfig, Outcome, identify};
 pub use whole_log::WholeLog;

@@ -1,11 +1,13 @@
 //! From a stretch of a log to the rows of the linear model: motion, regressor and torque through the same filter.
 
 use super::columns::Layout;
+use super::error::IdentifyError;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
 use super::speed::SpeedSums;
 use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::dynamics::{Joints, State};
+use crate::robot::Robot;
 use nalgebra::DMatrix;
 use std::ops::Range;
 use std::path::Path;
@@ -25,6 +27,27 @@ pub struct PrepareConfig {
     pub torque_hz: Option<f64>,
     /// A joint slower than this stands still, rad/s.
     pub still_rad_s: f64,
+}
+
+impl PrepareConfig {
+    /// Check that the rows of a log are near enough for the filters.
+    ///
+    /// Errors: the log's; [`IdentifyError::CutOff`].
+    pub(super) fn check<const N: usize>(
+        &self,
+        path: &Path,
+        robot: &Robot,
+    ) -> Result<(), IdentifyError> {
+        let period_s = WholeLog::<N>::open(path, robot)?.period_s();
+        let torque = self.torque_hz.map(|hz| ("--torque-hz", hz));
+        for (option, hz) in [("--motion-hz", self.motion_hz)].into_iter().chain(torque) {
+            if Butterworth::new(hz, period_s).is_none() {
+                let (path, rate_hz) = (path.to_owned(), 1.0 / period_s);
+                return Err(IdentifyError::CutOff(path, option, hz, rate_hz));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Filters and sources of motion of one log.

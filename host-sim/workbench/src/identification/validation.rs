@@ -1,12 +1,12 @@
 //! Torque errors of models on a log they were not trained on.
 
-use super::bootstrap::{middle, resample};
 use super::columns::Layout;
 use super::dataset::SampleRow;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
 use super::problem::Candidate;
 use super::record::ValidationRecord;
+use super::uncertainty::{middle, resample};
 use crate::metrics::{root_mean, root_mean_square};
 use nalgebra::DMatrix;
 

@@ -83,12 +83,7 @@ impl<const N: usize> StateReader<N> {
             return Ok(None);
         }
         let t_s = self.time.map(|column| self.rows.time(column)).transpose()?;
-        let zero = Joints::zeros();
-        let mut motion: State<N> = State {
-            q: zero,
-            qd: zero,
-            qdd: zero,
-        };
+        let mut motion = State::<N>::rest(Joints::zeros());
         let values = motion.q.iter_mut().chain(&mut motion.qd);
         for (value, column) in values.chain(&mut motion.qdd).zip(&self.places) {
             *value = self.rows.number(*column)?;
@@ -154,55 +149,67 @@ mod tests {
     #[test]
     fn errors_name_file_line_and_column() {
         let directory = Directory::new("table-errors");
-        let cases = [
+        let sound = "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2";
+        let two = "t_s,q1_rad,q2_rad,qd1_rad_s,qd2_rad_s,qdd1_rad_s2,qdd2_rad_s2";
+        // Header, rows, and the message behind the name of the file.
+        for (header, rows, expected) in [
             (
-                "t_s,q1_rad,qd1_rad_s\n",
-                "states.csv:1: column qdd1_rad_s2 is missing",
+                "t_s,q1_rad,qd1_rad_s",
+                "",
+                ":1: column qdd1_rad_s2 is missing",
             ),
             (
-                "q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0\n",
-                "states.csv:1: column t_s is missing",
+                "q1_rad,qd1_rad_s,qdd1_rad_s2",
+                "0,0,0",
+                ":1: column t_s is missing",
             ),
             (
-                "t_s,q1_rad,q1_rad,qd1_rad_s,qdd1_rad_s2\n",
-                "states.csv:1: column q1_rad appears twice",
+                "t_s,q1_rad,q1_rad,qd1_rad_s,qdd1_rad_s2",
+                "",
+                ":1: column q1_rad appears twice",
             ),
             (
-                "t_s,q1_rad,q2_rad,qd1_rad_s,qd2_rad_s,qdd1_rad_s2,qdd2_rad_s2\n",
-                "states.csv:1: column q2_rad is one too many: the robot has 1 joints",
+                two,
+                "",
+                ":1: column q2_rad is one too many: the robot has 1 joints",
             ),
             (
-                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,0\n1,2,3\n",
-                "states.csv:3: 3 fields where the header has 4",
+                sound,
+                "0,0,0,0\n1,2,3",
+                ":3: 3 fields where the header has 4",
             ),
             (
-                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,0\n1,2,x,4\n",
-                "states.csv:3: column qd1_rad_s: \"x\" is not a finite number",
+                sound,
+                "0,0,0,0\n1,2,x,4",
+                ":3: column qd1_rad_s: \"x\" is not a finite number",
             ),
             (
-                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,NaN\n",
-                "states.csv:2: column qdd1_rad_s2: \"NaN\" is not a finite number",
+                sound,
+                "0,0,0,NaN",
+                ":2: column qdd1_rad_s2: \"NaN\" is not a finite number",
             ),
             (
-                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n0,0,0,\n",
-                "states.csv:2: column qdd1_rad_s2: \"\" is not a finite number",
+                sound,
+                "0,0,0,",
+                ":2: column qdd1_rad_s2: \"\" is not a finite number",
             ),
             (
-                "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n1,0,0,0\n2,0,0,0\n2,0,0,0\n",
-                "states.csv:4: column t_s: 2 does not come after 2",
+                sound,
+                "1,0,0,0\n2,0,0,0\n2,0,0,0",
+                ":4: column t_s: 2 does not come after 2",
             ),
-            ("t_s,q1_rad,qd1_rad_s,qdd1_rad_s2\n", "states.csv: no rows"),
-            ("", "states.csv:1: column q1_rad is missing"),
-        ];
-        for (text, expected) in cases {
+            (sound, "", ": no rows"),
+            ("", "", ":1: column q1_rad is missing"),
+        ] {
             let path = directory.0.join("states.csv");
-            fs::write(&path, text).expect("writes");
+            let text = format!("{header}\n{rows}\n");
+            fs::write(&path, text.trim_start_matches('\n')).expect("writes");
+            let expected = format!("states.csv{expected}");
             let error = StateReader::<1>::open(&path, TimeColumn::Required)
                 .and_then(StateReader::read_all)
-                .expect_err(expected);
-            let message = error
-                .to_string()
-                .replace(&format!("{}/", directory.0.display()), "");
+                .expect_err(&expected);
+            let folder = format!("{}/", directory.0.display());
+            let message = error.to_string().replace(&folder, "");
             assert_eq!(message, expected);
             assert_eq!(message.lines().count(), 1);
         }
@@ -216,10 +223,12 @@ mod tests {
             let mut header = vec!["t_s".to_owned(), "tau1_nm".to_owned()];
             header.extend(state_columns(1));
             let mut writer = TableWriter::create(&path, &header).expect("creates");
-            writer
-                .row([0.0, 9.0, 0.1, -1.0 / 3.0, 1e-17])
-                .expect("writes");
-            writer.row([0.1 + 0.2, 9.0, 2.0, 3.0, 4.0]).expect("writes");
+            for row in [
+                [0.0, 9.0, 0.1, -1.0 / 3.0, 1e-17],
+                [0.1 + 0.2, 9.0, 2.0, 3.0, 4.0],
+            ] {
+                writer.row(row).expect("writes");
+            }
             writer.finish().expect("finishes");
             let rows = StateReader::<1>::open(&path, TimeColumn::Required)
                 .and_then(StateReader::read_all)

@@ -1,20 +1,17 @@
 //! Motions to play: the excitation, a via-point validation path, a path of the tool, or samples from a table.
 //!
-//! [`Trajectory`] is what is played; `source` reads it from a file; `limits` checks it.
+//! [`Trajectory`] is what is played; `source` reads it from a file.
 
 pub mod cartesian;
-mod limits;
 mod source;
 pub mod via;
 
-pub use limits::BeyondLimits;
 pub use source::TrajectoryError;
 
 use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
 use crate::robot::Robot;
 use crate::table::StateRow;
-use limits::within;
 use via::ViaPath;
 
 /// Length of the validation path, s.
@@ -41,26 +38,18 @@ pub enum Trajectory<const N: usize> {
 impl<const N: usize> Trajectory<N> {
     /// The unseen path on which torques are judged: 30 s, peak 2.7 rad/s, seeded.
     pub fn validation(robot: &Robot, seed: u64) -> Self {
-        Self::Via(ViaPath::random(
-            robot,
-            seed,
-            VALIDATION_S,
-            VALIDATION_PEAK_RAD_S,
-        ))
+        let path = ViaPath::random(robot, seed, VALIDATION_S, VALIDATION_PEAK_RAD_S);
+        Self::Via(path)
     }
 
     /// The rows of a table; its clock starts at the first row. Rows without time are `period_s` apart.
     pub fn sampled(rows: &[StateRow<N>], period_s: f64) -> Self {
         let start_s = rows.first().and_then(|row| row.t_s).unwrap_or(0.0);
-        Self::Sampled(
-            rows.iter()
-                .enumerate()
-                .map(|(k, row)| {
-                    let t_s = row.t_s.map_or(k as f64 * period_s, |t_s| t_s - start_s);
-                    (t_s, row.motion)
-                })
-                .collect(),
-        )
+        let sample = |(k, row): (usize, &StateRow<N>)| {
+            let t_s = row.t_s.map_or(k as f64 * period_s, |t_s| t_s - start_s);
+            (t_s, row.motion)
+        };
+        Self::Sampled(rows.iter().enumerate().map(sample).collect())
     }
 
     /// Duration, s.
@@ -81,9 +70,8 @@ impl<const N: usize> Trajectory<N> {
             Self::Sampled(samples) => {
                 // Half a microsecond of slack: a sample due now must not be missed by rounding.
                 let next = samples.partition_point(|(due_s, _)| *due_s <= t_s + 5e-7);
-                samples
-                    .get(next.saturating_sub(1))
-                    .map_or(State::rest(Joints::zeros()), |(_, state)| *state)
+                let sample = samples.get(next.saturating_sub(1));
+                sample.map_or(State::rest(Joints::zeros()), |(_, state)| *state)
             }
         };
         if t_s > end_s + 5e-7 {
@@ -117,6 +105,52 @@ impl<const N: usize> Trajectory<N> {
     pub fn ticks(&self, period_s: f64) -> usize {
         (self.duration_s() / period_s).round() as usize
     }
+}
+
+/// A motion beyond the limits of a joint.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
+)]
+pub struct BeyondLimits {
+    /// The joint, from 1.
+    pub joint: usize,
+    /// Time after the trajectory's start, s.
+    pub t_s: f64,
+    /// Value of the trajectory, in `unit`.
+    pub asked: f64,
+    /// The limit, in `unit`.
+    pub limit: f64,
+    /// `rad`, `rad/s` or `rad/s²`.
+    pub unit: &'static str,
+}
+
+/// One motion keeps the limits, up to a rounding in a file of six digits.
+fn within<const N: usize>(robot: &Robot, t_s: f64, state: &State<N>) -> Result<(), BeyondLimits> {
+    for (j, joint) in robot.joints.iter().take(N).enumerate() {
+        let limits = &joint.limits;
+        let (velocity, acceleration) = (limits.velocity, limits.acceleration);
+        let (low, high) = limits.position;
+        let (q, qd, qdd) = (state.q[j], state.qd[j], state.qdd[j]);
+        let end = if q < low { low } else { high };
+        let past_end = (low - q).max(q - high);
+        for (asked, limit, broken, unit) in [
+            (q, end, past_end, "rad"),
+            (qd, velocity, qd.abs() - velocity, "rad/s"),
+            (qdd, acceleration, qdd.abs() - acceleration, "rad/s²"),
+        ] {
+            if broken > 1e-6 * limit.abs() {
+                return Err(BeyondLimits {
+                    joint: j + 1,
+                    t_s,
+                    asked,
+                    limit,
+                    unit,
+                });
+            }
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -157,10 +191,8 @@ mod tests {
                     let (low, high) = joint.limits.position;
                     let inside = (state.q[j] - low).min(high - state.q[j]);
                     assert!(inside >= 0.04 * (high - low), "seed {seed}, joint {j}");
-                    assert!(
-                        torque[j].abs() < joint.limits.torque,
-                        "seed {seed}, joint {j}"
-                    );
+                    let able = torque[j].abs() < joint.limits.torque;
+                    assert!(able, "seed {seed}, joint {j}");
                 }
             }
         }
@@ -179,16 +211,10 @@ mod tests {
             let broken = path.check(&robot, 1e-3).expect_err(unit);
             assert_eq!((broken.joint, broken.t_s, broken.unit), (joint, 0.1, unit));
         }
-        assert!(
-            Trajectory::Sampled(vec![(0.0, still)])
-                .check(&robot, 1e-3)
-                .is_ok()
-        );
-        assert!(
-            Trajectory::<6>::validation(&robot, 1)
-                .check(&robot, 1e-3)
-                .is_ok()
-        );
+        let sound = Trajectory::validation(&robot, 1);
+        for sound in [Trajectory::Sampled(vec![(0.0, still)]), sound] {
+            sound.check(&robot, 1e-3).expect("inside the limits");
+        }
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! Sources of a trajectory: the argument `--trajectory` of the commands.
 
-use super::Trajectory;
 use super::cartesian::{self, CartesianError};
-use super::limits::BeyondLimits;
+use super::{BeyondLimits, Trajectory};
 use crate::excitation::{Excitation, ExcitationError};
 use crate::files::at;
 use crate::robot::Robot;

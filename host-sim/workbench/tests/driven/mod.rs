@@ -2,22 +2,16 @@
 
 pub(crate) mod parts;
 
-use crate::patched::patched;
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque_link::safety::SafetyReason;
-use foretorque_link::wire::NackReason;
+use crate::trial::{Trial, patched, scratch, still};
 use foretorque_workbench::board::log::Messages;
-use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
-use foretorque_workbench::board::{BoardError, Client, TickReply};
+use foretorque_workbench::board::qemu::{Image, QemuOptions};
 use parts::{drive, encoder};
 use std::fs;
+use std::ops::{Deref, DerefMut};
 use std::path::PathBuf;
-use std::time::Duration;
 
-pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
 /// State of the drive in the trace.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Stage {
     pub(crate) enabled: bool,
     /// Gate of the timer: main output enable.
@@ -27,36 +21,64 @@ pub(crate) struct Stage {
     pub(crate) positive: bool,
 }
 
-pub(crate) struct Trial {
-    pub(crate) client: Client<JOINTS>,
+impl Stage {
+    /// Last state of timer and pins in a trace.
+    pub(crate) fn of(trace: &str) -> Self {
+        let mut stage = Self::default();
+        for (device, offset, value) in trace.lines().filter_map(written) {
+            match (device, offset) {
+                ("GPIOB", 0x18) => {
+                    for (pin, state) in [(8, &mut stage.enabled), (9, &mut stage.positive)] {
+                        if value & 1 << pin != 0 {
+                            *state = true;
+                        } else if value & 1 << (pin + 16) != 0 {
+                            *state = false;
+                        }
+                    }
+                }
+                ("timer[1]", 0x34) => stage.width = value as u16,
+                ("timer[1]", 0x44) => stage.gate = value & 1 << 15 != 0,
+                _ => {}
+            }
+        }
+        stage
+    }
+}
+
+/// The board that drives its joint.
+pub(crate) struct Drive {
+    trial: Trial,
     elf: PathBuf,
-    pub(crate) trace: PathBuf,
     log: PathBuf,
 }
 
-impl Trial {
+impl Deref for Drive {
+    type Target = Trial;
+
+    fn deref(&self) -> &Trial {
+        &self.trial
+    }
+}
+
+impl DerefMut for Drive {
+    fn deref_mut(&mut self) -> &mut Trial {
+        &mut self.trial
+    }
+}
+
+impl Drive {
     /// The firmware as it is flashed, or a patched copy of it.
     pub(crate) fn start(name: &str, patches: &[(&str, Vec<u16>)]) -> Self {
+        let name = format!("drive-{name}");
         let mut options = QemuOptions::new(Image::Joint);
         options.elf.set_file_name("joint-drive");
         if !patches.is_empty() {
-            options.elf = patched(&options.elf, &format!("joint-drive-{name}"), patches);
+            options.elf = patched(&options.elf, &format!("joint-{name}"), patches);
         }
-        let tmp = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
-        let trace = tmp.join(format!("drive-{name}.trace"));
-        let log = tmp.join(format!("drive-{name}.log"));
-        options.trace = Some(trace.clone());
+        let (elf, log) = (options.elf.clone(), scratch(&format!("{name}.log")));
         options.log = Some(log.clone());
-        let emulator = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
-        let mut client = Client::connect::<Ur5, PARAMETERS>(Box::new(emulator), PATIENCE)
-            .unwrap_or_else(|error| panic!("{error}"));
-        client.set_timeout(PATIENCE);
-        Self {
-            client,
-            elf: options.elf,
-            trace,
-            log,
-        }
+        let trial = Trial::start(&name, options);
+        Self { trial, elf, log }
     }
 
     /// With drive and encoder, which stands at `angle` counts; they end after so many readings of the encoder.
@@ -78,70 +100,27 @@ impl Trial {
             trial.sample(&still());
         }
         let stage = trial.stage();
-        assert!(
-            stage.enabled && stage.gate && stage.width > 100,
-            "{stage:?}"
-        );
+        let driven = stage.enabled && stage.gate && stage.width > 100;
+        assert!(driven, "{stage:?}");
         trial
     }
 
-    pub(crate) fn sample(&mut self, sample: &JointSample<JOINTS>) -> TickReply<JOINTS> {
-        self.client.sample(sample).expect("a torque")
-    }
-
-    pub(crate) fn refusal(&mut self) -> SafetyReason {
-        match self.client.arm(&still()) {
-            Err(BoardError::Refused(NackReason::Unsafe(reason))) => reason,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    /// Everything the firmware wrote to timer and pins so far, in order: the last state of it.
     pub(crate) fn stage(&self) -> Stage {
-        let trace = fs::read_to_string(&self.trace).expect("the emulator writes a trace");
-        let mut stage = Stage {
-            enabled: false,
-            gate: false,
-            width: 0,
-            positive: false,
-        };
-        for (device, offset, value) in trace.lines().filter_map(written) {
-            match (device, offset) {
-                ("GPIOB", 0x18) => {
-                    for (pin, state) in [(8, &mut stage.enabled), (9, &mut stage.positive)] {
-                        if value & 1 << pin != 0 {
-                            *state = true;
-                        } else if value & 1 << (pin + 16) != 0 {
-                            *state = false;
-                        }
-                    }
-                }
-                ("timer[1]", 0x34) => stage.width = value as u16,
-                ("timer[1]", 0x44) => stage.gate = value & 1 << 15 != 0,
-                _ => {}
-            }
-        }
-        stage
+        Stage::of(&self.trace())
     }
 
     pub(crate) fn is_off(&self) {
-        let Stage {
-            enabled,
-            gate,
-            width,
-            ..
-        } = self.stage();
-        assert_eq!((enabled, gate, width), (false, false, 0));
+        let stage = self.stage();
+        let off = !stage.enabled && !stage.gate && stage.width == 0;
+        assert!(off, "{stage:?}");
     }
 
     pub(crate) fn log(&self) -> String {
         let elf = fs::read(&self.elf).expect("readable");
         let messages = Messages::of(&elf).expect("it has messages");
         let stream = fs::read(&self.log).expect("the emulator writes a log");
-        messages
-            .lines(&stream)
-            .expect("no frame is lost")
-            .join("\n")
+        let lines = messages.lines(&stream);
+        lines.expect("no frame is lost").join("\n")
     }
 }
 
@@ -154,15 +133,4 @@ pub(crate) fn written(line: &str) -> Option<(&str, u32, u32)> {
         u32::from_str_radix(digits, 16).ok()
     };
     Some((device, hex("offset 0x")?, hex("value 0x")?))
-}
-
-/// The arm stretched out, at rest.
-pub(crate) fn still() -> JointSample<JOINTS> {
-    JointSample {
-        desired: JointMotion::zero(),
-        measured: Some(JointMeasurement {
-            q: JointVector::zeros(),
-            tau: JointVector::zeros(),
-        }),
-    }
 }

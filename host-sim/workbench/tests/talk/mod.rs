@@ -1,5 +1,6 @@
 //! Requests to a board as raw bytes: samples, and a conversation whose every answer is kept.
 
+use crate::trial::PATIENCE;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::{ParameterSet, evaluate};
@@ -10,9 +11,6 @@ use foretorque_link::wire::{
     BankSource, Configuration, Decoder, FrameBuffer, HostMessage, ReplyMode, SampleFrame,
 };
 use foretorque_workbench::board::Transport;
-use std::time::Duration;
-
-pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Of as many periods these have no sample: gaps of one, two and three.
 const EVERY: u32 = 97;
@@ -67,33 +65,26 @@ impl<T: Transport> Talk<T> {
             frames: FrameBuffer::new(),
             sequence: 0,
         };
-        talk.tell(&HostMessage::Reset);
+        talk.send(&HostMessage::Reset);
         // The line may hold a greeting; the acknowledgement of the reset is the first answer with our number.
-        while talk.hear().0 != talk.sequence {}
+        while talk.receive().0 != talk.sequence {}
         talk
     }
 
-    pub(crate) fn tell(&mut self, message: &HostMessage<JOINTS>) {
+    pub(crate) fn send(&mut self, message: &HostMessage<JOINTS>) {
         self.sequence += 1;
         self.frames.clear();
-        self.frames
-            .push(self.sequence, message)
-            .expect("every message fits");
-        self.link
-            .send(self.frames.as_bytes())
-            .expect("the board listens");
+        self.frames.push(self.sequence, message).unwrap();
+        self.link.send(self.frames.as_bytes()).unwrap();
     }
 
     /// One frame, byte for byte, and the number it carries.
-    pub(crate) fn hear(&mut self) -> (u16, Vec<u8>) {
+    pub(crate) fn receive(&mut self) -> (u16, Vec<u8>) {
         let mut frame = Vec::new();
         let mut decoder = Decoder::new();
         let mut byte = [0];
         loop {
-            let count = self
-                .link
-                .receive(&mut byte, PATIENCE)
-                .expect("the board lives");
+            let count = self.link.receive(&mut byte, PATIENCE).unwrap();
             assert_eq!(count, 1, "the board answers in time");
             frame.push(byte[0]);
             if let Some(received) = decoder.push(byte[0]) {
@@ -103,8 +94,8 @@ impl<T: Transport> Talk<T> {
     }
 
     pub(crate) fn ask(&mut self, message: &HostMessage<JOINTS>) -> Vec<u8> {
-        self.tell(message);
-        self.hear().1
+        self.send(message);
+        self.receive().1
     }
 
     /// `ticks` periods while learning, a few of them without a sample, then the whole state that matters: every answer in one

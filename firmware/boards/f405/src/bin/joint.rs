@@ -2,7 +2,12 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-foretorque_f405::image!(foretorque_f405::odrive_v3::OdriveV3);
+foretorque_f405::image!(
+    foretorque_f405::odrive_v3::OdriveV3,
+    foretorque::arm::ur5::Ur5,
+    foretorque::arm::ur5::JOINTS,
+    foretorque::arm::ur5::PARAMETERS
+);
 
 #[cfg(not(target_os = "none"))]
 fn main() {

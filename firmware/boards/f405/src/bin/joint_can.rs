@@ -2,7 +2,12 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-foretorque_f405::image!(foretorque_f405::can_board::CanBoard);
+foretorque_f405::image!(
+    foretorque_f405::can_board::CanBoard,
+    foretorque::arm::ur5::Ur5,
+    foretorque::arm::ur5::JOINTS,
+    foretorque::arm::ur5::PARAMETERS
+);
 #[cfg(target_os = "none")]
 foretorque_f405::frame_handlers!(CAN1_TX CAN1_RX0 CAN2_TX CAN2_RX0 UART4 USART6);
 

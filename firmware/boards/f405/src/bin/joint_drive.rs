@@ -3,7 +3,12 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-foretorque_f405::image!(foretorque_f405::pyboard_drive::PyboardDrive);
+foretorque_f405::image!(
+    foretorque_f405::pyboard_drive::PyboardDrive,
+    foretorque::arm::ur5::Ur5,
+    foretorque::arm::ur5::JOINTS,
+    foretorque::arm::ur5::PARAMETERS
+);
 
 #[cfg(not(target_os = "none"))]
 fn main() {

@@ -19,6 +19,7 @@ mod text;
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+use foretorque::arm::Arm;
 use foretorque::joint::JointSample;
 use foretorque_link::bus::{BoardDrives, Role, Wiring};
 use foretorque_link::drives::Frame;
@@ -34,7 +35,7 @@ use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
 use crate::app::TICK;
-use crate::arm::{Arm, BoardSession, JOINTS, PARAMETERS};
+use crate::arm::BoardSession;
 use crate::board::{Board, Drive, Ports};
 use crate::clock::Clocks;
 use crate::counter;
@@ -46,6 +47,8 @@ use ports::FramePort;
 
 /// Time for which a torque is added after the last tick, s: that without a reply after which a master ends it.
 const EXPIRY_S: f32 = foretorque_link::bus::SILENCE_S;
+/// Most joints of an arm.
+const MOST: usize = 8;
 /// Frames that have arrived and wait for the tick; frames on their way to the ports.
 const ARRIVED: usize = 16;
 const LEAVING: usize = 4;
@@ -62,12 +65,12 @@ enum Order {
     /// Send a frame of the board.
     Send(u8, Frame),
     /// Add these torques, or none.
-    Add(Option<[f32; JOINTS]>),
+    Add(Option<[f32; MOST]>),
 }
 
 /// The task of the frames: both ports and what passes between them.
 struct FrameTask {
-    bridge: Bridge<FramePort, JOINTS>,
+    bridge: Bridge<FramePort, MOST>,
     orders: Receiver<LEAVING, Order>,
     arrived: Sender<ARRIVED, (u8, Frame)>,
 }
@@ -111,20 +114,20 @@ pub fn interrupt() {
 }
 
 /// Drives of the arm, behind their ports.
-pub struct BusDrive {
+pub struct BusDrive<A: Arm<N, P>, const N: usize, const P: usize> {
     enable: TorqueEnable<EnablePin<CanBoard>>,
     /// `None` without a wiring in the flash.
-    drives: Sensor,
+    drives: Sensor<A, N, P>,
     orders: Sender<LEAVING, Order>,
     arrived: Receiver<ARRIVED, (u8, Frame)>,
 }
 
 /// The drives as the session's sensor.
-pub struct Sensor(Option<BoardDrives<Arm, JOINTS, PARAMETERS>>);
+pub struct Sensor<A: Arm<N, P>, const N: usize, const P: usize>(Option<BoardDrives<A, N, P>>);
 
-impl LocalSensor<JOINTS> for Sensor {
+impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for Sensor<A, N, P> {
     #[inline(never)]
-    fn measure(&mut self, sample: &mut Option<JointSample<JOINTS>>, at_rest: bool) -> SafetyReason {
+    fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason {
         match &mut self.0 {
             Some(drives) => drives.measure(sample, at_rest),
             None => SafetyReason::Drive,
@@ -132,15 +135,15 @@ impl LocalSensor<JOINTS> for Sensor {
     }
 }
 
-impl Drive for BusDrive {
-    type Own = Sensor;
+impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for BusDrive<A, N, P> {
+    type Own = Sensor<A, N, P>;
 
     #[inline(never)]
     fn start(clocks: &Clocks) -> Option<Self> {
-        let wiring = wiring();
+        let wiring = wiring::<N>();
         let role = wiring.as_ref().map_or(Role::InLine, |wiring| wiring.role);
         let ports = ports::start(clocks, wiring.as_ref());
-        let mut profiles = [None; JOINTS];
+        let mut profiles = [None; MOST];
         for (slot, joint) in profiles
             .iter_mut()
             .zip(wiring.iter().flat_map(|w| &w.joints))
@@ -177,7 +180,7 @@ impl Drive for BusDrive {
         })
     }
 
-    fn watch(&mut self, _: &mut BoardSession) {
+    fn watch(&mut self, _: &mut BoardSession<A, N, P>) {
         for _ in 0..ARRIVED {
             let Some((port, frame)) = self.arrived.take() else {
                 break;
@@ -188,11 +191,11 @@ impl Drive for BusDrive {
         }
     }
 
-    fn own(&mut self) -> &mut Sensor {
+    fn own(&mut self) -> &mut Sensor<A, N, P> {
         &mut self.drives
     }
 
-    fn follow(&mut self, session: &mut BoardSession) {
+    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
         let on = session.torque_enabled();
         if self.enable.is_on() != on {
             // This pin cannot refuse.
@@ -223,7 +226,14 @@ impl Drive for BusDrive {
         }
         let off = OFF.load(Ordering::Relaxed);
         let torques = drives.follow(session, off, |bus, frame| give(Order::Send(bus, *frame)));
-        give(Order::Add(torques.map(|torques| torques.data.0[0])));
+        let torques = torques.map(|torques| {
+            let mut all = [0.0; MOST];
+            all.iter_mut()
+                .zip(&torques)
+                .for_each(|(to, from)| *to = *from);
+            all
+        });
+        give(Order::Add(torques));
     }
 
     fn report() {
@@ -236,8 +246,8 @@ impl Drive for BusDrive {
 }
 
 /// The wiring in the flash.
-fn wiring() -> Option<Wiring<JOINTS>> {
-    const BYTES: usize = Wiring::<JOINTS>::BYTES;
+fn wiring<const N: usize>() -> Option<Wiring<N>> {
+    const BYTES: usize = Wiring::<MOST>::BYTES;
     unsafe extern "C" {
         static _wiring: [u8; BYTES];
     }
@@ -258,7 +268,7 @@ impl Board for CanBoard {
         number: 4,
     };
 
-    type Drive = BusDrive;
+    type Drive<A: Arm<N, P>, const N: usize, const P: usize> = BusDrive<A, N, P>;
 
     fn start_pins(ports: Ports, rcc: &mut Rcc) {
         rcc.apb1enr()

@@ -3,6 +3,7 @@
 use core::cell::Cell;
 
 use cortex_m::interrupt::{self, Mutex};
+use foretorque::arm::Arm;
 use foretorque_link::drive::{JointEncoder, JointStage};
 use foretorque_link::hal::{
     AbsoluteEncoder, EncoderError, MotorStage, PwmWithDirection, StageError,
@@ -13,7 +14,7 @@ use super::pins::{DirectionPin, FaultInput, StageEnable};
 use super::pulse::Pulse;
 use super::spi::EncoderDevice;
 use super::{ENCODER, JOINT, SCALE, TURN};
-use crate::arm::{BoardSession, JOINTS};
+use crate::arm::BoardSession;
 use crate::board::Drive;
 use crate::clock::Clocks;
 
@@ -40,7 +41,7 @@ pub struct StageAndEncoder {
     encoder: JointEncoder<EncoderDevice>,
 }
 
-impl Drive for StageAndEncoder {
+impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for StageAndEncoder {
     type Own = JointEncoder<EncoderDevice>;
 
     #[inline(never)]
@@ -50,14 +51,14 @@ impl Drive for StageAndEncoder {
         let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
         let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
         // The first reading brings nothing, it only asks: so the first tick has a position.
-        let _ = LocalSensor::<JOINTS>::measure(&mut encoder, &mut None, true);
+        let _ = LocalSensor::<N>::measure(&mut encoder, &mut None, true);
         Some(Self {
             stage: JointStage::new(stage.ok()?, JOINT),
             encoder,
         })
     }
 
-    fn watch(&mut self, session: &mut BoardSession) {
+    fn watch(&mut self, session: &mut BoardSession<A, N, P>) {
         self.stage.check(session);
     }
 
@@ -65,7 +66,7 @@ impl Drive for StageAndEncoder {
         &mut self.encoder
     }
 
-    fn follow(&mut self, session: &mut BoardSession) {
+    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
         self.stage.apply(session);
         let seen = Faults {
             stage: self.stage.last_error(),

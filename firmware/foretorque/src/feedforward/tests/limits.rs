@@ -37,7 +37,7 @@ fn what_was_learnt_is_bounded_around_the_committed_set() {
     learnt.rigid *= 3.0;
     learnt.network[0].output_bias[0] = 5.0;
     tick.state.set_active(&learnt, &LearntShare::FULL);
-    tick.state.range = WIDE;
+    tick.state.range.set(&WIDE);
     let torque = settled(&mut tick, &motion);
     assert!(
         torque
@@ -100,7 +100,7 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
             _ => tick.state.payload = start.rigid,
         }
         if round % 3 == 0 {
-            tick.state.range = WIDE;
+            tick.state.range.set(&WIDE);
         }
         for step in 0..4 {
             let mut desired = motion(round as f32);

@@ -44,7 +44,7 @@ fn the_friction_share_sums_every_column_of_the_loaded_and_of_the_learned_set() {
     let mut tick = tick(loaded);
     let share = settled(&mut tick, &motion).shares.friction;
     tick.state.set_active(&learned, &LearntShare::FULL);
-    tick.state.range = WIDE;
+    tick.state.range.set(&WIDE);
     let share_learned = settled(&mut tick, &motion).shares.friction;
     for joint in 0..N {
         for (share, drives) in [(share, loaded.friction), (share_learned, learned.friction)] {

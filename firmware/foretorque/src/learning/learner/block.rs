@@ -4,7 +4,8 @@ use super::row::joint_attenuation;
 use super::{Learner, increment};
 use crate::arm::Arm;
 use crate::dynamics::{
-    BaseParameters, COGGING_COLUMNS, FrictionParameters, friction, regressor_row, rnea,
+    BaseParameters, COGGING_COLUMNS, FrictionParameters, Pose, friction_under, regressor_row_at,
+    rnea_of,
 };
 use crate::joint::JointVector;
 use crate::learning::change_detection::Block;
@@ -36,12 +37,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         joint: usize,
         sample: &ConditionedSample<N>,
     ) -> Option<f32> {
-        if !is_plausible::<A, N, P>(sample, self.config.acceleration_limit) {
+        let pose = Pose::of::<A, P>(&sample.motion.q);
+        let plausible = is_plausible::<A, N, P>(sample, self.config.acceleration_limit);
+        let Some(pose) = pose.filter(|_| plausible) else {
             self.state.supervisor.reset_blocks();
             increment(&mut self.state.statistics.rejected);
             return None;
-        }
-        let residual = self.residual_torque(sample);
+        };
+        let residual = self.residual_torque(sample, &pose);
         let gate = self.config.velocity_gate;
         let length = self.config.supervisor.block_ticks;
         let supervisor = &mut self.state.supervisor;
@@ -56,18 +59,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 self.decide(tick);
             }
         }
-        self.learn_row(tick, joint, sample)
+        self.learn_row(tick, joint, sample, &pose)
     }
 
     /// Residual torque of the estimate without payload, N × N·m.
     #[inline(never)]
-    fn residual_torque(&self, sample: &ConditionedSample<N>) -> JointVector<N> {
+    fn residual_torque(&self, sample: &ConditionedSample<N>, pose: &Pose<N>) -> JointVector<N> {
         let state = &self.state;
         let estimate = state.estimate.parameters();
         let mut drives = estimate.friction.map(FrictionParameters);
         // Cogging removed by the motion filter is in the torque as far as the active set commands it.
         let active = drives.iter_mut().zip(&state.active.friction);
-        for (joint, ((drive, active), &qd)) in active.zip(sample.motion.qd.iter()).enumerate() {
+        for (joint, ((drive, active), &qd)) in active.zip(sample.motion.qd.as_slice()).enumerate() {
             let gain = joint_attenuation::<A, N, P>(joint, qd, self.config.inv_period);
             for column in COGGING_COLUMNS {
                 let active = active[column];
@@ -75,9 +78,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
         }
         let rigid = BaseParameters::<P>::from(estimate.rigid);
-        sample.tau
-            - rnea::<A, N, P>(&rigid, &sample.motion)
-            - friction::<A, N, P>(&drives, &sample.motion.q, &sample.motion.qd)
+        let motion = &sample.motion;
+        let [torque] = rnea_of::<A, N, P, 1>([&rigid], &pose.angles, motion);
+        sample.tau - torque - friction_under::<A, N, P>(&drives, &motion.q, &motion.qd, &pose.load)
     }
 
     /// Process `joint` of `block`: a row of the payload test, or change detection and update of the payload filter.
@@ -87,12 +90,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             // Friction of other joints is not learnt here, so their residuals are no evidence.
             return;
         }
+        let Some(pose) = Pose::of::<A, P>(&block.motion.q) else {
+            return;
+        };
         let config = &self.config.supervisor;
         let phase = self.state.phase();
         // The estimate pauses meanwhile, so the tick has time for the prediction variance.
         let friction_variance =
             if phase == Phase::PayloadTest || self.state.supervisor.updates_payload(config) {
-                self.friction_prediction_variance(joint, block)
+                self.friction_prediction_variance(joint, block, &pose.load)
             } else {
                 0.0
             };
@@ -106,7 +112,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         ) else {
             return;
         };
-        let row = regressor_row::<A, N, P>(joint, &block.motion).data.0[0];
+        let row = regressor_row_at::<A, N, P>(joint, &pose.angles, &block.motion)
+            .data
+            .0[0];
         let row = payload_row::<A, N, P>(&row);
         let unit = self.config.noise * limits.torque;
         let supervisor = &mut state.supervisor;
@@ -141,9 +149,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
     /// Prediction variance of the friction torque of `joint` in the motion of `block`, in units of the configured noise.
     #[inline(never)]
-    fn friction_prediction_variance(&self, joint: usize, block: &Block<N>) -> f32 {
+    fn friction_prediction_variance(
+        &self,
+        joint: usize,
+        block: &Block<N>,
+        load: &JointVector<N>,
+    ) -> f32 {
         let (Some(mut phi), Some(sigma), Some(limits)) = (
-            joint_friction_row::<A, N, P>(joint, &block.motion),
+            joint_friction_row::<A, N, P>(joint, load, &block.motion),
             self.config.friction_sigma.get(joint),
             A::limits().get(joint),
         ) else {
@@ -212,8 +225,9 @@ fn is_plausible<A: Arm<N, P>, const N: usize, const P: usize>(
     sample: &ConditionedSample<N>,
     acceleration_limit: f32,
 ) -> bool {
-    let motion = sample.motion.qd.iter().zip(sample.motion.qdd.iter());
-    let mut joints = motion.zip(sample.tau.iter()).zip(A::limits());
+    let motion = sample.motion.qd.as_slice().iter();
+    let motion = motion.zip(sample.motion.qdd.as_slice());
+    let mut joints = motion.zip(sample.tau.as_slice()).zip(A::limits());
     joints.all(|(((qd, qdd), tau), limits)| {
         qd.abs() <= 2.0 * limits.velocity
             && qdd.abs() <= acceleration_limit

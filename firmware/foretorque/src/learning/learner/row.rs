@@ -2,10 +2,11 @@
 
 use super::{Learner, increment};
 use crate::arm::Arm;
+use crate::dynamics::Pose;
 use crate::joint::JointVector;
 use crate::learning::conditioning::{ConditionedSample, cogging_attenuation};
 use crate::learning::decision::Reason;
-use crate::learning::estimator::torque_row;
+use crate::learning::estimator::torque_row_at;
 use crate::learning::exchange::MotionRange;
 use crate::learning::parameters::{LinearParameters, NETWORK_BOUND, network_inputs};
 use crate::learning::quality::Observation;
@@ -49,8 +50,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         tick: u32,
         joint: usize,
         sample: &ConditionedSample<N>,
+        pose: &Pose<N>,
     ) -> Option<f32> {
-        let (outcome, step) = self.row(tick, joint, sample);
+        let (outcome, step) = self.row(tick, joint, sample, pose);
         let statistics = &mut self.state.statistics;
         increment(match outcome {
             RowOutcome::Gated => &mut statistics.gated,
@@ -68,6 +70,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         tick: u32,
         joint: usize,
         sample: &ConditionedSample<N>,
+        pose: &Pose<N>,
     ) -> (RowOutcome, Option<f32>) {
         let (Some(limits), Some(&qd), Some(&tau)) = (
             A::limits().get(joint),
@@ -76,9 +79,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         ) else {
             return (RowOutcome::Rejected, None);
         };
-        let columns = torque_row::<A, N, P>(joint, sample);
+        let columns = torque_row_at::<A, N, P>(joint, pose, &sample.motion);
         let mut payload = 0.0;
-        let beta = self.state.supervisor.payload_base.iter();
+        let beta = self.state.supervisor.payload_base.as_slice();
         for (column, beta) in columns.rigid.iter().zip(beta) {
             payload += column * beta;
         }
@@ -225,8 +228,8 @@ fn grow<const N: usize>(range: &mut MotionRange<N>, qd: &JointVector<N>, qdd: &J
             *widest += if beyond < step { beyond } else { step };
         }
     };
-    let velocity = range.velocity.iter_mut().zip(qd.iter());
+    let velocity = range.velocity.iter_mut().zip(qd.as_slice());
     velocity.for_each(|(widest, &qd)| widen(widest, qd, RANGE_STEP.0));
-    let acceleration = range.acceleration.iter_mut().zip(qdd.iter());
+    let acceleration = range.acceleration.iter_mut().zip(qdd.as_slice());
     acceleration.for_each(|(widest, &qdd)| widen(widest, qdd, RANGE_STEP.1));
 }

@@ -62,10 +62,17 @@ impl ColumnUpdates<'_> {
         let (mut sums, end) = (*b, self.v.len());
         each_column!(j in start, end {
             if let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) {
+                // Loads one after the other take a cycle each, loads between multiplications two.
+                let mut before = [0.0; W];
                 each_row!(K < W {
-                    let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
-                    if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
-                        update_entry(u, b, *lambda, *v);
+                    if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
+                        before[K] = *u;
+                    }
+                });
+                each_row!(K < W {
+                    if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
+                        *u = before[K] + lambda * sums[K];
+                        sums[K] += v * before[K];
                     }
                 });
             }
@@ -77,18 +84,22 @@ impl ColumnUpdates<'_> {
     ///
     /// * `below` the rows after the block; their lower triangles hold the compensation. The last `P % ROWS` columns are not
     ///   compensated
+    /// * `first` block of columns before which λ and v are zero
     #[inline(always)]
     pub(super) fn sweep_compensated<const P: usize>(
         &self,
         rows: &mut [[f32; P]; ROWS],
         below: &mut [[f32; P]],
         block: usize,
+        first: usize,
         b: &mut [f32; ROWS],
     ) {
         let mut sums = *b;
         let [(lambda, _), (v, _)] = [self.lambda, self.v].map(<[f32]>::as_chunks::<ROWS>);
-        let turns = lambda.iter().zip(v).enumerate().skip(block + 1);
+        let from = first.max(block + 1);
+        let turns = lambda.iter().zip(v).enumerate().skip(from);
         let (below, _) = below.as_chunks_mut::<ROWS>();
+        let below = below.iter_mut().skip(from - block - 1);
         for ((place, (lambda, v)), below) in turns.zip(below) {
             each_row!(C < ROWS {
                 if let (Some(lambda), Some(v)) = (lambda.get(C), v.get(C)) {

@@ -1,7 +1,6 @@
 //! Banks and excitations: up, down, and in the board's store.
 
-use super::answer::{acknowledged, refused};
-use super::{BoardError, Client};
+use super::{BoardError, Client, acknowledged, refused};
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::excitation::ExcitationProgram;
 use foretorque_link::wire::{

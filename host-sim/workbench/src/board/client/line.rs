@@ -1,7 +1,6 @@
 //! Questions and answers: frames out, frames in, each answer to its question.
 
-use super::answer::acknowledged;
-use super::{BoardError, Client};
+use super::{BoardError, Client, acknowledged};
 use foretorque_link::wire::{BoardHello, BoardMessage, DecodeError, FrameBuffer, HostMessage};
 use std::time::{Duration, Instant};
 

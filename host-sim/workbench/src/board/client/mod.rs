@@ -1,10 +1,8 @@
-mod answer;
 mod banks;
 mod line;
 mod torque;
 
 use super::{BoardError, Transport};
-use answer::{nobody, refused};
 use foretorque::arm::Arm;
 use foretorque::feedforward::{Shares, Torque};
 use foretorque::joint::{JointMotion, JointVector};
@@ -229,5 +227,39 @@ impl<const N: usize> Client<N> {
         self.command(&HostMessage::Reset)?;
         self.hello.configuration = Configuration::default();
         Ok(())
+    }
+}
+
+fn acknowledged<const N: usize>(answer: BoardMessage<N>) -> Result<(), BoardError> {
+    match answer {
+        BoardMessage::Ack => Ok(()),
+        other => Err(refused(other)),
+    }
+}
+
+fn refused<const N: usize>(answer: BoardMessage<N>) -> BoardError {
+    match answer {
+        BoardMessage::Nack(reason) => BoardError::Refused(reason),
+        _ => BoardError::UnexpectedAnswer,
+    }
+}
+
+/// Stands where the board's hello will stand.
+fn nobody() -> BoardHello {
+    use foretorque_link::wire::{Capabilities, ChipStatus, CounterKind, Name, ResetReason};
+    BoardHello {
+        arm_hash: 0,
+        arm: Name::new(),
+        joints: 0,
+        base_columns: 0,
+        firmware: Name::new(),
+        capabilities: Capabilities::default(),
+        counter: CounterKind::None,
+        counter_hz: 0,
+        configuration: Configuration::default(),
+        reset_reason: ResetReason::Unknown,
+        safety: SafetyStatus::default(),
+        boot_counts: 0,
+        chip: ChipStatus::VIRTUAL,
     }
 }

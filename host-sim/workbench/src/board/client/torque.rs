@@ -1,7 +1,6 @@
 //! Samples in, torques out, and what lets the torque flow.
 
-use super::answer::refused;
-use super::{BoardError, BoardShares, Client, TickReply};
+use super::{BoardError, BoardShares, Client, TickReply, refused};
 use foretorque::feedforward::Torque;
 use foretorque::joint::JointSample;
 use foretorque::limits::Flags;

@@ -1,11 +1,18 @@
 //! Delay of the torques behind the positions.
 
-use super::{ANALYTIC, DELAY_S, DEVIATIONS, FAST_RAD_S, Judgement};
+use super::{ANALYTIC, DELAY_S, FAST_RAD_S, Judgement};
 use nalgebra::{DMatrix, DVector};
+use std::collections::VecDeque;
 
 /// Delays that are tried on each side of none, and the largest of them, s.
 const TRIED: usize = 20;
 const LONGEST_S: f64 = 0.1;
+
+/// Standard deviations from which a delay counts: averages are close to independent.
+const CLEAR: f64 = 3.0;
+/// Rows that follow one another are averaged over this long: noise of the encoders comes back in the torque through the
+/// joint controller, ahead of the position it is seen in, and is fast.
+const AVERAGED_S: f64 = 0.1;
 
 /// Normal equations of one joint with its torque at several delays.
 #[derive(Default)]
@@ -15,6 +22,8 @@ pub(super) struct Delay {
     moments: DMatrix<f64>,
     powers: DVector<f64>,
     count: f64,
+    /// Columns and torques of the last rows that follow one another.
+    last: VecDeque<(DVector<f64>, DVector<f64>)>,
 }
 
 /// Rows between two delays that are tried.
@@ -23,36 +32,49 @@ pub(super) fn step_rows(period_s: f64) -> usize {
 }
 
 impl Delay {
-    /// Adds row `row` with the torques `tau_nm` around it, if all are there; an offset and friction that falls with the speed
-    /// stand beside the columns `x`.
+    /// Adds row `row` of a log with a row every `period_s` with the torques `tau_nm` around it; an offset and friction that
+    /// falls with the speed stand beside the columns `x`. A slow row, or one without all torques, ends an average.
     pub(super) fn add(
         &mut self,
         x: &[f64],
         qd: f64,
-        (row, step): (usize, usize),
+        (row, stride, period_s): (usize, usize, f64),
         tau_nm: &dyn Fn(usize) -> Option<f64>,
     ) {
-        let reach = TRIED * step;
-        let Some(first) = row.checked_sub(reach) else {
+        let step = step_rows(period_s);
+        let first = row.checked_sub(TRIED * step);
+        let torque = |first: usize| -> Option<Vec<f64>> {
+            (0..=2 * TRIED).map(|k| tau_nm(first + k * step)).collect()
+        };
+        let torques = first.and_then(torque).filter(|_| qd.abs() > FAST_RAD_S);
+        let Some(torques) = torques else {
+            self.last.clear();
             return;
         };
-        let torques: Option<Vec<f64>> = (0..=2 * TRIED).map(|k| tau_nm(first + k * step)).collect();
-        let Some(torques) = torques.filter(|_| qd.abs() > FAST_RAD_S) else {
-            return;
-        };
-        let torques = DVector::from_vec(torques);
         let falling = qd.signum() * (-qd.abs() / FAST_RAD_S).exp();
         let more = [1.0, falling, qd * qd.abs()];
         let columns = DVector::from_iterator(x.len() + more.len(), x.iter().copied().chain(more));
+        let rows = (AVERAGED_S / (stride as f64 * period_s)).round().max(1.0);
+        self.last.push_back((columns, DVector::from_vec(torques)));
+        if (self.last.len() as f64) < rows {
+            return;
+        }
+        let mean = |of: fn(&(DVector<f64>, DVector<f64>)) -> &DVector<f64>| {
+            self.last.iter().map(of).sum::<DVector<f64>>() / rows
+        };
+        let (columns, torques) = (mean(|row| &row.0), mean(|row| &row.1));
+        self.last.pop_front();
         let gram = self.gram.get_or_insert_with(|| {
             self.moments = DMatrix::zeros(columns.len(), torques.len());
             self.powers = DVector::zeros(torques.len());
             DMatrix::zeros(columns.len(), columns.len())
         });
-        gram.ger(1.0, &columns, &columns, 1.0);
-        self.moments.ger(1.0, &columns, &torques, 1.0);
-        self.powers += torques.component_mul(&torques);
-        self.count += 1.0;
+        // Averages overlap: so many of them are worth one.
+        let worth = 1.0 / rows;
+        gram.ger(worth, &columns, &columns, 1.0);
+        self.moments.ger(worth, &columns, &torques, 1.0);
+        self.powers += worth * torques.component_mul(&torques);
+        self.count += worth;
     }
 
     /// Minus the logarithm of the likelihood of every delay, up to a constant.
@@ -70,7 +92,7 @@ impl Delay {
             let moment = self.moments.column(delay).component_mul(&size);
             self.powers[delay] - moment.dot(&(&inverse * &moment))
         });
-        let sound = free > 2.0 * gram.nrows() as f64 && rests.min() > 0.0;
+        let sound = free > gram.nrows() as f64 && rests.min() > 0.0;
         sound.then(|| rests.map(|rest| 0.5 * free * rest.ln()))
     }
 }
@@ -96,7 +118,7 @@ pub(super) fn delay(judgement: &mut Judgement, delays: &[Delay], period_s: f64) 
     let (mean, deviation) = vertex(&costs);
     let (mean, deviation) = (mean * step_s, deviation * step_s);
     judgement.delay_s = Some((mean, deviation));
-    let clear = mean.abs() > DEVIATIONS * deviation;
+    let clear = mean.abs() > CLEAR * deviation;
     if clear && mean.abs() > DELAY_S.1 {
         let refuses = mean.abs() > DELAY_S.0;
         let side = if mean > 0.0 { "behind" } else { "ahead of" };

@@ -14,12 +14,11 @@ use super::error::IdentifyError;
 use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
 use super::stream::for_each_prepared;
-use super::study::check_cut_offs;
 use super::whole_log::WholeLog;
 use crate::dynamics::{Joints, State};
 use crate::robot::Robot;
 use compare::compare;
-use delay::{Delay, delay, step_rows};
+use delay::{Delay, delay};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -145,7 +144,7 @@ pub fn judge<const N: usize>(
     let mut judgement = Judgement::default();
     let mut extremes = [Extremes::NONE; N];
     for path in logs {
-        check_cut_offs::<N>(path, robot, config)?;
+        config.check::<N>(path, robot)?;
         let limits = robot.each(|joint| joint.limits.torque).ok_or_else(other)?;
         judgement.period_s = scan(path, robot, &limits, &mut extremes)?;
     }
@@ -179,9 +178,9 @@ pub fn judge<const N: usize>(
                         let qd = prepared.states[row].qd[joint];
                         if qd.abs() > own.still_rad_s {
                             sums.joints[joint].add(x, &[tau[joint]]);
-                            let tau = |row: usize| prepared.tau.get(row * N + joint).copied();
-                            delays[joint].add(x, qd, (row, step_rows(own.period_s)), &tau);
                         }
+                        let tau = |row: usize| prepared.tau.get(row * N + joint).copied();
+                        delays[joint].add(x, qd, (row, stride, own.period_s), &tau);
                     }
                 }
             },

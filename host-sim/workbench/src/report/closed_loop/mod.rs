@@ -44,20 +44,11 @@ const FLAGS: [(Flags, &str); 11] = [
 /// The figures of `report.json`. Nothing in it depends on the clock on the wall.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClosedLoopReport {
-    /// Name of the robot.
-    pub robot: String,
-    /// The board.
-    pub board: String,
-    /// Seed of plant, noise and validation path.
-    pub seed: u64,
+    /// The run.
+    #[serde(flatten)]
+    pub run: RunDescription,
     /// Ticks played.
     pub ticks: usize,
-    /// Period of the tick, s.
-    pub period_s: f64,
-    /// Compiler of the board's code.
-    pub toolchain: String,
-    /// The board learnt while it ran.
-    pub learning: bool,
     /// Everything that kept the arm from its torque or motion for more than 5 % of the run, the gravest first.
     pub troubles: Vec<String>,
     /// Learning in the run.
@@ -82,8 +73,6 @@ pub struct ClosedLoopReport {
     pub late_sets: u32,
     /// Learning samples lost to a full queue.
     pub learning_samples_lost: u32,
-    /// From the board's first instructions to its hello, µs; nothing where its counter is no clock.
-    pub boot_us: Option<u32>,
     /// State of the board's store.
     pub store: StoreHealth,
     /// Cost of a tick, counts of the board's counter; 0 where it has none.
@@ -93,7 +82,7 @@ pub struct ClosedLoopReport {
 }
 
 /// Description of a closed-loop run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunDescription {
     /// Name of the robot.
     pub robot: String,
@@ -166,15 +155,23 @@ impl From<&Statistics> for LinkReport {
 }
 
 impl LinkReport {
+    /// The counts with their names, good frames first.
+    pub fn counts(&self) -> [(&'static str, u32); 8] {
+        [
+            ("good frames", self.frames),
+            ("wrong checksum", self.crc_errors),
+            ("cut short or too long", self.framing_errors),
+            ("other protocol version", self.foreign_version),
+            ("unknown message", self.unknown),
+            ("missing", self.missed),
+            ("repeated or late", self.repeated),
+            ("missed deadlines and overruns", self.overruns),
+        ]
+    }
+
     /// Everything that is not a good frame.
     pub fn errors(&self) -> u32 {
-        self.crc_errors
-            + self.framing_errors
-            + self.foreign_version
-            + self.unknown
-            + self.missed
-            + self.repeated
-            + self.overruns
+        self.counts()[1..].iter().map(|(_, count)| count).sum()
     }
 }
 
@@ -294,13 +291,8 @@ impl<const N: usize> ClosedLoopLog<N> {
         let joints = |values: &Joints<N>| values.iter().copied().collect();
         let flags = FLAGS.iter().zip(self.flags).filter(|(_, count)| *count > 0);
         ClosedLoopReport {
-            robot: run.robot,
-            board: run.board,
-            seed: run.seed,
+            run,
             ticks: self.seen,
-            period_s: run.period_s,
-            toolchain: run.toolchain,
-            learning: run.learning,
             troubles: self.health.troubles(),
             learnt: self.health.learnt(),
             tracking_rms_mrad: self.tracking.mean_rms_mrad(),
@@ -315,7 +307,6 @@ impl<const N: usize> ClosedLoopLog<N> {
             link: LinkReport::from(statistics),
             late_sets: statistics.late_sets,
             learning_samples_lost: statistics.learning_samples_lost,
-            boot_us: run.boot_us,
             store: statistics.store,
             tick_cost: statistics.tick_cost.into(),
             learning_cost: statistics.learn_cost.into(),

@@ -10,13 +10,13 @@ pub fn page<const N: usize>(
     log: &ClosedLoopLog<N>,
     command: &str,
 ) -> Page {
-    let robot = report.robot.to_uppercase();
+    let robot = report.run.robot.to_uppercase();
     let lead = format!(
         "A simulated {robot} under PD control plays its trajectory for {:.1} s with the feed-forward of board {} added, \
          learning {}. All figures count every tick; the plots draw every {}.",
-        report.ticks as f64 * report.period_s,
-        report.board,
-        if report.learning { "on" } else { "off" },
+        report.ticks as f64 * report.run.period_s,
+        report.run.board,
+        if report.run.learning { "on" } else { "off" },
         match log.every {
             1 => "tick".to_owned(),
             every => format!("{every}th tick"),
@@ -26,7 +26,7 @@ pub fn page<const N: usize>(
         [] => "none".to_owned(),
         troubles => troubles.join("; "),
     };
-    let learnt = match (report.learning, report.learnt.adopted_s) {
+    let learnt = match (report.run.learning, report.learnt.adopted_s) {
         (false, _) => "off".to_owned(),
         (true, None) => "nothing".to_owned(),
         (true, Some(t_s)) => {
@@ -129,36 +129,26 @@ fn tables(report: &ClosedLoopReport, command: &str) -> [Section; 5] {
             format!("{percent:.2} %"),
         ]
     });
-    let link = &report.link;
-    let counts = [
-        ("good frames", link.frames),
-        ("wrong checksum", link.crc_errors),
-        ("cut short or too long", link.framing_errors),
-        ("other protocol version", link.foreign_version),
-        ("unknown message", link.unknown),
-        ("missing", link.missed),
-        ("repeated or late", link.repeated),
-        ("missed deadlines and overruns", link.overruns),
-        ("late learnt sets", report.late_sets),
-        (
-            "learning samples without buffer",
-            report.learning_samples_lost,
-        ),
-    ];
+    let late = ("late learnt sets", report.late_sets);
+    let lost = (
+        "learning samples without buffer",
+        report.learning_samples_lost,
+    );
+    let counts = report.link.counts().into_iter().chain([late, lost]);
     let costs = [
         ("tick", report.tick_cost),
         ("learning from a tick", report.learning_cost),
     ];
     let of_this_run = [
-        ("robot", report.robot.clone()),
-        ("board", report.board.clone()),
+        ("robot", report.run.robot.clone()),
+        ("board", report.run.board.clone()),
         (
             "board's store",
             format!("{:?}", report.store).to_lowercase(),
         ),
-        ("seed", report.seed.to_string()),
-        ("period", format!("{} ms", report.period_s * 1e3)),
-        ("compiler of the board's code", report.toolchain.clone()),
+        ("seed", report.run.seed.to_string()),
+        ("period", format!("{} ms", report.run.period_s * 1e3)),
+        ("compiler of the board's code", report.run.toolchain.clone()),
     ];
     [
         Section::new(

@@ -3,7 +3,7 @@
 use super::curve::{Curve, Way};
 use crate::kinematics::InverseError;
 use crate::robot::Placement;
-use crate::trajectory::limits::BeyondLimits;
+use crate::trajectory::BeyondLimits;
 use nalgebra::Vector3;
 use serde::Deserialize;
 use std::fmt;

@@ -5,7 +5,7 @@ use super::file::{self, CartesianError, Path, Spot};
 use crate::dynamics::{Joints, State};
 use crate::kinematics::{Inverse, InverseError, Twist};
 use crate::robot::{Placement, Robot};
-use crate::trajectory::limits::within;
+use crate::trajectory::within;
 
 /// Largest difference between predicted and found joint positions, rad. At the speed limit a tick of 1 ms is some
 /// milliradians; another branch of solutions is farther away, except where two branches meet.

@@ -1,0 +1,15 @@
+//! The program as its users call it. One test crate: the program's parts are linked once.
+
+mod bad_input;
+mod bags;
+mod board_excitation;
+mod cli;
+mod cli_boards;
+mod cli_bus;
+mod excitation;
+mod identification;
+mod logged;
+mod orphans;
+mod planted;
+mod program;
+mod studies;

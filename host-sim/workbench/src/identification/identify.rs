@@ -1,0 +1,263 @@
+//! From logs to a report and the parameters of a bank.
+
+use super::cogging::CoggingAmplitudes;
+use super::columns::{ColumnSet, Layout};
+use super::dataset::Dataset;
+use super::error::IdentifyError;
+use super::fourier::folded;
+use super::gains::with_gains;
+use super::judge::{Judgement, after_fit};
+use super::methods::{Fit, MethodName, wls};
+use super::prepare::PrepareConfig;
+use super::problem::{Candidate, Problem, Progress, TrainingData};
+use super::record::{RIVALS, Report};
+use super::solve::solve_all;
+use super::stream::for_each_prepared;
+use super::study::{Study, Unseen, key_of, recommended};
+use super::truth::truths;
+use crate::robot::Robot;
+use foretorque::feedforward::JointNetwork;
+use std::path::{Path, PathBuf};
+
+/// Settings of an identification.
+#[derive(Clone, Debug)]
+pub struct IdentifyConfig {
+    /// Methods.
+    pub methods: Vec<MethodName>,
+    /// Friction columns.
+    pub columns: ColumnSet,
+    /// Filters and standstill.
+    pub prepare: PrepareConfig,
+    /// Period on which training logs are folded and projected on its harmonics instead of filtered, s.
+    pub fold_period_s: Option<f64>,
+    /// Find the drive gains from standstill first.
+    pub gains_from_standstill: bool,
+    /// Seed of random starts, of the split and of resampling.
+    pub seed: u64,
+    /// The robot whose parameters are the truth, if it is known.
+    pub truth: Option<Robot>,
+    /// Further unseen logs, by which nothing is chosen.
+    pub test: Vec<PathBuf>,
+}
+
+/// Result of an identification.
+#[derive(Clone, Debug)]
+pub struct Outcome<const N: usize> {
+    /// All figures.
+    pub report: Report,
+    /// Columns that the board has.
+    pub bank_layout: Layout<N>,
+    /// The recommended fit over them.
+    pub bank_fit: Fit<N>,
+    /// The recommended residual networks, if it has any.
+    pub networks: Option<Box<[JointNetwork; N]>>,
+    /// Their direct connections from the cogging phase, N·m.
+    pub cogging: Option<CoggingAmplitudes<N>>,
+    /// The description with the consistent parameters, if they were asked for.
+    pub robot: Option<Robot>,
+    /// Time, measured and predicted torque on the first validation log: of the recommended method.
+    pub trace: Vec<(f64, [f64; N], [f64; N])>,
+}
+
+/// Parameters of a robot by all methods, validated on unseen logs.
+///
+/// Errors: [`IdentifyError`].
+pub fn identify<const N: usize>(
+    robot: &Robot,
+    logs: &[PathBuf],
+    validate: &[PathBuf],
+    config: &IdentifyConfig,
+    progress: Progress<'_>,
+) -> Result<Outcome<N>, IdentifyError> {
+    for path in logs.iter().chain(validate).chain(&config.test) {
+        config.prepare.check::<N>(path, robot)?;
+    }
+    let (robot, drive_gains) = if config.gains_from_standstill {
+        progress("drive gains");
+        with_gains::<N>(robot, logs, config.prepare.still_rad_s)?
+    } else {
+        (robot.clone(), Vec::new())
+    };
+    let (on_board, left_out) = config.columns.on_board();
+    let layout = |columns| Layout::<N>::new(&robot, columns);
+    let layouts = layout(&config.columns).zip(layout(&on_board));
+    let (layout, board) = layouts.ok_or_else(|| IdentifyError::Joints(robot.name.clone(), N))?;
+    let mut notes = Vec::new();
+    let dataset = gather(&robot, &layout, logs, config, &mut notes, progress)?;
+    let data = TrainingData::all(&dataset);
+    let problem = Problem {
+        robot: &robot,
+        layout: &layout,
+        board: &board,
+        methods: &config.methods,
+        seed: config.seed,
+    };
+    let mut study = Study {
+        problem,
+        dataset: &dataset,
+        bound: wls(&data.sums.all, &layout).ok_or(IdentifyError::Unsolvable)?,
+        results: solve_all(&problem, &data, progress)?,
+        truth: config.truth.as_ref().map(|truth| truths(truth, &layout)),
+        progress,
+    };
+    let mut methods = study.records(&data)?;
+    let prepare = &config.prepare;
+    let choosing = (validate, Unseen::Validation);
+    let trace = study.validate(choosing, prepare, &mut methods, &mut notes)?;
+    let others = (&*config.test, Unseen::Test);
+    study.validate(others, prepare, &mut methods, &mut notes)?;
+    let recommended = recommended(&study.results, &methods);
+    let best = &study.results[recommended];
+    let bank_fit = study.bank_fit(best, left_out.is_empty())?;
+    if !left_out.is_empty() {
+        let columns = left_out.join(", ");
+        notes.push(format!(
+            "the board has no column {columns}: the bank holds a fit without"
+        ));
+    }
+    let mut judgement = Judgement::default();
+    for path in validate.iter().chain(&config.test) {
+        if let Some(same) = logs.iter().find(|log| same_content(log, path)) {
+            let (path, same) = (path.display(), same.display());
+            judgement.find(false, format!("{path} holds what the training log {same} holds: its errors are not those of unseen motion"));
+        }
+    }
+    if let Some(fit) = study.results.iter().find_map(|result| result.fit.as_ref()) {
+        let whole = fit.theta.len() == layout.parameters.len();
+        let fit = if whole { fit } else { &study.bound };
+        after_fit(&mut judgement, &robot, &layout, fit);
+    }
+    let first = validate.first().map(|path| key_of(path, validate));
+    let errors = |name: &str| {
+        let method = &methods[name];
+        let unseen = first.as_ref().and_then(|log| method.validation.get(log));
+        let held_out = &method.split_80_20.rmse_moving_nm;
+        unseen
+            .map_or(held_out, |record| &record.rmse_moving_nm)
+            .clone()
+    };
+    let headline_rmse_nm = errors(&best.name.to_string());
+    let [headline_description_rmse_nm, size] = RIVALS.map(errors);
+    for (rival, limit) in RIVALS.iter().zip([1.05, 1.0]) {
+        let worse = over(&headline_rmse_nm, &errors(rival), &size);
+        if worse > limit {
+            let torque = if *rival == "zero" { " torque" } else { "" };
+            judgement.find(true, format!("the identified parameters predict worse than {rival}{torque}: {worse:.2} times its torque error"));
+        }
+    }
+    let report = Report {
+        robot: robot.name.clone(),
+        headline_rmse_nm,
+        headline_description_rmse_nm,
+        findings: judgement.findings,
+        drive_gains,
+        logs: logs.iter().map(|path| key_of(path, logs)).collect(),
+        notes,
+        recommended: best.name.to_string(),
+        methods,
+        ..figures(config, &dataset, &layout)
+    };
+    let (networks, cogging) = match &best.candidate {
+        Candidate::Residual {
+            networks, cogging, ..
+        } => (Some(networks.clone()), Some(*cogging)),
+        _ => (None, None),
+    };
+    let consistent = study.results.iter().find_map(|result| result.robot.clone());
+    let trace = trace.into_iter();
+    Ok(Outcome {
+        report,
+        bank_fit,
+        networks,
+        cogging,
+        robot: consistent,
+        trace: trace
+            .map(|(t_s, tau, predicted)| (t_s, tau, predicted[recommended]))
+            .collect(),
+        bank_layout: board.clone(),
+    })
+}
+
+/// Figures of settings and dataset.
+fn figures<const N: usize>(
+    config: &IdentifyConfig,
+    dataset: &Dataset<N>,
+    layout: &Layout<N>,
+) -> Report {
+    let (condition_number, equilibrated) = dataset.sums.all.condition_numbers(layout);
+    let share = |still: usize| still as f64 / dataset.rows_read.max(1) as f64;
+    Report {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        seed: config.seed,
+        columns: config.columns.to_string(),
+        fold_period_s: config.fold_period_s,
+        motion_cutoff_hz: config.prepare.motion_hz,
+        torque_cutoff_hz: config.prepare.torque_hz,
+        still_rad_s: config.prepare.still_rad_s,
+        rows_read: dataset.rows_read,
+        rows_used: dataset.sums.rows,
+        still_share_ratio: dataset.still.map(share).to_vec(),
+        spikes: dataset.spikes,
+        rank: layout.parameters.len(),
+        condition_number,
+        condition_number_of: "raw SI regressor of the base parameters, moving rows, Craig link frames, first independent columns from left to right".to_owned(),
+        condition_number_equilibrated: equilibrated,
+        ..Report::default()
+    }
+}
+
+/// Dataset of the training logs, in one pass.
+fn gather<const N: usize>(
+    robot: &Robot,
+    layout: &Layout<N>,
+    logs: &[PathBuf],
+    config: &IdentifyConfig,
+    notes: &mut Vec<String>,
+    progress: Progress<'_>,
+) -> Result<Dataset<N>, IdentifyError> {
+    let (mut dataset, prepare) = (Dataset::new(layout), &config.prepare);
+    for path in logs {
+        progress(&format!("reading {}", path.display()));
+        if let Some(period_s) = config.fold_period_s {
+            let (own, prepared) = folded(path, robot, layout, prepare, period_s, notes)?;
+            dataset.add(layout, &own, &prepared);
+        } else {
+            for_each_prepared(path, robot, layout, prepare, notes, &mut |own, prepared| {
+                dataset.add(layout, own, &prepared);
+            })?;
+        }
+    }
+    if dataset.sums.all.count() == 0.0 {
+        let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
+        return Err(IdentifyError::NoMotion(names.join(", ")));
+    }
+    dataset.sums.all.check_rank(layout)?;
+    if dataset.thinning > 1 {
+        notes.push(format!(
+            "irls, consistent, bp_black_box and bp_residual used every {}th of the rows in the sums; the other methods all of them",
+            dataset.thinning
+        ));
+    }
+    Ok(dataset)
+}
+
+/// Share of the RMS torque that every error has added, so that none is decided by noise or by rounding.
+const INDIFFERENT: f64 = 0.03;
+
+/// Geometric mean over the joints of one error over another; `size` is the RMS torque.
+fn over(own: &[Option<f64>], other: &[Option<f64>], size: &[Option<f64>]) -> f64 {
+    let joints = own.iter().zip(other).zip(size);
+    let ratios = joints.filter_map(|((own, other), size)| {
+        let least = INDIFFERENT * (*size)?;
+        Some((*own)?.hypot(least) / (*other)?.hypot(least))
+    });
+    let logs: Vec<f64> = ratios.filter(|ratio| *ratio > 0.0).map(f64::ln).collect();
+    (logs.iter().sum::<f64>() / logs.len().max(1) as f64).exp()
+}
+
+/// Two files with the same bytes.
+fn same_content(one: &Path, other: &Path) -> bool {
+    let length = |path: &Path| std::fs::metadata(path).map(|file| file.len()).ok();
+    let bytes = |path: &Path| std::fs::read(path).ok();
+    length(one) == length(other) && bytes(one).is_some() && bytes(one) == bytes(other)
+}

@@ -1,0 +1,158 @@
+//! Search for the columns of each quantity in the header of a log.
+
+use crate::robot::{ColumnNames, LOG_SOURCES, Robot};
+use crate::table::{Rows, TableError, TableProblem};
+
+/// The log has the column of the first joint.
+pub(super) fn is_there(rows: &Rows, names: &ColumnNames, robot: &Robot) -> bool {
+    let first = names.of(0, &robot.joints[0].name);
+    first.is_some_and(|first| !matches!(rows.find(&first), Ok(None)))
+        || !joints_of_log(rows, names).is_empty()
+}
+
+/// Names of the joints in a log whose columns carry them.
+fn joints_of_log<'a>(rows: &'a Rows, names: &ColumnNames) -> Vec<&'a str> {
+    let Some((before, after)) = names.around_name() else {
+        return Vec::new();
+    };
+    let inner = |name: &'a String| name.strip_prefix(before)?.strip_suffix(after);
+    rows.header().iter().filter_map(inner).collect()
+}
+
+/// Names without what all of them begin and end with.
+fn cores<'a>(names: &[&'a str]) -> Vec<&'a str> {
+    let Some(first) = names.first().filter(|_| names.len() > 1) else {
+        return names.to_vec();
+    };
+    let same =
+        |pairs: &dyn Fn(&str) -> usize| names.iter().map(|name| pairs(name)).min().unwrap_or(0);
+    let head = same(&|name| {
+        let pairs = first.bytes().zip(name.bytes());
+        pairs.take_while(|(a, b)| a == b).count()
+    });
+    let back = |name: &str| {
+        let pairs = first.bytes().rev().zip(name.bytes().rev());
+        let equal = pairs.take_while(|(a, b)| a == b).count();
+        equal.min(name.len() - head)
+    };
+    let tail = same(&back);
+    let cut = |name: &&'a str| name.get(head..name.len() - tail).unwrap_or(name);
+    names.iter().map(cut).collect()
+}
+
+/// Columns of one quantity for all joints, and whether they have the project's own names; `None` without a column of it.
+pub(super) fn joint_places<const N: usize>(
+    rows: &Rows,
+    (name, unit): (&str, &str),
+    mapped: Option<&ColumnNames>,
+    robot: &Robot,
+) -> Result<Option<([usize; N], bool)>, TableError> {
+    let joint_name = |joint: usize| robot.joints.get(joint).map_or("", |own| own.name.as_str());
+    let own = |joint: usize| Some(format!("{name}{}_{unit}", joint + 1));
+    let foreign = |joint: usize| mapped?.of(joint, joint_name(joint));
+    let has = |name: &dyn Fn(usize) -> Option<String>| {
+        let mut names = (0..=N).filter_map(name);
+        names.any(|name| !matches!(rows.find(&name), Ok(None)))
+    };
+    let is_own = has(&own);
+    let chosen: &dyn Fn(usize) -> Option<String> = match (is_own, has(&foreign)) {
+        (true, _) => &own,
+        (false, true) => &foreign,
+        (false, false) => return renamed(rows, mapped, robot).map(|found| Some((found?, false))),
+    };
+    // A seventh joint in the log of an arm with six is a log of another robot.
+    if let Some(next) = chosen(N).filter(|_| mapped.is_none_or(|map| map.around_name().is_none())) {
+        rows.refuse(&next, N)?;
+    }
+    let mut columns = [0; N];
+    for (joint, column) in columns.iter_mut().enumerate() {
+        *column = rows.require(&chosen(joint).unwrap_or_default())?;
+    }
+    Ok(Some((columns, is_own)))
+}
+
+/// Columns by names of joints that differ from those of the description in what all of them begin and end with.
+fn renamed<const N: usize>(
+    rows: &Rows,
+    mapped: Option<&ColumnNames>,
+    robot: &Robot,
+) -> Result<Option<[usize; N]>, TableError> {
+    let Some(mapped) = mapped else {
+        return Ok(None);
+    };
+    let there = joints_of_log(rows, mapped);
+    if there.is_empty() {
+        return Ok(None);
+    }
+    let ours: Vec<&str> = robot.joints.iter().map(|own| own.name.as_str()).collect();
+    let (cores_there, cores_ours) = (cores(&there), cores(&ours));
+    let mut columns = [0; N];
+    for (column, core) in columns.iter_mut().zip(&cores_ours) {
+        let place = cores_there.iter().position(|other| other == core);
+        let Some(place) = place.filter(|_| there.len() == N) else {
+            let problem = TableProblem::OtherJoints(there.join(", "), ours.join(", "));
+            return Err(problem.at(rows.path(), 1));
+        };
+        *column = rows.require(&mapped.of(0, there[place]).unwrap_or_default())?;
+    }
+    Ok(Some(columns))
+}
+
+/// The error of a log without known columns: its header, and the lines of a map with what can be guessed.
+pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
+    const SHOWN: usize = 40;
+    let header = rows.header();
+    let joints = robot.joint_count();
+    let mut families: Vec<String> = Vec::new();
+    for name in header {
+        for (first, mark) in [("0", "{0}"), ("1", "{1}")] {
+            for (at, _) in name.match_indices(first) {
+                let pattern = format!("{}{mark}{}", &name[..at], &name[at + 1..]);
+                let names = ColumnNames::Pattern(pattern.clone());
+                let column = |joint| names.of(joint, "").unwrap_or_default();
+                if (0..joints).all(|joint| header.contains(&column(joint))) {
+                    families.push(pattern);
+                }
+            }
+        }
+    }
+    let guess = |words: &[&str], but: &[&str]| {
+        let fits = |family: &&String| {
+            let name = family.to_lowercase();
+            words.iter().any(|word| name.contains(word))
+                && !but.iter().any(|word| name.contains(word))
+        };
+        families.iter().find(fits).map_or("…", String::as_str)
+    };
+    let time = |name: &&String| {
+        let name = name.to_lowercase();
+        name == "t" || name.contains("time") || name.contains("stamp")
+    };
+    let time = header.iter().find(time).map_or("…", String::as_str);
+    let asked = ["des", "target", "cmd", "ref"];
+    let q = guess(
+        &["q", "pos", "angle"],
+        &[&asked[..], &["qd", "dq"]].concat(),
+    );
+    let tau = guess(&["tau", "torque", "eff", "moment"], &asked);
+    let all = header[..header.len().min(SHOWN)].join(", ");
+    let more = if header.len() > SHOWN { ", …" } else { "" };
+    TableProblem::NoColumns(format!(
+        "  header: {all}{more}\n  write these lines into a file, mend them, and add --columns-from FILE (or {}):\n\
+         t_s = \"{time}\"\nq_rad = \"{q}\"\ntau_nm = \"{tau}\"",
+        LOG_SOURCES.join(", ")
+    ))
+    .at(rows.path(), 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn joints_are_found_under_another_prefix() {
+        assert_eq!(cores(&["fer_joint1", "fer_joint2"]), ["1", "2"]);
+        assert_eq!(cores(&["a_joint", "wrist_joint"]), ["a", "wrist"]);
+        assert_eq!(cores(&["aa", "aaa"]), ["", "a"]);
+    }
+}

@@ -1,0 +1,12 @@
+//! Boards, buses and arms together. One test crate: the workbench is linked once.
+
+mod bus_commission;
+mod bus_loop;
+mod described_arms;
+mod driven;
+mod emulated_board;
+mod emulated_drive;
+mod emulated_safety;
+mod native_board;
+mod talk;
+mod trial;

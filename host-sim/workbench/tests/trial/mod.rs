@@ -1,0 +1,148 @@
+//! Boards in this process and in the emulator, and what the emulator saw of them.
+
+use elf::ElfBytes;
+use elf::endian::LittleEndian;
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_link::safety::SafetyReason;
+use foretorque_link::wire::{Configuration, NackReason, Pacing};
+use foretorque_workbench::board::qemu::{Emulator, QemuOptions};
+use foretorque_workbench::board::{BoardError, Client, Native, TickReply, Transport};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Longest time to a hello or an answer of the emulator on a busy machine.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
+
+/// The client of a UR5's board.
+pub(crate) fn connected(board: impl Transport + 'static) -> Client<JOINTS> {
+    let client = Client::connect::<Ur5, PARAMETERS>(Box::new(board), PATIENCE);
+    client.unwrap_or_else(|error| panic!("{error}"))
+}
+
+pub(crate) fn native() -> Native<Ur5, JOINTS, PARAMETERS> {
+    Native::new().expect("the UR5's limits are usable")
+}
+
+/// Starts the emulator. A firmware that is not built fails the test with the command that builds it.
+pub(crate) fn started(options: &QemuOptions) -> Emulator {
+    Emulator::start(options).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The arm stretched out, at rest.
+pub(crate) fn still() -> JointSample<JOINTS> {
+    let (q, tau) = (JointVector::zeros(), JointVector::zeros());
+    JointSample {
+        desired: JointMotion::zero(),
+        measured: Some(JointMeasurement { q, tau }),
+    }
+}
+
+/// A file in the directory of the tests.
+pub(crate) fn scratch(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
+}
+
+/// A firmware in the emulator, and the trace of its pins.
+pub(crate) struct Trial {
+    pub(crate) client: Client<JOINTS>,
+    trace: PathBuf,
+}
+
+impl Trial {
+    pub(crate) fn start(name: &str, mut options: QemuOptions) -> Self {
+        let trace = scratch(&format!("{name}.trace"));
+        options.trace = Some(trace.clone());
+        let mut client = connected(started(&options));
+        client.set_timeout(PATIENCE);
+        Self { client, trace }
+    }
+
+    pub(crate) fn trace(&self) -> String {
+        fs::read_to_string(&self.trace).expect("the emulator writes a trace")
+    }
+
+    pub(crate) fn sample(&mut self, sample: &JointSample<JOINTS>) -> TickReply<JOINTS> {
+        self.client.sample(sample).expect("a torque")
+    }
+
+    /// Arms the board and lets its torque rise.
+    pub(crate) fn arm(&mut self) {
+        self.client.arm(&still()).expect("it can be armed");
+        for _ in 0..40 {
+            self.sample(&still());
+        }
+    }
+
+    /// Arms a board that its own timer paces.
+    pub(crate) fn arm_paced_by_timer(&mut self) {
+        let configuration = Configuration {
+            // The time-out is some two hundred ticks then. Whenever the board is idle the emulator leaps to its next
+            // tick: a host that gets its turn late has been silent for a while.
+            period_us: 250,
+            pacing: Pacing::SysTick,
+            ..Configuration::default()
+        };
+        let configured = self.client.configure(configuration);
+        configured.expect("it has a timer");
+        for _ in 0..5 {
+            self.sample(&still());
+        }
+        let armed = (0..100).any(|_| self.client.arm(&still()).is_ok());
+        assert!(armed, "it can be armed");
+        self.sample(&still());
+    }
+
+    /// Sends no sample until the trace has `ended`; the time of the emulator moves on with traffic on its link, in leaps.
+    pub(crate) fn silence_until(&mut self, ended: impl Fn(&str) -> bool) {
+        let silence = (0..10_000).find(|_| {
+            self.client.statistics().expect("counters");
+            ended(&self.trace())
+        });
+        assert!(silence.is_some(), "the torque ends");
+    }
+
+    pub(crate) fn refusal(&mut self) -> SafetyReason {
+        match self.client.arm(&still()) {
+            Err(BoardError::Refused(NackReason::Unsafe(reason))) => reason,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// A copy of the firmware `elf`, called `name`, in which the one function whose symbol contains each `part` is `code`.
+pub(crate) fn patched(elf: &Path, name: &str, patches: &[(&str, Vec<u16>)]) -> PathBuf {
+    let mut bytes = fs::read(elf).expect("the firmware is built: `cargo firmware`");
+    for (part, code) in patches {
+        let code: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
+        let (place, size) = function(&bytes, part);
+        let need = code.len();
+        assert!(need <= size, "{part} has {size} bytes, {need} are needed");
+        bytes[place..place + need].copy_from_slice(&code);
+    }
+    let file = scratch(name);
+    fs::write(&file, bytes).expect("it can be written");
+    file
+}
+
+/// Offset of the function in the file, and its bytes.
+fn function(bytes: &[u8], part: &str) -> (usize, usize) {
+    let elf = ElfBytes::<LittleEndian>::minimal_parse(bytes).expect("it is an ELF");
+    let (symbols, names) = elf.symbol_table().unwrap().expect("it has symbols");
+    let named = |place: u32| names.get(place as usize).is_ok_and(|n| n.contains(part));
+    let functions = symbols
+        .iter()
+        .filter(|entry| entry.st_symtype() == elf::abi::STT_FUNC);
+    let found: Vec<_> = functions.filter(|entry| named(entry.st_name)).collect();
+    let [symbol] = found.as_slice() else {
+        panic!("{} functions are called {part}", found.len());
+    };
+    let sections = elf.section_headers().expect("it has sections");
+    let section = sections
+        .get(usize::from(symbol.st_shndx))
+        .expect("of the function");
+    // Bit 0 of the address of a function marks Thumb code.
+    let place = section.sh_offset + ((symbol.st_value & !1) - section.sh_addr);
+    (place as usize, symbol.st_size as usize)
+}
