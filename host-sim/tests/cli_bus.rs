@@ -57,6 +57,54 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
 }
 
 #[test]
+fn the_wiring_of_a_board_is_written_from_the_profile() {
+    use foretorque_link::bus::{Role, Wires, Wiring};
+    let directory = directory("wiring");
+    let cases = [
+        ("master", Role::Master, Wires::Can, ""),
+        ("in-line", Role::InLine, Wires::Can, ""),
+        ("uart", Role::InLine, Wires::Uart, " --joint 2"),
+    ];
+    for (role, expected, wires, more) in cases {
+        let command = format!(
+            "wiring --profile {} --role {role}{more} --out board.bin",
+            profile()
+        );
+        let text = succeeds(&directory, &command);
+        assert!(text.contains("0x08080000 board.bin"), "{text}");
+        let mut bytes = fs::read(directory.join("board.bin")).expect("it was written");
+        bytes.resize(Wiring::<6>::BYTES, 0xff);
+        let wiring = Wiring::<6>::decode(&bytes).expect("the board reads it");
+        assert_eq!((wiring.role, wiring.wires), (expected, wires));
+        let joints: Vec<bool> = wiring.joints.iter().map(Option::is_some).collect();
+        assert_eq!(
+            joints,
+            [
+                more.is_empty(),
+                true,
+                more.is_empty(),
+                more.is_empty(),
+                more.is_empty(),
+                more.is_empty()
+            ]
+        );
+        bytes[5] ^= 1;
+        assert_eq!(Wiring::<6>::decode(&bytes), None);
+    }
+    let line = fails(
+        &directory,
+        &format!(
+            "wiring --profile {} --role uart --joint 7 --out x",
+            profile()
+        ),
+    );
+    assert!(
+        line.contains("--joint 7: the arm has joints 1 to 6"),
+        "{line}"
+    );
+}
+
+#[test]
 fn contradictions_and_missing_buses_are_one_line() {
     let directory = directory("bus-mistakes");
     // Line of the profile, its replacement, and the words of the refusal.

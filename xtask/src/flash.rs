@@ -39,6 +39,8 @@ pub(crate) enum Board {
     Pyboard,
     /// pyboard v1.1 that drives its own joint: `joint-drive`.
     Drive,
+    /// pyboard v1.1 on the bus of CAN drives: `joint-can`.
+    Can,
 }
 
 impl std::str::FromStr for Board {
@@ -49,8 +51,9 @@ impl std::str::FromStr for Board {
             "odrive" => Ok(Self::Odrive),
             "pyboard" => Ok(Self::Pyboard),
             "drive" => Ok(Self::Drive),
+            "can" => Ok(Self::Can),
             other => Err(format!(
-                "unknown board `{other}`: choose odrive, pyboard or drive"
+                "unknown board `{other}`: choose odrive, pyboard, drive or can"
             )),
         }
     }
@@ -62,6 +65,7 @@ impl Board {
             Self::Odrive => "joint",
             Self::Pyboard => "joint-pyboard",
             Self::Drive => "joint-drive",
+            Self::Can => "joint-can",
         }
     }
 }

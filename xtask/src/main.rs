@@ -47,7 +47,7 @@ Options:
                            rustup     `rustup target add`, bounded in time
                            debian     core built from Debian's Rust packages and linked as a toolchain
       --check            setup: change nothing, list what is installed and missing, fail if anything is missing
-      --board <BOARD>    flash: odrive (default), pyboard or drive
+      --board <BOARD>    flash: odrive (default), pyboard, drive or can
       --image            flash: write the images, flash nothing
       --urdf <FILE>      arm: URDF, MJCF or TOML
       --name <NAME>      arm: name of the arm; --base, --tip, --link-mass VALUE, --weld and --repair as of host-sim

@@ -53,7 +53,16 @@ pub(crate) fn faults(forced: Option<Way>, accept: bool) -> Result<()> {
 pub(crate) fn bench(forced: Option<Way>, accept: bool) -> Result<()> {
     let board = setup::run(forced)?.board;
     let mut build = board.board_cargo("build");
-    shell::run(build.args(["--bin", "bench", "--bin", "joint", "--bin", "joint-drive"]))?;
+    shell::run(build.args([
+        "--bin",
+        "bench",
+        "--bin",
+        "joint",
+        "--bin",
+        "joint-drive",
+        "--bin",
+        "joint-can",
+    ]))?;
     let version = capture(board.tool("rustc").arg("--version"));
     let version = version.context("rustc reports no version")?;
     foretorque_cost::bench(&toolchain::elves(), &shell::root(), version.trim(), accept)

@@ -1,4 +1,5 @@
 use super::boards::on_arm;
+use super::drive::wired;
 use super::terminal::{show, write_line};
 use super::{Failure, unusable};
 use clap::{Args, ValueEnum};
@@ -9,7 +10,7 @@ use foretorque_link::drives::Frame;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{
     Ask, BusChoice, BusError, BusPlayer, Commissioning, Network, Operator, Profile, Step,
-    WiredNetwork, real_time,
+    WiredNetwork,
 };
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::files::write_whole;
@@ -100,11 +101,7 @@ impl Arguments {
             let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
             return steps(arguments, Commissioning::new(player, model, rest));
         }
-        let lines = arguments.bus.open(profile.bus.len())?;
-        if let Err(reason) = real_time() {
-            show!("no priority of real time ({reason}): the ticks may come late")?;
-        }
-        let network = Attended(WiredNetwork::new(lines, 1.0 / profile.rate_hz));
+        let network = Attended(wired(&arguments.bus, profile)?);
         let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
         steps(arguments, Commissioning::new(player, model, rest))
     }

@@ -102,11 +102,7 @@ impl Arguments {
         let arguments = self;
         let drive = Drive::<A, N, P>::new(arguments, profile, robot)?;
         if arguments.bus != BusChoice::Sim {
-            let lines = arguments.bus.open(profile.bus.len())?;
-            if let Err(reason) = real_time() {
-                show!("no priority of real time ({reason}): the ticks may come late")?;
-            }
-            let network = WiredNetwork::new(lines, 1.0 / profile.rate_hz);
+            let network = wired(&arguments.bus, profile)?;
             return drive.play(network, arguments.alone, None);
         }
         let alone = if arguments.alone {
@@ -119,6 +115,15 @@ impl Arguments {
         };
         drive.play(drive.simulated()?, arguments.alone, alone)
     }
+}
+
+/// The adapters of an arm, in a thread with real time priority where the system permits it; a note where it does not.
+pub(super) fn wired(bus: &BusChoice, profile: &Profile) -> Result<WiredNetwork, Failure> {
+    let lines = bus.open(profile.bus.len())?;
+    if let Err(reason) = real_time() {
+        show!("no priority of real time ({reason}): the ticks may come late")?;
+    }
+    Ok(WiredNetwork::new(lines, 1.0 / profile.rate_hz))
 }
 
 /// Parts of a run that do not depend on the bus.

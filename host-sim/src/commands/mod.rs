@@ -23,6 +23,7 @@ mod run;
 mod simulate;
 mod terminal;
 mod torque;
+mod wiring;
 
 use clap::CommandFactory as _;
 use terminal::show;
@@ -115,6 +116,7 @@ enum Command {
     Run(run::Arguments),
     Drive(drive::Arguments),
     Commission(commission::Arguments),
+    Wiring(wiring::Arguments),
     Replay(replay::Arguments),
     Compare(compare::Arguments),
     Identify(identify::Arguments),
@@ -143,6 +145,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Run(arguments) => run::run(&arguments),
         Command::Drive(arguments) => drive::run(&arguments),
         Command::Commission(arguments) => commission::run(&arguments),
+        Command::Wiring(arguments) => wiring::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),

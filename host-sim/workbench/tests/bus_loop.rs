@@ -4,8 +4,11 @@ use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 use foretorque::learning::ParameterSet;
 use foretorque_link::bus::{BusPhase, BusTick};
+use foretorque_link::drives::{Cia402, ControlMode, Moteus, Odrive, Protocol, Ranges, Resolution};
 use foretorque_link::safety::SafetyState;
-use foretorque_workbench::bus::sim::{LineFault, LineFaults, SimulatedNetwork, plant_config};
+use foretorque_workbench::bus::sim::{
+    DriveTruth, LineFault, LineFaults, SimulatedDrive, SimulatedNetwork, plant_config,
+};
 use foretorque_workbench::bus::{BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::Joints;
@@ -303,7 +306,7 @@ fn drives_whose_limits_are_not_those_of_the_profile_are_not_armed() {
     let robot = Robot::load("ur5").expect("built in");
     let path = path(&robot, 10.0);
     let mut other = profile.clone();
-    if let foretorque_link::drives::Protocol::Damiao(ranges) = &mut other.joint[3].drive.protocol {
+    if let Protocol::Damiao(ranges) = &mut other.joint[3].drive.protocol {
         ranges.torque = 100.0;
     }
     let mut player = player(&profile, &path, true);
@@ -315,4 +318,154 @@ fn drives_whose_limits_are_not_those_of_the_profile_are_not_armed() {
         "torque off: joint 4: scale of torque is 10 in the profile, 100 in the drive"
     );
     assert!(player.network.all_off());
+}
+
+/// Gear, torque and gains of the drives of `profile`, spoken by another protocol.
+fn spoken(profile: &Profile, protocol: impl Fn(Ranges) -> Protocol) -> Profile {
+    let mut profile = profile.clone();
+    for joint in &mut profile.joint {
+        let Protocol::Damiao(ranges) = joint.drive.protocol else {
+            panic!("{joint:?}");
+        };
+        joint.drive.protocol = protocol(ranges);
+        joint.drive.host_id = 0;
+    }
+    profile
+}
+
+/// Every other family of drives: its codec, and a scale that the drive reports otherwise than the profile.
+fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
+    let profile = profile(500.0);
+    let moteus = |resolution| {
+        spoken(&profile, |_| {
+            Protocol::Moteus(Moteus {
+                kp: 1000.0,
+                kd: 40.0,
+                watchdog_s: 0.05,
+                resolution,
+            })
+        })
+    };
+    let odrive = |torque_scale| {
+        spoken(&profile, move |_| {
+            Protocol::Odrive(Odrive {
+                mode: ControlMode::Position,
+                velocity_scale: 1000.0,
+                torque_scale,
+                torque_scale_endpoint: 5,
+                polled: false,
+            })
+        })
+    };
+    let cia402 = |rated_torque| {
+        spoken(&profile, move |_| {
+            Protocol::Cia402(Cia402 {
+                mode: ControlMode::Position,
+                counts_per_turn: 1_048_576.0,
+                rated_torque,
+            })
+        })
+    };
+    let limited = |mut ranges: Ranges| {
+        ranges.torque *= 0.3;
+        ranges
+    };
+    vec![
+        (
+            "cyber-gear",
+            spoken(&profile, Protocol::CyberGear),
+            Some(spoken(&profile, |ranges| {
+                Protocol::CyberGear(limited(ranges))
+            })),
+        ),
+        (
+            "robstride",
+            spoken(&profile, Protocol::RobStride),
+            Some(spoken(&profile, |ranges| {
+                Protocol::RobStride(limited(ranges))
+            })),
+        ),
+        ("moteus int16", moteus(Resolution::Int16), None),
+        ("moteus f32", moteus(Resolution::F32), None),
+        ("odrive", odrive(1000.0), Some(odrive(100.0))),
+        ("cia402", cia402(20.0), Some(cia402(2.0))),
+    ]
+}
+
+/// Tracking error of 4 s, mrad, after the approach.
+fn short_tracking_mrad(profile: &Profile, forward: bool) -> f64 {
+    let robot = Robot::load("ur5").expect("built in");
+    let path = path(&robot, 4.0);
+    let mut player = player(profile, &path, forward);
+    player.arm().expect("it arms");
+    player.approach(&path.at(0.0).q).expect("it comes there");
+    let (mut sum, ticks) = (0.0, path.ticks(player.period_s()));
+    for tick in 0..ticks {
+        let t_s = tick as f64 * player.period_s();
+        let motion = motion_f32(&path.at(t_s + profile.lead_s()));
+        player.tick(Some(&motion)).expect("the bus is there");
+        player.check().expect("no fault");
+        sum += (player.network.plant.q() - path.at(t_s).q).norm_squared() / 6.0;
+    }
+    let lost: u32 = (0..6)
+        .map(|joint| player.controller.counters(joint).lost)
+        .sum();
+    assert!(lost < 12, "{lost} periods without a reply");
+    let reason = player.park().expect("the bus is there");
+    assert!(player.network.all_off(), "{reason}");
+    (sum / ticks as f64).sqrt() * 1e3
+}
+
+#[test]
+fn every_family_of_drives_is_driven_and_a_fault_or_another_scale_ends_the_torque() {
+    let robot = Robot::load("ur5").expect("built in");
+    let path = path(&robot, 4.0);
+    for (name, profile, other) in families() {
+        let alone = short_tracking_mrad(&profile, false);
+        let with = short_tracking_mrad(&profile, true);
+        println!("{name}: {alone:.3} mrad alone, {with:.3} mrad with");
+        assert!(
+            alone > 1.5 * with,
+            "{name}: {alone} mrad alone, {with} mrad with"
+        );
+        // The first torque of a drive that is switched on holds the arm where it stands.
+        let mut arming = player(&profile, &path, true);
+        let before = *arming.network.plant.q();
+        arming.arm().expect("it arms");
+        let moved = (arming.network.plant.q() - before).amax();
+        assert!(moved < 0.01, "{name}: {moved} rad");
+        for (fault, message) in [
+            (
+                LineFault::Dead(4),
+                "torque off: joint 5: the drive does not answer",
+            ),
+            (
+                LineFault::DriveFault(1, 0x8),
+                "torque off: joint 2: the drive reports fault 0x8",
+            ),
+        ] {
+            let mut faulty = player(&profile, &path, true);
+            faulty.arm().expect("it arms");
+            let t_s = faulty.network.t_s();
+            faulty.network.faults = LineFaults::one(fault, t_s + 0.1..1e9);
+            let failed = faulty.approach(&path.at(0.0).q).expect_err("a fault");
+            assert_eq!(failed.to_string(), message, "{name}");
+            for _ in 0..30 {
+                faulty.tick(None).expect("the bus is there");
+            }
+            assert!(faulty.network.feed_forward().amax() < 0.5, "{name}");
+        }
+        if let Some(other) = other {
+            let mut wrong = player(&profile, &path, true);
+            for (drive, other) in wrong.network.drives.iter_mut().zip(&other.joint) {
+                *drive = SimulatedDrive::new(DriveTruth {
+                    profile: other.drive,
+                    ..*drive.truth()
+                });
+            }
+            let refused = wrong.arm().expect_err("the scales differ").to_string();
+            assert!(refused.contains("scale of torque"), "{name}: {refused}");
+            assert!(wrong.network.all_off(), "{name}");
+        }
+    }
 }

@@ -5,6 +5,7 @@ mod bus_loop;
 mod described_arms;
 mod driven;
 mod emulated_board;
+mod emulated_bus;
 mod emulated_drive;
 mod emulated_safety;
 mod native_board;

@@ -33,6 +33,8 @@ use spread::{PERMILLE_LIMIT, Spread};
 /// The firmware with a budget, and the one that drives its joint: a motor stage and an encoder more.
 const JOINT: &str = "joint";
 const DRIVE: &str = "joint-drive";
+/// The one on a drive bus: all codecs more.
+const CAN: &str = "joint-can";
 
 /// The row whose calls are all commands of the link, and a tenth of a tick of 1 ms at 168 MHz, cycles.
 const COMMAND: &str = "command";
@@ -51,8 +53,9 @@ pub fn bench(elves: &Path, root: &Path, toolchain: &str, accept: bool) -> Result
     let reached = gates::check(&joint)?;
     let memory = Memory::of(&joint)?;
     let drive = firmware(elves, DRIVE)?;
+    let can = firmware(elves, CAN)?;
 
-    let measured = quantities(&rows, &spread, &memory, &drive);
+    let measured = quantities(&rows, &spread, &memory, &drive, &can);
     let mut budget = Budget::read(root);
     if accept {
         let accepted = budget.unwrap_or_default().accept(toolchain, &measured)?;
@@ -99,7 +102,7 @@ pub fn bench(elves: &Path, root: &Path, toolchain: &str, accept: bool) -> Result
 /// The gates on the linked firmware `joint` and `joint-drive` in `elves`: no handler reaches a forbidden function, and the
 /// stack fits.
 pub fn check_firmware(elves: &Path) -> Result<()> {
-    [JOINT, DRIVE]
+    [JOINT, DRIVE, CAN]
         .iter()
         .try_for_each(|name| firmware(elves, name).map(|_| ()))
 }
@@ -120,7 +123,13 @@ fn firmware(elves: &Path, name: &str) -> Result<Memory> {
 }
 
 /// Every quantity with a budget.
-fn quantities(rows: &[Row], spread: &Spread, memory: &Memory, drive: &Memory) -> Vec<Measured> {
+fn quantities(
+    rows: &[Row],
+    spread: &Spread,
+    memory: &Memory,
+    drive: &Memory,
+    can: &Memory,
+) -> Vec<Measured> {
     let measured = |quantity: String, value: u64, how| Measured {
         quantity,
         value,
@@ -176,6 +185,21 @@ fn quantities(rows: &[Row], spread: &Spread, memory: &Memory, drive: &Memory) ->
             "flash of joint-drive, bytes",
             drive.flash_bytes,
             "sections of `joint-drive`",
+        ),
+        (
+            "flash of joint-can, bytes",
+            can.flash_bytes,
+            "sections of `joint-can`",
+        ),
+        (
+            "static RAM of joint-can, bytes",
+            can.ram_bytes,
+            "sections of `joint-can`",
+        ),
+        (
+            "stack of everything nested of joint-can, bytes",
+            can.nested_bytes,
+            "bound from the code of `joint-can`: main and every handler",
         ),
     ];
     let bytes = bytes.map(|(name, bytes, how)| measured(name.into(), bytes.into(), how));

@@ -2,8 +2,9 @@
 //!
 //! | priority | task | woken by | deadline |
 //! |---|---|---|---|
-//! | 4 | `byte`: one byte from or to the link | USART2 | 5 µs, the next byte at 2 Mbaud |
-//! | 4 | `timer`: notes that a tick is due | SysTick | the period |
+//! | 5 | `byte`: one byte from or to the link | USART2 | 5 µs, the next byte at 2 Mbaud |
+//! | 5 | `timer`: notes that a tick is due | SysTick | the period |
+//! | 4 | frames of a drive bus, on the board that has one | CAN, UART4, USART6 | a frame, 47 µs |
 //! | 3 | `tick`: decode, feed-forward, reply | the end of a frame, or `timer` | the period |
 //! | 2 | `learn`: one learning sample a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
 //! | 0 | `idle`: log, banks, store, watchdog | every interrupt | the watchdog's time |
@@ -48,7 +49,7 @@ use crate::tick_timer::{self, TickTimer};
 use crate::watchdog::{self, TASKS, Watchdog};
 
 /// Interrupt of the tick's task.
-const TICK: Interrupt = Interrupt::EXTI1;
+pub(crate) const TICK: Interrupt = Interrupt::EXTI1;
 /// Interrupt of the learner's task.
 const LEARN: Interrupt = Interrupt::EXTI2;
 /// Ticks between two lines of the log.
@@ -126,9 +127,10 @@ pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
     let ports = Ports {
         a: chip.GPIOA,
         b: chip.GPIOB,
+        c: chip.GPIOC,
     };
     B::start_pins(ports, &mut rcc);
-    let Some(mut drive) = B::Drive::start() else {
+    let Some(mut drive) = B::Drive::<A, N, P>::start(&clocks) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
 
@@ -252,7 +254,7 @@ pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
     waiting: Sender<TRANSMIT_RING>,
     out: &'static mut FrameBuffer,
     timer: TickTimer,
-    drive: B::Drive,
+    drive: B::Drive<A, N, P>,
     kept: SafetyReason,
     losses: u32,
     bound: FrameBound,
@@ -399,7 +401,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Idle<A, N, P> {
                     tick_timer::missed()
                 );
             }
-            B::Drive::report();
+            B::Drive::<A, N, P>::report();
             if let Some(drain) = &self.drain {
                 drain.empty();
             }
@@ -474,12 +476,12 @@ macro_rules! image {
                 (Shared { mailboxes }, local)
             }
 
-            #[task(binds = USART2, priority = 4, local = [wire])]
+            #[task(binds = USART2, priority = 5, local = [wire])]
             fn on_byte(cx: on_byte::Context) {
                 byte(cx.local.wire);
             }
 
-            #[task(binds = SysTick, priority = 4)]
+            #[task(binds = SysTick, priority = 5)]
             fn on_timer(_: on_timer::Context) {
                 timer();
             }

@@ -2,10 +2,11 @@
 
 use foretorque::arm::Arm;
 use foretorque_link::session::LocalSensor;
-use stm32f4xx_hal::pac::{GPIOA, GPIOB};
+use stm32f4xx_hal::pac::{GPIOA, GPIOB, GPIOC};
 use stm32f4xx_hal::rcc::Rcc;
 
 use crate::arm::BoardSession;
+use crate::clock::Clocks;
 use crate::pin::Pin;
 
 /// A board: constants, pins, and the drive of its joint.
@@ -21,34 +22,28 @@ pub trait Board: Send + 'static {
     const OWN_JOINT: Option<usize> = None;
 
     /// Motor stage and encoder, or the enable alone.
-    type Drive: Drive;
+    type Drive<A: Arm<N, P>, const N: usize, const P: usize>: Drive<A, N, P>;
 
     /// Gives every pin its job; the enable is low.
     fn start_pins(ports: Ports, rcc: &mut Rcc);
 }
 
 /// Hardware that the board drives itself, called by the tick's task.
-pub trait Drive: Sized + Send {
+pub trait Drive<A: Arm<N, P>, const N: usize, const P: usize>: Sized + Send {
     /// Sensor of the own joint.
-    type Own: LocalSensor;
+    type Own: LocalSensor<N>;
 
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
-    fn start() -> Option<Self>;
+    fn start(clocks: &Clocks) -> Option<Self>;
 
     /// Before the ticks of a round: reports faults of stage and encoder to the session.
-    fn watch<A: Arm<N, P>, const N: usize, const P: usize>(
-        &mut self,
-        session: &mut BoardSession<A, N, P>,
-    );
+    fn watch(&mut self, session: &mut BoardSession<A, N, P>);
 
     /// Sensor of the own joint.
     fn own(&mut self) -> &mut Self::Own;
 
     /// After a tick: enable and torque command follow the session.
-    fn follow<A: Arm<N, P>, const N: usize, const P: usize>(
-        &mut self,
-        session: &mut BoardSession<A, N, P>,
-    );
+    fn follow(&mut self, session: &mut BoardSession<A, N, P>);
 
     /// Writes to the log what has changed; from the idle loop.
     fn report();
@@ -60,4 +55,6 @@ pub struct Ports {
     pub a: GPIOA,
     /// Port B.
     pub b: GPIOB,
+    /// Port C.
+    pub c: GPIOC,
 }

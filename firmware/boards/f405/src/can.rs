@@ -26,6 +26,8 @@ pub mod offset {
     pub const TSR: usize = 0x08;
     /// Receive FIFO 0.
     pub const RF0R: usize = 0x0c;
+    /// Interrupt enable.
+    pub const IER: usize = 0x14;
     /// Error status.
     pub const ESR: usize = 0x18;
     /// Bit timing.
@@ -58,6 +60,11 @@ const FMP: u32 = 3;
 const FOVR: u32 = 1 << 4;
 const RFOM: u32 = 1 << 5;
 const BOFF: u32 = 1 << 2;
+/// Interrupts: a mailbox is empty again, FIFO 0 has a frame.
+const TMEIE: u32 = 1;
+const FMPIE0: u32 = 1 << 1;
+/// Requests of the three mailboxes that are complete; writing them clears the interrupt.
+const RQCP: u32 = 1 | 1 << 8 | 1 << 16;
 const FINIT: u32 = 1;
 /// First filter bank of CAN2.
 const CAN2_BANK: u32 = 14;
@@ -76,8 +83,6 @@ pub enum Controller {
 pub enum CanError {
     /// The controller does not enter its initialisation.
     NoAnswer,
-    /// The bus is not idle: not wired, without supply, or held dominant.
-    BusBusy,
     /// The bit rate cannot be made from the clock.
     BitRate,
     /// All three mailboxes are waiting for the bus.
@@ -90,7 +95,6 @@ impl fmt::Display for CanError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::NoAnswer => "the CAN controller does not answer",
-            Self::BusBusy => "the CAN bus is not idle: check wires and supply",
             Self::BitRate => "the bit rate cannot be made from the clock",
             Self::Full => "three frames wait for the CAN bus",
             Self::NotClassic => "the frame is not a classic one",
@@ -141,17 +145,18 @@ pub struct Bxcan<R> {
 }
 
 impl<R: Registers> Bxcan<R> {
-    /// Starts a controller with the bit timing `timing`; reads a status at most `polls` times in each of two waits.
+    /// Starts a controller with the bit timing `timing`; reads a status at most `polls` times.
     ///
-    /// Errors: [`CanError::NoAnswer`], [`CanError::BusBusy`].
+    /// It takes part in the bus once that has been idle; both interrupts are enabled.
+    ///
+    /// Errors: [`CanError::NoAnswer`].
     pub fn start(mut registers: R, timing: u32, polls: u32) -> Result<Self, CanError> {
         // Out of sleep, first in first out, back after bus off without the program's help.
         registers.write(offset::MCR, INRQ | TXFP | ABOM);
-        wait(&registers, INAK, polls).ok_or(CanError::NoAnswer)?;
+        wait(&registers, polls).ok_or(CanError::NoAnswer)?;
         registers.write(offset::BTR, timing);
         registers.write(offset::MCR, TXFP | ABOM);
-        // Eleven recessive bits end the initialisation.
-        wait(&registers, 0, polls).ok_or(CanError::BusBusy)?;
+        registers.write(offset::IER, TMEIE | FMPIE0);
         Ok(Self {
             registers,
             overruns: 0,
@@ -189,6 +194,10 @@ impl<R: Registers> Bxcan<R> {
 
     /// Oldest received frame.
     pub fn receive(&mut self) -> Option<Frame> {
+        let complete = self.registers.read(offset::TSR) & RQCP;
+        if complete != 0 {
+            self.registers.write(offset::TSR, complete);
+        }
         let status = self.registers.read(offset::RF0R);
         if status & FOVR != 0 {
             self.overruns = self.overruns.wrapping_add(1);
@@ -224,9 +233,11 @@ impl<R: Registers> Bxcan<R> {
         self.registers.write(offset::TSR, ABRQ);
     }
 
-    /// The controller has left the bus after too many errors; it comes back by itself.
+    /// The controller takes no part in the bus: it has left it after too many errors, or has not seen it idle since the
+    /// start. It joins again by itself, after eleven recessive bits.
     pub fn is_off(&self) -> bool {
-        self.registers.read(offset::ESR) & BOFF != 0
+        let outside = self.registers.read(offset::MSR) & INAK != 0;
+        outside || self.registers.read(offset::ESR) & BOFF != 0
     }
 
     /// Counters of transmit and receive errors.
@@ -252,9 +263,9 @@ impl<R: Registers> Port for Bxcan<R> {
     }
 }
 
-/// Waits until INAK is `value`. `None`: it was not, `polls` times.
-fn wait(registers: &impl Registers, value: u32, polls: u32) -> Option<()> {
-    (0..polls).find_map(|_| (registers.read(offset::MSR) & INAK == value).then_some(()))
+/// Waits until INAK is set. `None`: it was not, `polls` times.
+fn wait(registers: &impl Registers, polls: u32) -> Option<()> {
+    (0..polls).find_map(|_| (registers.read(offset::MSR) & INAK != 0).then_some(()))
 }
 
 /// Registers of the chip.

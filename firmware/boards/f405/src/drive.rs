@@ -7,6 +7,7 @@ use foretorque_link::session::NoLocalSensor;
 
 use crate::arm::BoardSession;
 use crate::board::{Board, Drive};
+use crate::clock::Clocks;
 use crate::fault::EnablePin;
 
 /// The enable pin; torque is put out by whoever reads the replies, and measured there.
@@ -15,11 +16,11 @@ pub struct EnableOnly<B: Board> {
     measures: NoLocalSensor,
 }
 
-impl<B: Board> Drive for EnableOnly<B> {
+impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for EnableOnly<B> {
     type Own = NoLocalSensor;
 
     #[inline(always)]
-    fn start() -> Option<Self> {
+    fn start(_: &Clocks) -> Option<Self> {
         // Switched off by its constructor; only a session that a host has armed switches it on.
         let Ok(enable) = TorqueEnable::new(EnablePin::default());
         Some(Self {
@@ -29,11 +30,7 @@ impl<B: Board> Drive for EnableOnly<B> {
     }
 
     #[inline(always)]
-    fn watch<A: Arm<N, P>, const N: usize, const P: usize>(
-        &mut self,
-        _: &mut BoardSession<A, N, P>,
-    ) {
-    }
+    fn watch(&mut self, _: &mut BoardSession<A, N, P>) {}
 
     #[inline(always)]
     fn own(&mut self) -> &mut NoLocalSensor {
@@ -41,10 +38,7 @@ impl<B: Board> Drive for EnableOnly<B> {
     }
 
     #[inline(always)]
-    fn follow<A: Arm<N, P>, const N: usize, const P: usize>(
-        &mut self,
-        session: &mut BoardSession<A, N, P>,
-    ) {
+    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
         let on = session.torque_enabled();
         if self.enable.is_on() != on {
             // This pin cannot refuse.

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `app` | the schedule: `image!` makes the firmware of a board for an arm |
 //! | `arm`, `board` | types that follow from the arm; properties of a board |
-//! | `odrive_v3`, `pyboard`, `pyboard_drive` | the boards |
+//! | `odrive_v3`, `pyboard`, `pyboard_drive`, `can_board` | the boards |
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
 //! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
@@ -29,6 +29,8 @@ pub mod app;
 pub mod arm;
 #[cfg(target_os = "none")]
 pub mod board;
+#[cfg(target_os = "none")]
+pub mod can_board;
 #[cfg(target_os = "none")]
 pub mod clock;
 #[cfg(target_os = "none")]

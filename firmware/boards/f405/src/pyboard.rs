@@ -2,6 +2,7 @@
 //!
 //! Sources: as of [`crate::odrive_v3`], and the card's schematics PYBv1.1.
 
+use foretorque::arm::Arm;
 use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
@@ -24,7 +25,7 @@ impl Board for Pyboard {
         number: 8,
     };
 
-    type Drive = EnableOnly<Self>;
+    type Drive<A: Arm<N, P>, const N: usize, const P: usize> = EnableOnly<Self>;
 
     /// Link on PA2 (TX, the card's X3) and PA3 (RX, X4).
     fn start_pins(ports: Ports, rcc: &mut Rcc) {

@@ -1,9 +1,11 @@
+use super::drives::micros;
 use crate::drives::{DriveProfile, ProfileError, Protocol, Ranges, Scale};
 use crate::safety::SafetyLimits;
 use core::fmt;
 use foretorque::arm::Arm;
 use foretorque::learning::LearnerConfig;
 use foretorque::math::sqrt;
+use serde::{Deserialize, Serialize};
 
 /// Periods of the loop that are admissible, s.
 const PERIODS_S: (f32, f32) = (0.0005, 0.01);
@@ -11,7 +13,7 @@ const PERIODS_S: (f32, f32) = (0.0005, 0.01);
 pub(super) const BUSES: u8 = 2;
 
 /// One joint on a bus.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BusJoint {
     /// Codec of its drive.
     pub drive: DriveProfile,
@@ -125,7 +127,7 @@ impl<const N: usize> BusConfig<N> {
 
     /// Limits of the arm, the torque tightened to the profile's.
     pub fn safety_limits<A: Arm<N, P>, const P: usize>(&self) -> SafetyLimits<N> {
-        let mut limits = SafetyLimits::for_arm::<A, P>((self.period_s * 1e6 + 0.5) as u32);
+        let mut limits = SafetyLimits::for_arm::<A, P>(micros(self.period_s));
         for (torque, joint) in limits.torque.iter_mut().zip(&self.joints) {
             *torque = torque.min(joint.drive.torque_limit);
         }

@@ -40,6 +40,7 @@ enum ScaleCheck {
 
 /// State of one joint's drive as the loop knows it.
 pub(super) struct JointLink {
+    pub(super) joint: BusJoint,
     pub(super) carry: Carry,
     pub(super) counters: JointCounters,
     pub(super) state: Option<DriveState>,
@@ -65,7 +66,7 @@ pub(super) struct JointLink {
 }
 
 impl JointLink {
-    pub(super) fn new(joint: &BusJoint) -> Self {
+    pub(super) fn new(joint: BusJoint) -> Self {
         let mut frames = Frames::new();
         let scales = SCALES.map(|scale| {
             frames.clear();
@@ -78,6 +79,7 @@ impl JointLink {
             }
         });
         Self {
+            joint,
             carry: Carry::default(),
             counters: JointCounters::default(),
             state: None,
@@ -99,14 +101,14 @@ impl JointLink {
     }
 
     /// Takes the content of a frame of this drive.
-    pub(super) fn take(&mut self, joint: &BusJoint, event: Event) {
+    pub(super) fn take(&mut self, event: Event) {
         match event {
             Event::Reply(reply) => self.take_reply(&reply),
             Event::Scale(scale, value) => {
-                let Some(profile) = joint.scale(scale) else {
+                let Some(profile) = self.joint.scale(scale) else {
                     return;
                 };
-                let above = joint.reports_limit() && scale == Scale::Torque && value > profile;
+                let above = self.joint.reports_limit() && scale == Scale::Torque && value > profile;
                 let equal = above || (value - profile).abs() <= 1e-3 * profile;
                 let check = if equal {
                     ScaleCheck::Equal
@@ -185,12 +187,7 @@ impl JointLink {
     /// Fault of the last replies while the drive is to follow `desired`, rad.
     ///
     /// * `silence` periods without a reply that make a fault
-    pub(super) fn fault(
-        &mut self,
-        joint: &BusJoint,
-        desired: f32,
-        silence: u16,
-    ) -> Option<FaultCause> {
+    pub(super) fn fault(&mut self, desired: f32, silence: u16) -> Option<FaultCause> {
         let (position, torque) = (self.position, self.torque);
         if self.age == 0 && (position, torque) == self.repeated {
             self.repeats = self.repeats.saturating_add(1);
@@ -220,16 +217,16 @@ impl JointLink {
         };
         let here = here.filter(|_| self.far >= FAR_REPLIES);
         here.map(|here| FaultCause::NotFollowing(desired, here))
-            .or_else(|| self.different_scale(joint))
+            .or_else(|| self.different_scale())
     }
 
-    fn different_scale(&self, joint: &BusJoint) -> Option<FaultCause> {
+    fn different_scale(&self) -> Option<FaultCause> {
         SCALES
             .into_iter()
             .zip(self.scales)
             .find_map(|(scale, check)| match check {
                 ScaleCheck::Different(drive) => {
-                    let profile = joint.scale(scale).unwrap_or_default();
+                    let profile = self.joint.scale(scale).unwrap_or_default();
                     Some(FaultCause::Scale(scale, profile, drive))
                 }
                 _ => None,
@@ -237,14 +234,14 @@ impl JointLink {
     }
 
     /// Reason against switching the drive on.
-    pub(super) fn refusal(&self, joint: &BusJoint, silence: u16) -> Option<FaultCause> {
+    pub(super) fn refusal(&self, silence: u16) -> Option<FaultCause> {
         if self.age >= silence || self.position.is_none() {
             return Some(FaultCause::Silent);
         }
         if let Some(DriveState::Fault(code)) = self.state {
             return Some(FaultCause::Drive(code));
         }
-        self.different_scale(joint)
+        self.different_scale()
             .or_else(|| self.unknown_scale().map(FaultCause::ScaleUnknown))
     }
 
@@ -256,9 +253,9 @@ impl JointLink {
     }
 
     /// Forgets the scales, so that they are read again.
-    pub(super) fn restart(&mut self, joint: &BusJoint) {
+    pub(super) fn restart(&mut self) {
         let counters = self.counters;
-        *self = Self::new(joint);
+        *self = Self::new(self.joint);
         self.counters = counters;
     }
 }

@@ -11,13 +11,18 @@
 //! A drive that is silent, reports a fault, resets, or reports another scale than its profile ends the torque: it ramps to
 //! zero within 10 ms, the drives damp the arm for [`DAMPING_S`], then they are switched off.
 
+mod board;
 mod config;
 mod controller;
+mod drives;
 mod fault;
 mod joint;
+mod line;
 
+pub use board::{BoardDrives, Role, Wires, Wiring};
 pub use config::{BusConfig, BusConfigError, BusJoint};
-pub use controller::{BusController, BusPhase, BusTick};
+pub use controller::{BusController, BusTick};
+pub use drives::{BusDrives, BusPhase};
 pub use fault::{BusFault, FaultCause};
 pub use joint::JointCounters;
 

@@ -53,13 +53,9 @@ impl<Spi: SpiDevice> JointEncoder<Spi> {
     }
 }
 
-impl<Spi: SpiDevice> LocalSensor for JointEncoder<Spi> {
-    fn measure<const N: usize>(
-        &mut self,
-        sample: Option<&mut JointSample<N>>,
-        at_rest: bool,
-    ) -> SafetyReason {
-        let measured = sample.and_then(|sample| sample.measured.as_mut());
+impl<Spi: SpiDevice, const N: usize> LocalSensor<N> for JointEncoder<Spi> {
+    fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason {
+        let measured = sample.as_mut().and_then(|sample| sample.measured.as_mut());
         let slot = measured.and_then(|measured| measured.q.get_mut(self.joint));
         match self.read(slot.as_deref().copied(), at_rest) {
             Ok(q) => {

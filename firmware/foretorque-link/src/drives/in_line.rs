@@ -2,46 +2,47 @@
 //!
 //! Only the torque field of a motion command changes, and only while a torque is set that is younger than the time-out.
 //! Otherwise, and for every other frame, the bytes that leave are the bytes that came. The torque field is that of MIT,
-//! CyberGear, RobStride and ODrive; commands of the other protocols pass unchanged.
+//! CyberGear, RobStride, ODrive and moteus, there where the host sends one. Commands of CiA 402 pass unchanged.
 
 mod bridge;
 
-pub use bridge::{Bridge, Passed, Port};
+pub use bridge::{Bridge, Port};
 
 use super::quantity::carried;
-use super::{DriveProfile, Event, Frame, JointCommand, Protocol, Request, cybergear, mit, odrive};
+use super::{DriveProfile, Frame, JointCommand, Protocol, Request, cybergear, mit, moteus, odrive};
 
 /// Torque added to the commands that pass, one per joint.
 #[derive(Clone, Debug)]
 pub struct InLine<const N: usize> {
-    profiles: [DriveProfile; N],
-    timeout_us: u32,
+    profiles: [Option<DriveProfile>; N],
+    timeout: u32,
     /// Torques to add, N·m at the joint; `None` passes all frames unchanged.
     torques: Option<[f32; N]>,
-    set_at_us: u32,
+    set_at: u32,
     /// Rounding errors of the added torques, in steps of their fields.
     carry: [f32; N],
     altered: u32,
 }
 
 impl<const N: usize> InLine<N> {
-    /// Passes all frames unchanged until a torque is set. A torque is added for at most `timeout_us`.
-    pub const fn new(profiles: [DriveProfile; N], timeout_us: u32) -> Self {
+    /// Passes all frames unchanged until a torque is set. A torque is added for at most `timeout`, in counts of the clock
+    /// that gives `now` elsewhere: free running, 32 bits.
+    pub const fn new(profiles: [Option<DriveProfile>; N], timeout: u32) -> Self {
         Self {
             profiles,
-            timeout_us,
+            timeout,
             torques: None,
-            set_at_us: 0,
+            set_at: 0,
             carry: [0.0; N],
             altered: 0,
         }
     }
 
     /// Sets the torques to add, N·m at the joints. A value that is not finite passes all frames unchanged.
-    pub fn set(&mut self, torques: &[f32; N], now_us: u32) {
+    pub fn set(&mut self, torques: &[f32; N], now: u32) {
         let finite = torques.iter().all(|torque| torque.is_finite());
         self.torques = finite.then_some(*torques);
-        self.set_at_us = now_us;
+        self.set_at = now;
     }
 
     /// Passes all frames unchanged until the next [`Self::set`].
@@ -58,16 +59,19 @@ impl<const N: usize> InLine<N> {
     /// Frame from the host on its way to the drives: adds the torque where it is a motion command.
     ///
     /// Joint and command as the host sent it; `None` for any other frame.
-    pub fn to_drives(&mut self, frame: &mut Frame, now_us: u32) -> Option<(usize, JointCommand)> {
+    pub fn to_drives(&mut self, frame: &mut Frame, now: u32) -> Option<(usize, JointCommand)> {
         let (joint, profile, command) =
             self.profiles
                 .iter()
                 .enumerate()
-                .find_map(|(joint, profile)| match profile.accept(frame) {
-                    Some(Request::Command(command)) => Some((joint, profile, command)),
-                    _ => None,
+                .find_map(|(joint, profile)| {
+                    let profile = profile.as_ref()?;
+                    match profile.accept(frame)? {
+                        Request::Command(command) => Some((joint, profile, command)),
+                        Request::Order(_) => None,
+                    }
                 })?;
-        if now_us.wrapping_sub(self.set_at_us) > self.timeout_us {
+        if now.wrapping_sub(self.set_at) > self.timeout {
             // Stays off when the clock comes round again.
             self.torques = None;
         }
@@ -86,32 +90,25 @@ impl<const N: usize> InLine<N> {
         }
         Some((joint, command))
     }
-
-    /// Joint and content of a frame from the drives, which passes unchanged; `None` for any other frame.
-    pub fn to_host(&self, frame: &Frame) -> Option<(usize, Event)> {
-        self.profiles
-            .iter()
-            .enumerate()
-            .find_map(|(joint, profile)| Some((joint, profile.decode(frame)?)))
-    }
 }
 
 /// Adds a torque, N·m at the joint, to a motion command. `false`: the frame is unchanged.
 fn add(profile: &DriveProfile, frame: &mut Frame, torque: f32, carry: &mut f32) -> bool {
     let torque = torque / (profile.sign * profile.gear);
     let before = *frame;
-    let mut steps = |size: f32| carried(torque / size, carry, -0xffff, 0xffff);
+    let steps = |size: f32, carry: &mut f32| carried(torque / size, carry, -0xffff, 0xffff);
     match &profile.protocol {
         Protocol::MiniCheetah(ranges) | Protocol::Damiao(ranges) => {
-            mit::add_torque(frame, steps(2.0 * ranges.torque / 4095.0));
+            mit::add_torque(frame, steps(2.0 * ranges.torque / 4095.0, carry));
         }
         Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
-            cybergear::add_torque(frame, steps(2.0 * ranges.torque / 65535.0));
+            cybergear::add_torque(frame, steps(2.0 * ranges.torque / 65535.0, carry));
         }
         Protocol::Odrive(scales) => {
-            odrive::add_torque(frame, torque, steps(1.0 / scales.torque_scale));
+            odrive::add_torque(frame, torque, steps(1.0 / scales.torque_scale, carry));
         }
-        Protocol::Moteus(_) | Protocol::Cia402(_) => {}
+        Protocol::Moteus(_) => moteus::add_torque(frame, torque, carry),
+        Protocol::Cia402(_) => {}
     }
     *frame != before
 }

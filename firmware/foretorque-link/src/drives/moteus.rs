@@ -19,6 +19,7 @@ const MODE: u32 = 0x000;
 const TEMPERATURE: u32 = 0x00e;
 const FAULT: u32 = 0x00f;
 const COMMAND: u32 = 0x020;
+const TORQUE: u32 = 0x022;
 const WATCHDOG: u32 = 0x027;
 /// Register that sets the output position; two bytes as a variable-length integer.
 const SET_OUTPUT: [u8; 2] = [0xb0, 0x02];
@@ -245,9 +246,10 @@ fn next(bytes: &mut &[u8], form: u8) -> Option<Value> {
     })
 }
 
-/// Calls `register` with every value of `kind` in a frame; `false` where the frame ends in the middle of a subframe or
+/// Calls `register` with every value of `kind` in a frame and the place behind it; `false` where the frame ends in the middle of a subframe or
 /// has one of an unknown kind.
-fn each(mut bytes: &[u8], kind: u8, mut register: impl FnMut(u32, Value)) -> bool {
+fn each(all: &[u8], kind: u8, mut register: impl FnMut(u32, Value, usize)) -> bool {
+    let mut bytes = all;
     let mut walk = || {
         while let Some((&first, rest)) = bytes.split_first() {
             bytes = rest;
@@ -266,7 +268,7 @@ fn each(mut bytes: &[u8], kind: u8, mut register: impl FnMut(u32, Value)) -> boo
                     for place in 0..count.min(64) {
                         let value = next(&mut bytes, first >> 2 & 3)?;
                         if family == kind {
-                            register(start.wrapping_add(place), value);
+                            register(start.wrapping_add(place), value, all.len() - bytes.len());
                         }
                     }
                 }
@@ -285,7 +287,7 @@ pub(super) fn decode(profile: &DriveProfile, frame: &Frame) -> Option<Event> {
     }
     let mut reply = JointReply::default();
     let (mut mode, mut fault, mut any) = (None, 0, false);
-    let whole = each(frame.bytes(), REPLY, |register, value| {
+    let whole = each(frame.bytes(), REPLY, |register, value, _| {
         any = true;
         match register {
             MODE => mode = Some(value.count() as u8),
@@ -316,13 +318,13 @@ pub(super) fn accept(profile: &DriveProfile, scales: &Moteus, frame: &Frame) -> 
         ..JointCommand::default()
     };
     let (mut mode, mut zero, mut position) = (None, false, None);
-    let whole = each(frame.bytes(), WRITE, |register, value| {
+    let whole = each(frame.bytes(), WRITE, |register, value, _| {
         let unit = value.scaled(1.0 / 127.0, 1.0 / 32767.0, 1.0 / 2_147_483_647.0);
         match register {
             MODE => mode = Some(value.count() as u8),
             COMMAND => position = value.scaled(0.01, 1e-4, 1e-5),
             0x021 => motion.velocity = value.scaled(0.1, 2.5e-4, 1e-5).unwrap_or(0.0) * TURN,
-            0x022 => motion.torque = value.scaled(0.5, 0.01, 1e-3).unwrap_or(0.0),
+            TORQUE => motion.torque = value.scaled(0.5, 0.01, 1e-3).unwrap_or(0.0),
             0x023 => motion.kp = unit.unwrap_or(1.0) * scales.kp / TURN,
             0x024 => motion.kd = unit.unwrap_or(1.0) * scales.kd / TURN,
             0x130 | 0x131 => zero = true,
@@ -342,6 +344,48 @@ pub(super) fn accept(profile: &DriveProfile, scales: &Moteus, frame: &Frame) -> 
         None if zero => Some(Request::Order(Order::SetZero)),
         None => Some(Request::Order(Order::Report)),
         Some(_) => None,
+    }
+}
+
+/// Adds a torque, N·m, to that of a motion command; saturates. A command without the field stays as it is.
+pub(super) fn add_torque(frame: &mut Frame, torque: f32, carry: &mut f32) {
+    let mut field = None;
+    let whole = each(frame.bytes(), WRITE, |register, value, end| {
+        if register == TORQUE {
+            field = Some((value, end));
+        }
+    });
+    let Some((value, end)) = field.filter(|_| whole) else {
+        return;
+    };
+    // The most negative integer and NaN mean a torque of 0.
+    let before = value.scaled(0.5, 0.01, 1e-3).unwrap_or(0.0);
+    let mut bytes = Bytes::new();
+    let mut code = |step: f32, most: i32| {
+        let wanted =
+            nearest(before / step).saturating_add(carried(torque / step, carry, -most, most));
+        wanted.max(-most).min(most)
+    };
+    match value {
+        Value::Byte(_) => put(&mut bytes, &(code(0.5, i8::MAX.into()) as i8).to_le_bytes()),
+        Value::Integer(_, Resolution::Int16) => {
+            put(
+                &mut bytes,
+                &(code(0.01, i16::MAX.into()) as i16).to_le_bytes(),
+            );
+        }
+        Value::Integer(..) => put(&mut bytes, &code(1e-3, i32::MAX).to_le_bytes()),
+        Value::Float(_) => put(&mut bytes, &(before + torque).to_le_bytes()),
+    }
+    let place = end.saturating_sub(bytes.len())..end;
+    for (to, from) in frame
+        .bytes_mut()
+        .get_mut(place)
+        .unwrap_or_default()
+        .iter_mut()
+        .zip(&bytes)
+    {
+        *to = *from;
     }
 }
 

@@ -74,7 +74,7 @@ pub(super) fn nearest(value: f32) -> i32 {
 /// Integer nearest to `value + carry` within `low` and `high`; keeps the rounding error in `carry`.
 pub(super) fn carried(value: f32, carry: &mut f32, low: i32, high: i32) -> i32 {
     let wanted = value + *carry;
-    let code = nearest(wanted).clamp(low, high);
+    let code = nearest(wanted).max(low).min(high);
     *carry = (wanted - code as f32).clamp(-0.5, 0.5);
     code
 }

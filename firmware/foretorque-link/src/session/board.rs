@@ -29,33 +29,30 @@ impl Clock for NoClock {
     }
 }
 
-/// Sensor of the board's own joint, whose position replaces that of the sample.
-pub trait LocalSensor {
+/// Sensor of the board's own joints, whose measurements replace those of the sample.
+pub trait LocalSensor<const N: usize> {
     /// Time that the brake of the board's joints takes to close, µs; 0 without a brake.
     ///
     /// With one, the torque of gravity is kept for as long after a time-out, a disarming or a fault that ramps.
     const BRAKE_CLOSE_US: u32 = 0;
 
-    /// Writes the measured position into the sample. Called once in every tick, with the sample if one arrived.
+    /// Writes the measurements into the sample. Called once in every tick, with the sample if one arrived. A sensor that
+    /// also knows the desired motion may make a sample where none arrived, and withhold one that must not be used yet.
     ///
     /// * `at_rest` no torque flows
     ///
     /// Returns [`SafetyReason::None`], or why there is no position: then nothing of this sample counts as measured, and
     /// the sample is implausible for that reason.
-    fn measure<const N: usize>(
-        &mut self,
-        sample: Option<&mut JointSample<N>>,
-        at_rest: bool,
-    ) -> SafetyReason;
+    fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason;
 }
 
 /// A board without a sensor: the host measures every joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NoLocalSensor;
 
-impl LocalSensor for NoLocalSensor {
+impl<const N: usize> LocalSensor<N> for NoLocalSensor {
     #[inline(always)]
-    fn measure<const N: usize>(&mut self, _: Option<&mut JointSample<N>>, _: bool) -> SafetyReason {
+    fn measure(&mut self, _: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
         SafetyReason::None
     }
 }

@@ -19,7 +19,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         bytes: &[u8],
         mailboxes: &mut Mailboxes<N, P>,
         out: &mut FrameBuffer,
-        sensor: &mut impl LocalSensor,
+        sensor: &mut impl LocalSensor<N>,
     ) {
         for &byte in bytes {
             if self.reboot {

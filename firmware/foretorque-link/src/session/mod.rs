@@ -27,7 +27,7 @@ use controller::{Controller, TickResult};
 use core::mem::MaybeUninit;
 use foretorque::arm::Arm;
 use foretorque::feedforward::FeedForward;
-use foretorque::joint::JointVector;
+use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::ConfigError;
 use protocol::{Instant, Protocol};
 
@@ -152,6 +152,23 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.controller.torque_off(fault);
     }
 
+    /// Latches a fault that the owner of the hardware has detected; the torque ramps to zero.
+    pub fn trip(&mut self, fault: SafetyReason) {
+        self.controller.safety_mut().trip(fault);
+    }
+
+    /// Takes the temperature of one motor, °C, that the board has measured itself.
+    pub fn note_temperature(&mut self, joint: usize, celsius: i8) {
+        self.controller
+            .safety_mut()
+            .note_temperature(joint, celsius);
+    }
+
+    /// Desired motion of the last tick, with that of an excitation; `None` where it had no usable sample.
+    pub fn desired(&self) -> Option<&JointMotion<N>> {
+        self.controller.desired()
+    }
+
     /// Samples arrive in time, or none have to because no torque flows: the link's part of the task check-in.
     pub fn link_alive(&self) -> bool {
         self.controller.safety().input_in_time()
@@ -182,7 +199,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         mailboxes: &mut Mailboxes<N, P>,
         out: &mut FrameBuffer,
-        sensor: &mut impl LocalSensor,
+        sensor: &mut impl LocalSensor<N>,
     ) {
         let period_us = self.configuration().period_us;
         self.rested_us = self.rested_us.saturating_add(period_us);

@@ -2,7 +2,7 @@ use super::{Described, Transport};
 use foretorque::arm::{Arm, ArmModel};
 use foretorque::learning::{ConfigError, Learner, LearnerConfig};
 use foretorque_link::session::{
-    BoardDescription, Housekeeping, Mailboxes, NoClock, NoLocalSensor, Session,
+    BoardDescription, Housekeeping, LocalSensor, Mailboxes, NoClock, NoLocalSensor, Session,
 };
 use foretorque_link::wire::{Capabilities, FrameBuffer};
 use std::collections::VecDeque;
@@ -12,7 +12,7 @@ use std::time::Duration;
 /// The board in this process: the firmware's own session and learner behind the very same frames.
 ///
 /// The learner takes its learning sample right after each reply, as it does on the board that simulates in bulk.
-pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
+pub struct Native<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N> = NoLocalSensor> {
     arm: &'static ArmModel<N, P>,
     session: Session<A, N, P>,
     mailboxes: Mailboxes<N, P>,
@@ -20,6 +20,7 @@ pub struct Native<A: Arm<N, P>, const N: usize, const P: usize> {
     learner: Learner<A, N, P>,
     out: FrameBuffer,
     waiting: VecDeque<u8>,
+    sensor: S,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
@@ -27,7 +28,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
     ///
     /// Errors: the first limit of the arm that cannot work.
     pub fn new() -> Result<Self, ConfigError> {
-        Self::described(BoardDescription::plain(NoClock))
+        Self::described(BoardDescription::plain(NoClock), NoLocalSensor)
     }
 
     /// A board with a timer, whose periods pass with [`timer`](Self::timer) alone.
@@ -36,19 +37,33 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
     pub fn with_timer() -> Result<Self, ConfigError> {
         let mut board = BoardDescription::plain(NoClock);
         board.capabilities = board.capabilities | Capabilities::TIMER;
-        Self::described(board)
+        Self::described(board, NoLocalSensor)
+    }
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N>> Native<A, N, P, S> {
+    /// A board that has just booted and sent its hello, with a sensor of its own.
+    ///
+    /// Errors: the first limit of the arm that cannot work.
+    pub fn with_sensor(sensor: S) -> Result<Self, ConfigError> {
+        Self::described(BoardDescription::plain(NoClock), sensor)
+    }
+
+    /// Session and sensor.
+    pub fn parts(&mut self) -> (&mut Session<A, N, P>, &mut S) {
+        (&mut self.session, &mut self.sensor)
     }
 
     /// Lets one period of the board's timer pass, as on silicon beside the samples, whichever of the two paces the board.
     pub fn timer(&mut self) {
         self.select_arm();
         self.session
-            .timer_tick(&mut self.mailboxes, &mut self.out, &mut NoLocalSensor);
+            .timer_tick(&mut self.mailboxes, &mut self.out, &mut self.sensor);
         self.flush();
         self.mailboxes.learner.work(&mut self.learner, &NoClock);
     }
 
-    fn described(board: BoardDescription) -> Result<Self, ConfigError> {
+    fn described(board: BoardDescription, sensor: S) -> Result<Self, ConfigError> {
         let session = Session::new(board)?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let set = session.feed_forward().state().active;
@@ -60,6 +75,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
             learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
             out: FrameBuffer::new(),
             waiting: VecDeque::new(),
+            sensor,
         };
         native.session.send_hello(&mut native.out);
         native.flush();
@@ -89,7 +105,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
     }
 }
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P> {
+impl<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N>> Transport
+    for Native<A, N, P, S>
+{
     fn name(&self) -> String {
         "native".into()
     }
@@ -97,12 +115,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Transport for Native<A, N, P>
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.select_arm();
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
-            self.session.receive(
-                frame,
-                &mut self.mailboxes,
-                &mut self.out,
-                &mut NoLocalSensor,
-            );
+            self.session
+                .receive(frame, &mut self.mailboxes, &mut self.out, &mut self.sensor);
             if self.housekeeping.work(&mut self.mailboxes.parameters) {
                 self.session
                     .poll_parameters(&mut self.mailboxes, &mut self.out);

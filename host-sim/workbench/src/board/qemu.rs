@@ -18,6 +18,8 @@ use super::child::Guarded;
 const EMULATOR: &str = "qemu-system-arm";
 /// Where the write key is (memory.x).
 const KEY_START: u32 = 0x080A_0000;
+/// Where the drives of a board on a drive bus are (memory.x).
+const WIRING_START: u32 = 0x0808_0000;
 /// Where the store begins (memory.x).
 const STORE_START: u32 = 0x080C_0000;
 /// How long the end of a dying emulator is waited for.
@@ -87,6 +89,8 @@ pub struct QemuOptions {
     pub store: Option<PathBuf>,
     /// File with the bytes of the board's write key; `None` for a board without one.
     pub key: Option<PathBuf>,
+    /// File with the drives of a board on a drive bus; its frames are lines on [`Emulator::take_frame_ports`].
+    pub wiring: Option<PathBuf>,
     /// File for the accesses to parts of the chip that the emulator does not model, pins among them.
     pub trace: Option<PathBuf>,
 }
@@ -104,6 +108,7 @@ impl QemuOptions {
             log: None,
             store: None,
             key: None,
+            wiring: None,
             trace: None,
         }
     }
@@ -144,6 +149,7 @@ pub struct Emulator {
     /// Bytes from the board; `None` when the link is one socket for both directions.
     from_board: Option<OwnedFd>,
     image: Image,
+    frame_ports: Option<[OwnedFd; 2]>,
     /// Bytes received while waiting for the board, not yet read.
     greeting: Vec<u8>,
 }
@@ -171,7 +177,11 @@ impl Emulator {
             .stderr(Stdio::piped())
             .arg("-kernel")
             .arg(&options.elf);
-        let contents = [(&options.store, STORE_START), (&options.key, KEY_START)];
+        let contents = [
+            (&options.store, STORE_START),
+            (&options.key, KEY_START),
+            (&options.wiring, WIRING_START),
+        ];
         for (file, start) in contents {
             if let Some(file) = file {
                 command.arg("-device").arg(format!(
@@ -188,10 +198,16 @@ impl Emulator {
                 .arg("-icount")
                 .arg(format!("shift={shift},sleep=off"));
         }
-        let (to_board, from_board, kept) = match options.image {
+        let (to_board, from_board, mut kept) = match options.image {
             Image::Joint => usart_link(&mut command, options.log.as_deref())?,
             Image::Bulk => pipe_link(&mut command)?,
         };
+        let mut frame_ports = None;
+        if options.wiring.is_some() {
+            let (ports, theirs) = frame_links(&mut command)?;
+            frame_ports = Some(ports);
+            kept.extend(theirs);
+        }
         let process =
             Guarded::start(command, kept, options.core).map_err(|error| match error.kind() {
                 io::ErrorKind::NotFound => EmulatorError::NotInstalled(options.emulator.clone()),
@@ -202,6 +218,7 @@ impl Emulator {
             to_board,
             from_board,
             image: options.image,
+            frame_ports,
             greeting: Vec::new(),
         };
         for end in std::iter::once(&emulator.to_board).chain(&emulator.from_board) {
@@ -220,6 +237,11 @@ impl Emulator {
     /// Process id of the emulator.
     pub fn process_id(&self) -> u32 {
         self.process.id()
+    }
+
+    /// The ports of the frames, where the board has a wiring: USART6 and UART4.
+    pub fn take_frame_ports(&mut self) -> Option<[OwnedFd; 2]> {
+        self.frame_ports.take()
     }
 
     /// Sends all bytes. Errors: [`EmulatorError::Silent`] when the board takes nothing for [`PATIENCE`].
@@ -337,6 +359,28 @@ fn ready(end: BorrowedFd<'_>, what: PollFlags, patience: Duration) -> Result<boo
 
 /// To the board, from the board, and what the emulator inherits.
 type Ends = (OwnedFd, Option<OwnedFd>, Vec<OwnedFd>);
+
+/// UART4 and USART6 on sockets, behind the ports of [`usart_link`].
+fn frame_links(command: &mut Command) -> Result<([OwnedFd; 2], [OwnedFd; 2]), EmulatorError> {
+    let pair = || {
+        socketpair(
+            AddressFamily::Unix,
+            SockType::Stream,
+            None,
+            SockFlag::SOCK_CLOEXEC,
+        )
+    };
+    let (usart6, theirs6) = pair().map_err(link)?;
+    let (uart4, theirs4) = pair().map_err(link)?;
+    for (id, end) in [("usart6", &theirs6), ("uart4", &theirs4)] {
+        let chardev = format!("socket,id={id},fd={}", end.as_raw_fd());
+        command.args(["-chardev", &chardev]);
+    }
+    for port in ["chardev:uart4", "null", "chardev:usart6"] {
+        command.args(["-serial", port]);
+    }
+    Ok(([usart6, uart4], [theirs6, theirs4]))
+}
 
 /// USART2 on a socket, the log on USART3. Nothing of it has a name in the file system, so nothing can be left there.
 fn usart_link(command: &mut Command, log: Option<&Path>) -> Result<Ends, EmulatorError> {

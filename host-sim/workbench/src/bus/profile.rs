@@ -3,7 +3,7 @@
 use super::BusError;
 use super::timing::{BitRates, frame_time_s};
 use foretorque::arm::Arm;
-use foretorque_link::bus::{BusConfig, BusJoint};
+use foretorque_link::bus::{BusConfig, BusJoint, Role, Wires, Wiring};
 use foretorque_link::drives::{Carry, DriveProfile, Frames, JointCommand, JointReply};
 use serde::Deserialize;
 use std::fs;
@@ -168,6 +168,28 @@ impl Profile {
             }
         }
         Ok(config)
+    }
+
+    /// Drives and role of a board on this bus, as its flash holds them.
+    ///
+    /// Errors: as [`config`](Self::config).
+    pub fn wiring<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        role: Role,
+        wires: Wires,
+    ) -> Result<Wiring<N>, BusError> {
+        let bit_s = self.bus.first().copied().unwrap_or_default().nominal as u32;
+        Ok(Wiring {
+            role,
+            wires,
+            bit_s,
+            joints: self
+                .config::<A, N, P>()?
+                .joints
+                .into_iter()
+                .map(Some)
+                .collect(),
+        })
     }
 
     /// Time that the commands and replies of one tick take on a bus, s.

@@ -230,7 +230,7 @@ impl<'a, const N: usize> Search<'a, N> {
             if (0..N).all(|j| share(j) <= 1.0) {
                 return Ok(());
             }
-            for j in 0..N {
+            for (j, limits) in full.iter().enumerate() {
                 // The joints before a weak one shake it, too: they slow down half as much.
                 let beyond = (j + 1..N).any(|k| share(k) > 1.0);
                 let factor = match (share(j) > 1.0, beyond) {
@@ -240,8 +240,8 @@ impl<'a, const N: usize> Search<'a, N> {
                 };
                 self.origin.speed_share[j] *= factor;
                 let speed = self.origin.speed_share[j];
-                self.objective.limits[j].qd = full[j].qd * speed;
-                self.objective.limits[j].qdd = full[j].qdd * speed;
+                self.objective.limits[j].qd = limits.qd * speed;
+                self.objective.limits[j].qdd = limits.qdd * speed;
             }
         }
         let needed = self.least_torques();

@@ -8,7 +8,7 @@ use foretorque_link::drive::{JointEncoder, JointStage};
 use foretorque_link::hal::{
     AbsoluteEncoder, EncoderError, MotorStage, PwmWithDirection, StageError,
 };
-use foretorque_link::session::LocalSensor as _;
+use foretorque_link::session::LocalSensor;
 
 use super::pins::{DirectionPin, FaultInput, StageEnable};
 use super::pulse::Pulse;
@@ -16,6 +16,7 @@ use super::spi::EncoderDevice;
 use super::{ENCODER, JOINT, SCALE, TURN};
 use crate::arm::BoardSession;
 use crate::board::Drive;
+use crate::clock::Clocks;
 
 /// Errors of stage and encoder, for the log, which the tick does not write.
 #[derive(Clone, Copy, PartialEq)]
@@ -40,27 +41,24 @@ pub struct StageAndEncoder {
     encoder: JointEncoder<EncoderDevice>,
 }
 
-impl Drive for StageAndEncoder {
+impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for StageAndEncoder {
     type Own = JointEncoder<EncoderDevice>;
 
     #[inline(never)]
-    fn start() -> Option<Self> {
+    fn start(_: &Clocks) -> Option<Self> {
         let output = PwmWithDirection::new(Pulse::start(), DirectionPin);
         let stage = MotorStage::new(output, StageEnable, FaultInput, SCALE);
         let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
         let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
         // The first frame only requests a reading, so that the first tick has a position.
-        let _ = encoder.measure::<1>(None, true);
+        let _ = LocalSensor::<N>::measure(&mut encoder, &mut None, true);
         Some(Self {
             stage: JointStage::new(stage.ok()?, JOINT),
             encoder,
         })
     }
 
-    fn watch<A: Arm<N, P>, const N: usize, const P: usize>(
-        &mut self,
-        session: &mut BoardSession<A, N, P>,
-    ) {
+    fn watch(&mut self, session: &mut BoardSession<A, N, P>) {
         self.stage.check(session);
     }
 
@@ -68,10 +66,7 @@ impl Drive for StageAndEncoder {
         &mut self.encoder
     }
 
-    fn follow<A: Arm<N, P>, const N: usize, const P: usize>(
-        &mut self,
-        session: &mut BoardSession<A, N, P>,
-    ) {
+    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
         self.stage.apply(session);
         let seen = Faults {
             stage: self.stage.last_error(),

@@ -102,7 +102,7 @@ fn every_limit_and_time_of_the_page_is_that_of_the_code() {
             ],
         ),
         ("| 15 | `NoSample` |", &["fewer than three".into()]),
-        ("| 16 | `TooFar` |", &[near.clone()]),
+        ("| 16 | `TooFar` |", std::slice::from_ref(&near)),
         (
             "| 20 | `MeasurementTimeout` |",
             &[format!("{measured} ms without a plausible measurement")],

@@ -87,6 +87,8 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     start: StartDeviations<N, P>,
     /// The newest sample that no tick has used yet.
     newest: Option<Arrived<N>>,
+    /// Desired motion of the last tick's sample.
+    desired: Option<JointMotion<N>>,
     /// Samples that may still run at once where samples pace the board; the timer adds one a period. `None` before the
     /// timer's first period: then samples are all the time there is.
     credit: Option<u8>,
@@ -118,6 +120,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             bounds: JointBounds::widest::<A, N, P>(),
             start: StartDeviations::PRIOR,
             newest: None,
+            desired: None,
             credit: None,
             ticked: false,
             gaps: SampleGaps::new(),
@@ -137,6 +140,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
 
     pub(super) fn safety(&self) -> &Safety<N> {
         &self.safety
+    }
+
+    pub(super) fn safety_mut(&mut self) -> &mut Safety<N> {
+        &mut self.safety
+    }
+
+    pub(super) fn desired(&self) -> Option<&JointMotion<N>> {
+        self.desired.as_ref()
     }
 
     #[cfg(test)]
@@ -161,7 +172,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     /// samples arrive than periods pass.
     ///
     /// * `missed` frames of any kind that the link has missed so far
-    pub(super) fn sample<S: LocalSensor>(
+    pub(super) fn sample<S: LocalSensor<N>>(
         &mut self,
         sequence: u16,
         sample: SampleFrame<N>,
@@ -203,7 +214,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
 
     /// One period of the board's timer: the tick on the newest sample where the timer paces the board. Where samples pace
     /// it, the tick on a sample that came too early, or the supervision of silence.
-    pub(super) fn timer<S: LocalSensor>(
+    pub(super) fn timer<S: LocalSensor<N>>(
         &mut self,
         mailbox: &mut LearnerMailbox<N, P>,
         clock: &impl Clock,
@@ -236,7 +247,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     }
 
     /// The torque of a tick, or that of gravity in place of one that goes to zero, where a brake has to close first.
-    fn braced<S: LocalSensor>(&mut self, torque: &Torque<N>) -> JointVector<N> {
+    fn braced<S: LocalSensor<N>>(&mut self, torque: &Torque<N>) -> JointVector<N> {
         if S::BRAKE_CLOSE_US == 0 {
             return torque.total;
         }
@@ -273,7 +284,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     }
 
     /// One tick. Its deadline is the period.
-    fn tick<S: LocalSensor>(
+    fn tick<S: LocalSensor<N>>(
         &mut self,
         arrived: Option<Arrived<N>>,
         mailbox: &mut LearnerMailbox<N, P>,
@@ -299,7 +310,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         let reply_waits =
             sample.is_some_and(|frame| frame.flags.contains(SampleFlags::AFTER_LEARNING));
         let mut sample = sample.map(|frame| frame.sample(&self.gains));
-        let sensor_fault = sensor.measure(sample.as_mut(), self.safety.at_rest());
+        let sensor_fault = sensor.measure(&mut sample, self.safety.at_rest());
         if sensor_fault != SafetyReason::None
             && let Some(sample) = &mut sample
         {
@@ -310,6 +321,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             sample.desired = desired;
         }
         let sample = self.safety.admit(sample, periods, sensor_fault);
+        self.desired = sample.map(|sample| sample.desired);
         let start = clock.now();
         let mut torque = match &sample {
             Some(sample) => self.feed_forward.step(sample),

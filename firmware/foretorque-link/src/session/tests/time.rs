@@ -346,10 +346,10 @@ fn across_the_wraps_of_sequence_and_period_the_torques_are_those_of_a_twin() {
 /// The brake of a board's joints.
 struct Braked;
 
-impl LocalSensor for Braked {
+impl<const N: usize> LocalSensor<N> for Braked {
     const BRAKE_CLOSE_US: u32 = 150_000;
 
-    fn measure<const N: usize>(&mut self, _: Option<&mut JointSample<N>>, _: bool) -> SafetyReason {
+    fn measure(&mut self, _: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
         SafetyReason::None
     }
 }

@@ -6,6 +6,8 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
+mod bus;
+#[cfg(target_os = "none")]
 mod commands;
 #[cfg(target_os = "none")]
 mod long_run;
@@ -47,26 +49,31 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
     let mut learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
     let link = cortex_m::singleton!(: MaybeUninit<commands::Link> = MaybeUninit::uninit())?;
     let mut link = commands::Link::init(link)?;
+    let bus = cortex_m::singleton!(: MaybeUninit<bus::Bus> = MaybeUninit::uninit())?;
+    let mut bus = bus::Bus::init(bus)?;
     for row in rows::ROWS {
-        (learner, link) = count_row(row, calls, learner, link)?;
+        (learner, link, bus) = count_row(row, calls, (learner, link, bus))?;
     }
     if ticks > 0 {
-        count_long_run(ticks, learner, link)?;
+        count_long_run(ticks, (learner, link, bus))?;
     }
     Some(())
 }
+
+/// What the stages take over from one another.
+#[cfg(target_os = "none")]
+type Parts = (
+    &'static mut Learner,
+    &'static mut commands::Link,
+    &'static mut bus::Bus,
+);
 
 /// Counts the calls of a row from a new stage, so that a row added or removed does not move the others. A function of its
 /// own: the stack has no room for two stages.
 #[cfg(target_os = "none")]
 #[inline(never)]
-fn count_row(
-    row: &rows::Row,
-    calls: u32,
-    learner: &'static mut Learner,
-    link: &'static mut commands::Link,
-) -> Option<(&'static mut Learner, &'static mut commands::Link)> {
-    let mut stage = stage::Stage::new(learner, link)?;
+fn count_row(row: &rows::Row, calls: u32, (learner, link, bus): Parts) -> Option<Parts> {
+    let mut stage = stage::Stage::new(learner, link, bus)?;
     for _ in 0..calls {
         stage.vary();
         if row.name == rows::COMMAND {
@@ -75,18 +82,14 @@ fn count_row(
         let count = machine::count(row.run, &mut stage);
         cortex_m_semihosting::hprintln!("{} {}", row.name, count);
     }
-    Some((stage.learner, stage.link))
+    Some((stage.learner, stage.link, stage.bus))
 }
 
 /// Counts the ticks of the long run.
 #[cfg(target_os = "none")]
 #[inline(never)]
-fn count_long_run(
-    ticks: u32,
-    learner: &'static mut Learner,
-    link: &'static mut commands::Link,
-) -> Option<()> {
-    let mut stage = stage::Stage::new(learner, link)?;
+fn count_long_run(ticks: u32, (learner, link, bus): Parts) -> Option<()> {
+    let mut stage = stage::Stage::new(learner, link, bus)?;
     let spread = long_run::of_step(&mut stage, ticks);
     cortex_m_semihosting::hprintln!(
         "feedforward_step {} {} {}",

@@ -53,6 +53,8 @@ rows! {
     feedforward_step(s) s.torque = s.feedforward.step(&s.sample);
     learning_step(s) s.learner.learn(&s.lesson, &mut s.exchange);
     command(s) s.link.run();
+    bus_tick(s) s.bus.tick();
+    in_line(s) s.bus.pass();
 }
 
 impl Stage {

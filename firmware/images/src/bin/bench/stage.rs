@@ -17,6 +17,7 @@ use foretorque::network::{BpNetwork, StepParameters};
 use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
 use nalgebra::SVector;
 
+use crate::bus::Bus;
 use crate::commands::Link;
 
 /// Period of the tick, s.
@@ -55,6 +56,8 @@ pub(crate) struct Stage {
     pub(crate) learner: &'static mut Learner,
     /// Beside the stage too.
     pub(crate) link: &'static mut Link,
+    /// Beside the stage too.
+    pub(crate) bus: &'static mut Bus,
     random: Random,
 }
 
@@ -66,7 +69,11 @@ impl Stage {
     };
 
     /// The stage after the warm-up; `None` if a configuration does not validate.
-    pub(crate) fn new(learner: &'static mut Learner, link: &'static mut Link) -> Option<Self> {
+    pub(crate) fn new(
+        learner: &'static mut Learner,
+        link: &'static mut Link,
+        bus: &'static mut Bus,
+    ) -> Option<Self> {
         let mut set = ParameterSet::nominal::<Ur5>(1);
         for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
             *friction = FrictionParameters::NONE
@@ -113,6 +120,7 @@ impl Stage {
             },
             learner,
             link,
+            bus,
             lesson: LearningSample {
                 tick: 0,
                 generation: 0,

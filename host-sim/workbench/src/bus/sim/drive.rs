@@ -29,6 +29,8 @@ pub struct DriveTruth {
     pub gain: f64,
     /// Standard deviation of the reported torque, N·m.
     pub noise_nm: f64,
+    /// Stiffness, N·m/rad, and damping, N·m·s/rad, at the joint, where its frames carry none.
+    pub own_gains: (f64, f64),
 }
 
 /// Drive with proportional and derivative action of its own.
@@ -36,6 +38,8 @@ pub struct DriveTruth {
 pub struct SimulatedDrive {
     pub(super) truth: DriveTruth,
     pub(super) state: DriveState,
+    /// Switched on, where the first command is what enables it.
+    switched_on: bool,
     command: JointCommand,
     silent_s: f64,
     previous: Option<f64>,
@@ -50,6 +54,7 @@ impl SimulatedDrive {
         Self {
             truth,
             state: DriveState::Disabled,
+            switched_on: false,
             command: JointCommand::default(),
             silent_s: 0.0,
             previous: None,
@@ -82,6 +87,14 @@ impl SimulatedDrive {
         &self.command
     }
 
+    /// Stiffness and damping in force, N·m/rad and N·m·s/rad.
+    pub fn gains(&self) -> (f64, f64) {
+        match self.truth.profile.carries_gains() {
+            true => (self.command.kp.into(), self.command.kd.into()),
+            false => self.truth.own_gains,
+        }
+    }
+
     /// Torque that it makes, N·m at the joint.
     pub fn torque(&self) -> f64 {
         self.torque
@@ -103,9 +116,9 @@ impl SimulatedDrive {
             self.state = DriveState::Fault(COMMUNICATION_LOST);
         }
         let wanted = if self.state == DriveState::Enabled {
-            let command = &self.command;
-            f64::from(command.kp) * (f64::from(command.position) - q)
-                + f64::from(command.kd) * (f64::from(command.velocity) - self.speed)
+            let (command, (kp, kd)) = (&self.command, self.gains());
+            kp * (f64::from(command.position) - q)
+                + kd * (f64::from(command.velocity) - self.speed)
                 + f64::from(command.torque)
         } else {
             0.0
@@ -126,6 +139,9 @@ impl SimulatedDrive {
         match request {
             Request::Command(command) => {
                 self.silent_s = 0.0;
+                if self.state == DriveState::Disabled && self.switched_on {
+                    self.state = DriveState::Enabled;
+                }
                 // A drive that is off takes no command: the position of a later one must not wait here.
                 self.command = match self.state {
                     DriveState::Enabled => command,
@@ -136,10 +152,14 @@ impl SimulatedDrive {
                 self.silent_s = 0.0;
                 if self.state == DriveState::Disabled {
                     self.command = JointCommand::default();
-                    self.state = DriveState::Enabled;
+                    self.switched_on = self.truth.profile.enabled_by_command();
+                    if !self.switched_on {
+                        self.state = DriveState::Enabled;
+                    }
                 }
             }
             Request::Order(Order::Disable) => {
+                self.switched_on = false;
                 if self.state == DriveState::Enabled {
                     self.state = DriveState::Disabled;
                 }

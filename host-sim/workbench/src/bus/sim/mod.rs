@@ -78,6 +78,7 @@ impl<const N: usize> SimulatedNetwork<N> {
                 watchdog_s: WATCHDOG_S,
                 gain: 1.0,
                 noise_nm: noise.next().copied().unwrap_or_default(),
+                own_gains: (joint.kp.into(), joint.kd.into()),
             })
         });
         Self {
@@ -125,10 +126,10 @@ impl<const N: usize> SimulatedNetwork<N> {
         self.peak_nm = self.peak_nm.zip_map(&tau, |peak, tau| peak.max(tau.abs()));
         // Brakes open with the first drive that is to do something, and close when all are off.
         let acts = |drive: &SimulatedDrive| {
-            let command = drive.command();
-            let step = drive.truth.profile.torque_resolution();
+            let (kp, kd) = drive.gains();
+            let step = f64::from(drive.truth.profile.torque_resolution());
             drive.state() == DriveState::Enabled
-                && command.kp + command.kd + (command.torque.abs() - step).max(0.0) > 0.0
+                && kp + kd + (drive.feed_forward().abs() - step).max(0.0) > 0.0
         };
         if self.braked {
             self.braked = !self.drives.iter().any(acts);

@@ -59,10 +59,8 @@ impl Delay {
         if (self.last.len() as f64) < rows {
             return;
         }
-        let mean = |of: fn(&(DVector<f64>, DVector<f64>)) -> &DVector<f64>| {
-            self.last.iter().map(of).sum::<DVector<f64>>() / rows
-        };
-        let (columns, torques) = (mean(|row| &row.0), mean(|row| &row.1));
+        let columns = self.last.iter().map(|row| &row.0).sum::<DVector<f64>>() / rows;
+        let torques = self.last.iter().map(|row| &row.1).sum::<DVector<f64>>() / rows;
         self.last.pop_front();
         let gram = self.gram.get_or_insert_with(|| {
             self.moments = DMatrix::zeros(columns.len(), torques.len());

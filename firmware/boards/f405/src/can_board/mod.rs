@@ -1,0 +1,311 @@
+//! The fourth board: a pyboard v1.1 between a host and the drives of an arm on CAN, or one moteus on a UART.
+//!
+//! Role, ports and drives are data in the flash (memory.x, `_wiring`): `host-sim wiring` makes them from a profile. A board
+//! without them cannot be armed and passes every frame.
+//!
+//! | port | pins | role |
+//! |---|---|---|
+//! | CAN1 | PB8 (Y3) RX, PB9 (Y4) TX | master: bus 0; in line: the host |
+//! | CAN2 | PB12 (Y5) RX, PB13 (Y6) TX | master: bus 1; in line: the drives |
+//! | UART4 | PA0 (X1) TX, PA1 (X2) RX | the drive: bus 1, or in line |
+//! | USART6 | PC6 (Y1) TX, PC7 (Y2) RX | the host of a drive on UART4 |
+//! | USART2 | PA2 (X3) TX, PA3 (X4) RX | link |
+//!
+//! The frames have a task of their own above the tick, [`interrupt`]: a tick that hangs lets its torque expire, and frames
+//! go on passing. In the emulator USART6 and UART4 carry the frames of both CAN ports. It has not run on silicon.
+
+mod ports;
+mod text;
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use foretorque::arm::Arm;
+use foretorque::joint::JointSample;
+use foretorque_link::bus::{BoardDrives, Role, Wiring};
+use foretorque_link::drives::Frame;
+use foretorque_link::drives::in_line::{Bridge, InLine};
+use foretorque_link::hal::TorqueEnable;
+use foretorque_link::safety::SafetyReason;
+use foretorque_link::session::LocalSensor;
+use foretorque_link::wire::ClockSource;
+use heapless::spsc::Queue;
+use stm32f4xx_hal::gpio::PinState;
+use stm32f4xx_hal::pac::Interrupt;
+use stm32f4xx_hal::prelude::*;
+use stm32f4xx_hal::rcc::Rcc;
+
+use crate::app::TICK;
+use crate::arm::BoardSession;
+use crate::board::{Board, Drive, Ports};
+use crate::clock::Clocks;
+use crate::counter;
+use crate::fault::EnablePin;
+use crate::pin::{Pin, Port};
+use crate::pyboard::Pyboard;
+use crate::ring::{self, Receiver, Sender};
+use ports::FramePort;
+
+/// Time for which a torque is added after the last tick, s: that without a reply after which a master ends it.
+const EXPIRY_S: f32 = foretorque_link::bus::SILENCE_S;
+/// Most joints of an arm.
+const MOST: usize = 8;
+/// Frames that have arrived and wait for the tick; frames on their way to the ports.
+const ARRIVED: usize = 16;
+const LEAVING: usize = 4;
+/// The interrupt by which the tick wakes the task of the frames.
+const WAKE: Interrupt = Interrupt::CAN1_TX;
+
+/// A port has left its bus.
+static OFF: AtomicBool = AtomicBool::new(false);
+/// Frames dropped on the way to the tick or to a bus that stood still. Wraps.
+static LOST: AtomicU32 = AtomicU32::new(0);
+
+/// Orders of the tick to the task of the frames.
+enum Order {
+    /// Send a frame of the board.
+    Send(u8, Frame),
+    /// Add these torques, or none.
+    Add(Option<[f32; MOST]>),
+}
+
+/// The task of the frames: both ports and what passes between them.
+struct FrameTask {
+    bridge: Bridge<FramePort, MOST>,
+    orders: Receiver<LEAVING, Order>,
+    arrived: Sender<ARRIVED, (u8, Frame)>,
+}
+
+static mut TASK: Option<FrameTask> = None;
+
+/// The interrupts of both ports, at one priority above the tick's.
+///
+/// Cost: the frames that have arrived, at most 16 each way.
+pub fn interrupt() {
+    let task = &raw mut TASK;
+    // SAFETY: written once, before these interrupts are unmasked, and they all have one priority: none preempts another.
+    let Some(task) = (unsafe { &mut *task }) else {
+        return;
+    };
+    let FrameTask {
+        bridge,
+        orders,
+        arrived,
+    } = task;
+    while let Some(order) = orders.take() {
+        match order {
+            Order::Send(port, frame) => bridge.send(port, frame),
+            Order::Add(torques) => bridge.add(torques.as_ref(), counter::now()),
+        }
+    }
+    let (mut any, mut full) = (false, 0);
+    bridge.pass(counter::now(), |port, frame| {
+        any = true;
+        full += u32::from(!arrived.put((port, *frame)));
+    });
+    let off = bridge.ports().iter_mut().any(FramePort::is_off);
+    OFF.store(off, Ordering::Relaxed);
+    LOST.store(
+        LOST.load(Ordering::Relaxed).wrapping_add(full),
+        Ordering::Relaxed,
+    );
+    if any {
+        rtic::pend(TICK);
+    }
+}
+
+/// Drives of the arm, behind their ports.
+pub struct BusDrive<A: Arm<N, P>, const N: usize, const P: usize> {
+    enable: TorqueEnable<EnablePin<CanBoard>>,
+    /// `None` without a wiring in the flash.
+    drives: Sensor<A, N, P>,
+    orders: Sender<LEAVING, Order>,
+    arrived: Receiver<ARRIVED, (u8, Frame)>,
+}
+
+/// The drives as the session's sensor.
+pub struct Sensor<A: Arm<N, P>, const N: usize, const P: usize>(Option<BoardDrives<A, N, P>>);
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for Sensor<A, N, P> {
+    #[inline(never)]
+    fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason {
+        match &mut self.0 {
+            Some(drives) => drives.measure(sample, at_rest),
+            None => SafetyReason::Drive,
+        }
+    }
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for BusDrive<A, N, P> {
+    type Own = Sensor<A, N, P>;
+
+    #[inline(never)]
+    fn start(clocks: &Clocks) -> Option<Self> {
+        let wiring = wiring::<N>();
+        let role = wiring.as_ref().map_or(Role::InLine, |wiring| wiring.role);
+        let ports = ports::start(clocks, wiring.as_ref());
+        let mut profiles = [None; MOST];
+        for (slot, joint) in profiles
+            .iter_mut()
+            .zip(wiring.iter().flat_map(|w| &w.joints))
+        {
+            *slot = joint.map(|joint| joint.drive);
+        }
+        let expiry = match clocks.source {
+            // Its time does not follow the host's.
+            ClockSource::Virtual => u32::MAX,
+            _ => (EXPIRY_S * clocks.cpu_hz as f32) as u32,
+        };
+        let in_line = (role == Role::InLine).then(|| InLine::new(profiles, expiry));
+        let orders = cortex_m::singleton!(: Queue<Order, LEAVING> = Queue::new())?;
+        let arrived = cortex_m::singleton!(: Queue<(u8, Frame), ARRIVED> = Queue::new())?;
+        let (order, orders) = ring::split(orders);
+        let (arrive, arrived) = ring::split(arrived);
+        let task = &raw mut TASK;
+        // SAFETY: the interrupts that read it are still masked.
+        unsafe {
+            *task = Some(FrameTask {
+                bridge: Bridge::new(ports, in_line),
+                orders,
+                arrived: arrive,
+            });
+        }
+        ports::unmask();
+        // Switched off by its constructor; only a session that a host has armed switches it on.
+        let Ok(enable) = TorqueEnable::new(EnablePin::default());
+        Some(Self {
+            enable,
+            drives: Sensor(wiring.as_ref().map(BoardDrives::new)),
+            orders: order,
+            arrived,
+        })
+    }
+
+    fn watch(&mut self, _: &mut BoardSession<A, N, P>) {
+        for _ in 0..ARRIVED {
+            let Some((port, frame)) = self.arrived.take() else {
+                break;
+            };
+            if let Some(drives) = &mut self.drives.0 {
+                drives.receive(port, &frame);
+            }
+        }
+    }
+
+    fn own(&mut self) -> &mut Sensor<A, N, P> {
+        &mut self.drives
+    }
+
+    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
+        let on = session.torque_enabled();
+        if self.enable.is_on() != on {
+            // This pin cannot refuse.
+            let Ok(()) = if on {
+                self.enable.on()
+            } else {
+                self.enable.off()
+            };
+        }
+        let Self { drives, orders, .. } = self;
+        let Some(drives) = &mut drives.0 else { return };
+        let mut give = |order| {
+            if !orders.put(order) {
+                LOST.store(
+                    LOST.load(Ordering::Relaxed).wrapping_add(1),
+                    Ordering::Relaxed,
+                );
+            }
+            // It runs at once, so the next order finds room.
+            rtic::pend(WAKE);
+        };
+        if !drives.ticked() {
+            // A stop does not wait for the next tick.
+            if !on {
+                give(Order::Add(None));
+            }
+            return;
+        }
+        let off = OFF.load(Ordering::Relaxed);
+        let torques = drives.follow(session, off, |bus, frame| give(Order::Send(bus, *frame)));
+        let torques = torques.map(|torques| {
+            let mut all = [0.0; MOST];
+            all.iter_mut()
+                .zip(&torques)
+                .for_each(|(to, from)| *to = *from);
+            all
+        });
+        give(Order::Add(torques));
+    }
+
+    fn report() {
+        static LOGGED: AtomicU32 = AtomicU32::new(0);
+        let lost = LOST.load(Ordering::Relaxed);
+        if LOGGED.swap(lost, Ordering::Relaxed) != lost {
+            defmt::warn!("bus: {=u32} frames lost", lost);
+        }
+    }
+}
+
+/// The wiring in the flash.
+fn wiring<const N: usize>() -> Option<Wiring<N>> {
+    const BYTES: usize = Wiring::<MOST>::BYTES;
+    unsafe extern "C" {
+        static _wiring: [u8; BYTES];
+    }
+    // SAFETY: the address is in the flash, aligned for bytes, and never changes while the firmware runs. Volatile, because
+    // the compiler knows nothing of what is there.
+    Wiring::decode(&unsafe { (&raw const _wiring).read_volatile() })
+}
+
+/// The board.
+pub struct CanBoard;
+
+impl Board for CanBoard {
+    const NAME: &'static str = "pyboard-v1.1 on a drive bus";
+    const CRYSTAL_HZ: u32 = Pyboard::CRYSTAL_HZ;
+    /// PA4, the card's X5: brake or contactor of the arm. CAN has the pin that [`Pyboard`] uses.
+    const ENABLE: Pin = Pin {
+        port: Port::A,
+        number: 4,
+    };
+
+    type Drive<A: Arm<N, P>, const N: usize, const P: usize> = BusDrive<A, N, P>;
+
+    fn start_pins(ports: Ports, rcc: &mut Rcc) {
+        rcc.apb1enr()
+            .modify(|_, w| w.can1en().enabled().can2en().enabled().uart4en().enabled());
+        rcc.apb2enr().modify(|_, w| w.usart6en().enabled());
+        let a = ports.a.split(rcc);
+        let b = ports.b.split(rcc);
+        let c = ports.c.split(rcc);
+        a.pa4.into_push_pull_output_in_state(PinState::Low);
+        // Alternate functions 9 and 8 (DS8626 table 9).
+        b.pb8.into_alternate::<9>().internal_pull_up(true);
+        b.pb9.into_alternate::<9>();
+        b.pb12.into_alternate::<9>().internal_pull_up(true);
+        b.pb13.into_alternate::<9>();
+        a.pa0.into_alternate::<8>();
+        a.pa1.into_alternate::<8>().internal_pull_up(true);
+        c.pc6.into_alternate::<8>();
+        c.pc7.into_alternate::<8>().internal_pull_up(true);
+        // Alternate function 7 is USART2 (DS8626 table 9).
+        a.pa2.into_alternate::<7>();
+        // Held high while nobody is plugged in: an open line is full of start bits.
+        a.pa3.into_alternate::<7>().internal_pull_up(true);
+    }
+}
+
+/// The handlers of the ports' interrupts.
+#[macro_export]
+macro_rules! frame_handlers {
+    ($($name:ident)*) => {
+        mod frame_handlers {
+            use stm32f4xx_hal::pac::interrupt;
+            $(
+                #[interrupt]
+                fn $name() {
+                    $crate::can_board::interrupt();
+                }
+            )*
+        }
+    };
+}

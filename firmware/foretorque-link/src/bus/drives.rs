@@ -1,0 +1,427 @@
+//! The drives of one arm: replies in, phases of switching on and off, command frames out.
+
+use super::config::{BUSES, BusJoint};
+use super::fault::{BusFault, FaultCause};
+use super::joint::{JointCounters, JointLink, STATE_PERIODS};
+use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
+use crate::drives::{DriveState, Frame, Frames, JointCommand, Order, Saturation};
+use crate::safety::SafetyLimits;
+use foretorque::arm::Arm;
+use foretorque::joint::{JointMeasurement, JointMotion, JointVector};
+
+/// Weight of a period that lacks a reply; a whole one takes back 1. So one in five is too many.
+const LOSS_WEIGHT: u16 = 4;
+/// Periods of a round in which an idle drive is asked for its scales and for a report.
+const IDLE_ROUND: u16 = 4;
+
+/// Stage of the loop.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BusPhase {
+    /// The drives are switched off.
+    #[default]
+    Off,
+    /// The drives are being switched on, without torque; periods so far.
+    Enabling(u16),
+    /// The drives follow; periods so far.
+    Running(u32),
+    /// The torque has ended, the drives damp; periods left.
+    Damping(u16),
+}
+
+/// Drives of some or all joints of an arm, on up to two buses. The owner has the torque and its safety.
+pub struct BusDrives<const N: usize> {
+    links: [Option<JointLink>; N],
+    /// Joints in the order of their commands: buses take turns.
+    order: [u8; N],
+    phase: BusPhase,
+    fault: Option<BusFault>,
+    losses: u16,
+    period_s: f32,
+    /// Largest change of a position in one period, N × rad.
+    steps: JointVector<N>,
+    /// Admissible desired positions, N × rad.
+    travel: [(f32, f32); N],
+    /// Motion of the last command.
+    desired: JointMotion<N>,
+    /// Positions where drives without gains in their frames are held while they damp, N × rad.
+    held: JointVector<N>,
+    strays: u32,
+    idle: u16,
+}
+
+impl<const N: usize> BusDrives<N> {
+    /// Drives that are switched off.
+    ///
+    /// * `joints` joints with a drive on one of the buses
+    pub fn new<A: Arm<N, P>, const P: usize>(
+        joints: &[Option<BusJoint>; N],
+        period_s: f32,
+    ) -> Self {
+        let mut drives = Self {
+            links: joints.map(|joint| joint.map(JointLink::new)),
+            order: alternating(joints),
+            phase: BusPhase::Off,
+            fault: None,
+            losses: 0,
+            period_s,
+            steps: JointVector::zeros(),
+            travel: A::limits().map(|limits| limits.position),
+            desired: JointMotion::zero(),
+            held: JointVector::zeros(),
+            strays: 0,
+            idle: 0,
+        };
+        drives.set_period::<A, P>(period_s);
+        drives
+    }
+
+    /// Changes the period, s.
+    pub fn set_period<A: Arm<N, P>, const P: usize>(&mut self, period_s: f32) {
+        let limits = SafetyLimits::for_arm::<A, P>(micros(period_s));
+        self.steps = limits.step_per_tick.add_scalar(limits.jump_margin);
+        self.period_s = period_s;
+    }
+
+    /// Stage of the loop.
+    pub fn phase(&self) -> BusPhase {
+        self.phase
+    }
+
+    /// Fault that ended the torque, or prevented it; stands until [`clear`](Self::clear).
+    pub fn fault(&self) -> Option<BusFault> {
+        self.fault
+    }
+
+    /// Counters of a joint.
+    pub fn counters(&self, joint: usize) -> JointCounters {
+        self.link(joint)
+            .map_or_else(JointCounters::default, |link| link.counters)
+    }
+
+    /// Periods since the last reply of a joint.
+    pub fn age(&self, joint: usize) -> u16 {
+        self.link(joint).map_or(u16::MAX, |link| link.age)
+    }
+
+    /// Frames that no drive of the profile sends.
+    pub fn strays(&self) -> u32 {
+        self.strays
+    }
+
+    /// Last known positions, N × rad, where every drive has replied since the start; 0 for joints without a drive.
+    pub fn positions(&self) -> Option<JointVector<N>> {
+        let mut positions = JointVector::<N>::zeros();
+        for (slot, link) in positions.iter_mut().zip(&self.links) {
+            if let Some(link) = link {
+                *slot = link.position()?;
+            }
+        }
+        Some(positions)
+    }
+
+    /// Temperatures that the drives have reported: joint, °C.
+    pub fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
+        let links = self.links.iter().enumerate();
+        links.filter_map(|(joint, link)| Some((joint, link.as_ref()?.temperature()?)))
+    }
+
+    /// Takes a frame that has arrived; foreign frames are counted.
+    pub fn receive(&mut self, bus: u8, frame: &Frame) {
+        let mut known = false;
+        for link in self.links.iter_mut().flatten() {
+            if link.joint.bus == bus
+                && let Some(event) = link.joint.drive.decode(frame)
+            {
+                link.take(event);
+                known = true;
+            }
+        }
+        if !known {
+            self.strays = self.strays.saturating_add(1);
+        }
+    }
+
+    /// Begins to switch the drives on.
+    ///
+    /// Errors: the first reason against it; drives that do not reply, scales that differ, a fault that is not cleared.
+    pub fn arm(&mut self) -> Result<(), BusFault> {
+        if let Some(fault) = self.fault {
+            return Err(fault);
+        }
+        if self.phase == BusPhase::Off {
+            self.ready()?;
+            self.phase = BusPhase::Enabling(0);
+        }
+        Ok(())
+    }
+
+    /// Every drive replies, and reports no fault and the scales of its profile.
+    ///
+    /// Errors: the first that does not.
+    pub fn ready(&self) -> Result<(), BusFault> {
+        let silence = self.silence();
+        for (index, link) in self.links.iter().enumerate() {
+            if let Some(cause) = link.as_ref().and_then(|link| link.refusal(silence)) {
+                let joint = Some(index as u8);
+                return Err(BusFault { joint, cause });
+            }
+        }
+        Ok(())
+    }
+
+    /// Switches the drives off with the next frames, without damping.
+    pub fn stop(&mut self) {
+        self.phase = BusPhase::Off;
+    }
+
+    /// Forgets a fault; every scale is read again.
+    pub fn clear(&mut self) {
+        self.fault = None;
+        self.losses = 0;
+        self.links.iter_mut().flatten().for_each(JointLink::restart);
+    }
+
+    /// Records a fault of the drive of `joint`, or of the bus. The owner ends the torque.
+    pub fn fail(&mut self, joint: Option<u8>, cause: FaultCause) {
+        self.fault.get_or_insert(BusFault { joint, cause });
+    }
+
+    /// Closes the period: writes the measurements of the joints that have drives into `measured`. `false`: a reply is
+    /// missing or not sound.
+    pub fn measure(&mut self, measured: &mut JointMeasurement<N>) -> bool {
+        let mut whole = true;
+        let slots = measured.q.iter_mut().zip(measured.tau.iter_mut());
+        let links = self.links.iter_mut().zip(self.steps.iter());
+        for ((link, &step), (q, tau)) in links.zip(slots) {
+            match link.as_mut().map(|link| link.close(step)) {
+                Some(Some((position, torque))) => (*q, *tau) = (position, torque),
+                Some(None) => whole = false,
+                None => {}
+            }
+        }
+        self.losses = if whole {
+            self.losses.saturating_sub(1)
+        } else {
+            self.losses.saturating_add(LOSS_WEIGHT)
+        };
+        whole
+    }
+
+    /// Every joint of the arm has a drive here.
+    pub fn complete(&self) -> bool {
+        self.links.iter().all(Option::is_some)
+    }
+
+    /// Looks for a reason to end the torque. `true`: there is a fault.
+    #[must_use]
+    pub fn supervise(&mut self) -> bool {
+        let started = match self.phase {
+            BusPhase::Off | BusPhase::Damping(_) => {
+                self.losses = 0;
+                return self.fault.is_some();
+            }
+            BusPhase::Enabling(_) => false,
+            BusPhase::Running(_) => true,
+        };
+        let silence = self.silence();
+        for (index, link) in self.links.iter_mut().enumerate() {
+            let Some(link) = link else { continue };
+            let here = link.position().unwrap_or_default();
+            let desired = self.desired.q.get(index).copied();
+            let desired = desired.filter(|_| started).unwrap_or(here);
+            let off = started && link.state == Some(DriveState::Disabled);
+            let cause = link.fault(desired, silence);
+            if let Some(cause) = cause.or(off.then_some(FaultCause::Disabled)) {
+                self.fail(Some(index as u8), cause);
+                return true;
+            }
+        }
+        // Silence of 50 ms counts as much as the loss of every fifth period.
+        if self.losses >= LOSS_WEIGHT * periods(0.05, self.period_s) {
+            self.fail(None, FaultCause::Losses);
+        }
+        self.fault.is_some()
+    }
+
+    /// Takes the desired motion of this period; without one the last position is held.
+    pub fn follow(&mut self, desired: Option<&JointMotion<N>>) {
+        match desired {
+            Some(desired) if finite(desired) => self.desired = *desired,
+            _ => self.desired.qd.fill(0.0),
+        }
+    }
+
+    /// Enters the next phase where this one is over.
+    ///
+    /// * `enabled` torque may flow
+    /// * `arm` lets torque flow, once every drive is switched on; `false`: not yet
+    pub fn advance(&mut self, enabled: bool, arm: impl FnOnce() -> bool) {
+        let period_s = self.period_s;
+        self.phase = match self.phase {
+            BusPhase::Off => BusPhase::Off,
+            BusPhase::Enabling(_) if self.fault.is_some() => BusPhase::Off,
+            BusPhase::Enabling(count) => {
+                let waiting = self.links.iter().position(|link| {
+                    link.as_ref().is_some_and(|link| match link.state {
+                        Some(state) => state != DriveState::Enabled,
+                        None => count < 2 * STATE_PERIODS,
+                    })
+                });
+                if waiting.is_none() && arm() {
+                    BusPhase::Running(0)
+                } else if count < periods(ENABLE_S, period_s) {
+                    BusPhase::Enabling(count.saturating_add(1))
+                } else {
+                    self.fail(waiting.map(|joint| joint as u8), FaultCause::NotEnabled);
+                    BusPhase::Off
+                }
+            }
+            BusPhase::Running(count) if enabled => BusPhase::Running(count.saturating_add(1)),
+            BusPhase::Running(_) => BusPhase::Damping(periods(DAMPING_S, period_s)),
+            BusPhase::Damping(0) => BusPhase::Off,
+            BusPhase::Damping(left) => BusPhase::Damping(left - 1),
+        };
+    }
+
+    /// Sends the frames of every joint.
+    ///
+    /// * `torque` torque feed-forward, N × N·m
+    /// * `armed` the drives follow the desired motion; otherwise they damp
+    pub fn command(
+        &mut self,
+        torque: &JointVector<N>,
+        armed: bool,
+        send: &mut impl FnMut(u8, &Frame),
+    ) -> Saturation {
+        self.idle = (self.idle + 1) % IDLE_ROUND;
+        let gains = match self.phase {
+            BusPhase::Running(count) => (count as f32 * self.period_s / SOFT_START_S).min(1.0),
+            _ => 1.0,
+        };
+        let mut saturation = Saturation::default();
+        let mut frames = Frames::new();
+        // All drives answer one SYNC of CiA 402; no other frame is the same for two of them.
+        let mut last = [None; BUSES as usize];
+        for index in self.order.map(usize::from) {
+            let Some(Some(link)) = self.links.get_mut(index) else {
+                continue;
+            };
+            let joint = link.joint;
+            frames.clear();
+            let here = link.position().unwrap_or_default();
+            let mut hold = here;
+            if let Some(held) = self.held.get_mut(index) {
+                if armed || self.phase == BusPhase::Off {
+                    *held = here;
+                }
+                hold = *held;
+            }
+            let (low, high) = self.travel.get(index).copied().unwrap_or_default();
+            let value = |vector: &JointVector<N>| vector.get(index).copied().unwrap_or_default();
+            let resting = JointCommand {
+                position: if joint.drive.carries_gains() {
+                    here
+                } else {
+                    hold
+                },
+                ..JointCommand::default()
+            };
+            let command = match self.phase {
+                BusPhase::Off => None,
+                BusPhase::Enabling(count) => {
+                    let by_command = joint.drive.enabled_by_command() && count >= STATE_PERIODS;
+                    let enabled = link.state == Some(DriveState::Enabled);
+                    (enabled || by_command).then_some(resting)
+                }
+                BusPhase::Running(_) if armed => Some(JointCommand {
+                    position: value(&self.desired.q).max(low).min(high),
+                    velocity: value(&self.desired.qd),
+                    torque: value(torque),
+                    kp: gains * joint.kp,
+                    kd: gains * joint.kd,
+                }),
+                BusPhase::Running(_) => Some(JointCommand {
+                    torque: value(torque),
+                    kd: joint.kd,
+                    ..resting
+                }),
+                BusPhase::Damping(_) => Some(JointCommand {
+                    kd: joint.kd,
+                    ..resting
+                }),
+            };
+            match command {
+                Some(command) => {
+                    saturation.insert(joint.drive.command(&command, &mut link.carry, &mut frames));
+                }
+                None if matches!(self.phase, BusPhase::Enabling(_)) => {
+                    joint.drive.order(Order::Enable, &mut frames);
+                }
+                None => {
+                    let scale = link.unknown_scale().filter(|_| self.idle % 2 == 1);
+                    let known = scale.is_some_and(|scale| {
+                        joint.drive.order(Order::ReadScale(scale), &mut frames)
+                    });
+                    let reported =
+                        known || self.idle != 0 && joint.drive.order(Order::Report, &mut frames);
+                    if !reported {
+                        joint.drive.order(Order::Disable, &mut frames);
+                    }
+                }
+            }
+            for frame in &frames {
+                let Some(last) = last.get_mut(usize::from(joint.bus)) else {
+                    continue;
+                };
+                if last.replace(*frame) != Some(*frame) {
+                    send(joint.bus, frame);
+                }
+            }
+        }
+        saturation
+    }
+
+    fn link(&self, joint: usize) -> Option<&JointLink> {
+        self.links.get(joint)?.as_ref()
+    }
+
+    /// Periods without a reply that make a fault.
+    fn silence(&self) -> u16 {
+        periods(SILENCE_S, self.period_s)
+    }
+}
+
+/// A period, s, in µs.
+pub(super) fn micros(period_s: f32) -> u32 {
+    (period_s * 1e6 + 0.5) as u32
+}
+
+/// Periods in a time, rounded up.
+fn periods(time_s: f32, period_s: f32) -> u16 {
+    (time_s / period_s) as u16 + 1
+}
+
+fn finite<const N: usize>(motion: &JointMotion<N>) -> bool {
+    let mut values = motion.q.iter().chain(motion.qd.iter());
+    values.all(|value| value.is_finite())
+}
+
+/// Joints in an order in which the buses take turns; those without a drive come first.
+fn alternating<const N: usize>(joints: &[Option<BusJoint>; N]) -> [u8; N] {
+    // The place of a joint on its own bus, then the bus.
+    let place = |joint: usize| {
+        let bus = joints.get(joint).copied().flatten().map(|joint| joint.bus);
+        let before = joints.iter().take(joint).flatten();
+        let before = before.filter(|other| Some(other.bus) == bus).count();
+        bus.map(|bus| (before, bus))
+    };
+    let mut order = [0; N];
+    for joint in 0..N {
+        let key = |joint| (place(joint), joint);
+        let rank = (0..N).filter(|&other| key(other) < key(joint)).count();
+        if let Some(slot) = order.get_mut(rank) {
+            *slot = joint as u8;
+        }
+    }
+    order
+}

@@ -1,0 +1,116 @@
+//! Six MIT drives on a bus: the loop of a master, and a command that passes in line.
+
+use core::mem::MaybeUninit;
+
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, ParameterSet, Ur5};
+use foretorque::joint::JointMotion;
+use foretorque_link::bus::{BusConfig, BusController, BusJoint, BusPhase};
+use foretorque_link::drives::in_line::InLine;
+use foretorque_link::drives::{
+    Carry, DriveProfile, Frame, Frames, JointCommand, JointReply, Protocol, Ranges,
+};
+use foretorque_link::session::LearnerMailbox;
+
+/// Largest number of periods until a loop runs whose drives all reply.
+const START: usize = 40;
+
+/// A loop whose drives stand still, and a board in line of the same drives.
+pub(crate) struct Bus {
+    controller: BusController<Ur5, JOINTS, PARAMETERS>,
+    mailbox: LearnerMailbox<JOINTS, PARAMETERS>,
+    replies: [Frame; JOINTS],
+    in_line: InLine<JOINTS>,
+    command: Frame,
+    passing: Frame,
+}
+
+impl Bus {
+    /// Initialises in place; `None` if the configuration contradicts the arm, or the loop does not start.
+    pub(crate) fn init(place: &'static mut MaybeUninit<Self>) -> Option<&'static mut Self> {
+        let joints = [1, 2, 3, 4, 5, 6].map(joint);
+        let config = BusConfig {
+            period_s: 1e-3,
+            joints,
+        };
+        let frame = |joint: &BusJoint, command| {
+            let mut frames = Frames::new();
+            if command {
+                let _ = joint.drive.command(
+                    &JointCommand::default(),
+                    &mut Carry::default(),
+                    &mut frames,
+                );
+            } else {
+                joint.drive.reply(&JointReply::default(), &mut frames);
+            }
+            frames.first().copied()
+        };
+        let replies = joints.map(|joint| frame(&joint, false));
+        let [Some(a), Some(b), Some(c), Some(d), Some(e), Some(f)] = replies else {
+            return None;
+        };
+        // The last joint is found after all others.
+        let command = frame(&joint(6), true)?;
+        let mut in_line = InLine::new(joints.map(|joint| Some(joint.drive)), u32::MAX);
+        in_line.set(&[1.0; JOINTS], 0);
+        let bus = place.write(Self {
+            controller: BusController::new(config, ParameterSet::nominal::<Ur5>(1)).ok()?,
+            mailbox: LearnerMailbox::new(),
+            replies: [a, b, c, d, e, f],
+            in_line,
+            command,
+            passing: command,
+        });
+        for _ in 0..START {
+            bus.tick();
+            let _ = bus.controller.arm();
+        }
+        matches!(bus.controller.phase(), BusPhase::Running(_)).then_some(bus)
+    }
+
+    /// One period: six replies in, six commands out.
+    #[inline(always)]
+    pub(crate) fn tick(&mut self) {
+        for reply in &self.replies {
+            self.controller.receive(0, reply);
+        }
+        let still = JointMotion::zero();
+        let tick = self
+            .controller
+            .tick(Some(&still), &mut self.mailbox, |_, frame| {
+                core::hint::black_box(frame);
+            });
+        core::hint::black_box(&tick);
+    }
+
+    /// One command that passes in line.
+    #[inline(always)]
+    pub(crate) fn pass(&mut self) {
+        self.passing = self.command;
+        core::hint::black_box(self.in_line.to_drives(&mut self.passing, 0));
+    }
+}
+
+fn joint(id: u16) -> BusJoint {
+    let ranges = Ranges {
+        position: 12.5,
+        velocity: 30.0,
+        torque: 200.0,
+        kp: 5000.0,
+        kd: 500.0,
+    };
+    BusJoint {
+        drive: DriveProfile {
+            protocol: Protocol::MiniCheetah(ranges),
+            id,
+            host_id: 0,
+            sign: 1.0,
+            zero: 0.0,
+            gear: 1.0,
+            torque_limit: 28.0,
+        },
+        bus: 0,
+        kp: 100.0,
+        kd: 5.0,
+    }
+}
