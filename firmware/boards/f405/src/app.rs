@@ -337,7 +337,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
             fault::keep_latched(latched);
         }
         if session.reboot_wanted() {
-            fault::leave::<B>(Reason::Asked, 0);
+            fault::leave::<B>(Reason::Requested, 0);
         }
         // A reply that waits for the learner is sent when that has woken this task again.
         if out.is_empty() || mailboxes.learner.holds_reply() {

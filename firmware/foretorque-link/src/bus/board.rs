@@ -83,7 +83,7 @@ pub struct BoardDrives<A: Arm<N, P>, const N: usize, const P: usize> {
     period_us: u32,
     /// A tick has run since the last frames were sent.
     ticked: bool,
-    arm: PhantomData<A>,
+    arm: PhantomData<fn() -> A>,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {

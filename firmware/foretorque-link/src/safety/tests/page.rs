@@ -109,7 +109,7 @@ fn every_limit_and_time_of_the_page_is_that_of_the_code() {
         ),
         (
             "| 21 | `FollowingError` |",
-            &[format!("{timeout} ms of samples"), near],
+            &[format!("{timeout} ms of samples"), near.clone()],
         ),
     ];
     assert_eq!(ARM_SAMPLES, 3);
