@@ -139,7 +139,7 @@ fn a_terminal_that_hangs_up_is_no_failure() {
     }
 }
 
-/// What `look` finds within a minute, while `child` runs.
+/// The finding of `look` within a minute, while `child` runs.
 fn awaited<T>(child: &mut Child, what: &str, look: impl Fn(&Child) -> Option<T>) -> T {
     let deadline = Instant::now() + Duration::from_secs(60);
     loop {

@@ -447,7 +447,7 @@ struct OnLine<B> {
     rounds: Rc<RefCell<Rounds>>,
 }
 
-/// What came in each period, and what left for it.
+/// Frames that came in each period, and those that left for it.
 type Rounds = Vec<(Ported, Ported)>;
 
 impl<B: FrameBoard> Transport for OnLine<B> {

@@ -61,6 +61,9 @@ pub(crate) struct Tree {
     copy: PathBuf,
 }
 
+/// Number of a mutant, and its place in the file.
+type Numbered = (u32, Range<usize>);
+
 impl Tree {
     /// Copies every tracked file that differs, so that what has not changed is not compiled again.
     pub(crate) fn new(root: &Path) -> Result<Self> {
@@ -88,7 +91,7 @@ impl Tree {
     }
 
     /// Writes the mutants that compile into the copy; the others are dropped.
-    pub(crate) fn plant(&self, mutants: &mut Vec<Option<Mutant>>) -> Result<()> {
+    pub(crate) fn plant(&self, mutants: &mut [Option<Mutant>]) -> Result<()> {
         ensure!(mutants.len() < MOST, "more than {MOST} mutants");
         let (_, sources) = PACKAGES[0];
         write(
@@ -143,10 +146,7 @@ impl Tree {
     }
 
     /// Writes every file with mutants; the place of each in it, by file.
-    fn write_mutants(
-        &self,
-        mutants: &[Option<Mutant>],
-    ) -> Result<BTreeMap<String, Vec<(u32, Range<usize>)>>> {
+    fn write_mutants(&self, mutants: &[Option<Mutant>]) -> Result<BTreeMap<String, Vec<Numbered>>> {
         let mut files: BTreeMap<&str, Vec<(u32, &Place)>> = BTreeMap::new();
         for (number, mutant) in (1..).zip(mutants) {
             if let Some(Mutant { file, place }) = mutant {

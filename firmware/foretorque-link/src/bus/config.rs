@@ -1,4 +1,3 @@
-use super::drives::micros;
 use crate::drives::{DriveProfile, ProfileError, Protocol, Ranges, Scale};
 use crate::safety::SafetyLimits;
 use core::fmt;
@@ -253,4 +252,9 @@ impl BusJoint {
             (_, Scale::Torque) => self.ranges().map(|ranges| ranges.torque),
         }
     }
+}
+
+/// A period, s, in µs.
+pub(super) fn micros(period_s: f32) -> u32 {
+    (period_s * 1e6 + 0.5) as u32
 }

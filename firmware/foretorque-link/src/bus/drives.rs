@@ -1,6 +1,6 @@
 //! The drives of one arm: replies in, phases of switching on and off, command frames out.
 
-use super::config::{BUSES, BusJoint};
+use super::config::{BUSES, BusJoint, micros};
 use super::fault::{BusFault, FaultCause};
 use super::joint::{JointCounters, JointLink, STATE_PERIODS};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
@@ -389,11 +389,6 @@ impl<const N: usize> BusDrives<N> {
     fn silence(&self) -> u16 {
         periods(SILENCE_S, self.period_s)
     }
-}
-
-/// A period, s, in µs.
-pub(super) fn micros(period_s: f32) -> u32 {
-    (period_s * 1e6 + 0.5) as u32
 }
 
 /// Periods in a time, rounded up.

@@ -1,11 +1,10 @@
 //! The elements of a URDF or MJCF that matter to dynamics, as they are written.
 
-use super::{UrdfProblem, mjcf};
+use super::UrdfProblem;
 use crate::robot::{Link, Placement};
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::Node;
 use std::f64::consts::FRAC_PI_2;
-use std::path::Path;
 
 /// Angles this close to a multiple of π/2 are that multiple. URDF files write right angles as 1.5708 or 1.57079632679;
 /// taken literally, such an arm has nearly dependent inertial parameters, which neither a torque sensor nor f32
@@ -68,7 +67,7 @@ pub(super) struct LimitElement {
 const MOST_PREFIXES: usize = 16;
 
 /// The text with its undeclared namespace prefixes declared, as parsers of robots overlook them.
-fn with_prefixes(text: &str) -> String {
+pub(super) fn with_prefixes(text: &str) -> String {
     let mut text = text.to_owned();
     for _ in 0..MOST_PREFIXES {
         let prefix = match xml(&text) {
@@ -101,17 +100,10 @@ pub(super) fn parsed(text: &str) -> Result<roxmltree::Document<'_>, UrdfProblem>
     xml(text).map_err(|error| UrdfProblem::Syntax(error.to_string()))
 }
 
-/// Reads all links and joints.
-///
-/// * `file` path of the text, for the files that it includes
-pub(super) fn read(file: &str, text: &str) -> Result<Document, UrdfProblem> {
-    let text = &with_prefixes(text);
+/// Reads all links and joints of a URDF.
+pub(super) fn read(text: &str) -> Result<Document, UrdfProblem> {
     let xml = parsed(text)?;
     let root = xml.root_element();
-    if root.has_tag_name("mujoco") {
-        let whole = mjcf::with_included(Path::new(file), text.to_owned())?;
-        return mjcf::read(parsed(&whole)?.root_element());
-    }
     if root.tag_name().name() != "robot" {
         let found = root.tag_name().name();
         return Err(UrdfProblem::Syntax(format!(

@@ -23,7 +23,7 @@ const MOST_CLASSES: usize = 64;
 /// The text with every `<include>` replaced by what the file in it has under its root.
 ///
 /// * `file` path of the text; included files lie beside it
-pub(super) fn with_included(file: &Path, text: String) -> Result<String, UrdfProblem> {
+fn with_included(file: &Path, text: String) -> Result<String, UrdfProblem> {
     let mut text = text;
     for _ in 0..MOST_INCLUDES {
         let xml = parsed(&text)?;
@@ -55,7 +55,12 @@ pub(super) fn with_included(file: &Path, text: String) -> Result<String, UrdfPro
 }
 
 /// Reads all bodies and joints under `<mujoco>`.
-pub(super) fn read(root: Node<'_, '_>) -> Result<Document, UrdfProblem> {
+///
+/// * `file` path of the text; included files lie beside it
+pub(super) fn read(file: &Path, text: String) -> Result<Document, UrdfProblem> {
+    let text = with_included(file, text)?;
+    let xml = parsed(&text)?;
+    let root = xml.root_element();
     let mut reader = Reader {
         root,
         degrees: true,

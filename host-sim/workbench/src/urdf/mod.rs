@@ -82,7 +82,7 @@ pub fn load(file: &Path, selection: &Selection<'_>) -> Result<Import, UrdfError>
 /// assert_eq!(import.robot.joints[0].link.mass, 2.0);
 /// ```
 pub fn parse(file: &str, text: &str, selection: &Selection<'_>) -> Result<Import, UrdfError> {
-    let document = document::read(file, text).map(|mut document| {
+    let document = read(file, text).map(|mut document| {
         if selection.base.is_some() {
             // A part of a robot hangs on a link of another file.
             let links: HashSet<String> = document.links.iter().map(|l| l.name.clone()).collect();
@@ -98,6 +98,18 @@ pub fn parse(file: &str, text: &str, selection: &Selection<'_>) -> Result<Import
             file: file.to_owned(),
             problem,
         })
+}
+
+/// Links and joints of a URDF or MJCF.
+fn read(file: &str, text: &str) -> Result<document::Document, UrdfProblem> {
+    let text = document::with_prefixes(text);
+    if document::parsed(&text)?
+        .root_element()
+        .has_tag_name("mujoco")
+    {
+        return mjcf::read(Path::new(file), text);
+    }
+    document::read(&text)
 }
 
 #[cfg(test)]

@@ -19,6 +19,10 @@ const POLLS: u32 = 10_000;
 const PRIORITY: u8 = (16 - 4) << 4;
 
 /// One port.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there are two, in a static, and no heap"
+)]
 pub(super) enum FramePort {
     /// CAN controller.
     Can(Bxcan<Peripheral>),

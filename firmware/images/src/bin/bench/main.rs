@@ -60,7 +60,7 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
     Some(())
 }
 
-/// What the stages take over from one another.
+/// Parts that the stages take over from one another.
 #[cfg(target_os = "none")]
 type Parts = (
     &'static mut Learner,
