@@ -22,7 +22,7 @@ fn read(flash: &[u8]) -> Seal {
 
 #[test]
 fn m7_every_flipped_bit_of_a_sealed_program_is_found() {
-    let mut flash: Vec<u8> = (0..4096_u32).map(|k| (k * 7 >> 2) as u8).collect();
+    let mut flash: Vec<u8> = (0..4096_u32).map(|k| ((k * 7) >> 2) as u8).collect();
     let program = 1000;
     write(&mut flash, Seal::default());
     assert_eq!(read(&flash).check(&flash, PLACE), Unsealed);
