@@ -75,6 +75,6 @@ fn the_deviations_of_a_bank_reach_the_learner() {
         board.learner.state().estimate.filter().diagonal().friction[2][1]
     };
     assert_eq!(start(1.0), 1.0);
-    assert!((start(0.1) - 0.09).abs() < 2e-3);
+    assert!((start(0.1) - 0.01).abs() < 5e-4);
     assert!((start(1e-6) - 0.0025).abs() < 1e-4);
 }
