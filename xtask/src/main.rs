@@ -248,7 +248,7 @@ mod tests {
             ("test --runs 3", "--runs"),
             ("fuzz --runs some", "some"),
             ("fuzz --runs 0", "zero"),
-            ("flash --board nucleo", "odrive, pyboard or drive"),
+            ("flash --board nucleo", "odrive, pyboard, drive or can"),
             ("test --image", "--image"),
             ("demo --urdf a", "--urdf"),
         ] {

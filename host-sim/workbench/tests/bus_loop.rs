@@ -361,7 +361,7 @@ fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
         spoken(&profile, move |_| {
             Protocol::Cia402(Cia402 {
                 mode: ControlMode::Position,
-                counts_per_turn: 1_048_576.0,
+                counts_per_turn: 524_288.0,
                 rated_torque,
             })
         })
@@ -420,13 +420,17 @@ fn short_tracking_mrad(profile: &Profile, forward: bool) -> f64 {
 fn every_family_of_drives_is_driven_and_a_fault_or_another_scale_ends_the_torque() {
     let robot = Robot::load("ur5").expect("built in");
     let path = path(&robot, 4.0);
+    let mut first = None;
     for (name, profile, other) in families() {
         let alone = short_tracking_mrad(&profile, false);
         let with = short_tracking_mrad(&profile, true);
         println!("{name}: {alone:.3} mrad alone, {with:.3} mrad with");
+        // The same arm and path: the torque that a family carries is that of the others. The position controller of a CiA
+        // 402 drive is its own, so only the sign is compared.
+        let reference = *first.get_or_insert(with);
         assert!(
-            alone > 1.5 * with,
-            "{name}: {alone} mrad alone, {with} mrad with"
+            with < alone && (name == "cia402" || (with / reference - 1.0).abs() < 0.1),
+            "{name}: {with} mrad, {reference} mrad with the first family, {alone} mrad alone"
         );
         // The first torque of a drive that is switched on holds the arm where it stands.
         let mut arming = player(&profile, &path, true);

@@ -36,11 +36,11 @@ pub(crate) fn encoder(angle: u16, readings: u16) -> Vec<u16> {
         0xB2C0, // uxtb r0, r0
     ]);
     if readings != NEVER {
-        code.extend(mov16(1, readings * READING, false));
+        let last = u8::try_from(readings * READING).expect("compared with a byte");
         code.extend([
-            0x428A, // cmp r2, r1
-            0xBF28, // it hs
-            0x2000, // movhs r0, #0
+            0x2A00 | u16::from(last), // cmp r2, #last
+            0xBF28,                   // it hs
+            0x2000,                   // movhs r0, #0
         ]);
     }
     code.push(0x4770); // bx lr
