@@ -65,6 +65,7 @@ fn every_test_that_a_page_names_is_there() {
     for (path, text) in pages() {
         for command in text.split("cargo test -p ").skip(1) {
             // `PACKAGE --test NAME`, or `PACKAGE NAME` where one test crate holds all files.
+            let command = command.split(['`', '\n']).next().unwrap_or_default();
             let mut words = command.split_whitespace();
             let package = words.next().unwrap_or_default();
             let name = words.find(|word| *word != "--test").unwrap_or_default();
@@ -76,7 +77,7 @@ fn every_test_that_a_page_names_is_there() {
                 "host-sim" => "host-sim/tests",
                 _ => "tests/tests",
             };
-            if name.starts_with("--") {
+            if name.is_empty() || name.starts_with("--") {
                 continue;
             }
             let name = name.trim_matches(|c: char| !c.is_alphanumeric() && c != '_');
