@@ -89,7 +89,7 @@ impl Arguments {
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
-        if arguments.bus == BusChoice::Sim {
+        let network: Box<dyn Operator> = if arguments.bus == BusChoice::Sim {
             let truth = robot.perturbed(arguments.seed, &Perturbation::PLANT);
             let plant = plant_config(PlantConfig::default());
             let plant = Plant::<N>::new(&truth, plant, arguments.seed);
@@ -98,19 +98,19 @@ impl Arguments {
             let rates = profile.bus.first().copied().unwrap_or_default();
             let noise = Joints::zeros();
             let network = SimulatedNetwork::new(plant, &config, rates, &noise, arguments.seed);
-            let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
-            return steps(arguments, Commissioning::new(player, model, rest));
-        }
-        let network = Attended(wired(&arguments.bus, profile)?);
+            Box::new(network)
+        } else {
+            Box::new(Attended(wired(&arguments.bus, profile)?))
+        };
         let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
         steps(arguments, Commissioning::new(player, model, rest))
     }
 }
 
 /// Executes the steps, and writes what was found up to the first mistake.
-fn steps<A: Arm<N, P>, W: Network + Operator, const N: usize, const P: usize>(
+fn steps<A: Arm<N, P>, const N: usize, const P: usize>(
     arguments: &Arguments,
-    mut arm: Commissioning<A, W, N, P>,
+    mut arm: Commissioning<A, Box<dyn Operator>, N, P>,
 ) -> Result<(), Failure> {
     let wanted = |name: &StepName| arguments.step.is_none_or(|only| only == *name);
     let mut outcome = Ok(());

@@ -1,6 +1,6 @@
 //! Steps of commissioning with torque: a push, and slow sweeps in the loop.
 
-use super::{BusError, Commissioning, Network, Operator, mistake};
+use super::{BusError, Commissioning, Operator, mistake};
 use crate::closed_loop::motion_f32;
 use crate::dynamics::State;
 use foretorque::arm::Arm;
@@ -20,9 +20,7 @@ const RATIOS: std::ops::Range<f64> = 0.5..2.0;
 const SWEEP_RAD: f64 = 0.15;
 const SWEEP_RAD_S: f64 = 0.15;
 
-impl<A: Arm<N, P>, W: Network + Operator, const N: usize, const P: usize>
-    Commissioning<A, W, N, P>
-{
+impl<A: Arm<N, P>, W: Operator, const N: usize, const P: usize> Commissioning<A, W, N, P> {
     /// Pushes a joint with rising torques until it moves, then compares push and coasting with its inertia.
     pub(super) fn torque(&mut self, joint: usize) -> Result<(), BusError> {
         let limit = f64::from(A::limits()[joint].torque);
