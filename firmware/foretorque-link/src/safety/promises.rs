@@ -21,6 +21,8 @@ pub enum Broken {
     TimeOut,
     /// The torque begins to fall 10 ms after the last usable sample.
     Hold,
+    /// After the time-out, a disarming or a fault the torque is zero within the closing time of the brakes and 10 ms.
+    End,
 }
 
 /// Observer of one board, period by period.
@@ -40,6 +42,8 @@ pub struct Promises<const N: usize> {
     held: f32,
     /// Periods since then.
     silent: u32,
+    /// Periods since the board has left `Armed`.
+    ending: u32,
 }
 
 impl<const N: usize> Promises<N> {
@@ -55,6 +59,7 @@ impl<const N: usize> Promises<N> {
             torque: JointVector::zeros(),
             held: 0.0,
             silent: 0,
+            ending: 0,
         }
     }
 
@@ -67,6 +72,7 @@ impl<const N: usize> Promises<N> {
     pub fn period(&mut self) {
         self.slewed_from = self.torque;
         self.silent = self.silent.saturating_add(1);
+        self.ending = self.ending.saturating_add(1);
     }
 
     /// Checks the board after any call of it.
@@ -122,6 +128,12 @@ impl<const N: usize> Promises<N> {
         if used || !enabled {
             (self.silent, self.held) = (0, sum);
         }
+        if state != SafetyState::RampDown {
+            self.ending = 0;
+        }
+        let ramp = of(&self.limits.torque, 0) / of(&self.limits.slew_per_tick, 0);
+        let end = self.limits.brake_ticks + ramp as u32 + 2;
+        holds(self.ending <= end, Broken::End)?;
         let timeout = self.limits.timeout_ticks;
         let left = before == SafetyState::Armed && !armed;
         let early = left && reason == SafetyReason::CommandTimeout && enabled;

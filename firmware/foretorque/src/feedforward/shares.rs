@@ -62,7 +62,7 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     }
 }
 
-/// Torque of gravity at the position `q`, N × rad, by the rigid bodies of `set`, N × N·m.
+/// Torque of gravity at the position `q`, N × rad, by the rigid bodies of `set`, N × N·m; 0 where it is not plausible.
 #[inline(never)]
 pub fn gravity<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
@@ -72,7 +72,13 @@ pub fn gravity<A: Arm<N, P>, const N: usize, const P: usize>(
         q: *q,
         ..JointMotion::zero()
     };
-    rnea::<A, N, P>(&set.rigid, &motion)
+    // One copy of the inverse dynamics: this one is rare.
+    let mut gravity = evaluate::<A, N, P>(set, &motion).shares.rigid;
+    for (torque, limits) in gravity.as_mut_slice().iter_mut().zip(A::limits()) {
+        let plausible = torque.abs() <= RIGID_PLAUSIBLE * limits.torque;
+        *torque = if plausible { *torque } else { 0.0 };
+    }
+    gravity
 }
 
 /// Network shares at joint speeds `qd`, cut to their bound, N × N·m.

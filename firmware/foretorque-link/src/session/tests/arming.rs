@@ -73,21 +73,29 @@ fn a_stop_with_an_old_number_acts_before_the_next_reply() {
 }
 
 #[test]
-fn nothing_is_written_while_torque_flows() {
-    let mut board = Board::armed();
-    let bank = uploaded();
-    let before = board.read();
-    let refused = nack(NackReason::Armed);
-    assert_eq!(board.commit(&bank), refused);
-    for message in [
-        write(&bank, 0),
-        HostMessage::Reset,
-        HostMessage::Configure(Configuration::default()),
-    ] {
-        assert_eq!(board.request(message), refused);
+fn nothing_is_written_while_torque_flows_or_learning_is_on() {
+    for (armed, reason) in [(true, NackReason::Armed), (false, NackReason::LearningOn)] {
+        let mut board = if armed { Board::armed() } else { Board::new() };
+        let learning = !armed;
+        board.acknowledged(HostMessage::Learning { on: learning });
+        board.sample(0);
+        let bank = uploaded();
+        let before = board.read();
+        let refused = nack(reason);
+        assert_eq!(board.commit(&bank), refused);
+        for message in [
+            write(&bank, 0),
+            HostMessage::Restore,
+            HostMessage::Configure(Configuration::default()),
+        ] {
+            assert_eq!(board.request(message), refused);
+        }
+        if armed {
+            assert_eq!(board.request(HostMessage::Reset), refused);
+        }
+        assert_eq!(board.read(), before);
+        assert_eq!(board.session.torque_enabled(), armed);
     }
-    assert_eq!(board.read(), before);
-    assert!(board.session.torque_enabled());
 }
 
 #[test]

@@ -237,6 +237,7 @@ fn a_permission_serves_one_order_once() {
     for message in protected() {
         let order = message.protected().unwrap();
         assert_eq!(board.unlock(4, order), REFUSED, "a foreign key");
+        assert_eq!(board.request(message.clone()), REFUSED, "no permission");
         assert_eq!(board.unlock(3, order), ACK);
         assert_ne!(board.request(message.clone()), REFUSED);
         assert_eq!(board.request(message.clone()), REFUSED, "used up");

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::safety::promises::{Promises, Timing};
-use crate::session::LocalSensor;
 
 const PACINGS: [Pacing; 2] = [Pacing::Link, Pacing::SysTick];
 
@@ -18,9 +17,18 @@ struct Timeline {
 
 impl Timeline {
     fn new(pacing: Pacing, seed: u32) -> Self {
+        Self::braked(pacing, 0, seed)
+    }
+
+    fn braked(pacing: Pacing, brake_close_ms: u16, seed: u32) -> Self {
         let mut board = Board::new();
-        board.pace(pacing);
-        let limits = SafetyLimits::for_arm::<Ur5, P>(1000);
+        board.acknowledged(HostMessage::Configure(Configuration {
+            pacing,
+            brake_close_ms,
+            ..Configuration::default()
+        }));
+        let close_us = 1000 * u32::from(brake_close_ms);
+        let limits = SafetyLimits::for_arm::<Ur5, P>(1000).with_brake(close_us, 1000);
         let promises = Promises::new(limits, board.session.feed_forward().config());
         let mut timeline = Self {
             board,
@@ -139,12 +147,10 @@ fn slow(k: u32) -> JointSample<N> {
 
 #[test]
 fn every_promise_holds_at_every_timing_in_both_pacings() {
-    for (pacing, timing) in PACINGS
-        .into_iter()
-        .flat_map(|p| Timing::ALL.map(|t| (p, t)))
-    {
+    let all = PACINGS.map(|p| [0, 25].map(|brake| Timing::ALL.map(|t| (p, brake, t))));
+    for &(pacing, brake, timing) in all.as_flattened().as_flattened() {
         let mut torques = 0;
-        let mut timeline = Timeline::new(pacing, timing as u32);
+        let mut timeline = Timeline::braked(pacing, brake, timing as u32);
         let mut gap = 0;
         for k in 0..3000_u32 {
             if gap > 0 {
@@ -343,23 +349,15 @@ fn across_the_wraps_of_sequence_and_period_the_torques_are_those_of_a_twin() {
     }
 }
 
-/// The brake of a board's joints.
-struct Braked;
-
-impl<const N: usize> LocalSensor<N> for Braked {
-    const BRAKE_CLOSE_US: u32 = 150_000;
-
-    fn measure(&mut self, _: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
-        SafetyReason::None
-    }
-}
-
 /// The torque of gravity at the measured position is kept until the brake is closed.
 #[test]
 fn m8_a_board_with_a_brake_holds_the_arm_until_it_is_closed() {
     for pacing in PACINGS {
         for orderly in [false, true] {
-            let mut board = timed(pacing);
+            let mut board = Timeline::braked(pacing, 150, 1).board;
+            for _ in 0..ARM_SAMPLES {
+                board.period(Some(slow(0)));
+            }
             board.acknowledged(HostMessage::Arm);
             let mut still = slow(0);
             // More than gravity in the torque.
@@ -372,8 +370,8 @@ fn m8_a_board_with_a_brake_holds_the_arm_until_it_is_closed() {
                     Vec::new()
                 };
                 board.output(|session, mailboxes, out| {
-                    session.receive(&bytes, mailboxes, out, &mut Braked);
-                    session.timer_tick(mailboxes, out, &mut Braked);
+                    session.receive(&bytes, mailboxes, out, &mut NoLocalSensor);
+                    session.timer_tick(mailboxes, out, &mut NoLocalSensor);
                 });
                 let session = &board.session;
                 (
@@ -417,14 +415,4 @@ fn m8_a_board_with_a_brake_holds_the_arm_until_it_is_closed() {
             assert!(kept <= most && kept + 15 >= most, "{context}");
         }
     }
-}
-
-/// A board with a timer beside the samples, ready to be armed.
-fn timed(pacing: Pacing) -> Board {
-    let mut board = Board::new();
-    board.pace(pacing);
-    for _ in 0..ARM_SAMPLES {
-        board.period(Some(slow(0)));
-    }
-    board
 }
