@@ -253,11 +253,6 @@ impl<const N: usize> Safety<N> {
         self.state == SafetyState::Armed && !self.unconfirmed
     }
 
-    /// A brake closes, and the torque of gravity is kept meanwhile.
-    fn braking(&self) -> bool {
-        self.state == SafetyState::RampDown && self.braking > 0
-    }
-
     /// The torque that a tick wants, N × N·m, or that of gravity by the `committed` set at the position measured last, where
     /// brakes have to close before the torque goes to zero.
     ///
@@ -270,7 +265,8 @@ impl<const N: usize> Safety<N> {
         let withdrawn = torque
             .flags
             .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
-        let braced = self.limits.brake_ticks > 0 && (withdrawn || self.braking());
+        let ends = withdrawn || self.state == SafetyState::RampDown;
+        let braced = self.limits.brake_ticks > 0 && ends;
         if let Some(q) = self.input.measured_q().filter(|_| braced) {
             self.gravity = gravity::<A, N, P>(committed, q);
             if withdrawn {

@@ -437,6 +437,13 @@ fn m8_gravity_is_kept_while_the_brake_closes() {
         assert!(wanted.contains(&kept), "{reason:?}: {kept} of {periods}");
         assert_eq!(*safety.output(), torque(0.0));
     }
+    // What does not flow needs no brake.
+    let mut disarmed = ready();
+    disarmed.limits = limits().with_brake(149_500, 1000);
+    disarmed.trip(MotorHot);
+    disarmed.trip(Drive);
+    assert!(!disarmed.enabled());
+    assert_eq!(disarmed.latched(), MotorHot, "the first one");
 }
 
 proptest! {

@@ -32,6 +32,8 @@ fn every_limit_and_time_of_the_page_is_that_of_the_code() {
         text(limits.step_per_tick[0] * 1e3 / arm.velocity)
     );
     let jump = format!("{} rad that a faster motion", text(limits.jump_margin));
+    assert_eq!(limits.brake_ticks, 0);
+    assert_eq!(limits.with_brake(20_000, 1000).brake_ticks, 21);
     let overdue = (limits.temperature_ticks - 1) / 1000;
     let near = format!("more than {} rad", text(ARM_DISTANCE));
     let rows: &[(&str, &[String])] = &[

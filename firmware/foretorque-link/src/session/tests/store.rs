@@ -208,6 +208,7 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
     ] {
         assert_eq!(board.request(message), busy);
     }
+    board.acknowledged(HostMessage::Learning { on: false });
     assert_eq!(finished(&mut board), [(4, ACK)]);
     let source = BankSource::Live;
     started(HostMessage::BankRead { source, offset: 0 }, &mut board);
@@ -215,7 +216,7 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
     board.sample(0);
     assert!(matches!(
         finished(&mut board)[..],
-        [(11, BoardMessage::BankChunk { offset: 0, .. })]
+        [(12, BoardMessage::BankChunk { offset: 0, .. })]
     ));
 }
 

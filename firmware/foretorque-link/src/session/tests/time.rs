@@ -233,7 +233,10 @@ fn m2_one_implausible_sample_in_four_latches_in_both_pacings() {
 #[test]
 fn m3_a_burst_out_of_a_buffer_is_not_played_at_line_speed() {
     for (pacing, at_once) in [(Pacing::Link, 2), (Pacing::SysTick, 0)] {
-        let mut timeline = Timeline::armed(pacing);
+        let mut timeline = Timeline::new(pacing, 1);
+        // The timer goes on when the same pacing is configured again.
+        timeline.board.pace(pacing);
+        (0..ARM_SAMPLES).for_each(|_| timeline.period(Timing::Exact));
         (0..8).for_each(|_| timeline.silence());
         let before = timeline.board.statistics().overtaken;
         timeline.promises.period();
