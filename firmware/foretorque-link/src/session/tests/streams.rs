@@ -138,7 +138,7 @@ fn records_that_are_not_sent_whole_are_counted() {
     });
     let statistics = board.statistics();
     assert_eq!((statistics.records_lost, statistics.replies_lost), (1, 1));
-    assert_eq!(board.send(&sample_message(1)).len(), 4);
+    assert_eq!(board.send(&sample_message(1)).len(), 3);
     // A line that carries a record in two ticks, and a record in each.
     let mut board = connected(LINE);
     let every = refused(LINE, ALL, 1);

@@ -6,8 +6,11 @@ use crate::dynamics::{friction_load, friction_row};
 #[test]
 fn the_settled_torque_is_the_sum_of_the_evaluated_shares() {
     let motion = motion(0.3);
-    let torque = settled(&mut tick(set()), &motion);
-    let evaluated = evaluate::<Ur5, N, P>(&set(), &motion);
+    let mut set = set();
+    set.network[2].output_bias[0] = 0.05;
+    let torque = settled(&mut tick(set), &motion);
+    let evaluated = evaluate::<Ur5, N, P>(&set, &motion);
+    assert!(evaluated.shares.network[2].abs() > 1.0);
     assert_eq!(torque.shares, evaluated.shares);
     assert_eq!(torque.total, evaluated.total);
     assert_eq!(torque.flags, Flags::NO_MEASUREMENT);
