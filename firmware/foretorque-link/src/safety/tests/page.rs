@@ -4,6 +4,7 @@ use super::*;
 use foretorque::feedforward::FeedForwardConfig;
 use std::format;
 use std::string::{String, ToString as _};
+use std::vec::Vec;
 
 const PAGE: &str = include_str!("../../../../../docs/safety.md");
 
@@ -121,6 +122,32 @@ fn every_limit_and_time_of_the_page_is_that_of_the_code() {
         for text in *texts {
             assert!(row.contains(text), "{row}\nhas no `{text}`");
         }
+    }
+}
+
+#[test]
+fn torque_and_enable_of_every_state_are_those_of_its_row() {
+    let mut falling = armed();
+    falling.disarm();
+    tick(&mut falling, Some(sample()));
+    let mut fault = armed();
+    fault.torque_off(SafetyReason::Stopped);
+    for mut safety in [ready(), armed(), falling, fault] {
+        let state = safety.status().state;
+        let cells = format!("| {} | `{state:?}` |", state as u8);
+        let row = PAGE.lines().find(|line| line.starts_with(&cells)).unwrap();
+        let columns: Vec<_> = row.split('|').map(str::trim).collect();
+        assert_eq!(columns[4], if safety.enabled() { "on" } else { "off" });
+        let before = safety.output()[0];
+        let torque = tick(&mut safety, Some(sample()))[0];
+        let (kind, _) = columns[3].split_once([' ', ';', ',']).unwrap();
+        let holds = match kind {
+            "zero" => torque == 0.0,
+            "that" => torque == 5.0,
+            "falls" => torque < before,
+            other => panic!("`{other}` has no test"),
+        };
+        assert!(holds, "{row}: {torque}");
     }
 }
 

@@ -352,70 +352,72 @@ fn across_the_wraps_of_sequence_and_period_the_torques_are_those_of_a_twin() {
     }
 }
 
-/// The torque of gravity at the measured position is kept until the brake is closed.
+/// Every row of the page about what holds the arm, in both pacings. The torque that is kept is that of gravity at the
+/// measured position.
 #[test]
-fn m8_a_board_with_a_brake_holds_the_arm_until_it_is_closed() {
-    for pacing in PACINGS {
-        for orderly in [false, true] {
-            let mut board = Timeline::braked(pacing, 150, 1).board;
-            for _ in 0..ARM_SAMPLES {
-                board.period(Some(slow(0)));
-            }
+fn m8_the_arm_is_held_as_long_as_the_page_has_it() {
+    let page = include_str!("../../../../../docs/safety.md");
+    let rows = page.split("| brake | event |").nth(1).unwrap().lines();
+    let rows: Vec<Vec<_>> = rows
+        .skip(2)
+        .take_while(|row| row.starts_with('|'))
+        .map(|row| row.split('|').map(str::trim).collect())
+        .collect();
+    assert_eq!(rows.len(), 5);
+    let mut still = slow(0);
+    // More than gravity in the torque.
+    still.desired.qdd.fill(3.0);
+    let q = SampleFrame::new(&still)
+        .sample(&[0.0; N])
+        .measured
+        .unwrap()
+        .q;
+    for (row, pacing) in rows.iter().flat_map(|row| PACINGS.map(|p| (row, p))) {
+        let close_ms = if row[1] == "set" { 100 } else { 0 };
+        // Periods of the torque after the last sample or the event: kept at least, and zero at last.
+        let (kept, zero) = match row[3] {
+            "30 ms after the last sample" => (10, 33),
+            "10 ms" => (0, 11),
+            "50 ms and the closing time" => (147, 165),
+            "the closing time" => (99, 114),
+            "0 ms" => (0, 1),
+            other => panic!("`{other}` has no test"),
+        };
+        for event in row[2].split(", ") {
+            let mut board = Timeline::braked(pacing, close_ms, 1).board;
+            (0..ARM_SAMPLES).for_each(|_| _ = board.period(Some(slow(0))));
             board.acknowledged(HostMessage::Arm);
-            let mut still = slow(0);
-            // More than gravity in the torque.
-            still.desired.qdd.fill(3.0);
-            let message = HostMessage::Sample(SampleFrame::new(&still));
-            let period = |board: &mut Board, sends: bool| {
-                let bytes = if sends {
-                    board.numbered(&message)
-                } else {
-                    Vec::new()
-                };
-                board.output(|session, mailboxes, out| {
-                    session.receive(&bytes, mailboxes, out, &mut NoLocalSensor);
-                    session.timer_tick(mailboxes, out, &mut NoLocalSensor);
-                });
-                let session = &board.session;
-                (
-                    *session.torque_output(),
-                    session.brake_released(),
-                    session.torque_enabled(),
-                )
-            };
-            (0..60).for_each(|_| assert!(period(&mut board, true).1));
+            (0..60).for_each(|_| _ = board.period(Some(still)));
+            assert!(board.session.brake_released());
             let committed = board.session.feed_forward().state().committed;
-            let measured = SampleFrame::new(&still)
-                .sample(&[0.0; N])
-                .measured
-                .unwrap()
-                .q;
-            let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &measured);
-            if orderly {
-                board.acknowledged(HostMessage::Disarm);
+            let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &q);
+            let full = *board.session.torque_output();
+            match event {
+                "silence" => {}
+                "`Disarm`" => board.acknowledged(HostMessage::Disarm),
+                "a fault that ramps" => board.session.trip(SafetyReason::MotorHot),
+                "`Stop`" => board.acknowledged(HostMessage::Stop),
+                "`Drive`" => board.session.torque_off(SafetyReason::Drive),
+                "`Stage`" => board.session.torque_off(SafetyReason::Stage),
+                // The pins of a board in reset are low.
+                "restart" | "loss of power" => continue,
+                other => panic!("`{other}` has no test"),
             }
-            let (mut released, mut kept, mut periods) = (0, 0, 0);
-            loop {
-                let (torque, open, enabled) = period(&mut board, orderly);
-                if !enabled {
-                    break;
-                }
-                released += u32::from(open);
-                kept += u32::from(torque == gravity);
-                periods += 1;
-                assert!(
-                    torque
-                        .iter()
-                        .zip(&gravity)
-                        .all(|(t, g)| t.abs() <= g.abs() + 15.0)
-                );
-                assert!(periods < 300, "{pacing:?}: the torque never ends");
+            let (mut held, mut lasted) = (0, 0);
+            while board.session.torque_enabled() {
+                board.period((event != "silence").then_some(still));
+                let session = &board.session;
+                let torque = session.torque_output();
+                held += u32::from(*torque == gravity || *torque == full);
+                lasted += 1;
+                let ended = session.safety().state != SafetyState::Armed;
+                assert_ne!(session.brake_released(), ended);
+                assert!(lasted < 300, "the torque never ends");
             }
-            // A silent host: held for 10 ms, gravity until the time-out and 150 ms more, 10 ms of ramp.
-            let (open, most) = if orderly { (0, 150) } else { (50, 192) };
-            let context = std::format!("{pacing:?}, {orderly}: {released} {kept} {periods}");
-            assert!(released.abs_diff(open) <= 1, "{context}");
-            assert!(kept <= most && kept + 15 >= most, "{context}");
+            let context = std::format!("{pacing:?}, {row:?}, {event}: {held} {lasted}");
+            // On its way from the full torque it is neither.
+            assert!(held + 10 >= kept && lasted <= zero, "{context}");
+            assert_eq!(*board.session.torque_output(), JointVector::zeros());
         }
     }
 }
