@@ -24,8 +24,8 @@ use foretorque_link::session::{
 };
 use foretorque_link::store::Store;
 use foretorque_link::wire::{
-    BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, HostMessage, MAX_FRAME, PROTOCOL_VERSION,
-    encode,
+    BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, HostMessage, MAX_FRAME,
+    PROTOCOL_VERSION, encode,
 };
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
