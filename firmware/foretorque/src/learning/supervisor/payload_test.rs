@@ -255,8 +255,8 @@ mod tests {
             assert!(near, "{carried:?} {felt:?}: {decision:?}");
             assert!((blocks..=blocks + 3).contains(&block), "{felt:?}: {block}");
         }
-        // A disturbance that no payload explains.
-        let (block, decision) = decided(&NO_PAYLOAD, &NO_PAYLOAD, 3.0);
+        // A disturbance that a payload explains in part.
+        let (block, decision) = decided(&NO_PAYLOAD, &two, 3.0);
         assert!(
             matches!(decision, PayloadDecision::Refuse(Reason::Residual, _)),
             "{decision:?}"
