@@ -417,7 +417,7 @@ fn m8_the_arm_is_held_as_long_as_the_page_has_it() {
             let context = std::format!("{pacing:?}, {row:?}, {event}: {held} {lasted}");
             // On its way from the full torque it is neither.
             assert!(held + 10 >= kept && lasted <= zero, "{context}");
-            assert_eq!(*board.session.torque_output(), JointVector::zeros());
+            assert_eq!(*board.session.torque_output(), JointVector::<N>::zeros());
         }
     }
 }
