@@ -258,6 +258,7 @@ impl Observed {
         };
         match frame.message::<HostMessage<6>>() {
             Ok(HostMessage::Arm) => self.arming = Some(frame.sequence),
+            Ok(HostMessage::Stop) => self.promises.stop(),
             // The timer starts anew.
             Ok(HostMessage::Configure(_) | HostMessage::Reset) => {
                 self.check();

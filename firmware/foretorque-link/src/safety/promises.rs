@@ -34,6 +34,8 @@ pub struct Promises<const N: usize> {
     permitted: bool,
     /// The board may be in `Armed`.
     may_be_armed: bool,
+    /// A stop has arrived since the last check.
+    stopped: bool,
     state: SafetyState,
     /// Torque at the beginning of the period.
     slewed_from: JointVector<N>,
@@ -54,6 +56,7 @@ impl<const N: usize> Promises<N> {
             hold_ticks: config.hold_ticks,
             permitted: false,
             may_be_armed: false,
+            stopped: false,
             state: SafetyState::Disarmed,
             slewed_from: JointVector::zeros(),
             torque: JointVector::zeros(),
@@ -66,6 +69,11 @@ impl<const N: usize> Promises<N> {
     /// An `Arm` was acknowledged.
     pub fn permit(&mut self) {
         (self.permitted, self.may_be_armed) = (true, true);
+    }
+
+    /// A stop has arrived: the torque may end at once, also where another fault was latched before.
+    pub fn stop(&mut self) {
+        self.stopped = true;
     }
 
     /// A period begins; before the board's timer.
@@ -108,10 +116,11 @@ impl<const N: usize> Promises<N> {
             let step = (torque - of(&self.slewed_from, j)).abs();
             step <= 1.0001 * of(&self.limits.slew_per_tick, j)
         });
-        let at_once = matches!(
-            reason,
-            SafetyReason::Stopped | SafetyReason::Drive | SafetyReason::Stage
-        );
+        let at_once = core::mem::take(&mut self.stopped)
+            || matches!(
+                reason,
+                SafetyReason::Stopped | SafetyReason::Drive | SafetyReason::Stage
+            );
         let stopped = off && !enabled && at_once;
         holds(slewed || stopped, Broken::Slew)?;
         if stopped {

@@ -1,6 +1,6 @@
 use super::Torque;
 use crate::arm::Arm;
-use crate::dynamics::{friction, rnea};
+use crate::dynamics::{friction, gravity_torque, rnea};
 use crate::joint::{JointMotion, JointVector};
 use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet, network_output};
 use crate::limits::{Flags, cut};
@@ -68,12 +68,7 @@ pub fn gravity<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    let motion = JointMotion {
-        q: *q,
-        ..JointMotion::zero()
-    };
-    // One copy of the inverse dynamics: this one is rare.
-    let mut gravity = evaluate::<A, N, P>(set, &motion).shares.rigid;
+    let mut gravity = gravity_torque::<A, N, P>(&set.rigid, q);
     for (torque, limits) in gravity.as_mut_slice().iter_mut().zip(A::limits()) {
         let plausible = torque.abs() <= RIGID_PLAUSIBLE * limits.torque;
         *torque = if plausible { *torque } else { 0.0 };
