@@ -37,7 +37,9 @@ fn number(name: &str) -> u64 {
 pub fn on(mutant: u32) -> bool {
     let (active, most) =
         *ACTIVE.get_or_init(|| (number("FORETORQUE_MUTANT") as u32, number("FORETORQUE_CALLS")));
-    let calls = CALLS.fetch_add(1, Ordering::Relaxed) + 1;
+    // Not locked: the tests spend their time here, and a lost count is no harm.
+    let calls = CALLS.load(Ordering::Relaxed) + 1;
+    CALLS.store(calls, Ordering::Relaxed);
     if active == u32::MAX {
         let bit = 1 << (mutant % 32);
         let first = REACHED[mutant as usize / 32].fetch_or(bit, Ordering::Relaxed) & bit == 0;
