@@ -135,7 +135,11 @@ pub(crate) fn sealed(elf: &Path, name: &str, damaged: bool) -> PathBuf {
     let file = ElfBytes::<LittleEndian>::minimal_parse(&bytes).expect("it is an ELF");
     let (symbols, names) = file.symbol_table().unwrap().expect("it has symbols");
     let mut symbols = symbols.iter();
-    let seal = symbols.find(|symbol| names.get(symbol.st_name as usize) == Ok(image::SYMBOL));
+    let seal = symbols.find(|symbol| {
+        names
+            .get(symbol.st_name as usize)
+            .is_ok_and(|name| name == image::SYMBOL)
+    });
     let seal = seal.expect("it has a seal").st_value;
     let mut parts: Vec<_> = file
         .segments()
