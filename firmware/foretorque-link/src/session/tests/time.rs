@@ -403,16 +403,17 @@ fn m8_the_arm_is_held_as_long_as_the_page_has_it() {
                 "restart" | "loss of power" => continue,
                 other => panic!("`{other}` has no test"),
             }
-            let (mut held, mut lasted) = (0, 0);
+            let (mut held, mut lasted, mut periods) = (0, 0, 0);
             while board.session.torque_enabled() {
                 board.period((event != "silence").then_some(still));
                 let session = &board.session;
                 let torque = session.torque_output();
                 held += u32::from(*torque == gravity || *torque == full);
-                lasted += 1;
+                lasted += u32::from(*torque != JointVector::<N>::zeros());
+                periods += 1;
                 let ended = session.safety().state != SafetyState::Armed;
                 assert_ne!(session.brake_released(), ended);
-                assert!(lasted < 300, "the torque never ends");
+                assert!(periods < 300, "the torque never ends");
             }
             let context = std::format!("{pacing:?}, {row:?}, {event}: {held} {lasted}");
             // On its way from the full torque it is neither.
