@@ -233,10 +233,7 @@ fn m2_one_implausible_sample_in_four_latches_in_both_pacings() {
 #[test]
 fn m3_a_burst_out_of_a_buffer_is_not_played_at_line_speed() {
     for (pacing, at_once) in [(Pacing::Link, 2), (Pacing::SysTick, 0)] {
-        let mut timeline = Timeline::new(pacing, 1);
-        // The timer goes on when the same pacing is configured again.
-        timeline.board.pace(pacing);
-        (0..ARM_SAMPLES).for_each(|_| timeline.period(Timing::Exact));
+        let mut timeline = Timeline::armed(pacing);
         (0..8).for_each(|_| timeline.silence());
         let before = timeline.board.statistics().overtaken;
         timeline.promises.period();
@@ -249,6 +246,12 @@ fn m3_a_burst_out_of_a_buffer_is_not_played_at_line_speed() {
         assert_eq!(timeline.timer(), 1, "the newest runs with the timer");
         let overtaken = timeline.board.statistics().overtaken - before;
         assert_eq!(overtaken as usize, 19 - at_once, "{pacing:?}");
+        // The timer goes on when the same pacing is configured again.
+        let mut timeline = Timeline::new(pacing, 1);
+        timeline.board.pace(pacing);
+        let frames = (0..20).map(|k| SampleFrame::new(&slow(k)).in_period(k as u8));
+        let answered: usize = frames.map(|frame| timeline.send(frame)).sum();
+        assert_eq!(answered, at_once, "{pacing:?}");
     }
 }
 

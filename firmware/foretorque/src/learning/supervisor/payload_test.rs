@@ -255,6 +255,12 @@ mod tests {
             assert!(near, "{carried:?} {felt:?}: {decision:?}");
             assert!((blocks..=blocks + 3).contains(&block), "{felt:?}: {block}");
         }
+        // An empty hand under noise that no payload explains, and a payload that is hardly felt.
+        let (_, released) = decided(&two, &NO_PAYLOAD, 2.0);
+        assert_eq!(released, PayloadDecision::Release);
+        let tiny = of(0.005, [0.0; 3]);
+        let (_, over) = decided(&tiny, &tiny, 0.03);
+        assert_eq!(over, PayloadDecision::Transient);
         // A disturbance that a payload explains in part.
         let (block, decision) = decided(&NO_PAYLOAD, &two, 3.0);
         assert!(
