@@ -173,7 +173,7 @@ fn the_log_of_the_flashable_firmware_is_text() {
     );
     let log = text(directory.join("logs/board.log"));
     let hello = format!(
-        "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated }}",
+        "info: hello: arm ur5 {:#x}, Instructions counter, Configuration {{ period_us: 1000, pacing: Link, reply: Decimated, brake_close_ms: 0 }}",
         Ur5::HASH
     );
     let lines: Vec<&str> = log.lines().collect();

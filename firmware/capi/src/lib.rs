@@ -6,6 +6,12 @@
 //! Another arm is another `use` below: see docs/arms.md.
 #![cfg_attr(target_os = "none", no_std)]
 
+mod safety;
+mod types;
+
+pub use safety::*;
+pub use types::*;
+
 use core::mem::{MaybeUninit, align_of, size_of};
 use core::{ptr, slice};
 
@@ -13,12 +19,13 @@ use foretorque::arm::Arm as _;
 use foretorque::arm::ur5::{
     Exchange, FeedForward, JOINTS, Learner, LearnerConfig, ParameterSet, Ur5 as Arm,
 };
-use foretorque::feedforward::{FeedForwardConfig, gravity};
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::feedforward::FeedForwardConfig;
+use foretorque::joint::{JointSample, JointVector};
 use foretorque::learning::LearningSample;
 use foretorque::limits::Flags;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_link::safety::{Safety, SafetyLimits, SafetyReason};
+use foretorque_link::wire::Configuration;
 #[cfg(target_os = "none")]
 use panic_never as _;
 
@@ -27,130 +34,10 @@ pub const FORETORQUE_JOINTS: usize = 6;
 
 const _: () = assert!(FORETORQUE_JOINTS == JOINTS);
 
-/// Shortest and longest period of the tick, s, as on the boards' link.
-const PERIODS_S: core::ops::RangeInclusive<f32> = 1e-4..=0.1;
-
-/// Result of a call.
-#[repr(i32)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ForetorqueStatus {
-    /// Done.
-    Ok = 0,
-    /// A pointer is null.
-    Null = 1,
-    /// The memory is smaller than `foretorque_size`, or the buffer too small for the bank.
-    TooSmall = 2,
-    /// The memory is not aligned to `foretorque_alignment`.
-    Misaligned = 3,
-    /// The period is not between 0.1 ms and 100 ms.
-    Period = 4,
-    /// The bytes are no parameter bank for this arm, or one with limits beyond the arm's.
-    Bank = 5,
-    /// Only while learning is off.
-    LearningOn = 6,
-    /// The safety refuses, with the reason.
-    Refused = 7,
-    /// Only while no torque flows.
-    Armed = 8,
-}
-
-/// Input of one tick.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ForetorqueSample {
-    /// Positions that the arm shall have in the tick in which the torque takes effect, rad.
-    pub q_rad: [f32; FORETORQUE_JOINTS],
-    /// Velocities, rad/s.
-    pub qd_rad_s: [f32; FORETORQUE_JOINTS],
-    /// Accelerations, rad/s^2.
-    pub qdd_rad_s2: [f32; FORETORQUE_JOINTS],
-    /// Measured positions, rad. Read only if `measured`.
-    pub measured_q_rad: [f32; FORETORQUE_JOINTS],
-    /// Measured torques, link side, N m. Read only if `measured`.
-    pub measured_tau_nm: [f32; FORETORQUE_JOINTS],
-    /// The measurement is fresh, unless 0.
-    pub measured: u8,
-}
-
-impl ForetorqueSample {
-    /// The sample at `place`; fields that are not to be read may be uninitialised.
-    ///
-    /// # Safety
-    /// `place` is aligned, and the fields of the desired motion, `measured` and those that it announces may be read.
-    unsafe fn read(place: *const Self) -> JointSample<JOINTS> {
-        // SAFETY: field by field, as the caller promises.
-        unsafe {
-            let vector = |field: *const [f32; JOINTS]| field.read().into();
-            let measured = (&raw const (*place).measured).read() != 0;
-            JointSample {
-                desired: JointMotion {
-                    q: vector(&raw const (*place).q_rad),
-                    qd: vector(&raw const (*place).qd_rad_s),
-                    qdd: vector(&raw const (*place).qdd_rad_s2),
-                },
-                measured: measured.then(|| JointMeasurement {
-                    q: vector(&raw const (*place).measured_q_rad),
-                    tau: vector(&raw const (*place).measured_tau_nm),
-                }),
-            }
-        }
-    }
-}
-
-/// Output of one tick. Always finite.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ForetorqueTorque {
-    /// The torque to add to the drives' set-points, after limits, N m; positive accelerates +q.
-    pub total_nm: [f32; FORETORQUE_JOINTS],
-    /// Rigid-body share, before limits, N m.
-    pub rigid_nm: [f32; FORETORQUE_JOINTS],
-    /// Friction share, before limits, N m.
-    pub friction_nm: [f32; FORETORQUE_JOINTS],
-    /// Network share, clipped, N m.
-    pub network_nm: [f32; FORETORQUE_JOINTS],
-    /// Flags of the tick, as bits; see docs/safety.md.
-    pub flags: u32,
-    /// Counter of the tick.
-    pub tick: u32,
-}
-
-/// State of the safety, with the codes of docs/safety.md.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ForetorqueSafety {
-    /// 0 disarmed, 1 armed, 2 ramp down, 3 fault.
-    pub state: u8,
-    /// Why the torque is, or may soon be, less than wanted.
-    pub reason: u8,
-    /// The fault that has to be cleared before arming; 0 is none. Keep it over a reset.
-    pub latched: u8,
-    /// 1 where the enable of the motor stages may be on.
-    pub enabled: u8,
-    /// 1 where brakes may be open.
-    pub brake_released: u8,
-}
-
-/// Hard limits, which no bank and no call exceeds.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ForetorqueLimits {
-    /// Largest torque, N m.
-    pub torque_nm: [f32; FORETORQUE_JOINTS],
-    /// Largest change of the torque in one tick, N m.
-    pub slew_nm: [f32; FORETORQUE_JOINTS],
-    /// Ticks without a usable sample after which the torque ends.
-    pub timeout_ticks: u32,
-    /// Ticks without a plausible measurement after which the torque ends.
-    pub measurement_ticks: u32,
-}
-
 /// Feed-forward, safety and learner of one arm. Opaque: C has a pointer into its own memory.
 pub struct Foretorque {
     feed_forward: FeedForward,
     safety: Safety<JOINTS>,
-    /// Time that brakes take to close, ticks.
-    brake_ticks: u32,
     learner: Learner,
     exchange: Exchange,
     /// Learning sample of the last tick, until the learner takes it.
@@ -158,7 +45,7 @@ pub struct Foretorque {
     bank: ParameterBank,
     /// Buffer for a bank on its way in, which has no effect before all of it is checked.
     incoming: ParameterBank,
-    period_s: f32,
+    period_us: u32,
 }
 
 impl Foretorque {
@@ -174,22 +61,24 @@ impl Foretorque {
             // is not valid.
             unsafe { MaybeUninit::zeroed().assume_init() }
         };
-        if !PERIODS_S.contains(&period_s) {
+        // The periods that the boards take, one that is not a number as 0.
+        let period_us = (period_s * 1e6 + 0.5) as u32;
+        if !Configuration::PERIODS_US.contains(&period_us) {
             return None;
         }
+        let period_s = seconds(period_us);
         let set = ParameterSet::nominal::<Arm>(NETWORK_SEED);
         let config = FeedForwardConfig::for_arm::<Arm, _>(period_s);
         // SAFETY: every part of `place` may be written, and the learner is read only after it was.
         unsafe {
             (&raw mut (*place).feed_forward).write(FeedForward::new(config, set).ok()?);
-            let limits = SafetyLimits::for_arm::<Arm, _>((period_s * 1e6 + 0.5) as u32);
+            let limits = SafetyLimits::for_arm::<Arm, _>(period_us);
             (&raw mut (*place).safety).write(Safety::new(limits, SafetyReason::None));
-            (&raw mut (*place).brake_ticks).write(0);
             (&raw mut (*place).exchange).write(Exchange::new());
             (&raw mut (*place).lesson).write(None);
             (&raw mut (*place).bank).write(ParameterBank::nominal::<Arm, _, _>());
             (&raw mut (*place).incoming).write(ParameterBank::empty());
-            (&raw mut (*place).period_s).write(period_s);
+            (&raw mut (*place).period_us).write(period_us);
             let learner = &raw mut (*place).learner;
             learner.write(BLANK);
             (*learner)
@@ -203,7 +92,7 @@ impl Foretorque {
         let set = self.incoming.set::<Arm, _, _>().ok()?;
         let config = self
             .incoming
-            .feed_forward_config::<Arm, _, _>(self.period_s)
+            .feed_forward_config::<Arm, _, _>(seconds(self.period_us))
             .ok()?;
         self.feed_forward.configure(config).ok()?;
         let start = self.incoming.start_deviations::<Arm, _, _>();
@@ -217,7 +106,6 @@ impl Foretorque {
         let mut sample = sample;
         if guarded {
             self.safety.period();
-            self.safety.set_brake_ticks(self.brake_ticks);
             sample = self.safety.admit(sample, 1, SafetyReason::None);
         }
         let mut torque = match &sample {
@@ -228,20 +116,9 @@ impl Foretorque {
             if torque.flags.contains(Flags::GRAVITY_LOST) {
                 self.safety.check(SafetyReason::GravityLost);
             }
-            let withdrawn = torque
-                .flags
-                .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
-            if self.brake_ticks > 0
-                && (withdrawn || self.safety.braking())
-                && let Some(q) = self.safety.measured_q()
-            {
-                let gravity = gravity::<Arm, _, _>(&self.feed_forward.state().committed, q);
-                self.safety.keep(&gravity);
-                if withdrawn {
-                    torque.total = gravity;
-                }
-            }
-            torque.total = self.safety.release(&torque.total);
+            let committed = &self.feed_forward.state().committed;
+            let wanted = self.safety.braced::<Arm, _>(&torque, committed);
+            torque.total = self.safety.release(&wanted);
             self.feed_forward.applied(&torque.total);
         }
         let measured = sample.and_then(|sample| sample.measured);
@@ -267,6 +144,10 @@ impl Foretorque {
             brake_released: self.safety.brake_released().into(),
         }
     }
+}
+
+fn seconds(period_us: u32) -> f32 {
+    period_us as f32 * 1e-6
 }
 
 /// Bytes of memory that `foretorque_init` requires.
@@ -450,172 +331,6 @@ unsafe fn step(
         out.write(it.step(sample, guarded));
     }
     ForetorqueStatus::Ok
-}
-
-/// Lets torque through from the next sample on. Only after three fresh, plausible samples; `Refused` otherwise, with the
-/// reason of docs/safety.md at `reason`.
-///
-/// # Safety
-/// `it` comes from `foretorque_init`, and no other call on it is under way; `reason` may be written.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_arm(it: *mut Foretorque, reason: *mut u8) -> ForetorqueStatus {
-    // SAFETY: as the caller promises.
-    unsafe { command(it, reason, Safety::arm) }
-}
-
-/// Clears a latched fault; the board is disarmed then. `Refused` while the torque still ramps to zero or a motor is hot.
-///
-/// # Safety
-/// As those of `foretorque_arm`.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_clear_fault(
-    it: *mut Foretorque,
-    reason: *mut u8,
-) -> ForetorqueStatus {
-    // SAFETY: as the caller promises.
-    unsafe { command(it, reason, Safety::clear) }
-}
-
-/// # Safety
-/// As those of `foretorque_arm`.
-unsafe fn command(
-    it: *mut Foretorque,
-    reason: *mut u8,
-    request: fn(&mut Safety<JOINTS>) -> Result<(), SafetyReason>,
-) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
-    let it = unsafe { it.as_mut() };
-    let (Some(it), false) = (it, reason.is_null()) else {
-        return ForetorqueStatus::Null;
-    };
-    let refused = request(&mut it.safety).err();
-    // SAFETY: not null, and may be written.
-    unsafe { reason.write(refused.unwrap_or_default().code()) };
-    match refused {
-        None => ForetorqueStatus::Ok,
-        Some(_) => ForetorqueStatus::Refused,
-    }
-}
-
-/// Ramps the torque to zero over the ticks to come, then disarms.
-///
-/// # Safety
-/// `it` comes from `foretorque_init`, and no other call on it is under way.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueStatus {
-    // SAFETY: as the caller promises.
-    unsafe { act(it, |it| it.safety.disarm()) }
-}
-
-/// Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
-/// An unknown code, or 0, latches 3.
-///
-/// # Safety
-/// As those of `foretorque_disarm`.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> ForetorqueStatus {
-    let reason = SafetyReason::ALL.get(usize::from(reason)).copied();
-    let fault = match reason {
-        None | Some(SafetyReason::None) => SafetyReason::Stopped,
-        Some(reason) => reason,
-    };
-    // SAFETY: as the caller promises.
-    unsafe {
-        act(it, |it| {
-            it.safety.torque_off(fault);
-            it.feed_forward.applied(it.safety.output());
-        })
-    }
-}
-
-/// Takes the temperature of the motor of `joint`, counted from 0, degrees C. The torque limit falls from 80 to 100.
-///
-/// # Safety
-/// As those of `foretorque_disarm`.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_temperature(
-    it: *mut Foretorque,
-    joint: u32,
-    celsius: i8,
-) -> ForetorqueStatus {
-    // SAFETY: as the caller promises.
-    unsafe { act(it, |it| it.safety.note_temperature(joint as usize, celsius)) }
-}
-
-/// Sets the time that the brakes take to close, microseconds; 0 without brakes. Only while no torque flows.
-///
-/// # Safety
-/// As those of `foretorque_disarm`.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_set_brake(
-    it: *mut Foretorque,
-    close_us: u32,
-) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
-    let Some(it) = (unsafe { it.as_mut() }) else {
-        return ForetorqueStatus::Null;
-    };
-    if !it.safety.at_rest() {
-        return ForetorqueStatus::Armed;
-    }
-    it.brake_ticks = (close_us as f32 * 1e-6 / it.period_s) as u32 + u32::from(close_us > 0);
-    ForetorqueStatus::Ok
-}
-
-/// Writes the state of the safety.
-///
-/// # Safety
-/// `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_safety(
-    it: *mut Foretorque,
-    out: *mut ForetorqueSafety,
-) -> ForetorqueStatus {
-    if out.is_null() {
-        return ForetorqueStatus::Null;
-    }
-    // SAFETY: as the caller promises; `out` may be written.
-    unsafe { act(it, |it| out.write(it.safety())) }
-}
-
-/// Writes the hard limits.
-///
-/// # Safety
-/// As those of `foretorque_safety`.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_limits(
-    it: *mut Foretorque,
-    out: *mut ForetorqueLimits,
-) -> ForetorqueStatus {
-    if out.is_null() {
-        return ForetorqueStatus::Null;
-    }
-    let write = |it: &mut Foretorque| {
-        let limits = it.safety.limits();
-        let limits = ForetorqueLimits {
-            torque_nm: limits.torque.into(),
-            slew_nm: limits.slew_per_tick.into(),
-            timeout_ticks: limits.timeout_ticks,
-            measurement_ticks: limits.measurement_ticks,
-        };
-        // SAFETY: not null, and may be written.
-        unsafe { out.write(limits) }
-    };
-    // SAFETY: as the caller promises.
-    unsafe { act(it, write) }
-}
-
-/// # Safety
-/// As those of `foretorque_disarm`.
-unsafe fn act(it: *mut Foretorque, action: impl FnOnce(&mut Foretorque)) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
-    match unsafe { it.as_mut() } {
-        Some(it) => {
-            action(it);
-            ForetorqueStatus::Ok
-        }
-        None => ForetorqueStatus::Null,
-    }
 }
 
 /// Learns from the tick that has just run, in the time that is left of it. Without this call nothing is learnt.

@@ -12,7 +12,11 @@ use foretorque_workbench::board::Described;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::robot::Robot;
 use std::fs;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
+
+/// Bytes of the largest bank.
+const LARGEST: u64 = ParameterBank::MAX_BYTES as u64;
 
 /// Print what a parameter bank holds; with a board, send it there or bring it from there
 #[derive(Debug, Args)]
@@ -192,7 +196,11 @@ fn usable(bank: &ParameterBank) -> Result<(), BankError> {
 ///
 /// Errors: the file's, or that it is no bank, each with the path.
 pub(super) fn read(path: &Path) -> Result<ParameterBank, Failure> {
-    let bytes = fs::read(path).map_err(|error| foretorque_workbench::files::at(path, error))?;
+    // No more than the largest bank and one byte that makes it too long.
+    let mut bytes = Vec::new();
+    fs::File::open(path)
+        .and_then(|file| file.take(LARGEST + 1).read_to_end(&mut bytes))
+        .map_err(|error| foretorque_workbench::files::at(path, error))?;
     ParameterBank::decode(&bytes).map_err(|error| unusable(format!("{}: {error}", path.display())))
 }
 

@@ -11,7 +11,7 @@ use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
 use foretorque_link::excitation::ExcitationCommand;
 use foretorque_link::store::StoreHealth;
-use foretorque_link::wire::Field;
+use foretorque_link::wire::{Configuration, Field};
 use foretorque_workbench::board::{BoardError, Client};
 use foretorque_workbench::closed_loop::{ClosedLoop, TickRecord, motion_f32};
 use foretorque_workbench::dynamics::{Joints, State};
@@ -45,6 +45,9 @@ pub(super) struct Arguments {
     /// Write key of the board, 32 hexadecimal digits
     #[arg(long, value_name = "FILE")]
     key_file: Option<PathBuf>,
+    /// Time that the brakes of the arm take to close, ms: the torque of gravity is kept for it. 0 without brakes
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = brake_range())]
+    brake_close_ms: u16,
     /// Record the telemetry of the board into telemetry.csv: fields and every how many ticks, such as state,total,quality/10
     #[arg(long, value_name = "FIELDS/TICKS")]
     telemetry: Option<Selection>,
@@ -66,6 +69,10 @@ pub(super) struct Arguments {
     /// Directory for log.csv, report.json, report.html and bank.bin, the parameters in force at the end; telemetry.csv
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+}
+
+fn brake_range() -> clap::builder::RangedI64ValueParser<u16> {
+    clap::value_parser!(u16).range(..=i64::from(Configuration::MAX_BRAKE_CLOSE_MS))
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
@@ -108,6 +115,12 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut board = arguments.board.connect::<A, N, P>(stream.as_deref())?;
     if let Some(file) = &arguments.key_file {
         board.set_write_key(bank::read_key(file)?);
+    }
+    if arguments.brake_close_ms > 0 {
+        board.configure(Configuration {
+            brake_close_ms: arguments.brake_close_ms,
+            ..board.hello().configuration
+        })?;
     }
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;

@@ -148,9 +148,13 @@ impl WholeFile {
     /// Errors: the file system's; the file's earlier version is then untouched.
     pub fn finish(mut self) -> io::Result<()> {
         if let Some(writer) = self.writer.take() {
-            writer
-                .into_inner()
-                .map_err(|error| at(&self.target, error.into_error()))?;
+            let written = writer.into_inner().map_err(|error| error.into_error());
+            let kept = written.and_then(|file| match self.part {
+                // A name for bytes that a power cut loses would be an empty file.
+                Some(_) => file.sync_all(),
+                None => Ok(()),
+            });
+            kept.map_err(|error| at(&self.target, error))?;
         }
         match &self.part {
             Some(part) => fs::rename(part, &self.target).map_err(|error| at(&self.target, error)),

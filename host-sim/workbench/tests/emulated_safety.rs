@@ -1,10 +1,10 @@
 //! Arming, time-out, stop, restart and watchdog of the flashable firmware in the emulator, as the pins and the line show it.
 
-use crate::trial::{Trial, patched, scratch, still};
+use crate::trial::{Trial, patched, scratch, sealed, still};
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::JointVector;
 use foretorque_link::safety::{SafetyReason, SafetyState};
-use foretorque_link::wire::{Field, NackReason, ResetReason};
+use foretorque_link::wire::{Configuration, Field, ImageStatus, NackReason, ResetReason};
 use foretorque_link::write_key::WriteKey;
 use foretorque_workbench::board::BoardError;
 use foretorque_workbench::board::qemu::{Image, QemuOptions};
@@ -19,13 +19,20 @@ fn start(name: &str) -> Trial {
     Trial::start(name, QemuOptions::new(Image::Joint))
 }
 
+/// Likewise for GPIOA and the brake release, PA1.
+const OPEN: &str = "write (size 4, offset 0x018, value 0x00000002)";
+const CLOSED: &str = "write (size 4, offset 0x018, value 0x00020000)";
+
 /// The torque enable as it was switched last.
 fn enabled(trace: &str) -> bool {
-    let pins = trace.lines().filter(|line| line.contains("GPIOB"));
-    let last = pins
-        .rev()
-        .find(|line| line.contains(ON) || line.contains(OFF));
-    last.expect("the pin was set at start-up").contains(ON)
+    last(trace, "GPIOB", [OFF, ON]).expect("the pin was set at start-up")
+}
+
+/// A pin as it was written last, low or high.
+fn last(trace: &str, port: &str, [low, high]: [&str; 2]) -> Option<bool> {
+    let mut writes = trace.lines().rev().filter(|line| line.contains(port));
+    let found = writes.find(|line| line.contains(low) || line.contains(high));
+    found.map(|line| line.contains(high))
 }
 
 /// Arms the board: its torque rises, its pin is on.
@@ -93,6 +100,54 @@ fn a_restart_disarms_and_keeps_the_latched_fault() {
     assert_eq!(trial.refusal(), SafetyReason::Stopped);
     trial.client.clear_fault().expect("the torque is off");
     arm(&mut trial);
+}
+
+#[test]
+fn the_brake_closes_first_and_gravity_is_kept_meanwhile() {
+    let mut trial = start("brake");
+    let configuration = Configuration {
+        brake_close_ms: 100,
+        ..Configuration::default()
+    };
+    trial.client.configure(configuration).expect("at rest");
+    let released = |trial: &Trial| last(&trial.trace(), "GPIOA", [CLOSED, OPEN]) == Some(true);
+    assert!(!released(&trial));
+    arm(&mut trial);
+    assert!(released(&trial));
+    // 100 samples, one that may have begun, and the ramp.
+    let before = trial.sample(&still()).tick;
+    trial.client.disarm().expect("it obeys");
+    let after = trial.sample(&still());
+    assert!((108..=114).contains(&(after.tick - before)), "{after:?}");
+    assert_eq!(after.total, JointVector::<JOINTS>::zeros());
+    assert!(!enabled(&trial.trace()) && !released(&trial));
+    let trace = trial.trace();
+    assert!(trace.rfind(CLOSED) < trace.rfind(OFF), "the brake first");
+}
+
+#[test]
+fn a_sealed_program_is_sound_and_one_with_a_flipped_bit_cannot_be_armed() {
+    let elf = Image::Joint.default_elf();
+    for (damaged, status) in [(false, ImageStatus::Sound), (true, ImageStatus::Damaged)] {
+        let name = format!("sealed-{damaged}");
+        let mut options = QemuOptions::new(Image::Joint);
+        options.elf = sealed(&elf, &format!("{name}.elf"), damaged);
+        let mut trial = Trial::start(&name, options);
+        assert_eq!(trial.client.hello().chip.image, status);
+        if !damaged {
+            arm(&mut trial);
+            continue;
+        }
+        (0..10).for_each(|_| _ = trial.sample(&still()));
+        assert_eq!(trial.refusal(), SafetyReason::Image);
+        let cleared = trial.client.clear_fault().expect_err("it stays");
+        let refused = NackReason::Unsafe(SafetyReason::Image);
+        assert!(
+            matches!(cleared, BoardError::Refused(reason) if reason == refused),
+            "{cleared}"
+        );
+        assert!(!enabled(&trial.trace()));
+    }
 }
 
 /// The flashable firmware with the handler of `symbol` replaced by a loop that never ends.

@@ -24,8 +24,8 @@ use foretorque_link::session::{
 };
 use foretorque_link::store::Store;
 use foretorque_link::wire::{
-    BoardMessage, Capabilities, Decoder, FrameBuffer, HostMessage, MAX_FRAME, PROTOCOL_VERSION,
-    encode,
+    BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, HostMessage, MAX_FRAME,
+    PROTOCOL_VERSION, encode,
 };
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
@@ -216,7 +216,7 @@ struct Observed {
     housekeeping: Box<Housekeeping<Ur5, 6, 40>>,
     out: FrameBuffer,
     promises: Promises<6>,
-    period_us: u32,
+    configuration: Configuration,
     /// Decoders of the frames to the board and of its replies.
     sent: Decoder,
     listener: Decoder,
@@ -229,14 +229,13 @@ impl Observed {
         let mut board = BoardDescription::plain(NoClock);
         board.capabilities = board.capabilities | Capabilities::TIMER | Capabilities::REBOOT;
         let session = Session::new(board).expect("the UR5's limits are usable");
-        let period_us = session.configuration().period_us;
         Self {
             promises: promises(&session),
             session,
             mailboxes: Mailboxes::new(),
             housekeeping: Box::new(Housekeeping::new(None)),
             out: FrameBuffer::new(),
-            period_us,
+            configuration: Configuration::default(),
             sent: Decoder::new(),
             listener: Decoder::new(),
             arming: None,
@@ -259,6 +258,7 @@ impl Observed {
         };
         match frame.message::<HostMessage<6>>() {
             Ok(HostMessage::Arm) => self.arming = Some(frame.sequence),
+            Ok(HostMessage::Stop) => self.promises.stop(),
             // The timer starts anew.
             Ok(HostMessage::Configure(_) | HostMessage::Reset) => {
                 self.check();
@@ -277,8 +277,8 @@ impl Observed {
     }
 
     fn check(&mut self) {
-        if self.session.configuration().period_us != self.period_us {
-            self.period_us = self.session.configuration().period_us;
+        if self.session.configuration() != self.configuration {
+            self.configuration = self.session.configuration();
             self.promises = promises(&self.session);
         }
         let mut used = false;
@@ -309,7 +309,13 @@ impl Observed {
 }
 
 fn promises(session: &Session<Ur5, 6, 40>) -> Promises<6> {
-    let limits = SafetyLimits::for_arm::<Ur5, 40>(session.configuration().period_us);
+    let Configuration {
+        period_us,
+        brake_close_ms,
+        ..
+    } = session.configuration();
+    let limits = SafetyLimits::for_arm::<Ur5, 40>(period_us);
+    let limits = limits.with_brake(1000 * u32::from(brake_close_ms), period_us);
     Promises::new(limits, session.feed_forward().config())
 }
 

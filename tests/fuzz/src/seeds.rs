@@ -116,6 +116,7 @@ fn lives() -> Vec<Vec<u8>> {
     {
         let configured = HostMessage::Configure(Configuration {
             pacing,
+            brake_close_ms: lives.len() as u16 % 2 * 40,
             ..Configuration::default()
         });
         let mut life = vec![0];

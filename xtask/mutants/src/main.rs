@@ -1,7 +1,8 @@
 //! Mutation campaign over the code that limits torque.
 //!
 //! All mutants are compiled at once, each behind a switch, in a copy of the workspace. A test that does not reach a mutant
-//! cannot fail on it, so only those run that do, the fastest first, until one fails. Two campaigns: the named mutants of
+//! cannot fail on it, so only those run that do, the fastest first, until one fails. A mutant loops when it passes many times
+//! as many switches as the test without one; no verdict depends on time. Two campaigns: the named mutants of
 //! `named.txt`, and a sample of all changes of expressions and statements in the modules that limit torque. Constants and
 //! `const` functions take no switch; the named mutants change constants where they are used.
 
@@ -148,6 +149,15 @@ fn sample(root: &Path, count: usize) -> Result<Vec<Mutant>> {
     }
     println!("{} places in the modules", mutants.len());
     mutants.sort_by_cached_key(|mutant| hash(&mutant.label()));
+    // The order of the file tells equal changes of one function apart.
+    let mut seen = BTreeMap::new();
+    for mutant in &mut mutants {
+        let number = seen.entry(mutant.label()).or_insert(0);
+        *number += 1;
+        if *number > 1 {
+            mutant.place.change += &format!(" ({number})");
+        }
+    }
     mutants.truncate(count);
     Ok(mutants)
 }

@@ -22,26 +22,36 @@ const SWITCH: &str = r#"//! Switch of the mutants.
 extern crate std;
 use std::io::Write as _;
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
-static ACTIVE: OnceLock<u32> = OnceLock::new();
+static ACTIVE: OnceLock<(u32, u64)> = OnceLock::new();
+static CALLS: AtomicU64 = AtomicU64::new(0);
 static REACHED: [AtomicU32; 1024] = [const { AtomicU32::new(0) }; 1024];
 
-/// Whether a mutant acts; on demand its number is written to a file instead.
-pub fn on(number: u32) -> bool {
-    let active = *ACTIVE.get_or_init(|| {
-        let number = std::env::var("FORETORQUE_MUTANT").ok();
-        number.and_then(|number| number.parse().ok()).unwrap_or(0)
-    });
+fn number(name: &str) -> u64 {
+    std::env::var(name).ok().and_then(|number| number.parse().ok()).unwrap_or(0)
+}
+
+/// Whether a mutant acts. Its process ends after FORETORQUE_CALLS calls: it loops. The number `u32::MAX` writes the
+/// mutants reached and the powers of two among the calls to a file.
+pub fn on(mutant: u32) -> bool {
+    let (active, most) =
+        *ACTIVE.get_or_init(|| (number("FORETORQUE_MUTANT") as u32, number("FORETORQUE_CALLS")));
+    // Not locked: the tests spend their time here, and a lost count is no harm.
+    let calls = CALLS.load(Ordering::Relaxed) + 1;
+    CALLS.store(calls, Ordering::Relaxed);
     if active == u32::MAX {
-        let bit = 1 << (number % 32);
-        if REACHED[number as usize / 32].fetch_or(bit, Ordering::Relaxed) & bit == 0 {
+        let bit = 1 << (mutant % 32);
+        let first = REACHED[mutant as usize / 32].fetch_or(bit, Ordering::Relaxed) & bit == 0;
+        if first || calls.is_power_of_two() {
             let path = std::env::var("FORETORQUE_REACHED").unwrap();
             let file = std::fs::OpenOptions::new().append(true).create(true).open(path);
-            writeln!(file.unwrap(), "{number}").unwrap();
+            writeln!(file.unwrap(), "{mutant} {calls}").unwrap();
         }
+    } else if active != 0 && calls > most {
+        std::process::exit(1);
     }
-    active == number
+    active == mutant
 }
 "#;
 

@@ -218,6 +218,7 @@ pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
             out,
             timer,
             drive,
+            brake_open: false,
             kept,
             losses: 0,
             bound: FrameBound::default(),
@@ -255,6 +256,7 @@ pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
     out: &'static mut FrameBuffer,
     timer: TickTimer,
     drive: B::Drive<A, N, P>,
+    brake_open: bool,
     kept: SafetyReason,
     losses: u32,
     bound: FrameBound,
@@ -325,12 +327,18 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
             waiting,
             out,
             drive,
+            brake_open,
             kept,
             latency,
             ..
         } = self;
         // The outputs follow before the host reads of them.
         drive.follow(session);
+        let open = session.brake_released();
+        if *brake_open != open {
+            *brake_open = open;
+            fault::release_brake::<B>(open);
+        }
         let latched = session.latched_fault();
         if *kept != latched {
             *kept = latched;

@@ -17,6 +17,8 @@ pub trait Board: Send + 'static {
     const CRYSTAL_HZ: u32;
     /// Torque enable of the motor stage, active high; the fault handlers write it without the owner of its pins.
     const ENABLE: Pin;
+    /// Release of the brakes, active high; `None` where the board has none.
+    const BRAKE: Option<Pin> = None;
     /// The only joint that this board drives, from 0, and so the only one whose rows it learns from; `None` for all. The
     /// torques of all joints are computed either way: the recursion passes through all of them.
     const OWN_JOINT: Option<usize> = None;
@@ -24,7 +26,7 @@ pub trait Board: Send + 'static {
     /// Motor stage and encoder, or the enable alone.
     type Drive<A: Arm<N, P>, const N: usize, const P: usize>: Drive<A, N, P>;
 
-    /// Gives every pin its job; the enable is low.
+    /// Gives every pin its job; enable and brake release are low.
     fn start_pins(ports: Ports, rcc: &mut Rcc);
 }
 

@@ -70,6 +70,14 @@ impl<B: Board> OutputPin for EnablePin<B> {
     }
 }
 
+/// Opens the brakes of a board that has some, or lets them close.
+#[inline(always)]
+pub fn release_brake<B: Board>(open: bool) {
+    if let Some(pin) = B::BRAKE {
+        pin.write(open);
+    }
+}
+
 /// Why the board restarted last time, and where; forgets it.
 pub fn take() -> (Reason, u32) {
     let kept = &raw mut KEPT;
@@ -140,6 +148,7 @@ pub fn leave<B: Board>(reason: Reason, place: u32) -> ! {
     cortex_m::interrupt::disable();
     // The constructor is what switches off; an infallible pin cannot refuse.
     let _ = TorqueEnable::new(EnablePin::<B>::default());
+    release_brake::<B>(false);
     let kept = &raw mut KEPT;
     // SAFETY: interrupts are off and this does not return: nothing reads the words before the reset.
     unsafe {

@@ -23,6 +23,12 @@ impl Board for OdriveV3 {
         number: 12,
     };
 
+    /// PA1, which the connector calls GPIO 2.
+    const BRAKE: Option<Pin> = Some(Pin {
+        port: Port::A,
+        number: 1,
+    });
+
     type Drive<A: Arm<N, P>, const N: usize, const P: usize> = EnableOnly<Self>;
 
     /// Link on PA2 (TX) and PA3 (RX), the two that the connector calls GPIO 3 and 4.
@@ -30,6 +36,7 @@ impl Board for OdriveV3 {
         let a = ports.a.split(rcc);
         let b = ports.b.split(rcc);
         b.pb12.into_push_pull_output_in_state(PinState::Low);
+        a.pa1.into_push_pull_output_in_state(PinState::Low);
         // Alternate function 7 is USART2 (DS8626 table 9).
         a.pa2.into_alternate::<7>();
         // Held high while nothing is plugged in: an open line is full of start bits.

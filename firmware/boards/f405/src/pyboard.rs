@@ -25,6 +25,12 @@ impl Board for Pyboard {
         number: 8,
     };
 
+    /// PB10, the card's Y9.
+    const BRAKE: Option<Pin> = Some(Pin {
+        port: Port::B,
+        number: 10,
+    });
+
     type Drive<A: Arm<N, P>, const N: usize, const P: usize> = EnableOnly<Self>;
 
     /// Link on PA2 (TX, the card's X3) and PA3 (RX, X4).
@@ -32,6 +38,7 @@ impl Board for Pyboard {
         let a = ports.a.split(rcc);
         let b = ports.b.split(rcc);
         b.pb8.into_push_pull_output_in_state(PinState::Low);
+        b.pb10.into_push_pull_output_in_state(PinState::Low);
         // Alternate function 7 is USART2 (DS8626 table 9).
         a.pa2.into_alternate::<7>();
         // Held high while nothing is plugged in: an open line is full of start bits.

@@ -51,8 +51,7 @@ impl<const N: usize> SafetyLimits<N> {
     /// The limits of an arm for ticks of `period_us`, µs, which is not 0.
     pub fn for_arm<A: Arm<N, P>, const P: usize>(period_us: u32) -> Self {
         let period_s = period_us as f32 * 1e-6;
-        // At least the time: whole periods, and one that may have begun before.
-        let ticks = |time_us: u32| time_us.checked_div(period_us).unwrap_or_default() + 1;
+        let ticks = |time_us| ticks(time_us, period_us);
         let of = |value: fn(&foretorque::arm::JointLimits) -> f32| {
             JointVector::from(A::limits().map(|limits| value(&limits)))
         };
@@ -71,4 +70,21 @@ impl<const N: usize> SafetyLimits<N> {
             temperature_ticks: ticks(TEMPERATURE_TIMEOUT_US),
         }
     }
+
+    /// These limits for ticks of `period_us`, µs, with brakes that close within `close_us`, µs; 0 is without brakes.
+    pub fn with_brake(self, close_us: u32, period_us: u32) -> Self {
+        Self {
+            brake_ticks: if close_us > 0 {
+                ticks(close_us, period_us)
+            } else {
+                0
+            },
+            ..self
+        }
+    }
+}
+
+/// At least `time_us`: whole periods, and one that may have begun before.
+fn ticks(time_us: u32, period_us: u32) -> u32 {
+    time_us.checked_div(period_us).unwrap_or_default() + 1
 }

@@ -24,8 +24,10 @@ pub use reason::{SafetyReason, SafetyState, SafetyStatus};
 pub use task_check_in::{Task, TaskCheckIn};
 pub use thermal_derating::{HOT_C, HYSTERESIS_C, WARM_C};
 
+use foretorque::arm::Arm;
+use foretorque::feedforward::{ParameterSet, Torque, gravity};
 use foretorque::joint::{JointSample, JointVector};
-use foretorque::limits::{cut, limit};
+use foretorque::limits::{Flags, cut, limit};
 use input::InputState;
 use thermal_derating::ThermalDerating;
 
@@ -251,24 +253,27 @@ impl<const N: usize> Safety<N> {
         self.state == SafetyState::Armed && !self.unconfirmed
     }
 
-    /// A brake closes, and the torque of gravity is kept meanwhile.
-    pub fn braking(&self) -> bool {
-        self.state == SafetyState::RampDown && self.braking > 0
-    }
-
-    /// Position measured last, N × rad.
-    pub fn measured_q(&self) -> Option<&JointVector<N>> {
-        self.input.measured_q()
-    }
-
-    /// Sets the torque that is kept while a brake closes, N × N·m; a joint without a finite one gets none.
-    pub fn keep(&mut self, gravity: &JointVector<N>) {
-        self.gravity = gravity.map(|torque| if torque.is_finite() { torque } else { 0.0 });
-    }
-
-    /// Sets the time that a brake takes to close, periods; 0 without a brake.
-    pub fn set_brake_ticks(&mut self, ticks: u32) {
-        self.limits.brake_ticks = ticks;
+    /// The torque that a tick wants, N × N·m, or that of gravity by the `committed` set at the position measured last, where
+    /// brakes have to close before the torque goes to zero.
+    ///
+    /// Cost: an inverse dynamics, only with brakes and without a usable sample.
+    pub fn braced<A: Arm<N, P>, const P: usize>(
+        &mut self,
+        torque: &Torque<N>,
+        committed: &ParameterSet<N, P>,
+    ) -> JointVector<N> {
+        let withdrawn = torque
+            .flags
+            .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
+        let ends = withdrawn || self.state == SafetyState::RampDown;
+        let braced = self.limits.brake_ticks > 0 && ends;
+        if let Some(q) = self.input.measured_q().filter(|_| braced) {
+            self.gravity = gravity::<A, N, P>(committed, q);
+            if withdrawn {
+                return self.gravity;
+            }
+        }
+        torque.total
     }
 
     /// Lets torque through from the next sample on, if that is plausible and near too; else the board disarms again.

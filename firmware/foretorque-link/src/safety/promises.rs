@@ -21,6 +21,8 @@ pub enum Broken {
     TimeOut,
     /// The torque begins to fall 10 ms after the last usable sample.
     Hold,
+    /// After the time-out, a disarming or a fault the torque is zero within the closing time of the brakes and 10 ms.
+    End,
 }
 
 /// Observer of one board, period by period.
@@ -32,6 +34,8 @@ pub struct Promises<const N: usize> {
     permitted: bool,
     /// The board may be in `Armed`.
     may_be_armed: bool,
+    /// A stop has arrived since the last check.
+    stopped: bool,
     state: SafetyState,
     /// Torque at the beginning of the period.
     slewed_from: JointVector<N>,
@@ -40,6 +44,8 @@ pub struct Promises<const N: usize> {
     held: f32,
     /// Periods since then.
     silent: u32,
+    /// Periods since the board has left `Armed`.
+    ending: u32,
 }
 
 impl<const N: usize> Promises<N> {
@@ -50,11 +56,13 @@ impl<const N: usize> Promises<N> {
             hold_ticks: config.hold_ticks,
             permitted: false,
             may_be_armed: false,
+            stopped: false,
             state: SafetyState::Disarmed,
             slewed_from: JointVector::zeros(),
             torque: JointVector::zeros(),
             held: 0.0,
             silent: 0,
+            ending: 0,
         }
     }
 
@@ -63,10 +71,16 @@ impl<const N: usize> Promises<N> {
         (self.permitted, self.may_be_armed) = (true, true);
     }
 
+    /// A stop has arrived: the torque may end at once, also where another fault was latched before.
+    pub fn stop(&mut self) {
+        self.stopped = true;
+    }
+
     /// A period begins; before the board's timer.
     pub fn period(&mut self) {
         self.slewed_from = self.torque;
         self.silent = self.silent.saturating_add(1);
+        self.ending = self.ending.saturating_add(1);
     }
 
     /// Checks the board after any call of it.
@@ -102,10 +116,11 @@ impl<const N: usize> Promises<N> {
             let step = (torque - of(&self.slewed_from, j)).abs();
             step <= 1.0001 * of(&self.limits.slew_per_tick, j)
         });
-        let at_once = matches!(
-            reason,
-            SafetyReason::Stopped | SafetyReason::Drive | SafetyReason::Stage
-        );
+        let at_once = core::mem::take(&mut self.stopped)
+            || matches!(
+                reason,
+                SafetyReason::Stopped | SafetyReason::Drive | SafetyReason::Stage
+            );
         let stopped = off && !enabled && at_once;
         holds(slewed || stopped, Broken::Slew)?;
         if stopped {
@@ -122,6 +137,12 @@ impl<const N: usize> Promises<N> {
         if used || !enabled {
             (self.silent, self.held) = (0, sum);
         }
+        if state != SafetyState::RampDown {
+            self.ending = 0;
+        }
+        let ramp = of(&self.limits.torque, 0) / of(&self.limits.slew_per_tick, 0);
+        let end = self.limits.brake_ticks + ramp as u32 + 2;
+        holds(self.ending <= end, Broken::End)?;
         let timeout = self.limits.timeout_ticks;
         let left = before == SafetyState::Armed && !armed;
         let early = left && reason == SafetyReason::CommandTimeout && enabled;

@@ -31,11 +31,6 @@ impl Clock for NoClock {
 
 /// Sensor of the board's own joints, whose measurements replace those of the sample.
 pub trait LocalSensor<const N: usize> {
-    /// Time that the brake of the board's joints takes to close, µs; 0 without a brake.
-    ///
-    /// With one, the torque of gravity is kept for as long after a time-out, a disarming or a fault that ramps.
-    const BRAKE_CLOSE_US: u32 = 0;
-
     /// Writes the measurements into the sample. Called once in every tick, with the sample if one arrived. A sensor that
     /// also knows the desired motion may make a sample where none arrived, and withhold one that must not be used yet.
     ///

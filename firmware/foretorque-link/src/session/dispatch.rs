@@ -172,7 +172,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 controller.request(code, mailbox)?;
             }
             HostMessage::Save => {
-                board.require(Capabilities::STORE)?;
                 controller.writable()?;
                 if board.require(Capabilities::TIMER).is_ok() {
                     let left_us = SAVE_INTERVAL_US.saturating_sub(self.rested_us);

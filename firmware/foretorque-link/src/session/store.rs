@@ -3,7 +3,7 @@
 use super::mailbox::{Order, ParameterMailbox};
 use super::{Clock, Housekeeping, Mailboxes, Session};
 use crate::excitation::{ExcitationError, ExcitationProgram};
-use crate::wire::{BoardMessage, Capabilities, FrameBuffer, NackReason};
+use crate::wire::{BoardMessage, FrameBuffer, NackReason};
 use embedded_storage::nor_flash::NorFlash;
 use foretorque::arm::Arm;
 
@@ -30,9 +30,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         mailbox: &mut ParameterMailbox<N, P>,
     ) -> Result<Option<BoardMessage<N>>, NackReason> {
         self.controller.writable()?;
-        if matches!(order, Order::Save | Order::Restore | Order::ReadStored) {
-            self.board.require(Capabilities::STORE)?;
-        }
         mailbox.post(sequence, order)?;
         Ok(None)
     }

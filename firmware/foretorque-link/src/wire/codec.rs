@@ -179,3 +179,28 @@ impl Default for FrameBuffer {
         Self::new()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs of all lengths around the longest block, decoded by another crate.
+    #[test]
+    fn the_cobs_crate_decodes_frames_of_every_length() {
+        for length in (0..300).chain(500..520) {
+            for zero in [0, 253, 254, 255] {
+                let mut message = [1; 520];
+                message[zero] = 0;
+                let message = &message[..length];
+                let mut buffer = [0; 600];
+                let frame = encode(0x0102, &message, &mut buffer).unwrap();
+                let (delimiter, encoded) = frame.split_last().unwrap();
+                assert!(*delimiter == 0 && !encoded.contains(&0), "{length} {zero}");
+                let mut content = encoded.to_vec();
+                let count = cobs::decode_in_place(&mut content).unwrap();
+                let content = &content[..count - 4];
+                assert!(content.ends_with(message), "{length} {zero}");
+            }
+        }
+    }
+}

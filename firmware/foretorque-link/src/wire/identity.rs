@@ -35,21 +35,27 @@ pub struct Configuration {
     pub pacing: Pacing,
     /// Content of a torque reply.
     pub reply: ReplyMode,
+    /// Time that the brakes of the arm take to close, ms; 0 without brakes. The torque of gravity is kept for it.
+    #[serde(with = "postcard::fixint::le")]
+    pub brake_close_ms: u16,
 }
 
 impl Configuration {
     /// Shortest and longest period, µs: 10 kHz to 50 Hz. The longest leaves two samples in the time-out of 50 ms, and three
     /// ticks in the 68 ms of the watchdog.
     pub const PERIODS_US: core::ops::RangeInclusive<u32> = 100..=20_000;
+    /// Longest closing time of a brake, ms.
+    pub const MAX_BRAKE_CLOSE_MS: u16 = 1000;
 }
 
 impl Default for Configuration {
-    /// 1 kHz, paced by the link, decimated shares.
+    /// 1 kHz, paced by the link, decimated shares, no brakes.
     fn default() -> Self {
         Self {
             period_us: 1000,
             pacing: Pacing::Link,
             reply: ReplyMode::Decimated,
+            brake_close_ms: 0,
         }
     }
 }

@@ -227,6 +227,8 @@ pub enum NackReason {
         /// Time until a save is accepted, s.
         seconds: u8,
     },
+    /// The brakes take longer to close than [`Configuration::MAX_BRAKE_CLOSE_MS`].
+    Brake,
 }
 
 impl fmt::Display for NackReason {
@@ -241,6 +243,11 @@ impl fmt::Display for NackReason {
             Self::Bank(error) => write!(f, "{error}"),
             Self::Excitation(error) => write!(f, "{error}"),
             Self::Wait { seconds } => write!(f, "the flash rests for {seconds} s more"),
+            Self::Brake => write!(
+                f,
+                "closing time of the brakes above {} ms",
+                Configuration::MAX_BRAKE_CLOSE_MS
+            ),
             Self::Armed => f.write_str("only while disarmed"),
             Self::Unsafe(reason) => write!(f, "{reason}"),
             Self::Busy => f.write_str("busy with an earlier request"),

@@ -33,20 +33,13 @@ impl<const N: usize> FeedForwardConfig<N> {
     ///
     /// * `period_s` period of the tick, s
     pub fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
-        let mut slew_per_tick = [0.0; N];
-        let mut learned_slew_per_tick = [0.0; N];
-        let mut joint = 0;
-        while joint < N {
-            slew_per_tick[joint] = A::limits()[joint].torque * period_s / SLEW_TIME_S;
-            learned_slew_per_tick[joint] = LEARNED_STEP * A::limits()[joint].torque;
-            joint += 1;
-        }
+        let torques = A::limits().map(|limits| limits.torque);
         Self {
             limits: *A::limits(),
             acceleration_limit: ACCELERATION_LIMIT,
-            slew_per_tick,
+            slew_per_tick: torques.map(|torque| torque * period_s / SLEW_TIME_S),
             payload_bound: payload_bound::<A, N, P>(),
-            learned_slew_per_tick,
+            learned_slew_per_tick: torques.map(|torque| LEARNED_STEP * torque),
             // Measured at k, in effect from k + 1 to k + 2.
             lead: 1.5 * period_s,
             // At least one tick: a single lost sample must not make the torque dip.

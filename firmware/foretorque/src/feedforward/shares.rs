@@ -1,6 +1,6 @@
 use super::Torque;
 use crate::arm::Arm;
-use crate::dynamics::{friction, rnea};
+use crate::dynamics::{friction, gravity_torque, rnea};
 use crate::joint::{JointMotion, JointVector};
 use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet, network_output};
 use crate::limits::{Flags, cut};
@@ -62,17 +62,18 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     }
 }
 
-/// Torque of gravity at the position `q`, N × rad, by the rigid bodies of `set`, N × N·m.
+/// Torque of gravity at the position `q`, N × rad, by the rigid bodies of `set`, N × N·m; 0 where it is not plausible.
 #[inline(never)]
 pub fn gravity<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    let motion = JointMotion {
-        q: *q,
-        ..JointMotion::zero()
-    };
-    rnea::<A, N, P>(&set.rigid, &motion)
+    let mut gravity = gravity_torque::<A, N, P>(&set.rigid, q);
+    for (torque, limits) in gravity.as_mut_slice().iter_mut().zip(A::limits()) {
+        let plausible = torque.abs() <= RIGID_PLAUSIBLE * limits.torque;
+        *torque = if plausible { *torque } else { 0.0 };
+    }
+    gravity
 }
 
 /// Network shares at joint speeds `qd`, cut to their bound, N × N·m.

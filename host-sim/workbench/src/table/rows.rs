@@ -5,7 +5,7 @@ use super::{TableError, TableProblem, is_compressed};
 use crate::files::at;
 use flate2::read::MultiGzDecoder;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// Reads a table row by row, in constant memory: CSV with any separator, or the joint states of a ROS 2 bag. A name that
@@ -29,6 +29,32 @@ enum Source {
         row: Vec<f64>,
         count: u64,
     },
+}
+
+/// Longest line, bytes. A table is read line by line, and a compressed file can hold a line of any length.
+const LONGEST_LINE: usize = 1 << 20;
+
+/// Bytes of a table until a line is too long.
+struct BoundedLines<R> {
+    bytes: R,
+    /// Bytes since the last end of a line.
+    length: usize,
+}
+
+impl<R: Read> Read for BoundedLines<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.bytes.read(buffer)?;
+        let read = &buffer[..count];
+        self.length = match read.iter().rposition(|&byte| byte == b'\n') {
+            Some(end) => count - end - 1,
+            None => self.length + count,
+        };
+        if self.length > LONGEST_LINE {
+            let problem = format!("a line of more than {LONGEST_LINE} bytes: no table");
+            return Err(io::Error::other(problem));
+        }
+        Ok(count)
+    }
 }
 
 /// Separators of a CSV file in the order in which they are looked for.
@@ -60,6 +86,7 @@ impl Rows {
         } else {
             Box::new(file)
         };
+        let bytes = BoundedLines { bytes, length: 0 };
         let mut bytes: Box<dyn BufRead + Send> = Box::new(BufReader::with_capacity(1 << 18, bytes));
         let first = bytes.fill_buf().map_err(|error| at(path, error))?;
         let first = first
@@ -251,4 +278,20 @@ fn number(field: &[u8], separator: u8) -> Option<f64> {
 
 fn unreadable(path: &Path, error: &csv::Error) -> TableError {
     TableProblem::Unreadable(error.to_string()).at(path, None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_endless_line_is_refused_and_any_number_of_lines_is_read() {
+        let line = [&[b'1'; 1 << 16][..], b"\n"].concat();
+        for (last, sound) in [(0, true), (LONGEST_LINE, true), (LONGEST_LINE + 1, false)] {
+            let bytes = [line.repeat(40), vec![b'1'; last]].concat();
+            let (bytes, length) = (&bytes[..], 0);
+            let read = io::copy(&mut BoundedLines { bytes, length }, &mut io::sink());
+            assert_eq!(read.is_ok(), sound, "{last}");
+        }
+    }
 }

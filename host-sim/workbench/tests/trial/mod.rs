@@ -2,8 +2,10 @@
 
 use elf::ElfBytes;
 use elf::endian::LittleEndian;
+use elf::segment::ProgramHeader;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque_f405::image::{self, Seal};
 use foretorque_link::safety::SafetyReason;
 use foretorque_link::wire::{Configuration, NackReason, Pacing};
 use foretorque_workbench::board::qemu::{Emulator, QemuOptions};
@@ -121,6 +123,49 @@ pub(crate) fn patched(elf: &Path, name: &str, patches: &[(&str, Vec<u16>)]) -> P
         assert!(need <= size, "{part} has {size} bytes, {need} are needed");
         bytes[place..place + need].copy_from_slice(&code);
     }
+    let file = scratch(name);
+    fs::write(&file, bytes).expect("it can be written");
+    file
+}
+
+/// A copy of the firmware `elf`, called `name`, with its checksum as `cargo xtask flash` writes it, and one bit of its last
+/// byte flipped afterwards if `damaged`.
+pub(crate) fn sealed(elf: &Path, name: &str, damaged: bool) -> PathBuf {
+    let mut bytes = fs::read(elf).expect("the firmware is built: `cargo firmware`");
+    let file = ElfBytes::<LittleEndian>::minimal_parse(&bytes).expect("it is an ELF");
+    let (symbols, names) = file.symbol_table().unwrap().expect("it has symbols");
+    let mut symbols = symbols.iter();
+    let seal = symbols.find(|symbol| {
+        names
+            .get(symbol.st_name as usize)
+            .is_ok_and(|name| name == image::SYMBOL)
+    });
+    let seal = seal.expect("it has a seal").st_value;
+    let mut parts: Vec<_> = file
+        .segments()
+        .expect("it is linked")
+        .iter()
+        .filter(|part| part.p_type == elf::abi::PT_LOAD && part.p_filesz > 0)
+        .collect();
+    parts.sort_by_key(|part| part.p_paddr);
+    let base = parts[0].p_paddr;
+    let mut program = Vec::new();
+    for part in &parts {
+        program.resize((part.p_paddr - base) as usize, 0xFF);
+        program.extend_from_slice(file.segment_data(part).expect("it is in the file"));
+    }
+    let place = (seal - base) as usize;
+    let Seal { length, crc } = Seal::of(&program, place).expect("it lies in the program");
+    let holds = |at: u64| {
+        move |part: &&ProgramHeader| (part.p_vaddr..part.p_vaddr + part.p_filesz).contains(&at)
+    };
+    let part = parts.iter().find(holds(seal)).expect("it is in the flash");
+    let offset = (part.p_offset + (seal - part.p_vaddr)) as usize;
+    let last = &parts[parts.len() - 1];
+    let end = (last.p_offset + last.p_filesz - 1) as usize;
+    let words = [length, crc].map(u32::to_le_bytes);
+    bytes[offset..offset + image::BYTES].copy_from_slice(words.as_flattened());
+    bytes[end] ^= u8::from(damaged);
     let file = scratch(name);
     fs::write(&file, bytes).expect("it can be written");
     file

@@ -1,6 +1,6 @@
 //! Replays a target's seeds, its inputs and mutations of them, without coverage and without libFuzzer.
 //!
-//! For machines without a C++ compiler, and to reproduce a finding: `plain TARGET RUNS [FILE or DIR …]`.
+//! For machines without a C++ compiler, and to reproduce a finding: `plain TARGET RUNS [--seed N] [FILE or DIR …]`.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -10,9 +10,10 @@ fn main() -> ExitCode {
     let words: Vec<String> = env::args().skip(1).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
-        [target, runs, inputs @ ..] => run(target, runs, inputs),
+        [target, runs, "--seed", seed, inputs @ ..] => run(target, runs, seed, inputs),
+        [target, runs, inputs @ ..] => run(target, runs, "0", inputs),
         _ => Err(io::Error::other(
-            "usage: plain TARGET RUNS [FILE or DIR ...]",
+            "usage: plain TARGET RUNS [--seed N] [FILE or DIR ...]",
         )),
     };
     match done {
@@ -24,14 +25,16 @@ fn main() -> ExitCode {
     }
 }
 
-/// Every input as it is, then `runs` mutations of them, the same ones every time.
-fn run(target: &str, runs: &str, inputs: &[&str]) -> io::Result<()> {
+/// Every input as it is, then `runs` mutations of them, the same ones for a seed every time.
+fn run(target: &str, runs: &str, seed: &str, inputs: &[&str]) -> io::Result<()> {
     let known = fuzz::TARGETS.iter().find(|(name, _)| *name == target);
     let (_, check) =
         known.ok_or_else(|| io::Error::other(format!("there is no target `{target}`")))?;
-    let runs: u64 = runs
-        .parse()
-        .map_err(|_| io::Error::other(format!("`{runs}` is no number")))?;
+    let number = |text: &str| {
+        let parsed = text.parse::<u64>();
+        parsed.map_err(|_| io::Error::other(format!("`{text}` is no number")))
+    };
+    let (runs, seed) = (number(runs)?, number(seed)?);
     let mut corpus = fuzz::seeds(target);
     for input in inputs {
         for file in files(Path::new(input))? {
@@ -39,7 +42,12 @@ fn run(target: &str, runs: &str, inputs: &[&str]) -> io::Result<()> {
         }
     }
     corpus.iter().for_each(|input| check(input));
-    let mut random = Random(0x9E37_79B9_7F4A_7C15);
+    // Odd times odd: no seed gives a state of zero.
+    let mut random = Random(
+        seed.wrapping_mul(2)
+            .wrapping_add(1)
+            .wrapping_mul(0x9E37_79B9_7F4A_7C15),
+    );
     for _ in 0..runs {
         let mut input = corpus[random.below(corpus.len())].clone();
         for _ in 0..=random.below(4) {

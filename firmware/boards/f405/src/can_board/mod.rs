@@ -262,11 +262,13 @@ pub struct CanBoard;
 impl Board for CanBoard {
     const NAME: &'static str = "pyboard-v1.1 on a drive bus";
     const CRYSTAL_HZ: u32 = Pyboard::CRYSTAL_HZ;
-    /// PA4, the card's X5: brake or contactor of the arm. CAN has the pin that [`Pyboard`] uses.
+    /// PA4, the card's X5: contactor of the arm. CAN has the pin that [`Pyboard`] uses.
     const ENABLE: Pin = Pin {
         port: Port::A,
         number: 4,
     };
+
+    const BRAKE: Option<Pin> = Pyboard::BRAKE;
 
     type Drive<A: Arm<N, P>, const N: usize, const P: usize> = BusDrive<A, N, P>;
 
@@ -278,6 +280,7 @@ impl Board for CanBoard {
         let b = ports.b.split(rcc);
         let c = ports.c.split(rcc);
         a.pa4.into_push_pull_output_in_state(PinState::Low);
+        b.pb10.into_push_pull_output_in_state(PinState::Low);
         // Alternate functions 9 and 8 (DS8626 table 9).
         b.pb8.into_alternate::<9>().internal_pull_up(true);
         b.pb9.into_alternate::<9>();

@@ -82,6 +82,7 @@ impl Board for PyboardDrive {
     const NAME: &'static str = "pyboard-v1.1 with drive";
     const CRYSTAL_HZ: u32 = Pyboard::CRYSTAL_HZ;
     const ENABLE: Pin = Pyboard::ENABLE;
+    const BRAKE: Option<Pin> = Pyboard::BRAKE;
     const OWN_JOINT: Option<usize> = Some(JOINT);
 
     type Drive<A: Arm<N, P>, const N: usize, const P: usize> = drive::StageAndEncoder;
@@ -94,6 +95,7 @@ impl Board for PyboardDrive {
         let b = ports.b.split(rcc);
         b.pb8.into_push_pull_output_in_state(PinState::Low);
         b.pb9.into_push_pull_output_in_state(PinState::Low);
+        b.pb10.into_push_pull_output_in_state(PinState::Low);
         b.pb13.into_alternate::<1>();
         // A line that is not plugged in is a fault. The open drain of the drive has its pull-up, 4.7 kΩ, on the drive's side.
         b.pb12.into_alternate::<1>().internal_pull_down(true);

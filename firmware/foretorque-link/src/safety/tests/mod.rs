@@ -66,6 +66,7 @@ fn new() -> Safety<N> {
 fn ready() -> Safety<N> {
     let mut safety = new();
     for _ in 0..ARM_SAMPLES {
+        assert_eq!(safety.clone().arm(), Err(SafetyReason::NoSample));
         assert_eq!(tick(&mut safety, Some(sample())), torque(0.0));
     }
     safety
@@ -107,13 +108,15 @@ fn a_new_board_is_disarmed_and_gives_no_torque() {
 fn arming_takes_fresh_plausible_near_samples() {
     use SafetyReason::*;
     assert_eq!(ready().arm(), Ok(()));
-    let refusals: [(Change, SafetyReason); 7] = [
+    let refusals: [(Change, SafetyReason); 9] = [
         (|s| s.measured = Option::None, NoSample),
         (|s| measured(s).q[2] = f32::NAN, MeasuredNotFinite),
+        (|s| measured(s).tau[2] = f32::NAN, MeasuredNotFinite),
         (|s| measured(s).q[2] = 7.0, PositionRange),
         (|s| measured(s).q[2] += 0.1, PositionJump),
         (|s| measured(s).tau[0] = 451.0, EffortRange),
         (|s| s.desired.qdd[5] = f32::INFINITY, DesiredNotFinite),
+        (|s| s.desired.q[5] = f32::NAN, DesiredNotFinite),
         (|s| s.desired.q[0] += 0.1, DesiredJump),
     ];
     for (change, reason) in refusals {
@@ -123,6 +126,9 @@ fn arming_takes_fresh_plausible_near_samples() {
         assert_eq!(safety.arm(), Err(reason));
         assert_eq!(safety, before, "a refusal changes nothing");
     }
+    let mut hot = ready();
+    hot.note_temperature(1, HOT_C);
+    assert_eq!(hot.arm(), Err(MotorHot));
     let mut stale = ready();
     ticks(&mut stale, 51, Option::None);
     assert_eq!(stale.arm(), Err(NoSample));
@@ -403,8 +409,8 @@ fn m8_gravity_is_kept_while_the_brake_closes() {
     let gravity = JointVector::from_fn(|j, _| 2.0 - j as f32);
     for reason in [Disarmed, CommandTimeout, MotorHot, Stopped, Drive] {
         let mut safety = armed();
-        safety.set_brake_ticks(150);
-        safety.keep(&gravity);
+        safety.limits = limits().with_brake(149_500, 1000);
+        safety.gravity = gravity;
         assert!(safety.brake_released());
         let received = (reason != CommandTimeout).then(sample);
         match reason {
@@ -431,6 +437,13 @@ fn m8_gravity_is_kept_while_the_brake_closes() {
         assert!(wanted.contains(&kept), "{reason:?}: {kept} of {periods}");
         assert_eq!(*safety.output(), torque(0.0));
     }
+    // What does not flow needs no brake.
+    let mut disarmed = ready();
+    disarmed.limits = limits().with_brake(149_500, 1000);
+    disarmed.trip(MotorHot);
+    disarmed.trip(Drive);
+    assert!(!disarmed.enabled());
+    assert_eq!(disarmed.latched(), MotorHot, "the first one");
 }
 
 proptest! {

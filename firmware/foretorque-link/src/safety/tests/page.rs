@@ -4,6 +4,7 @@ use super::*;
 use foretorque::feedforward::FeedForwardConfig;
 use std::format;
 use std::string::{String, ToString as _};
+use std::vec::Vec;
 
 const PAGE: &str = include_str!("../../../../../docs/safety.md");
 
@@ -32,6 +33,8 @@ fn every_limit_and_time_of_the_page_is_that_of_the_code() {
         text(limits.step_per_tick[0] * 1e3 / arm.velocity)
     );
     let jump = format!("{} rad that a faster motion", text(limits.jump_margin));
+    assert_eq!(limits.brake_ticks, 0);
+    assert_eq!(limits.with_brake(20_000, 1000).brake_ticks, 21);
     let overdue = (limits.temperature_ticks - 1) / 1000;
     let near = format!("more than {} rad", text(ARM_DISTANCE));
     let rows: &[(&str, &[String])] = &[
@@ -119,6 +122,33 @@ fn every_limit_and_time_of_the_page_is_that_of_the_code() {
         for text in *texts {
             assert!(row.contains(text), "{row}\nhas no `{text}`");
         }
+    }
+}
+
+#[test]
+fn torque_and_enable_of_every_state_are_those_of_its_row() {
+    let mut falling = armed();
+    // More than one period falls for the weak joints.
+    falling.release(&torque(14.0));
+    falling.disarm();
+    let mut fault = armed();
+    fault.torque_off(SafetyReason::Stopped);
+    for mut safety in [ready(), armed(), falling, fault] {
+        let state = safety.status().state;
+        let cells = format!("| {} | `{state:?}` |", state as u8);
+        let row = PAGE.lines().find(|line| line.starts_with(&cells)).unwrap();
+        let columns: Vec<_> = row.split('|').map(str::trim).collect();
+        assert_eq!(columns[4], if safety.enabled() { "on" } else { "off" });
+        let before = safety.output().sum();
+        let torque = tick(&mut safety, Some(sample())).sum();
+        let (kind, _) = columns[3].split_once([' ', ';', ',']).unwrap();
+        let holds = match kind {
+            "zero" => torque == 0.0,
+            "that" => torque == 5.0 * N as f32,
+            "falls" => torque < before,
+            other => panic!("`{other}` has no test"),
+        };
+        assert!(holds, "{row}: {torque}");
     }
 }
 

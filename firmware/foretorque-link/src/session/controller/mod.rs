@@ -13,8 +13,8 @@ use crate::wire::{
     SampleFrame, TorqueFrame,
 };
 use foretorque::arm::Arm;
-use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque, gravity};
-use foretorque::joint::{JointMotion, JointSample, JointVector};
+use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
+use foretorque::joint::{JointMotion, JointSample};
 use foretorque::learning::{ConfigError, ParameterSet, StartDeviations};
 use foretorque::limits::Flags;
 use sample_gaps::SampleGaps;
@@ -238,33 +238,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             let mut wanted = *self.safety.output();
             if !ticked {
                 let torque = self.feed_forward.pause();
-                wanted = self.braced::<S>(&torque);
+                let committed = &self.feed_forward.state().committed;
+                wanted = self.safety.braced::<A, P>(&torque, committed);
             }
             self.safety.release(&wanted);
         }
         self.feed_forward.applied(self.safety.output());
         None
-    }
-
-    /// The torque of a tick, or that of gravity in place of one that goes to zero, where a brake has to close first.
-    fn braced<S: LocalSensor<N>>(&mut self, torque: &Torque<N>) -> JointVector<N> {
-        if S::BRAKE_CLOSE_US == 0 {
-            return torque.total;
-        }
-        let ticks = S::BRAKE_CLOSE_US.div_ceil(self.configuration.period_us);
-        self.safety.set_brake_ticks(ticks);
-        let withdrawn = torque
-            .flags
-            .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
-        match self.safety.measured_q() {
-            Some(q) if withdrawn || self.safety.braking() => {
-                let committed = &self.feed_forward.state().committed;
-                let gravity = gravity::<A, N, P>(committed, q);
-                self.safety.keep(&gravity);
-                if withdrawn { gravity } else { torque.total }
-            }
-            _ => torque.total,
-        }
     }
 
     /// Runs the ticks whose samples were lost, as a timer would have: for the learner they are ticks without a
@@ -331,7 +311,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         if torque.flags.contains(Flags::GRAVITY_LOST) {
             self.safety.check(SafetyReason::GravityLost);
         }
-        let wanted = self.braced::<S>(&torque);
+        let committed = &self.feed_forward.state().committed;
+        let wanted = self.safety.braced::<A, P>(&torque, committed);
         torque.total = self.safety.release(&wanted);
         let cost = clock.now().wrapping_sub(start);
         self.feed_forward.applied(&torque.total);

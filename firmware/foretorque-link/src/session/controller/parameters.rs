@@ -48,6 +48,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         if !Configuration::PERIODS_US.contains(&wanted.period_us) {
             return Err(NackReason::Period);
         }
+        if wanted.brake_close_ms > Configuration::MAX_BRAKE_CLOSE_MS {
+            return Err(NackReason::Brake);
+        }
         Ok(())
     }
 
@@ -97,8 +100,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         }
         self.configuration = configuration;
         self.player = Player::new::<A, P>(configuration.period_us);
+        let limits = SafetyLimits::for_arm::<A, P>(configuration.period_us);
+        let close_us = 1000 * u32::from(configuration.brake_close_ms);
         self.safety
-            .restart(SafetyLimits::for_arm::<A, P>(configuration.period_us));
+            .restart(limits.with_brake(close_us, configuration.period_us));
         self.newest = None;
         self.ticked = false;
         self.gaps = SampleGaps::new();

@@ -38,7 +38,6 @@ impl Transfer {
     ) -> Result<(), NackReason> {
         if offset == 0 {
             self.direction = Direction::Up;
-            self.length = 0;
         } else if self.direction != Direction::Up {
             return Err(NackReason::Gap { expected: 0 });
         }

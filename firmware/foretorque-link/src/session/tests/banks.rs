@@ -51,6 +51,18 @@ fn a_damaged_or_endless_bank_is_refused() {
     board.write(&bank);
     let refused = nack(NackReason::Bank(BankError::Checksum));
     assert_eq!(board.commit(&bank), refused);
+    // A sound bank, but not the one that was announced: other length, other checksum.
+    let announced = |length: usize, crc| HostMessage::BankCommit {
+        length: length as u16,
+        crc,
+        mac: None,
+    };
+    let (whole, crc) = (uploaded(), CRC.checksum(&uploaded()));
+    for (length, crc) in [(whole.len() - 1, crc), (whole.len(), crc ^ 1)] {
+        board.write(&whole);
+        let reply = board.request(announced(length, crc));
+        assert_eq!(reply, nack(NackReason::Checksum));
+    }
     let full = ParameterBank::MAX_BYTES / CHUNK;
     let endless = [1; ParameterBank::MAX_BYTES + CHUNK];
     board.write(&endless[..full * CHUNK]);

@@ -1,7 +1,8 @@
 use super::store::storing_with;
 use super::*;
 use crate::excitation::{
-    ExcitationCommand, ExcitationProgram, ExcitationState, JointSeries, MotionBounds,
+    ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, JointSeries,
+    MotionBounds,
 };
 use crate::wire::MAC_BYTES;
 use crate::write_key::WriteKey;
@@ -133,6 +134,9 @@ fn an_excitation_needs_a_signature_of_its_own() {
         board.request(HostMessage::Excitation(ExcitationCommand::Status)),
         BoardMessage::Excitation(ExcitationState::Empty)
     );
+    let start = HostMessage::Excitation(ExcitationCommand::Start);
+    let missing = nack(NackReason::Excitation(ExcitationError::NotLoaded));
+    assert_eq!(board.request(start), missing);
     let nonce = board.challenge();
     let mac = signature(3, &nonce, &program);
     assert_eq!(board.upload_excitation(&program, mac), ACK);
@@ -237,6 +241,7 @@ fn a_permission_serves_one_order_once() {
     for message in protected() {
         let order = message.protected().unwrap();
         assert_eq!(board.unlock(4, order), REFUSED, "a foreign key");
+        assert_eq!(board.request(message.clone()), REFUSED, "no permission");
         assert_eq!(board.unlock(3, order), ACK);
         assert_ne!(board.request(message.clone()), REFUSED);
         assert_eq!(board.request(message.clone()), REFUSED, "used up");

@@ -9,6 +9,12 @@ use std::rc::Rc;
 /// Flash that works, or is worn out without reporting it; the host has the simulated one of the campaigns.
 pub(super) struct Flash(Vec<u8>, Rc<Cell<bool>>);
 
+impl Flash {
+    fn blank() -> Self {
+        Self(std::vec![0xFF; 2 * Self::ERASE_SIZE], Rc::default())
+    }
+}
+
 impl ErrorType for Flash {
     type Error = Infallible;
 }
@@ -56,8 +62,8 @@ pub(super) fn storing_with(write_key: Option<WriteKey>) -> (Board, Rc<Cell<bool>
         write_key,
         ..BoardDescription::plain(NoClock)
     });
-    let worn = Rc::<Cell<bool>>::default();
-    let flash = Flash(std::vec![0xFF; 2 * Flash::ERASE_SIZE], worn.clone());
+    let flash = Flash::blank();
+    let worn = flash.1.clone();
     board.housekeeping.start(Some(Store::new(flash)));
     (board, worn)
 }
@@ -73,6 +79,34 @@ fn a_set_is_saved_and_restored_on_request() {
     assert_ne!(board.read(), bank);
     assert_eq!(board.request(HostMessage::Restore), ACK);
     assert_eq!(board.read(), bank);
+}
+
+#[test]
+fn the_newest_set_stays_in_the_flash_until_the_next_one_is_kept() {
+    let mut store = Store::new(Flash::blank());
+    for k in 1..=20 {
+        assert_eq!(store.save(7, &[k; 100]), Ok(k.into()));
+        let held = |set: [u8; 100]| store.flash().0.windows(100).any(|bytes| bytes == set);
+        assert!(k == 1 || held([k - 1; 100]), "set {k}");
+        assert_eq!(store.load(7, &mut [0; 100]), Ok(&[k; 100][..]));
+    }
+}
+
+#[test]
+fn a_damaged_set_gives_way_to_the_one_before() {
+    let mut store = Store::new(Flash::blank());
+    store.save(7, &[1; 100]).unwrap();
+    store.save(7, &[2; 100]).unwrap();
+    let second = store.flash().0.windows(100).position(|b| b == [2; 100]);
+    let first = store.flash().0.windows(100).position(|b| b == [1; 100]);
+    for place in 0..100 {
+        store.flash_mut().0[second.unwrap() + place] ^= 4;
+        assert_eq!(store.load(7, &mut [0; 100]), Ok(&[1; 100][..]));
+        store.flash_mut().0[second.unwrap() + place] ^= 4;
+    }
+    store.flash_mut().0[second.unwrap()] ^= 4;
+    store.flash_mut().0[first.unwrap()] ^= 4;
+    assert_eq!(store.load(7, &mut [0; 100]), Err(StoreError::Damaged));
 }
 
 #[test]
@@ -174,6 +208,7 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
     ] {
         assert_eq!(board.request(message), busy);
     }
+    board.acknowledged(HostMessage::Learning { on: false });
     assert_eq!(finished(&mut board), [(4, ACK)]);
     let source = BankSource::Live;
     started(HostMessage::BankRead { source, offset: 0 }, &mut board);
@@ -181,7 +216,7 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
     board.sample(0);
     assert!(matches!(
         finished(&mut board)[..],
-        [(11, BoardMessage::BankChunk { offset: 0, .. })]
+        [(12, BoardMessage::BankChunk { offset: 0, .. })]
     ));
 }
 
@@ -201,8 +236,7 @@ fn m4_saves_are_a_minute_apart_and_restarts_do_not_shorten_it() {
             reset_reason,
             ..BoardDescription::plain(NoClock)
         });
-        let flash = Flash(std::vec![0xFF; 2 * Flash::ERASE_SIZE], Rc::default());
-        board.housekeeping.start(Some(Store::new(flash)));
+        board.housekeeping.start(Some(Store::new(Flash::blank())));
         board
     };
     let wait = |seconds| nack(NackReason::Wait { seconds });

@@ -49,7 +49,7 @@ fn refused(link: LinkCapacity, fields: u16, every: u16) -> u16 {
 #[test]
 fn every_field_of_a_record_arrives_with_its_tick() {
     let narrow = LinkCapacity { mtu: 64, ..LINE };
-    for link in [LINE, narrow] {
+    for link in [LINE, narrow, LinkCapacity::UNLIMITED] {
         let (frames, _) = streamed(link, ALL, 10, 200);
         for tick in (0..200).step_by(10) {
             let of_tick = frames.iter().filter(|frame| frame.tick == tick);
@@ -114,8 +114,29 @@ fn fields_equal_the_values_of_the_replies() {
     }
     let none = HostMessage::Telemetry {
         fields: 0,
-        every: 1,
+        every: 0,
     };
-    board.request(none);
+    board.acknowledged(none.clone());
     assert_eq!(board.send(&sample_message(0)).len(), 1);
+    // No fields always fit, and so do bits without a field.
+    let mut slow = connected(LinkCapacity::stream(50_000));
+    slow.acknowledged(none);
+    let (fields, every) = (!ALL, 0);
+    slow.acknowledged(HostMessage::Telemetry { fields, every });
+}
+
+/// A record without space is counted once.
+#[test]
+fn records_that_are_not_sent_whole_are_counted() {
+    let mut board = Board::new();
+    let every = 1;
+    board.acknowledged(HostMessage::Telemetry { fields: ALL, every });
+    let frame = board.numbered(&sample_message(0));
+    board.output(|session, mailboxes, out| {
+        while out.push(0, &ACK).is_ok() {}
+        session.receive(&frame, mailboxes, out, &mut NoLocalSensor);
+    });
+    let statistics = board.statistics();
+    assert_eq!((statistics.records_lost, statistics.replies_lost), (1, 1));
+    assert_eq!(board.send(&sample_message(1)).len(), 3);
 }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::telemetry::Cost;
 
 #[test]
 fn currents_count_only_with_a_drive_gain() {
@@ -24,6 +25,99 @@ fn the_timer_runs_the_newest_sample_once() {
     }
     let statistics = board.statistics();
     assert_eq!((statistics.overtaken, statistics.stale_ticks), (1, 1));
+}
+
+#[test]
+fn a_sample_that_waits_is_dropped_by_a_configuration() {
+    let mut board = Board::new();
+    board.pace(Pacing::SysTick);
+    assert!(board.send(&sample_message(0)).is_empty());
+    board.pace(Pacing::SysTick);
+    let flags = Flags(torque(&board.timer()[0].1).flags);
+    assert!(flags.contains(Flags::STALE_SAMPLE));
+}
+
+/// Every counter counts what it is called, by one, and a reset sets all of them back.
+#[test]
+fn counters_count_and_a_reset_clears_them() {
+    let mut board = Board::new();
+    board.session.note_boot(77);
+    board.pace(Pacing::SysTick);
+    // The learner never runs, and its queue takes 15.
+    for k in 0..20_u8 {
+        let frame = SampleFrame::new(&sample(0)).in_period(k);
+        board.send(&HostMessage::Sample(frame.with_temperature(60)));
+        board.timer();
+    }
+    let mut bad = sample(0);
+    bad.measured.as_mut().unwrap().tau[5] = 90.0;
+    for _ in 0..3 {
+        board.session.note_overrun();
+        board.session.note_reply_lost();
+        board.timer();
+        board.send(&HostMessage::Sample(SampleFrame::new(&bad)));
+        board.timer();
+        let mut damaged = board.numbered(&HostMessage::Hello);
+        damaged[5] ^= 1;
+        board.receive(&damaged);
+        board.receive(&[1, 0]);
+    }
+    let repeated = frame(board.sequence - 1, &HostMessage::Statistics);
+    board.receive(&repeated);
+    let clock = |costs: [u32; 2]| Cost {
+        mean: costs[0],
+        max: costs[1],
+    };
+    board.session.note_line(clock([3, 4]), clock([5, 6]));
+    board.session.note_feeds(9);
+    board.mailboxes.learner.begin(&mut board.learner);
+    board.mailboxes.learner.finish(&mut board.learner, 1000);
+    let counted = board.statistics();
+    let expected = Statistics {
+        frames: 25,
+        crc_errors: 3,
+        framing_errors: 3,
+        missed: 2,
+        repeated: 1,
+        stale_ticks: 3,
+        overruns: 3,
+        replies_lost: 3,
+        ticks: 26,
+        learning_samples_lost: 11,
+        learn_cost: counted.learn_cost,
+        hottest_c: 60,
+        implausible: 3,
+        receive_cost: clock([3, 4]),
+        reply_latency: clock([5, 6]),
+        watchdog_feeds: 9,
+        bytes_lost: counted.bytes_lost,
+        ..Board::new().statistics()
+    };
+    assert_eq!(counted, expected);
+    assert_eq!(counted.learn_cost.max, 1000);
+    assert!(counted.bytes_lost > 0);
+    board.acknowledged(HostMessage::Reset);
+    let cleared = Statistics {
+        // What the owner counts stays.
+        receive_cost: clock([3, 4]),
+        reply_latency: clock([5, 6]),
+        watchdog_feeds: 9,
+        ..Board::new().statistics()
+    };
+    assert_eq!(board.statistics(), cleared);
+    let BoardMessage::Hello(hello) = board.request(HostMessage::Hello) else {
+        panic!("no hello");
+    };
+    assert_eq!(hello.boot_counts, 77);
+}
+
+#[test]
+fn a_temperature_of_the_boards_own_counts() {
+    let mut board = Board::armed();
+    board.session.note_temperature(2, 100);
+    board.sample(0);
+    let latched = board.session.latched_fault();
+    assert_eq!(latched, SafetyReason::MotorHot);
 }
 
 #[test]

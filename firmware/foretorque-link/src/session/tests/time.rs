@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::safety::promises::{Promises, Timing};
-use crate::session::LocalSensor;
 
 const PACINGS: [Pacing; 2] = [Pacing::Link, Pacing::SysTick];
 
@@ -18,9 +17,18 @@ struct Timeline {
 
 impl Timeline {
     fn new(pacing: Pacing, seed: u32) -> Self {
+        Self::braked(pacing, 0, seed)
+    }
+
+    fn braked(pacing: Pacing, brake_close_ms: u16, seed: u32) -> Self {
         let mut board = Board::new();
-        board.pace(pacing);
-        let limits = SafetyLimits::for_arm::<Ur5, P>(1000);
+        board.acknowledged(HostMessage::Configure(Configuration {
+            pacing,
+            brake_close_ms,
+            ..Configuration::default()
+        }));
+        let close_us = 1000 * u32::from(brake_close_ms);
+        let limits = SafetyLimits::for_arm::<Ur5, P>(1000).with_brake(close_us, 1000);
         let promises = Promises::new(limits, board.session.feed_forward().config());
         let mut timeline = Self {
             board,
@@ -139,12 +147,10 @@ fn slow(k: u32) -> JointSample<N> {
 
 #[test]
 fn every_promise_holds_at_every_timing_in_both_pacings() {
-    for (pacing, timing) in PACINGS
-        .into_iter()
-        .flat_map(|p| Timing::ALL.map(|t| (p, t)))
-    {
+    let all = PACINGS.map(|p| [0, 25].map(|brake| Timing::ALL.map(|t| (p, brake, t))));
+    for &(pacing, brake, timing) in all.as_flattened().as_flattened() {
         let mut torques = 0;
-        let mut timeline = Timeline::new(pacing, timing as u32);
+        let mut timeline = Timeline::braked(pacing, brake, timing as u32);
         let mut gap = 0;
         for k in 0..3000_u32 {
             if gap > 0 {
@@ -240,6 +246,12 @@ fn m3_a_burst_out_of_a_buffer_is_not_played_at_line_speed() {
         assert_eq!(timeline.timer(), 1, "the newest runs with the timer");
         let overtaken = timeline.board.statistics().overtaken - before;
         assert_eq!(overtaken as usize, 19 - at_once, "{pacing:?}");
+        // The timer goes on when the same pacing is configured again.
+        let mut timeline = Timeline::new(pacing, 1);
+        timeline.board.pace(pacing);
+        let frames = (0..20).map(|k| SampleFrame::new(&slow(k)).in_period(k as u8));
+        let answered: usize = frames.map(|frame| timeline.send(frame)).sum();
+        assert_eq!(answered, at_once, "{pacing:?}");
     }
 }
 
@@ -343,88 +355,73 @@ fn across_the_wraps_of_sequence_and_period_the_torques_are_those_of_a_twin() {
     }
 }
 
-/// The brake of a board's joints.
-struct Braked;
-
-impl<const N: usize> LocalSensor<N> for Braked {
-    const BRAKE_CLOSE_US: u32 = 150_000;
-
-    fn measure(&mut self, _: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
-        SafetyReason::None
-    }
-}
-
-/// The torque of gravity at the measured position is kept until the brake is closed.
+/// Every row of the page about what holds the arm, in both pacings. The torque that is kept is that of gravity at the
+/// measured position.
 #[test]
-fn m8_a_board_with_a_brake_holds_the_arm_until_it_is_closed() {
-    for pacing in PACINGS {
-        for orderly in [false, true] {
-            let mut board = timed(pacing);
+fn m8_the_arm_is_held_as_long_as_the_page_has_it() {
+    let page = include_str!("../../../../../docs/safety.md");
+    let rows = page.split("| brake | event |").nth(1).unwrap().lines();
+    let rows: Vec<Vec<_>> = rows
+        .skip(2)
+        .take_while(|row| row.starts_with('|'))
+        .map(|row| row.split('|').map(str::trim).collect())
+        .collect();
+    assert_eq!(rows.len(), 5);
+    let mut still = slow(0);
+    // More than gravity in the torque.
+    still.desired.qdd.fill(3.0);
+    let q = SampleFrame::new(&still)
+        .sample(&[0.0; N])
+        .measured
+        .unwrap()
+        .q;
+    for (row, pacing) in rows.iter().flat_map(|row| PACINGS.map(|p| (row, p))) {
+        let close_ms = if row[1] == "set" { 100 } else { 0 };
+        // Periods of the torque after the last sample or the event: kept at least, and zero at last.
+        let (kept, zero) = match row[3] {
+            "30 ms after the last sample" => (10, 33),
+            "10 ms" => (0, 11),
+            "50 ms and the closing time" => (147, 165),
+            "the closing time" => (99, 114),
+            "0 ms" => (0, 1),
+            other => panic!("`{other}` has no test"),
+        };
+        for event in row[2].split(", ") {
+            let mut board = Timeline::braked(pacing, close_ms, 1).board;
+            (0..ARM_SAMPLES).for_each(|_| _ = board.period(Some(slow(0))));
             board.acknowledged(HostMessage::Arm);
-            let mut still = slow(0);
-            // More than gravity in the torque.
-            still.desired.qdd.fill(3.0);
-            let message = HostMessage::Sample(SampleFrame::new(&still));
-            let period = |board: &mut Board, sends: bool| {
-                let bytes = if sends {
-                    board.numbered(&message)
-                } else {
-                    Vec::new()
-                };
-                board.output(|session, mailboxes, out| {
-                    session.receive(&bytes, mailboxes, out, &mut Braked);
-                    session.timer_tick(mailboxes, out, &mut Braked);
-                });
-                let session = &board.session;
-                (
-                    *session.torque_output(),
-                    session.brake_released(),
-                    session.torque_enabled(),
-                )
-            };
-            (0..60).for_each(|_| assert!(period(&mut board, true).1));
+            (0..60).for_each(|_| _ = board.period(Some(still)));
+            assert!(board.session.brake_released());
             let committed = board.session.feed_forward().state().committed;
-            let measured = SampleFrame::new(&still)
-                .sample(&[0.0; N])
-                .measured
-                .unwrap()
-                .q;
-            let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &measured);
-            if orderly {
-                board.acknowledged(HostMessage::Disarm);
+            let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &q);
+            let full = *board.session.torque_output();
+            match event {
+                "silence" => {}
+                "`Disarm`" => board.acknowledged(HostMessage::Disarm),
+                "a fault that ramps" => board.session.trip(SafetyReason::MotorHot),
+                "`Stop`" => board.acknowledged(HostMessage::Stop),
+                "`Drive`" => board.session.torque_off(SafetyReason::Drive),
+                "`Stage`" => board.session.torque_off(SafetyReason::Stage),
+                // The pins of a board in reset are low.
+                "restart" | "loss of power" => continue,
+                other => panic!("`{other}` has no test"),
             }
-            let (mut released, mut kept, mut periods) = (0, 0, 0);
-            loop {
-                let (torque, open, enabled) = period(&mut board, orderly);
-                if !enabled {
-                    break;
-                }
-                released += u32::from(open);
-                kept += u32::from(torque == gravity);
+            let (mut held, mut lasted, mut periods) = (0, 0, 0);
+            while board.session.torque_enabled() {
+                board.period((event != "silence").then_some(still));
+                let session = &board.session;
+                let torque = session.torque_output();
+                held += u32::from(*torque == gravity || *torque == full);
+                lasted += u32::from(*torque != JointVector::<N>::zeros());
                 periods += 1;
-                assert!(
-                    torque
-                        .iter()
-                        .zip(&gravity)
-                        .all(|(t, g)| t.abs() <= g.abs() + 15.0)
-                );
-                assert!(periods < 300, "{pacing:?}: the torque never ends");
+                let ended = session.safety().state != SafetyState::Armed;
+                assert_ne!(session.brake_released(), ended);
+                assert!(periods < 300, "the torque never ends");
             }
-            // A silent host: held for 10 ms, gravity until the time-out and 150 ms more, 10 ms of ramp.
-            let (open, most) = if orderly { (0, 150) } else { (50, 192) };
-            let context = std::format!("{pacing:?}, {orderly}: {released} {kept} {periods}");
-            assert!(released.abs_diff(open) <= 1, "{context}");
-            assert!(kept <= most && kept + 15 >= most, "{context}");
+            let context = std::format!("{pacing:?}, {row:?}, {event}: {held} {lasted}");
+            // On its way from the full torque it is neither.
+            assert!(held + 10 >= kept && lasted <= zero, "{context}");
+            assert_eq!(*board.session.torque_output(), JointVector::<N>::zeros());
         }
     }
-}
-
-/// A board with a timer beside the samples, ready to be armed.
-fn timed(pacing: Pacing) -> Board {
-    let mut board = Board::new();
-    board.pace(pacing);
-    for _ in 0..ARM_SAMPLES {
-        board.period(Some(slow(0)));
-    }
-    board
 }

@@ -38,10 +38,14 @@ fn name() -> impl Strategy<Value = Name> {
 fn configuration() -> impl Strategy<Value = Configuration> {
     let pacing = select(vec![Pacing::Link, Pacing::SysTick]);
     let reply = select(vec![ReplyMode::Decimated, ReplyMode::Full]);
-    (any::<u32>(), pacing, reply).prop_map(|(period_us, pacing, reply)| Configuration {
-        period_us,
-        pacing,
-        reply,
+    let numbers = (any::<u32>(), any::<u16>());
+    (numbers, pacing, reply).prop_map(|((period_us, brake_close_ms), pacing, reply)| {
+        Configuration {
+            period_us,
+            pacing,
+            reply,
+            brake_close_ms,
+        }
     })
 }
 

@@ -50,7 +50,18 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
             "{wanted}"
         );
     }
-    assert!(page.contains(&std::format!("protocol version {PROTOCOL_VERSION}")));
+    let longest = Configuration::MAX_BRAKE_CLOSE_MS;
+    for text in [
+        std::format!("protocol version {PROTOCOL_VERSION}"),
+        std::format!("by default and {longest} ms at most"),
+        std::format!("| the brakes take longer to close than {longest} ms |"),
+        std::format!(
+            "by default and {} ms at most",
+            Configuration::PERIODS_US.end() / 1000
+        ),
+    ] {
+        assert!(page.contains(&text), "{text}");
+    }
 }
 
 /// Bytes of a type that the page names.
@@ -87,6 +98,7 @@ fn every_nack_code_and_width_of_the_page_is_that_of_the_type() {
         Bandwidth { every: 1 },
         Excitation(ExcitationError::NotLoaded),
         Wait { seconds: 1 },
+        Brake,
     ];
     for (number, reason) in reasons.iter().enumerate() {
         let (code, bytes) = coded(reason);

@@ -1,7 +1,7 @@
 //! How a learnt or loaded set comes to count.
 
 use super::*;
-use crate::learning::StartDeviations;
+use crate::learning::{Request, StartDeviations};
 
 #[test]
 fn a_set_is_adopted_at_the_middle_of_the_next_round_and_at_no_other_tick() {
@@ -74,6 +74,38 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
 }
 
 #[test]
+fn a_request_waits_for_the_one_before_and_a_stop_replaces_it() {
+    let mut tick = tick(set());
+    let mut exchange = Exchange::new();
+    tick.request(Request::Commit, &mut exchange).unwrap();
+    assert!(tick.request(Request::Snapshot, &mut exchange).is_err());
+    assert_eq!(tick.state().requests, 1);
+    tick.request_over(Request::Stop, &mut exchange);
+    assert_eq!(tick.state().requests, 2);
+    assert_eq!(exchange.request, Some((2, Request::Stop)));
+}
+
+#[test]
+fn what_was_learnt_is_dropped_and_what_was_loaded_stays() {
+    let mut loaded = set();
+    loaded.network[0].output_bias[0] = 0.05;
+    loaded.network[1].output_bias[0] = 0.05;
+    let mut tick = tick(loaded);
+    let mut learnt = loaded;
+    learnt.rigid *= 1.1;
+    learnt.friction[3][FrictionColumn::Viscous] = 9.0;
+    learnt.network[1].output_bias[0] = 0.02;
+    tick.state.set_active(&learnt, &LearntShare::FULL);
+    tick.state.commit();
+    let mut saved = tick.state().committed;
+    assert_ne!(saved, loaded);
+    tick.state().drop_learnt(&mut saved);
+    let mut wanted = loaded;
+    wanted.network[1] = learnt.network[1].silenced();
+    assert_eq!(saved, wanted);
+}
+
+#[test]
 fn starting_over_leaves_nothing_of_what_was() {
     let (mut used, fresh) = (tick(set()), tick(Set::nominal::<Ur5>(1)));
     let mut exchange = Exchange::new();
@@ -87,6 +119,12 @@ fn starting_over_leaves_nothing_of_what_was() {
         used.step(&sample(motion(0.1 * step as f32)));
     }
     used.step_stale();
+    // A set adopted, and committed, whose tick has not run.
+    let mut last = finished(20, set());
+    last.commit = true;
+    exchange.published = Some(last);
+    used.state.tick = 27;
+    used.adopt(&mut exchange);
     assert_ne!(used.state(), fresh.state());
     used.restart(*fresh.config(), &Set::nominal::<Ur5>(1))
         .unwrap();

@@ -29,6 +29,43 @@ fn a_motion_outside_the_limits_is_cut_to_them() {
 }
 
 #[test]
+fn a_motion_that_is_not_finite_is_no_motion() {
+    let changes: [fn(&mut JointMotion<N>) -> &mut f32; 3] =
+        [|m| &mut m.q[2], |m| &mut m.qd[2], |m| &mut m.qdd[2]];
+    for (change, bad) in changes
+        .iter()
+        .flat_map(|c| [f32::NAN, f32::INFINITY].map(|b| (c, b)))
+    {
+        let mut broken = motion(0.3);
+        *change(&mut broken) = bad;
+        let flags = tick(set()).step(&sample(broken)).flags;
+        assert!(flags.contains(Flags::NOT_FINITE | Flags::STALE_SAMPLE));
+    }
+}
+
+#[test]
+fn beyond_the_learnt_range_what_was_learnt_is_that_of_its_edge() {
+    let motion = motion(0.3);
+    let range = MotionRange {
+        velocity: [0.2; N],
+        acceleration: [0.3; N],
+    };
+    let mut inside = motion;
+    inside.qd = motion.qd.map(|qd| qd.clamp(-0.2, 0.2));
+    inside.qdd = motion.qdd.map(|qdd| qdd.clamp(-0.3, 0.3));
+    let mut learnt = set();
+    learnt.rigid *= 1.1;
+    let mut tick = tick(set());
+    tick.state.set_active(&learnt, &LearntShare::FULL);
+    tick.state.range.set(&range);
+    let share = settled(&mut tick, &motion).shares.rigid;
+    let rigid = |set: &Set, motion| evaluate::<Ur5, N, P>(set, motion).shares.rigid;
+    let wanted = rigid(&set(), &motion) + rigid(&learnt, &inside) - rigid(&set(), &inside);
+    assert!((share - wanted).amax() < 1e-3, "{share} {wanted}");
+    assert!((share - rigid(&learnt, &motion)).amax() > 0.01);
+}
+
+#[test]
 fn what_was_learnt_is_bounded_around_the_committed_set() {
     let motion = motion(0.3);
     let mut tick = tick(set());

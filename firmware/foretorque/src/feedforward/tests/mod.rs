@@ -82,6 +82,7 @@ fn a_configuration_that_cannot_work_is_refused() {
     let mut range = good;
     range.limits[0].position = (1.0, -1.0);
     assert!(good.validate().is_ok());
+    assert!(Tick::new(slew, set()).is_err());
     assert_eq!(
         slew.validate(),
         Err(ConfigError::NotPositive("slew_per_tick"))

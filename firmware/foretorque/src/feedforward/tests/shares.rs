@@ -6,8 +6,11 @@ use crate::dynamics::{friction_load, friction_row};
 #[test]
 fn the_settled_torque_is_the_sum_of_the_evaluated_shares() {
     let motion = motion(0.3);
-    let torque = settled(&mut tick(set()), &motion);
-    let evaluated = evaluate::<Ur5, N, P>(&set(), &motion);
+    let mut set = set();
+    set.network[2].output_bias[0] = 0.05;
+    let torque = settled(&mut tick(set), &motion);
+    let evaluated = evaluate::<Ur5, N, P>(&set, &motion);
+    assert!(evaluated.shares.network[2].abs() > 1.0);
     assert_eq!(torque.shares, evaluated.shares);
     assert_eq!(torque.total, evaluated.total);
     assert_eq!(torque.flags, Flags::NO_MEASUREMENT);
@@ -127,4 +130,36 @@ fn a_share_broken_in_both_sets_is_withdrawn_alone_at_the_slew_limit() {
         assert!((next.total[j] - before.total[j]).abs() <= slew, "joint {j}");
     }
     assert_eq!(settled(&mut tick, &motion).total, before.shares.friction);
+}
+
+#[test]
+fn a_share_beyond_its_bound_gives_way_to_the_committed_one_and_without_one_to_zero() {
+    use crate::feedforward::shares::{JointShares, select};
+    let shares = |joint: usize, share: f32| {
+        let mut all = [0.0; 3];
+        all[joint] = share;
+        let [rigid, friction, network] = all;
+        JointShares {
+            rigid,
+            friction,
+            network,
+        }
+    };
+    // Bounds in torque limits: those of rigid body, friction, network.
+    for (kind, bound) in [10.0, 2.0, 0.1].into_iter().enumerate() {
+        for (factor, sound) in [(0.99, true), (-0.99, true), (1.01, false), (-1.01, false)] {
+            let active = shares(kind, factor * bound * 50.0);
+            let (mut flags, mut lost) = (Flags::NONE, Flags::NONE);
+            let replaced = select(&active, &shares(kind, 1.0), 50.0, &mut flags);
+            let withdrawn = select(&active, &active, 50.0, &mut lost);
+            let context = std::format!("share {kind}, {factor}");
+            let [one, none] = [shares(kind, 1.0), shares(kind, 0.0)];
+            let wanted = if sound { [&active; 2] } else { [&one, &none] };
+            assert_eq!([&replaced.shares, &withdrawn.shares], wanted, "{context}");
+            assert_eq!(flags.contains(Flags::SHARE_FALLBACK), !sound, "{context}");
+            assert_eq!(lost.contains(Flags::WITHDRAWN), !sound, "{context}");
+            let gravity = lost.contains(Flags::GRAVITY_LOST);
+            assert_eq!(gravity, !sound && kind == 0, "{context}");
+        }
+    }
 }

@@ -2,6 +2,7 @@ use super::*;
 use crate::arm::ur5::Ur5;
 use crate::dynamics::{DISSIPATION_BOUNDS, FrictionColumn};
 use crate::joint::{JointMeasurement, JointVector};
+use crate::learning::conditioning::TAPS;
 use crate::learning::{Request, StartDeviations};
 use crate::limits::Flags;
 
@@ -77,6 +78,30 @@ fn missing_or_not_finite_measurements_change_nothing() {
         learn_ticks(&mut learner, 63..100, true);
         // In the middle of the window the two torques are missing once more.
         assert_eq!(learner.state.statistics.incomplete, without + 2);
+    }
+}
+
+/// Under these flags the measured torque is not what the model is asked for.
+#[test]
+fn flagged_ticks_freeze_learning_for_a_window() {
+    for (flag, reason) in [
+        (Flags::SATURATED, Reason::FrozenSaturated),
+        (Flags::NOT_FINITE, Reason::FrozenNotFinite),
+    ] {
+        let mut learner = learner();
+        learn_ticks(&mut learner, 0..60, true);
+        let before = (learner.state.estimate, learner.state.active);
+        let window = TAPS as u32;
+        let mut flagged = sample_of(60, Some(measured(60, 2.0, 20.0)), true);
+        flagged.flags = flag;
+        learner.study(&flagged);
+        learn_ticks(&mut learner, 61..60 + window, true);
+        assert!((learner.state.estimate, learner.state.active) == before);
+        let decided = |learner: &Learner<Ur5, N, P>| learner.state.report.decisions.newest();
+        assert_eq!(decided(&learner).unwrap().reason, reason);
+        learn_ticks(&mut learner, 60 + window..62 + window, true);
+        assert_eq!(decided(&learner).unwrap().reason, Reason::Resumed);
+        assert!(learner.state.estimate != before.0);
     }
 }
 

@@ -147,3 +147,62 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         self.pending_block = None;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::ur5::{LearnerConfig, Ur5};
+
+    type Tested = Supervisor<6, 40>;
+
+    fn config() -> SupervisorConfig {
+        LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
+    }
+
+    #[test]
+    fn a_restart_makes_the_loaded_set_that_of_every_checkpoint() {
+        let mut supervisor = Tested::new(&config());
+        let set = LinearParameters::filled(3.0);
+        supervisor.restart(&config(), &set);
+        let [newer, older] = supervisor.checkpoints;
+        for (name, of) in [
+            ("loaded", supervisor.loaded),
+            ("learnt", supervisor.learnt.set),
+            ("newer", newer.learnt.set),
+            ("older", older.learnt.set),
+            ("estimate", older.estimate),
+        ] {
+            assert!(of == set, "{name}");
+        }
+    }
+
+    /// Networks train on what the linear parameters leave: when the share of a joint is settled, or after many rows.
+    #[test]
+    fn networks_train_on_settled_residuals_of_a_healthy_learner() {
+        let config = SupervisorConfig {
+            training_rows: 2,
+            ..config()
+        };
+        for (share, rows, reversed, phase, trains) in [
+            (0.6, 0, false, Phase::Healthy, true),
+            (0.4, 0, false, Phase::Healthy, false),
+            (0.4, 1, false, Phase::Healthy, false),
+            (0.4, 2, false, Phase::Healthy, true),
+            (0.6, 2, true, Phase::Healthy, false),
+            (0.6, 2, false, Phase::PayloadTest, false),
+            (0.6, 2, false, Phase::Relearning, false),
+        ] {
+            let mut supervisor = Tested::new(&config);
+            supervisor.learnt.share.joint[1] = share;
+            for _ in 0..rows {
+                let evidence = &mut supervisor.learnt.evidence;
+                evidence.add_row(1, [1.0, 0.0, 1.0], 1.0, 0.1);
+            }
+            supervisor.state.reversed = reversed;
+            supervisor.state.phase = phase;
+            let context = std::format!("{share} {rows} {reversed} {phase:?}");
+            assert_eq!(supervisor.trains_network(&config, 1), trains, "{context}");
+            assert!(!supervisor.trains_network(&config, 0) || rows == 2);
+        }
+    }
+}

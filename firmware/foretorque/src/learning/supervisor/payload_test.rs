@@ -185,3 +185,88 @@ impl PayloadHypothesisTest {
         self.blocks
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::ur5::{LearnerConfig, Ur5};
+    use crate::learning::payload::{MAX_COM_DISTANCE, NO_PAYLOAD, PAYLOAD_PARAMETERS};
+
+    fn config() -> SupervisorConfig {
+        LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
+    }
+
+    /// Decision after blocks of a payload `carried`, N·m a unit, under which the arm feels `felt`; one row of every
+    /// parameter a block, and two in the directions of the mass.
+    fn decided(carried: &Payload, felt: &Payload, noise: f32) -> (u32, PayloadDecision) {
+        let config = config();
+        let mut test = PayloadHypothesisTest::new(&config, carried);
+        for block in 1.. {
+            for k in 0..PAYLOAD_PARAMETERS + 2 {
+                let mut row = NO_PAYLOAD;
+                row[k % PAYLOAD_PARAMETERS] = 10.0;
+                let sign = if (block + k as u32).is_multiple_of(2) {
+                    1.0
+                } else {
+                    -1.0
+                };
+                let tau = payload_torque(felt, &row) + sign * noise;
+                test.add_row(carried, &row, tau, 0.1, 0.1);
+            }
+            let carries = *carried != NO_PAYLOAD;
+            if let Some(decision) = test.decide(&config, carries, false, 0.0) {
+                return (block, decision);
+            }
+        }
+        unreachable!("the test has a time-out");
+    }
+
+    #[test]
+    fn every_disturbance_has_its_decision() {
+        let config = config();
+        let of =
+            |mass: f32, [x, y, z]: [f32; 3]| [mass, mass * x, mass * y, mass * z, 0.0, 0.0, 0.0];
+        let two = of(2.0, [0.05; 3]);
+        let (far, light) = (1.02 * MAX_COM_DISTANCE, 0.9 * config.min_payload_mass);
+        let heavy = of(1.01 * config.max_payload_mass, [0.0; 3]);
+        let implausible = |mass: f32| PayloadDecision::Refuse(Reason::Implausible, mass);
+        let five = config.decision_blocks;
+        let (warm, late) = (five, config.timeout_blocks);
+        for (carried, felt, blocks, wanted) in [
+            (NO_PAYLOAD, two, warm, PayloadDecision::Promote),
+            (two, NO_PAYLOAD, five, PayloadDecision::Release),
+            (NO_PAYLOAD, NO_PAYLOAD, five, PayloadDecision::Transient),
+            (two, two, five, PayloadDecision::Transient),
+            // Heavier by a little: another payload, not an empty hand.
+            (two, of(3.0, [0.05; 3]), warm, PayloadDecision::Promote),
+            (NO_PAYLOAD, of(2.0, [far, 0.0, 0.0]), late, implausible(2.0)),
+            (NO_PAYLOAD, of(2.0, [0.0, far, 0.0]), late, implausible(2.0)),
+            (NO_PAYLOAD, of(2.0, [0.0, 0.0, far]), late, implausible(2.0)),
+            (NO_PAYLOAD, of(light, [0.0; 3]), late, implausible(light)),
+            (NO_PAYLOAD, heavy, late, implausible(heavy[0])),
+        ] {
+            let (block, decision) = decided(&carried, &felt, 0.03);
+            let near = match (decision, wanted) {
+                (PayloadDecision::Refuse(a, x), PayloadDecision::Refuse(b, y)) => {
+                    a == b && (x - y).abs() < 0.02 * y
+                }
+                (decision, wanted) => decision == wanted,
+            };
+            assert!(near, "{carried:?} {felt:?}: {decision:?}");
+            assert!((blocks..=blocks + 3).contains(&block), "{felt:?}: {block}");
+        }
+        // An empty hand under noise that no payload explains, and a payload that is hardly felt.
+        let (_, released) = decided(&two, &NO_PAYLOAD, 2.0);
+        assert_eq!(released, PayloadDecision::Release);
+        let tiny = of(0.005, [0.0; 3]);
+        let (_, over) = decided(&tiny, &tiny, 0.03);
+        assert_eq!(over, PayloadDecision::Transient);
+        // A disturbance that a payload explains in part.
+        let (block, decision) = decided(&NO_PAYLOAD, &two, 3.0);
+        assert!(
+            matches!(decision, PayloadDecision::Refuse(Reason::Residual, _)),
+            "{decision:?}"
+        );
+        assert_eq!(block, late);
+    }
+}

@@ -219,15 +219,14 @@ mod tests {
         LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
     }
 
-    /// Phase, action and reason after `evidence` in `phase`.
-    fn after(phase: Phase, evidence: Evidence) -> (Phase, Action, Option<Reason>) {
+    /// Phase, action, and reason with its figure after `evidence` in `phase`.
+    fn after(phase: Phase, evidence: Evidence) -> (Phase, Action, Option<(Reason, f32)>) {
         let before = SupervisorState {
             phase,
             ..SupervisorState::START
         };
         let next = step(&config(), &before, evidence);
-        let reason = next.reason.map(|(reason, _)| reason);
-        (next.state.phase, next.action, reason)
+        (next.state.phase, next.action, next.reason)
     }
 
     fn payload(decision: PayloadDecision) -> Evidence {
@@ -265,77 +264,77 @@ mod tests {
                 Evidence::Change(26.0),
                 PayloadTest,
                 Action::TestPayload,
-                Reason::Alarm,
+                (Reason::Alarm, 26.0),
             ),
             (
                 PayloadTest,
                 payload(PayloadDecision::Promote),
                 Healthy,
                 Action::Promote,
-                Reason::Promoted,
+                (Reason::Promoted, 2.0),
             ),
             (
                 PayloadTest,
                 payload(PayloadDecision::Release),
                 Healthy,
                 Action::Release,
-                Reason::Released,
+                (Reason::Released, 2.0),
             ),
             (
                 PayloadTest,
                 payload(PayloadDecision::Transient),
                 Healthy,
                 Action::Resume,
-                Reason::Transient,
+                (Reason::Transient, 0.1),
             ),
             (
                 PayloadTest,
                 refusal,
                 Relearning,
                 Action::Relearn,
-                Reason::Uncertain,
+                (Reason::Uncertain, 0.4),
             ),
             (
                 Stopped,
                 Evidence::Off,
                 Healthy,
                 Action::None,
-                Reason::Resumed,
+                (Reason::Resumed, 0.0),
             ),
             (
                 Relearning,
                 request(Request::Rollback, true),
                 Healthy,
                 Action::Rollback,
-                Reason::RolledBack,
+                (Reason::RolledBack, 0.0),
             ),
             (
                 Relearning,
                 request(Request::Rollback, false),
                 Relearning,
                 Action::None,
-                Reason::RequestRefused,
+                (Reason::RequestRefused, 2.0),
             ),
             (
                 PayloadTest,
                 request(Request::ZeroPayload, false),
                 Healthy,
                 Action::Release,
-                Reason::PayloadZeroed,
+                (Reason::PayloadZeroed, 2.0),
             ),
             (
                 Healthy,
                 request(Request::Commit, false),
                 Healthy,
                 Action::Commit,
-                Reason::Committed,
+                (Reason::Committed, 0.0),
             ),
             (
                 Healthy,
                 request(Request::Snapshot, false),
                 Healthy,
                 Action::Snapshot,
-                Reason::SnapshotTaken,
+                (Reason::SnapshotTaken, 0.0),
             ),
         ];
         for (phase, evidence, next, action, reason) in rows {
@@ -346,7 +345,7 @@ mod tests {
             );
         }
         for phase in [Healthy, PayloadTest, Relearning, Stopped] {
-            let stopped = (Stopped, Action::Restore, Some(Reason::FrozenStopped));
+            let stopped = (Stopped, Action::Restore, Some((Reason::FrozenStopped, 0.0)));
             assert_eq!(after(phase, request(Request::Stop, true)), stopped);
         }
         for (phase, evidence) in [

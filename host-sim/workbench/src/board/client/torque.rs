@@ -10,8 +10,8 @@ use foretorque_link::wire::{BoardMessage, HostMessage, NackReason, SampleFlags, 
 
 /// Samples that a board is given, at most, to become ready to be armed.
 const ARM_ATTEMPTS: u32 = 30;
-/// Samples that a board is given, at most, to bring its torque to zero: many times what its slew limit takes.
-const DISARM_SAMPLES: u32 = 2000;
+/// Samples that a board is given, at most, to bring its torque to zero: the slowest brakes at the shortest period, twice.
+const DISARM_SAMPLES: u32 = 20_000;
 
 impl<const N: usize> Client<N> {
     /// Runs one tick with `sample` and returns its torque.

@@ -1,0 +1,177 @@
+//! Commands and state of the safety.
+
+use foretorque_link::safety::{Safety, SafetyReason};
+use foretorque_link::wire::Configuration;
+
+use crate::{Foretorque, ForetorqueLimits, ForetorqueSafety, ForetorqueStatus, JOINTS};
+
+/// Lets torque through from the next sample on. Only after three fresh, plausible samples; `Refused` otherwise, with the
+/// reason of docs/safety.md at `reason`.
+///
+/// # Safety
+/// `it` comes from `foretorque_init`, and no other call on it is under way; `reason` may be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_arm(it: *mut Foretorque, reason: *mut u8) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { command(it, reason, Safety::arm) }
+}
+
+/// Clears a latched fault; the board is disarmed then. `Refused` while the torque still ramps to zero or a motor is hot.
+///
+/// # Safety
+/// As those of `foretorque_arm`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_clear_fault(
+    it: *mut Foretorque,
+    reason: *mut u8,
+) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { command(it, reason, Safety::clear) }
+}
+
+/// # Safety
+/// As those of `foretorque_arm`.
+unsafe fn command(
+    it: *mut Foretorque,
+    reason: *mut u8,
+    request: fn(&mut Safety<JOINTS>) -> Result<(), SafetyReason>,
+) -> ForetorqueStatus {
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
+    let it = unsafe { it.as_mut() };
+    let (Some(it), false) = (it, reason.is_null()) else {
+        return ForetorqueStatus::Null;
+    };
+    let refused = request(&mut it.safety).err();
+    // SAFETY: not null, and may be written.
+    unsafe { reason.write(refused.unwrap_or_default().code()) };
+    match refused {
+        None => ForetorqueStatus::Ok,
+        Some(_) => ForetorqueStatus::Refused,
+    }
+}
+
+/// Ramps the torque to zero over the ticks to come, then disarms.
+///
+/// # Safety
+/// `it` comes from `foretorque_init`, and no other call on it is under way.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { act(it, |it| it.safety.disarm()) }
+}
+
+/// Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
+/// An unknown code, or 0, latches 3.
+///
+/// # Safety
+/// As those of `foretorque_disarm`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> ForetorqueStatus {
+    let reason = SafetyReason::ALL.get(usize::from(reason)).copied();
+    let fault = match reason {
+        None | Some(SafetyReason::None) => SafetyReason::Stopped,
+        Some(reason) => reason,
+    };
+    // SAFETY: as the caller promises.
+    unsafe {
+        act(it, |it| {
+            it.safety.torque_off(fault);
+            it.feed_forward.applied(it.safety.output());
+        })
+    }
+}
+
+/// Takes the temperature of the motor of `joint`, counted from 0, degrees C. The torque limit falls from 80 to 100.
+///
+/// # Safety
+/// As those of `foretorque_disarm`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_temperature(
+    it: *mut Foretorque,
+    joint: u32,
+    celsius: i8,
+) -> ForetorqueStatus {
+    // SAFETY: as the caller promises.
+    unsafe { act(it, |it| it.safety.note_temperature(joint as usize, celsius)) }
+}
+
+/// Sets the time that the brakes take to close, microseconds up to 1 s; 0 without brakes. Only while no torque flows; arming
+/// needs three samples after it.
+///
+/// # Safety
+/// As those of `foretorque_disarm`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_set_brake(
+    it: *mut Foretorque,
+    close_us: u32,
+) -> ForetorqueStatus {
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
+    let Some(it) = (unsafe { it.as_mut() }) else {
+        return ForetorqueStatus::Null;
+    };
+    if !it.safety.at_rest() {
+        return ForetorqueStatus::Armed;
+    }
+    if close_us > 1000 * u32::from(Configuration::MAX_BRAKE_CLOSE_MS) {
+        return ForetorqueStatus::Brake;
+    }
+    let limits = it.safety.limits().with_brake(close_us, it.period_us);
+    it.safety.restart(limits);
+    ForetorqueStatus::Ok
+}
+
+/// Writes the state of the safety.
+///
+/// # Safety
+/// `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_safety(
+    it: *mut Foretorque,
+    out: *mut ForetorqueSafety,
+) -> ForetorqueStatus {
+    if out.is_null() {
+        return ForetorqueStatus::Null;
+    }
+    // SAFETY: as the caller promises; `out` may be written.
+    unsafe { act(it, |it| out.write(it.safety())) }
+}
+
+/// Writes the hard limits.
+///
+/// # Safety
+/// As those of `foretorque_safety`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_limits(
+    it: *mut Foretorque,
+    out: *mut ForetorqueLimits,
+) -> ForetorqueStatus {
+    if out.is_null() {
+        return ForetorqueStatus::Null;
+    }
+    let write = |it: &mut Foretorque| {
+        let limits = it.safety.limits();
+        let limits = ForetorqueLimits {
+            torque_nm: limits.torque.into(),
+            slew_nm: limits.slew_per_tick.into(),
+            timeout_ticks: limits.timeout_ticks,
+            measurement_ticks: limits.measurement_ticks,
+        };
+        // SAFETY: not null, and may be written.
+        unsafe { out.write(limits) }
+    };
+    // SAFETY: as the caller promises.
+    unsafe { act(it, write) }
+}
+
+/// # Safety
+/// As those of `foretorque_disarm`.
+unsafe fn act(it: *mut Foretorque, action: impl FnOnce(&mut Foretorque)) -> ForetorqueStatus {
+    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
+    match unsafe { it.as_mut() } {
+        Some(it) => {
+            action(it);
+            ForetorqueStatus::Ok
+        }
+        None => ForetorqueStatus::Null,
+    }
+}

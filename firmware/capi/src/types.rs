@@ -1,0 +1,122 @@
+//! What passes between C and the library.
+
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
+
+use crate::{FORETORQUE_JOINTS, JOINTS};
+
+/// Result of a call.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ForetorqueStatus {
+    /// Done.
+    Ok = 0,
+    /// A pointer is null.
+    Null = 1,
+    /// The memory is smaller than `foretorque_size`, or the buffer too small for the bank.
+    TooSmall = 2,
+    /// The memory is not aligned to `foretorque_alignment`.
+    Misaligned = 3,
+    /// The period is not between 0.1 ms and 20 ms.
+    Period = 4,
+    /// The bytes are no parameter bank for this arm, or one with limits beyond the arm's.
+    Bank = 5,
+    /// Only while learning is off.
+    LearningOn = 6,
+    /// The safety refuses, with the reason.
+    Refused = 7,
+    /// Only while no torque flows.
+    Armed = 8,
+    /// The brakes take longer to close than 1 s.
+    Brake = 9,
+}
+
+/// Input of one tick.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForetorqueSample {
+    /// Positions that the arm shall have in the tick in which the torque takes effect, rad.
+    pub q_rad: [f32; FORETORQUE_JOINTS],
+    /// Velocities, rad/s.
+    pub qd_rad_s: [f32; FORETORQUE_JOINTS],
+    /// Accelerations, rad/s^2.
+    pub qdd_rad_s2: [f32; FORETORQUE_JOINTS],
+    /// Measured positions, rad. Read only if `measured`.
+    pub measured_q_rad: [f32; FORETORQUE_JOINTS],
+    /// Measured torques, link side, N m. Read only if `measured`.
+    pub measured_tau_nm: [f32; FORETORQUE_JOINTS],
+    /// The measurement is fresh, unless 0.
+    pub measured: u8,
+}
+
+impl ForetorqueSample {
+    /// The sample at `place`; fields that are not to be read may be uninitialised.
+    ///
+    /// # Safety
+    /// `place` is aligned, and the fields of the desired motion, `measured` and those that it announces may be read.
+    pub(crate) unsafe fn read(place: *const Self) -> JointSample<JOINTS> {
+        // SAFETY: field by field, as the caller promises.
+        unsafe {
+            let vector = |field: *const [f32; JOINTS]| field.read().into();
+            let measured = (&raw const (*place).measured).read() != 0;
+            JointSample {
+                desired: JointMotion {
+                    q: vector(&raw const (*place).q_rad),
+                    qd: vector(&raw const (*place).qd_rad_s),
+                    qdd: vector(&raw const (*place).qdd_rad_s2),
+                },
+                measured: measured.then(|| JointMeasurement {
+                    q: vector(&raw const (*place).measured_q_rad),
+                    tau: vector(&raw const (*place).measured_tau_nm),
+                }),
+            }
+        }
+    }
+}
+
+/// Output of one tick. Always finite.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForetorqueTorque {
+    /// The torque to add to the drives' set-points, after limits, N m; positive accelerates +q.
+    pub total_nm: [f32; FORETORQUE_JOINTS],
+    /// Rigid-body share, before limits, N m.
+    pub rigid_nm: [f32; FORETORQUE_JOINTS],
+    /// Friction share, before limits, N m.
+    pub friction_nm: [f32; FORETORQUE_JOINTS],
+    /// Network share, clipped, N m.
+    pub network_nm: [f32; FORETORQUE_JOINTS],
+    /// Flags of the tick, as bits; see docs/safety.md.
+    pub flags: u32,
+    /// Counter of the tick.
+    pub tick: u32,
+}
+
+/// State of the safety, with the codes of docs/safety.md.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ForetorqueSafety {
+    /// 0 disarmed, 1 armed, 2 ramp down, 3 fault.
+    pub state: u8,
+    /// Why the torque is, or may soon be, less than wanted.
+    pub reason: u8,
+    /// The fault that has to be cleared before arming; 0 is none. Keep it over a reset.
+    pub latched: u8,
+    /// 1 where the enable of the motor stages may be on.
+    pub enabled: u8,
+    /// 1 where brakes may be open.
+    pub brake_released: u8,
+}
+
+/// Hard limits, which no bank and no call exceeds.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForetorqueLimits {
+    /// Largest torque, N m.
+    pub torque_nm: [f32; FORETORQUE_JOINTS],
+    /// Largest change of the torque in one tick, N m.
+    pub slew_nm: [f32; FORETORQUE_JOINTS],
+    /// Ticks without a usable sample after which the torque ends.
+    pub timeout_ticks: u32,
+    /// Ticks without a plausible measurement after which the torque ends.
+    pub measurement_ticks: u32,
+}
