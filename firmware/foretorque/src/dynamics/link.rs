@@ -86,7 +86,7 @@ pub fn is_angle(q: f32) -> bool {
 
 /// Sines and cosines of the joint angles of one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Angles<const N: usize>([SinCos; N]);
+pub struct Angles<const N: usize>(pub(super) [SinCos; N]);
 
 impl<const N: usize> Angles<N> {
     /// Angles `q`, N × rad; `None` if one is not a number or beyond ±1000 rad.
@@ -96,33 +96,40 @@ impl<const N: usize> Angles<N> {
     pub fn of(q: &JointVector<N>) -> Option<Self> {
         let mut pairs = [SinCos { sin: 0.0, cos: 1.0 }; N];
         for (pair, &q) in pairs.iter_mut().zip(q.as_slice()) {
-            if !is_angle(q) {
-                return None;
-            }
-            *pair = sin_cos(q);
+            *pair = pair_of(q)?;
         }
         Some(Self(pairs))
     }
 
-    /// Always true, unknown to the compiler: a branch on it ends a basic block at each joint. In one block for the whole arm
-    /// the compiler's scheduler mixes the joints and spills registers.
+    /// Sine and cosine of one joint; always there, unknown to the compiler: a branch on it ends a basic block at each joint.
+    /// In one block for the whole arm the compiler's scheduler mixes the joints and spills registers.
     #[inline(always)]
-    pub(super) fn ends_joint(&self, joint: usize) -> bool {
-        self.0[joint].cos <= 2.0
-    }
-
-    /// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)`.
-    #[inline(always)]
-    pub(super) fn rotation<A: Arm<N, P>, const P: usize>(&self, joint: usize) -> Matrix {
+    pub(super) fn pair(&self, joint: usize) -> Option<SinCos> {
         let pair = self.0[joint];
-        let (s, c) = (Term::variable(pair.sin), Term::variable(pair.cos));
-        let [first, second, third] = A::placements()[joint].rot_parent_child;
-        Matrix([
-            turned(first, s, c),
-            turned(second, s, c),
-            turned(third, s, c),
-        ])
+        (pair.cos <= 2.0).then_some(pair)
     }
+}
+
+/// Sine and cosine of the angle `q`, rad; `None` if it is not a number or beyond ±1000 rad.
+#[inline(always)]
+pub(super) fn pair_of(q: f32) -> Option<SinCos> {
+    is_angle(q).then(|| sin_cos(q))
+}
+
+/// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)` of the angle with sine and cosine
+/// `pair`.
+#[inline(always)]
+pub(super) fn rotation<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
+    pair: SinCos,
+) -> Matrix {
+    let (s, c) = (Term::variable(pair.sin), Term::variable(pair.cos));
+    let [first, second, third] = A::placements()[joint].rot_parent_child;
+    Matrix([
+        turned(first, s, c),
+        turned(second, s, c),
+        turned(third, s, c),
+    ])
 }
 
 /// A row of a constant rotation, times `Rz` of the angle with sine `s` and cosine `c`.

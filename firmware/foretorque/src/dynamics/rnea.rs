@@ -1,10 +1,11 @@
 //! Inverse dynamics by the recursive Newton–Euler algorithm.
 
 use super::BaseParameters;
-use super::link::{Angles, LinkMotion, origin};
+use super::link::{Angles, LinkMotion, origin, pair_of, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
+use crate::math::SinCos;
 
 /// Joint torques of the rigid body, N × N·m, rotor inertias and gravity included; positive accelerates +q.
 ///
@@ -27,13 +28,9 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     motion: &JointMotion<N>,
 ) -> JointVector<N> {
-    match Angles::of(&motion.q) {
-        Some(angles) => {
-            let [tau] = rnea_of::<A, N, P, 1>([beta], &angles, motion);
-            tau
-        }
-        None => JointVector::repeat(f32::NAN),
-    }
+    let pair = |joint: usize| pair_of(motion.q[joint]);
+    let [tau] = recursion::<A, N, P, 1>([beta], pair, motion);
+    tau
 }
 
 /// [`rnea`] of one or two parameter vectors at the `angles` of `motion`: the motion of the links is computed once.
@@ -43,6 +40,16 @@ pub(crate) fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usi
     angles: &Angles<N>,
     motion: &JointMotion<N>,
 ) -> [JointVector<N>; S] {
+    recursion::<A, N, P, S>(betas, |joint| angles.pair(joint), motion)
+}
+
+/// The recursion, with sine and cosine of each joint from `pair`; NaN where it has none.
+#[inline(always)]
+fn recursion<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
+    betas: [&BaseParameters<P>; S],
+    pair: impl Fn(usize) -> Option<SinCos>,
+    motion: &JointMotion<N>,
+) -> [JointVector<N>; S] {
     const { assert!(S <= 2, "written out for two parameter vectors") };
     let mut link = LinkMotion::base::<A, N, P>();
     let mut rot = [Matrix::ZERO; N];
@@ -50,10 +57,10 @@ pub(crate) fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usi
     // about its origin.
     let mut wrench = [[Wrench::ZERO; N]; S];
     outward!(A: I < N {
-        if !angles.ends_joint(I) {
+        let Some(pair) = pair(I) else {
             return [JointVector::repeat(f32::NAN); S];
-        }
-        rot[I] = angles.rotation::<A, P>(I);
+        };
+        rot[I] = rotation::<A, N, P>(I, pair);
         link = link.next::<A, N, P>(I, &rot[I], motion);
         each!(K < S {
             wrench[K][I] = LinkParameters::of::<A, N, P>(betas[K], I).wrench(&link);
@@ -86,10 +93,7 @@ pub fn gravity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    match Angles::of(q) {
-        Some(angles) => gravity_torque_at::<A, N, P>(beta, &angles),
-        None => JointVector::repeat(f32::NAN),
-    }
+    gravity_recursion::<A, N, P>(beta, |joint| pair_of(q[joint]))
 }
 
 /// [`gravity_torque`] at `angles`.
@@ -98,14 +102,23 @@ pub(crate) fn gravity_torque_at<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     angles: &Angles<N>,
 ) -> JointVector<N> {
+    gravity_recursion::<A, N, P>(beta, |joint| angles.pair(joint))
+}
+
+/// The recursion of an arm at rest, as [`recursion`].
+#[inline(always)]
+fn gravity_recursion<A: Arm<N, P>, const N: usize, const P: usize>(
+    beta: &BaseParameters<P>,
+    pair: impl Fn(usize) -> Option<SinCos>,
+) -> JointVector<N> {
     let mut a = LinkMotion::base::<A, N, P>().a;
     let mut rot = [Matrix::ZERO; N];
     let mut wrench = [Wrench::ZERO; N];
     outward!(A: I < N {
-        if !angles.ends_joint(I) {
+        let Some(pair) = pair(I) else {
             return JointVector::repeat(f32::NAN);
-        }
-        rot[I] = angles.rotation::<A, P>(I);
+        };
+        rot[I] = rotation::<A, N, P>(I, pair);
         a = rot[I].transposed_times(a);
         let LinkParameters { mass, first_moment, .. } = LinkParameters::of::<A, N, P>(beta, I);
         wrench[I] = Wrench { f: a.scale(mass), n: first_moment.cross(a) };

@@ -110,16 +110,23 @@ impl<const N: usize> LearntRange<N> {
 
     /// Basis functions of `joint` at its desired speed `qd`, rad/s, cut to the range: where it is beyond, those at the edge.
     ///
-    /// * `desired` basis functions at the desired speed      * `load` of the gear, N·m
+    /// * `desired` basis functions at the desired speed      * `load` of the gear, N·m      * `cut` memory of the result
     #[inline]
-    pub(super) fn cut(&self, joint: usize, qd: f32, load: f32, desired: &AtSpeed) -> AtSpeed {
+    pub(super) fn cut<'a>(
+        &self,
+        joint: usize,
+        qd: f32,
+        load: f32,
+        desired: &'a AtSpeed,
+        cut: &'a mut AtSpeed,
+    ) -> &'a AtSpeed {
         if qd.abs() <= self.motion.velocity[joint] {
-            return *desired;
+            return desired;
         }
         // All that depends on the speed is odd in it.
         let sign = 1.0_f32.copysign(qd);
         let edge = &self.edge[joint];
-        let mut cut = *desired;
+        *cut = *desired;
         for (k, (column, edge)) in cut.columns.iter_mut().zip(&edge.columns).enumerate() {
             if ODD[k] {
                 *column = sign * edge;
@@ -207,7 +214,7 @@ pub(super) struct AtSpeed {
 
 impl AtSpeed {
     /// All that is odd in the speed, at rest.
-    const REST: Self = Self {
+    pub(super) const REST: Self = Self {
         columns: [0.0; FRICTION_COLUMNS],
         inputs: [0.0; NETWORK_INPUTS],
     };
@@ -274,9 +281,10 @@ mod tests {
             for qd in [-3.0, -0.2, -1e-3, 0.0, 1e-3, 0.2, 0.21, 3.0] {
                 let desired = AtSpeed::new(qd, cogging, load);
                 let direct = AtSpeed::new(cut(qd, edge).0, cogging, load);
+                let mut beyond = AtSpeed::REST;
                 assert_eq!(
-                    range.cut(0, qd, load, &desired),
-                    direct,
+                    range.cut(0, qd, load, &desired, &mut beyond),
+                    &direct,
                     "{qd} beyond {edge}"
                 );
             }

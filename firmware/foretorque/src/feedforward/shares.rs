@@ -1,6 +1,6 @@
 use super::Torque;
 use crate::arm::Arm;
-use crate::dynamics::{friction, rnea};
+use crate::dynamics::{Pose, friction_under, gravity_torque, rnea_of};
 use crate::joint::{JointMotion, JointVector};
 use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet, network_output};
 use crate::limits::{Flags, cut};
@@ -47,9 +47,20 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     motion: &JointMotion<N>,
 ) -> Torque<N> {
     let mut flags = Flags::NONE;
+    let [rigid, friction] = match Pose::of::<A, P>(&motion.q) {
+        Some(pose) => {
+            let [rigid] = rnea_of::<A, N, P, 1>([&set.rigid], &pose.angles, motion);
+            let (friction, JointMotion { q, qd, .. }) = (&set.friction, motion);
+            [
+                rigid,
+                friction_under::<A, N, P>(friction, q, qd, &pose.load),
+            ]
+        }
+        None => [JointVector::repeat(f32::NAN); 2],
+    };
     let shares = Shares {
-        rigid: rnea::<A, N, P>(&set.rigid, motion),
-        friction: friction::<A, N, P>(&set.friction, &motion.q, &motion.qd),
+        rigid,
+        friction,
         network: shares_of_networks::<A, N, P>(&set.network, &motion.qd, &mut flags),
     };
     let total = shares.total();
@@ -63,16 +74,11 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
 }
 
 /// Torque of gravity at the position `q`, N × rad, by the rigid bodies of `set`, N × N·m.
-#[inline(never)]
 pub fn gravity<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    let motion = JointMotion {
-        q: *q,
-        ..JointMotion::zero()
-    };
-    rnea::<A, N, P>(&set.rigid, &motion)
+    gravity_torque::<A, N, P>(&set.rigid, q)
 }
 
 /// Network shares at joint speeds `qd`, cut to their bound, N × N·m.

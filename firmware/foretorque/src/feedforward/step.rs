@@ -36,8 +36,10 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     active_difference: Difference<N, P>,
     committed_difference: Difference<N, P>,
     /// Learnt part in the torque of the last tick, payload included, and the sum it was part of.
-    learned: Option<JointVector<N>>,
+    learned: JointVector<N>,
     sum: JointVector<N>,
+    /// There is no last tick with these parameters.
+    fresh: bool,
     /// The committed set is another one since the last tick.
     recommitted: bool,
     pub(super) last: Torque<N>,
@@ -70,8 +72,9 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             loaded: Loaded::new(&set),
             active_difference: Difference::none(),
             committed_difference: Difference::none(),
-            learned: None,
+            learned: JointVector::zeros(),
             sum: JointVector::zeros(),
+            fresh: true,
             recommitted: false,
             last: Torque::zero(),
             stale_ticks: 0,
@@ -92,6 +95,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.late_sets = 0;
         self.report = LearnerReport::new();
         self.payload_torque = JointVector::zeros();
+        self.learned = JointVector::zeros();
         self.sum = JointVector::zeros();
         self.recommitted = false;
         self.last = Torque::zero();
@@ -104,7 +108,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.loaded = Loaded::new(set);
         self.payload.fill(0.0);
         self.range = LearntRange::none();
-        self.learned = None;
+        self.fresh = true;
         self.active = *set;
         self.committed = *set;
         self.active_difference = Difference::none();
@@ -168,8 +172,8 @@ pub struct FeedForwardScratch<const N: usize> {
     payload: JointVector<N>,
     active: JointVector<N>,
     committed: JointVector<N>,
-    /// Learnt part, payload included, within all its bounds, N × N·m.
-    learned: JointVector<N>,
+    /// Basis functions of a joint beyond the learnt range.
+    edge: AtSpeed,
 }
 
 impl<const N: usize> FeedForwardScratch<N> {
@@ -181,7 +185,7 @@ impl<const N: usize> FeedForwardScratch<N> {
             payload: JointVector::zeros(),
             active: JointVector::zeros(),
             committed: JointVector::zeros(),
-            learned: JointVector::zeros(),
+            edge: AtSpeed::REST,
         }
     }
 }
@@ -236,6 +240,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         None => (&motion.desired.q, 0.0),
     };
     let recommitted = core::mem::take(&mut state.recommitted);
+    let fresh = core::mem::take(&mut state.fresh);
     let mut ignored = Flags::NONE;
     for joint in 0..N {
         let limits = &config.limits[joint];
@@ -246,8 +251,9 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         );
         let load = pose.load[joint];
         let desired = AtSpeed::new(qd, cogging, load);
-        let bounded = state.range.cut(joint, qd, load, &desired);
-        let speeds = [&desired, &bounded];
+        let range = &state.range;
+        let bounded = range.cut(joint, qd, load, &desired, &mut scratch.edge);
+        let speeds = [&desired, bounded];
         let friction = desired.friction(&state.loaded.friction[joint]);
         let active = state.active_difference.shares(
             joint,
@@ -284,22 +290,21 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         flags |= Flags::when(was_cut || !finite, Flags::PAYLOAD_CLIPPED);
         state.payload_torque[joint] = carried;
         let wanted = selected.learned + carried;
-        let before = match (&state.learned, recommitted) {
-            (None, _) => wanted,
+        let before = match (fresh, recommitted) {
+            (true, _) => wanted,
             // Measured from another set now: the torque goes on from where it was.
-            (Some(_), true) => state.sum[joint] - selected.reference,
-            (Some(learned), false) => learned[joint],
+            (false, true) => state.sum[joint] - selected.reference,
+            (false, false) => state.learned[joint],
         };
         let (step, slewed) = cut(wanted - before, config.learned_slew_per_tick[joint]);
         let learned = if slewed { before + step } else { wanted };
-        scratch.learned[joint] = learned;
+        state.learned[joint] = learned;
         state.sum[joint] = selected.reference + learned;
         let shares = &mut state.last.shares;
         shares.rigid[joint] = selected.shares.rigid + carried;
         shares.friction[joint] = selected.shares.friction;
         shares.network[joint] = selected.shares.network;
     }
-    state.learned = Some(scratch.learned);
     state.stale_ticks = 0;
     let target = state.sum;
     finish(config, state, &target, flags)

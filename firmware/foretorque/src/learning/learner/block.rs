@@ -157,13 +157,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     ) -> f32 {
         let (Some(mut phi), Some(sigma), Some(limits)) = (
             joint_friction_row::<A, N, P>(joint, load, &block.motion),
-            self.config.friction_sigma.get(joint),
+            self.config.sigma.friction.get(joint),
             A::limits().get(joint),
         ) else {
             return 0.0;
         };
         let inverse = 1.0 / (self.config.noise * limits.torque);
-        for (phi, sigma) in phi.iter_mut().zip(sigma.0) {
+        for (phi, sigma) in phi.iter_mut().zip(sigma) {
             *phi *= sigma * inverse;
         }
         let filter = self.state.estimate.filter();
