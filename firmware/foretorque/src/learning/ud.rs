@@ -172,15 +172,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let first = self.first.get(joint).copied().unwrap_or(0);
         let joints = self.friction.iter_mut().zip(&mut gain.friction);
         for ((rows, gain), &own_first) in joints.zip(&self.first) {
-            let first = own_first.max(first);
-            let (rows, rest) = rows.as_chunks_mut::<ROWS>();
-            let (gains, rest_gains) = gain.as_chunks_mut::<ROWS>();
-            for (rows, gain) in rows.iter_mut().zip(gains) {
-                beyond.sweep(rows, |row| &mut row.rigid, first, gain);
-            }
-            for (row, gain) in rest.iter_mut().zip(rest_gains) {
-                beyond.sweep(from_mut(row), |row| &mut row.rigid, first, from_mut(gain));
-            }
+            beyond.sweep(rows, |row| &mut row.rigid, own_first.max(first), gain);
         }
         let (gains, rest_gains) = gain.rigid.as_chunks_mut::<ROWS>();
         let start = gains.len() * ROWS;

@@ -50,6 +50,9 @@ pub(super) struct ColumnUpdates<'a> {
 impl ColumnUpdates<'_> {
     /// Update of the columns from `start` on: `U_ij ← U_ij + λ_j b_i`, `b_i ← b_i + v_j U_ij` (old U).
     ///
+    /// A product v_j U_ij is added one turn later: in one basic block the compiler joins product and sum, which takes the
+    /// Cortex-M4 three cycles instead of two. The order of the sums stays.
+    ///
     /// * `part` entries of a row that belong to these columns
     #[inline(always)]
     pub(super) fn sweep<R, const W: usize>(
@@ -59,25 +62,33 @@ impl ColumnUpdates<'_> {
         start: usize,
         b: &mut [f32; W],
     ) {
-        let (mut sums, end) = (*b, self.v.len());
-        each_column!(j in start, end {
-            if let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) {
-                // Loads one after the other take a cycle each, loads between multiplications two.
-                let mut before = [0.0; W];
-                each_row!(K < W {
-                    if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
-                        before[K] = *u;
-                    }
-                });
-                each_row!(K < W {
-                    if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
-                        *u = before[K] + lambda * sums[K];
-                        sums[K] += v * before[K];
-                    }
-                });
-            }
+        let mut sums = *b;
+        // −0 + x is x.
+        let mut products = [-0.0; W];
+        for j in start..self.v.len() {
+            let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) else {
+                break;
+            };
+            // Loads one after the other take a cycle each, loads between multiplications two.
+            let mut before = [0.0; W];
+            each_row!(K < W {
+                if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
+                    before[K] = *u;
+                }
+            });
+            each_row!(K < W {
+                sums[K] += products[K];
+            });
+            each_row!(K < W {
+                products[K] = v * before[K];
+                if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
+                    *u = before[K] + lambda * sums[K];
+                }
+            });
+        }
+        each_row!(K < W {
+            b[K] = sums[K] + products[K];
         });
-        *b = sums;
     }
 
     /// Update as [`sweep`](Self::sweep) of block `block` of the rigid rows, in compensated sums [Kahan 1965].
