@@ -89,16 +89,28 @@ pub fn is_angle(q: f32) -> bool {
 pub struct Angles<const N: usize>(pub(super) [SinCos; N]);
 
 impl<const N: usize> Angles<N> {
+    /// All angles zero.
+    pub(super) const ZERO: Self = Self([SinCos { sin: 0.0, cos: 1.0 }; N]);
+
     /// Angles `q`, N × rad; `None` if one is not a number or beyond ±1000 rad.
     ///
     /// Cost: one `sin_cos` a joint.
     #[inline]
     pub fn of(q: &JointVector<N>) -> Option<Self> {
-        let mut pairs = [SinCos { sin: 0.0, cos: 1.0 }; N];
-        for (pair, &q) in pairs.iter_mut().zip(q.as_slice()) {
-            *pair = pair_of(q)?;
+        let mut angles = Self::ZERO;
+        angles.take(q).then_some(angles)
+    }
+
+    /// [`of`](Self::of) in place; false, and of no meaning, if there are no such angles.
+    #[inline(always)]
+    pub(super) fn take(&mut self, q: &JointVector<N>) -> bool {
+        for (pair, &q) in self.0.iter_mut().zip(q.as_slice()) {
+            let Some(known) = pair_of(q) else {
+                return false;
+            };
+            *pair = known;
         }
-        Some(Self(pairs))
+        true
     }
 
     /// Sine and cosine of one joint; always there, unknown to the compiler: a branch on it ends a basic block at each joint.
@@ -113,7 +125,8 @@ impl<const N: usize> Angles<N> {
 /// Sine and cosine of the angle `q`, rad; `None` if it is not a number or beyond ±1000 rad.
 #[inline(always)]
 pub(super) fn pair_of(q: f32) -> Option<SinCos> {
-    is_angle(q).then(|| sin_cos(q))
+    // No closure: it would be a call of its own.
+    if is_angle(q) { Some(sin_cos(q)) } else { None }
 }
 
 /// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)` of the angle with sine and cosine

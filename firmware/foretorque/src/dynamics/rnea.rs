@@ -28,19 +28,22 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     motion: &JointMotion<N>,
 ) -> JointVector<N> {
+    let mut tau = [JointVector::zeros()];
     let pair = |joint: usize| pair_of(motion.q[joint]);
-    let [tau] = recursion::<A, N, P, 1>([beta], pair, motion);
+    recursion::<A, N, P, 1>([beta], pair, motion, &mut tau);
+    let [tau] = tau;
     tau
 }
 
-/// [`rnea`] of one or two parameter vectors at the `angles` of `motion`: the motion of the links is computed once.
+/// [`rnea`] of one or two parameter vectors at the `angles` of `motion`, into `tau`: the motion of the links is computed once.
 #[inline(never)]
 pub(crate) fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
     betas: [&BaseParameters<P>; S],
     angles: &Angles<N>,
     motion: &JointMotion<N>,
-) -> [JointVector<N>; S] {
-    recursion::<A, N, P, S>(betas, |joint| angles.pair(joint), motion)
+    tau: &mut [JointVector<N>; S],
+) {
+    recursion::<A, N, P, S>(betas, |joint| angles.pair(joint), motion, tau);
 }
 
 /// The recursion, with sine and cosine of each joint from `pair`; NaN where it has none.
@@ -49,7 +52,8 @@ fn recursion<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
     betas: [&BaseParameters<P>; S],
     pair: impl Fn(usize) -> Option<SinCos>,
     motion: &JointMotion<N>,
-) -> [JointVector<N>; S] {
+    tau: &mut [JointVector<N>; S],
+) {
     const { assert!(S <= 2, "written out for two parameter vectors") };
     let mut link = LinkMotion::base::<A, N, P>();
     let mut rot = [Matrix::ZERO; N];
@@ -58,7 +62,8 @@ fn recursion<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
     let mut wrench = [[Wrench::ZERO; N]; S];
     outward!(A: I < N {
         let Some(pair) = pair(I) else {
-            return [JointVector::repeat(f32::NAN); S];
+            *tau = [JointVector::repeat(f32::NAN); S];
+            return;
         };
         rot[I] = rotation::<A, N, P>(I, pair);
         link = link.next::<A, N, P>(I, &rot[I], motion);
@@ -66,7 +71,6 @@ fn recursion<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
             wrench[K][I] = LinkParameters::of::<A, N, P>(betas[K], I).wrench(&link);
         }, 0 1);
     });
-    let mut tau = [JointVector::zeros(); S];
     each!(K < S {
         inward!(A: I < N {
             if I + 1 < N {
@@ -78,7 +82,6 @@ fn recursion<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
             tau[K][I] = (wrench[K][I].n.dot(Vector::Z) + rotor * Term::variable(motion.qdd[I])).value();
         });
     }, 0 1);
-    tau
 }
 
 /// Gravity torques G(q), N × N·m: [`rnea`] of an arm at rest. Craig 2005, section 6.5, with v̇ = −g of the base

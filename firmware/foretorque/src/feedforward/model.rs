@@ -110,23 +110,16 @@ impl<const N: usize> LearntRange<N> {
 
     /// Basis functions of `joint` at its desired speed `qd`, rad/s, cut to the range: where it is beyond, those at the edge.
     ///
-    /// * `desired` basis functions at the desired speed      * `load` of the gear, N·m      * `cut` memory of the result
-    #[inline]
-    pub(super) fn cut<'a>(
-        &self,
-        joint: usize,
-        qd: f32,
-        load: f32,
-        desired: &'a AtSpeed,
-        cut: &'a mut AtSpeed,
-    ) -> &'a AtSpeed {
+    /// * `desired` basis functions at the desired speed      * `load` of the gear, N·m
+    #[inline(always)]
+    pub(super) fn cut(&self, joint: usize, qd: f32, load: f32, desired: &AtSpeed) -> AtSpeed {
         if qd.abs() <= self.motion.velocity[joint] {
-            return desired;
+            return *desired;
         }
         // All that depends on the speed is odd in it.
         let sign = 1.0_f32.copysign(qd);
         let edge = &self.edge[joint];
-        *cut = *desired;
+        let mut cut = *desired;
         for (k, (column, edge)) in cut.columns.iter_mut().zip(&edge.columns).enumerate() {
             if ODD[k] {
                 *column = sign * edge;
@@ -214,13 +207,13 @@ pub(super) struct AtSpeed {
 
 impl AtSpeed {
     /// All that is odd in the speed, at rest.
-    pub(super) const REST: Self = Self {
+    const REST: Self = Self {
         columns: [0.0; FRICTION_COLUMNS],
         inputs: [0.0; NETWORK_INPUTS],
     };
 
     /// At the speed `qd`, rad/s, where cogging is `cogging` and the gear carries `load`, N·m.
-    #[inline(never)]
+    #[inline(always)]
     pub(super) fn new(qd: f32, cogging: SinCos, load: f32) -> Self {
         let sign = SmoothedSign::of(qd);
         Self {
@@ -230,7 +223,7 @@ impl AtSpeed {
     }
 
     /// Torque of `friction`, N·m.
-    #[inline]
+    #[inline(always)]
     pub(super) fn friction(&self, friction: &FrictionParameters) -> f32 {
         friction.torque(&self.columns)
     }
@@ -241,7 +234,7 @@ impl<const N: usize, const P: usize> Difference<N, P> {
     /// the desired motion, plus the learnt difference for the motion inside the learnt range.
     ///
     /// * `rigid` torque of the loaded rigid body and of what was learnt of it, N·m
-    #[inline]
+    #[inline(always)]
     pub(super) fn shares(
         &self,
         joint: usize,
@@ -281,10 +274,9 @@ mod tests {
             for qd in [-3.0, -0.2, -1e-3, 0.0, 1e-3, 0.2, 0.21, 3.0] {
                 let desired = AtSpeed::new(qd, cogging, load);
                 let direct = AtSpeed::new(cut(qd, edge).0, cogging, load);
-                let mut beyond = AtSpeed::REST;
                 assert_eq!(
-                    range.cut(0, qd, load, &desired, &mut beyond),
-                    &direct,
+                    range.cut(0, qd, load, &desired),
+                    direct,
                     "{qd} beyond {edge}"
                 );
             }

@@ -166,14 +166,11 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardScratch<const N: usize> {
     motion: TickMotion<N>,
-    /// Torques of the loaded set and of the payload for the motion as it is wanted, and of what the active and the
-    /// committed set have learnt, for the motion that was learnt; N × N·m each.
-    loaded: JointVector<N>,
-    payload: JointVector<N>,
-    active: JointVector<N>,
-    committed: JointVector<N>,
-    /// Basis functions of a joint beyond the learnt range.
-    edge: AtSpeed,
+    pose: Pose<N>,
+    /// Torques of the loaded set and of the payload for the motion as it is wanted, N × N·m each.
+    wanted: [JointVector<N>; 2],
+    /// Torques of what the active and the committed set have learnt, for the motion that was learnt, N × N·m each.
+    learnt: [JointVector<N>; 2],
 }
 
 impl<const N: usize> FeedForwardScratch<N> {
@@ -181,11 +178,9 @@ impl<const N: usize> FeedForwardScratch<N> {
     pub fn new() -> Self {
         Self {
             motion: TickMotion::zero(),
-            loaded: JointVector::zeros(),
-            payload: JointVector::zeros(),
-            active: JointVector::zeros(),
-            committed: JointVector::zeros(),
-            edge: AtSpeed::REST,
+            pose: Pose::UPRIGHT,
+            wanted: [JointVector::zeros(); 2],
+            learnt: [JointVector::zeros(); 2],
         }
     }
 }
@@ -222,18 +217,17 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     if !motion.take(config, &state.range, &sample.desired, &mut flags) {
         return hold(config, state, flags | Flags::NOT_FINITE);
     }
-    let Some(pose) = Pose::of::<A, P>(&motion.desired.q) else {
+    let pose = &mut scratch.pose;
+    if !pose.take::<A, P>(&motion.desired.q) {
         return hold(config, state, flags | Flags::NOT_FINITE);
-    };
-    [scratch.loaded, scratch.payload] = rnea_of::<A, N, P, 2>(
-        [&state.loaded.rigid, &state.payload],
-        &pose.angles,
-        &motion.desired,
-    );
-    let learnt =
-        [&state.active_difference, &state.committed_difference].map(|learnt| &learnt.rigid);
-    [scratch.active, scratch.committed] =
-        rnea_of::<A, N, P, 2>(learnt, &pose.angles, &motion.bounded);
+    }
+    let loaded = [&state.loaded.rigid, &state.payload];
+    rnea_of::<A, N, P, 2>(loaded, &pose.angles, &motion.desired, &mut scratch.wanted);
+    let learnt = [
+        &state.active_difference.rigid,
+        &state.committed_difference.rigid,
+    ];
+    rnea_of::<A, N, P, 2>(learnt, &pose.angles, &motion.bounded, &mut scratch.learnt);
     // Where nothing was measured the joint is where it should be.
     let (place, lead) = match &sample.measured {
         Some(measured) => (&measured.q, config.lead),
@@ -243,6 +237,8 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     let fresh = core::mem::take(&mut state.fresh);
     let mut ignored = Flags::NONE;
     for joint in 0..N {
+        let [loaded, payload] = [scratch.wanted[0][joint], scratch.wanted[1][joint]];
+        let [active, committed] = [scratch.learnt[0][joint], scratch.learnt[1][joint]];
         let limits = &config.limits[joint];
         let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
         let cogging = cogging(
@@ -251,15 +247,13 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         );
         let load = pose.load[joint];
         let desired = AtSpeed::new(qd, cogging, load);
-        let range = &state.range;
-        let bounded = range.cut(joint, qd, load, &desired, &mut scratch.edge);
-        let speeds = [&desired, bounded];
+        let bounded = state.range.cut(joint, qd, load, &desired);
+        let speeds = [&desired, &bounded];
         let friction = desired.friction(&state.loaded.friction[joint]);
         let active = state.active_difference.shares(
             joint,
             (
-                scratch.loaded[joint]
-                    + state.active_difference.share[joint] * scratch.active[joint],
+                loaded + state.active_difference.share[joint] * active,
                 friction,
             ),
             &state.active.network[joint],
@@ -270,8 +264,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         let committed = state.committed_difference.shares(
             joint,
             (
-                scratch.loaded[joint]
-                    + state.committed_difference.share[joint] * scratch.committed[joint],
+                loaded + state.committed_difference.share[joint] * committed,
                 friction,
             ),
             &state.committed.network[joint],
@@ -281,7 +274,6 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         );
         let selected = select(&active, &committed, limits.torque, &mut flags);
 
-        let payload = scratch.payload[joint];
         let finite = payload.is_finite();
         let (carried, was_cut) = cut(
             if finite { payload } else { 0.0 },

@@ -79,7 +79,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let rigid = BaseParameters::<P>::from(estimate.rigid);
         let motion = &sample.motion;
-        let [torque] = rnea_of::<A, N, P, 1>([&rigid], &pose.angles, motion);
+        let mut torque = [JointVector::zeros()];
+        rnea_of::<A, N, P, 1>([&rigid], &pose.angles, motion, &mut torque);
+        let [torque] = torque;
         sample.tau - torque - friction_under::<A, N, P>(&drives, &motion.q, &motion.qd, &pose.load)
     }
 
