@@ -167,7 +167,7 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
 
 /// [`friction`] where the gears carry `load`, N × N·m.
 #[inline(never)]
-pub(crate) fn friction_under<A: Arm<N, P>, const N: usize, const P: usize>(
+pub fn friction_under<A: Arm<N, P>, const N: usize, const P: usize>(
     parameters: &[FrictionParameters; N],
     q: &JointVector<N>,
     qd: &JointVector<N>,

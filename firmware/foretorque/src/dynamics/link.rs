@@ -105,28 +105,49 @@ impl<const N: usize> Angles<N> {
     #[inline(always)]
     pub(super) fn take(&mut self, q: &JointVector<N>) -> bool {
         for (pair, &q) in self.0.iter_mut().zip(q.as_slice()) {
-            let Some(known) = pair_of(q) else {
+            if !is_angle(q) {
                 return false;
-            };
-            *pair = known;
+            }
+            *pair = sin_cos(q);
         }
         true
     }
+}
 
-    /// Sine and cosine of one joint; always there, unknown to the compiler: a branch on it ends a basic block at each joint.
-    /// In one block for the whole arm the compiler's scheduler mixes the joints and spills registers.
+/// Angles of the joints, from their positions or known.
+///
+/// Beside its meaning the branch on [`is_angle`](Self::is_angle) ends a basic block at each joint. In one block for the whole
+/// arm the compiler's scheduler mixes the joints and spills registers.
+pub(super) trait JointAngles {
+    /// The angle of `joint` is one.
+    fn is_angle(&self, joint: usize) -> bool;
+    /// Its sine and cosine.
+    fn pair(&self, joint: usize) -> SinCos;
+}
+
+impl<const N: usize> JointAngles for JointVector<N> {
     #[inline(always)]
-    pub(super) fn pair(&self, joint: usize) -> Option<SinCos> {
-        let pair = self.0[joint];
-        (pair.cos <= 2.0).then_some(pair)
+    fn is_angle(&self, joint: usize) -> bool {
+        is_angle(self[joint])
+    }
+
+    #[inline(always)]
+    fn pair(&self, joint: usize) -> SinCos {
+        sin_cos(self[joint])
     }
 }
 
-/// Sine and cosine of the angle `q`, rad; `None` if it is not a number or beyond ±1000 rad.
-#[inline(always)]
-pub(super) fn pair_of(q: f32) -> Option<SinCos> {
-    // No closure: it would be a call of its own.
-    if is_angle(q) { Some(sin_cos(q)) } else { None }
+impl<const N: usize> JointAngles for Angles<N> {
+    /// Always true, unknown to the compiler.
+    #[inline(always)]
+    fn is_angle(&self, joint: usize) -> bool {
+        self.0[joint].cos <= 2.0
+    }
+
+    #[inline(always)]
+    fn pair(&self, joint: usize) -> SinCos {
+        self.0[joint]
+    }
 }
 
 /// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)` of the angle with sine and cosine

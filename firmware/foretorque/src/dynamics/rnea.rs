@@ -1,11 +1,10 @@
 //! Inverse dynamics by the recursive Newton–Euler algorithm.
 
 use super::BaseParameters;
-use super::link::{Angles, LinkMotion, origin, pair_of, rotation};
+use super::link::{Angles, JointAngles, LinkMotion, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
-use crate::math::SinCos;
 
 /// Joint torques of the rigid body, N × N·m, rotor inertias and gravity included; positive accelerates +q.
 ///
@@ -29,28 +28,27 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     motion: &JointMotion<N>,
 ) -> JointVector<N> {
     let mut tau = [JointVector::zeros()];
-    let pair = |joint: usize| pair_of(motion.q[joint]);
-    recursion::<A, N, P, 1>([beta], pair, motion, &mut tau);
+    recursion::<A, N, P, 1>([beta], &motion.q, motion, &mut tau);
     let [tau] = tau;
     tau
 }
 
 /// [`rnea`] of one or two parameter vectors at the `angles` of `motion`, into `tau`: the motion of the links is computed once.
 #[inline(never)]
-pub(crate) fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
+pub fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
     betas: [&BaseParameters<P>; S],
     angles: &Angles<N>,
     motion: &JointMotion<N>,
     tau: &mut [JointVector<N>; S],
 ) {
-    recursion::<A, N, P, S>(betas, |joint| angles.pair(joint), motion, tau);
+    recursion::<A, N, P, S>(betas, angles, motion, tau);
 }
 
-/// The recursion, with sine and cosine of each joint from `pair`; NaN where it has none.
+/// The recursion in a `pose`; NaN where it has an angle that is none.
 #[inline(always)]
 fn recursion<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
     betas: [&BaseParameters<P>; S],
-    pair: impl Fn(usize) -> Option<SinCos>,
+    pose: &impl JointAngles,
     motion: &JointMotion<N>,
     tau: &mut [JointVector<N>; S],
 ) {
@@ -61,11 +59,11 @@ fn recursion<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
     // about its origin.
     let mut wrench = [[Wrench::ZERO; N]; S];
     outward!(A: I < N {
-        let Some(pair) = pair(I) else {
+        if !pose.is_angle(I) {
             *tau = [JointVector::repeat(f32::NAN); S];
             return;
-        };
-        rot[I] = rotation::<A, N, P>(I, pair);
+        }
+        rot[I] = rotation::<A, N, P>(I, pose.pair(I));
         link = link.next::<A, N, P>(I, &rot[I], motion);
         each!(K < S {
             wrench[K][I] = LinkParameters::of::<A, N, P>(betas[K], I).wrench(&link);
@@ -96,7 +94,7 @@ pub fn gravity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    gravity_recursion::<A, N, P>(beta, |joint| pair_of(q[joint]))
+    gravity_recursion::<A, N, P>(beta, q)
 }
 
 /// [`gravity_torque`] at `angles`.
@@ -105,23 +103,23 @@ pub(crate) fn gravity_torque_at<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     angles: &Angles<N>,
 ) -> JointVector<N> {
-    gravity_recursion::<A, N, P>(beta, |joint| angles.pair(joint))
+    gravity_recursion::<A, N, P>(beta, angles)
 }
 
 /// The recursion of an arm at rest, as [`recursion`].
 #[inline(always)]
 fn gravity_recursion<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
-    pair: impl Fn(usize) -> Option<SinCos>,
+    pose: &impl JointAngles,
 ) -> JointVector<N> {
     let mut a = LinkMotion::base::<A, N, P>().a;
     let mut rot = [Matrix::ZERO; N];
     let mut wrench = [Wrench::ZERO; N];
     outward!(A: I < N {
-        let Some(pair) = pair(I) else {
+        if !pose.is_angle(I) {
             return JointVector::repeat(f32::NAN);
-        };
-        rot[I] = rotation::<A, N, P>(I, pair);
+        }
+        rot[I] = rotation::<A, N, P>(I, pose.pair(I));
         a = rot[I].transposed_times(a);
         let LinkParameters { mass, first_moment, .. } = LinkParameters::of::<A, N, P>(beta, I);
         wrench[I] = Wrench { f: a.scale(mass), n: first_moment.cross(a) };

@@ -102,7 +102,7 @@ impl<const N: usize> LearntRange<N> {
         let speeds = motion.velocity.iter().zip(&self.motion.velocity);
         for (edge, (&speed, &before)) in self.edge.iter_mut().zip(speeds) {
             if speed != before {
-                *edge = AtSpeed::new(speed, SinCos { sin: 0.0, cos: 0.0 }, 1.0);
+                *edge = AtSpeed::edge(speed);
             }
         }
         self.motion = *motion;
@@ -211,6 +211,12 @@ impl AtSpeed {
         columns: [0.0; FRICTION_COLUMNS],
         inputs: [0.0; NETWORK_INPUTS],
     };
+
+    /// At the largest speed of a range, rad/s. The tick has a code of its own.
+    #[inline(never)]
+    fn edge(speed: f32) -> Self {
+        Self::new(speed, SinCos { sin: 0.0, cos: 0.0 }, 1.0)
+    }
 
     /// At the speed `qd`, rad/s, where cogging is `cogging` and the gear carries `load`, N·m.
     #[inline(always)]
