@@ -39,7 +39,7 @@ impl core::error::Error for EncodeError {}
 
 /// Bytes of one frame, delimiter included, at the front of `buffer`.
 ///
-/// Errors: [`EncodeError`] where the frame is longer than `buffer`.
+/// Errors: [`EncodeError`] where the frame is longer than `buffer`, or than any of the protocol.
 pub fn encode<'r, M: Serialize>(
     sequence: u16,
     message: &M,

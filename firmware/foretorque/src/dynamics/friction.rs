@@ -165,7 +165,9 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
     torques::<A, N, P>(parameters, q, qd, &friction_load::<A, N, P>(q))
 }
 
-/// [`friction`] where the gears carry `load`, N × N·m.
+/// [`friction`] where the gears carry `load`, N × N·m; N × N·m.
+///
+/// Cost: that of [`friction`] without [`friction_load`].
 #[inline(never)]
 pub fn friction_under<A: Arm<N, P>, const N: usize, const P: usize>(
     parameters: &[FrictionParameters; N],
