@@ -3,9 +3,9 @@
 use super::typed::NETWORK_SEED;
 use super::{BankError, JointBounds, ParameterBank};
 use foretorque::arm::Arm;
-use foretorque::dynamics::{FRICTION_COLUMNS, friction as friction_torque, rnea};
+use foretorque::dynamics::{FRICTION_COLUMNS, Pose, friction_under, rnea_of};
 use foretorque::feedforward::FeedForwardConfig;
-use foretorque::joint::JointMotion;
+use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::{ParameterSet, StartDeviations};
 
 /// Parameters of a bank that the tick uses.
@@ -109,9 +109,13 @@ fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
     let described = A::nominal();
     let mut motion = JointMotion::zero();
     for pose in 0..POSES {
-        let mine = rnea::<A, N, P>(&set.rigid, &motion);
-        let friction = friction_torque::<A, N, P>(&set.friction, &motion.q, &motion.qd);
-        let theirs = rnea::<A, N, P>(described, &motion);
+        let there = Pose::of::<A, P>(&motion.q).ok_or(BankError::Implausible(0))?;
+        let mut rigid = [JointVector::zeros(); 2];
+        let sets = [&set.rigid, described];
+        rnea_of::<A, N, P, 2>(sets, &there.angles, &motion, &mut rigid);
+        let [mine, theirs] = rigid;
+        let JointMotion { q, qd, .. } = &motion;
+        let friction = friction_under::<A, N, P>(&set.friction, q, qd, &there.load);
         let torques = mine.iter().zip(theirs.iter()).zip(friction.iter());
         for (joint, (((mine, theirs), friction), limits)) in torques.zip(A::limits()).enumerate() {
             let bound = LARGEST_DIFFERENCE * limits.torque;

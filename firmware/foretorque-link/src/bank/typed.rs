@@ -38,7 +38,7 @@ impl ParameterBank {
     pub(crate) fn describe<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
         const { assert!(N <= MAX_JOINTS && P + FRICTION_COLUMNS * N <= MAX_COLUMNS) }
         const { assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS) }
-        let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
+        let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma;
         let columns = columns::<A, N, P>();
         let columns = columns.iter().zip(slots(&deviations));
         let columns = columns.map(|(&id, &deviation)| Column {
@@ -65,7 +65,7 @@ impl ParameterBank {
         &mut self,
         set: &ParameterSet<N, P>,
     ) {
-        let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
+        let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma;
         let linear = LinearParameters::of(set);
         let values = slots(&linear).zip(slots(&deviations));
         for (&id, (&value, &deviation)) in columns::<A, N, P>().iter().zip(values) {
@@ -158,7 +158,7 @@ impl ParameterBank {
     pub fn start_deviations<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> StartDeviations<N, P> {
-        let prior = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
+        let prior = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma;
         let mut start = StartDeviations::PRIOR;
         let parts = start.rigid.iter_mut();
         let parts = parts.chain(start.friction.as_flattened_mut());

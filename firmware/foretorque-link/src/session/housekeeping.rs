@@ -192,7 +192,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, 
 
     fn take_nominal(&mut self) {
         self.in_force = Parameters::nominal::<A>();
-        self.deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma();
+        self.deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma;
     }
 }
 

@@ -171,7 +171,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         start: StartDeviations<N, P>,
     ) {
         while self.samples.dequeue().is_some() {}
-        self.exchange = Exchange::new();
+        self.exchange.clear();
         self.restart = Some(Restart {
             period_s,
             set: *set,

@@ -3,7 +3,7 @@
 use super::{MAX_FRAME, PROTOCOL_VERSION};
 use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc};
-use postcard::ser_flavors::{Flavor, crc::CrcModifier};
+use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
 /// CRC-32 of frames and parameter banks (ISO-HDLC, the one of zip and Ethernet; 1 KiB of table).
@@ -39,7 +39,7 @@ impl core::error::Error for EncodeError {}
 
 /// Bytes of one frame, delimiter included, at the front of `buffer`.
 ///
-/// Errors: [`EncodeError`] where the frame is longer than `buffer`.
+/// Errors: [`EncodeError`] where the frame is longer than `buffer`, or than any of the protocol.
 pub fn encode<'r, M: Serialize>(
     sequence: u16,
     message: &M,
@@ -60,71 +60,66 @@ pub(crate) fn encode_as<'r, M: Serialize>(
         sequence,
         message,
     };
-    let cobs = Cobs::new(buffer);
-    postcard::serialize_with_flavor(&frame, CrcModifier::new(cobs, CRC.digest()))
-        .map(|frame: &mut [u8]| &*frame)
-        .map_err(|_| EncodeError)
+    let plain = Plain { buffer, length: 1 };
+    let mut plain = postcard::serialize_with_flavor(&frame, plain).map_err(|_| EncodeError)?;
+    let crc = CRC.checksum(plain.buffer.get(1..plain.length).unwrap_or_default());
+    let whole = plain.try_extend(&crc.to_le_bytes());
+    whole.map_err(|_| EncodeError)?;
+    stuff(plain.buffer, plain.length).ok_or(EncodeError)
 }
 
-/// COBS encoder into a buffer. The flavor of postcard does the same with indices that can panic.
-struct Cobs<'r> {
+/// Bytes of a frame before COBS, from the second place of `buffer` on. The flavor of postcard does the same with indices that
+/// can panic.
+struct Plain<'r> {
     buffer: &'r mut [u8],
-    /// Bytes used.
+    /// Places used.
     length: usize,
-    /// Place of the length byte of this block.
-    code: usize,
-    /// Length byte of the block: one more than its bytes.
-    run: u8,
 }
 
-impl<'r> Cobs<'r> {
-    fn new(buffer: &'r mut [u8]) -> Self {
-        Self {
-            buffer,
-            length: 1,
-            code: 0,
-            run: 1,
-        }
-    }
+impl Flavor for Plain<'_> {
+    type Output = Self;
 
-    fn put(&mut self, place: usize, byte: u8) -> postcard::Result<()> {
-        let slot = self.buffer.get_mut(place);
-        *slot.ok_or(postcard::Error::SerializeBufferFull)? = byte;
-        Ok(())
-    }
-
-    fn close_block(&mut self) -> postcard::Result<()> {
-        self.put(self.code, self.run)?;
-        self.code = self.length;
-        self.length += 1;
-        self.run = 1;
-        Ok(())
-    }
-}
-
-impl<'r> Flavor for Cobs<'r> {
-    type Output = &'r mut [u8];
-
+    #[inline(always)]
     fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
-        if byte == 0 {
-            return self.close_block();
+        self.try_extend(&[byte])
+    }
+
+    #[inline]
+    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
+        let rest = self.buffer.get_mut(self.length..);
+        let places = rest.and_then(|rest| rest.get_mut(..bytes.len()));
+        let places = places.ok_or(postcard::Error::SerializeBufferFull)?;
+        for (place, byte) in places.iter_mut().zip(bytes) {
+            *place = *byte;
         }
-        self.put(self.length, byte)?;
-        self.length += 1;
-        self.run += 1;
-        if self.run == u8::MAX {
-            return self.close_block();
-        }
+        self.length += bytes.len();
         Ok(())
     }
 
-    fn finalize(mut self) -> postcard::Result<Self::Output> {
-        self.close_block()?;
-        // The delimiter takes the place that the next block would have begun with.
-        self.put(self.code, 0)?;
-        let frame = self.buffer.get_mut(..self.length);
-        frame.ok_or(postcard::Error::SerializeBufferFull)
+    fn finalize(self) -> postcard::Result<Self> {
+        Ok(self)
     }
+}
+
+/// COBS in place: each zero becomes the distance to the next one, the first of them in front, and a zero ends the frame.
+///
+/// * `length` places used, the first one included
+/// * returns the frame; `None` where it does not fit, or is longer than any of the protocol
+fn stuff(buffer: &mut [u8], length: usize) -> Option<&[u8]> {
+    let (mut code, mut run) = (0, 1);
+    for place in 1..length {
+        if *buffer.get(place)? == 0 {
+            *buffer.get_mut(code)? = run;
+            (code, run) = (place, 1);
+        } else if run < u8::MAX - 1 {
+            run += 1;
+        } else {
+            return None;
+        }
+    }
+    *buffer.get_mut(code)? = run;
+    *buffer.get_mut(length)? = 0;
+    buffer.get(..=length)
 }
 
 /// Frames on their way out, in the order they were pushed.

@@ -11,7 +11,7 @@ pub use columns::{
 
 use super::{Angles, gravity_torque, gravity_torque_at};
 use crate::arm::Arm;
-use crate::joint::JointVector;
+use crate::joint::{JointVector, zero_vector};
 use crate::math::{SinCos, sin_cos_quarters, tanh_1_5_15};
 
 /// Velocity over which Coulomb friction changes sign, rad/s: `sign(qd)` is smoothed to `tanh(qd / SIGN_WIDTH)`.
@@ -126,12 +126,27 @@ pub struct Pose<const N: usize> {
 }
 
 impl<const N: usize> Pose<N> {
+    /// All angles zero, without load.
+    pub(crate) const UPRIGHT: Self = Self {
+        angles: Angles::ZERO,
+        load: zero_vector(),
+    };
+
     /// Pose at the joint positions `q`, N × rad; `None` if one is not a number or beyond ±1000 rad.
     #[inline]
     pub fn of<A: Arm<N, P>, const P: usize>(q: &JointVector<N>) -> Option<Self> {
-        let angles = Angles::of(q)?;
-        let load = gravity_torque_at::<A, N, P>(A::nominal(), &angles);
-        Some(Self { angles, load })
+        let mut pose = Self::UPRIGHT;
+        pose.take::<A, P>(q).then_some(pose)
+    }
+
+    /// [`of`](Self::of) in place; false, and of no meaning, if there is no such pose.
+    #[inline(never)]
+    pub(crate) fn take<A: Arm<N, P>, const P: usize>(&mut self, q: &JointVector<N>) -> bool {
+        if !self.angles.take(q) {
+            return false;
+        }
+        self.load = gravity_torque_at::<A, N, P>(A::nominal(), &self.angles);
+        true
     }
 }
 
@@ -147,12 +162,24 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
     q: &JointVector<N>,
     qd: &JointVector<N>,
 ) -> JointVector<N> {
-    friction_under::<A, N, P>(parameters, q, qd, &friction_load::<A, N, P>(q))
+    torques::<A, N, P>(parameters, q, qd, &friction_load::<A, N, P>(q))
 }
 
-/// [`friction`] where the gears carry `load`, N × N·m.
+/// [`friction`] where the gears carry `load`, N × N·m; N × N·m.
+///
+/// Cost: that of [`friction`] without [`friction_load`].
 #[inline(never)]
-pub(crate) fn friction_under<A: Arm<N, P>, const N: usize, const P: usize>(
+pub fn friction_under<A: Arm<N, P>, const N: usize, const P: usize>(
+    parameters: &[FrictionParameters; N],
+    q: &JointVector<N>,
+    qd: &JointVector<N>,
+    load: &JointVector<N>,
+) -> JointVector<N> {
+    torques::<A, N, P>(parameters, q, qd, load)
+}
+
+#[inline(always)]
+fn torques<A: Arm<N, P>, const N: usize, const P: usize>(
     parameters: &[FrictionParameters; N],
     q: &JointVector<N>,
     qd: &JointVector<N>,

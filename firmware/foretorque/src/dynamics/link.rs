@@ -86,43 +86,84 @@ pub fn is_angle(q: f32) -> bool {
 
 /// Sines and cosines of the joint angles of one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Angles<const N: usize>([SinCos; N]);
+pub struct Angles<const N: usize>(pub(super) [SinCos; N]);
 
 impl<const N: usize> Angles<N> {
+    /// All angles zero.
+    pub(super) const ZERO: Self = Self([SinCos { sin: 0.0, cos: 1.0 }; N]);
+
     /// Angles `q`, N × rad; `None` if one is not a number or beyond ±1000 rad.
     ///
     /// Cost: one `sin_cos` a joint.
     #[inline]
     pub fn of(q: &JointVector<N>) -> Option<Self> {
-        let mut pairs = [SinCos { sin: 0.0, cos: 1.0 }; N];
-        for (pair, &q) in pairs.iter_mut().zip(q.as_slice()) {
+        let mut angles = Self::ZERO;
+        angles.take(q).then_some(angles)
+    }
+
+    /// [`of`](Self::of) in place; false, and of no meaning, if there are no such angles.
+    #[inline(always)]
+    pub(super) fn take(&mut self, q: &JointVector<N>) -> bool {
+        for (pair, &q) in self.0.iter_mut().zip(q.as_slice()) {
             if !is_angle(q) {
-                return None;
+                return false;
             }
             *pair = sin_cos(q);
         }
-        Some(Self(pairs))
+        true
+    }
+}
+
+/// Angles of the joints, from their positions or known.
+///
+/// Beside its meaning the branch on [`is_angle`](Self::is_angle) ends a basic block at each joint. In one block for the whole
+/// arm the compiler's scheduler mixes the joints and spills registers.
+pub(super) trait JointAngles {
+    /// The angle of `joint` is one.
+    fn is_angle(&self, joint: usize) -> bool;
+    /// Its sine and cosine.
+    fn pair(&self, joint: usize) -> SinCos;
+}
+
+impl<const N: usize> JointAngles for JointVector<N> {
+    #[inline(always)]
+    fn is_angle(&self, joint: usize) -> bool {
+        is_angle(self[joint])
     }
 
-    /// Always true, unknown to the compiler: a branch on it ends a basic block at each joint. In one block for the whole arm
-    /// the compiler's scheduler mixes the joints and spills registers.
     #[inline(always)]
-    pub(super) fn ends_joint(&self, joint: usize) -> bool {
+    fn pair(&self, joint: usize) -> SinCos {
+        sin_cos(self[joint])
+    }
+}
+
+impl<const N: usize> JointAngles for Angles<N> {
+    /// Always true, unknown to the compiler.
+    #[inline(always)]
+    fn is_angle(&self, joint: usize) -> bool {
         self.0[joint].cos <= 2.0
     }
 
-    /// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)`.
     #[inline(always)]
-    pub(super) fn rotation<A: Arm<N, P>, const P: usize>(&self, joint: usize) -> Matrix {
-        let pair = self.0[joint];
-        let (s, c) = (Term::variable(pair.sin), Term::variable(pair.cos));
-        let [first, second, third] = A::placements()[joint].rot_parent_child;
-        Matrix([
-            turned(first, s, c),
-            turned(second, s, c),
-            turned(third, s, c),
-        ])
+    fn pair(&self, joint: usize) -> SinCos {
+        self.0[joint]
     }
+}
+
+/// Rotation of joint `joint`'s frame into its parent's: constant placement, then `Rz(q)` of the angle with sine and cosine
+/// `pair`.
+#[inline(always)]
+pub(super) fn rotation<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
+    pair: SinCos,
+) -> Matrix {
+    let (s, c) = (Term::variable(pair.sin), Term::variable(pair.cos));
+    let [first, second, third] = A::placements()[joint].rot_parent_child;
+    Matrix([
+        turned(first, s, c),
+        turned(second, s, c),
+        turned(third, s, c),
+    ])
 }
 
 /// A row of a constant rotation, times `Rz` of the angle with sine `s` and cosine `c`.

@@ -1,9 +1,10 @@
 //! The joint torque regressor: one row, or all of them.
 
-use super::link::{Angles, LinkMotion, origin};
+use super::link::{Angles, LinkMotion, is_angle, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::{Arm, LINK_PARAMETERS};
-use crate::joint::JointMotion;
+use crate::joint::{JointMotion, JointVector};
+use crate::math::{LARGEST_ANGLE, SinCos, sin_cos};
 use nalgebra::{SMatrix, SVector};
 
 /// Row `joint` of the [`regressor`]: `tau[joint] = row · beta`.
@@ -16,21 +17,32 @@ pub fn regressor_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
-    match Angles::of(&motion.q) {
-        Some(angles) => regressor_row_at::<A, N, P>(joint, &angles, motion),
-        None => SVector::repeat(f32::NAN),
+    if !are_angles(&motion.q) {
+        return SVector::repeat(f32::NAN);
     }
+    row::<A, N, P>(joint, |joint| sin_cos(motion.q[joint]), motion)
 }
 
-/// [`regressor_row`] at the angles of `motion`. One code for every joint: what is 0 in the frame of one is not in another's.
+/// [`regressor_row`] at the angles of `motion`.
 #[inline(never)]
+pub(crate) fn regressor_row_at<A: Arm<N, P>, const N: usize, const P: usize>(
+    joint: usize,
+    angles: &Angles<N>,
+    motion: &JointMotion<N>,
+) -> SVector<f32, P> {
+    row::<A, N, P>(joint, |joint| angles.0[joint], motion)
+}
+
+/// One code for every joint: what is 0 in the frame of one is not in another's. Its own link alone, where its axis is
+/// known, has a code of its own.
+#[inline(always)]
 #[expect(
     clippy::absurd_extreme_comparisons,
     reason = "the loop is written out joint by joint, the first one too"
 )]
-pub(crate) fn regressor_row_at<A: Arm<N, P>, const N: usize, const P: usize>(
+fn row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
-    angles: &Angles<N>,
+    pair: impl Fn(usize) -> SinCos,
     motion: &JointMotion<N>,
 ) -> SVector<f32, P> {
     let mut link = LinkMotion::base::<A, N, P>();
@@ -38,21 +50,16 @@ pub(crate) fn regressor_row_at<A: Arm<N, P>, const N: usize, const P: usize>(
     // Not `SVector::zeros()`, which hides the array: it would be copied at the end.
     let mut row = SVector::from([0.0; P]);
     outward!(A: I < N {
-        let rot = angles.rotation::<A, P>(I);
+        let rot = rotation::<A, N, P>(I, pair(I));
         link = link.next::<A, N, P>(I, &rot, motion);
         if joint < I {
             axis = axis.carried(&rot, origin::<A, N, P>(I));
-        }
-        if joint <= I {
-            let entries = axis.power_of_unit_parameters(&link);
-            for (index, entry) in A::index().link[I].iter().zip(entries) {
-                if let Some(index) = *index {
-                    row[index] = entry.value();
-                }
+            axis.write_row::<A, N, P>(I, &link, &mut row);
+        } else if joint == I {
+            JointAxis::OWN.write_row::<A, N, P>(I, &link, &mut row);
+            if let Some(index) = A::index().rotor[I] {
+                row[index] = motion.qdd[I];
             }
-        }
-        if joint == I && let Some(index) = A::index().rotor[I] {
-            row[index] = motion.qdd[I];
         }
     });
     row
@@ -75,11 +82,11 @@ pub fn regressor<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut rows = SMatrix::from([[0.0; N]; P]);
     let mut link = LinkMotion::base::<A, N, P>();
     let mut axes = [JointAxis::OWN; N];
-    let Some(angles) = Angles::of(&motion.q) else {
+    if !are_angles(&motion.q) {
         return SMatrix::repeat(f32::NAN);
-    };
+    }
     outward!(A: I < N {
-        let rot = angles.rotation::<A, P>(I);
+        let rot = rotation::<A, N, P>(I, sin_cos(motion.q[I]));
         link = link.next::<A, N, P>(I, &rot, motion);
         outward!(A: J < N {
             if J <= I {
@@ -99,6 +106,16 @@ pub fn regressor<A: Arm<N, P>, const N: usize, const P: usize>(
         }
     });
     rows
+}
+
+/// [`is_angle`] of all joints: one comparison where their squares sum to at most 1000² rad².
+#[inline(always)]
+fn are_angles<const N: usize>(q: &JointVector<N>) -> bool {
+    let mut sum = 0.0;
+    for q in q.as_slice() {
+        sum += q * q;
+    }
+    sum <= LARGEST_ANGLE * LARGEST_ANGLE || q.as_slice().iter().all(|&q| is_angle(q))
 }
 
 /// The partial velocities of one joint at the origin of a link: what a unit rate of the joint gives it, in its frame.
@@ -132,6 +149,22 @@ impl JointAxis {
         Self {
             s: rot.transposed_times(self.s),
             v: rot.transposed_times(self.v + self.s.cross(p)),
+        }
+    }
+
+    /// Writes the entries of link `link`, which moves like `motion`, into `row`.
+    #[inline(always)]
+    fn write_row<A: Arm<N, P>, const N: usize, const P: usize>(
+        self,
+        link: usize,
+        motion: &LinkMotion,
+        row: &mut SVector<f32, P>,
+    ) {
+        let entries = self.power_of_unit_parameters(motion);
+        for (index, entry) in A::index().link[link].iter().zip(entries) {
+            if let Some(index) = *index {
+                row[index] = entry.value();
+            }
         }
     }
 

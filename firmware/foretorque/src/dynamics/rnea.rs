@@ -1,7 +1,7 @@
 //! Inverse dynamics by the recursive Newton–Euler algorithm.
 
 use super::BaseParameters;
-use super::link::{Angles, LinkMotion, origin};
+use super::link::{Angles, JointAngles, LinkMotion, origin, rotation};
 use super::term::{Matrix, Term, Vector};
 use crate::arm::Arm;
 use crate::joint::{JointMotion, JointVector};
@@ -27,22 +27,36 @@ pub fn rnea<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     motion: &JointMotion<N>,
 ) -> JointVector<N> {
-    match Angles::of(&motion.q) {
-        Some(angles) => {
-            let [tau] = rnea_of::<A, N, P, 1>([beta], &angles, motion);
-            tau
-        }
-        None => JointVector::repeat(f32::NAN),
-    }
+    let mut tau = [JointVector::zeros()];
+    recursion::<A, N, P, 1>([beta], &motion.q, motion, &mut tau);
+    let [tau] = tau;
+    tau
 }
 
-/// [`rnea`] of one or two parameter vectors at the `angles` of `motion`: the motion of the links is computed once.
+/// [`rnea`] of one or two parameter vectors at known angles: the motion of the links is computed once.
+///
+/// * `betas` base parameters, order of [`Arm::COLUMNS`]      * `angles` those of `motion.q`
+/// * `tau` becomes the torques of each vector, N × N·m
+///
+/// Cost: that of [`rnea`] without `sin_cos`; for the second vector about two thirds of it.
 #[inline(never)]
-pub(crate) fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
+pub fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
     betas: [&BaseParameters<P>; S],
     angles: &Angles<N>,
     motion: &JointMotion<N>,
-) -> [JointVector<N>; S] {
+    tau: &mut [JointVector<N>; S],
+) {
+    recursion::<A, N, P, S>(betas, angles, motion, tau);
+}
+
+/// The recursion in a `pose`; NaN where it has an angle that is none.
+#[inline(always)]
+fn recursion<A: Arm<N, P>, const N: usize, const P: usize, const S: usize>(
+    betas: [&BaseParameters<P>; S],
+    pose: &impl JointAngles,
+    motion: &JointMotion<N>,
+    tau: &mut [JointVector<N>; S],
+) {
     const { assert!(S <= 2, "written out for two parameter vectors") };
     let mut link = LinkMotion::base::<A, N, P>();
     let mut rot = [Matrix::ZERO; N];
@@ -50,16 +64,16 @@ pub(crate) fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usi
     // about its origin.
     let mut wrench = [[Wrench::ZERO; N]; S];
     outward!(A: I < N {
-        if !angles.ends_joint(I) {
-            return [JointVector::repeat(f32::NAN); S];
+        if !pose.is_angle(I) {
+            *tau = [JointVector::repeat(f32::NAN); S];
+            return;
         }
-        rot[I] = angles.rotation::<A, P>(I);
+        rot[I] = rotation::<A, N, P>(I, pose.pair(I));
         link = link.next::<A, N, P>(I, &rot[I], motion);
         each!(K < S {
             wrench[K][I] = LinkParameters::of::<A, N, P>(betas[K], I).wrench(&link);
         }, 0 1);
     });
-    let mut tau = [JointVector::zeros(); S];
     each!(K < S {
         inward!(A: I < N {
             if I + 1 < N {
@@ -71,7 +85,6 @@ pub(crate) fn rnea_of<A: Arm<N, P>, const N: usize, const P: usize, const S: usi
             tau[K][I] = (wrench[K][I].n.dot(Vector::Z) + rotor * Term::variable(motion.qdd[I])).value();
         });
     }, 0 1);
-    tau
 }
 
 /// Gravity torques G(q), N × N·m: [`rnea`] of an arm at rest. Craig 2005, section 6.5, with v̇ = −g of the base
@@ -86,10 +99,7 @@ pub fn gravity_torque<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    match Angles::of(q) {
-        Some(angles) => gravity_torque_at::<A, N, P>(beta, &angles),
-        None => JointVector::repeat(f32::NAN),
-    }
+    gravity_recursion::<A, N, P>(beta, q)
 }
 
 /// [`gravity_torque`] at `angles`.
@@ -98,14 +108,23 @@ pub(crate) fn gravity_torque_at<A: Arm<N, P>, const N: usize, const P: usize>(
     beta: &BaseParameters<P>,
     angles: &Angles<N>,
 ) -> JointVector<N> {
+    gravity_recursion::<A, N, P>(beta, angles)
+}
+
+/// The recursion of an arm at rest, as [`recursion`].
+#[inline(always)]
+fn gravity_recursion<A: Arm<N, P>, const N: usize, const P: usize>(
+    beta: &BaseParameters<P>,
+    pose: &impl JointAngles,
+) -> JointVector<N> {
     let mut a = LinkMotion::base::<A, N, P>().a;
     let mut rot = [Matrix::ZERO; N];
     let mut wrench = [Wrench::ZERO; N];
     outward!(A: I < N {
-        if !angles.ends_joint(I) {
+        if !pose.is_angle(I) {
             return JointVector::repeat(f32::NAN);
         }
-        rot[I] = angles.rotation::<A, P>(I);
+        rot[I] = rotation::<A, N, P>(I, pose.pair(I));
         a = rot[I].transposed_times(a);
         let LinkParameters { mass, first_moment, .. } = LinkParameters::of::<A, N, P>(beta, I);
         wrench[I] = Wrench { f: a.scale(mass), n: first_moment.cross(a) };

@@ -49,29 +49,20 @@ impl<const N: usize> FeedForwardConfig<N> {
 
     /// Every field is usable.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let limits = self.limits.iter();
-        let torque = limits.clone().map(|l| ("limits.torque", l.torque));
-        let velocity = limits.clone().map(|l| ("limits.velocity", l.velocity));
-        let range = limits.map(|l| ("limits.position", l.position.1 - l.position.0));
-        let slew = self.slew_per_tick.iter().map(|&s| ("slew_per_tick", s));
-        let payload = self.payload_bound.iter().map(|&b| ("payload_bound", b));
-        let learned = self.learned_slew_per_tick.iter();
-        let learned = learned.map(|&s| ("learned_slew_per_tick", s));
-        let acceleration = [
-            ("acceleration_limit", self.acceleration_limit),
-            ("lead", self.lead),
-        ];
-        for (field, value) in torque
-            .chain(velocity)
-            .chain(range)
-            .chain(slew)
-            .chain(payload)
-            .chain(learned)
-            .chain(acceleration)
-        {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(ConfigError::NotPositive(field));
-            }
+        let check = |field, value: f32| {
+            let works = value > 0.0 && value.is_finite();
+            works.then_some(()).ok_or(ConfigError::NotPositive(field))
+        };
+        check("acceleration_limit", self.acceleration_limit)?;
+        check("lead", self.lead)?;
+        for joint in 0..N {
+            let limits = &self.limits[joint];
+            check("limits.torque", limits.torque)?;
+            check("limits.velocity", limits.velocity)?;
+            check("limits.position", limits.position.1 - limits.position.0)?;
+            check("slew_per_tick", self.slew_per_tick[joint])?;
+            check("payload_bound", self.payload_bound[joint])?;
+            check("learned_slew_per_tick", self.learned_slew_per_tick[joint])?;
         }
         Ok(())
     }

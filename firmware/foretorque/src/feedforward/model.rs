@@ -102,7 +102,7 @@ impl<const N: usize> LearntRange<N> {
         let speeds = motion.velocity.iter().zip(&self.motion.velocity);
         for (edge, (&speed, &before)) in self.edge.iter_mut().zip(speeds) {
             if speed != before {
-                *edge = AtSpeed::new(speed, SinCos { sin: 0.0, cos: 0.0 }, 1.0);
+                *edge = AtSpeed::edge(speed);
             }
         }
         self.motion = *motion;
@@ -111,7 +111,7 @@ impl<const N: usize> LearntRange<N> {
     /// Basis functions of `joint` at its desired speed `qd`, rad/s, cut to the range: where it is beyond, those at the edge.
     ///
     /// * `desired` basis functions at the desired speed      * `load` of the gear, N·m
-    #[inline]
+    #[inline(always)]
     pub(super) fn cut(&self, joint: usize, qd: f32, load: f32, desired: &AtSpeed) -> AtSpeed {
         if qd.abs() <= self.motion.velocity[joint] {
             return *desired;
@@ -212,8 +212,14 @@ impl AtSpeed {
         inputs: [0.0; NETWORK_INPUTS],
     };
 
-    /// At the speed `qd`, rad/s, where cogging is `cogging` and the gear carries `load`, N·m.
+    /// At the largest speed of a range, rad/s. The tick has a code of its own.
     #[inline(never)]
+    fn edge(speed: f32) -> Self {
+        Self::new(speed, SinCos { sin: 0.0, cos: 0.0 }, 1.0)
+    }
+
+    /// At the speed `qd`, rad/s, where cogging is `cogging` and the gear carries `load`, N·m.
+    #[inline(always)]
     pub(super) fn new(qd: f32, cogging: SinCos, load: f32) -> Self {
         let sign = SmoothedSign::of(qd);
         Self {
@@ -223,7 +229,7 @@ impl AtSpeed {
     }
 
     /// Torque of `friction`, N·m.
-    #[inline]
+    #[inline(always)]
     pub(super) fn friction(&self, friction: &FrictionParameters) -> f32 {
         friction.torque(&self.columns)
     }
@@ -234,7 +240,7 @@ impl<const N: usize, const P: usize> Difference<N, P> {
     /// the desired motion, plus the learnt difference for the motion inside the learnt range.
     ///
     /// * `rigid` torque of the loaded rigid body and of what was learnt of it, N·m
-    #[inline]
+    #[inline(always)]
     pub(super) fn shares(
         &self,
         joint: usize,

@@ -1,6 +1,6 @@
 use super::Torque;
 use crate::arm::Arm;
-use crate::dynamics::{friction, gravity_torque, rnea};
+use crate::dynamics::{Pose, friction_under, gravity_torque, rnea_of};
 use crate::joint::{JointMotion, JointVector};
 use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet, network_output};
 use crate::limits::{Flags, cut};
@@ -47,9 +47,22 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     motion: &JointMotion<N>,
 ) -> Torque<N> {
     let mut flags = Flags::NONE;
+    let [rigid, friction] = match Pose::of::<A, P>(&motion.q) {
+        Some(pose) => {
+            let mut rigid = [JointVector::zeros()];
+            rnea_of::<A, N, P, 1>([&set.rigid], &pose.angles, motion, &mut rigid);
+            let [rigid] = rigid;
+            let (friction, JointMotion { q, qd, .. }) = (&set.friction, motion);
+            [
+                rigid,
+                friction_under::<A, N, P>(friction, q, qd, &pose.load),
+            ]
+        }
+        None => [JointVector::repeat(f32::NAN); 2],
+    };
     let shares = Shares {
-        rigid: rnea::<A, N, P>(&set.rigid, motion),
-        friction: friction::<A, N, P>(&set.friction, &motion.q, &motion.qd),
+        rigid,
+        friction,
         network: shares_of_networks::<A, N, P>(&set.network, &motion.qd, &mut flags),
     };
     let total = shares.total();
@@ -92,7 +105,7 @@ fn shares_of_networks<A: Arm<N, P>, const N: usize, const P: usize>(
 }
 
 /// Network share of one joint, cut to its bound, N·m.
-#[inline]
+#[inline(always)]
 pub(super) fn network_share(
     network: &JointNetwork,
     inputs: &SVector<f32, NETWORK_INPUTS>,
@@ -130,55 +143,69 @@ pub(super) struct Selected {
     pub(super) learned: f32,
 }
 
+/// Share of the active set, replaced by the committed one or by 0 where it is not sound, and the share to measure it from.
+///
+/// * `bound` largest plausible share, N·m      * `withdrawn` flags where both are not sound
+#[inline(always)]
+fn sound(
+    [active, committed]: [f32; 2],
+    bound: f32,
+    withdrawn: Flags,
+    flags: &mut Flags,
+) -> [f32; 2] {
+    // A comparison with a not-a-number is false: it counts as implausible.
+    let (active_sound, committed_sound) = (active.abs() <= bound, committed.abs() <= bound);
+    if active_sound && committed_sound {
+        return [active, committed];
+    }
+    let mut share = active;
+    if !active_sound {
+        *flags |= Flags::when(!active.is_finite(), Flags::NOT_FINITE);
+        *flags |= if committed_sound {
+            Flags::SHARE_FALLBACK
+        } else {
+            withdrawn
+        };
+        share = if committed_sound { committed } else { 0.0 };
+    }
+    // Without a sound committed share there is nothing to measure the learnt change against.
+    [share, if committed_sound { committed } else { share }]
+}
+
 /// Makes every share in `active` sound and bounds their sum around the committed set's.
-#[inline]
+#[inline(always)]
 pub(super) fn select(
     active: &JointShares,
     committed: &JointShares,
     torque_limit: f32,
     flags: &mut Flags,
 ) -> Selected {
-    let (mut sum, mut reference) = (0.0, 0.0);
-    let mut sound = |active: f32, committed: f32, plausible: f32, withdrawn: Flags| {
-        let bound = plausible * torque_limit;
-        // A comparison with a not-a-number is false: it counts as implausible.
-        let committed_sound = committed.abs() <= bound;
-        let active_sound = active.abs() <= bound;
-        let mut share = active;
-        if !active_sound {
-            *flags |= Flags::when(!active.is_finite(), Flags::NOT_FINITE);
-            *flags |= if committed_sound {
-                Flags::SHARE_FALLBACK
-            } else {
-                withdrawn
-            };
-            share = if committed_sound { committed } else { 0.0 };
-        }
-        sum += share;
-        // Without a sound committed share there is nothing to measure the learnt change against.
-        reference += if committed_sound { committed } else { share };
-        share
-    };
+    let [rigid, committed_rigid] = sound(
+        [active.rigid, committed.rigid],
+        RIGID_PLAUSIBLE * torque_limit,
+        Flags::WITHDRAWN | Flags::GRAVITY_LOST,
+        flags,
+    );
+    let [friction, committed_friction] = sound(
+        [active.friction, committed.friction],
+        FRICTION_PLAUSIBLE * torque_limit,
+        Flags::WITHDRAWN,
+        flags,
+    );
+    let [network, committed_network] = sound(
+        [active.network, committed.network],
+        NETWORK_BOUND * torque_limit,
+        Flags::WITHDRAWN,
+        flags,
+    );
     let shares = JointShares {
-        rigid: sound(
-            active.rigid,
-            committed.rigid,
-            RIGID_PLAUSIBLE,
-            Flags::WITHDRAWN | Flags::GRAVITY_LOST,
-        ),
-        friction: sound(
-            active.friction,
-            committed.friction,
-            FRICTION_PLAUSIBLE,
-            Flags::WITHDRAWN,
-        ),
-        network: sound(
-            active.network,
-            committed.network,
-            NETWORK_BOUND,
-            Flags::WITHDRAWN,
-        ),
+        rigid,
+        friction,
+        network,
     };
+    // The sums begin at 0: that of −0 and −0 is 0.
+    let sum = 0.0 + rigid + friction + network;
+    let reference = 0.0 + committed_rigid + committed_friction + committed_network;
     let (learned, was_cut) = cut(sum - reference, LEARNED_BOUND * torque_limit);
     *flags |= Flags::when(was_cut, Flags::LEARNED_CLIPPED);
     Selected {

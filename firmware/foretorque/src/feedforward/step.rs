@@ -36,8 +36,10 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     active_difference: Difference<N, P>,
     committed_difference: Difference<N, P>,
     /// Learnt part in the torque of the last tick, payload included, and the sum it was part of.
-    learned: Option<JointVector<N>>,
+    learned: JointVector<N>,
     sum: JointVector<N>,
+    /// There is no last tick with these parameters.
+    fresh: bool,
     /// The committed set is another one since the last tick.
     recommitted: bool,
     pub(super) last: Torque<N>,
@@ -70,8 +72,9 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             loaded: Loaded::new(&set),
             active_difference: Difference::none(),
             committed_difference: Difference::none(),
-            learned: None,
+            learned: JointVector::zeros(),
             sum: JointVector::zeros(),
+            fresh: true,
             recommitted: false,
             last: Torque::zero(),
             stale_ticks: 0,
@@ -92,6 +95,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.late_sets = 0;
         self.report = LearnerReport::new();
         self.payload_torque = JointVector::zeros();
+        self.learned = JointVector::zeros();
         self.sum = JointVector::zeros();
         self.recommitted = false;
         self.last = Torque::zero();
@@ -104,7 +108,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.loaded = Loaded::new(set);
         self.payload.fill(0.0);
         self.range = LearntRange::none();
-        self.learned = None;
+        self.fresh = true;
         self.active = *set;
         self.committed = *set;
         self.active_difference = Difference::none();
@@ -162,14 +166,11 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardScratch<const N: usize> {
     motion: TickMotion<N>,
-    /// Torques of the loaded set and of the payload for the motion as it is wanted, and of what the active and the
-    /// committed set have learnt, for the motion that was learnt; N × N·m each.
-    loaded: JointVector<N>,
-    payload: JointVector<N>,
-    active: JointVector<N>,
-    committed: JointVector<N>,
-    /// Learnt part, payload included, within all its bounds, N × N·m.
-    learned: JointVector<N>,
+    pose: Pose<N>,
+    /// Torques of the loaded set and of the payload for the motion as it is wanted, N × N·m each.
+    wanted: [JointVector<N>; 2],
+    /// Torques of what the active and the committed set have learnt, for the motion that was learnt, N × N·m each.
+    learnt: [JointVector<N>; 2],
 }
 
 impl<const N: usize> FeedForwardScratch<N> {
@@ -177,11 +178,9 @@ impl<const N: usize> FeedForwardScratch<N> {
     pub fn new() -> Self {
         Self {
             motion: TickMotion::zero(),
-            loaded: JointVector::zeros(),
-            payload: JointVector::zeros(),
-            active: JointVector::zeros(),
-            committed: JointVector::zeros(),
-            learned: JointVector::zeros(),
+            pose: Pose::UPRIGHT,
+            wanted: [JointVector::zeros(); 2],
+            learnt: [JointVector::zeros(); 2],
         }
     }
 }
@@ -218,26 +217,28 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
     if !motion.take(config, &state.range, &sample.desired, &mut flags) {
         return hold(config, state, flags | Flags::NOT_FINITE);
     }
-    let Some(pose) = Pose::of::<A, P>(&motion.desired.q) else {
+    let pose = &mut scratch.pose;
+    if !pose.take::<A, P>(&motion.desired.q) {
         return hold(config, state, flags | Flags::NOT_FINITE);
-    };
-    [scratch.loaded, scratch.payload] = rnea_of::<A, N, P, 2>(
-        [&state.loaded.rigid, &state.payload],
-        &pose.angles,
-        &motion.desired,
-    );
-    let learnt =
-        [&state.active_difference, &state.committed_difference].map(|learnt| &learnt.rigid);
-    [scratch.active, scratch.committed] =
-        rnea_of::<A, N, P, 2>(learnt, &pose.angles, &motion.bounded);
+    }
+    let loaded = [&state.loaded.rigid, &state.payload];
+    rnea_of::<A, N, P, 2>(loaded, &pose.angles, &motion.desired, &mut scratch.wanted);
+    let learnt = [
+        &state.active_difference.rigid,
+        &state.committed_difference.rigid,
+    ];
+    rnea_of::<A, N, P, 2>(learnt, &pose.angles, &motion.bounded, &mut scratch.learnt);
     // Where nothing was measured the joint is where it should be.
     let (place, lead) = match &sample.measured {
         Some(measured) => (&measured.q, config.lead),
         None => (&motion.desired.q, 0.0),
     };
     let recommitted = core::mem::take(&mut state.recommitted);
+    let fresh = core::mem::take(&mut state.fresh);
     let mut ignored = Flags::NONE;
     for joint in 0..N {
+        let [loaded, payload] = [scratch.wanted[0][joint], scratch.wanted[1][joint]];
+        let [active, committed] = [scratch.learnt[0][joint], scratch.learnt[1][joint]];
         let limits = &config.limits[joint];
         let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
         let cogging = cogging(
@@ -252,8 +253,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         let active = state.active_difference.shares(
             joint,
             (
-                scratch.loaded[joint]
-                    + state.active_difference.share[joint] * scratch.active[joint],
+                loaded + state.active_difference.share[joint] * active,
                 friction,
             ),
             &state.active.network[joint],
@@ -264,8 +264,7 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         let committed = state.committed_difference.shares(
             joint,
             (
-                scratch.loaded[joint]
-                    + state.committed_difference.share[joint] * scratch.committed[joint],
+                loaded + state.committed_difference.share[joint] * committed,
                 friction,
             ),
             &state.committed.network[joint],
@@ -275,7 +274,6 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         );
         let selected = select(&active, &committed, limits.torque, &mut flags);
 
-        let payload = scratch.payload[joint];
         let finite = payload.is_finite();
         let (carried, was_cut) = cut(
             if finite { payload } else { 0.0 },
@@ -284,22 +282,21 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         flags |= Flags::when(was_cut || !finite, Flags::PAYLOAD_CLIPPED);
         state.payload_torque[joint] = carried;
         let wanted = selected.learned + carried;
-        let before = match (&state.learned, recommitted) {
-            (None, _) => wanted,
+        let before = match (fresh, recommitted) {
+            (true, _) => wanted,
             // Measured from another set now: the torque goes on from where it was.
-            (Some(_), true) => state.sum[joint] - selected.reference,
-            (Some(learned), false) => learned[joint],
+            (false, true) => state.sum[joint] - selected.reference,
+            (false, false) => state.learned[joint],
         };
         let (step, slewed) = cut(wanted - before, config.learned_slew_per_tick[joint]);
         let learned = if slewed { before + step } else { wanted };
-        scratch.learned[joint] = learned;
+        state.learned[joint] = learned;
         state.sum[joint] = selected.reference + learned;
         let shares = &mut state.last.shares;
         shares.rigid[joint] = selected.shares.rigid + carried;
         shares.friction[joint] = selected.shares.friction;
         shares.network[joint] = selected.shares.network;
     }
-    state.learned = Some(scratch.learned);
     state.stale_ticks = 0;
     let target = state.sum;
     finish(config, state, &target, flags)

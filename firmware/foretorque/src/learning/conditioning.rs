@@ -205,6 +205,17 @@ pub fn cogging_attenuation(angle: f32) -> f32 {
     }
 }
 
+/// Distances from the middle of the window, ticks, and their squares.
+const DISTANCES: [[f32; 2]; DELAY] = {
+    let (mut distances, mut k) = ([[0.0; 2]; DELAY], 0);
+    while k < DELAY {
+        let distance = (k + 1) as f32;
+        distances[k] = [distance, distance * distance];
+        k += 1;
+    }
+    distances
+};
+
 /// Value, first and second derivative (per tick) of the quadratic through `window`, at its middle.
 #[inline]
 fn fit(window: &[f32; TAPS]) -> (f32, f32, f32) {
@@ -213,14 +224,13 @@ fn fit(window: &[f32; TAPS]) -> (f32, f32, f32) {
     let mut first_moment = 0.0;
     let mut second_moment = 0.0;
     // Pairs at the same distance from the middle: their sum enters the even sums, their difference the odd one.
-    for k in 1..=DELAY {
-        let distance = k as f32;
-        let after = window[DELAY + k] - centre;
-        let before = window[DELAY - k] - centre;
+    let sides = window[..DELAY].iter().rev().zip(&window[DELAY + 1..]);
+    for ((before, after), [distance, square]) in sides.zip(&DISTANCES) {
+        let (after, before) = (after - centre, before - centre);
         let even = after + before;
         sum += even;
         first_moment += distance * (after - before);
-        second_moment += distance * distance * even;
+        second_moment += square * even;
     }
     let half_curvature = (second_moment - SUM_2 / SUM_0 * sum) * INV_CURVATURE;
     let position = centre + (sum - SUM_2 * half_curvature) * (1.0 / SUM_0);
@@ -228,11 +238,9 @@ fn fit(window: &[f32; TAPS]) -> (f32, f32, f32) {
 }
 
 fn is_finite<const N: usize>(measured: &JointMeasurement<N>) -> bool {
-    measured
-        .q
-        .iter()
-        .chain(measured.tau.iter())
-        .all(|x| x.is_finite())
+    // Slices: iterators of a matrix look for the end of a column at every entry.
+    let [q, tau] = [&measured.q, &measured.tau].map(|it| it.as_slice());
+    q.iter().all(|x| x.is_finite()) && tau.iter().all(|x| x.is_finite())
 }
 
 #[cfg(test)]

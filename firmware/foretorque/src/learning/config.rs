@@ -4,7 +4,7 @@ use super::prior_covariance::rigid_sigma;
 use super::supervisor::config::SupervisorConfig;
 use super::trainer::TrainerConfig;
 use crate::arm::{Arm, ArmModel, table};
-use crate::dynamics::{FrictionParameters, friction_prior};
+use crate::dynamics::{FRICTION_COLUMNS, friction_prior};
 
 /// Configuration of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,10 +22,8 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub process_noise: f32,
     /// Largest torque change of any joint by a newly published set, in units of the torque limit.
     pub torque_step: f32,
-    /// Prior standard deviations of the base parameters, in their units.
-    pub rigid_sigma: [f32; P],
-    /// Prior standard deviations of the friction parameters; 0 keeps a parameter at its prior.
-    pub friction_sigma: [FrictionParameters; N],
+    /// Prior standard deviations, in the units of the parameters; 0 keeps a friction parameter at its prior.
+    pub sigma: LinearParameters<N, P>,
     /// Least speed of a joint whose rows are used, rad/s: stiction is not a function of velocity.
     pub velocity_gate: f32,
     /// Largest plausible acceleration, rad/s²; beyond it an encoder error is assumed and rows of all joints are rejected.
@@ -58,8 +56,10 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             process_noise: 1e-7,
             torque_step: 0.005,
             // Tables, so that a board does not compute them.
-            rigid_sigma: table!(A, rigid_sigma),
-            friction_sigma: table!(A, friction_sigma),
+            sigma: LinearParameters {
+                friction: table!(A, friction_sigma),
+                rigid: table!(A, rigid_sigma),
+            },
             velocity_gate: 0.05,
             acceleration_limit: 100.0,
             network: TrainerConfig {
@@ -74,14 +74,6 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Rows of a joint in the correlation time.
     pub(super) fn block_rows(&self) -> f32 {
         self.correlation_s * self.inv_period / N as f32
-    }
-
-    /// Prior standard deviations of all linear parameters, in their units.
-    pub fn sigma(&self) -> LinearParameters<N, P> {
-        LinearParameters {
-            friction: self.friction_sigma.map(|joint| joint.0),
-            rigid: self.rigid_sigma,
-        }
     }
 
     /// Check of every field.
@@ -99,11 +91,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("torque_step", self.torque_step),
             ("network.clip_sigmas", self.network.clip_sigmas),
         ];
-        let rigid = self.rigid_sigma.iter().map(|&s| ("rigid_sigma", s));
+        let [friction, rigid] = self.sigma.parts();
+        let rigid = rigid.iter().map(|&s| ("sigma.rigid", s));
         check_positive(positive.into_iter().chain(rigid))?;
-        let mut friction = self.friction_sigma.iter().flat_map(|s| s.0);
-        if !friction.all(|s| s >= 0.0 && s.is_finite()) {
-            return Err(ConfigError::NotPositive("friction_sigma"));
+        if !friction.iter().all(|&s| s >= 0.0 && s.is_finite()) {
+            return Err(ConfigError::NotPositive("sigma.friction"));
         }
         if !(0.0..1.0).contains(&self.network.output_sigma) {
             return Err(ConfigError::RateOutOfRange("network.output_sigma"));
@@ -117,11 +109,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
 
 const fn friction_sigma<const N: usize, const P: usize>(
     arm: &ArmModel<N, P>,
-) -> [FrictionParameters; N] {
-    let mut sigma = [FrictionParameters::NONE; N];
+) -> [[f32; FRICTION_COLUMNS]; N] {
+    let mut sigma = [[0.0; FRICTION_COLUMNS]; N];
     let mut joint = 0;
     while joint < N {
-        sigma[joint] = friction_prior(&arm.limits[joint], arm.cogging_cycles[joint]);
+        sigma[joint] = friction_prior(&arm.limits[joint], arm.cogging_cycles[joint]).0;
         joint += 1;
     }
     sigma

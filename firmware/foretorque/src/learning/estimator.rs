@@ -3,7 +3,7 @@ mod correlation;
 
 use super::conditioning::{AVERAGED, ConditionedSample};
 use super::config::LearnerConfig;
-use super::parameters::{LinearParameters, ParameterSet};
+use super::parameters::{JointEntries, LinearParameters, ParameterSet};
 use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
 use super::start_deviations::StartDeviations;
 use super::ud::UdFilter;
@@ -44,27 +44,34 @@ pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     sample: &ConditionedSample<N>,
 ) -> LinearParameters<N, P> {
     match Pose::of::<A, P>(&sample.motion.q) {
-        Some(pose) => torque_row_at::<A, N, P>(joint, &pose, &sample.motion),
+        Some(pose) => {
+            let entries = torque_row_at::<A, N, P>(joint, &pose, &sample.motion);
+            let mut row = LinearParameters::filled(0.0);
+            row.rigid = entries.rigid;
+            if let Some(own) = row.friction.get_mut(joint) {
+                *own = entries.own;
+            }
+            row
+        }
         None => LinearParameters::filled(f32::NAN),
     }
 }
 
 /// [`torque_row`] in the `pose` of `motion`.
-#[inline(never)]
+#[inline(always)]
 pub(super) fn torque_row_at<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     pose: &Pose<N>,
     motion: &JointMotion<N>,
-) -> LinearParameters<N, P> {
-    let mut row = LinearParameters::filled(0.0);
-    row.rigid = regressor_row_at::<A, N, P>(joint, &pose.angles, motion)
+) -> JointEntries<P> {
+    let [rigid] = regressor_row_at::<A, N, P>(joint, &pose.angles, motion)
         .data
-        .0[0];
-    let friction = joint_friction_row::<A, N, P>(joint, &pose.load, motion);
-    if let (Some(slot), Some(friction)) = (row.friction.get_mut(joint), friction) {
-        *slot = friction;
+        .0;
+    let own = joint_friction_row::<A, N, P>(joint, &pose.load, motion);
+    JointEntries {
+        own: own.unwrap_or_default(),
+        rigid,
     }
-    row
 }
 
 /// Friction columns of `joint` in `motion`, where the gears carry `load`, N × N·m; `None` if there is no such joint.
@@ -235,7 +242,6 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// * returns the innovation; `None` if a number was not finite, with the estimate unchanged
     ///
     /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
-    #[inline(never)]
     pub fn correct(
         &mut self,
         config: &LearnerConfig<N, P>,
@@ -244,9 +250,23 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         row: &LinearParameters<N, P>,
         tau: f32,
     ) -> Option<Correction> {
+        self.correct_joint(config, joint, limit, &row.of_joint(joint)?, tau)
+    }
+
+    /// [`correct`](Self::correct) with the entries of `joint`.
+    #[inline(never)]
+    pub(super) fn correct_joint(
+        &mut self,
+        config: &LearnerConfig<N, P>,
+        joint: usize,
+        limit: f32,
+        row: &JointEntries<P>,
+        tau: f32,
+    ) -> Option<Correction> {
         let inv_noise = 1.0 / (config.noise * limit);
-        let sigma = config.sigma();
-        let innovation = (tau - row.dot(&self.parameters)) * inv_noise;
+        let sigma = &config.sigma;
+        let expected = row.friction_dot(joint, &self.parameters) + row.rigid_dot(&self.parameters);
+        let innovation = (tau - expected) * inv_noise;
         let inflation = self.inflation();
         let measured = self.variance.get_mut(joint)?;
         let effective_rows = self.effective_rows.get_mut(joint)?;
@@ -266,13 +286,12 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
                 *phi *= sigma * inv_noise;
             }
         };
-        // A row has friction of its own joint only.
-        scale(phi.friction.get_mut(joint)?, sigma.friction.get(joint)?);
+        scale(&mut phi.own, sigma.friction.get(joint)?);
         scale(&mut phi.rigid, &sigma.rigid);
         let mut gain = LinearParameters::filled(0.0);
         let correlation = self.correlation.get_mut(joint)?;
         let inflated = inflation * *measured;
-        let total = self.filter.update(joint, &phi, inflated, &mut gain);
+        let total = self.filter.update_joint(joint, &phi, inflated, &mut gain);
         let variance = total - inflated + *measured;
         if !(variance > 0.0 && variance.is_finite()) {
             // The factors are lost; the covariance returns to the prior, the estimate stays.
@@ -288,8 +307,8 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         correlation.add(z, noise / variance, config.block_rows());
         let (clipped, _) = cut(innovation, config.outlier_sigmas * sigma_innovation);
         let mut step = clipped / total;
-        self.bound(&sigma, joint, &mut gain, &mut step);
-        self.move_by(&sigma, &gain, step);
+        self.bound(sigma, joint, &mut gain, &mut step);
+        self.move_by(sigma, &gain, step);
         Some(Correction {
             residual: innovation * config.noise,
             variance,

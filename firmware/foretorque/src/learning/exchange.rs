@@ -160,6 +160,14 @@ impl<const N: usize, const P: usize> Exchange<N, P> {
         }
     }
 
+    /// Discard everything in it.
+    pub fn clear(&mut self) {
+        // One after the other: an empty mailbox as a value would be copied whole.
+        self.published = None;
+        self.reload = None;
+        self.request = None;
+    }
+
     /// Post request number `number`, to take effect with the first sample whose [`LearningSample::requests`] equals it.
     ///
     /// Errors: the previous request is pending; it stays.

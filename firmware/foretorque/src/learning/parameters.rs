@@ -146,36 +146,67 @@ impl<const N: usize, const P: usize> LinearParameters<N, P> {
         friction.iter_mut().chain(&mut self.rigid)
     }
 
-    /// Scale the cogging columns of a torque row of `joint` by the gain `attenuation` of the motion filter.
-    ///
-    /// * returns the torque of the removed part as commanded by `active`, N·m: it is in the measured torque, but not in the
-    ///   filtered motion
-    pub fn attenuate_cogging(&mut self, joint: usize, attenuation: f32, active: &Self) -> f32 {
-        let mut commanded = 0.0;
-        if let (Some(row), Some(active)) =
-            (self.friction.get_mut(joint), active.friction.get(joint))
-        {
-            for column in COGGING_COLUMNS.map(|column| column as usize) {
-                commanded += (1.0 - attenuation) * row[column] * active[column];
-                row[column] *= attenuation;
-            }
-        }
-        commanded
-    }
-
     /// Scalar product Σ a b.
     pub fn dot(&self, other: &Self) -> f32 {
-        self.friction_dot(other) + self.rigid_dot(other)
+        let [friction, rigid] = self.parts();
+        let [other_friction, other_rigid] = other.parts();
+        dot(friction, other_friction) + dot(rigid, other_rigid)
     }
 
-    /// Part of [`dot`](Self::dot) of the friction columns.
-    pub(super) fn friction_dot(&self, other: &Self) -> f32 {
-        dot(self.friction.as_flattened(), other.friction.as_flattened())
+    /// Entries of `joint`; `None` if there is no such joint.
+    pub(super) fn of_joint(&self, joint: usize) -> Option<JointEntries<P>> {
+        Some(JointEntries {
+            own: *self.friction.get(joint)?,
+            rigid: self.rigid,
+        })
+    }
+}
+
+/// Non-zero part of a torque row: friction of its joint and rigid body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct JointEntries<const P: usize> {
+    pub(super) own: [f32; FRICTION_COLUMNS],
+    pub(super) rigid: [f32; P],
+}
+
+impl<const P: usize> JointEntries<P> {
+    pub(super) const ZERO: Self = Self {
+        own: [0.0; FRICTION_COLUMNS],
+        rigid: [0.0; P],
+    };
+
+    /// Torque of the friction of `joint` in `parameters`, N·m; 0 if there is no such joint.
+    pub(super) fn friction_dot<const N: usize>(
+        &self,
+        joint: usize,
+        parameters: &LinearParameters<N, P>,
+    ) -> f32 {
+        let own = parameters.friction.get(joint);
+        own.map_or(0.0, |own| dot(&self.own, own))
     }
 
-    /// Part of [`dot`](Self::dot) of the rigid body.
-    pub(super) fn rigid_dot(&self, other: &Self) -> f32 {
-        dot(&self.rigid, &other.rigid)
+    /// Torque of the rigid body in `parameters`, N·m.
+    #[inline(never)]
+    pub(super) fn rigid_dot<const N: usize>(&self, parameters: &LinearParameters<N, P>) -> f32 {
+        dot(&self.rigid, &parameters.rigid)
+    }
+
+    /// Scale the cogging columns by the gain `attenuation` of the motion filter.
+    ///
+    /// * returns the torque of the removed part as commanded by the friction `active`, N·m: it is in the measured torque, but
+    ///   not in the filtered motion
+    pub(super) fn attenuate_cogging(
+        &mut self,
+        attenuation: f32,
+        active: &FrictionParameters,
+    ) -> f32 {
+        let mut commanded = 0.0;
+        for column in COGGING_COLUMNS {
+            let entry = &mut self.own[column as usize];
+            commanded += (1.0 - attenuation) * *entry * active[column];
+            *entry *= attenuation;
+        }
+        commanded
     }
 }
 

@@ -1,25 +1,11 @@
 mod queries;
 mod rows;
 
-use super::parameters::LinearParameters;
+use super::parameters::{JointEntries, LinearParameters};
 use crate::dynamics::FRICTION_COLUMNS;
 use core::array::{from_mut, from_ref};
 use core::mem::take;
 use rows::{ColumnUpdates, ROWS, add_rows, set};
-
-/// Non-zero part of a torque row: friction of its joint and rigid body.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct JointEntries<const P: usize> {
-    own: [f32; FRICTION_COLUMNS],
-    rigid: [f32; P],
-}
-
-impl<const P: usize> JointEntries<P> {
-    const ZERO: Self = Self {
-        own: [0.0; FRICTION_COLUMNS],
-        rigid: [0.0; P],
-    };
-}
 
 /// Covariance factors of the linear parameters, `P = U D Uᵀ`, in units of the prior standard deviations.
 ///
@@ -87,9 +73,19 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         variance: f32,
         gain: &mut LinearParameters<N, P>,
     ) -> f32 {
-        let Some(friction) = phi.friction.get(joint) else {
-            return f32::NAN;
-        };
+        phi.of_joint(joint).map_or(f32::NAN, |phi| {
+            self.update_joint(joint, &phi, variance, gain)
+        })
+    }
+
+    /// [`update`](Self::update) with the entries of `joint`.
+    pub(super) fn update_joint(
+        &mut self,
+        joint: usize,
+        phi: &JointEntries<P>,
+        variance: f32,
+        gain: &mut LinearParameters<N, P>,
+    ) -> f32 {
         let leading = phi.rigid.as_chunks::<ROWS>().0;
         let leading = leading.iter().take_while(|block| **block == [0.0; ROWS]);
         let row_first = ROWS * leading.count();
@@ -99,7 +95,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         *first = row_first.min(*first);
         let first = *first;
         // f, replaced by λ.
-        let mut lambda = self.transposed_times(joint, friction, &phi.rigid);
+        let mut lambda = self.transposed_times(joint, phi);
         let mut v = JointEntries::ZERO;
         let Some(d) = self.diagonal.friction.get_mut(joint) else {
             return f32::NAN;
@@ -117,18 +113,13 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
 
     /// Product f = Uᵀ φ, by rows: `f ← f + φ_i U_i`.
     ///
-    /// * `friction`, `rigid` entries of φ for the friction of `joint` and for the rigid body
     #[inline(never)]
-    fn transposed_times(
-        &self,
-        joint: usize,
-        friction: &[f32; FRICTION_COLUMNS],
-        rigid: &[f32; P],
-    ) -> JointEntries<P> {
-        let mut f = JointEntries {
-            own: *friction,
-            rigid: *rigid,
-        };
+    fn transposed_times(&self, joint: usize, phi: &JointEntries<P>) -> JointEntries<P> {
+        let mut f = *phi;
+        let JointEntries {
+            own: friction,
+            rigid,
+        } = phi;
         if let (Some(rows), Some(&first)) = (self.friction.get(joint), self.first.get(joint)) {
             add_rows(&mut f.own, rows, |row| &row.own, friction, 0);
             add_rows(&mut f.rigid, rows, |row| &row.rigid, friction, first);
@@ -181,15 +172,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         let first = self.first.get(joint).copied().unwrap_or(0);
         let joints = self.friction.iter_mut().zip(&mut gain.friction);
         for ((rows, gain), &own_first) in joints.zip(&self.first) {
-            let first = own_first.max(first);
-            let (rows, rest) = rows.as_chunks_mut::<ROWS>();
-            let (gains, rest_gains) = gain.as_chunks_mut::<ROWS>();
-            for (rows, gain) in rows.iter_mut().zip(gains) {
-                beyond.sweep(rows, |row| &mut row.rigid, first, gain);
-            }
-            for (row, gain) in rest.iter_mut().zip(rest_gains) {
-                beyond.sweep(from_mut(row), |row| &mut row.rigid, first, from_mut(gain));
-            }
+            beyond.sweep(rows, |row| &mut row.rigid, own_first.max(first), gain);
         }
         let (gains, rest_gains) = gain.rigid.as_chunks_mut::<ROWS>();
         let start = gains.len() * ROWS;

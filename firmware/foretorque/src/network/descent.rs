@@ -41,7 +41,7 @@ pub(super) fn descend<const R: usize, const C: usize>(
     }
 }
 
-/// One block of rows, two columns at a time.
+/// One block of rows, four columns a turn.
 #[inline(always)]
 fn descend_block<const B: usize, const R: usize, const C: usize>(
     columns: &mut [[f32; R]; C],
@@ -55,30 +55,31 @@ fn descend_block<const B: usize, const R: usize, const C: usize>(
     for (bias, delta) in bias.iter_mut().zip(&delta) {
         *bias -= rate * delta;
     }
-    let (pairs, last) = columns.as_chunks_mut::<2>();
-    let (source_pairs, source_last) = source.as_chunks::<2>();
-    for ([one, two], [source_one, source_two]) in pairs.iter_mut().zip(source_pairs) {
-        if let (Some(one), Some(two)) = (rows(one), rows(two)) {
-            descend_column(one, &delta, rate, source_one, R * C);
-            descend_column(two, &delta, rate, source_two, R * C);
-        }
+    let (fours, last) = columns.as_chunks_mut::<4>();
+    let (source_fours, source_last) = source.as_chunks::<4>();
+    for ([a, b, c, d], [x_a, x_b, x_c, x_d]) in fours.iter_mut().zip(source_fours) {
+        descend_column(rows(a), &delta, rate, x_a, R * C);
+        descend_column(rows(b), &delta, rate, x_b, R * C);
+        descend_column(rows(c), &delta, rate, x_c, R * C);
+        descend_column(rows(d), &delta, rate, x_d, R * C);
     }
     for (column, source) in last.iter_mut().zip(source_last) {
-        if let Some(weights) = rows(column) {
-            descend_column(weights, &delta, rate, source, R * C);
-        }
+        descend_column(rows(column), &delta, rate, source, R * C);
     }
 }
 
 /// One column of a block of rows, in a matrix of `entries`.
 #[inline(always)]
 fn descend_column<const B: usize>(
-    weights: &mut [f32; B],
+    weights: Option<&mut [f32; B]>,
     delta: &[f32; B],
     rate: f32,
     source: &f32,
     entries: usize,
 ) {
+    let Some(weights) = weights else {
+        return;
+    };
     let mut moved = *weights;
     loaded(entries);
     let scale = rate * source;

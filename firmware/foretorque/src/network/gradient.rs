@@ -174,7 +174,17 @@ fn clip(value: f32, bound: f32) -> f32 {
 
 #[inline(always)]
 fn squared<const R: usize>(v: &SVector<f32, R>) -> f32 {
-    v.as_slice().iter().map(|v| v * v).sum()
+    let (sixes, rest) = v.as_slice().as_chunks::<6>();
+    let mut sum = 0.0;
+    for v in sixes {
+        for v in v {
+            sum += v * v;
+        }
+    }
+    for v in rest {
+        sum += v * v;
+    }
+    sum
 }
 
 #[inline(always)]

@@ -58,7 +58,7 @@ impl<const N: usize> Rows<N> {
         start: &ParameterSet<N, P>,
     ) -> ParameterBank {
         let config = LearnerConfig::<N, P>::for_arm::<A>(PERIOD_S as f32);
-        let (origin, sigma) = (LinearParameters::of(start), config.sigma());
+        let (origin, sigma) = (LinearParameters::of(start), config.sigma);
         let scale: Vec<f64> = sigma.iter().map(|s| DOUBT * f64::from(*s)).collect();
         let scale = DVector::from_vec(scale);
         let rows = |joint: usize| {

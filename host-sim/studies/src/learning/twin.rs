@@ -56,7 +56,7 @@ impl Twin {
         let start = wide(&LinearParameters::of(prior));
         let n = start.len();
         Self {
-            sigma: wide(&config.sigma()),
+            sigma: wide(&config.sigma),
             config,
             start,
             theta: DVector::zeros(n),

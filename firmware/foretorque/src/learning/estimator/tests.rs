@@ -187,7 +187,7 @@ fn row_and_torque(tick: u32, joint: usize, random: &mut u64) -> (LinearParameter
 fn a_million_rows_agree_with_exact_arithmetic() {
     let config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
     let prior = ParameterSet::nominal::<Ur5>(1);
-    let (start, sigma) = (LinearParameters::of(&prior), config.sigma());
+    let (start, sigma) = (LinearParameters::of(&prior), config.sigma);
     let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
     let n = start.iter().count();
     let wide = |numbers: &LinearParameters<N, P>| numbers.iter().copied().map(f64::from).collect();
@@ -287,7 +287,7 @@ fn friction_at_its_bound_leaves_correlated_columns_in_place() {
     for outlier_sigmas in [3.0, 1e6] {
         config.outlier_sigmas = outlier_sigmas;
         let prior = ParameterSet::nominal::<Ur5>(1);
-        let sigma = config.sigma();
+        let sigma = config.sigma;
         let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
         let (mut random, mut drifts) = (5, [0.0; N]);
         let mut worst = 0.0f32;
@@ -334,7 +334,7 @@ fn correlated_rows_leave_the_variance_that_the_estimate_has() {
             let mut phi = row;
             let scaled = phi
                 .iter_mut()
-                .zip(config.sigma().iter().copied().collect::<Vec<f32>>());
+                .zip(config.sigma.iter().copied().collect::<Vec<f32>>());
             scaled.for_each(|(phi, sigma)| *phi *= sigma * unit);
             let mut filter = *estimator.filter();
             let mut gain = LinearParameters::filled(0.0);

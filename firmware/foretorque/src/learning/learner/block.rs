@@ -79,7 +79,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let rigid = BaseParameters::<P>::from(estimate.rigid);
         let motion = &sample.motion;
-        let [torque] = rnea_of::<A, N, P, 1>([&rigid], &pose.angles, motion);
+        let mut torque = [JointVector::zeros()];
+        rnea_of::<A, N, P, 1>([&rigid], &pose.angles, motion, &mut torque);
+        let [torque] = torque;
         sample.tau - torque - friction_under::<A, N, P>(&drives, &motion.q, &motion.qd, &pose.load)
     }
 
@@ -157,13 +159,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     ) -> f32 {
         let (Some(mut phi), Some(sigma), Some(limits)) = (
             joint_friction_row::<A, N, P>(joint, load, &block.motion),
-            self.config.friction_sigma.get(joint),
+            self.config.sigma.friction.get(joint),
             A::limits().get(joint),
         ) else {
             return 0.0;
         };
         let inverse = 1.0 / (self.config.noise * limits.torque);
-        for (phi, sigma) in phi.iter_mut().zip(sigma.0) {
+        for (phi, sigma) in phi.iter_mut().zip(sigma) {
             *phi *= sigma * inverse;
         }
         let filter = self.state.estimate.filter();

@@ -8,8 +8,9 @@ use crate::learning::conditioning::{ConditionedSample, cogging_attenuation};
 use crate::learning::decision::Reason;
 use crate::learning::estimator::torque_row_at;
 use crate::learning::exchange::MotionRange;
-use crate::learning::parameters::{LinearParameters, NETWORK_BOUND, network_output};
+use crate::learning::parameters::{JointEntries, NETWORK_BOUND, dot, network_output};
 use crate::learning::quality::Observation;
+use crate::learning::supervisor::Checkpoint;
 use crate::learning::trainer::{NetworkDecision, NetworkRow};
 use crate::limits::cut;
 use crate::math::sqrt;
@@ -26,7 +27,7 @@ enum RowOutcome {
 }
 
 /// Torque row of one joint with its measurement.
-struct JointRow<'a, const N: usize, const P: usize> {
+struct JointRow<'a, const P: usize> {
     tick: u32,
     joint: usize,
     /// Torque limit, N·m.
@@ -35,9 +36,11 @@ struct JointRow<'a, const N: usize, const P: usize> {
     qd: f32,
     /// Measured torque, N·m.
     tau: f32,
-    /// Torque of the payload, N·m.
+    /// Torques of payload, loaded set and learnt set by their rigid bodies, N·m.
     payload: f32,
-    columns: &'a LinearParameters<N, P>,
+    loaded: f32,
+    learnt: f32,
+    columns: &'a JointEntries<P>,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
@@ -92,6 +95,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             qd,
             tau,
             payload,
+            loaded: columns.rigid_dot(&self.state.supervisor.loaded),
+            learnt: columns.rigid_dot(&self.state.supervisor.learnt.set),
             columns: &columns,
         };
         let outcome = if qd.abs() >= self.config.velocity_gate {
@@ -105,9 +110,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let inv_limit = 1.0 / row.limit;
         let state = &self.state;
         let supervisor = &state.supervisor;
-        let loaded = row.columns.dot(&supervisor.loaded);
-        let learnt = row.columns.dot(&supervisor.learnt.set) - loaded;
-        let estimated = row.columns.dot(state.estimate.parameters()) - loaded;
+        let loaded = columns.friction_dot(joint, &supervisor.loaded) + row.loaded;
+        let learnt = columns.friction_dot(joint, &supervisor.learnt.set) + row.learnt - loaded;
+        let estimate = state.estimate.parameters();
+        let estimated =
+            columns.friction_dot(joint, estimate) + columns.rigid_dot(estimate) - loaded;
         let before = supervisor.learnt.share.joint.get(joint).copied();
         let (before, after) = (before.unwrap_or_default(), self.share(joint));
         let largest = if after > before { after } else { before };
@@ -116,22 +123,22 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 
     /// Use the row of a moving joint: quality always; estimate, evidence, network and range while learning.
-    fn use_row(&mut self, row: &JointRow<'_, N, P>, sample: &ConditionedSample<N>) -> RowOutcome {
+    fn use_row(&mut self, row: &JointRow<'_, P>, sample: &ConditionedSample<N>) -> RowOutcome {
         let joint = row.joint;
         let inv_limit = 1.0 / row.limit;
         let state = &mut self.state;
         let variance = state.estimate.variance().get(joint).copied();
         let sigma = self.config.noise * sqrt(variance.unwrap_or(1.0));
-        let active = LinearParameters::of(&state.active);
-        let supervisor = &state.supervisor;
-        let share = supervisor.learnt.share.joint.get(joint).copied();
-        let loaded = row.columns.rigid_dot(&supervisor.loaded);
-        let learnt = row.columns.rigid_dot(&supervisor.learnt.set) - loaded;
-        let rigid = loaded + share.unwrap_or_default() * learnt + row.payload;
-        let friction = row.columns.friction_dot(&active);
-        let Some(network) = state.active.network.get(joint) else {
+        let share = state.supervisor.learnt.share.joint.get(joint).copied();
+        let learnt = row.learnt - row.loaded;
+        let rigid = row.loaded + share.unwrap_or_default() * learnt + row.payload;
+        let (Some(active), Some(network)) = (
+            state.active.friction.get(joint),
+            state.active.network.get(joint),
+        ) else {
             return RowOutcome::Rejected;
         };
+        let friction = dot(&row.columns.own, &active.0);
         let network = cut(network_output(network, row.qd), NETWORK_BOUND).0;
         let residual = (row.tau - rigid - friction) * inv_limit;
         state.monitor.add_row(
@@ -147,19 +154,26 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let mut columns = *row.columns;
         let gain = joint_attenuation::<A, N, P>(joint, row.qd, self.config.inv_period);
-        let commanded = columns.attenuate_cogging(joint, gain, &active);
+        let commanded = columns.attenuate_cogging(gain, active);
         let tau = row.tau - row.payload - commanded;
         let estimate = &mut state.estimate;
-        let Some(correction) = estimate.correct(&self.config, joint, row.limit, &columns, tau)
+        let Some(correction) =
+            estimate.correct_joint(&self.config, joint, row.limit, &columns, tau)
         else {
             return RowOutcome::Rejected;
         };
         if let Some(slot) = state.innovation_variance.get_mut(joint) {
             *slot = correction.variance;
         }
-        let loaded = columns.dot(&state.supervisor.loaded);
-        let [_, older] = &state.supervisor.checkpoints;
-        let torques = [tau, loaded, tau - columns.dot(&older.estimate)];
+        let loaded = columns.friction_dot(joint, &state.supervisor.loaded) + row.loaded;
+        let [
+            _,
+            Checkpoint {
+                estimate: older, ..
+            },
+        ] = &state.supervisor.checkpoints;
+        let older = columns.friction_dot(joint, older) + columns.rigid_dot(older);
+        let torques = [tau, loaded, tau - older];
         let torques = torques.map(|torque| torque * inv_limit);
         let memory = self.config.supervisor.share_memory_s * self.config.inv_period;
         let fade = 1.0 - N as f32 / memory;

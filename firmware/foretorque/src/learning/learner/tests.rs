@@ -206,7 +206,7 @@ fn a_wrong_torque_sensor_leaves_parameters_within_bounds() {
     assert!(estimate.parameters().iter().all(|theta| theta.is_finite()));
     let mut moved = false;
     for (joint, friction) in active.friction.iter().enumerate() {
-        let deviation = learner.config.friction_sigma[joint].0;
+        let deviation = learner.config.sigma.friction[joint];
         for bound in &DISSIPATION_BOUNDS {
             let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
             let value = dot(bound, &friction.0);
@@ -261,7 +261,7 @@ fn a_well_known_parameter_moves_less_than_an_unknown_one() {
         let mut learner = Learner::<Ur5, N, P>::empty(config);
         learner.restart_with(config, &prior(), &start).unwrap();
         learn_ticks(&mut learner, 0..300, true);
-        let (estimate, sigma) = (learner.state.estimate.parameters(), config.sigma());
+        let (estimate, sigma) = (learner.state.estimate.parameters(), config.sigma);
         let prior = LinearParameters::of(&prior());
         let of = |of: &LinearParameters<N, P>| (of.friction[3][1], of.friction[0][1]);
         let (own, other) = (of(estimate), of(&sigma));
@@ -280,13 +280,13 @@ fn a_well_known_parameter_moves_less_than_an_unknown_one() {
 fn an_invalid_configuration_is_refused() {
     let good = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
     let mut sigma = good;
-    sigma.rigid_sigma[7] = 0.0;
+    sigma.sigma.rigid[7] = 0.0;
     let mut rate = good;
     rate.network.hidden_rate = f32::NAN;
     assert_eq!(good.validate(), Ok(()));
     assert_eq!(
         sigma.validate(),
-        Err(ConfigError::NotPositive("rigid_sigma"))
+        Err(ConfigError::NotPositive("sigma.rigid"))
     );
     assert_eq!(
         rate.validate(),

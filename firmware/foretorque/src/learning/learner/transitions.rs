@@ -210,8 +210,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         } else {
             let part = self.config.torque_step / largest;
             let estimate = state.estimate.parameters();
-            for (learnt, estimate) in learnt.set.iter_mut().zip(estimate.iter()) {
-                *learnt += part * (estimate - *learnt);
+            for (learnt, estimate) in learnt.set.parts_mut().into_iter().zip(estimate.parts()) {
+                for (learnt, estimate) in learnt.iter_mut().zip(estimate) {
+                    *learnt += part * (estimate - *learnt);
+                }
             }
             for (share, wanted) in learnt.share.joint.iter_mut().zip(shares) {
                 *share += part * (wanted - *share);

@@ -3,7 +3,7 @@
 use super::UdFilter;
 use super::rows::set;
 use crate::dynamics::FRICTION_COLUMNS;
-use crate::learning::parameters::{LinearParameters, dot};
+use crate::learning::parameters::{JointEntries, LinearParameters, dot};
 
 impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// Variance of friction column `column` of `joint`, in units of the prior variance; `None` if there is none.
@@ -37,7 +37,11 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         joint: usize,
         phi: &[f32; FRICTION_COLUMNS],
     ) -> f32 {
-        let f = self.transposed_times(joint, phi, &[0.0; P]);
+        let phi = JointEntries {
+            own: *phi,
+            ..JointEntries::ZERO
+        };
+        let f = self.transposed_times(joint, &phi);
         let Some(diagonal) = self.diagonal.friction.get(joint) else {
             return 0.0;
         };
@@ -114,7 +118,11 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         phi: &[f32; FRICTION_COLUMNS],
         gain: &mut LinearParameters<N, P>,
     ) {
-        let mut v = self.transposed_times(joint, phi, &[0.0; P]);
+        let phi = JointEntries {
+            own: *phi,
+            ..JointEntries::ZERO
+        };
+        let mut v = self.transposed_times(joint, &phi);
         let Some(diagonal) = self.diagonal.friction.get(joint) else {
             return;
         };

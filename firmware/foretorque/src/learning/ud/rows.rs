@@ -1,5 +1,7 @@
 //! Loops over U, several rows at once: half of the time of a learning step.
 
+use core::hint::black_box;
+
 /// Unrolled loop `each_row!(K < W { body })` over K = 0 … W − 1, with `K` a constant in the body.
 ///
 /// Written out, the running sums of the rows stay in registers even where the compiler does not unroll. A larger W does not
@@ -50,6 +52,9 @@ pub(super) struct ColumnUpdates<'a> {
 impl ColumnUpdates<'_> {
     /// Update of the columns from `start` on: `U_ij ← U_ij + λ_j b_i`, `b_i ← b_i + v_j U_ij` (old U).
     ///
+    /// A product v_j U_ij is added one turn later: in one basic block the compiler joins product and sum, which takes the
+    /// Cortex-M4 three cycles instead of two. The order of the sums stays.
+    ///
     /// * `part` entries of a row that belong to these columns
     #[inline(always)]
     pub(super) fn sweep<R, const W: usize>(
@@ -59,25 +64,33 @@ impl ColumnUpdates<'_> {
         start: usize,
         b: &mut [f32; W],
     ) {
-        let (mut sums, end) = (*b, self.v.len());
-        each_column!(j in start, end {
-            if let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) {
-                // Loads one after the other take a cycle each, loads between multiplications two.
-                let mut before = [0.0; W];
-                each_row!(K < W {
-                    if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
-                        before[K] = *u;
-                    }
-                });
-                each_row!(K < W {
-                    if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
-                        *u = before[K] + lambda * sums[K];
-                        sums[K] += v * before[K];
-                    }
-                });
-            }
+        let mut sums = *b;
+        // −0 + x is x.
+        let mut products = [-0.0; W];
+        for j in start..self.v.len() {
+            let (Some(&lambda), Some(&v)) = (self.lambda.get(j), self.v.get(j)) else {
+                break;
+            };
+            let mut before = [0.0; W];
+            each_row!(K < W {
+                if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
+                    before[K] = *u;
+                }
+            });
+            loaded();
+            each_row!(K < W {
+                sums[K] += products[K];
+            });
+            each_row!(K < W {
+                products[K] = v * before[K];
+                if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
+                    *u = before[K] + lambda * sums[K];
+                }
+            });
+        }
+        each_row!(K < W {
+            b[K] = sums[K] + products[K];
         });
-        *b = sums;
     }
 
     /// Update as [`sweep`](Self::sweep) of block `block` of the rigid rows, in compensated sums [Kahan 1965].
@@ -102,14 +115,26 @@ impl ColumnUpdates<'_> {
         let below = below.iter_mut().skip(from - block - 1);
         for ((place, (lambda, v)), below) in turns.zip(below) {
             each_row!(C < ROWS {
-                if let (Some(lambda), Some(v)) = (lambda.get(C), v.get(C)) {
+                let compensation = below.get_mut(C).and_then(|row| row.as_chunks_mut::<ROWS>().0.get_mut(block));
+                if let (Some(&lambda), Some(&v), Some(compensation)) = (lambda.get(C), v.get(C), compensation) {
+                    let mut before = [0.0; ROWS];
                     each_row!(K < ROWS {
-                        let u = rows.get_mut(K).and_then(|row| entry(row, place, C));
-                        let compensation = below.get_mut(C).and_then(|row| entry(row, block, K));
-                        if let (Some(u), Some(compensation), Some(b)) = (u, compensation, sums.get_mut(K)) {
-                            update_entry_compensated(u, compensation, b, *lambda, *v);
+                        if let Some(u) = rows.get_mut(K).and_then(|row| entry(row, place, C)) {
+                            before[K] = *u;
                         }
                     });
+                    let mut steps = *compensation;
+                    loaded();
+                    each_row!(K < ROWS {
+                        steps[K] += lambda * sums[K];
+                        let after = before[K] + steps[K];
+                        steps[K] -= after - before[K];
+                        sums[K] += v * before[K];
+                        if let Some(u) = rows.get_mut(K).and_then(|row| entry(row, place, C)) {
+                            *u = after;
+                        }
+                    });
+                    *compensation = steps;
                 }
             });
         }
@@ -172,15 +197,11 @@ fn update_entry(u: &mut f32, b: &mut f32, lambda: f32, v: f32) {
     *b += v * before;
 }
 
-/// [`update_entry`] with the rounding error of the entry carried in `compensation`.
+/// What was read from memory before stays before: loads one after the other take a Cortex-M4 one cycle each, loads between
+/// multiplications two. It costs nothing.
 #[inline(always)]
-fn update_entry_compensated(u: &mut f32, compensation: &mut f32, b: &mut f32, lambda: f32, v: f32) {
-    let before = *u;
-    let step = *compensation + lambda * *b;
-    let after = before + step;
-    *compensation = step - (after - before);
-    *u = after;
-    *b += v * before;
+fn loaded() {
+    black_box(());
 }
 
 /// Assignment of `value` to an entry, if it exists.

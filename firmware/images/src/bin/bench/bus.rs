@@ -26,6 +26,7 @@ pub(crate) struct Bus {
 
 impl Bus {
     /// Initialises in place; `None` if the configuration contradicts the arm, or the loop does not start.
+    #[inline(never)]
     pub(crate) fn init(place: &'static mut MaybeUninit<Self>) -> Option<&'static mut Self> {
         let joints = [1, 2, 3, 4, 5, 6].map(joint);
         let config = BusConfig {
