@@ -48,13 +48,12 @@ fn player(profile: &Profile, path: &Trajectory<6>, forward: bool) -> Player {
     BusPlayer::new(config, set, network).expect("it fits the arm")
 }
 
-/// RMS tracking error, mrad, over the end of a path that is learnt for `learn_s`.
-fn tracking_mrad(rate_hz: f64, forward: bool, learn_s: f64) -> f64 {
+/// RMS tracking error, mrad, over the end of a path that is learnt for `learn_s`; then the arm is parked.
+fn tracking_mrad(profile: &Profile, forward: bool, learn_s: f64) -> f64 {
     const JUDGED_S: f64 = 6.0;
-    let profile = profile(rate_hz);
     let robot = Robot::load("ur5").expect("built in");
     let path = path(&robot, learn_s + JUDGED_S);
-    let mut player = player(&profile, &path, forward);
+    let mut player = player(profile, &path, forward);
     player.arm().expect("it arms");
     player.approach(&path.at(0.0).q).expect("it comes there");
     player.controller.set_learning(forward);
@@ -70,14 +69,20 @@ fn tracking_mrad(rate_hz: f64, forward: bool, learn_s: f64) -> f64 {
             count += 1;
         }
     }
+    let counters = (0..6).map(|joint| player.controller.counters(joint).lost as usize);
+    let (lost, replies) = (counters.sum::<usize>(), 6 * path.ticks(player.period_s()));
+    assert!(1000 * lost < replies, "{lost} of {replies} replies lost");
+    let reason = player.park().expect("the bus is there");
+    assert!(player.network.all_off(), "{reason}");
     (sum / f64::from(count)).sqrt() * 1e3
 }
 
 #[test]
 fn feed_forward_from_the_description_tracks_three_times_better_than_the_drives_alone_after_30_s() {
     for rate_hz in [250.0, 500.0, 1000.0] {
-        let alone = tracking_mrad(rate_hz, false, 30.0);
-        let with = tracking_mrad(rate_hz, true, 30.0);
+        let profile = profile(rate_hz);
+        let alone = tracking_mrad(&profile, false, 30.0);
+        let with = tracking_mrad(&profile, true, 30.0);
         println!(
             "{rate_hz} Hz: {alone:.3} mrad alone, {with:.3} mrad with, ratio {:.2}",
             alone / with
@@ -320,7 +325,7 @@ fn drives_whose_limits_are_not_those_of_the_profile_are_not_armed() {
     assert!(player.network.all_off());
 }
 
-/// Gear, torque and gains of the drives of `profile`, spoken by another protocol.
+/// Gear, torque and gains of the drives of `profile`, over another protocol.
 fn spoken(profile: &Profile, protocol: impl Fn(Ranges) -> Protocol) -> Profile {
     let mut profile = profile.clone();
     for joint in &mut profile.joint {
@@ -361,7 +366,7 @@ fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
         spoken(&profile, move |_| {
             Protocol::Cia402(Cia402 {
                 mode: ControlMode::Position,
-                counts_per_turn: 524_288.0,
+                counts_per_turn: 1_048_576.0,
                 rated_torque,
             })
         })
@@ -392,45 +397,17 @@ fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
     ]
 }
 
-/// Tracking error of 4 s, mrad, after the approach.
-fn short_tracking_mrad(profile: &Profile, forward: bool) -> f64 {
-    let robot = Robot::load("ur5").expect("built in");
-    let path = path(&robot, 4.0);
-    let mut player = player(profile, &path, forward);
-    player.arm().expect("it arms");
-    player.approach(&path.at(0.0).q).expect("it comes there");
-    let (mut sum, ticks) = (0.0, path.ticks(player.period_s()));
-    for tick in 0..ticks {
-        let t_s = tick as f64 * player.period_s();
-        let motion = motion_f32(&path.at(t_s + profile.lead_s()));
-        player.tick(Some(&motion)).expect("the bus is there");
-        player.check().expect("no fault");
-        sum += (player.network.plant.q() - path.at(t_s).q).norm_squared() / 6.0;
-    }
-    let lost: u32 = (0..6)
-        .map(|joint| player.controller.counters(joint).lost)
-        .sum();
-    assert!(lost < 12, "{lost} periods without a reply");
-    let reason = player.park().expect("the bus is there");
-    assert!(player.network.all_off(), "{reason}");
-    (sum / ticks as f64).sqrt() * 1e3
-}
-
 #[test]
 fn every_family_of_drives_is_driven_and_a_fault_or_another_scale_ends_the_torque() {
     let robot = Robot::load("ur5").expect("built in");
     let path = path(&robot, 4.0);
-    let mut first = None;
     for (name, profile, other) in families() {
-        let alone = short_tracking_mrad(&profile, false);
-        let with = short_tracking_mrad(&profile, true);
+        let alone = tracking_mrad(&profile, false, 10.0);
+        let with = tracking_mrad(&profile, true, 10.0);
         println!("{name}: {alone:.3} mrad alone, {with:.3} mrad with");
-        // The same arm and path: the torque that a family carries is that of the others. The position controller of a CiA
-        // 402 drive is its own, so only the sign is compared.
-        let reference = *first.get_or_insert(with);
         assert!(
-            with < alone && (name == "cia402" || (with / reference - 1.0).abs() < 0.1),
-            "{name}: {with} mrad, {reference} mrad with the first family, {alone} mrad alone"
+            alone > 1.5 * with,
+            "{name}: {alone} mrad alone, {with} mrad with"
         );
         // The first torque of a drive that is switched on holds the arm where it stands.
         let mut arming = player(&profile, &path, true);

@@ -420,7 +420,7 @@ fn the_emulated_master_sends_the_bits_of_its_twin() {
     }
 }
 
-/// Frames of one period on a line: commands of a host, replies, and frames of nobody.
+/// Frames of one period on a line: commands of a host, replies, and frames of no drive.
 fn traffic(wiring: &Wiring<JOINTS>, period: u32) -> Ported {
     let mut ported = Vec::new();
     let mut frames = Frames::new();

@@ -164,6 +164,8 @@ impl DriveProfile {
     /// torque the frame cannot carry.
     pub fn check(&self) -> Result<(), ProfileError> {
         const POSITIVE: (f32, f32) = (1e-6, 1e6);
+        // A turn must fit into the target of a frame, an i32.
+        const COUNTS: (f32, f32) = (1.0, 2_147_483_648.0);
         let (ids, hosts) = match self.protocol {
             Protocol::MiniCheetah(_) | Protocol::Damiao(_) => ((1.0, 2047.0), (0.0, 2047.0)),
             Protocol::CyberGear(_) | Protocol::RobStride(_) => ((1.0, 127.0), (0.0, 255.0)),
@@ -195,15 +197,16 @@ impl DriveProfile {
                 ("velocity_scale", o.velocity_scale),
                 ("torque_scale", o.torque_scale),
             ],
-            Protocol::Cia402(c) => &[
-                ("counts_per_turn", c.counts_per_turn),
-                ("rated_torque", c.rated_torque),
-            ],
+            Protocol::Cia402(c) => &[("rated_torque", c.rated_torque)],
         };
         let scales = scales
             .iter()
             .map(|&(field, value)| (field, value, POSITIVE));
-        for (field, value, range) in place.into_iter().chain(scales) {
+        let counts = match self.protocol {
+            Protocol::Cia402(c) => Some(("counts_per_turn", c.counts_per_turn, COUNTS)),
+            _ => None,
+        };
+        for (field, value, range) in place.into_iter().chain(scales).chain(counts) {
             if !(value >= range.0 && value <= range.1) {
                 return Err(ProfileError {
                     field,

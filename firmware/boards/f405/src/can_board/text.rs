@@ -7,7 +7,7 @@ use foretorque_link::drives::text::{Direction, Line, read_line, write_line};
 
 /// Bit rate of moteus and its client.
 const BAUD: u32 = 921_600;
-/// Bytes taken and put in one call, at most: a line, so that a port whose flags lie holds nobody up.
+/// Bytes taken and put in one call, at most: a line; it bounds the time of a port with wrong flags.
 const BYTES: usize = 176;
 
 const RXNE: u32 = 1 << 5;

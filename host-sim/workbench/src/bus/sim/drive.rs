@@ -1,8 +1,8 @@
 //! One simulated drive: frames in, torque and frames out.
 
 use foretorque_link::drives::{
-    DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply, Order, Protocol, Request,
-    Scale,
+    ControlMode, DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply, Order,
+    Protocol, Request, Scale,
 };
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -95,6 +95,15 @@ impl SimulatedDrive {
         }
     }
 
+    /// The frames have a position and no speed: the drive takes it from one target to the next (CiA 402-2, cyclic
+    /// synchronous position).
+    fn derives_speed(&self) -> bool {
+        match self.truth.profile.protocol {
+            Protocol::Cia402(cia402) => cia402.mode == ControlMode::Position,
+            _ => false,
+        }
+    }
+
     /// Torque that it makes, N·m at the joint.
     pub fn torque(&self) -> f64 {
         self.torque
@@ -137,8 +146,12 @@ impl SimulatedDrive {
             return answer;
         };
         match request {
-            Request::Command(command) => {
-                self.silent_s = 0.0;
+            Request::Command(mut command) => {
+                let elapsed_s = std::mem::take(&mut self.silent_s);
+                if self.state == DriveState::Enabled && self.derives_speed() && elapsed_s > 0.0 {
+                    let step = f64::from(command.position - self.command.position);
+                    command.velocity = (step / elapsed_s) as f32;
+                }
                 if self.state == DriveState::Disabled && self.switched_on {
                     self.state = DriveState::Enabled;
                 }
