@@ -200,7 +200,7 @@ enum Fault {
     Disarmed,
     /// Ticks end; frames and time go on.
     Hung,
-    /// The host sends no command for 0.1 s.
+    /// The host sends no command for 110 ms.
     HostSilent,
     /// One drive does not reply any more.
     DriveSilent,
@@ -210,8 +210,8 @@ enum Fault {
     Jump,
 }
 
-/// Period in which the fault begins, that from which on every frame passes unchanged, and the last one.
-const FAULT: [usize; 3] = [60, 120, 200];
+/// Period of 1 ms in which the fault begins, that from which on every frame passes unchanged, and the last one.
+const FAULT: [usize; 3] = [60, 170, 260];
 
 /// A board in line with a fault.
 struct Faulty {
@@ -243,7 +243,7 @@ impl Transport for Faulty {
             drives.any(|drive| matches!(drive.accept(frame), Some(Request::Command(_))))
         };
         match self.fault {
-            Fault::HostSilent if begun && period < FAULT[0] + 50 => {
+            Fault::HostSilent if begun && period < FAULT[0] + 110 => {
                 came.retain(|(port, frame)| *port == 1 || !is_command(frame));
             }
             Fault::DriveSilent if begun => {
@@ -266,7 +266,7 @@ impl Transport for Faulty {
             }
             _ => {}
         }
-        board.now += 2;
+        board.now += 1;
         board.deliver(&came);
         rounds.push((came, board.left()));
         if self.fault == Fault::Hung && begun {
@@ -309,7 +309,8 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
         while rounds.borrow().len() < FAULT[2] {
             // A board that hangs does not answer.
             let _ = client.sample(&idle);
-            match (rounds.borrow().len(), fault) {
+            let period = rounds.borrow().len();
+            match (period, fault) {
                 (20, Fault::NotArmed) => {}
                 (20, _) => client.arm(&idle).expect("it can be armed"),
                 (60, Fault::Stopped) => client.stop().expect("it obeys"),

@@ -14,7 +14,7 @@ use std::time::Duration;
 const MOTEUS_CLIENT: &str = r#"
 import asyncio, sys, moteus
 async def main():
-    transport = moteus.Fdcanusb(sys.argv[1])
+    transport = moteus.Fdcanusb(sys.argv[1], command_timeout=10, response_timeout=10)
     drive = moteus.Controller(id=1, transport=transport)
     for _ in range(20):
         reply = await asyncio.wait_for(
@@ -77,7 +77,11 @@ fn the_client_of_moteus_drives_its_motor_through_the_board() {
             host.stream.set_nonblocking(true).expect("it can");
         }
         for line in motor.lines(false) {
-            let frame = read_line(&line).expect("a frame");
+            let Some(frame) = read_line(&line) else {
+                // Both ports acknowledge in the emulator.
+                assert_eq!(line, b"OK");
+                continue;
+            };
             let Some(request) = drive.accept(&frame) else {
                 panic!("{frame:?}");
             };
