@@ -23,6 +23,9 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// The longest command of a host is shorter than a sample.
 const SAMPLE_BYTES: usize = 70;
 
+/// Line by which a port takes a frame, with its sum.
+const ACKNOWLEDGEMENT: &[u8] = b"OK *BD";
+
 type Drives = BoardDrives<Ur5, JOINTS, PARAMETERS>;
 /// Frames with the ports at which they arrive or leave.
 type Ported = Vec<(u8, Frame)>;
@@ -184,7 +187,7 @@ impl Emulated {
         for line in self.ports[port].lines(waits) {
             match read_line(&line) {
                 Some(frame) => self.left.push((port as u8, frame)),
-                None => acknowledged += usize::from(line == b"OK"),
+                None => acknowledged += usize::from(line == ACKNOWLEDGEMENT),
             }
         }
         acknowledged

@@ -1,6 +1,6 @@
 //! moteus' own client, and one moteus, with the board between them.
 
-use super::{Emulated, profile, wiring};
+use super::{ACKNOWLEDGEMENT, Emulated, profile, wiring};
 use foretorque_link::bus::{BusJoint, Role, Wires};
 use foretorque_link::drives::text::{Direction, read_line, write_line};
 use foretorque_link::drives::{
@@ -79,7 +79,7 @@ fn the_client_of_moteus_drives_its_motor_through_the_board() {
         for line in motor.lines(false) {
             let Some(frame) = read_line(&line) else {
                 // Both ports acknowledge in the emulator.
-                assert_eq!(line, b"OK");
+                assert_eq!(line, ACKNOWLEDGEMENT);
                 continue;
             };
             let Some(request) = drive.accept(&frame) else {
