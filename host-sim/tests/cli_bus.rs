@@ -219,17 +219,9 @@ print("commands", seen, flush=True)
 
 #[test]
 fn drives_in_python_can_are_armed_and_follow() {
-    let python = std::env::var("FORETORQUE_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let there = Command::new(&python)
-        .args(["-c", "import can, msgpack"])
-        .stderr(Stdio::null())
-        .status();
-    if !there.is_ok_and(|status| status.success()) {
-        println!(
-            "skipped: {python} has no python-can with msgpack; FORETORQUE_PYTHON names one that has"
-        );
+    let Some(python) = crate::python::with("can, msgpack") else {
         return;
-    }
+    };
     let directory = directory("bus-python");
     let slow = changed(&directory, "rate_hz = 1000.0", "rate_hz = 100.0");
     write(directory.join("still.csv"), still(6, &["0", "6"]));

@@ -12,4 +12,6 @@ mod logged;
 mod orphans;
 mod planted;
 mod program;
+#[path = "../../tests/python.rs"]
+mod python;
 mod studies;

@@ -51,9 +51,9 @@ pub(super) struct ArmOptions {
 pub(super) struct RobotOptions {
     /// Robot: a built-in name, or a TOML, URDF or MJCF file; its log_columns map foreign logs
     #[arg(long)]
-    robot: String,
+    pub(super) robot: String,
     #[command(flatten)]
-    arm: ArmOptions,
+    pub(super) arm: ArmOptions,
 }
 
 impl RobotOptions {

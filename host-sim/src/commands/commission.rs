@@ -1,26 +1,28 @@
+use super::arm::ArmOptions;
 use super::boards::on_arm;
+use super::disturbances::Triple;
 use super::drive::wired;
 use super::terminal::{show, write_line};
-use super::{Failure, unusable};
+use super::{Failure, arguments as of, drive, excite, identify, positive, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
-use foretorque::learning::ParameterSet;
+use foretorque::learning::{ParameterSet, rated_payload};
 use foretorque_link::bank::NETWORK_SEED;
 use foretorque_link::drives::Frame;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{
-    Ask, BusChoice, BusError, BusPlayer, Commissioning, Network, Operator, Profile, Step,
+    Ask, BusChoice, BusError, BusPlayer, Commissioning, Found, Network, Operator, Profile, Step,
     WiredNetwork,
 };
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::files::write_whole;
-use foretorque_workbench::plant::{Plant, PlantConfig};
+use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use std::io::{self, BufRead};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Check the profile of an arm on its bus step by step, below a tenth of its torque, before it is driven
+/// Check the profile of an arm on its bus step by step, below a tenth of its torque, then drive and identify it
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
     /// Profile of the arm, with the pose in which it rests without torque (see docs/bus.md)
@@ -32,10 +34,23 @@ pub(super) struct Arguments {
     /// Do this step only; without it all, up to the first mistake
     #[arg(long, value_enum)]
     step: Option<StepName>,
-    /// Seed of the simulated arm
+    /// Mass of the known weight, kg; without it the step `weight` is left out
+    #[arg(long, value_parser = positive)]
+    weight_kg: Option<f64>,
+    /// Centre of mass of the known weight in the frame of the last link, m
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        default_value = "0,0,0",
+        allow_hyphen_values = true
+    )]
+    weight_com: Triple,
+    /// Seed of the simulated arm and of the search for the excitation
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Directory for commission.json
+    #[command(flatten)]
+    arm: ArmOptions,
+    /// Directory for commission.json and the directories excitation, driven and identified
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -53,16 +68,32 @@ enum StepName {
     Torque,
     /// Slow sweeps in the loop: friction
     Friction,
+    /// The same sweeps with a known weight: gain
+    Weight,
+    /// `excite`: a path that excites every parameter
+    Excite,
+    /// `drive`: that path, three times
+    Drive,
+    /// `identify`: parameters from its log
+    Identify,
 }
 
+/// Periods of the excitation that are driven.
+const PERIODS: f64 = 3.0;
+
 impl StepName {
-    const ALL: [(Self, Step); 5] = [
-        (Self::Find, Step::Find),
-        (Self::Turn, Step::Turn),
-        (Self::Zero, Step::Zero),
-        (Self::Torque, Step::Torque),
-        (Self::Friction, Step::Friction),
-    ];
+    /// The step on the arm; none where another command does it.
+    fn on_arm(self) -> Option<Step> {
+        Some(match self {
+            Self::Find => Step::Find,
+            Self::Turn => Step::Turn,
+            Self::Zero => Step::Zero,
+            Self::Torque => Step::Torque,
+            Self::Friction => Step::Friction,
+            Self::Weight => Step::Weight,
+            Self::Excite | Self::Drive | Self::Identify => return None,
+        })
+    }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
@@ -73,17 +104,107 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "{file}: rest_rad is missing: the pose of rest without torque"
         )));
     }
-    let robot = &Robot::load(&profile.robot)?;
-    on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot))
+    if arguments.step == Some(StepName::Weight) && arguments.weight_kg.is_none() {
+        return Err(unusable("--step weight needs --weight-kg"));
+    }
+    let robot = &arguments.arm.load(&profile.robot)?;
+    let wanted: Vec<StepName> = match arguments.step {
+        Some(step) => vec![step],
+        None => StepName::value_variants().to_vec(),
+    };
+    let on_arm: Vec<_> = wanted
+        .iter()
+        .filter_map(|name| Some((*name, name.on_arm()?)))
+        .collect();
+    if !on_arm.is_empty() {
+        on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot, &on_arm))?;
+    }
+    for name in wanted {
+        if name.on_arm().is_none() {
+            arguments.other(name, &profile)?;
+            show!("{name:?}: passed")?;
+        }
+    }
+    if arguments.step.is_none() {
+        let bank = arguments.out.join("identified/bank.bin");
+        show!("next: host-sim drive --bank {} --learn", bank.display())?;
+    }
+    Ok(())
 }
 
 impl Arguments {
+    /// A step that is a command of its own.
+    fn other(&self, name: StepName, profile: &Profile) -> Result<(), Failure> {
+        let directory = |name: &str| self.out.join(name).display().to_string();
+        let [excited, driven] = ["excitation", "driven"].map(directory);
+        let path = format!("{excited}/excitation.json");
+        let seed = self.seed.to_string();
+        match name {
+            StepName::Drive => {
+                if self.bus != BusChoice::Sim {
+                    prompt("the arm moves through its excitation next: keep clear")?;
+                }
+                let text = std::fs::read_to_string(&path).map_err(|error| {
+                    unusable(format!("{path}: {error}; the step before writes it"))
+                })?;
+                let period_s =
+                    serde_json::from_str::<serde_json::Value>(&text)?["period_s"].as_f64();
+                let duration_s = (PERIODS * period_s.unwrap_or_default()).to_string();
+                let (file, bus) = (self.profile.display().to_string(), self.bus.to_string());
+                let mut drive: drive::Arguments = of(&[
+                    "--profile",
+                    &file,
+                    "--bus",
+                    &bus,
+                    "--trajectory",
+                    &path,
+                    "--duration-s",
+                    &duration_s,
+                    "--seed",
+                    &seed,
+                    "--out",
+                    &driven,
+                ])?;
+                drive.arm = self.arm.clone();
+                drive::run(&drive)
+            }
+            StepName::Identify => {
+                let log = format!("{driven}/log.csv");
+                let out = directory("identified");
+                let words = ["--robot", &profile.robot, "--log", &log, "--out", &out];
+                let mut identify: identify::Arguments = of(&words)?;
+                identify.robot.arm = self.arm.clone();
+                identify::run(&identify)
+            }
+            _ => {
+                let words = [
+                    "--robot",
+                    &profile.robot,
+                    "--seed",
+                    &seed,
+                    "--out",
+                    &excited,
+                ];
+                let mut excite: excite::Arguments = of(&words)?;
+                excite.robot.arm = self.arm.clone();
+                excite::run(&excite)
+            }
+        }
+    }
+
     fn on<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
         profile: &Profile,
         robot: &Robot,
+        wanted: &[(StepName, Step)],
     ) -> Result<(), Failure> {
         let arguments = self;
+        let rated = f64::from(rated_payload::<A, N, P>());
+        if let Some(mass) = arguments.weight_kg.filter(|mass| *mass > rated) {
+            return Err(unusable(format!(
+                "--weight-kg {mass}: more than the {rated:.2} kg that the arm carries"
+            )));
+        }
         let config = profile.config::<A, N, P>()?;
         let rest = Joints::<N>::from_column_slice(&profile.rest_rad);
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
@@ -103,33 +224,55 @@ impl Arguments {
             Box::new(Attended(wired(&arguments.bus, profile)?))
         };
         let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
-        steps(arguments, Commissioning::new(player, model, rest))
+        arguments.steps(Commissioning::new(player, model, rest), wanted)
+    }
+
+    /// Executes the steps, and writes what was found up to the first mistake. A step alone keeps the findings of the others.
+    fn steps<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        mut arm: Commissioning<A, Box<dyn Operator>, N, P>,
+        wanted: &[(StepName, Step)],
+    ) -> Result<(), Failure> {
+        let file = self.out.join("commission.json");
+        if self.step.is_some()
+            && let Ok(text) = std::fs::read_to_string(&file)
+        {
+            let found: Vec<Found> = serde_json::from_str(&text)
+                .map_err(|error| unusable(format!("{}: {error}", file.display())))?;
+            if let Ok(found) = found.try_into() {
+                arm.found = found;
+            }
+        }
+        arm.weight = self.weight_kg.map(|mass| {
+            let Triple(com) = self.weight_com;
+            Payload::cube(mass, com, 0.0, 0.0).body
+        });
+        let mut outcome = Ok(());
+        for (name, step) in wanted {
+            if *step == Step::Weight && arm.weight.is_none() {
+                show!("Weight: left out, --weight-kg states no weight")?;
+                continue;
+            }
+            outcome = arm.step(*step);
+            if outcome.is_err() {
+                break;
+            }
+            show!("{name:?}: passed")?;
+        }
+        let text = serde_json::to_string_pretty(&arm.found.as_slice())? + "\n";
+        write_whole(&file, text.as_bytes())?;
+        Ok(outcome?)
     }
 }
 
-/// Executes the steps, and writes what was found up to the first mistake.
-fn steps<A: Arm<N, P>, const N: usize, const P: usize>(
-    arguments: &Arguments,
-    mut arm: Commissioning<A, Box<dyn Operator>, N, P>,
-) -> Result<(), Failure> {
-    let wanted = |name: &StepName| arguments.step.is_none_or(|only| only == *name);
-    let mut outcome = Ok(());
-    for (name, step) in StepName::ALL.into_iter().filter(|(name, _)| wanted(name)) {
-        outcome = arm.step(step);
-        if outcome.is_err() {
-            break;
-        }
-        show!("{name:?}: passed")?;
+/// Asks whoever is at the terminal for something, and waits until it is done.
+fn prompt(request: &str) -> io::Result<()> {
+    write_line(format_args!("{request}, then press Enter"))?;
+    let mut line = String::new();
+    match io::stdin().lock().read_line(&mut line)? {
+        0 => Err(io::ErrorKind::UnexpectedEof.into()),
+        _ => Ok(()),
     }
-    let text = serde_json::to_string_pretty(&arm.found.as_slice())? + "\n";
-    write_whole(&arguments.out.join("commission.json"), text.as_bytes())?;
-    outcome?;
-    if arguments.step.is_none() {
-        show!(
-            "next: host-sim excite, host-sim drive --trajectory excitation.json, host-sim identify"
-        )?;
-    }
-    Ok(())
 }
 
 /// A network with somebody at the terminal who moves the arm.
@@ -165,16 +308,19 @@ impl Operator for Attended {
                 let degrees = by_rad.to_degrees();
                 format!("turn joint {} by {degrees:+.0}° by hand", joint + 1)
             }
+            Ask::Weight(None) => {
+                "take every load off the arm and give each joint 45° of room around the pose of rest"
+                    .to_owned()
+            }
+            Ask::Weight(Some(body)) => {
+                let (mass, [x, y, z]) = (body.mass, body.com.into());
+                let at: [f64; 3] = [x, y, z];
+                format!("fix {mass} kg to the last link, centre of mass at {at:?} m in its frame")
+            }
         };
-        let gone = |error: io::Error| BusError::Gone {
+        prompt(&request).map_err(|error| BusError::Gone {
             name: "terminal".to_owned(),
             error,
-        };
-        write_line(format_args!("{request}, then press Enter")).map_err(gone)?;
-        let mut line = String::new();
-        match io::stdin().lock().read_line(&mut line).map_err(gone)? {
-            0 => Err(gone(io::ErrorKind::UnexpectedEof.into())),
-            _ => Ok(()),
-        }
+        })
     }
 }

@@ -88,7 +88,7 @@ struct JointTorque {
 
 /// Three numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Triple([f64; 3]);
+pub(super) struct Triple(pub(super) [f64; 3]);
 
 /// A growth that leaves something of what grows.
 fn growth(text: &str) -> Result<f64, String> {

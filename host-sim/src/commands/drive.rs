@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::boards::on_arm;
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
@@ -59,8 +60,10 @@ pub(super) struct Arguments {
     #[arg(long)]
     exact: bool,
     #[command(flatten)]
+    pub(super) arm: ArmOptions,
+    #[command(flatten)]
     disturbances: DisturbanceArguments,
-    /// Directory for log.csv, drive.json and bank.bin, the parameters in force at the end
+    /// Directory for log.csv, log.mcap, drive.json and bank.bin, the parameters in force at the end
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -89,7 +92,7 @@ struct Summary {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
-    let robot = &Robot::load(&profile.robot)?;
+    let robot = &arguments.arm.load(&profile.robot)?;
     on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot))
 }
 

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    robot: RobotOptions,
+    pub(super) robot: RobotOptions,
     /// Directory for excitation.json, excitation.csv, excitation.html and excitation.svg
     #[arg(long, value_name = "DIR")]
     out: PathBuf,

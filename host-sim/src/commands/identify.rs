@@ -24,7 +24,7 @@ use std::time::Duration;
 #[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    robot: RobotOptions,
+    pub(super) robot: RobotOptions,
     /// Training log (CSV or CSV.gz); may be given several times
     #[arg(long = "log", value_name = "FILE", required = true)]
     logs: Vec<PathBuf>,

@@ -85,6 +85,12 @@ fn share(text: &str) -> Result<f64, String> {
     share.ok_or_else(|| "must lie between 0 and 1".to_owned())
 }
 
+/// Arguments of a command as `words` give them, the others as without an option.
+fn arguments<A: clap::Args>(words: &[&str]) -> Result<A, Failure> {
+    let command = A::augment_args(clap::Command::new("host-sim").no_binary_name(true));
+    Ok(A::from_arg_matches(&command.try_get_matches_from(words)?)?)
+}
+
 /// Refuses a robot of so many joints.
 fn unsupported(joints: usize) -> Failure {
     unusable(format!("robots of {joints} joints are not supported"))

@@ -1,3 +1,4 @@
+use super::arm::ArmOptions;
 use super::boards::on_arm;
 use super::terminal::show;
 use super::{Failure, unusable};
@@ -7,7 +8,6 @@ use foretorque_link::bus::{Role, Wires, Wiring};
 use foretorque_link::drives::Protocol;
 use foretorque_workbench::bus::{JointEntry, Profile};
 use foretorque_workbench::files::write_whole;
-use foretorque_workbench::robot::Robot;
 use std::path::PathBuf;
 
 /// Write the drives of a profile as bytes for the flash of a board on their bus, the firmware `joint-can`
@@ -22,6 +22,8 @@ pub(super) struct Arguments {
     /// The one joint, from 1, whose drive is on this board; without it all
     #[arg(long)]
     joint: Option<usize>,
+    #[command(flatten)]
+    arm: ArmOptions,
     /// File for the bytes, which belong to address 0x08080000
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -40,7 +42,7 @@ enum RoleName {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
-    let robot = &Robot::load(&profile.robot)?;
+    let robot = &arguments.arm.load(&profile.robot)?;
     on_arm!(robot, A, N, P => arguments.write::<A, N, P>(&profile))
 }
 

@@ -9,8 +9,8 @@ use foretorque_workbench::bus::sim::{
 };
 use foretorque_workbench::bus::{BusPlayer, Commissioning, Profile, Step};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
-use foretorque_workbench::plant::{Plant, PlantConfig};
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
+use foretorque_workbench::robot::{Link, Perturbation, Robot};
 use std::path::Path;
 
 type Arm6 = Commissioning<Ur5, SimulatedNetwork<6>, 6, 40>;
@@ -85,6 +85,46 @@ fn an_arm_as_described_passes_below_a_tenth_of_its_torque() {
         let described = joint.friction.coulomb + 0.15 * joint.friction.viscous;
         let share = found.friction_nm.expect("swept") / described;
         assert!((0.6..1.8).contains(&share), "{share} of {described} N·m");
+    }
+    let sent = arm.found;
+    arm.step(Step::Weight).expect("nothing to weigh");
+    assert_eq!(arm.found, sent);
+    arm.weight = Some(weight());
+    arm.step(Step::Weight).expect("the gains are right");
+    println!("{:#?}", arm.found.map(|found| found.gain));
+    for (joint, found) in arm.found.iter().enumerate() {
+        // Gravity has no lever about a vertical axis, and next to none about the last two.
+        assert!(joint > 3 || found.gain.is_some() == (joint > 0), "{joint}");
+        if let Some((gain, deviation)) = found.gain {
+            assert!((gain - 1.0).abs() < 3.0 * deviation + 0.01, "{found:?}");
+        }
+    }
+    assert!(arm.player.network.all_off());
+}
+
+/// 2 kg, 5 cm aside of the flange.
+fn weight() -> Link {
+    Payload::cube(2.0, [0.05, 0.0, 0.05], 0.0, 0.0).body
+}
+
+#[test]
+fn a_known_weight_finds_a_gain_that_the_described_masses_do_not_show() {
+    for (joint, gain) in [(1, 1.4), (2, 0.7), (3, 1.3)] {
+        let mut arm = arm(|_| ());
+        let truth = *arm.player.network.drives[joint].truth();
+        arm.player.network.drives[joint] = SimulatedDrive::new(DriveTruth { gain, ..truth });
+        let (failed, _) = commissioned(&mut arm);
+        assert_eq!(failed, None);
+        arm.weight = Some(weight());
+        let failed = arm
+            .step(Step::Weight)
+            .expect_err("a wrong gain")
+            .to_string();
+        println!("{failed}");
+        let expected = format!("joint {}: gain of torque: 2 kg are ", joint + 1);
+        assert!(failed.starts_with(&expected), "{failed}");
+        let (found, _) = arm.found[joint].gain.expect("it is measured");
+        assert!((found / gain - 1.0).abs() < 0.1, "{found} for {gain}");
     }
 }
 

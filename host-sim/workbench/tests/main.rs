@@ -9,5 +9,7 @@ mod emulated_bus;
 mod emulated_drive;
 mod emulated_safety;
 mod native_board;
+#[path = "../../../tests/python.rs"]
+mod python;
 mod talk;
 mod trial;

@@ -10,6 +10,15 @@ use crate::board::{Board, Drive};
 use crate::clock::Clocks;
 use crate::fault::EnablePin;
 
+/// Switches the enable pin where it differs from `on`.
+#[inline(always)]
+pub(crate) fn switch<B: Board>(enable: &mut TorqueEnable<EnablePin<B>>, on: bool) {
+    if enable.is_on() != on {
+        // This pin cannot refuse.
+        let Ok(()) = if on { enable.on() } else { enable.off() };
+    }
+}
+
 /// The enable pin; torque is put out by whoever reads the replies, and measured there.
 pub struct EnableOnly<B: Board> {
     enable: TorqueEnable<EnablePin<B>>,
@@ -39,15 +48,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for 
 
     #[inline(always)]
     fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
-        let on = session.torque_enabled();
-        if self.enable.is_on() != on {
-            // This pin cannot refuse.
-            let Ok(()) = if on {
-                self.enable.on()
-            } else {
-                self.enable.off()
-            };
-        }
+        switch(&mut self.enable, session.torque_enabled());
     }
 
     #[inline(always)]

@@ -7,9 +7,10 @@ mod torque;
 
 use super::{BusError, BusPlayer, Network};
 use crate::dynamics::{Joints, ReferenceModel};
+use crate::robot::Link;
 use foretorque::arm::Arm;
 use foretorque_link::drives::{Frames, Order};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Angle by which each joint is turned by hand, rad.
 const TURN_RAD: f64 = 0.5;
@@ -34,6 +35,8 @@ pub enum Ask {
         /// Angle, rad.
         by_rad: f64,
     },
+    /// Fix this body to the last link, in whose frame it is given, or take every load off.
+    Weight(Option<Link>),
 }
 
 /// Somebody who can move the arm.
@@ -63,23 +66,27 @@ pub enum Step {
     Torque,
     /// Slow sweep of each joint in the loop, both ways: friction. The torque is that of the loop from here on.
     Friction,
+    /// The same sweeps aside of the pose of rest, without and with the known weight: gain of the torque.
+    Weight,
 }
 
 impl Step {
     /// All steps, in their order.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Find,
         Self::Turn,
         Self::Zero,
         Self::Torque,
         Self::Friction,
+        Self::Weight,
     ];
     /// Number of the first steps, in which no torque exceeds a tenth of its limit.
     pub const BELOW_A_TENTH: usize = 4;
 }
 
 /// Findings of one joint.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Found {
     /// Turn that the drive reports over the turn by hand.
     pub turn_ratio: Option<f64>,
@@ -91,6 +98,8 @@ pub struct Found {
     pub torque_ratio: Option<f64>,
     /// Friction in a slow sweep, half the difference of both ways, N·m.
     pub friction_nm: Option<f64>,
+    /// Torque of the known weight over the reported one, and its standard deviation; none where the weight has no lever.
+    pub gain: Option<(f64, f64)>,
 }
 
 /// Arm that is being commissioned.
@@ -99,6 +108,8 @@ pub struct Commissioning<A: Arm<N, P>, W: Operator, const N: usize, const P: usi
     pub player: BusPlayer<A, W, N, P>,
     /// Findings so far.
     pub found: [Found; N],
+    /// Known weight in the frame of the last link, for [`Step::Weight`].
+    pub weight: Option<Link>,
     model: ReferenceModel<N>,
     rest: Joints<N>,
 }
@@ -115,12 +126,13 @@ impl<A: Arm<N, P>, W: Operator, const N: usize, const P: usize> Commissioning<A,
         Self {
             player,
             found: [Found::default(); N],
+            weight: None,
             model,
             rest,
         }
     }
 
-    /// Executes a step; it may be repeated.
+    /// Executes a step; it may be repeated. Without a weight there is nothing to weigh.
     ///
     /// Errors: the mistake that it finds, with joint, field and both values; a bus that has gone.
     pub fn step(&mut self, step: Step) -> Result<(), BusError> {
@@ -135,6 +147,10 @@ impl<A: Arm<N, P>, W: Operator, const N: usize, const P: usize> Commissioning<A,
                 outcome
             }
             Step::Friction => self.friction(),
+            Step::Weight => match self.weight {
+                Some(body) => self.weigh(&body),
+                None => Ok(()),
+            },
         }
     }
 

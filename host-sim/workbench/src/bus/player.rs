@@ -25,7 +25,7 @@ pub struct BusPlayer<A: Arm<N, P>, W: Network, const N: usize, const P: usize> {
     pub network: W,
     learner: Learner<A, N, P>,
     mailbox: LearnerMailbox<N, P>,
-    /// Longest and summed delay of the ticks so far.
+    /// Delays of the ticks so far.
     pub jitter: Jitter,
 }
 
@@ -78,6 +78,11 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             mailbox: LearnerMailbox::new(),
             jitter: Jitter::default(),
         })
+    }
+
+    /// The learner.
+    pub fn learner(&self) -> &Learner<A, N, P> {
+        &self.learner
     }
 
     /// Period, s.

@@ -19,7 +19,7 @@ pub struct Profile {
     /// File it was read from.
     #[serde(skip)]
     pub file: String,
-    /// Robot: a built-in name or a description file.
+    /// Robot: a built-in name or a description file, which may lie beside the profile.
     pub robot: String,
     /// Ticks per second, Hz.
     pub rate_hz: f64,
@@ -63,7 +63,12 @@ impl Profile {
             problem,
         };
         let text = fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
-        Self::parse(&file, &text)
+        let mut profile = Self::parse(&file, &text)?;
+        let beside = path.with_file_name(&profile.robot);
+        if beside.is_file() {
+            profile.robot = beside.display().to_string();
+        }
+        Ok(profile)
     }
 
     /// A profile from the text of `file`.

@@ -39,6 +39,7 @@ use crate::arm::BoardSession;
 use crate::board::{Board, Drive, Ports};
 use crate::clock::Clocks;
 use crate::counter;
+use crate::drive::switch;
 use crate::fault::EnablePin;
 use crate::pin::{Pin, Port};
 use crate::pyboard::Pyboard;
@@ -197,14 +198,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for BusDrive<A
 
     fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
         let on = session.torque_enabled();
-        if self.enable.is_on() != on {
-            // This pin cannot refuse.
-            let Ok(()) = if on {
-                self.enable.on()
-            } else {
-                self.enable.off()
-            };
-        }
+        switch(&mut self.enable, on);
         let Self { drives, orders, .. } = self;
         let Some(drives) = &mut drives.0 else { return };
         let mut give = |order| {

@@ -10,6 +10,9 @@ const BAUD: u32 = 921_600;
 /// Bytes taken and put in one call, at most: a line; it bounds the time of a port with wrong flags.
 const BYTES: usize = 176;
 
+/// Acknowledgement of a line, with its sum: the client of moteus drops a line without one.
+const ACKNOWLEDGEMENT: &[u8] = b"OK *BD\n";
+
 const RXNE: u32 = 1 << 5;
 const ORE: u32 = 1 << 3;
 const TXE: u32 = 1 << 7;
@@ -55,7 +58,7 @@ const CR1: usize = 0x0c;
 pub(super) struct TextPort {
     uart: Uart,
     direction: Direction,
-    /// Lines that arrive are acknowledged by `OK`, as an adapter does: for moteus' client, and for the tests.
+    /// Lines that arrive are acknowledged, as an adapter does: for moteus' client, and for the tests.
     acknowledges: bool,
     waiting_acks: u8,
     received: Line,
@@ -100,7 +103,7 @@ impl TextPort {
                 self.sent = 0;
                 self.sending.clear();
                 // It has room for more.
-                let _ = self.sending.extend_from_slice(b"OK\n");
+                let _ = self.sending.extend_from_slice(ACKNOWLEDGEMENT);
             }
             let Some(&byte) = self.sending.get(self.sent) else {
                 break;

@@ -1,11 +1,11 @@
-//! Six MIT drives on a bus: the loop of a master, and a command that passes in line.
+//! Six MIT drives on a bus: the loop of a master, and a command that passes in line from port to port.
 
 use core::mem::MaybeUninit;
 
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, ParameterSet, Ur5};
 use foretorque::joint::JointMotion;
 use foretorque_link::bus::{BusConfig, BusController, BusJoint, BusPhase};
-use foretorque_link::drives::in_line::InLine;
+use foretorque_link::drives::in_line::{Bridge, InLine, Port};
 use foretorque_link::drives::{
     Carry, DriveProfile, Frame, Frames, JointCommand, JointReply, Protocol, Ranges,
 };
@@ -19,9 +19,28 @@ pub(crate) struct Bus {
     controller: BusController<Ur5, JOINTS, PARAMETERS>,
     mailbox: LearnerMailbox<JOINTS, PARAMETERS>,
     replies: [Frame; JOINTS],
-    in_line: InLine<JOINTS>,
+    bridge: Bridge<Mailbox, JOINTS>,
     command: Frame,
-    passing: Frame,
+}
+
+/// A port with room for one frame each way.
+#[derive(Default)]
+struct Mailbox {
+    arrived: Option<Frame>,
+    left: Option<Frame>,
+}
+
+impl Port for Mailbox {
+    #[inline(always)]
+    fn receive(&mut self) -> Option<Frame> {
+        self.arrived.take()
+    }
+
+    #[inline(always)]
+    fn send(&mut self, frame: &Frame) -> bool {
+        self.left = Some(*frame);
+        true
+    }
 }
 
 impl Bus {
@@ -58,9 +77,8 @@ impl Bus {
             controller: BusController::new(config, ParameterSet::nominal::<Ur5>(1)).ok()?,
             mailbox: LearnerMailbox::new(),
             replies: [a, b, c, d, e, f],
-            in_line,
+            bridge: Bridge::new([Mailbox::default(), Mailbox::default()], Some(in_line)),
             command,
-            passing: command,
         });
         for _ in 0..START {
             bus.tick();
@@ -84,11 +102,15 @@ impl Bus {
         core::hint::black_box(&tick);
     }
 
-    /// One command that passes in line.
+    /// One command that passes in line: taken, looked up, changed, queued and sent.
     #[inline(always)]
     pub(crate) fn pass(&mut self) {
-        self.passing = self.command;
-        core::hint::black_box(self.in_line.to_drives(&mut self.passing, 0));
+        let [host, _] = self.bridge.ports();
+        host.arrived = Some(self.command);
+        self.bridge.pass(0, |_, frame| {
+            core::hint::black_box(frame);
+        });
+        core::hint::black_box(self.bridge.ports());
     }
 }
 

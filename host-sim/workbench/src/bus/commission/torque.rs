@@ -1,8 +1,9 @@
-//! Steps of commissioning with torque: a push, and slow sweeps in the loop.
+//! Steps of commissioning with torque: a push, slow sweeps in the loop, a known weight.
 
-use super::{BusError, Commissioning, Operator, mistake};
+use super::{Ask, BusError, Commissioning, Operator, mistake};
 use crate::closed_loop::motion_f32;
-use crate::dynamics::State;
+use crate::dynamics::{Joints, State};
+use crate::robot::Link;
 use foretorque::arm::Arm;
 use foretorque::joint::JointMotion;
 use foretorque_link::drives::{Carry, DriveState, Event, Frames, JointCommand, Order};
@@ -16,9 +17,15 @@ const PUSH: (f64, f64) = (0.4, 0.04);
 const MOVED_RAD: f64 = 0.01;
 /// Ratios of the torque that arrives to the commanded one that pass.
 const RATIOS: std::ops::Range<f64> = 0.5..2.0;
-/// Half the angle of a friction sweep, rad, and its speed, rad/s.
+/// Half the angle of a slow sweep, rad, and its speed, rad/s.
 const SWEEP_RAD: f64 = 0.15;
 const SWEEP_RAD_S: f64 = 0.15;
+/// Parts of a sweep: their spread is the deviation of its mean.
+const BLOCKS: usize = 8;
+/// Angle between the pose of rest and that in which a joint weighs, rad.
+pub(super) const TILT_RAD: f64 = 0.6;
+/// Largest error of a gain that a data sheet explains.
+const GAIN_ERROR: f64 = 0.2;
 
 impl<A: Arm<N, P>, W: Operator, const N: usize, const P: usize> Commissioning<A, W, N, P> {
     /// Pushes a joint with rising torques until it moves, then compares push and coasting with its inertia.
@@ -83,35 +90,113 @@ impl<A: Arm<N, P>, W: Operator, const N: usize, const P: usize> Commissioning<A,
 
     /// Sweeps each joint both ways in the loop and compares the torques with the described arm.
     pub(super) fn friction(&mut self) -> Result<(), BusError> {
+        let swept = self.sweeps(&[self.rest; N])?;
+        for (found, [up, down]) in self.found.iter_mut().zip(swept) {
+            let mean = |way: [f64; BLOCKS]| way.iter().sum::<f64>() / BLOCKS as f64;
+            found.friction_nm = Some(0.5 * (mean(up) - mean(down)));
+        }
+        Ok(())
+    }
+
+    /// Weighs a known body with each joint, in the pose near rest where the joint feels it most.
+    pub(super) fn weigh(&mut self, body: &Link) -> Result<(), BusError> {
+        let loaded = self.model.with_payload(body);
+        let lever = |q: &Joints<N>, joint: usize| {
+            loaded.gravity_torques(q)[joint] - self.model.gravity_torques(q)[joint]
+        };
+        let poses: [Joints<N>; N] = std::array::from_fn(|joint| {
+            let (low, high) = A::limits()[joint].position;
+            let inside = f64::from(low) + SWEEP_RAD..f64::from(high) - SWEEP_RAD;
+            let tilted = [TILT_RAD, -TILT_RAD].map(|tilt| {
+                let mut pose = self.rest;
+                pose[joint] += tilt;
+                pose
+            });
+            let admissible = tilted.into_iter().filter(|q| inside.contains(&q[joint]));
+            let felt = |q: &Joints<N>| lever(q, joint).abs();
+            let best = admissible.max_by(|a, b| felt(a).total_cmp(&felt(b)));
+            best.unwrap_or(self.rest)
+        });
+        let expected: [f64; N] = std::array::from_fn(|joint| lever(&poses[joint], joint));
+        self.player.network.ask(&Ask::Weight(None))?;
+        let before = self.sweeps(&poses)?;
+        self.player.network.ask(&Ask::Weight(Some(*body)))?;
+        let after = self.sweeps(&poses);
+        self.player.network.ask(&Ask::Weight(None))?;
+        let after = after?;
+        for (joint, expected) in expected.into_iter().enumerate() {
+            // The mean of both ways is free of friction. Both ways pass the pose on opposite sides.
+            let load = |[up, down]: [[f64; BLOCKS]; 2], k: usize| 0.5 * (up[k] + down[k]);
+            let shares: [f64; BLOCKS] = std::array::from_fn(|k| {
+                (load(after[joint], k) - load(before[joint], k)) / expected
+            });
+            let count = BLOCKS as f64;
+            let mean = shares.iter().sum::<f64>() / count;
+            let squares: f64 = shares.iter().map(|share| (share - mean).powi(2)).sum();
+            let deviation = (squares / (count * (count - 1.0))).sqrt();
+            // A lever that noise drowns says nothing.
+            if deviation.is_nan() || 3.0 * deviation > GAIN_ERROR {
+                self.found[joint].gain = None;
+                continue;
+            }
+            let gain = mean.recip();
+            self.found[joint].gain = Some((gain, deviation * gain * gain));
+            if (gain - 1.0).abs() > GAIN_ERROR {
+                let (mass, measured) = (body.mass, mean * expected);
+                return Err(mistake(
+                    joint,
+                    format!(
+                        "gain of torque: {mass} kg are {expected:.2} N·m, {measured:.2} N·m are reported; it is {gain:.2}"
+                    ),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Sweeps each joint in the loop about its pose, rad, both ways. In blocks of either way: torque beyond the described
+    /// gravity, N·m.
+    fn sweeps(&mut self, poses: &[Joints<N>; N]) -> Result<[[[f64; BLOCKS]; 2]; N], BusError> {
         self.player.arm()?;
-        self.player.approach(&self.rest.clone())?;
-        for joint in 0..N {
-            let mut excess = [0.0; 2];
-            for (way, excess) in [1.0, -1.0].into_iter().zip(&mut excess) {
-                let mut start = self.rest;
+        let outcome = self.swept(poses);
+        let parked = self.player.park();
+        let excess = outcome?;
+        parked.map(|_| excess)
+    }
+
+    fn swept(&mut self, poses: &[Joints<N>; N]) -> Result<[[[f64; BLOCKS]; 2]; N], BusError> {
+        let period_s = self.player.period_s();
+        let mut all = [[[0.0; BLOCKS]; 2]; N];
+        for (joint, (pose, ways)) in poses.iter().zip(&mut all).enumerate() {
+            for (way, blocks) in [1.0, -1.0].into_iter().zip(ways) {
+                let mut start = *pose;
                 start[joint] -= way * SWEEP_RAD;
                 self.player.approach(&start)?;
-                let ticks = (2.0 * SWEEP_RAD / SWEEP_RAD_S / self.player.period_s()) as usize;
-                let mut count = 0;
+                let ticks = (2.0 * SWEEP_RAD / SWEEP_RAD_S / period_s) as usize;
+                let mut counts = [0.0; BLOCKS];
                 for tick in 0..ticks {
                     let mut desired = State::rest(start);
-                    let t_s = tick as f64 * self.player.period_s();
-                    desired.q[joint] += way * SWEEP_RAD_S * t_s;
+                    desired.q[joint] += way * SWEEP_RAD_S * tick as f64 * period_s;
                     desired.qd[joint] = way * SWEEP_RAD_S;
                     let result = self.player.tick(Some(&motion_f32(&desired)))?;
                     self.player.check()?;
-                    if let Some(measured) = result.measured.filter(|_| 2 * tick > ticks) {
+                    // The first half is for what the start has moved.
+                    let block = (2 * tick)
+                        .checked_sub(ticks)
+                        .map(|late| late * BLOCKS / ticks);
+                    if let Some((measured, block)) = result.measured.zip(block) {
                         let gravity = self.model.gravity_torques(&measured.q.cast())[joint];
-                        *excess += f64::from(measured.tau[joint]) - gravity;
-                        count += 1;
+                        blocks[block] += f64::from(measured.tau[joint]) - gravity;
+                        counts[block] += 1.0;
                     }
                 }
-                *excess /= f64::from(count.max(1));
+                for (sum, count) in blocks.iter_mut().zip(counts) {
+                    *sum /= count;
+                }
             }
-            self.found[joint].friction_nm = Some(0.5 * (excess[0] - excess[1]));
+            self.player.approach(&self.rest.clone())?;
         }
-        self.player.approach(&self.rest.clone())?;
-        self.player.park().map(drop)
+        Ok(all)
     }
 
     /// Holds the joints that have passed, damps this one, and waits.

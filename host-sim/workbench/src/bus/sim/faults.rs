@@ -30,12 +30,12 @@ pub enum LineFault {
     Reset(usize),
     /// The drive of a joint has a fault with this code at the begin.
     DriveFault(usize, u32),
-    /// No frame passes.
-    BusOff,
-    /// A foreign node sends this identifier all the time, ahead of everybody.
-    Babble(u32),
-    /// The bus runs at this share of its rate.
-    Overload(f64),
+    /// No frame passes a bus.
+    BusOff(usize),
+    /// A foreign node on a bus sends this identifier all the time, ahead of everybody.
+    Babble(usize, u32),
+    /// A bus runs at this share of its rate.
+    Overload(usize, f64),
 }
 
 /// Faults with their times, s.
@@ -89,8 +89,9 @@ impl LineFaults {
             .collect()
     }
 
-    pub(super) fn bus_is_off(&self, now_s: f64) -> bool {
-        self.active(now_s).any(|fault| fault == LineFault::BusOff)
+    pub(super) fn bus_is_off(&self, bus: usize, now_s: f64) -> bool {
+        self.active(now_s)
+            .any(|fault| fault == LineFault::BusOff(bus))
     }
 
     pub(super) fn is_dead(&self, joint: usize, now_s: f64) -> bool {
@@ -98,18 +99,18 @@ impl LineFaults {
             .any(|fault| fault == LineFault::Dead(joint))
     }
 
-    pub(super) fn babble(&self, now_s: f64) -> Option<Frame> {
+    pub(super) fn babble(&self, bus: usize, now_s: f64) -> Option<Frame> {
         self.active(now_s).find_map(|fault| match fault {
-            LineFault::Babble(id) => Some(Frame::standard(id, &[0; 8])),
+            LineFault::Babble(on, id) if on == bus => Some(Frame::standard(id, &[0; 8])),
             _ => None,
         })
     }
 
     /// Share of the bit rate that is left.
-    pub(super) fn speed(&self, now_s: f64) -> f64 {
+    pub(super) fn speed(&self, bus: usize, now_s: f64) -> f64 {
         self.active(now_s)
             .find_map(|fault| match fault {
-                LineFault::Overload(share) => Some(share),
+                LineFault::Overload(on, share) if on == bus => Some(share),
                 _ => None,
             })
             .unwrap_or(1.0)

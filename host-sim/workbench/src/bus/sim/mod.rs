@@ -13,7 +13,7 @@ pub use faults::{LineFault, LineFaults};
 use super::timing::{BitRates, frame_time_s};
 use super::{Ask, BusError, Network, Operator};
 use crate::dynamics::Joints;
-use crate::plant::{Plant, PlantConfig};
+use crate::plant::{Events, Payload, Plant, PlantConfig};
 use foretorque_link::bus::BusConfig;
 use foretorque_link::drives::{DriveState, Frame};
 use rand::SeedableRng;
@@ -150,10 +150,10 @@ impl<const N: usize> SimulatedNetwork<N> {
     fn carry(&mut self, bus: usize) {
         let now_s = self.t_s();
         let rates = BitRates {
-            nominal: self.rates.nominal * self.faults.speed(now_s),
+            nominal: self.rates.nominal * self.faults.speed(bus, now_s),
             ..self.rates
         };
-        if let Some(frame) = self.faults.babble(now_s) {
+        if let Some(frame) = self.faults.babble(bus, now_s) {
             self.lines[bus].waiting.push_front((now_s, None, frame));
         }
         while let Some(&(since_s, sender, frame)) = self.lines[bus].waiting.front() {
@@ -172,7 +172,7 @@ impl<const N: usize> SimulatedNetwork<N> {
 
     fn reach_drives(&mut self, bus: usize, frame: &Frame) {
         let now_s = self.t_s();
-        if self.faults.bus_is_off(now_s) {
+        if self.faults.bus_is_off(bus, now_s) {
             return;
         }
         let q = *self.plant.q();
@@ -192,7 +192,7 @@ impl<const N: usize> SimulatedNetwork<N> {
 
     fn reach_host(&mut self, bus: usize, joint: usize, frame: Frame) {
         let now_s = self.t_s();
-        if self.faults.bus_is_off(now_s) {
+        if self.faults.bus_is_off(bus, now_s) {
             return;
         }
         let arrived = self.faults.reply(joint, frame, now_s, &mut self.random);
@@ -231,7 +231,7 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
     }
 
     fn is_off(&self) -> bool {
-        self.faults.bus_is_off(self.t_s())
+        (0..self.lines.len()).any(|bus| self.faults.bus_is_off(bus, self.t_s()))
     }
 }
 
@@ -241,6 +241,18 @@ impl<const N: usize> Operator for SimulatedNetwork<N> {
         match ask {
             Ask::Pose(pose) => q.iter_mut().zip(pose).for_each(|(q, pose)| *q = *pose),
             Ask::Turn { joint, by_rad } => q[*joint] += by_rad,
+            Ask::Weight(body) => {
+                let held = body.map(|body| Payload {
+                    body,
+                    from_s: 0.0,
+                    to_s: f64::INFINITY,
+                });
+                let events = Events {
+                    payloads: held.into_iter().collect(),
+                    ..Events::default()
+                };
+                self.plant = self.plant.clone().with_events(events);
+            }
         }
         self.plant.place(&q);
         self.braked = true;

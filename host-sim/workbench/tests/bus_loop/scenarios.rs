@@ -1,0 +1,115 @@
+//! Learning over the bus: a payload, and friction that drifts. Torques are reported in steps of 12 bits.
+
+use super::{Player, Set, begin, described, network, path, profile};
+use foretorque::arm::ur5::Ur5;
+use foretorque::feedforward::evaluate;
+use foretorque::learning::rated_payload;
+use foretorque_workbench::bus::BusPlayer;
+use foretorque_workbench::closed_loop::motion_f32;
+use foretorque_workbench::dynamics::Joints;
+use foretorque_workbench::metrics::MOVING_RAD_S;
+use foretorque_workbench::plant::{Events, Payload, PlantConfig};
+use foretorque_workbench::robot::Robot;
+
+const RATE_HZ: f64 = 500.0;
+
+/// Plays a path while the loop learns; calls `seen` after every tick with the time, s.
+fn play(
+    set: Set,
+    plant: PlantConfig,
+    events: Events<6>,
+    duration_s: f64,
+    mut seen: impl FnMut(&Player, f64, &Joints<6>),
+) -> Player {
+    let (profile, path) = (profile(RATE_HZ), path(duration_s));
+    let config = profile.config::<Ur5, 6, 40>().expect("it fits the arm");
+    let network = network(&profile, &path, plant, events);
+    let mut player = BusPlayer::new(config, set, network).expect("it fits the arm");
+    begin(&mut player, &path);
+    player.controller.set_learning(true);
+    for tick in 0..path.ticks(player.period_s()) {
+        let t_s = tick as f64 * player.period_s();
+        let motion = motion_f32(&path.at(t_s + profile.lead_s()));
+        let result = player.tick(Some(&motion)).expect("the bus is there");
+        player.check().expect("no fault");
+        seen(&player, t_s, &result.torque.total.cast());
+    }
+    player
+}
+
+/// Parameters that are learnt over the bus, on an arm that does not change.
+fn learnt() -> Set {
+    let still = PlantConfig {
+        viscous_drift: 0.0,
+        ..PlantConfig::default()
+    };
+    let player = play(described(), still, Events::default(), 40.0, |_, _, _| {});
+    player.controller.feed_forward().in_force()
+}
+
+#[test]
+fn learnt_torque_follows_friction_that_drifts_by_a_third() {
+    let set = learnt();
+    let limits = Robot::load("ur5").expect("built in").joints;
+    let plant = PlantConfig {
+        viscous_drift: 0.3 / 60.0,
+        ..PlantConfig::default()
+    };
+    let (profile, path) = (profile(RATE_HZ), path(60.0));
+    let mut squares = [0.0; 2];
+    play(
+        set,
+        plant,
+        Events::default(),
+        60.0,
+        |player, t_s, acting| {
+            let desired = path.at(t_s + profile.lead_s());
+            let needed = player.network.plant.true_torque(&desired);
+            let frozen = evaluate::<Ur5, 6, 40>(&set, &motion_f32(&desired)).total;
+            for j in (0..6).filter(|&j| desired.qd[j].abs() > MOVING_RAD_S) {
+                let torques = [acting[j], f64::from(frozen[j])];
+                for (sum, torque) in squares.iter_mut().zip(torques) {
+                    *sum += ((torque - needed[j]) / limits[j].limits.torque).powi(2);
+                }
+            }
+        },
+    );
+    let ratio = (squares[0] / squares[1]).sqrt();
+    println!("learnt over frozen while friction drifts: {ratio:.3}");
+    assert!(ratio <= 0.8, "{ratio}");
+}
+
+#[test]
+fn a_payload_is_weighed_within_a_tenth_and_let_go() {
+    let set = learnt();
+    let rated = f64::from(rated_payload::<Ur5, 6, 40>());
+    for share in [0.15, 0.6] {
+        let mass = share * rated;
+        let (mut weighed, mut path_begins_s) = (Vec::new(), 0.0);
+        // Times of events are those of the plant, which waits on its brakes and approaches first.
+        let held = [(14.0, 20.0), (26.0, 32.0)];
+        let events = Events {
+            payloads: held
+                .map(|(from_s, to_s)| Payload::cube(mass, [0.02, -0.01, 0.05], from_s, to_s))
+                .to_vec(),
+            ..Events::default()
+        };
+        let plant = PlantConfig::default();
+        let player = play(set, plant, events, 38.0, |player, t_s, _| {
+            let plant_s = player.network.plant.t_s();
+            path_begins_s = plant_s - t_s;
+            let next = held.get(weighed.len());
+            if next.is_some_and(|(_, to_s)| plant_s >= to_s - 1.0) {
+                let quality = player.learner().state().report.quality;
+                weighed.push(f64::from(quality.payload.mass));
+            }
+        });
+        println!("{mass:.3} kg: {weighed:.3?}, path from {path_begins_s:.2} s");
+        assert_eq!(weighed.len(), held.len());
+        for found in weighed {
+            assert!((found / mass - 1.0).abs() <= 0.1, "{found} kg of {mass} kg");
+        }
+        let left = player.learner().state().report.quality.payload.mass;
+        assert!(left == 0.0, "{left} kg are left");
+    }
+}

@@ -1,0 +1,348 @@
+//! The board in line between a host and six drives.
+
+use super::{Emulated, FrameBoard, PATIENCE, Ported, SAMPLE_BYTES, Twin, profile, wiring};
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque::joint::JointSample;
+use foretorque_link::bus::{Role, Wiring};
+use foretorque_link::drives::{
+    Carry, DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply, Request,
+};
+use foretorque_link::safety::SafetyState;
+use foretorque_workbench::board::{Client, Transport};
+use foretorque_workbench::closed_loop::motion_f32;
+use foretorque_workbench::dynamics::{Joints, State};
+use std::cell::RefCell;
+use std::io;
+use std::rc::Rc;
+use std::time::Duration;
+
+/// Frames of one period on a line: commands of a host, replies, and frames of no drive.
+fn traffic(wiring: &Wiring<JOINTS>, period: u32) -> Ported {
+    let mut ported = Vec::new();
+    let mut frames = Frames::new();
+    let q = |joint: usize| 0.1 * (0.02 * f64::from(period) + joint as f64).sin() as f32;
+    for (index, joint) in wiring.joints.iter().flatten().enumerate() {
+        let command = JointCommand {
+            position: q(index),
+            kp: joint.kp,
+            kd: joint.kd,
+            ..JointCommand::default()
+        };
+        frames.clear();
+        let _ = joint
+            .drive
+            .command(&command, &mut Carry::default(), &mut frames);
+        ported.extend(frames.iter().map(|frame| (0, *frame)));
+        let foreign = [period as u8, index as u8, 0xff, 0xff];
+        ported.push((0, Frame::standard(0x300 + index as u32, &foreign)));
+        ported.push((1, Frame::extended(0x1234_5600 + period, &foreign)));
+        frames.clear();
+        let reply = JointReply {
+            position: Some(q(index)),
+            torque: Some(0.3 * q(index)),
+            state: Some(DriveState::Enabled),
+            ..JointReply::default()
+        };
+        joint.drive.reply(&reply, &mut frames);
+        ported.extend(frames.iter().map(|frame| (1, *frame)));
+    }
+    ported
+}
+
+/// A board in line: each sample of the host begins with a period of traffic.
+struct OnLine<B> {
+    board: B,
+    wiring: Wiring<JOINTS>,
+    rounds: Rc<RefCell<Rounds>>,
+}
+
+/// Frames that came in each period, and those that left for it.
+type Rounds = Vec<(Ported, Ported)>;
+
+impl<B: FrameBoard> Transport for OnLine<B> {
+    fn name(&self) -> String {
+        self.board.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        if bytes.len() > SAMPLE_BYTES {
+            let mut rounds = self.rounds.borrow_mut();
+            let came = traffic(&self.wiring, rounds.len() as u32);
+            self.board.deliver(&came);
+            rounds.push((came, self.board.left()));
+        }
+        self.board.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.board.receive(buffer, timeout)
+    }
+}
+
+fn of_port(frames: &Ported, port: u8) -> Vec<Frame> {
+    let of = frames.iter().filter(|(at, _)| *at == port);
+    of.map(|(_, frame)| *frame).collect()
+}
+
+/// Arms a board in line and stops it again; the frames that have left. Only torques of commands differ, by the board's.
+fn pass(board: impl FrameBoard + 'static, wiring: &Wiring<JOINTS>) -> Rounds {
+    let rounds = Rc::new(RefCell::new(Rounds::new()));
+    let on_line = OnLine {
+        board,
+        wiring: wiring.clone(),
+        rounds: Rc::clone(&rounds),
+    };
+    let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(Box::new(on_line), PATIENCE)
+        .unwrap_or_else(|error| panic!("{error}"));
+    client.set_timeout(PATIENCE);
+    // The motion that passes takes the place of this one.
+    let idle = idle();
+    let mut torques = std::collections::BTreeMap::new();
+    for period in 0..60 {
+        let reply = client.sample(&idle).expect("a torque");
+        if reply.safety.state == SafetyState::Armed {
+            torques.insert(rounds.borrow().len(), reply.total);
+        }
+        match period {
+            20 => client.arm(&idle).expect("it can be armed"),
+            45 => {
+                torques.remove(&rounds.borrow().len());
+                client.stop().expect("it obeys");
+            }
+            _ => {}
+        }
+    }
+    assert!(torques.len() > 20 && torques.values().any(|torque| torque.amax() > 10.0));
+    let drives: Vec<DriveProfile> = wiring.joints.iter().flatten().map(|j| j.drive).collect();
+    let rounds = rounds.borrow().clone();
+    let mut changed = 0;
+    for (period, (came, left)) in rounds.iter().enumerate() {
+        for port in 0..2 {
+            let (came, left) = (of_port(came, port), of_port(left, 1 - port));
+            assert_eq!(came.len(), left.len(), "period {period}");
+            for (came, left) in came.into_iter().zip(left) {
+                let joint = drives.iter().position(|drive| {
+                    port == 0 && matches!(drive.accept(&came), Some(Request::Command(_)))
+                });
+                let Some((joint, torque)) = joint.zip(torques.get(&period)) else {
+                    assert_eq!(came, left, "period {period}");
+                    continue;
+                };
+                let Some(Request::Command(command)) = drives[joint].accept(&left) else {
+                    panic!("{left:?}");
+                };
+                let error = (command.torque - torque[joint]).abs();
+                let step = drives[joint].torque_resolution();
+                assert!(
+                    error <= 2.0 * step,
+                    "period {period}, joint {joint}: {command:?}, {torque}"
+                );
+                changed += u32::from(came != left);
+            }
+        }
+    }
+    assert!(changed > 60, "{changed} commands changed");
+    rounds
+}
+
+fn idle() -> JointSample<JOINTS> {
+    JointSample {
+        desired: motion_f32(&State::rest(Joints::zeros())),
+        measured: None,
+    }
+}
+
+#[test]
+fn a_board_in_line_adds_its_torque_to_commands_alone() {
+    let mut profile = profile(500.0);
+    // One bus carries all.
+    profile.joint.iter_mut().for_each(|joint| joint.bus = 0);
+    let wiring = wiring(&profile, Role::InLine);
+    let twin = pass(Twin::new(&wiring), &wiring);
+    let emulated = pass(Emulated::start("in-line", Some(&wiring)), &wiring);
+    for (period, ((_, one), (_, other))) in twin.iter().zip(&emulated).enumerate() {
+        for port in 0..2 {
+            assert!(
+                of_port(one, port) == of_port(other, port),
+                "period {period}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_board_without_a_wiring_passes_every_frame_and_refuses_to_arm() {
+    let wiring = wiring(&profile(500.0), Role::InLine);
+    let mut board = Emulated::start("no-wiring", None);
+    for period in 0..5 {
+        let sent = traffic(&wiring, period);
+        board.deliver(&sent);
+        let left = board.left();
+        for port in 0..2 {
+            assert_eq!(
+                of_port(&sent, port),
+                of_port(&left, 1 - port),
+                "period {period}"
+            );
+        }
+    }
+    let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(Box::new(board), PATIENCE)
+        .unwrap_or_else(|error| panic!("{error}"));
+    let refused = client.arm(&idle()).expect_err("there are no drives");
+    assert!(refused.to_string().contains("drive fault"), "{refused}");
+}
+
+/// Faults of a board in line and of what is around it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fault {
+    NotArmed,
+    Stopped,
+    Disarmed,
+    /// Ticks end; frames and time go on.
+    Hung,
+    /// The host sends no command for 110 ms.
+    HostSilent,
+    /// One drive does not reply any more.
+    DriveSilent,
+    /// No frame comes from the drives: their bus is off.
+    DrivesOff,
+    /// The commanded position of a joint jumps by 1 rad.
+    Jump,
+}
+
+/// Period of 1 ms in which the fault begins, that from which on every frame passes unchanged, and the last one.
+const FAULT: [usize; 3] = [60, 170, 260];
+
+/// A board in line with a fault.
+struct Faulty {
+    line: OnLine<Twin>,
+    fault: Fault,
+}
+
+impl Transport for Faulty {
+    fn name(&self) -> String {
+        self.line.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let OnLine {
+            board,
+            wiring,
+            rounds,
+        } = &mut self.line;
+        if bytes.len() <= SAMPLE_BYTES {
+            return board.send(bytes);
+        }
+        let mut rounds = rounds.borrow_mut();
+        let (period, drives) = (rounds.len(), wiring.joints.iter().flatten());
+        let drives: Vec<DriveProfile> = drives.map(|joint| joint.drive).collect();
+        let begun = period >= FAULT[0];
+        let mut came = traffic(wiring, period as u32);
+        let is_command = |frame: &Frame| {
+            let mut drives = drives.iter();
+            drives.any(|drive| matches!(drive.accept(frame), Some(Request::Command(_))))
+        };
+        match self.fault {
+            Fault::HostSilent if begun && period < FAULT[0] + 110 => {
+                came.retain(|(port, frame)| *port == 1 || !is_command(frame));
+            }
+            Fault::DriveSilent if begun => {
+                came.retain(|(port, frame)| *port == 0 || drives[2].decode(frame).is_none());
+            }
+            Fault::DrivesOff if begun => came.retain(|(port, _)| *port == 0),
+            Fault::Jump if begun => {
+                let jump = JointCommand {
+                    position: 1.0,
+                    ..JointCommand::default()
+                };
+                let mut frames = Frames::new();
+                let _ = drives[1].command(&jump, &mut Carry::default(), &mut frames);
+                let commands = came.iter_mut().filter(|(port, _)| *port == 0);
+                commands
+                    .filter(|(_, frame)| {
+                        matches!(drives[1].accept(frame), Some(Request::Command(_)))
+                    })
+                    .for_each(|(_, frame)| *frame = frames[0]);
+            }
+            _ => {}
+        }
+        board.now += 1;
+        board.deliver(&came);
+        rounds.push((came, board.left()));
+        if self.fault == Fault::Hung && begun {
+            return Ok(());
+        }
+        board.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.line.receive(buffer, timeout)
+    }
+}
+
+#[test]
+fn every_fault_in_line_leaves_a_board_that_passes_frames() {
+    let mut profile = profile(500.0);
+    profile.joint.iter_mut().for_each(|joint| joint.bus = 0);
+    let wiring = wiring(&profile, Role::InLine);
+    for fault in [
+        Fault::NotArmed,
+        Fault::Stopped,
+        Fault::Disarmed,
+        Fault::Hung,
+        Fault::HostSilent,
+        Fault::DriveSilent,
+        Fault::DrivesOff,
+        Fault::Jump,
+    ] {
+        let rounds = Rc::new(RefCell::new(Rounds::new()));
+        let line = OnLine {
+            board: Twin::new(&wiring),
+            wiring: wiring.clone(),
+            rounds: Rc::clone(&rounds),
+        };
+        let board = Box::new(Faulty { line, fault });
+        let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(board, PATIENCE)
+            .unwrap_or_else(|error| panic!("{error}"));
+        client.set_timeout(Duration::from_millis(1));
+        let idle = idle();
+        while rounds.borrow().len() < FAULT[2] {
+            // A board that hangs does not answer.
+            let _ = client.sample(&idle);
+            let period = rounds.borrow().len();
+            match (period, fault) {
+                (20, Fault::NotArmed) => {}
+                (20, _) => client.arm(&idle).expect("it can be armed"),
+                (60, Fault::Stopped) => client.stop().expect("it obeys"),
+                (60, Fault::Disarmed) => client.disarm().expect("it obeys"),
+                _ => {}
+            }
+        }
+        let (mut changed, mut last) = (0, 0);
+        for (period, (came, left)) in rounds.borrow().iter().enumerate() {
+            for port in 0..2 {
+                let (came, left) = (of_port(came, port), of_port(left, 1 - port));
+                assert_eq!(came.len(), left.len(), "{fault:?}, period {period}");
+                for (came, left) in came.iter().zip(&left).filter(|(came, left)| came != left) {
+                    let mut drives = wiring.joints.iter().flatten().map(|joint| joint.drive);
+                    let command = |drive: DriveProfile, frame| {
+                        matches!(drive.accept(frame), Some(Request::Command(_)))
+                    };
+                    assert!(
+                        port == 0
+                            && drives.any(|drive| command(drive, came) && command(drive, left)),
+                        "{fault:?}, period {period}: {came:?} {left:?}"
+                    );
+                    (changed, last) = (changed + 1, period);
+                }
+            }
+        }
+        println!("{fault:?}: {changed} commands with torque, the last in period {last}");
+        assert_eq!(
+            changed > 100,
+            fault != Fault::NotArmed,
+            "{fault:?}: {changed}"
+        );
+        assert!(last < FAULT[1], "{fault:?}: torque in period {last}");
+    }
+}

@@ -1,0 +1,244 @@
+//! The board on a drive bus, in the emulator and as its twin in this process: master of six simulated drives, in line
+//! between a host and drives, and between moteus' own client and one moteus.
+
+mod in_line;
+mod master;
+mod moteus;
+
+use crate::bus_loop::{network, path, profile};
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque_link::bus::{BoardDrives, Role, Wires, Wiring};
+use foretorque_link::drives::Frame;
+use foretorque_link::drives::in_line::InLine;
+use foretorque_link::drives::text::{Direction, read_line, write_line};
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::board::{Native, Transport};
+use foretorque_workbench::bus::Profile;
+use std::io::{self, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::time::Duration;
+
+const PATIENCE: Duration = Duration::from_secs(10);
+/// The longest command of a host is shorter than a sample.
+const SAMPLE_BYTES: usize = 70;
+
+/// Line by which a port takes a frame, with its sum.
+const ACKNOWLEDGEMENT: &[u8] = b"OK *BD";
+
+type Drives = BoardDrives<Ur5, JOINTS, PARAMETERS>;
+/// Frames with the ports at which they arrive or leave.
+type Ported = Vec<(u8, Frame)>;
+
+/// A board whose ports the host sees.
+trait FrameBoard: Transport {
+    /// Frames arrive at the ports; returns when the board has taken them and what follows from them at once.
+    fn deliver(&mut self, frames: &[(u8, Frame)]);
+    /// Frames that have left.
+    fn left(&mut self) -> Ported;
+}
+
+/// The twin in this process.
+struct Twin {
+    board: Native<Ur5, JOINTS, PARAMETERS, Drives>,
+    in_line: Option<InLine<JOINTS>>,
+    /// Clock of the frames, ms.
+    now: u32,
+    left: Ported,
+}
+
+/// Time for which a torque is added after the last tick, ms.
+const EXPIRY: u32 = 20;
+
+impl Twin {
+    fn new(wiring: &Wiring<JOINTS>) -> Self {
+        let profiles = std::array::from_fn(|j| wiring.joints[j].map(|joint| joint.drive));
+        let in_line = wiring.role == Role::InLine;
+        Self {
+            board: Native::with_sensor(Drives::new(wiring)).expect("usable limits"),
+            in_line: in_line.then(|| InLine::new(profiles, EXPIRY)),
+            now: 0,
+            left: Vec::new(),
+        }
+    }
+}
+
+impl Transport for Twin {
+    fn name(&self) -> String {
+        self.board.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.board.send(bytes)?;
+        let (session, drives) = self.board.parts();
+        if !drives.ticked() {
+            let in_line = self.in_line.as_mut().filter(|_| !session.torque_enabled());
+            in_line.into_iter().for_each(InLine::clear);
+            return Ok(());
+        }
+        let left = &mut self.left;
+        let torques = drives.follow(session, false, |bus, frame| left.push((bus, *frame)));
+        match (&mut self.in_line, torques) {
+            (Some(in_line), Some(torques)) => in_line.set(&torques.data.0[0], self.now),
+            (Some(in_line), None) => in_line.clear(),
+            (None, _) => {}
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.board.receive(buffer, timeout)
+    }
+}
+
+impl FrameBoard for Twin {
+    fn deliver(&mut self, frames: &[(u8, Frame)]) {
+        for &(port, mut frame) in frames {
+            let (_, drives) = self.board.parts();
+            drives.receive(port, &frame);
+            if let Some(in_line) = &mut self.in_line {
+                if port == 0 {
+                    in_line.to_drives(&mut frame, self.now);
+                }
+                self.left.push((1 - port, frame));
+            }
+        }
+    }
+
+    fn left(&mut self) -> Ported {
+        std::mem::take(&mut self.left)
+    }
+}
+
+/// The board in the emulator, with lines on its ports.
+struct Emulated {
+    board: Emulator,
+    ports: [TextEnd; 2],
+    /// Every frame leaves again.
+    passes: bool,
+    left: Ported,
+}
+
+/// The host's end of a port.
+struct TextEnd {
+    stream: UnixStream,
+    bytes: Vec<u8>,
+}
+
+impl TextEnd {
+    /// Whole lines that have come; waits for some where `waits`.
+    fn lines(&mut self, waits: bool) -> Vec<Vec<u8>> {
+        let mut buffer = [0; 4096];
+        self.stream.set_nonblocking(!waits).expect("it can");
+        match self.stream.read(&mut buffer) {
+            Ok(count) => self.bytes.extend_from_slice(&buffer[..count]),
+            Err(error) if !waits && error.kind() == io::ErrorKind::WouldBlock => {}
+            Err(error) => panic!("the board is silent: {error}"),
+        }
+        self.stream.set_nonblocking(false).expect("it can");
+        let whole = self.bytes.iter().rposition(|byte| *byte == b'\n');
+        let rest = self.bytes.split_off(whole.map_or(0, |end| end + 1));
+        let lines = std::mem::replace(&mut self.bytes, rest);
+        let lines = lines
+            .split(|byte| *byte == b'\n')
+            .filter(|line| !line.is_empty());
+        lines.map(<[u8]>::to_vec).collect()
+    }
+}
+
+/// A file with the drives of a board, `None` with zeros.
+fn wiring_file(name: &str, wiring: Option<&Wiring<JOINTS>>) -> PathBuf {
+    let mut buffer = [0; Wiring::<JOINTS>::BYTES];
+    let bytes = match wiring {
+        Some(wiring) => wiring.encode(&mut buffer).expect("it fits").to_vec(),
+        None => buffer.to_vec(),
+    };
+    let file = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.wiring"));
+    std::fs::write(&file, bytes).expect("it can be written");
+    file
+}
+
+impl Emulated {
+    fn start(name: &str, wiring: Option<&Wiring<JOINTS>>) -> Self {
+        let mut options = QemuOptions::new(Image::Joint);
+        options.elf.set_file_name("joint-can");
+        options.wiring = Some(wiring_file(name, wiring));
+        let mut board = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
+        let ports = board.take_frame_ports().expect("it has a wiring");
+        let ports = ports.map(|end| {
+            let stream = UnixStream::from(end);
+            stream.set_read_timeout(Some(PATIENCE)).expect("it can");
+            TextEnd {
+                stream,
+                bytes: Vec::new(),
+            }
+        });
+        Self {
+            board,
+            ports,
+            passes: wiring.is_none_or(|wiring| wiring.role == Role::InLine),
+            left: Vec::new(),
+        }
+    }
+
+    /// Takes what a port has sent: frames; the number of acknowledgements.
+    fn take(&mut self, port: usize, waits: bool) -> usize {
+        let mut acknowledged = 0;
+        for line in self.ports[port].lines(waits) {
+            match read_line(&line) {
+                Some(frame) => self.left.push((port as u8, frame)),
+                None => acknowledged += usize::from(line == ACKNOWLEDGEMENT),
+            }
+        }
+        acknowledged
+    }
+}
+
+impl Transport for Emulated {
+    fn name(&self) -> String {
+        self.board.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.board.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.board.receive(buffer, timeout)
+    }
+}
+
+impl FrameBoard for Emulated {
+    fn deliver(&mut self, frames: &[(u8, Frame)]) {
+        // One after the other, so that the order over both ports is that of the twin.
+        for (port, frame) in frames {
+            let port = usize::from(*port);
+            let line = write_line(frame, Direction::Receive);
+            self.ports[port]
+                .stream
+                .write_all(&line)
+                .expect("it listens");
+            let mut acknowledged = 0;
+            while acknowledged == 0 {
+                acknowledged += self.take(port, true);
+            }
+            let before = self.left.len();
+            while self.passes && self.left.len() == before {
+                self.take(1 - port, true);
+            }
+        }
+    }
+
+    fn left(&mut self) -> Ported {
+        for port in 0..2 {
+            self.take(port, false);
+        }
+        std::mem::take(&mut self.left)
+    }
+}
+
+fn wiring(profile: &Profile, role: Role) -> Wiring<JOINTS> {
+    profile
+        .wiring::<Ur5, JOINTS, PARAMETERS>(role, Wires::Can)
+        .expect("it fits the arm")
+}
