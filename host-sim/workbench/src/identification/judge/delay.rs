@@ -118,7 +118,9 @@ impl Delay {
             let moment = sums.moments.column(delay).component_mul(&size);
             sums.powers[delay] - moment.dot(&(&inverse * &moment))
         });
-        let sound = free > sums.gram.nrows() as f64 && rests.min() > 0.0;
+        // A part less may leave fewer rows than a whole log needs.
+        let least = without.map_or(sums.gram.nrows() as f64, |_| 1.0);
+        let sound = free > least && rests.min() > 0.0;
         sound.then(|| rests.map(|rest| 0.5 * free * rest.ln()))
     }
 
