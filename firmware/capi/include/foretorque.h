@@ -25,7 +25,7 @@ enum ForetorqueStatus
   FORETORQUE_STATUS_TOO_SMALL = 2,
   // The memory is not aligned to `foretorque_alignment`.
   FORETORQUE_STATUS_MISALIGNED = 3,
-  // The period is not between 0.1 ms and 100 ms.
+  // The period is not between 0.1 ms and 20 ms.
   FORETORQUE_STATUS_PERIOD = 4,
   // The bytes are no parameter bank for this arm, or one with limits beyond the arm's.
   FORETORQUE_STATUS_BANK = 5,
@@ -35,6 +35,8 @@ enum ForetorqueStatus
   FORETORQUE_STATUS_REFUSED = 7,
   // Only while no torque flows.
   FORETORQUE_STATUS_ARMED = 8,
+  // The brakes take longer to close than 1 s.
+  FORETORQUE_STATUS_BRAKE = 9,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -169,6 +171,12 @@ ForetorqueStatus foretorque_tick(struct Foretorque *it,
                                  const struct ForetorqueSample *sample,
                                  struct ForetorqueTorque *out);
 
+// Learns from the tick that has just run, in the time that is left of it. Without this call nothing is learnt.
+//
+// # Safety
+// `it` comes from `foretorque_init`, and no other call on it is under way: a tick must not interrupt it.
+ForetorqueStatus foretorque_learn(struct Foretorque *it);
+
 // Lets torque through from the next sample on. Only after three fresh, plausible samples; `Refused` otherwise, with the
 // reason of docs/safety.md at `reason`.
 //
@@ -202,11 +210,13 @@ ForetorqueStatus foretorque_stop(struct Foretorque *it,
 // As those of `foretorque_disarm`.
 ForetorqueStatus foretorque_temperature(struct Foretorque *it, uint32_t joint, int8_t celsius);
 
-// Sets the time that the brakes take to close, microseconds; 0 without brakes. Only while no torque flows.
+// Sets the time that the brakes take to close, microseconds up to 1 s; 0 without brakes. Only while no torque flows; arming
+// needs three samples after it.
 //
 // # Safety
 // As those of `foretorque_disarm`.
-ForetorqueStatus foretorque_set_brake(struct Foretorque *it, uint32_t close_us);
+ForetorqueStatus foretorque_set_brake(struct Foretorque *it,
+                                      uint32_t close_us);
 
 // Writes the state of the safety.
 //
@@ -219,12 +229,6 @@ ForetorqueStatus foretorque_safety(struct Foretorque *it, struct ForetorqueSafet
 // # Safety
 // As those of `foretorque_safety`.
 ForetorqueStatus foretorque_limits(struct Foretorque *it, struct ForetorqueLimits *out);
-
-// Learns from the tick that has just run, in the time that is left of it. Without this call nothing is learnt.
-//
-// # Safety
-// `it` comes from `foretorque_init`, and no other call on it is under way: a tick must not interrupt it.
-ForetorqueStatus foretorque_learn(struct Foretorque *it);
 
 #ifdef __cplusplus
 }  // extern "C"

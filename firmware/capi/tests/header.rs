@@ -9,9 +9,7 @@ fn the_header_is_that_of_the_source() {
     let config = cbindgen::Config::from_file(place.join("cbindgen.toml")).expect("a configuration");
     let bindings = cbindgen::Builder::new()
         .with_config(config)
-        .with_src(place.join("src/types.rs"))
         .with_src(place.join("src/lib.rs"))
-        .with_src(place.join("src/safety.rs"))
         .generate()
         .expect("the source has bindings");
     let mut generated = Vec::new();

@@ -151,7 +151,8 @@ pub(crate) fn sealed(elf: &Path, name: &str, damaged: bool) -> PathBuf {
     let base = parts[0].p_paddr;
     let mut program = Vec::new();
     for part in &parts {
-        program.resize((part.p_paddr - base) as usize, 0xFF);
+        // Between two segments the emulator has zeros, where flash is erased.
+        program.resize((part.p_paddr - base) as usize, 0);
         program.extend_from_slice(file.segment_data(part).expect("it is in the file"));
     }
     let place = (seal - base) as usize;
