@@ -4,7 +4,9 @@ use crate::logged::{identify, log, log_of};
 use crate::program::{directory, failure, succeeds, text, write};
 use foretorque_workbench::robot::{Link, Robot};
 use nalgebra::{Matrix3, Vector3};
+use std::fs;
 use std::ops::Range;
+use std::path::Path;
 
 /// One row: time, then positions, velocities, accelerations and torques of six joints.
 type Row = Vec<f64>;
@@ -161,6 +163,33 @@ fn an_inaccurate_description_is_no_mistake() {
             "torque error joint by joint, wls:",
         ] {
             assert!(stdout.contains(words), "{stdout}");
+        }
+    }
+}
+
+#[test]
+fn a_sound_log_of_any_arm_is_refused_for_nothing() {
+    let here = directory("sound_logs");
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
+    let mut seed = 10;
+    for file in fs::read_dir(robots).expect("robots") {
+        let file = file.expect("readable").path();
+        let described = Robot::load(&file.display().to_string()).expect("described");
+        // Without friction and rotors, as most URDF describe arms; the simulated arm has neither friction.
+        let mut bare = described.clone();
+        for joint in &mut bare.joints {
+            (joint.friction.viscous, joint.friction.coulomb) = (0.0, 0.0);
+            joint.drive.rotor_inertia = 0.0;
+        }
+        for robot in [described, bare] {
+            seed += 1;
+            write(&here.join("arm.toml"), &robot.to_toml().expect("text"));
+            let path = "--trajectory validation --duration-s 12 --robot arm.toml --out log.csv";
+            succeeds(&here, &format!("simulate {path} --seed {seed}"));
+            succeeds(
+                &here,
+                "identify --data-check --robot arm.toml --log log.csv",
+            );
         }
     }
 }

@@ -210,7 +210,7 @@ impl Arguments {
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
-        if arguments.bus == BusChoice::Sim {
+        let network: Box<dyn Operator> = if arguments.bus == BusChoice::Sim {
             let truth = robot.perturbed(arguments.seed, &Perturbation::PLANT);
             let plant = plant_config(PlantConfig::default());
             let plant = Plant::<N>::new(&truth, plant, arguments.seed);
@@ -219,18 +219,18 @@ impl Arguments {
             let rates = profile.bus.first().copied().unwrap_or_default();
             let noise = Joints::zeros();
             let network = SimulatedNetwork::new(plant, &config, rates, &noise, arguments.seed);
-            let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
-            return arguments.steps(Commissioning::new(player, model, rest), wanted);
-        }
-        let network = Attended(wired(&arguments.bus, profile)?);
+            Box::new(network)
+        } else {
+            Box::new(Attended(wired(&arguments.bus, profile)?))
+        };
         let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
         arguments.steps(Commissioning::new(player, model, rest), wanted)
     }
 
     /// Executes the steps, and writes what was found up to the first mistake. A step alone keeps the findings of the others.
-    fn steps<A: Arm<N, P>, W: Network + Operator, const N: usize, const P: usize>(
+    fn steps<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
-        mut arm: Commissioning<A, W, N, P>,
+        mut arm: Commissioning<A, Box<dyn Operator>, N, P>,
         wanted: &[(StepName, Step)],
     ) -> Result<(), Failure> {
         let file = self.out.join("commission.json");

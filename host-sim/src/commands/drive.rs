@@ -106,17 +106,17 @@ impl Arguments {
         let drive = Drive::<A, N, P>::new(arguments, profile, robot)?;
         if arguments.bus != BusChoice::Sim {
             let network = wired(&arguments.bus, profile)?;
-            return drive.play(network, arguments.alone, None);
+            return drive.play(Box::new(network), arguments.alone, None);
         }
         let alone = if arguments.alone {
             None
         } else {
             let figure = drive
-                .tracking(drive.simulated()?, true, &mut |_| Ok(()))?
+                .tracking(Box::new(drive.simulated()?), true, &mut |_| Ok(()))?
                 .rms_mrad();
             Some(figure)
         };
-        drive.play(drive.simulated()?, arguments.alone, alone)
+        drive.play(Box::new(drive.simulated()?), arguments.alone, alone)
     }
 }
 
@@ -142,15 +142,15 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
 }
 
 /// Outcome of the ticks.
-struct Played<A: Arm<N, P>, W: Network, const N: usize, const P: usize> {
-    player: BusPlayer<A, W, N, P>,
+struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
+    player: BusPlayer<A, Box<dyn Network>, N, P>,
     ticks: usize,
     squares: f64,
     counted: usize,
     ended: Option<String>,
 }
 
-impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Played<A, W, N, P> {
+impl<A: Arm<N, P>, const N: usize, const P: usize> Played<A, N, P> {
     fn rms_mrad(&self) -> f64 {
         (self.squares / (N * self.counted.max(1)) as f64).sqrt() * 1e3
     }
@@ -224,19 +224,19 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     }
 
     /// Arms, approaches the path, plays it and parks.
-    fn tracking<W: Network>(
+    fn tracking(
         &self,
-        network: W,
+        network: Box<dyn Network>,
         alone: bool,
         log: &mut dyn FnMut(&TickRecord<N>) -> Result<(), Failure>,
-    ) -> Result<Played<A, W, N, P>, Failure> {
+    ) -> Result<Played<A, N, P>, Failure> {
         let mut set = self.set;
         if alone {
             set = ParameterSet::nominal::<A>(NETWORK_SEED);
             set.rigid.fill(0.0);
         }
         let interrupted = interrupted();
-        let mut player = BusPlayer::<A, W, N, P>::new(self.config, set, network)?;
+        let mut player = BusPlayer::new(self.config, set, network)?;
         player.arm()?;
         let mut played = Played {
             player,
@@ -255,9 +255,9 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         Ok(played)
     }
 
-    fn follow<W: Network>(
+    fn follow(
         &self,
-        played: &mut Played<A, W, N, P>,
+        played: &mut Played<A, N, P>,
         alone: bool,
         interrupted: &AtomicBool,
         log: &mut dyn FnMut(&TickRecord<N>) -> Result<(), Failure>,
@@ -317,9 +317,9 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     }
 
     /// Plays, and writes the files.
-    fn play<W: Network>(
+    fn play(
         &self,
-        network: W,
+        network: Box<dyn Network>,
         alone: bool,
         alone_mrad: Option<f64>,
     ) -> Result<(), Failure> {

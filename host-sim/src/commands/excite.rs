@@ -165,8 +165,7 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
             errors.join(", ")
         )?;
         show!(
-            "{:.3} % of the torque, condition number {:.1} (links' base regressor, {} columns, {}, raw SI; {:.1} in the board's frames), {} limits kept on {} points and between them",
-            certificate.predicted_nrmse_percent,
+            "condition number {:.1} (links' base regressor, {} columns, {}, raw SI; {:.1} in the board's frames), {} limits kept on {} points and between them",
             certificate.condition_number_dh,
             certificate.condition_number_columns,
             certificate.condition_number_frames,

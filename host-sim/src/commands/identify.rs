@@ -126,7 +126,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     arguments.columns_of_log.apply(&mut robot)?;
     let config = config(arguments, &robot)?;
     arms!(robot, N, P => {
-        identify_arm::<N>(arguments, &robot, &config, |outcome| bank::<N, P>(&robot, outcome))
+        identify_arm::<N>(arguments, &robot, &config, &|outcome| bank::<N, P>(&robot, outcome))
     }, else Err(unsupported(robot.joint_count())))
 }
 
@@ -184,7 +184,7 @@ fn identify_arm<const N: usize>(
     arguments: &Arguments,
     robot: &Robot,
     config: &IdentifyConfig,
-    bank: impl Fn(&Outcome<N>) -> Option<ParameterBank>,
+    bank: &dyn Fn(&Outcome<N>) -> Option<ParameterBank>,
 ) -> Result<(), Failure> {
     let judgement = judge::<N>(robot, &arguments.logs, &config.columns, &config.prepare)?;
     let out = match &arguments.out {

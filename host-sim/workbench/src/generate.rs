@@ -3,7 +3,7 @@
 use crate::arms;
 use crate::files::{at, write_whole};
 use crate::robot::{Joint, LINK_PARAMETERS, Robot};
-use foretorque::arm::{ArmModel, BaseIndex, BaseTerm, JointLimits, LinkColumns, Placement};
+use foretorque::arm::{ArmModel, BaseIndex, BaseTerm, LinkColumns, Placement};
 use foretorque::dynamics::BaseParameters;
 use std::path::Path;
 
@@ -35,14 +35,7 @@ pub fn arm_model<const N: usize, const P: usize>(robot: &Robot) -> Option<ArmMod
         columns,
         index: BaseIndex::of(&columns),
         base_map: terms.collect::<Vec<_>>().leak(),
-        limits: robot.each(|joint| JointLimits {
-            position: (
-                joint.limits.position.0 as f32,
-                joint.limits.position.1 as f32,
-            ),
-            velocity: joint.limits.velocity as f32,
-            torque: joint.limits.torque as f32,
-        })?,
+        limits: robot.each(|joint| joint.limits.of_board())?,
         cogging_cycles: robot.each(|joint| joint.friction.cogging_cycles_rev as f32)?,
         nominal,
         // As of the placements: −0 is 0.

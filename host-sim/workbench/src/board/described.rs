@@ -113,10 +113,10 @@ macro_rules! joints {
 #[macro_export]
 macro_rules! arms {
     ($robot:expr, $n:ident, $p:ident => $body:expr, else $other:expr) => {
-        $crate::arms!(@ $robot, $n, $p, $body, $other,
-            (1, 4) (2, 12) (3, 20) (4, 28) (5, 36) (6, 40) (6, 44) (7, 48) (7, 52) (8, 60))
+        $crate::arms!($robot, $n, $p in
+            (1, 4) (2, 12) (3, 20) (4, 28) (5, 36) (6, 40) (6, 44) (7, 48) (7, 52) (8, 60) => $body, else $other)
     };
-    (@ $robot:expr, $n:ident, $p:ident, $body:expr, $other:expr, $(($joints:literal, $parameters:literal))*) => {
+    ($robot:expr, $n:ident, $p:ident in $(($joints:literal, $parameters:literal))* => $body:expr, else $other:expr) => {
         match ($robot.joint_count(), $robot.base_map().rank()) {
             $(($joints, ..=$parameters) => {
                 const $n: usize = $joints;

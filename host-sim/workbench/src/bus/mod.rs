@@ -46,3 +46,25 @@ pub trait Network {
         false
     }
 }
+
+impl<W: Network + ?Sized> Network for Box<W> {
+    fn name(&self) -> String {
+        (**self).name()
+    }
+
+    fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError> {
+        (**self).send(bus, frame)
+    }
+
+    fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
+        (**self).receive()
+    }
+
+    fn wait(&mut self) -> Duration {
+        (**self).wait()
+    }
+
+    fn is_off(&self) -> bool {
+        (**self).is_off()
+    }
+}

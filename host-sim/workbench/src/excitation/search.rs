@@ -45,6 +45,9 @@ const TRIAL_INSTANTS: usize = 50;
 /// Factor on the speed of a joint whose torque is too large, and steps before a joint counts as too weak: to 2 %.
 const SLOWER: f64 = 0.7;
 const SLOWDOWNS: usize = 12;
+/// Shares of the torque limits for the described arm: the true one may be a quarter heavier; and where that leaves no path,
+/// what bounds on the rates between points leave.
+const TORQUE_SHARES: [f64; 2] = [0.75, 0.9];
 
 /// Configuration of a search.
 #[derive(Clone, Debug, PartialEq)]
@@ -183,12 +186,6 @@ impl<'a, const N: usize> Search<'a, N> {
         let clearance = (0..clearances.count())
             .map(|index| base + clearances.rate(index, &fastest) * HALF_STEP_S)
             .collect();
-        let torque = std::array::from_fn(|j| {
-            let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
-            let beyond = friction.coulomb * friction.stribeck_ratio + friction.cogging;
-            // Rates between points are bounded coarsely: leave a tenth.
-            (0.9 * limit - beyond).max(0.1 * limit)
-        });
         let experiment = Experiment::new(robot, &rows).ok_or_else(other_size)?;
         let parameters = rows.parameters(robot).ok_or_else(other_size)?;
         let bases = Bases::new();
@@ -197,7 +194,7 @@ impl<'a, const N: usize> Search<'a, N> {
                 experiment,
                 clearances,
                 limits,
-                torque,
+                torque: torques(robot, TORQUE_SHARES[0]),
                 parameters,
                 criterion: config.criterion,
                 ln_condition_limit: (config.condition_limit * CONDITION_SHARE).ln(),
@@ -224,24 +221,29 @@ impl<'a, const N: usize> Search<'a, N> {
     /// Errors: [`ExcitationError::TooWeak`], naming the joint.
     fn adapt_speed(&mut self) -> Result<(), ExcitationError> {
         let full = self.objective.limits.clone();
-        for _ in 0..SLOWDOWNS {
-            let needed = self.least_torques();
-            let share = |j: usize| needed[j] / self.objective.torque[j];
-            if (0..N).all(|j| share(j) <= 1.0) {
-                return Ok(());
-            }
-            for (j, limits) in full.iter().enumerate() {
-                // The joints before a weak one shake it, too: they slow down half as much.
-                let beyond = (j + 1..N).any(|k| share(k) > 1.0);
-                let factor = match (share(j) > 1.0, beyond) {
-                    (true, _) => SLOWER,
-                    (false, true) => SLOWER.sqrt(),
-                    (false, false) => 1.0,
-                };
-                self.origin.speed_share[j] *= factor;
-                let speed = self.origin.speed_share[j];
-                self.objective.limits[j].qd = limits.qd * speed;
-                self.objective.limits[j].qdd = limits.qdd * speed;
+        for torque_share in TORQUE_SHARES {
+            self.objective.torque = torques(self.robot, torque_share);
+            self.objective.limits.clone_from(&full);
+            self.origin.speed_share.fill(1.0);
+            for _ in 0..SLOWDOWNS {
+                let needed = self.least_torques();
+                let share = |j: usize| needed[j] / self.objective.torque[j];
+                if (0..N).all(|j| share(j) <= 1.0) {
+                    return Ok(());
+                }
+                for (j, limits) in full.iter().enumerate() {
+                    // The joints before a weak one shake it, too: they slow down half as much.
+                    let beyond = (j + 1..N).any(|k| share(k) > 1.0);
+                    let factor = match (share(j) > 1.0, beyond) {
+                        (true, _) => SLOWER,
+                        (false, true) => SLOWER.sqrt(),
+                        (false, false) => 1.0,
+                    };
+                    self.origin.speed_share[j] *= factor;
+                    let speed = self.origin.speed_share[j];
+                    self.objective.limits[j].qd = limits.qd * speed;
+                    self.objective.limits[j].qdd = limits.qdd * speed;
+                }
             }
         }
         let needed = self.least_torques();
@@ -461,6 +463,15 @@ impl<'a, const N: usize> Search<'a, N> {
             (None, None) => Err(refused),
         }
     }
+}
+
+/// Torque that friction leaves each joint of `share` of its limit, N·m; a tenth of the limit at least.
+fn torques<const N: usize>(robot: &Robot, share: f64) -> [f64; N] {
+    std::array::from_fn(|j| {
+        let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
+        let beyond = friction.coulomb * friction.stribeck_ratio + friction.cogging;
+        (share * limit - beyond).max(0.1 * limit)
+    })
 }
 
 #[cfg(test)]

@@ -160,6 +160,8 @@ pub struct Layout<const N: usize> {
     standard: Vec<usize>,
     model: ReferenceModel<N>,
     cogging: [f64; N],
+    /// Prior of every parameter on the board, 1/variance; 0 for those that every arm has.
+    precision: Vec<f64>,
 }
 
 /// Joints that gravity moves in some position: no upright axis, and no link turned about its centre of mass.
@@ -229,6 +231,14 @@ impl<const N: usize> Layout<N> {
                 });
             }
         }
+        let precision = parameters.iter().map(|parameter| match parameter.friction {
+            Some((term @ Board(column), joint)) if !term.is_plain() => {
+                let limits = robot.joints[joint].limits.of_board();
+                f64::from(column.properties().prior.deviation(&limits)).powi(-2)
+            }
+            _ => 0.0,
+        });
+        let precision = precision.collect();
         let mut width = 0;
         let offset = std::array::from_fn(|joint| {
             width += active[joint].len();
@@ -244,7 +254,16 @@ impl<const N: usize> Layout<N> {
             standard,
             model,
             cogging: std::array::from_fn(|joint| robot.joints[joint].friction.cogging_cycles_rev),
+            precision,
         })
+    }
+
+    /// Adds the board's prior of friction beyond viscous and Coulomb to weighted equations: a column that the motion hardly
+    /// shows stays at zero.
+    pub(super) fn add_prior(&self, gram: &mut DMatrix<f64>) {
+        for (place, precision) in self.precision.iter().enumerate() {
+            gram[(place, place)] += precision;
+        }
     }
 
     /// Places in this layout of the parameters of a poorer layout of the same robot.

@@ -100,11 +100,12 @@ pub(super) fn ols<const N: usize>(sums: &NormalEquations<N>, layout: &Layout<N>)
     })
 }
 
-/// Weighted least squares: the noise of each joint from the fit before.
+/// Weighted least squares: the noise of each joint from the fit before, and the board's prior of friction.
 pub(super) fn wls<const N: usize>(sums: &NormalEquations<N>, layout: &Layout<N>) -> Option<Fit<N>> {
     let mut fit = ols(sums, layout)?;
     for _ in 0..WEIGHT_ROUNDS {
-        let (gram, moment) = sums.weighted(layout, &fit.sigma);
+        let (mut gram, moment) = sums.weighted(layout, &fit.sigma);
+        layout.add_prior(&mut gram);
         let (theta, covariance) = solve(&gram, &moment)?;
         fit = Fit {
             sigma: noise(sums, layout, &theta),
@@ -138,7 +139,8 @@ pub(super) fn irls<const N: usize>(
         let (joints, sigma): (Vec<JointSums>, Vec<f64>) = rounds.into_iter().unzip();
         let sigma: [f64; N] = sigma.try_into().ok()?;
         let sums = NormalEquations::<N> { joints };
-        let (gram, moment) = sums.weighted(layout, &sigma);
+        let (mut gram, moment) = sums.weighted(layout, &sigma);
+        layout.add_prior(&mut gram);
         let (theta, covariance) = solve(&gram, &moment)?;
         let step = &theta - &fit.theta;
         let settled = step.dot(&(&gram * &step)) <= IRLS_SETTLED * IRLS_SETTLED * sums.count();

@@ -81,6 +81,9 @@ pub(super) fn parameter_intervals<const N: usize>(
             gram += &blocks[place].0;
             moment += &blocks[place].1;
         }
+        if result.name != MethodName::Ols {
+            layout.add_prior(&mut gram);
+        }
         // A draw may miss the blocks which show a parameter.
         Some(solve(&gram, &moment)?.0)
     });
@@ -124,7 +127,8 @@ pub(super) fn with_block_deviations<const N: usize>(
             .collect();
         fit.sigma[joint] * inflation(&residuals).sqrt()
     });
-    let (gram, moment) = sums.weighted(layout, &sigma);
+    let (mut gram, moment) = sums.weighted(layout, &sigma);
+    layout.add_prior(&mut gram);
     match solve(&gram, &moment) {
         // A prior may have made the fit surer than its rows.
         Some((_, covariance)) => {

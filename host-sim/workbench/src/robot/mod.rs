@@ -15,6 +15,7 @@ pub use body::Perturbation;
 pub use geometry::{Capsule, Placement, Workspace, segment_distance};
 pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 
+use foretorque::arm::JointLimits;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -128,6 +129,17 @@ pub struct Limits {
     /// Largest torque, N·m.
     #[serde(rename = "torque_nm")]
     pub torque: f64,
+}
+
+impl Limits {
+    /// Those the board knows, in its precision.
+    pub fn of_board(&self) -> JointLimits {
+        JointLimits {
+            position: (self.position.0 as f32, self.position.1 as f32),
+            velocity: self.velocity as f32,
+            torque: self.torque as f32,
+        }
+    }
 }
 
 /// One revolute joint and the link it carries.

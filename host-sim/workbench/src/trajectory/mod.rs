@@ -178,6 +178,23 @@ mod tests {
     }
 
     #[test]
+    fn a_weak_arm_moves_where_it_can_hold_itself() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        // Stretched out, gravity takes 56 N·m of the shoulder.
+        robot.joints[1].limits.torque = 45.0;
+        let model = crate::dynamics::ReferenceModel::<6>::new(&robot).expect("six joints");
+        for seed in 0..10 {
+            let path = Trajectory::<6>::validation(&robot, seed);
+            path.check(&robot, 1e-3).expect("inside the limits");
+            for k in 0..3000 {
+                let state = path.at(f64::from(k) * 1e-2);
+                let torque = model.inverse_dynamics(&state)[1].abs();
+                assert!(torque < 0.8 * 45.0, "seed {seed}: {torque} N·m");
+            }
+        }
+    }
+
+    #[test]
     fn the_validation_path_of_the_panda_stays_inside_its_ranges_and_torques() {
         let robot = Robot::load("panda").expect("built in");
         let model = crate::dynamics::ReferenceModel::<7>::new(&robot).expect("seven joints");

@@ -14,6 +14,46 @@ pub(crate) const VIA_RANGE_RAD: f64 = 2.0;
 const TORQUE_POINTS: usize = 10;
 /// Most steps of 15 % by which swings shrink for the torque limits.
 const MOST_SHRINKS: usize = 12;
+/// Share of the torque limits for the described arm: the true one may be a quarter heavier.
+const TORQUE_SHARE: f64 = 0.75;
+/// Share of the torque limits for gravity alone at the centre of the swings, and poses among which a centre is looked for.
+const GRAVITY_SHARE: f64 = 0.5;
+const CENTRES: usize = 400;
+
+/// Nearest of some random poses to `centre` in which gravity needs half of the torque limits at most, or the one in which it
+/// needs least; `None` where `centre` is such a pose.
+fn held<const N: usize>(
+    robot: &Robot,
+    centre: &Joints<N>,
+    random: &mut ChaCha8Rng,
+) -> Option<Joints<N>> {
+    let model = ReferenceModel::<N>::new(robot)?;
+    let share = |q: &Joints<N>| {
+        let shares = model.gravity_torques(q).abs();
+        let joints = shares.iter().zip(&robot.joints);
+        joints.fold(0.0_f64, |most, (torque, joint)| {
+            most.max(torque / joint.limits.torque)
+        })
+    };
+    if share(centre) <= GRAVITY_SHARE {
+        return None;
+    }
+    let poses = (0..CENTRES).map(|_| {
+        Joints::from_fn(|j, _| {
+            let (low, high) = robot.joints[j].limits.position;
+            let aside = 0.2 * (high - low);
+            random.random_range(low + aside..=high - aside)
+        })
+    });
+    // Poses that gravity allows come first, by their distance; the others by their torque.
+    let cost = |q: &Joints<N>| match share(q) {
+        share if share <= GRAVITY_SHARE => (0.0, (q - centre).norm()),
+        share => (share, 0.0),
+    };
+    let costs = poses.map(|q| (cost(&q), q));
+    let order = |a: &(f64, f64), b: &(f64, f64)| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1));
+    costs.min_by(|a, b| order(&a.0, &b.0)).map(|(_, q)| q)
+}
 
 /// A path through via points, one quintic a segment and joint: continuous up to the acceleration.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,8 +90,9 @@ impl<const N: usize> ViaPath<N> {
     /// Random via points inside the limits, at rest at both ends; the fastest joint reaches `peak_rad_s`.
     ///
     /// Via points lie within 2 rad of zero, or nearer about the nearest centre that leaves 10 % of the joint's range. Swings
-    /// shrink about that centre until speed and acceleration fit, then together until the described arm needs at most 95 %
-    /// of its torque limits, or gravity alone needs more.
+    /// shrink about that centre until speed and acceleration fit, then together until the described arm needs at most 75 %
+    /// of its torque limits. Where gravity needs half of a limit at the centre, the centre is the nearest of some random
+    /// poses where it does not, or the one where it needs least.
     pub fn random(robot: &Robot, seed: u64, duration_s: f64, peak_rad_s: f64) -> Self {
         let segments = (duration_s / SEGMENT_S).round().max(2.0) as usize;
         let segment_s = duration_s / segments as f64;
@@ -59,19 +100,27 @@ impl<const N: usize> ViaPath<N> {
         let mut points: Vec<Joints<N>> = (0..=segments)
             .map(|_| Joints::from_fn(|_, _| random.random_range(-VIA_RANGE_RAD..=VIA_RANGE_RAD)))
             .collect();
-        let mut centre = Joints::<N>::zeros();
+        let (mut centre, mut reach) = (Joints::<N>::zeros(), Joints::<N>::zeros());
         for (j, joint) in robot.joints.iter().take(N).enumerate() {
             let (low, high) = joint.limits.position;
             // Between via points the path leaves their range by a quarter at most.
-            let reach = (0.45 * (high - low)).min(1.25 * VIA_RANGE_RAD);
-            let share = reach / (1.25 * VIA_RANGE_RAD);
-            let aside = 0.05 * (high - low) + reach;
+            reach[j] = (0.45 * (high - low)).min(1.25 * VIA_RANGE_RAD);
+            let aside = 0.05 * (high - low) + reach[j];
             centre[j] = 0.0_f64
                 .max(low + aside)
                 .min((high - aside).max(0.5 * (low + high)));
-            for point in &mut points {
-                point[j] = centre[j] + share * point[j];
+        }
+        if let Some(pose) = held(robot, &centre, &mut random) {
+            centre = pose;
+            for (j, joint) in robot.joints.iter().take(N).enumerate() {
+                let (low, high) = joint.limits.position;
+                let room = (pose[j] - low).min(high - pose[j]) - 0.05 * (high - low);
+                reach[j] = reach[j].min(room);
             }
+        }
+        for point in &mut points {
+            let share = reach / (1.25 * VIA_RANGE_RAD);
+            *point = centre + share.component_mul(point);
         }
         let mut path = Self::through(&points, duration_s);
         let (mut qd, mut qdd) = (Joints::<N>::zeros(), Joints::<N>::zeros());
@@ -88,7 +137,7 @@ impl<const N: usize> ViaPath<N> {
         }
         path.shrink(&centre, &fits);
         for _ in 0..MOST_SHRINKS {
-            if path.torque_share(robot) <= 0.95 {
+            if path.torque_share(robot) <= TORQUE_SHARE {
                 break;
             }
             path.shrink(&centre, &Joints::repeat(0.85));

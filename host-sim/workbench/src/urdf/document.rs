@@ -66,7 +66,7 @@ pub(super) struct LimitElement {
 /// Prefixes without a declaration that are declared for a file; there is no sense in more.
 const MOST_PREFIXES: usize = 16;
 
-/// The text with its undeclared namespace prefixes declared, as parsers of robots overlook them.
+/// The text with its undeclared namespace prefixes declared, as common URDF parsers accept them undeclared.
 pub(super) fn with_prefixes(text: &str) -> String {
     let mut text = text.to_owned();
     for _ in 0..MOST_PREFIXES {

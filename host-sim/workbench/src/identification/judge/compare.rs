@@ -16,6 +16,10 @@ struct Explained {
     /// Torque over that of the description's links.
     scale: f64,
     deviation: f64,
+    /// Power that friction takes up, in units of the RMS torque times the RMS speed, and its standard deviation.
+    drag: (f64, f64),
+    /// Inertia beside that of the description's links, kg·m², and its standard deviation.
+    rotor: (f64, f64),
     /// Gravity is large enough to decide.
     heavy: bool,
 }
@@ -65,6 +69,8 @@ fn explain<const N: usize>(
             rest: 1.0,
             scale: 1.0,
             deviation: f64::INFINITY,
+            drag: (0.0, f64::INFINITY),
+            rotor: (0.0, f64::INFINITY),
             heavy: false,
         };
     };
@@ -72,10 +78,21 @@ fn explain<const N: usize>(
     let rest = (&y - &x * &beta).norm_squared();
     let noise = rest / (count.max(COLUMNS + 1) - COLUMNS) as f64;
     let gravity = links.iter().map(|link| link[1][joint].powi(2)).sum::<f64>();
+    // Mean power of the columns of friction, for a parameter of one each.
+    let mut power = DVector::zeros(COLUMNS);
+    for (row, state) in states.iter().enumerate() {
+        power[1] += x[(row, 1)] * state.qd[joint];
+        power[2] += x[(row, 2)] * state.qd[joint];
+    }
+    let rates: f64 = states.iter().map(|state| state.qd[joint].powi(2)).sum();
+    let size = f64::max((y.norm_squared() * rates).sqrt(), 1e-12);
+    let spread = (noise * power.dot(&(&inverse * &power))).sqrt();
     Explained {
         rest: rest / f64::max(variance, 1e-12),
         scale: beta[0],
         deviation: (noise * inverse[(0, 0)]).sqrt(),
+        drag: (power.dot(&beta) / size, spread / size),
+        rotor: (beta[3], (noise * inverse[(3, 3)]).sqrt()),
         heavy: (gravity / count.max(1) as f64).sqrt() > GRAVITY_SHARE * limit,
     }
 }
@@ -140,19 +157,18 @@ pub(super) fn compare<const N: usize>(
     let turned: Vec<usize> = (0..N)
         .filter(|&joint| sound(joint))
         .filter(|&joint| {
-            let seen = &extremes[joint];
-            let rate: f64 = states
-                .iter()
-                .map(|state| state.qd[joint].powi(2))
-                .sum::<f64>()
-                / states.len() as f64;
-            let size = (seen.power / f64::max(seen.rows, 1.0) * rate).sqrt();
-            let drawn = seen.moving / f64::max(seen.rows, 1.0) / f64::max(size, 1e-12);
-            let scale = &own[joint];
-            (heavy.contains(&joint)
-                && scale.scale < -0.3
-                && scale.scale.abs() > DEVIATIONS * scale.deviation)
-                || (!heavy.contains(&joint) && drawn < -0.25)
+            let own = &own[joint];
+            let clear = |(value, deviation): (f64, f64)| value.abs() > DEVIATIONS * deviation;
+            let against = |found: (f64, f64)| found.0 > 0.0 && clear(found);
+            // Friction takes power and rotors are inertia. Gravity of a body near the axis may have either sign.
+            if against(own.drag) || against(own.rotor) {
+                return false;
+            }
+            let links = (own.scale, own.deviation);
+            match own.heavy || clear(links) {
+                true => own.scale < -0.3 && clear(links),
+                false => own.drag.0 < -0.25 && clear(own.drag),
+            }
         })
         .collect();
     if !turned.is_empty() {

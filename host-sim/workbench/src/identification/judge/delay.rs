@@ -14,16 +14,29 @@ const CLEAR: f64 = 3.0;
 /// joint controller, ahead of the position it is seen in, and is fast.
 const AVERAGED_S: f64 = 0.1;
 
-/// Normal equations of one joint with its torque at several delays.
+/// Parts of a log that are left out in turn. The scatter of the delays without them counts what a deviation from the
+/// residuals does not: residuals that stay alike for long, and a second smallest cost elsewhere.
+const PARTS: usize = 8;
+
+/// Normal equations of one joint with its torque at several delays, part by part of the log.
 #[derive(Default)]
 pub(super) struct Delay {
-    gram: Option<DMatrix<f64>>,
+    /// Up to twice as many as parts; then neighbours are joined.
+    sums: Vec<Sums>,
+    /// Averages in each of them.
+    full: f64,
+    /// Columns and torques of the last rows that follow one another.
+    last: VecDeque<(DVector<f64>, DVector<f64>)>,
+}
+
+/// Normal equations of some rows.
+#[derive(Clone)]
+struct Sums {
+    gram: DMatrix<f64>,
     /// One column for each delay.
     moments: DMatrix<f64>,
     powers: DVector<f64>,
     count: f64,
-    /// Columns and torques of the last rows that follow one another.
-    last: VecDeque<(DVector<f64>, DVector<f64>)>,
 }
 
 /// Rows between two delays that are tried.
@@ -62,37 +75,75 @@ impl Delay {
         let columns = self.last.iter().map(|row| &row.0).sum::<DVector<f64>>() / rows;
         let torques = self.last.iter().map(|row| &row.1).sum::<DVector<f64>>() / rows;
         self.last.pop_front();
-        let gram = self.gram.get_or_insert_with(|| {
-            self.moments = DMatrix::zeros(columns.len(), torques.len());
-            self.powers = DVector::zeros(torques.len());
-            DMatrix::zeros(columns.len(), columns.len())
-        });
+        if self.sums.last().is_none_or(|last| last.count >= self.full) {
+            if self.sums.len() == 2 * PARTS {
+                self.sums = self.sums.chunks(2).filter_map(joined).collect();
+                self.full *= 2.0;
+            }
+            self.full = self.full.max(1.0);
+            self.sums.push(Sums {
+                gram: DMatrix::zeros(columns.len(), columns.len()),
+                moments: DMatrix::zeros(columns.len(), torques.len()),
+                powers: DVector::zeros(torques.len()),
+                count: 0.0,
+            });
+        }
+        let Some(sums) = self.sums.last_mut() else {
+            return;
+        };
         // Averages overlap: so many of them are worth one.
         let worth = 1.0 / rows;
-        gram.ger(worth, &columns, &columns, 1.0);
-        self.moments.ger(worth, &columns, &torques, 1.0);
-        self.powers += worth * torques.component_mul(&torques);
-        self.count += worth;
+        sums.gram.ger(worth, &columns, &columns, 1.0);
+        sums.moments.ger(worth, &columns, &torques, 1.0);
+        sums.powers += worth * torques.component_mul(&torques);
+        sums.count += worth;
     }
 
-    /// Minus the logarithm of the likelihood of every delay, up to a constant.
-    fn costs(&self) -> Option<DVector<f64>> {
-        let gram = self.gram.as_ref()?;
-        let size = gram
+    /// Minus the logarithm of the likelihood of every delay, up to a constant; `without` one of the parts.
+    fn costs(&self, without: Option<usize>) -> Option<DVector<f64>> {
+        let count = self.sums.len();
+        let kept = (0..count).filter(|sums| Some(sums * PARTS / count) != without);
+        let kept: Vec<Sums> = kept.map(|sums| self.sums[sums].clone()).collect();
+        let sums = joined(&kept)?;
+        let size = sums
+            .gram
             .diagonal()
             .map(|square| 1.0 / f64::max(square, f64::MIN_POSITIVE).sqrt());
-        let scaled = DMatrix::from_fn(gram.nrows(), gram.ncols(), |a, b| {
-            gram[(a, b)] * size[a] * size[b]
+        let scaled = DMatrix::from_fn(sums.gram.nrows(), sums.gram.ncols(), |a, b| {
+            sums.gram[(a, b)] * size[a] * size[b]
         });
         let inverse = scaled.pseudo_inverse(1e-8).ok()?;
-        let free = self.count - gram.nrows() as f64;
-        let rests = DVector::from_fn(self.powers.len(), |delay, _| {
-            let moment = self.moments.column(delay).component_mul(&size);
-            self.powers[delay] - moment.dot(&(&inverse * &moment))
+        let free = sums.count - sums.gram.nrows() as f64;
+        let rests = DVector::from_fn(sums.powers.len(), |delay, _| {
+            let moment = sums.moments.column(delay).component_mul(&size);
+            sums.powers[delay] - moment.dot(&(&inverse * &moment))
         });
-        let sound = free > gram.nrows() as f64 && rests.min() > 0.0;
+        // A part less may leave fewer rows than a whole log needs.
+        let least = without.map_or(sums.gram.nrows() as f64, |_| 1.0);
+        let sound = free > least && rests.min() > 0.0;
         sound.then(|| rests.map(|rest| 0.5 * free * rest.ln()))
     }
+
+    /// Costs with every part, and without each of them.
+    fn all_costs(&self) -> Option<Vec<DVector<f64>>> {
+        let parts = (0..PARTS).map(Some);
+        [None]
+            .into_iter()
+            .chain(parts)
+            .map(|without| self.costs(without))
+            .collect()
+    }
+}
+
+/// The sums of all `parts`.
+fn joined(parts: &[Sums]) -> Option<Sums> {
+    parts.iter().cloned().reduce(|mut all, part| {
+        all.gram += part.gram;
+        all.moments += part.moments;
+        all.powers += part.powers;
+        all.count += part.count;
+        all
+    })
 }
 
 /// Most likely delay and its standard deviation in steps, by a parabola through the smallest cost and its neighbours.
@@ -109,12 +160,23 @@ fn vertex(costs: &DVector<f64>) -> (f64, f64) {
 
 /// Delay of the torques behind the positions, common to all joints, of rows `period_s` apart.
 pub(super) fn delay(judgement: &mut Judgement, delays: &[Delay], period_s: f64) {
-    let Some(costs) = delays.iter().filter_map(Delay::costs).reduce(|a, b| a + b) else {
+    let sum = |mut all: Vec<DVector<f64>>, joint: Vec<DVector<f64>>| {
+        all.iter_mut()
+            .zip(&joint)
+            .for_each(|(all, own)| *all += own);
+        all
+    };
+    let Some(costs) = delays.iter().filter_map(Delay::all_costs).reduce(sum) else {
         return;
     };
     let step_s = step_rows(period_s) as f64 * period_s;
-    let (mean, deviation) = vertex(&costs);
-    let (mean, deviation) = (mean * step_s, deviation * step_s);
+    let (mean, analytic) = vertex(&costs[0]);
+    // The jackknife of Quenouille and Tukey.
+    let without: Vec<f64> = costs[1..].iter().map(|costs| vertex(costs).0).collect();
+    let centre = without.iter().sum::<f64>() / PARTS as f64;
+    let squares: f64 = without.iter().map(|one| (one - centre).powi(2)).sum();
+    let jackknife = (squares * (PARTS - 1) as f64 / PARTS as f64).sqrt();
+    let (mean, deviation) = (mean * step_s, analytic.max(jackknife) * step_s);
     judgement.delay_s = Some((mean, deviation));
     let clear = mean.abs() > CLEAR * deviation;
     if clear && mean.abs() > DELAY_S.1 {
