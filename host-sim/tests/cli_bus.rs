@@ -46,14 +46,31 @@ fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
 #[test]
 fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
     let directory = directory("commission");
-    let text = succeeds(
-        &directory,
-        &format!("commission --profile {} --bus sim --out out", profile()),
+    let command = format!(
+        "commission --profile {} --bus sim --weight-kg 2 --weight-com 0.05,0,0.05 --out out",
+        profile()
     );
-    for step in ["Find", "Turn", "Zero", "Torque", "Friction"] {
+    let text = succeeds(&directory, &command);
+    for step in [
+        "Find", "Turn", "Zero", "Torque", "Friction", "Weight", "Excite", "Drive", "Identify",
+    ] {
         assert!(text.contains(&format!("{step}: passed")), "{text}");
     }
-    assert_eq!(files(&directory.join("out")), ["commission.json"]);
+    let out = directory.join("out");
+    let written = ["commission.json", "driven", "excitation", "identified"];
+    assert_eq!(files(&out), written);
+    assert!(files(&out.join("identified")).contains(&"bank.bin".to_owned()));
+    // A repeated step keeps the findings of the others.
+    let found = json(out.join("commission.json"));
+    succeeds(&directory, &format!("{command} --step turn"));
+    let again = json(out.join("commission.json"));
+    assert_eq!(found[1]["gain"], again[1]["gain"]);
+    assert!(!found[1]["gain"].is_null(), "{found}");
+    let line = fails(
+        &directory,
+        &format!("{command} --step weight").replace("--weight-kg 2", "--weight-kg 200"),
+    );
+    assert!(line.contains("more than the "), "{line}");
 }
 
 #[test]
