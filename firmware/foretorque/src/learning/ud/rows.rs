@@ -117,24 +117,7 @@ impl ColumnUpdates<'_> {
             each_row!(C < ROWS {
                 let compensation = below.get_mut(C).and_then(|row| row.as_chunks_mut::<ROWS>().0.get_mut(block));
                 if let (Some(&lambda), Some(&v), Some(compensation)) = (lambda.get(C), v.get(C), compensation) {
-                    let mut before = [0.0; ROWS];
-                    each_row!(K < ROWS {
-                        if let Some(u) = rows.get_mut(K).and_then(|row| entry(row, place, C)) {
-                            before[K] = *u;
-                        }
-                    });
-                    let mut steps = *compensation;
-                    loaded();
-                    each_row!(K < ROWS {
-                        steps[K] += lambda * sums[K];
-                        let after = before[K] + steps[K];
-                        steps[K] -= after - before[K];
-                        sums[K] += v * before[K];
-                        if let Some(u) = rows.get_mut(K).and_then(|row| entry(row, place, C)) {
-                            *u = after;
-                        }
-                    });
-                    *compensation = steps;
+                    update_column_compensated(rows, (place, C), compensation, &mut sums, [lambda, v]);
                 }
             });
         }
@@ -195,6 +178,35 @@ fn update_entry(u: &mut f32, b: &mut f32, lambda: f32, v: f32) {
     let before = *u;
     *u = before + lambda * *b;
     *b += v * before;
+}
+
+/// Update of the entries of one column, at `place` of all rows, with their rounding errors carried in `compensation`.
+#[inline(always)]
+fn update_column_compensated<const P: usize, const W: usize>(
+    rows: &mut [[f32; P]; W],
+    place: (usize, usize),
+    compensation: &mut [f32; W],
+    sums: &mut [f32; W],
+    [lambda, v]: [f32; 2],
+) {
+    let mut before = [0.0; W];
+    each_row!(K < W {
+        if let Some(u) = rows.get_mut(K).and_then(|row| entry(row, place.0, place.1)) {
+            before[K] = *u;
+        }
+    });
+    let mut steps = *compensation;
+    loaded();
+    each_row!(K < W {
+        steps[K] += lambda * sums[K];
+        let after = before[K] + steps[K];
+        steps[K] -= after - before[K];
+        sums[K] += v * before[K];
+        if let Some(u) = rows.get_mut(K).and_then(|row| entry(row, place.0, place.1)) {
+            *u = after;
+        }
+    });
+    *compensation = steps;
 }
 
 /// What was read from memory before stays before: loads one after the other take a Cortex-M4 one cycle each, loads between
