@@ -1,4 +1,4 @@
-//! What passes between C and the library.
+//! Types that pass between C and the library.
 
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 

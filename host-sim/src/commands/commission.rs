@@ -68,7 +68,7 @@ enum StepName {
     Torque,
     /// Slow sweeps in the loop: friction
     Friction,
-    /// The same sweeps with a known weight: gain
+    /// Slow sweeps with a known weight: gain
     Weight,
     /// `excite`: a path that excites every parameter
     Excite,

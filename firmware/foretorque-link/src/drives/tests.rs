@@ -1,7 +1,7 @@
 //! Codecs: there and back within half a step, saturation, refusal, unbiased torque, arbitrary frames.
 
+mod lines;
 mod profiles;
-mod text;
 
 use super::*;
 use proptest::prelude::*;

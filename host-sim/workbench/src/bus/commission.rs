@@ -66,7 +66,7 @@ pub enum Step {
     Torque,
     /// Slow sweep of each joint in the loop, both ways: friction. The torque is that of the loop from here on.
     Friction,
-    /// The same sweeps aside of the pose of rest, without and with the known weight: gain of the torque.
+    /// Slow sweeps aside of the pose of rest, without and with the known weight: gain of the torque.
     Weight,
 }
 

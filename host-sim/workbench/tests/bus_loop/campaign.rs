@@ -92,6 +92,9 @@ fn campaign(
     (end, witness, player)
 }
 
+/// Fault of a joint or of its bus.
+type FaultOf = fn(usize, usize) -> LineFault;
+
 #[test]
 fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
     use LineFault as F;
@@ -100,7 +103,7 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
     let right = &undisturbed.released[1..];
     // A fault of a joint from 0 to 2 or of its bus, how long it lasts, and the message of its end. Each is tried on both
     // buses, whose joints are 1 to 3 and 4 to 6.
-    let cases: [(fn(usize, usize) -> F, usize, f64, &str); 20] = [
+    let cases: [(FaultOf, usize, f64, &str); 20] = [
         (|j, _| F::LostReplies(j, 0.1), 2, 1.5, ""),
         (
             |j, _| F::LostReplies(j, 1.0),

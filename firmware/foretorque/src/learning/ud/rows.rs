@@ -209,7 +209,7 @@ fn update_column_compensated<const P: usize, const W: usize>(
     *compensation = steps;
 }
 
-/// What was read from memory before stays before: loads one after the other take a Cortex-M4 one cycle each, loads between
+/// Barrier that keeps earlier loads earlier: loads one after the other take a Cortex-M4 one cycle each, loads between
 /// multiplications two. It costs nothing.
 #[inline(always)]
 fn loaded() {
