@@ -59,7 +59,7 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
     let out = directory.join("out");
     let written = ["commission.json", "driven", "excitation", "identified"];
     assert_eq!(files(&out), written);
-    assert!(files(&out.join("identified")).contains(&"bank.bin".to_owned()));
+    assert!(files(&out.join("identified")).contains(&"parameters.bank".to_owned()));
     // A repeated step keeps the findings of the others.
     let found = json(out.join("commission.json"));
     succeeds(&directory, &format!("{command} --step turn"));
