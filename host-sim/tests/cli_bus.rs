@@ -59,7 +59,9 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
     let out = directory.join("out");
     let written = ["commission.json", "driven", "excitation", "identified"];
     assert_eq!(files(&out), written);
-    assert!(files(&out.join("identified")).contains(&"parameters.bank".to_owned()));
+    let (_, next) = text.split_once("next: host-sim drive --bank ").unwrap();
+    let bank = next.split_whitespace().next().unwrap();
+    assert!(directory.join(bank).is_file(), "{bank}");
     // A repeated step keeps the findings of the others.
     let found = json(out.join("commission.json"));
     succeeds(&directory, &format!("{command} --step turn"));
@@ -71,6 +73,12 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
         &format!("{command} --step weight").replace("--weight-kg 2", "--weight-kg 200"),
     );
     assert!(line.contains("more than the "), "{line}");
+    std::fs::write(out.join("commission.json"), "[]").unwrap();
+    let line = fails(&directory, &format!("{command} --step turn"));
+    assert!(
+        line.contains("findings of 0 joints, the arm has 6"),
+        "{line}"
+    );
 }
 
 #[test]

@@ -85,7 +85,7 @@ typedef struct ForetorqueTorque {
 typedef struct ForetorqueSafety {
   // 0 disarmed, 1 armed, 2 ramp down, 3 fault.
   uint8_t state;
-  // Why the torque is, or may soon be, less than wanted.
+  // Reason for which the torque is, or may soon be, less than wanted.
   uint8_t reason;
   // The fault that has to be cleared before arming; 0 is none. Keep it over a reset.
   uint8_t latched;

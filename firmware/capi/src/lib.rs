@@ -117,7 +117,7 @@ impl Foretorque {
                 self.safety.check(SafetyReason::GravityLost);
             }
             let committed = &self.feed_forward.state().committed;
-            let wanted = self.safety.braced::<Arm, _>(&torque, committed);
+            let wanted = self.safety.with_brakes::<Arm, _>(&torque, committed);
             torque.total = self.safety.release(&wanted);
             self.feed_forward.applied(&torque.total);
         }

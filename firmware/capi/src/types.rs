@@ -97,7 +97,7 @@ pub struct ForetorqueTorque {
 pub struct ForetorqueSafety {
     /// 0 disarmed, 1 armed, 2 ramp down, 3 fault.
     pub state: u8,
-    /// Why the torque is, or may soon be, less than wanted.
+    /// Reason for which the torque is, or may soon be, less than wanted.
     pub reason: u8,
     /// The fault that has to be cleared before arming; 0 is none. Keep it over a reset.
     pub latched: u8,

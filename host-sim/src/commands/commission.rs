@@ -126,7 +126,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     if arguments.step.is_none() {
-        let bank = arguments.out.join("identified/bank.bin");
+        let bank = arguments.out.join("identified/parameters.bank");
         show!("next: host-sim drive --bank {} --learn", bank.display())?;
     }
     Ok(())
@@ -239,9 +239,13 @@ impl Arguments {
         {
             let found: Vec<Found> = serde_json::from_str(&text)
                 .map_err(|error| unusable(format!("{}: {error}", file.display())))?;
-            if let Ok(found) = found.try_into() {
-                arm.found = found;
-            }
+            let count = found.len();
+            arm.found = found.try_into().map_err(|_| {
+                unusable(format!(
+                    "{}: findings of {count} joints, the arm has {N}: choose another --out",
+                    file.display()
+                ))
+            })?;
         }
         arm.weight = self.weight_kg.map(|mass| {
             let Triple(com) = self.weight_com;

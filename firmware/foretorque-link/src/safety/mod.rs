@@ -257,7 +257,7 @@ impl<const N: usize> Safety<N> {
     /// brakes have to close before the torque goes to zero.
     ///
     /// Cost: an inverse dynamics, only with brakes and without a usable sample.
-    pub fn braced<A: Arm<N, P>, const P: usize>(
+    pub fn with_brakes<A: Arm<N, P>, const P: usize>(
         &mut self,
         torque: &Torque<N>,
         committed: &ParameterSet<N, P>,
@@ -266,8 +266,8 @@ impl<const N: usize> Safety<N> {
             .flags
             .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
         let ends = withdrawn || self.state == SafetyState::RampDown;
-        let braced = self.limits.brake_ticks > 0 && ends;
-        if let Some(q) = self.input.measured_q().filter(|_| braced) {
+        let closes = self.limits.brake_ticks > 0 && ends;
+        if let Some(q) = self.input.measured_q().filter(|_| closes) {
             self.gravity = gravity::<A, N, P>(committed, q);
             if withdrawn {
                 return self.gravity;

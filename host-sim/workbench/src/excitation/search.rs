@@ -13,6 +13,7 @@ use super::variables::{Bases, VARIABLES};
 use crate::dynamics::{Joints, State};
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
+use crate::trajectory::via::TORQUE_SHARE;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
@@ -47,7 +48,7 @@ const SLOWER: f64 = 0.7;
 const SLOWDOWNS: usize = 12;
 /// Shares of the torque limits for the described arm: the true one may be a quarter heavier; and where that leaves no path,
 /// what bounds on the rates between points leave.
-const TORQUE_SHARES: [f64; 2] = [0.75, 0.9];
+const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
 
 /// Configuration of a search.
 #[derive(Clone, Debug, PartialEq)]

@@ -15,7 +15,7 @@ const TORQUE_POINTS: usize = 10;
 /// Most steps of 15 % by which swings shrink for the torque limits.
 const MOST_SHRINKS: usize = 12;
 /// Share of the torque limits for the described arm: the true one may be a quarter heavier.
-const TORQUE_SHARE: f64 = 0.75;
+pub(crate) const TORQUE_SHARE: f64 = 0.75;
 /// Share of the torque limits for gravity alone at the centre of the swings, and poses among which a centre is looked for.
 const GRAVITY_SHARE: f64 = 0.5;
 const CENTRES: usize = 400;

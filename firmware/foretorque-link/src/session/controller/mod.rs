@@ -239,7 +239,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             if !ticked {
                 let torque = self.feed_forward.pause();
                 let committed = &self.feed_forward.state().committed;
-                wanted = self.safety.braced::<A, P>(&torque, committed);
+                wanted = self.safety.with_brakes::<A, P>(&torque, committed);
             }
             self.safety.release(&wanted);
         }
@@ -312,7 +312,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             self.safety.check(SafetyReason::GravityLost);
         }
         let committed = &self.feed_forward.state().committed;
-        let wanted = self.safety.braced::<A, P>(&torque, committed);
+        let wanted = self.safety.with_brakes::<A, P>(&torque, committed);
         torque.total = self.safety.release(&wanted);
         let cost = clock.now().wrapping_sub(start);
         self.feed_forward.applied(&torque.total);

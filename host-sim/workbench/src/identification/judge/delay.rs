@@ -77,7 +77,7 @@ impl Delay {
         self.last.pop_front();
         if self.sums.last().is_none_or(|last| last.count >= self.full) {
             if self.sums.len() == 2 * PARTS {
-                self.sums = self.sums.chunks(2).filter_map(joined).collect();
+                self.sums = self.sums.chunks(2).filter_map(|two| joined(two)).collect();
                 self.full *= 2.0;
             }
             self.full = self.full.max(1.0);
@@ -103,8 +103,7 @@ impl Delay {
     fn costs(&self, without: Option<usize>) -> Option<DVector<f64>> {
         let count = self.sums.len();
         let kept = (0..count).filter(|sums| Some(sums * PARTS / count) != without);
-        let kept: Vec<Sums> = kept.map(|sums| self.sums[sums].clone()).collect();
-        let sums = joined(&kept)?;
+        let sums = joined(kept.map(|sums| &self.sums[sums]))?;
         let size = sums
             .gram
             .diagonal()
@@ -136,14 +135,16 @@ impl Delay {
 }
 
 /// The sums of all `parts`.
-fn joined(parts: &[Sums]) -> Option<Sums> {
-    parts.iter().cloned().reduce(|mut all, part| {
-        all.gram += part.gram;
-        all.moments += part.moments;
-        all.powers += part.powers;
+fn joined<'a>(parts: impl IntoIterator<Item = &'a Sums>) -> Option<Sums> {
+    let mut parts = parts.into_iter();
+    let first = parts.next()?.clone();
+    Some(parts.fold(first, |mut all, part| {
+        all.gram += &part.gram;
+        all.moments += &part.moments;
+        all.powers += &part.powers;
         all.count += part.count;
         all
-    })
+    }))
 }
 
 /// Most likely delay and its standard deviation in steps, by a parabola through the smallest cost and its neighbours.
