@@ -9,6 +9,7 @@ mod store;
 mod streams;
 mod ticks;
 mod time;
+mod timeline;
 
 use super::*;
 use crate::bank::{NETWORK_SEED, ParameterBank};

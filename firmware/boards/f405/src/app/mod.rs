@@ -1,0 +1,200 @@
+//! The schedule: who may interrupt whom. [`image!`](crate::image) binds the functions of this module to their interrupts.
+//!
+//! | priority | task | woken by | deadline |
+//! |---|---|---|---|
+//! | 5 | `byte`: one byte from or to the link | USART2 | 5 µs, the next byte at 2 Mbaud |
+//! | 5 | `timer`: notes that a tick is due | SysTick | the period |
+//! | 4 | frames of a drive bus, on the board that has one | CAN, UART4, USART6 | a frame, 47 µs |
+//! | 3 | `tick`: decode, feed-forward, reply | the end of a frame, or `timer` | the period |
+//! | 2 | `learn`: one learning sample a tick | `tick` | N/2 ticks; later is counted, and changes which set is in force |
+//! | 0 | `idle`: log, banks, store, watchdog | every interrupt | the watchdog's time |
+//!
+//! Where a sample requests it, the reply waits until `learn` has used the learning sample and wakes `tick` again.
+//!
+//! `tick` reads the frames that [`FrameBound`] allows, and none while replies have no space. The rest stays in the ring until
+//! the next timer tick or byte.
+//!
+//! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
+
+mod idle;
+mod image;
+mod start;
+
+pub use idle::Idle;
+pub use start::{Started, Statics, start};
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use foretorque::arm::Arm;
+use foretorque::learning::Learner;
+use foretorque_link::safety::{SafetyReason, Task};
+use foretorque_link::session::Mailboxes;
+use foretorque_link::telemetry::CostMeter;
+use foretorque_link::wire::{FrameBuffer, MAX_FRAME};
+use rtic::Mutex;
+use stm32f4xx_hal::pac::Interrupt;
+
+use crate::arm::BoardSession;
+use crate::board::{Board, Drive as _};
+use crate::counter;
+use crate::fault::{self, Reason};
+use crate::frame_bound::FrameBound;
+use crate::link::{self, RECEIVE_RING, TRANSMIT_RING, Wire};
+use crate::ring::{Receiver, Sender};
+use crate::tick_timer::{self, TickTimer};
+use crate::watchdog::{self, TASKS};
+
+/// Interrupt of the tick's task.
+pub(crate) const TICK: Interrupt = Interrupt::EXTI1;
+/// Interrupt of the learner's task.
+const LEARN: Interrupt = Interrupt::EXTI2;
+
+/// Ticks run, for the log.
+static TICKS: AtomicU32 = AtomicU32::new(0);
+/// The tick's task has run since `idle` looked last.
+static TICKED: AtomicBool = AtomicBool::new(false);
+
+/// One interrupt of the link: wakes the tick's task at the end of a frame.
+#[inline(always)]
+pub fn byte(wire: &mut Wire) {
+    if wire.interrupt() {
+        rtic::pend(TICK);
+    }
+}
+
+/// The interrupt of the timer: a tick is due.
+#[inline(always)]
+pub fn timer() {
+    tick_timer::elapsed();
+    rtic::pend(TICK);
+}
+
+/// The tick's task: session, link and drive.
+pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
+    session: &'static mut BoardSession<A, N, P>,
+    received: Receiver<RECEIVE_RING>,
+    waiting: Sender<TRANSMIT_RING>,
+    out: &'static mut FrameBuffer,
+    timer: TickTimer,
+    drive: B::Drive<A, N, P>,
+    brake_open: bool,
+    kept: SafetyReason,
+    losses: u32,
+    bound: FrameBound,
+    latency: CostMeter,
+}
+
+impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
+    /// Runs what is due: ticks, commands, replies.
+    #[inline(always)]
+    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>) {
+        mailboxes.lock(|mailboxes| self.run_locked(mailboxes));
+        // Without a learning sample too: the learner checks in.
+        rtic::pend(LEARN);
+        let Self {
+            session,
+            timer,
+            losses,
+            latency,
+            ..
+        } = self;
+        timer.configure(session.configuration());
+        session.note_line(link::receive_cost(), latency.cost());
+        session.note_feeds(watchdog::feeds());
+        // Losses below the frames since the last tick. Counters wrap; only their difference counts.
+        let now = link::losses().wrapping_add(tick_timer::missed());
+        while *losses != now {
+            *losses = losses.wrapping_add(1);
+            session.note_overrun();
+        }
+        TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
+        TICKED.store(true, Ordering::Relaxed);
+        TASKS.check_in(Task::Tick);
+        if session.link_alive() {
+            TASKS.check_in(Task::Link);
+        }
+    }
+
+    #[inline(always)]
+    fn run_locked(&mut self, mailboxes: &mut Mailboxes<N, P>) {
+        self.drive.watch(self.session);
+        if tick_timer::take_due() {
+            self.bound.refill(self.session.configuration().period_us);
+            self.session
+                .timer_tick(mailboxes, self.out, self.drive.own());
+        }
+        self.session.poll_parameters(mailboxes, self.out);
+        self.put_out(mailboxes, false);
+        let timer = self.timer.runs();
+        while self.waiting.free() >= FrameBuffer::CAPACITY && self.out.has_space() {
+            let mut frame = [0; MAX_FRAME];
+            let received = &mut self.received;
+            let count = self.bound.take(timer, &mut frame, || received.take());
+            if count == 0 {
+                break;
+            }
+            let bytes = frame.get(..count).unwrap_or_default();
+            self.session
+                .receive(bytes, mailboxes, self.out, self.drive.own());
+            self.put_out(mailboxes, true);
+        }
+    }
+
+    /// Drives the outputs by the result, then sends the replies.
+    #[inline(never)]
+    fn put_out(&mut self, mailboxes: &Mailboxes<N, P>, answers: bool) {
+        let Self {
+            session,
+            waiting,
+            out,
+            drive,
+            brake_open,
+            kept,
+            latency,
+            ..
+        } = self;
+        // The outputs follow before the host reads of them.
+        drive.follow(session);
+        let open = session.brake_released();
+        if *brake_open != open {
+            *brake_open = open;
+            fault::release_brake::<B>(open);
+        }
+        let latched = session.latched_fault();
+        if *kept != latched {
+            *kept = latched;
+            fault::keep_latched(latched);
+        }
+        if session.reboot_wanted() {
+            fault::leave::<B>(Reason::Requested, 0);
+        }
+        // A reply that waits for the learner is sent when that has woken this task again.
+        if out.is_empty() || mailboxes.learner.holds_reply() {
+            return;
+        }
+        if !link::send(waiting, out.as_bytes()) {
+            session.note_reply_lost();
+        } else if answers {
+            latency.note(link::since_frame());
+        }
+        out.clear();
+    }
+}
+
+/// The learner's task: uses every learning sample that waits.
+#[inline(always)]
+pub fn learn<A: Arm<N, P>, const N: usize, const P: usize>(
+    learner: &mut Learner<A, N, P>,
+    mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>,
+) {
+    while let Some(sample) = mailboxes.lock(|mailboxes| mailboxes.learner.begin(learner)) {
+        let start = counter::now();
+        learner.study(&sample);
+        let cost = counter::now().wrapping_sub(start);
+        mailboxes.lock(|mailboxes| mailboxes.learner.finish(learner, cost));
+    }
+    if mailboxes.lock(|mailboxes| mailboxes.learner.release_reply()) {
+        rtic::pend(TICK);
+    }
+    TASKS.check_in(Task::Learner);
+}
