@@ -49,23 +49,31 @@ impl<const N: usize> FeedForwardConfig<N> {
 
     /// Every field is usable.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let check = |field, value: f32| {
-            let works = value > 0.0 && value.is_finite();
-            works.then_some(()).ok_or(ConfigError::NotPositive(field))
-        };
-        check("acceleration_limit", self.acceleration_limit)?;
-        check("lead", self.lead)?;
+        check(&[
+            ("acceleration_limit", self.acceleration_limit),
+            ("lead", self.lead),
+        ])?;
         for joint in 0..N {
             let limits = &self.limits[joint];
-            check("limits.torque", limits.torque)?;
-            check("limits.velocity", limits.velocity)?;
-            check("limits.position", limits.position.1 - limits.position.0)?;
-            check("slew_per_tick", self.slew_per_tick[joint])?;
-            check("payload_bound", self.payload_bound[joint])?;
-            check("learned_slew_per_tick", self.learned_slew_per_tick[joint])?;
+            check(&[
+                ("limits.torque", limits.torque),
+                ("limits.velocity", limits.velocity),
+                ("limits.position", limits.position.1 - limits.position.0),
+                ("slew_per_tick", self.slew_per_tick[joint]),
+                ("payload_bound", self.payload_bound[joint]),
+                ("learned_slew_per_tick", self.learned_slew_per_tick[joint]),
+            ])?;
         }
         Ok(())
     }
+}
+
+/// Every value is positive and finite; the error names the first field that is not.
+#[inline(never)]
+fn check(fields: &[(&'static str, f32)]) -> Result<(), ConfigError> {
+    let works = |value: f32| value > 0.0 && value.is_finite();
+    let bad = fields.iter().find(|(_, value)| !works(*value));
+    bad.map_or(Ok(()), |(field, _)| Err(ConfigError::NotPositive(field)))
 }
 
 /// `period_s`, s, in whole µs, at least 1: a quotient of seconds in f32 may lack its last tick.

@@ -29,6 +29,7 @@ impl<const K: usize> DenseUdFilter<K> {
     /// Update with `y = phi·theta + noise` of variance `variance`; a result that is not finite is discarded.
     ///
     /// Cost: `3/2 K²` multiply-adds and K divisions.
+    #[inline(never)]
     pub(super) fn update(&mut self, phi: &[f32; K], y: f32, variance: f32) {
         let mut next = *self;
         let mut gain = [0.0; K];

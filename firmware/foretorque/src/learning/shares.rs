@@ -46,6 +46,7 @@ impl<const N: usize> LearntShare<N> {
 }
 
 /// Values at `share` of the way from `from` to the present ones.
+#[inline(never)]
 fn blend(from: &[f32], values: &mut [f32], share: f32) {
     if share != 1.0 {
         for (value, from) in values.iter_mut().zip(from) {

@@ -234,11 +234,8 @@ impl<const N: usize> NetworkTrainer<N> {
             learning_rate: config.hidden_rate,
             error_clip: config.clip_sigmas * row.sigma,
         };
-        let before = *candidate;
-        candidate.update_layers(&x, &SVector::from([row.residual]), &step, 1.0);
         // The filter updates the output layer.
-        candidate.output_weights = before.output_weights;
-        candidate.output_bias = before.output_bias;
+        candidate.update_hidden(&x, &hidden, &SVector::from([output - row.residual]), &step);
         let filter = self.filter.get_mut(joint)?;
         let scale = config.output_sigma * inverse;
         let mut phi = [scale; OUTPUTS];

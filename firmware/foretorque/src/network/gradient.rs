@@ -61,44 +61,61 @@ impl<const I: usize, const H: usize, const O: usize, A: Activation> BpNetwork<I,
     /// * returns the error `y − target` before the step, unclipped. If it is not finite, nothing changes.
     ///
     /// Cost: forward pass, and `2 I H + 4 H O` multiply-adds.
-    #[inline(always)]
+    #[inline]
     pub fn update(
         &mut self,
         x: &SVector<f32, I>,
         target: &SVector<f32, O>,
         step: &StepParameters,
     ) -> SVector<f32, O> {
-        self.update_layers(x, target, step, 1.0)
-    }
-
-    /// [`update`](Self::update) with a rate of its own for the hidden layer: `hidden` times that of the output layer.
-    /// With 0 the hidden layer stays as it is.
-    #[inline]
-    pub fn update_layers(
-        &mut self,
-        x: &SVector<f32, I>,
-        target: &SVector<f32, O>,
-        step: &StepParameters,
-        hidden: f32,
-    ) -> SVector<f32, O> {
         let mut a = unset();
         self.hidden_into(x, &mut a);
         let error = self.output(&a) - target;
         let clipped = error.map(|e| clip(e, step.error_clip));
-        let mut hidden_delta = unset();
-        let deltas = self.propagate_back(&a, &clipped, &mut hidden_delta);
-        let sensitivity = 1.0 + deltas.power + (1.0 + squared(x)) * deltas.sensitivity;
-        let rate = step.learning_rate / (1.0 + sensitivity);
-        // A sum of the step's factors is finite only if each is; the weights are touched after that, never before.
-        let hidden_rate = hidden * rate;
-        let probe = 0.0 * (rate + hidden_rate + deltas.sum + sum(&clipped) + squared(x));
-        if probe == 0.0 {
+        let mut delta = unset();
+        if let Some(rate) = self.rate(x, &a, &clipped, step, &mut delta) {
             let (weights, bias) = (&mut self.output_weights, &mut self.output_bias);
             descend(weights, bias, &a, &clipped, rate);
             let (weights, bias) = (&mut self.hidden_weights, &mut self.hidden_bias);
-            descend(weights, bias, x, &hidden_delta, hidden_rate);
+            descend(weights, bias, x, &delta, rate);
         }
         error
+    }
+
+    /// The hidden layer's part of an [`update`](Self::update): hidden outputs `a`, error `y − target`.
+    #[inline]
+    pub fn update_hidden(
+        &mut self,
+        x: &SVector<f32, I>,
+        a: &SVector<f32, H>,
+        error: &SVector<f32, O>,
+        step: &StepParameters,
+    ) {
+        let clipped = error.map(|e| clip(e, step.error_clip));
+        let mut delta = unset();
+        if let Some(rate) = self.rate(x, a, &clipped, step, &mut delta) {
+            let (weights, bias) = (&mut self.hidden_weights, &mut self.hidden_bias);
+            descend(weights, bias, x, &delta, rate);
+        }
+    }
+
+    /// Rate of a step for the `clipped` errors, and `delta`, the deltas at the inputs of the hidden units; `None` where a
+    /// factor of the step is not finite.
+    #[inline(always)]
+    fn rate(
+        &self,
+        x: &SVector<f32, I>,
+        a: &SVector<f32, H>,
+        clipped: &SVector<f32, O>,
+        step: &StepParameters,
+        delta: &mut SVector<f32, H>,
+    ) -> Option<f32> {
+        let deltas = self.propagate_back(a, clipped, delta);
+        let sensitivity = 1.0 + deltas.power + (1.0 + squared(x)) * deltas.sensitivity;
+        let rate = step.learning_rate / (1.0 + sensitivity);
+        // A sum of the step's factors is finite only if each is; the weights are touched after that, never before.
+        let probe = 0.0 * (rate + deltas.sum + sum(clipped) + squared(x));
+        (probe == 0.0).then_some(rate)
     }
 
     /// Carries output errors `output` back to `hidden`, the deltas at the inputs of the hidden units, where the hidden

@@ -20,9 +20,9 @@ const LOG_EVERY: u32 = 1000;
 
 /// The idle loop: log, store, watchdog.
 pub struct Idle<A: Arm<N, P>, const N: usize, const P: usize> {
-    watchdog: Watchdog,
-    housekeeping: &'static mut BoardHousekeeping<A, N, P>,
-    drain: Option<log::Drain>,
+    pub(super) watchdog: Watchdog,
+    pub(super) housekeeping: &'static mut BoardHousekeeping<A, N, P>,
+    pub(super) drain: Option<log::Drain>,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Idle<A, N, P> {
