@@ -102,7 +102,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
 
     /// The torque of one tick; see [`step`].
     pub fn step(&mut self, sample: &JointSample<N>) -> Torque<N> {
-        step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
+        *step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
     }
 
     /// Sets the torque that the drives got, N × N·m, finite: the next tick slews from there. A torque that was
@@ -113,12 +113,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
 
     /// A tick without a sample; see [`step_stale`].
     pub fn step_stale(&mut self) -> Torque<N> {
-        step_stale(&self.config, &mut self.state)
+        *step_stale(&self.config, &mut self.state)
     }
 
     /// A period in which no tick runs; see [`pause`].
     pub fn pause(&mut self) -> Torque<N> {
-        pause(&self.config, &mut self.state)
+        *pause(&self.config, &mut self.state)
     }
 
     /// Learning sample of the tick that has just run; to be called once after every step.

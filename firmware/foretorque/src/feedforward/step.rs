@@ -206,12 +206,12 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 /// Cost: all sets are evaluated in every tick, so that a fallback costs no more than its absence: the motion of the links
 /// and the gravity torques twice, the wrenches four times, all networks twice.
 #[inline(never)]
-pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
+pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
-    state: &mut FeedForwardState<N, P>,
+    state: &'a mut FeedForwardState<N, P>,
     scratch: &mut FeedForwardScratch<N>,
     sample: &JointSample<N>,
-) -> Torque<N> {
+) -> &'a Torque<N> {
     let mut flags = Flags::when(sample.measured.is_none(), Flags::NO_MEASUREMENT);
     let motion = &mut scratch.motion;
     if !motion.take(config, &state.range, &sample.desired, &mut flags) {
@@ -274,12 +274,11 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         );
         let selected = select(&active, &committed, limits.torque, &mut flags);
 
-        let finite = payload.is_finite();
-        let (carried, was_cut) = cut(
-            if finite { payload } else { 0.0 },
-            config.payload_bound[joint],
-        );
-        flags |= Flags::when(was_cut || !finite, Flags::PAYLOAD_CLIPPED);
+        let (mut carried, was_cut) = cut(payload, config.payload_bound[joint]);
+        if was_cut || payload.is_nan() {
+            flags |= Flags::PAYLOAD_CLIPPED;
+            carried = if payload.is_finite() { carried } else { 0.0 };
+        }
         state.payload_torque[joint] = carried;
         let wanted = selected.learned + carried;
         let before = match (fresh, recommitted) {
@@ -298,28 +297,28 @@ pub fn step<A: Arm<N, P>, const N: usize, const P: usize>(
         shares.network[joint] = selected.shares.network;
     }
     state.stale_ticks = 0;
-    let target = state.sum;
-    finish(config, state, &target, flags)
+    flags |= output(config, &mut state.last, &state.sum);
+    finish(state, flags)
 }
 
 /// A tick without a sample: the torque is held for `hold_ticks`, then goes to zero at the slew limit.
-pub fn step_stale<const N: usize, const P: usize>(
+pub fn step_stale<'a, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
-    state: &mut FeedForwardState<N, P>,
-) -> Torque<N> {
+    state: &'a mut FeedForwardState<N, P>,
+) -> &'a Torque<N> {
     hold(config, state, Flags::NO_MEASUREMENT)
 }
 
 /// A period without a tick, because samples pace the board and none came: torque and flags as those of [`step_stale`]. The
 /// counter stays where it is.
-pub fn pause<const N: usize, const P: usize>(
+pub fn pause<'a, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
-    state: &mut FeedForwardState<N, P>,
-) -> Torque<N> {
+    state: &'a mut FeedForwardState<N, P>,
+) -> &'a Torque<N> {
     let (tick, adoption) = (state.tick, state.adoption);
-    let torque = hold(config, state, Flags::NO_MEASUREMENT);
+    hold(config, state, Flags::NO_MEASUREMENT);
     (state.tick, state.adoption) = (tick, adoption);
-    torque
+    &state.last
 }
 
 /// Where a joint will be when the torque acts, for the cogging, rad: a tracking error of a few milliradians turns its
@@ -334,50 +333,55 @@ fn cogging_place(measured: f32, desired: f32) -> f32 {
     }
 }
 
-fn hold<const N: usize, const P: usize>(
+fn hold<'a, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
-    state: &mut FeedForwardState<N, P>,
+    state: &'a mut FeedForwardState<N, P>,
     flags: Flags,
-) -> Torque<N> {
+) -> &'a Torque<N> {
     let flags = flags | Flags::STALE_SAMPLE;
-    if state.stale_ticks < config.hold_ticks {
+    let (target, withdrawn) = if state.stale_ticks < config.hold_ticks {
         state.stale_ticks += 1;
-        let target = state.last.total;
-        return finish(config, state, &target, flags);
-    }
-    state.last.shares = Shares::zero();
-    finish(
-        config,
-        state,
-        &JointVector::zeros(),
-        flags | Flags::WITHDRAWN,
-    )
+        (state.last.total, Flags::NONE)
+    } else {
+        state.last.shares = Shares::zero();
+        (JointVector::zeros(), Flags::WITHDRAWN)
+    };
+    let limited = output(config, &mut state.last, &target);
+    finish(state, flags | withdrawn | limited)
 }
 
-/// Limits, flags of the state, and the step of the counter.
+/// Moves the torque that was `last` to `target`, N × N·m, within its limits.
 #[inline]
-fn finish<const N: usize, const P: usize>(
+fn output<const N: usize>(
     config: &FeedForwardConfig<N>,
-    state: &mut FeedForwardState<N, P>,
+    last: &mut Torque<N>,
     target: &JointVector<N>,
-    flags: Flags,
-) -> Torque<N> {
-    let mut flags = flags | state.adoption | Flags::when(state.learning, Flags::LEARNING_ON);
+) -> Flags {
+    let mut flags = Flags::NONE;
     for joint in 0..N {
         let (torque, limited) = limit(
             target[joint],
-            state.last.total[joint],
+            last.total[joint],
             config.limits[joint].torque,
             config.slew_per_tick[joint],
         );
-        state.last.total[joint] = torque;
+        last.total[joint] = torque;
         flags |= limited;
     }
-    state.last.flags = flags;
+    flags
+}
+
+/// Flags of the state, and the step of the counter.
+#[inline]
+fn finish<const N: usize, const P: usize>(
+    state: &mut FeedForwardState<N, P>,
+    flags: Flags,
+) -> &Torque<N> {
+    state.last.flags = flags | state.adoption | Flags::when(state.learning, Flags::LEARNING_ON);
     state.last.tick = state.tick;
     state.adoption = Flags::NONE;
     state.tick = LearningSample::<N>::tick_after(state.tick);
-    state.last
+    &state.last
 }
 
 /// Adopts a published set if the tick to come is one at which sets are adopted: `tick % N == N / 2`.

@@ -60,7 +60,7 @@ fn an_armed_board_passes_its_feed_forward_bit_for_bit() {
     let mut scratch = FeedForwardScratch::new();
     for k in 0..400 {
         let received = SampleFrame::new(&sample(k)).sample(&[0.0; N]);
-        let wanted = step::<Ur5, N, P>(&config, &mut bare, &mut scratch, &received);
+        let wanted = *step::<Ur5, N, P>(&config, &mut bare, &mut scratch, &received);
         let given = board.sample(k);
         let bits = |total: [f32; N]| total.map(f32::to_bits);
         assert_eq!(bits(given.total), bits(wanted.total.into()), "tick {k}");

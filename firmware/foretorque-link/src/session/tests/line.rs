@@ -121,7 +121,7 @@ proptest! {
         }
         let feed_forward = board.session.feed_forward();
         let (config, mut state) = (*feed_forward.config(), *feed_forward.state());
-        let last = step::<Ur5, N, P>(&config, &mut state, &mut FeedForwardScratch::new(), &sample(0));
+        let last = *step::<Ur5, N, P>(&config, &mut state, &mut FeedForwardScratch::new(), &sample(0));
         prop_assert!(last.total.iter().all(|tau| tau.is_finite()));
     }
 }

@@ -32,7 +32,7 @@ macro_rules! rows {
     };
 }
 
-// The result of a regressor is looked at where it is: a copy of it would be no part of the work.
+// The results of a regressor and of a tick are looked at where they are: a copy would be no part of the work.
 // The networks are reached by a pointer to each, as by any caller that does not keep them in a struct of everything.
 // The host subtracts the first row: what a call costs whose function returns at once.
 rows! {
@@ -50,7 +50,7 @@ rows! {
     bp_18_32_6_forward(s) s.output = black_box(&mut s.paper).forward(&s.input);
     bp_18_32_6_update(s) s.output = black_box(&mut s.paper).update(&s.input, &s.target, &s.step);
     block_network(s) s.block_network();
-    feedforward_step(s) s.torque = s.feedforward.step(&s.sample);
+    feedforward_step(s) { black_box(&s.feedforward.step(&s.sample)); };
     learning_step(s) s.learner.learn(&s.lesson, &mut s.exchange);
     command(s) s.link.run();
     bus_tick(s) s.bus.tick();

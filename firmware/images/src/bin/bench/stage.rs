@@ -8,7 +8,7 @@ use foretorque::arm::ur5::{
     Exchange, FeedForward, JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5,
 };
 use foretorque::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
-use foretorque::feedforward::{FeedForwardConfig, Torque, evaluate};
+use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::LearningSample;
 use foretorque::limits::Flags;
@@ -48,7 +48,6 @@ pub(crate) struct Stage {
     pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
     pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
     pub(crate) sample: JointSample<JOINTS>,
-    pub(crate) torque: Torque<JOINTS>,
     pub(crate) feedforward: FeedForward,
     pub(crate) lesson: LearningSample<JOINTS>,
     pub(crate) exchange: Exchange,
@@ -112,7 +111,6 @@ impl Stage {
                 learning_rate: 0.01,
                 error_clip: 0.5,
             },
-            torque: evaluate::<Ur5, JOINTS, PARAMETERS>(&set, &JointMotion::zero()),
             feedforward,
             sample: JointSample {
                 desired: JointMotion::zero(),
