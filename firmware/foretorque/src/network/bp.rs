@@ -205,7 +205,7 @@ fn tail<const BLOCK: usize>(column: &[f32]) -> &[f32] {
     column.as_chunks::<BLOCK>().1
 }
 
-/// `b + W x` of one block of rows, four columns a turn, the weights of two of them in registers.
+/// `b + W x` of one block of rows, two columns at a time.
 #[inline(always)]
 fn block<const B: usize, const R: usize, const C: usize>(
     columns: &[[f32; R]; C],
@@ -214,16 +214,19 @@ fn block<const B: usize, const R: usize, const C: usize>(
     rows: impl Fn(&[f32; R]) -> Option<&[f32; B]>,
 ) -> [f32; B] {
     let mut sums = *bias;
-    let (fours, rest) = columns.as_chunks::<4>();
-    let (x_fours, x_rest) = x.as_chunks::<4>();
-    for ([a, b, c, d], [x_a, x_b, x_c, x_d]) in fours.iter().zip(x_fours) {
-        add_pair(&mut sums, [rows(a), rows(b)], [*x_a, *x_b], R * C);
-        add_pair(&mut sums, [rows(c), rows(d)], [*x_c, *x_d], R * C);
-    }
-    let (pairs, last) = rest.as_chunks::<2>();
-    let (x_pairs, x_last) = x_rest.as_chunks::<2>();
+    let (pairs, last) = columns.as_chunks::<2>();
+    let (x_pairs, x_last) = x.as_chunks::<2>();
     for ([one, two], x) in pairs.iter().zip(x_pairs) {
-        add_pair(&mut sums, [rows(one), rows(two)], *x, R * C);
+        if let (Some(&one), Some(&two)) = (rows(one), rows(two)) {
+            loaded(R * C);
+            let [x_one, x_two] = *x;
+            for (sum, weight) in sums.iter_mut().zip(one) {
+                *sum += weight * x_one;
+            }
+            for (sum, weight) in sums.iter_mut().zip(two) {
+                *sum += weight * x_two;
+            }
+        }
     }
     for (column, x) in last.iter().zip(x_last) {
         if let Some(rows) = rows(column) {
@@ -233,25 +236,6 @@ fn block<const B: usize, const R: usize, const C: usize>(
         }
     }
     sums
-}
-
-/// Adds two columns of a block of rows, in a matrix of `entries`.
-#[inline(always)]
-fn add_pair<const B: usize>(
-    sums: &mut [f32; B],
-    pair: [Option<&[f32; B]>; 2],
-    [x_one, x_two]: [f32; 2],
-    entries: usize,
-) {
-    if let [Some(&one), Some(&two)] = pair {
-        loaded(entries);
-        for (sum, weight) in sums.iter_mut().zip(one) {
-            *sum += weight * x_one;
-        }
-        for (sum, weight) in sums.iter_mut().zip(two) {
-            *sum += weight * x_two;
-        }
-    }
 }
 
 /// A matrix of `entries` is large enough for its loops to be arranged; a small one is best left to the compiler.
