@@ -142,7 +142,7 @@ fn quantities(
         ..measured(
             "dearest command, est. cycles".into(),
             row.worst_cycles,
-            "estimate, the most of all commands and finished orders: a tenth of 1 ms at 168 MHz",
+            "estimate, the most of what an armed board takes: a tenth of 1 ms at 168 MHz",
         )
     });
     let rows = rows.iter().flat_map(|row| {

@@ -1,4 +1,4 @@
-//! Every command that a board may receive, one a call, and the orders that the housekeeping has finished.
+//! Commands that a board may receive, one a call, and the orders that the housekeeping has finished.
 
 use core::mem::MaybeUninit;
 
@@ -11,8 +11,8 @@ use foretorque_link::session::{
 use foretorque_link::wire::{BankSource, Configuration, FrameBuffer, HostMessage, MAC_BYTES};
 use foretorque_link::write_key::{KEY_BYTES, WriteKey};
 
-/// Calls after which the commands begin again: one fewer than a row is traced.
-const CALLS: u32 = 12;
+/// Calls after which the commands begin again: fewer than a row is traced.
+const CALLS: u32 = 9;
 const SEED: [u8; MAC_BYTES] = [5; MAC_BYTES];
 
 /// A keyed board without a store, and its next frame.
@@ -44,15 +44,22 @@ impl Link {
         }))
     }
 
-    /// The next frame; the housekeeping executes what the last one ordered.
-    pub(crate) fn next(&mut self) {
+    /// The next frame: of a command that the board takes while it is armed, or the one to `configure` it, the dearest at
+    /// rest. The housekeeping executes what the last one ordered.
+    pub(crate) fn next(&mut self, configure: bool) {
         self.housekeeping.work(&mut self.mailboxes.parameters);
         self.out.clear();
         self.frame.clear();
-        let round = self.call / CALLS;
         let order = [9, 0];
         let motion = JointMotion::<JOINTS>::zero();
+        let round = self.call / CALLS;
+        if configure {
+            // The same numbers whatever the calls before.
+            self.call = self.call.max(0x1000);
+        }
+        let sequence = self.call as u16 + 1;
         let message = match self.call % CALLS {
+            _ if configure => HostMessage::Configure(Configuration::default()),
             0 => HostMessage::Evaluate((&motion).into()),
             1 => HostMessage::BankWrite {
                 offset: 0,
@@ -63,7 +70,7 @@ impl Link {
                 offset: 0,
             },
             // Nothing arrives: the reply to the order before is taken over.
-            3 | 9 => HostMessage::Stop,
+            3 => HostMessage::Stop,
             4 => HostMessage::BankRead {
                 source: BankSource::Live,
                 offset: 64,
@@ -80,12 +87,9 @@ impl Link {
                     mac: mac.unwrap_or_default(),
                 }
             }
-            8 => HostMessage::Reset,
-            10 => HostMessage::Configure(Configuration::default()),
             _ => HostMessage::Hello,
         };
         if !matches!(message, HostMessage::Stop) {
-            let sequence = self.call as u16 + 1;
             let _ = self.frame.push(sequence, &message);
         }
         self.call += 1;

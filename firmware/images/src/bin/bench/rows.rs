@@ -17,9 +17,6 @@ pub(crate) struct Row {
     pub(crate) run: fn(&mut Stage),
 }
 
-/// The row whose calls are different commands.
-pub(crate) const COMMAND: &str = "command";
-
 macro_rules! rows {
     ($($name:ident($stage:pat) $body:expr;)*) => {
         $(
@@ -53,6 +50,7 @@ rows! {
     feedforward_step(s) { black_box(&s.feedforward.step(&s.sample)); };
     learning_step(s) s.learner.learn(&s.lesson, &mut s.exchange);
     command(s) s.link.run();
+    configure(s) { black_box("another function than that of a command"); s.link.run() };
     bus_tick(s) s.bus.tick();
     in_line(s) s.bus.pass();
 }

@@ -5,7 +5,7 @@ use core::f32::consts::TAU;
 use foretorque::arm::Arm;
 use foretorque::arm::panda::{self, Panda};
 use foretorque::arm::ur5::{
-    Exchange, FeedForward, JOINTS, Learner, LearnerConfig, PARAMETERS, ParameterSet, Ur5,
+    Exchange, FeedForward, JOINTS, Learner, LearnerConfig, ParameterSet, Ur5,
 };
 use foretorque::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
 use foretorque::feedforward::FeedForwardConfig;
