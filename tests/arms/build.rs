@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-use foretorque_workbench::generate::arm_module;
-use foretorque_workbench::robot::Robot;
+use foretorque_description::generate::arm_module;
+use foretorque_description::robot::Robot;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data");

@@ -3,20 +3,17 @@
 pub mod board;
 pub mod bus;
 pub mod closed_loop;
-pub mod dynamics;
 pub mod excitation;
-pub mod files;
-pub mod generate;
 pub mod identification;
 pub mod kinematics;
 pub mod metrics;
 pub mod parallel;
 pub mod plant;
 pub mod report;
-pub mod robot;
 pub mod snapshot;
 pub mod table;
 pub mod telemetry;
 pub mod training;
 pub mod trajectory;
-pub mod urdf;
+
+pub use foretorque_description::{arms, dynamics, files, generate, joints, robot, urdf};

@@ -5,7 +5,6 @@
 
 mod child;
 mod client;
-mod described;
 pub mod flash;
 pub mod log;
 mod native;
@@ -13,7 +12,7 @@ pub mod qemu;
 pub mod serial;
 
 pub use client::{BoardShares, Client, LinkCount, TickReply};
-pub use described::Described;
+pub use foretorque_description::described::Described;
 pub use native::Native;
 
 use foretorque_link::bank::BankError;

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 pub const LINK_PARAMETERS: usize = 10;
 
 /// Most joints an arm may have: as many as a bank of the board holds.
-pub const MAX_JOINTS: usize = foretorque_link::bank::MAX_JOINTS;
+pub const MAX_JOINTS: usize = foretorque::dynamics::MAX_JOINTS;
 
 /// Reason for which a robot description is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

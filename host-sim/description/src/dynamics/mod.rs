@@ -8,7 +8,7 @@ mod base_parameters;
 mod kane;
 
 pub use base_parameters::{BaseMap, BaseMapTerm};
-pub(crate) use base_parameters::{STATES, independent_columns, random_states};
+pub use base_parameters::{STATES, independent_columns, random_states};
 pub use kane::{Joints, ReferenceModel, State};
 
 #[cfg(test)]

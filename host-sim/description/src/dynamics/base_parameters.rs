@@ -8,7 +8,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Random states behind the rank decision; each gives N equations, 4 times as many as there are unknowns.
-pub(crate) const STATES: usize = 44;
+pub const STATES: usize = 44;
 
 /// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Dependent
 /// columns leave about 1e-15 here, independent ones above 1e-3 (UR5).
@@ -90,7 +90,7 @@ impl BaseMap {
 
 /// The first independent columns of `w` from left to right, and the coefficients of every column in their orthonormal
 /// basis (R of the QR factorisation).
-pub(crate) fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
+pub fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
     let mut basis: Vec<DVector<f64>> = Vec::new();
     let mut columns = Vec::new();
     // A column that is zero in exact arithmetic still has the rounding of the right angles in it.
@@ -139,7 +139,7 @@ fn stacked_regressor<const N: usize>(model: &ReferenceModel<N>) -> DMatrix<f64> 
 }
 
 /// Seeded states at which inertia, velocity and gravity terms weigh alike.
-pub(crate) fn random_states<const N: usize>(count: usize) -> Vec<State<N>> {
+pub fn random_states<const N: usize>(count: usize) -> Vec<State<N>> {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut draw = |size: f64| Joints::from_fn(|_, _| random.random_range(-size..=size));
     let states = (0..count).map(|_| State {
