@@ -18,6 +18,7 @@ mod identify;
 mod motion_log;
 mod on_board;
 mod progress;
+mod record;
 mod replay;
 mod run;
 mod simulate;
@@ -123,6 +124,7 @@ enum Command {
     Drive(drive::Arguments),
     Commission(commission::Arguments),
     Wiring(wiring::Arguments),
+    Record(record::Arguments),
     Replay(replay::Arguments),
     Compare(compare::Arguments),
     Identify(identify::Arguments),
@@ -152,6 +154,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Drive(arguments) => drive::run(&arguments),
         Command::Commission(arguments) => commission::run(&arguments),
         Command::Wiring(arguments) => wiring::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),

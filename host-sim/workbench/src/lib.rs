@@ -10,6 +10,7 @@ pub mod generate;
 pub mod identification;
 pub mod kinematics;
 pub mod metrics;
+pub mod overheard;
 pub mod parallel;
 pub mod plant;
 pub mod report;

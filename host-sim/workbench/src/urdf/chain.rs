@@ -66,7 +66,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         let turn = turn.map_err(|problem| UrdfProblem::Joint {
             joint: element.name.clone(),
             problem,
-            mend: without(document, &path, index),
+            mend: without(document, &path),
         })?;
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
@@ -127,17 +127,28 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     Ok(Import { robot, notes })
 }
 
-/// The option that keeps the longer part of the path beside `joint`, in brackets.
-fn without(document: &Document, path: &[usize], joint: usize) -> String {
-    let usable = |joint: &&usize| usable(&document.joints[**joint]).is_ok();
-    let mut sides = path.split(|&other| other == joint);
-    let [before, after] = [sides.next(), sides.next()]
-        .map(|side| side.unwrap_or_default().iter().filter(usable).count());
-    let element = &document.joints[joint];
-    match (before, after) {
-        (0, 0) => String::new(),
-        _ if after >= before => format!(" (--base '{}' begins behind it)", element.child),
-        _ => format!(" (--tip '{}' ends before it)", element.parent),
+/// The options that keep the longest part of the path without unusable joints, in brackets; the last of equal ones.
+fn without(document: &Document, path: &[usize]) -> String {
+    let is_fixed = |joint: usize| document.joints[joint].kind == "fixed";
+    let turn = |joint: usize| usable(&document.joints[joint]).and_then(z_onto_axis);
+    let stops = |joint: &usize| !is_fixed(*joint) && turn(*joint).is_err();
+    let parts = path.split(stops).enumerate();
+    let turning = |part: &[usize]| part.iter().filter(|&&joint| !is_fixed(joint)).count();
+    let longest = parts.max_by_key(|(_, part)| turning(part));
+    let Some((number, _)) = longest.filter(|(_, part)| turning(part) > 0) else {
+        return String::new();
+    };
+    let stops: Vec<usize> = path.iter().copied().filter(stops).collect();
+    let base = number.checked_sub(1).map(|before| stops[before]);
+    let base = base.map(|joint| &document.joints[joint].child);
+    let tip = stops
+        .get(number)
+        .map(|&joint| &document.joints[joint].parent);
+    match (base, tip) {
+        (Some(base), Some(tip)) => format!(" (--base '{base}' --tip '{tip}' leave it out)"),
+        (Some(base), None) => format!(" (--base '{base}' begins behind it)"),
+        (None, Some(tip)) => format!(" (--tip '{tip}' ends before it)"),
+        (None, None) => String::new(),
     }
 }
 

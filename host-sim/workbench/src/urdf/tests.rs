@@ -337,7 +337,7 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ; hand ; "shoulder" type="revolute" ; "shoulder" type="planar" ; joint 'shoulder' is planar: only revolute, continuous and fixed joints are supported (--base 'upper' begins behind it)
         ; hand ; <dynamics ; <mimic joint="shoulder"/><dynamics ; joint 'elbow' mimics another joint: an arm's joints move on their own (--tip 'upper' ends before it)
         ; hand ; <axis xyz="0 1 0"/> ; <axis xyz="0 0 0"/> ; joint 'shoulder' has an axis of length zero (--base 'upper' begins behind it)
-        ; hand ; <mass value="2"/> ; <mass value="0"/> ; link 'upper': mass is 0, must be positive
+        ; hand ; <mass value="2"/> ; <mass value="0"/> ; link 'upper': mass is 0, must be positive (--repair leaves it out)
         ; hand ; <mass value="2"/> ; ; line 8: <inertial> has no <mass>
         ; hand ; <mass value="2"/> ; <mass value="2 kg"/> ; line 8: <mass> value="2 kg" is not a number
         ; hand ; iyy="0.03" ; ; line 9: <inertia> has no attribute 'iyy'
@@ -388,6 +388,21 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         parse("t", &weightless, &selection).unwrap_err().to_string(),
         "t: link 'fore' is moved by joint 'elbow' but has no inertial data: give such links a mass with --link-mass"
     );
+    // Between two joints that no arm can have.
+    let planar = ARM.replacen(
+        "\"shoulder\" type=\"revolute\"",
+        "\"shoulder\" type=\"planar\"",
+        1,
+    );
+    let to_finger = Selection {
+        tip: Some("left"),
+        ..Selection::default()
+    };
+    let error = parse("t", &planar, &to_finger).unwrap_err().to_string();
+    assert!(
+        error.ends_with(" (--base 'upper' --tip 'hand' leave it out)"),
+        "{error}"
+    );
     let missing = load(Path::new("/no/such.urdf"), &selection)
         .unwrap_err()
         .to_string();
@@ -401,6 +416,21 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
             .to_string()
             .starts_with("t: not a URDF or MJCF: ")
     );
+}
+
+#[test]
+fn inertia_without_mass_is_left_out_on_demand() {
+    let massless = ARM.replacen("<mass value=\"0.5\"/>", "<mass value=\"0\"/>", 1);
+    let error = parse("t", &massless, &TO_HAND).unwrap_err().to_string();
+    assert!(error.ends_with("(--repair leaves it out)"), "{error}");
+    let repaired = Selection {
+        repair: true,
+        ..TO_HAND
+    };
+    let import = parse("t", &massless, &repaired).unwrap();
+    assert_eq!(import.robot.joints[1].link.mass, 1.0);
+    let note = "link 'hand': inertia without mass is left out";
+    assert!(import.notes.iter().any(|n| n == note), "{:?}", import.notes);
 }
 
 #[test]
