@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 /// Record the telemetry of a board that another host drives, into CSV and MCAP; nothing is sent
 #[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// serial:PORT of an adapter whose RX is on the board's TX, too
     #[arg(long)]

@@ -7,6 +7,7 @@ mod compare;
 mod delay;
 mod fitted;
 
+pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
 use super::columns::{ColumnSet, Layout};
@@ -28,6 +29,8 @@ const ROWS: usize = 600;
 const BEYOND: f64 = 3.0;
 /// Gravity decides over sign and size where its RMS is this share of the torque limit.
 const GRAVITY_SHARE: f64 = 0.05;
+/// So it does where its RMS is this share of the RMS torque: a limit may be far above what an arm needs.
+const GRAVITY_OF_TORQUE: f64 = 0.7;
 /// Range of the RMS torque over that of a description with friction.
 const SOUND_SIZE: (f64, f64) = (0.2, 5.0);
 /// Speed and range from which a joint counts as moved, rad/s and rad.
@@ -332,16 +335,19 @@ fn units<const N: usize>(judgement: &mut Judgement, robot: &Robot, extremes: &[E
         );
         return;
     }
-    let strong = joints().find(|(_, (joint, seen))| {
-        let rms = (seen.power / f64::max(seen.rows, 1.0)).sqrt();
-        rms > BEYOND * joint.limits.torque
-    });
-    if let Some((number, (joint, seen))) = strong {
+    let strong: Vec<_> = joints()
+        .filter(|(_, (joint, seen))| {
+            let rms = (seen.power / f64::max(seen.rows, 1.0)).sqrt();
+            rms > BEYOND * joint.limits.torque
+        })
+        .collect();
+    if let Some((number, (joint, seen))) = strong.first() {
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
-        let unit = if thousandth {
-            ": is this mN·m (--units tau=mNm)?"
-        } else {
-            ""
+        // One unit holds for all joints; their limits may be of different use.
+        let unit = match thousandth {
+            true if strong.len() * 3 > N => ": is this mN·m (--units tau=mNm)?",
+            true => ", those of the others are within theirs: drive gain or unit?",
+            false => "",
         };
         let text = format!(
             "tau{} reaches {:.1} N·m, its limit is {} N·m{unit}",
