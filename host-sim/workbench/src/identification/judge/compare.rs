@@ -1,8 +1,8 @@
 //! Torques of a log against those of the description: signs, sizes, order of the joints, noise.
 
 use super::{
-    DEVIATIONS, Extremes, GRAVITY_OF_TORQUE, GRAVITY_SHARE, JointCheck, Judgement, MOVED,
-    NOISE_SHARE, ROWS, SOUND_SCALE, SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
+    DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE, ROWS,
+    SOUND_SCALE, SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
 };
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::Robot;
@@ -78,8 +78,6 @@ fn explain<const N: usize>(
     let rest = (&y - &x * &beta).norm_squared();
     let noise = rest / (count.max(COLUMNS + 1) - COLUMNS) as f64;
     let gravity = links.iter().map(|link| link[1][joint].powi(2)).sum::<f64>();
-    let rows = count.max(1) as f64;
-    let (gravity, size) = ((gravity / rows).sqrt(), (y.norm_squared() / rows).sqrt());
     // Mean power of the columns of friction, for a parameter of one each.
     let mut power = DVector::zeros(COLUMNS);
     for (row, state) in states.iter().enumerate() {
@@ -87,15 +85,15 @@ fn explain<const N: usize>(
         power[2] += x[(row, 2)] * state.qd[joint];
     }
     let rates: f64 = states.iter().map(|state| state.qd[joint].powi(2)).sum();
-    let most = f64::max((y.norm_squared() * rates).sqrt(), 1e-12);
+    let size = f64::max((y.norm_squared() * rates).sqrt(), 1e-12);
     let spread = (noise * power.dot(&(&inverse * &power))).sqrt();
     Explained {
         rest: rest / f64::max(variance, 1e-12),
         scale: beta[0],
         deviation: (noise * inverse[(0, 0)]).sqrt(),
-        drag: (power.dot(&beta) / most, spread / most),
+        drag: (power.dot(&beta) / size, spread / size),
         rotor: (beta[3], (noise * inverse[(3, 3)]).sqrt()),
-        heavy: gravity > GRAVITY_SHARE * limit || gravity > GRAVITY_OF_TORQUE * size,
+        heavy: (gravity / count.max(1) as f64).sqrt() > GRAVITY_SHARE * limit,
     }
 }
 

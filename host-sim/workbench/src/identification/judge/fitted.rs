@@ -61,11 +61,11 @@ pub(in crate::identification) fn after_fit<const N: usize>(
     }
 }
 
-/// Share of the RMS torque, and of the noise alone, from which an error is that of the equations.
-const UNEXPLAINED: (f64, f64) = (0.5, 3.0);
+/// Share of the RMS torque, half of its power, and multiple of the noise alone from which an error is that of the equations.
+const UNEXPLAINED: (f64, f64) = (std::f64::consts::FRAC_1_SQRT_2, 3.0);
 
-/// Joints whose torque the fitted parameters explain to less than half where noise is not the reason. One joint may have a
-/// defect of its own; two refuse.
+/// Joints where the fitted parameters leave half of the power of the torque and noise is not the reason. One joint may have
+/// a defect of its own; two refuse.
 pub fn unexplained(report: &Report) -> Option<Finding> {
     let noise = report.data_check.iter().flat_map(|check| &check.joints);
     let noise = noise.map(|joint| joint.noise_floor_nm);
@@ -187,13 +187,13 @@ mod tests {
             ..Report::default()
         };
         // Small errors, and one that noise alone leaves.
-        assert_eq!(unexplained(&report([0.2, 0.4, 0.8])), None);
+        assert_eq!(unexplained(&report([0.2, 0.6, 0.8])), None);
         let one = unexplained(&report([0.8, 0.4, 0.8])).expect("joint 1");
         assert!(
             !one.refuses && one.text.contains("J1 80 %, 10 % noise"),
             "{one:?}"
         );
-        let two = unexplained(&report([0.8, 0.6, 0.8])).expect("joints 1 and 2");
+        let two = unexplained(&report([0.8, 0.75, 0.8])).expect("joints 1 and 2");
         assert!(two.refuses && two.text.contains("another arm"), "{two:?}");
     }
 }

@@ -29,8 +29,6 @@ const ROWS: usize = 600;
 const BEYOND: f64 = 3.0;
 /// Gravity decides over sign and size where its RMS is this share of the torque limit.
 const GRAVITY_SHARE: f64 = 0.05;
-/// So it does where its RMS is this share of the RMS torque: a limit may be far above what an arm needs.
-const GRAVITY_OF_TORQUE: f64 = 0.7;
 /// Range of the RMS torque over that of a description with friction.
 const SOUND_SIZE: (f64, f64) = (0.2, 5.0);
 /// Speed and range from which a joint counts as moved, rad/s and rad.
