@@ -13,6 +13,8 @@ const ACCELERATION: f64 = 10.0;
 const VELOCITY: f64 = 2.0;
 /// Torque limit where the file gives none, in units of the weight at full stretch, and added to it, N·m.
 const TORQUE: (f64, f64) = (1.5, 1.0);
+/// Largest share of a torque limit that friction takes at the velocity limit.
+const FRICTION_SHARE: f64 = 0.75;
 const CONTINUOUS_RANGE: (f64, f64) = (-TAU, TAU);
 
 /// Builds the arm that the selection picks from the tree.
@@ -112,6 +114,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         "drives are not described: {rotors}gains 1 N·m/A, {ENCODER_BITS}-bit encoders"
     ));
     assume_torques(&mut joints, &mut notes);
+    lower_speeds(&mut joints, &mut notes);
     let robot = Robot {
         name: plain_name(&document.name),
         gravity: document.gravity,
@@ -259,6 +262,22 @@ fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
             "joint '{}': no torque limit, {torque} N·m is taken, 1.5 of the weight at full stretch",
             joint.name
         ));
+    }
+}
+
+/// Lowers velocity limits that a joint does not reach, because friction leaves no torque there.
+fn lower_speeds(joints: &mut [Joint], notes: &mut Vec<String>) {
+    for joint in joints {
+        let (friction, limits) = (&joint.friction, &mut joint.limits);
+        let reached = (FRICTION_SHARE * limits.torque - friction.coulomb) / friction.viscous;
+        if reached > 0.0 && reached < limits.velocity {
+            let percent = 100.0 * FRICTION_SHARE;
+            notes.push(format!(
+                "joint '{}': friction takes {percent:.0} % of the torque limit at {reached:.3} rad/s, which is taken as velocity limit in place of {} rad/s",
+                joint.name, limits.velocity
+            ));
+            limits.velocity = reached;
+        }
     }
 }
 

@@ -419,6 +419,19 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
 }
 
 #[test]
+fn a_speed_that_friction_does_not_allow_is_no_limit() {
+    // 20 N·m, 3 rad/s; 10 N·m·s/rad of damping take three quarters of the torque at 1.475 rad/s, after 0.25 N·m.
+    let sticky = ARM.replacen("damping=\"0.5\"", "damping=\"10\"", 1);
+    let import = parse("t", &sticky, &TO_HAND).unwrap();
+    assert!((import.robot.joints[1].limits.velocity - 1.475).abs() < 1e-12);
+    let named = |note: &String| note.contains("'elbow': friction takes 75 % of the torque limit");
+    assert!(import.notes.iter().any(named), "{:?}", import.notes);
+    let free = parse("t", ARM, &TO_HAND).unwrap();
+    assert_eq!(free.robot.joints[1].limits.velocity, 3.0);
+    assert!(!free.notes.iter().any(named), "{:?}", free.notes);
+}
+
+#[test]
 fn inertia_without_mass_is_left_out_on_demand() {
     let massless = ARM.replacen("<mass value=\"0.5\"/>", "<mass value=\"0\"/>", 1);
     let error = parse("t", &massless, &TO_HAND).unwrap_err().to_string();
@@ -510,6 +523,26 @@ fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
         "{:?}",
         import.notes
     );
+}
+
+#[test]
+fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
+    let read = |text: &str| parse("t", text, &Selection::default()).unwrap();
+    let noted = |import: &Import| import.notes.iter().any(|note| note.contains("as radians"));
+    let bare = MJCF.replace("angle=\"degree\" ", "");
+    // ±90 are degrees, ±1.5 of a part of a file are not, unless it says so.
+    let degrees = read(&bare);
+    let position = |import: &Import| import.robot.joints[0].limits.position;
+    assert_eq!(position(&degrees), (-FRAC_PI_2, FRAC_PI_2));
+    let radians = read(&bare.replace("-90 90", "-1.5 1.5"));
+    assert_eq!(position(&radians), (-1.5, 1.5));
+    assert_eq!([noted(&degrees), noted(&radians)], [false, true]);
+    let named = read(&MJCF.replace("-90 90", "-1.5 1.5"));
+    assert_eq!(
+        position(&named),
+        (-1.5_f64.to_radians(), 1.5_f64.to_radians())
+    );
+    assert!(!noted(&named));
 }
 
 #[test]
