@@ -11,7 +11,8 @@ use std::f64::consts::{PI, TAU};
 const ENCODER_BITS: u32 = 17;
 const ACCELERATION: f64 = 10.0;
 const VELOCITY: f64 = 2.0;
-/// Torque limit where the file gives none, in units of the weight at full stretch, and added to it, N·m.
+/// Torque limit where the file gives none, in units of the weight at full stretch with friction and rotor at their largest, and
+/// added to it, N·m.
 const TORQUE: (f64, f64) = (1.5, 1.0);
 /// Largest share of a torque limit that friction takes at the velocity limit.
 const FRICTION_SHARE: f64 = 0.75;
@@ -240,7 +241,8 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
     })
 }
 
-/// Gives joints without a torque limit one and a half of what the arm weighs at full stretch, and 1 N·m.
+/// Gives joints without a torque limit one and a half of what the arm weighs at full stretch, of friction at the velocity limit
+/// and of the rotor at the acceleration limit, and 1 N·m.
 fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
     for index in 0..joints.len() {
         if joints[index].limits.torque > 0.0 {
@@ -255,11 +257,15 @@ fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
             };
             weight += 9.81 * joint.link.mass * (lever + joint.link.com.norm());
         }
-        let torque = (TORQUE.0 * weight + TORQUE.1).ceil();
         let joint = &mut joints[index];
+        let (friction, limits) = (&joint.friction, &joint.limits);
+        let own = friction.coulomb
+            + friction.viscous * limits.velocity
+            + joint.drive.rotor_inertia * limits.acceleration;
+        let torque = (TORQUE.0 * (weight + own) + TORQUE.1).ceil();
         joint.limits.torque = torque;
         notes.push(format!(
-            "joint '{}': no torque limit, {torque} N·m is taken, 1.5 of the weight at full stretch",
+            "joint '{}': no torque limit, {torque} N·m is taken, 1.5 of the weight at full stretch, friction and rotor",
             joint.name
         ));
     }

@@ -419,6 +419,26 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
 }
 
 #[test]
+fn an_assumed_torque_limit_moves_friction_and_rotor() {
+    let limit = |text: &str| {
+        let text = text.replacen(" actuatorfrcrange=\"-40 50\"", "", 1);
+        let text = text.replacen("forcerange=\"-35 35\"", "", 1);
+        let import = parse("t", &text, &Selection::default()).unwrap();
+        import.robot.joints[0].limits.torque
+    };
+    // 9.81 (2·0.2 + 1·(0.4 + 0.1)) N·m, damping 1 at 2 rad/s, rotor 0.1 at 10 rad/s²; then 4 N·m of friction.
+    let bare = limit(MJCF);
+    let sticky = MJCF.replacen(
+        "name=\"shoulder\"",
+        "name=\"shoulder\" frictionloss=\"4\"",
+        1,
+    );
+    assert_eq!(limit(&sticky) - bare, 6.0);
+    let heavy = MJCF.replacen("name=\"shoulder\"", "name=\"shoulder\" armature=\"0.5\"", 1);
+    assert_eq!(limit(&heavy) - bare, 6.0);
+}
+
+#[test]
 fn a_speed_that_friction_does_not_allow_is_no_limit() {
     // 20 N·m, 3 rad/s; 10 N·m·s/rad of damping take three quarters of the torque at 1.475 rad/s, after 0.25 N·m.
     let sticky = ARM.replacen("damping=\"0.5\"", "damping=\"10\"", 1);
