@@ -1,69 +1,17 @@
 //! The program with boards on a serial port and in the emulator, and its messages about boards it cannot use.
 
+use crate::played::PlayedBoard;
 use crate::program::{directory, fails, files, states, succeeds, text, write};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
-use foretorque_link::wire::PROTOCOL_VERSION;
-use foretorque_workbench::board::{Native, Transport};
+use foretorque_link::wire::{BoardMessage, Field, FrameBuffer, PROTOCOL_VERSION, TelemetryFrame};
+use foretorque_workbench::board::Native;
 use serialport::{SerialPort, TTYPort};
 use std::io::{Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::Duration;
-
-/// A board on a pseudo-terminal, until it goes out of scope.
-struct PlayedBoard {
-    port: String,
-    done: Arc<AtomicBool>,
-    player: Option<JoinHandle<()>>,
-}
-
-impl PlayedBoard {
-    /// Lets `board` answer, every frame changed by `change` on its way to the host.
-    fn start(mut board: impl Transport + Send + 'static, change: fn(&[u8]) -> Vec<u8>) -> Self {
-        let (mut line, end) = TTYPort::pair().expect("the system has pseudo-terminals");
-        let port = end.name().expect("it has a name");
-        line.set_timeout(Duration::from_millis(5))
-            .expect("it has a timeout");
-        let done = Arc::new(AtomicBool::new(false));
-        let ended = Arc::clone(&done);
-        let player = std::thread::spawn(move || {
-            let mut buffer = [0; 1024];
-            while !ended.load(Ordering::Relaxed) {
-                // Nothing received, or no process at the other end yet.
-                let Ok(count) = line.read(&mut buffer) else {
-                    std::thread::sleep(Duration::from_millis(1));
-                    continue;
-                };
-                board.send(&buffer[..count]).expect("the board lives");
-                let count = board
-                    .receive(&mut buffer, Duration::ZERO)
-                    .expect("the board lives");
-                for frame in buffer[..count].split_inclusive(|&byte| byte == 0) {
-                    // A host that has received enough hangs up.
-                    let _ = line.write_all(&change(frame));
-                }
-            }
-        });
-        drop(end);
-        Self {
-            port,
-            done,
-            player: Some(player),
-        }
-    }
-}
-
-impl Drop for PlayedBoard {
-    fn drop(&mut self) {
-        self.done.store(true, Ordering::Relaxed);
-        if let Some(player) = self.player.take() {
-            let _ = player.join();
-        }
-    }
-}
 
 /// The frame as a board of the next protocol version would send it.
 fn of_the_next_version(frame: &[u8]) -> Vec<u8> {
@@ -200,4 +148,63 @@ fn the_log_of_the_flashable_firmware_is_text() {
         "run --robot ur5 --trajectory validation --out out --log board.log",
     );
     assert!(stderr.contains("--log: board native has none"), "{stderr}");
+}
+
+#[test]
+fn a_line_is_read_along_without_a_byte_sent() {
+    let directory = directory("record");
+    let (mut board, end) = TTYPort::pair().expect("the system has pseudo-terminals");
+    let port = end.name().expect("it has a name");
+    drop(end);
+    let done = Arc::new(AtomicBool::new(false));
+    let ended = Arc::clone(&done);
+    let speaker = std::thread::spawn(move || {
+        let mut tick = 0_u32;
+        let mut received = 0;
+        board
+            .set_timeout(Duration::from_millis(1))
+            .expect("it has a timeout");
+        while !ended.load(Ordering::Relaxed) {
+            tick += 10;
+            let mut record = TelemetryFrame {
+                tick,
+                fields: Field::Total.bit(),
+                bytes: Default::default(),
+            };
+            for value in [1.5_f32, 2.0, 2.5, 3.0, 3.5, 4.0] {
+                let bytes = value.to_le_bytes();
+                record.bytes.extend_from_slice(&bytes).expect("short");
+            }
+            let mut frame = FrameBuffer::new();
+            frame
+                .push(0, &BoardMessage::<6>::Telemetry(record))
+                .expect("it fits");
+            let _ = board.write_all(frame.as_bytes());
+            received += board.read(&mut [0; 64]).unwrap_or(0);
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        received
+    });
+    let stdout = succeeds(
+        &directory,
+        &format!("record --board serial:{port} --duration-s 2 --out telemetry.csv"),
+    );
+    done.store(true, Ordering::Relaxed);
+    assert_eq!(speaker.join().expect("it ends"), 0, "bytes were sent");
+    assert!(stdout.contains(" records, 0 left out"), "{stdout}");
+    assert_eq!(files(&directory), ["telemetry.csv", "telemetry.mcap"]);
+    let table = text(directory.join("telemetry.csv"));
+    let mut lines = table.lines();
+    assert_eq!(
+        lines.next(),
+        Some("t_s,total1_nm,total2_nm,total3_nm,total4_nm,total5_nm,total6_nm")
+    );
+    let row = lines.next().expect("a record");
+    assert!(row.ends_with(",1.5,2,2.5,3,3.5,4"), "{row}");
+    let stderr = fails(
+        &directory,
+        &format!("record --board serial:{port} --duration-s 0.2 --out silent.csv"),
+    );
+    assert!(stderr.contains(&port), "{stderr}");
+    assert_eq!(files(&directory), ["telemetry.csv", "telemetry.mcap"]);
 }

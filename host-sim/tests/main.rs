@@ -6,11 +6,13 @@ mod board_excitation;
 mod cli;
 mod cli_boards;
 mod cli_bus;
+mod clients;
 mod excitation;
 mod identification;
 mod logged;
 mod orphans;
 mod planted;
+mod played;
 mod program;
 #[path = "../../tests/python.rs"]
 mod python;

@@ -77,7 +77,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         let quantities = [0, 6, 12, 18].iter();
         quantities.for_each(|k| row.swap(Q + 1 + k, Q + 2 + k));
     });
-    let cases: [(Change, &str); 11] = [
+    let cases: [(Change, &str); 12] = [
         (
             scale(Q..Q + 18, 57.295_779_513),
             "are these degrees (--units q=deg)?",
@@ -96,6 +96,10 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         ),
         (swap(Q, TAU, 6), "positions and torques are swapped"),
         (scale(one(4), 10.0), "torque of joint 4 is "),
+        (
+            scale(one(3), 1e3),
+            "those of the others are within theirs: drive gain or unit?",
+        ),
         (Box::new(late), " ms behind the positions"),
         (
             Box::new(noise),

@@ -10,7 +10,7 @@ use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::{at, remove_stale, write_whole};
 use foretorque_workbench::identification::{
     ColumnSet, Finding, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig,
-    bank_of_fit, identify, judge, page,
+    bank_of_fit, identify, judge, page, unexplained,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::{or_dash, ratio};
@@ -222,8 +222,9 @@ fn identify_arm<const N: usize>(
     bar.finish_and_clear();
     let report = &mut outcome.report;
     report.findings.extend(judgement.findings.iter().cloned());
-    report.findings.sort_by_key(|finding| !finding.refuses);
     report.data_check = Some(judgement);
+    report.findings.extend(unexplained(report));
+    report.findings.sort_by_key(|finding| !finding.refuses);
     let report = &outcome.report;
     let refused = report.findings.iter().find(|finding| finding.refuses);
     let refused = refused.filter(|_| !arguments.force);
@@ -286,21 +287,27 @@ fn identify_arm<const N: usize>(
             show!("robot   {}", path.display())?;
         }
     }
-    match bank {
-        Some(bank) => {
-            let path = out.join("parameters.bank");
-            write_whole(&path, &super::bank::bytes(&bank)?)?;
-            show!("bank    {}", path.display())?;
-        }
-        None if refused.is_some() => {}
-        None => show!("no bank: a bank has no room for the columns of this fit (see --columns)")?,
+    if let Some(bank) = &bank {
+        let path = out.join("parameters.bank");
+        write_whole(&path, &super::bank::bytes(bank)?)?;
+        show!("bank    {}", path.display())?;
     }
     show!("report  {}", shown.display())?;
-    match refused {
-        Some(Finding { text, .. }) => {
+    verdict(refused, bank.is_some())
+}
+
+/// Success of a run that wrote a bank.
+///
+/// Errors: the finding that kept it from a bank; a fit that no bank holds.
+fn verdict(refused: Option<&Finding>, has_bank: bool) -> Result<(), Failure> {
+    match (refused, has_bank) {
+        (Some(Finding { text, .. }), _) => {
             Err(unusable(format!("{text} (no bank; --force writes one)")))
         }
-        None => Ok(()),
+        (None, false) => Err(unusable(
+            "no bank: a bank has no place for a parameter of this fit (--columns)",
+        )),
+        (None, true) => Ok(()),
     }
 }
 
@@ -354,5 +361,25 @@ fn show_check(judgement: &Judgement) -> Result<(), Failure> {
     match judgement.findings.iter().find(|finding| finding.refuses) {
         Some(finding) => Err(unusable(finding.text.clone())),
         None => show!("no finding that refuses a bank"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::exit_code;
+    use super::*;
+
+    #[test]
+    fn a_run_without_a_bank_fails() {
+        let finding = Finding {
+            refuses: true,
+            text: "another arm".to_owned(),
+        };
+        for (refused, has_bank) in [(Some(&finding), false), (None, false)] {
+            let failure = verdict(refused, has_bank).expect_err("no bank");
+            assert_eq!(exit_code(&failure), 1);
+            assert!(failure.to_string().contains("no bank"), "{failure}");
+        }
+        assert!(verdict(None, true).is_ok());
     }
 }

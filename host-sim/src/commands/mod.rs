@@ -18,6 +18,7 @@ mod identify;
 mod motion_log;
 mod on_board;
 mod progress;
+mod record;
 mod replay;
 mod run;
 mod simulate;
@@ -123,6 +124,7 @@ enum Command {
     Drive(drive::Arguments),
     Commission(commission::Arguments),
     Wiring(wiring::Arguments),
+    Record(record::Arguments),
     Replay(replay::Arguments),
     Compare(compare::Arguments),
     Identify(identify::Arguments),
@@ -152,6 +154,7 @@ pub(crate) fn run() -> Result<(), Failure> {
         Command::Drive(arguments) => drive::run(&arguments),
         Command::Commission(arguments) => commission::run(&arguments),
         Command::Wiring(arguments) => wiring::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
@@ -180,7 +183,9 @@ fn parsed(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Com
         // What is wrong comes first, what was perhaps meant follows; the usage does not fit a line.
         let mut paragraphs = text.split("\n\n").map(str::trim);
         let wrong = paragraphs.next().unwrap_or_default();
-        let tip = paragraphs.find(|paragraph| paragraph.starts_with("tip:"));
+        // An option is mistyped far more often than a value begins with two dashes.
+        let helps = |tip: &&str| tip.starts_with("tip:") && !tip.contains(" as a value");
+        let tip = paragraphs.find(helps);
         let words: Vec<&str> = wrong
             .trim_start_matches("error: ")
             .split_whitespace()
@@ -209,6 +214,11 @@ mod tests {
             ),
             ("host-sim torque", "--robot <ROBOT>"),
             ("host-sim torqe", "'torque'"),
+            ("host-sim describe ur5 --tp hand", "'--tp' found (see"),
+            (
+                "host-sim describe ur5 --torque-limits -5",
+                "must be positive",
+            ),
         ];
         for (line, names) in cases {
             let arguments = line.split(' ').map(Into::into);

@@ -7,6 +7,7 @@ pub mod excitation;
 pub mod identification;
 pub mod kinematics;
 pub mod metrics;
+pub mod overheard;
 pub mod parallel;
 pub mod plant;
 pub mod report;

@@ -129,6 +129,8 @@ pub struct Recorder {
     table: TableWriter,
     /// The record whose frames are still coming: tick, fields, numbers.
     open: Option<(u32, u16, Vec<f64>)>,
+    /// Records written.
+    whole: u64,
     /// Records that came with a part missing, and were left out.
     torn: u64,
 }
@@ -155,6 +157,7 @@ impl Recorder {
             period_s,
             table: TableWriter::with_mcap(path, &header)?,
             open: None,
+            whole: 0,
             torn: 0,
         })
     }
@@ -182,17 +185,18 @@ impl Recorder {
                 self.table
                     .row(std::iter::once(t_s).chain(row.iter().copied()))?;
                 self.open = None;
+                self.whole += 1;
             }
         }
         Ok(())
     }
 
-    /// Completes the table; how many records came with a part missing.
+    /// Completes the table; how many records it has, and how many came with a part missing.
     ///
     /// Errors: the file system's.
-    pub fn finish(self) -> io::Result<u64> {
+    pub fn finish(self) -> io::Result<(u64, u64)> {
         self.table.finish()?;
-        Ok(self.torn)
+        Ok((self.whole, self.torn))
     }
 }
 

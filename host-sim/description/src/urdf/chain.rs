@@ -11,8 +11,11 @@ use std::f64::consts::{PI, TAU};
 const ENCODER_BITS: u32 = 17;
 const ACCELERATION: f64 = 10.0;
 const VELOCITY: f64 = 2.0;
-/// Torque limit where the file gives none, in units of the weight at full stretch, and added to it, N·m.
+/// Torque limit where the file gives none, in units of the weight at full stretch with friction and rotor at their largest, and
+/// added to it, N·m.
 const TORQUE: (f64, f64) = (1.5, 1.0);
+/// Largest share of a torque limit that friction takes at the velocity limit.
+const FRICTION_SHARE: f64 = 0.75;
 const CONTINUOUS_RANGE: (f64, f64) = (-TAU, TAU);
 
 /// Builds the arm that the selection picks from the tree.
@@ -66,7 +69,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         let turn = turn.map_err(|problem| UrdfProblem::Joint {
             joint: element.name.clone(),
             problem,
-            mend: without(document, &path, index),
+            mend: without(document, &path),
         })?;
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
@@ -112,6 +115,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         "drives are not described: {rotors}gains 1 N·m/A, {ENCODER_BITS}-bit encoders"
     ));
     assume_torques(&mut joints, &mut notes);
+    lower_speeds(&mut joints, &mut notes);
     let robot = Robot {
         name: plain_name(&document.name),
         gravity: document.gravity,
@@ -127,17 +131,28 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     Ok(Import { robot, notes })
 }
 
-/// The option that keeps the longer part of the path beside `joint`, in brackets.
-fn without(document: &Document, path: &[usize], joint: usize) -> String {
-    let usable = |joint: &&usize| usable(&document.joints[**joint]).is_ok();
-    let mut sides = path.split(|&other| other == joint);
-    let [before, after] = [sides.next(), sides.next()]
-        .map(|side| side.unwrap_or_default().iter().filter(usable).count());
-    let element = &document.joints[joint];
-    match (before, after) {
-        (0, 0) => String::new(),
-        _ if after >= before => format!(" (--base '{}' begins behind it)", element.child),
-        _ => format!(" (--tip '{}' ends before it)", element.parent),
+/// The options that keep the longest part of the path without unusable joints, in brackets; the last of equal ones.
+fn without(document: &Document, path: &[usize]) -> String {
+    let is_fixed = |joint: usize| document.joints[joint].kind == "fixed";
+    let turn = |joint: usize| usable(&document.joints[joint]).and_then(z_onto_axis);
+    let stops = |joint: &usize| !is_fixed(*joint) && turn(*joint).is_err();
+    let parts = path.split(stops).enumerate();
+    let turning = |part: &[usize]| part.iter().filter(|&&joint| !is_fixed(joint)).count();
+    let longest = parts.max_by_key(|(_, part)| turning(part));
+    let Some((number, _)) = longest.filter(|(_, part)| turning(part) > 0) else {
+        return String::new();
+    };
+    let stops: Vec<usize> = path.iter().copied().filter(stops).collect();
+    let base = number.checked_sub(1).map(|before| stops[before]);
+    let base = base.map(|joint| &document.joints[joint].child);
+    let tip = stops
+        .get(number)
+        .map(|&joint| &document.joints[joint].parent);
+    match (base, tip) {
+        (Some(base), Some(tip)) => format!(" (--base '{base}' --tip '{tip}' leave it out)"),
+        (Some(base), None) => format!(" (--base '{base}' begins behind it)"),
+        (None, Some(tip)) => format!(" (--tip '{tip}' ends before it)"),
+        (None, None) => String::new(),
     }
 }
 
@@ -226,7 +241,8 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
     })
 }
 
-/// Gives joints without a torque limit one and a half of what the arm weighs at full stretch, and 1 N·m.
+/// Gives joints without a torque limit one and a half of what the arm weighs at full stretch, of friction at the velocity limit
+/// and of the rotor at the acceleration limit, and 1 N·m.
 fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
     for index in 0..joints.len() {
         if joints[index].limits.torque > 0.0 {
@@ -241,13 +257,33 @@ fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
             };
             weight += 9.81 * joint.link.mass * (lever + joint.link.com.norm());
         }
-        let torque = (TORQUE.0 * weight + TORQUE.1).ceil();
         let joint = &mut joints[index];
+        let (friction, limits) = (&joint.friction, &joint.limits);
+        let own = friction.coulomb
+            + friction.viscous * limits.velocity
+            + joint.drive.rotor_inertia * limits.acceleration;
+        let torque = (TORQUE.0 * (weight + own) + TORQUE.1).ceil();
         joint.limits.torque = torque;
         notes.push(format!(
-            "joint '{}': no torque limit, {torque} N·m is taken, 1.5 of the weight at full stretch",
+            "joint '{}': no torque limit, {torque} N·m is taken, 1.5 of the weight at full stretch, friction and rotor",
             joint.name
         ));
+    }
+}
+
+/// Lowers velocity limits that a joint does not reach, because friction leaves no torque there.
+fn lower_speeds(joints: &mut [Joint], notes: &mut Vec<String>) {
+    for joint in joints {
+        let (friction, limits) = (&joint.friction, &mut joint.limits);
+        let reached = (FRICTION_SHARE * limits.torque - friction.coulomb) / friction.viscous;
+        if reached > 0.0 && reached < limits.velocity {
+            let percent = 100.0 * FRICTION_SHARE;
+            notes.push(format!(
+                "joint '{}': friction takes {percent:.0} % of the torque limit at {reached:.3} rad/s, which is taken as velocity limit in place of {} rad/s",
+                joint.name, limits.velocity
+            ));
+            limits.velocity = reached;
+        }
     }
 }
 

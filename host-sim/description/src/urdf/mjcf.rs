@@ -75,6 +75,13 @@ pub(super) fn read(file: &Path, text: String) -> Result<Document, UrdfProblem> {
     for compiler in children(root, "compiler") {
         reader.compiler(compiler)?;
     }
+    let named = |compiler: Node<'_, '_>| compiler.has_attribute("angle");
+    if !children(root, "compiler").any(named) && ranges_are_radians(root) {
+        reader.degrees = false;
+        let note =
+            "no <compiler angle>: angles are taken as radians, as no range is wider than a turn";
+        reader.document.notes.push(note.to_owned());
+    }
     for option in children(root, "option") {
         if let Some(gravity) = vector(option, "gravity")? {
             reader.document.gravity = gravity;
@@ -550,6 +557,17 @@ impl<'a, 'input> Reader<'a, 'input> {
         };
         Ok(placed.snapped())
     }
+}
+
+/// Every range of a joint lies within a turn in radians. In degrees no arm moves with such ranges: the file is a part of one
+/// that names the unit.
+fn ranges_are_radians(root: Node<'_, '_>) -> bool {
+    let joints = root.descendants().filter(|n| n.has_tag_name("joint"));
+    let ends: Vec<f64> = joints
+        .filter_map(|joint| numbers(joint, "range").ok())
+        .flatten()
+        .collect();
+    !ends.is_empty() && ends.iter().all(|end| end.abs() <= std::f64::consts::TAU)
 }
 
 fn class_of<'a>(default: Node<'a, '_>) -> &'a str {

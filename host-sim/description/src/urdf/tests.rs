@@ -337,7 +337,7 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ; hand ; "shoulder" type="revolute" ; "shoulder" type="planar" ; joint 'shoulder' is planar: only revolute, continuous and fixed joints are supported (--base 'upper' begins behind it)
         ; hand ; <dynamics ; <mimic joint="shoulder"/><dynamics ; joint 'elbow' mimics another joint: an arm's joints move on their own (--tip 'upper' ends before it)
         ; hand ; <axis xyz="0 1 0"/> ; <axis xyz="0 0 0"/> ; joint 'shoulder' has an axis of length zero (--base 'upper' begins behind it)
-        ; hand ; <mass value="2"/> ; <mass value="0"/> ; link 'upper': mass is 0, must be positive
+        ; hand ; <mass value="2"/> ; <mass value="0"/> ; link 'upper': mass is 0, must be positive (--repair leaves it out)
         ; hand ; <mass value="2"/> ; ; line 8: <inertial> has no <mass>
         ; hand ; <mass value="2"/> ; <mass value="2 kg"/> ; line 8: <mass> value="2 kg" is not a number
         ; hand ; iyy="0.03" ; ; line 9: <inertia> has no attribute 'iyy'
@@ -388,6 +388,21 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         parse("t", &weightless, &selection).unwrap_err().to_string(),
         "t: link 'fore' is moved by joint 'elbow' but has no inertial data: give such links a mass with --link-mass"
     );
+    // Between two joints that no arm can have.
+    let planar = ARM.replacen(
+        "\"shoulder\" type=\"revolute\"",
+        "\"shoulder\" type=\"planar\"",
+        1,
+    );
+    let to_finger = Selection {
+        tip: Some("left"),
+        ..Selection::default()
+    };
+    let error = parse("t", &planar, &to_finger).unwrap_err().to_string();
+    assert!(
+        error.ends_with(" (--base 'upper' --tip 'hand' leave it out)"),
+        "{error}"
+    );
     let missing = load(Path::new("/no/such.urdf"), &selection)
         .unwrap_err()
         .to_string();
@@ -401,6 +416,54 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
             .to_string()
             .starts_with("t: not a URDF or MJCF: ")
     );
+}
+
+#[test]
+fn an_assumed_torque_limit_moves_friction_and_rotor() {
+    let limit = |text: &str| {
+        let text = text.replacen(" actuatorfrcrange=\"-40 50\"", "", 1);
+        let text = text.replacen("forcerange=\"-35 35\"", "", 1);
+        let import = parse("t", &text, &Selection::default()).unwrap();
+        import.robot.joints[0].limits.torque
+    };
+    // 9.81 (2·0.2 + 1·(0.4 + 0.1)) N·m, damping 1 at 2 rad/s, rotor 0.1 at 10 rad/s²; then 4 N·m of friction.
+    let bare = limit(MJCF);
+    let sticky = MJCF.replacen(
+        "name=\"shoulder\"",
+        "name=\"shoulder\" frictionloss=\"4\"",
+        1,
+    );
+    assert_eq!(limit(&sticky) - bare, 6.0);
+    let heavy = MJCF.replacen("name=\"shoulder\"", "name=\"shoulder\" armature=\"0.5\"", 1);
+    assert_eq!(limit(&heavy) - bare, 6.0);
+}
+
+#[test]
+fn a_speed_that_friction_does_not_allow_is_no_limit() {
+    // 20 N·m, 3 rad/s; 10 N·m·s/rad of damping take three quarters of the torque at 1.475 rad/s, after 0.25 N·m.
+    let sticky = ARM.replacen("damping=\"0.5\"", "damping=\"10\"", 1);
+    let import = parse("t", &sticky, &TO_HAND).unwrap();
+    assert!((import.robot.joints[1].limits.velocity - 1.475).abs() < 1e-12);
+    let named = |note: &String| note.contains("'elbow': friction takes 75 % of the torque limit");
+    assert!(import.notes.iter().any(named), "{:?}", import.notes);
+    let free = parse("t", ARM, &TO_HAND).unwrap();
+    assert_eq!(free.robot.joints[1].limits.velocity, 3.0);
+    assert!(!free.notes.iter().any(named), "{:?}", free.notes);
+}
+
+#[test]
+fn inertia_without_mass_is_left_out_on_demand() {
+    let massless = ARM.replacen("<mass value=\"0.5\"/>", "<mass value=\"0\"/>", 1);
+    let error = parse("t", &massless, &TO_HAND).unwrap_err().to_string();
+    assert!(error.ends_with("(--repair leaves it out)"), "{error}");
+    let repaired = Selection {
+        repair: true,
+        ..TO_HAND
+    };
+    let import = parse("t", &massless, &repaired).unwrap();
+    assert_eq!(import.robot.joints[1].link.mass, 1.0);
+    let note = "link 'hand': inertia without mass is left out";
+    assert!(import.notes.iter().any(|n| n == note), "{:?}", import.notes);
 }
 
 #[test]
@@ -480,6 +543,26 @@ fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
         "{:?}",
         import.notes
     );
+}
+
+#[test]
+fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
+    let read = |text: &str| parse("t", text, &Selection::default()).unwrap();
+    let noted = |import: &Import| import.notes.iter().any(|note| note.contains("as radians"));
+    let bare = MJCF.replace("angle=\"degree\" ", "");
+    // ±90 are degrees, ±1.5 of a part of a file are not, unless it says so.
+    let degrees = read(&bare);
+    let position = |import: &Import| import.robot.joints[0].limits.position;
+    assert_eq!(position(&degrees), (-FRAC_PI_2, FRAC_PI_2));
+    let radians = read(&bare.replace("-90 90", "-1.5 1.5"));
+    assert_eq!(position(&radians), (-1.5, 1.5));
+    assert_eq!([noted(&degrees), noted(&radians)], [false, true]);
+    let named = read(&MJCF.replace("-90 90", "-1.5 1.5"));
+    assert_eq!(
+        position(&named),
+        (-1.5_f64.to_radians(), 1.5_f64.to_radians())
+    );
+    assert!(!noted(&named));
 }
 
 #[test]

@@ -274,6 +274,13 @@ impl<'a> Tree<'a> {
             let mut part = *part;
             // A sensor bolted on may be given as a point of mass; the body as a whole may not.
             let is_point = link != moved && part.inertia_com == Matrix3::zeros();
+            if selection.repair && part.mass == 0.0 {
+                notes.push(format!(
+                    "link '{}': inertia without mass is left out",
+                    self.name(link)
+                ));
+                continue;
+            }
             if selection.repair && part.mass > 0.0 && !is_point && inertia_reason(&part).is_some() {
                 let (repaired, change) = part.repaired();
                 notes.push(format!(
@@ -282,7 +289,9 @@ impl<'a> Tree<'a> {
                 ));
                 part = repaired;
             }
-            let reason = if part.mass <= 0.0 {
+            let reason = if part.mass == 0.0 {
+                Some("mass is 0, must be positive (--repair leaves it out)".to_owned())
+            } else if part.mass < 0.0 {
                 Some(format!("mass is {}, must be positive", part.mass))
             } else if is_point {
                 None

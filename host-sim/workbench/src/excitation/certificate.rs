@@ -66,6 +66,13 @@ impl LimitCheck {
             limit: format!("{} of {}", self.limit, self.of),
             reached: quantity(self.worst, self.unit),
             required: quantity(self.allowed, self.unit),
+            mend: match self.limit {
+                "torque" => {
+                    ": correct it with --torque-limits, or narrow the motion with --range-rad"
+                }
+                "condition number" => ": allow a larger one with --condition-limit",
+                _ => "",
+            },
         }
     }
 }

@@ -29,7 +29,7 @@ pub(super) struct Provenance {
 }
 
 const BETWEEN: &str = "position, velocity, acceleration: K h^2/8 with K the bound of the second derivative of the series; \
-clearance and torque: h/2 times a bound of their rate of change around each point";
+clearance and torque: h/2 times a bound of their rate of change around each point; points closer where that exceeds a torque limit";
 const CONDITION_NOTE: &str = "raw SI base regressor of the links, first independent columns from left to right; it depends on \
 link frames and columns: compare with the same frames and columns only";
 
@@ -49,7 +49,7 @@ pub(super) fn certify<const N: usize>(
         .map(|k| excitation.at(k as f64 * step))
         .collect();
     let mut limits = joint_limits(robot, excitation, points, origin.range_rad)?;
-    limits.extend(torque_limits(robot, excitation, &states, step).ok_or_else(other_size)?);
+    limits.extend(torque_limits::<N>(robot, excitation, step, points).ok_or_else(other_size)?);
     limits.extend(clearance_limits(excitation, objective, &states, step));
 
     let board = Rows::<N>::new(robot, Frames::Board).ok_or_else(other_size)?;
@@ -145,37 +145,60 @@ fn jerks<const N: usize>(excitation: &Excitation) -> Joints<N> {
     Joints::from_fn(|j, _| excitation.joints[j].higher_bounds(omega).0)
 }
 
-/// Rigid body and rotors exactly, friction at its largest.
+/// Parts of a step, at most, where the bound between its ends exceeds a limit: a power of [`PARTS`].
+const MOST_PARTS: usize = 256;
+const PARTS: usize = 4;
+
+/// Rigid body and rotors exactly, friction at its largest. The bound between points is far from the torque where an arm is fast:
+/// where it exceeds a limit, the points come closer.
 fn torque_limits<const N: usize>(
     robot: &Robot,
     excitation: &Excitation,
-    states: &[State<N>],
     step: f64,
+    points: usize,
 ) -> Option<Vec<LimitCheck>> {
     let model = ReferenceModel::<N>::new(robot)?;
     let rates = TorqueRates::<N>::new(robot)?;
+    let limits: Joints<N> = robot.each(|joint| joint.limits.torque)?.into();
     let jerk = jerks(excitation);
-    let mut worst = Joints::<N>::zeros();
-    for state in states {
-        let bounds = around(state, &jerk, step);
-        let rigid = model.inverse_dynamics(state).abs() + rates.bound(&bounds) * (0.5 * step);
-        for (j, joint) in robot.joints.iter().enumerate() {
-            let friction = &joint.friction;
-            let drag = friction.viscous * bounds.qd[j]
-                + friction.coulomb * (1.0 + friction.stribeck_ratio)
-                + friction.cogging;
-            worst[j] = worst[j].max(rigid[j] + drag);
-        }
-    }
-    let check = |(j, joint): (usize, &crate::robot::Joint)| {
-        LimitCheck::at_most(
-            "torque",
-            &joint.name,
-            "N*m",
-            (worst[j], joint.limits.torque),
+    // Torques at t_s, and their bounds within half of `step` around it.
+    let torques = |t_s: f64, step: f64| {
+        let state: State<N> = excitation.at(t_s);
+        let bounds = around(&state, &jerk, step);
+        let rigid = model.inverse_dynamics(&state).abs();
+        let drag = |qd: &Joints<N>| {
+            Joints::<N>::from_fn(|j, _| {
+                let friction = &robot.joints[j].friction;
+                friction.viscous * qd[j]
+                    + friction.coulomb * (1.0 + friction.stribeck_ratio)
+                    + friction.cogging
+            })
+        };
+        let between = rates.bound(&bounds) * (0.5 * step);
+        (
+            rigid + drag(&state.qd.abs()),
+            rigid + drag(&bounds.qd) + between,
         )
     };
-    Some(robot.joints.iter().enumerate().map(check).collect())
+    let exceeds = |torque: &Joints<N>| (limits - torque).min() < 0.0;
+    let mut worst = Joints::<N>::zeros();
+    for k in 0..points {
+        let t_s = k as f64 * step;
+        let (here, mut bound) = torques(t_s, step);
+        let mut parts = 1;
+        while exceeds(&bound) && !exceeds(&here) && parts < MOST_PARTS {
+            parts *= PARTS;
+            let part = step / parts as f64;
+            let places = (0..parts).map(|i| t_s + (i as f64 + 0.5) * part - 0.5 * step);
+            let bounds = places.map(|t_s| torques(t_s, part).1);
+            bound = bounds.fold(Joints::zeros(), |worst, bound| worst.sup(&bound));
+        }
+        worst = worst.sup(&bound);
+    }
+    let check = |(joint, worst): (&crate::robot::Joint, &f64)| {
+        LimitCheck::at_most("torque", &joint.name, "N*m", (*worst, joint.limits.torque))
+    };
+    Some(robot.joints.iter().zip(&worst).map(check).collect())
 }
 
 fn clearance_limits<const N: usize>(
@@ -204,4 +227,55 @@ fn clearance_limits<const N: usize>(
             LimitCheck::at_least("clearance", &clearances.name(index), "m", value)
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::path::Excitation;
+    use super::super::series::JointSeries;
+    use super::*;
+
+    /// One joint far from its torque limit, with a fast and light one behind it.
+    #[test]
+    fn a_coarse_bound_between_points_refuses_no_motion_that_keeps_its_limit() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        let swing = |size: f64| JointSeries {
+            q0_rad: 0.3,
+            a_rad_s: [size, 0.0, 0.0, 0.0, -size],
+            b_rad_s: [0.0; 5],
+        };
+        let excitation = Excitation {
+            robot: robot.name.clone(),
+            period_s: 10.0,
+            order: 5,
+            seed: 1,
+            joints: vec![swing(1.4); 6],
+            certificate: None,
+        };
+        let worst = |robot: &Robot, points: usize| -> Vec<f64> {
+            let checks = torque_limits::<6>(robot, &excitation, 10.0 / points as f64, points);
+            let checks = checks.expect("six joints");
+            checks.iter().map(|check| check.worst).collect()
+        };
+        let (coarse, fine) = (worst(&robot, 1000), worst(&robot, 100_000));
+        let between: Vec<f64> = coarse.iter().zip(&fine).map(|(c, f)| c - f).collect();
+        assert!(between.iter().all(|between| *between > 0.0), "{between:?}");
+        // A limit that the motion keeps, and the bound between a thousand points does not.
+        for (joint, (fine, between)) in robot.joints.iter_mut().zip(fine.iter().zip(&between)) {
+            joint.limits.torque = fine + 0.3 * between;
+        }
+        let closer = worst(&robot, 1000);
+        for (j, joint) in robot.joints.iter().enumerate() {
+            let allowed = joint.limits.torque;
+            assert!(
+                0.99 * fine[j] <= closer[j] && closer[j] <= allowed,
+                "joint {j}: {} {} {allowed}",
+                fine[j],
+                closer[j]
+            );
+        }
+        // One that the motion does not keep is missed with any points.
+        robot.joints[1].limits.torque = 0.95 * fine[1];
+        assert!(worst(&robot, 1000)[1] > robot.joints[1].limits.torque);
+    }
 }

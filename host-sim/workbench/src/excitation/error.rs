@@ -51,7 +51,7 @@ pub enum ExcitationError {
     },
     /// No start of the search ended inside all limits.
     #[error(
-        "excitation: no path keeps all limits; the best one has {limit} {reached}, asked for {required}"
+        "excitation: no path keeps all limits; the best one has {limit} {reached}, asked for {required}{mend}"
     )]
     Unkept {
         /// The limit that was missed by the best start.
@@ -60,6 +60,8 @@ pub enum ExcitationError {
         reached: String,
         /// Value that is required, with its unit.
         required: String,
+        /// Option that mends it; empty where there is none.
+        mend: &'static str,
     },
     /// Torque does not distinguish all parameters on any path that was tried.
     #[error("excitation: within these limits torque cannot see all base parameters")]

@@ -23,6 +23,7 @@ mod rates;
 mod rows;
 mod search;
 mod series;
+mod slopes;
 mod variables;
 
 pub use certificate::{Certificate, LimitCheck};

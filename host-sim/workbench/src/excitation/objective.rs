@@ -131,7 +131,10 @@ impl<const N: usize> Objective<N> {
             }
         }
         if let Some(gradient) = gradient {
-            self.add_row_slopes(&states, &transposed, &adjoint, &mut slopes);
+            let pulls = adjoint.as_slice().chunks_exact(N * width);
+            for ((state, pull), slopes) in states.iter().zip(pulls).zip(&mut slopes) {
+                self.rows.add_slopes(state, SIGN_WIDTH_RAD_S, pull, slopes);
+            }
             for (j, own) in gradient.chunks_exact_mut(VARIABLES).enumerate() {
                 for (v, sum) in own.iter_mut().enumerate() {
                     *sum = (0..INSTANTS)
@@ -220,42 +223,6 @@ impl<const N: usize> Objective<N> {
             }
         }
         here
-    }
-
-    /// Chain rule through the regressor rows: differences of `adjoint · rows` over q, qd, qdd at every instant.
-    fn add_row_slopes(
-        &self,
-        states: &[State<N>],
-        transposed: &DMatrix<f64>,
-        adjoint: &DMatrix<f64>,
-        slopes: &mut [[[f64; 3]; N]],
-    ) {
-        // The rows are quadratic in speed, linear in acceleration: only rounding limits those steps.
-        const STEPS: [f64; 3] = [1e-6, 1e-6, 1e-4];
-        let size = N * self.rows.count();
-        let mut block = vec![0.0; size];
-        let blocks = transposed.as_slice().chunks_exact(size);
-        let pulls = adjoint.as_slice().chunks_exact(size);
-        for (((state, rows), pull), slopes) in states.iter().zip(blocks).zip(pulls).zip(slopes) {
-            for (j, slopes) in slopes.iter_mut().enumerate() {
-                for d in 0..3 {
-                    let mut moved = *state;
-                    match d {
-                        0 => moved.q[j] += STEPS[d],
-                        1 => moved.qd[j] += STEPS[d],
-                        _ => moved.qdd[j] += STEPS[d],
-                    }
-                    self.rows.write(&moved, SIGN_WIDTH_RAD_S, &mut block);
-                    let change: f64 = block
-                        .iter()
-                        .zip(rows)
-                        .zip(pull)
-                        .map(|((moved, row), pull)| (moved - row) * pull)
-                        .sum();
-                    slopes[d] += change / STEPS[d];
-                }
-            }
-        }
     }
 }
 

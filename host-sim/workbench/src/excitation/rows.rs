@@ -3,6 +3,7 @@
 use crate::dynamics::{ReferenceModel, STATES, State, independent_columns, random_states};
 use crate::robot::{LINK_PARAMETERS, Placement, Robot};
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+use std::ops::Range;
 
 /// Frames in which the inertial parameters of a link are expressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,6 +12,27 @@ pub(super) enum Frames {
     Dh,
     /// The joint frames of the board (Craig).
     Board,
+}
+
+/// Motion of a link in the base frame; `a`, `w` and `al` in the parameters' frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LinkMotion {
+    /// Orientation of the parameters' frame.
+    pub(super) rot_frame: Matrix3<f64>,
+    /// From the origin of the link before to that of this one.
+    pub(super) step: Vector3<f64>,
+    /// Origin of the joint frame.
+    pub(super) origin: Vector3<f64>,
+    /// From the origin of the joint frame to that of the parameters' frame.
+    pub(super) lever: Vector3<f64>,
+    /// Axis of the joint.
+    pub(super) axis: Vector3<f64>,
+    pub(super) omega: Vector3<f64>,
+    pub(super) alpha: Vector3<f64>,
+    /// Acceleration of the origin of the parameters' frame, less gravity.
+    pub(super) a: Vector3<f64>,
+    pub(super) w: Vector3<f64>,
+    pub(super) al: Vector3<f64>,
 }
 
 /// Regressor of rigid body and friction over the independent columns.
@@ -23,8 +45,8 @@ pub(super) struct Rows<const N: usize> {
     frames: [Placement; N],
     gravity: Vector3<f64>,
     /// (link, parameter) of every base column of the links.
-    link_columns: Vec<(usize, usize)>,
-    rotor_columns: Vec<usize>,
+    pub(super) link_columns: Vec<(usize, usize)>,
+    pub(super) rotor_columns: Vec<usize>,
 }
 
 impl<const N: usize> Rows<N> {
@@ -68,21 +90,19 @@ impl<const N: usize> Rows<N> {
         self.link_columns.len() + self.rotor_columns.len() + 2 * N
     }
 
-    /// Writes N rows of [`Self::count`] entries into `out`, one after the other. `sign_width`, rad/s, smooths the sign of
-    /// the Coulomb columns.
-    ///
-    /// With U = [α]× + [ω]×², s = z × ω, z the axis and p = z × (o − o_j), all in the parameters' frame of link k:
-    /// `m: p·a`, `m·c: Uᵀp + a × z`, `Iij: z_i α_j + s_i ω_j`, symmetrised.
-    pub(super) fn write(&self, state: &State<N>, sign_width: f64, out: &mut [f64]) {
-        let width = self.count();
-        out.fill(0.0);
+    /// Columns of link `link`.
+    pub(super) fn columns_of(&self, link: usize) -> Range<usize> {
+        let before = |link: usize| self.link_columns.partition_point(|column| column.0 < link);
+        before(link)..before(link + 1)
+    }
+
+    /// Motion of every link, from the base on.
+    pub(super) fn motion(&self, state: &State<N>) -> [LinkMotion; N] {
         let mut rot = Matrix3::identity();
         let mut origin = Vector3::zeros();
         let (mut omega, mut alpha) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
         let mut acceleration = -self.gravity;
-        let (mut axes, mut origins) = ([Vector3::zeros(); N], [Vector3::zeros(); N]);
-        let mut next = 0;
-        for k in 0..N {
+        std::array::from_fn(|k| {
             let step = rot * self.placements[k].origin;
             origin += step;
             acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
@@ -91,23 +111,42 @@ impl<const N: usize> Rows<N> {
             let axis: Vector3<f64> = rot.column(2).into_owned();
             alpha += axis * state.qdd[k] + omega.cross(&axis) * state.qd[k];
             omega += axis * state.qd[k];
-            (axes[k], origins[k]) = (axis, origin);
-
             let lever = rot * self.frames[k].origin;
-            let here = origin + lever;
-            let to_frame = (rot * self.frames[k].rot_parent_child).transpose();
-            let a =
-                to_frame * (acceleration + alpha.cross(&lever) + omega.cross(&omega.cross(&lever)));
-            let (w, al) = (to_frame * omega, to_frame * alpha);
+            let rot_frame = rot * self.frames[k].rot_parent_child;
+            let to_frame = rot_frame.transpose();
+            let moved = acceleration + alpha.cross(&lever) + omega.cross(&omega.cross(&lever));
+            LinkMotion {
+                rot_frame,
+                step,
+                origin,
+                lever,
+                axis,
+                omega,
+                alpha,
+                a: to_frame * moved,
+                w: to_frame * omega,
+                al: to_frame * alpha,
+            }
+        })
+    }
+
+    /// Writes N rows of [`Self::count`] entries into `out`, one after the other. `sign_width`, rad/s, smooths the sign of
+    /// the Coulomb columns.
+    ///
+    /// With U = [α]× + [ω]×², s = z × ω, z the axis and p = z × (o − o_j), all in the parameters' frame of link k:
+    /// `m: p·a`, `m·c: Uᵀp + a × z`, `Iij: z_i α_j + s_i ω_j`, symmetrised.
+    pub(super) fn write(&self, state: &State<N>, sign_width: f64, out: &mut [f64]) {
+        let width = self.count();
+        out.fill(0.0);
+        let links = self.motion(state);
+        for (k, link) in links.iter().enumerate() {
+            let to_frame = link.rot_frame.transpose();
+            let LinkMotion { a, w, al, .. } = *link;
             let cross = w.cross_matrix();
             let u = al.cross_matrix() + cross * cross;
-            let first = next;
-            while next < self.link_columns.len() && self.link_columns[next].0 == k {
-                next += 1;
-            }
             for j in 0..=k {
-                let z = to_frame * axes[j];
-                let p = z.cross(&(to_frame * (here - origins[j])));
+                let z = to_frame * links[j].axis;
+                let p = z.cross(&(to_frame * (link.origin + link.lever - links[j].origin)));
                 let s = z.cross(&w);
                 let moment = u.tr_mul(&p) + a.cross(&z);
                 let pair = |i: usize, j: usize| z[i] * al[j] + s[i] * w[j];
@@ -123,7 +162,7 @@ impl<const N: usize> Rows<N> {
                     pair(0, 2) + pair(2, 0),
                     pair(1, 2) + pair(2, 1),
                 ];
-                for column in first..next {
+                for column in self.columns_of(k) {
                     out[j * width + column] = entries[self.link_columns[column].1];
                 }
             }

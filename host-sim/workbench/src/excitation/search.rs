@@ -371,20 +371,18 @@ impl<'a, const N: usize> Search<'a, N> {
             );
         }
         let mut excitation = self.certified(self.fitted(&variables))?;
+        let mut objective = None;
         for repair in 1..=REPAIRS {
-            if excitation.certificate.as_ref().is_some_and(|c| c.holds) {
+            let Some(certificate) = excitation.certificate.as_ref().filter(|c| !c.holds) else {
                 break;
-            }
+            };
             let penalties = self.penalties(
                 FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32),
                 0.001 * repair as f64,
             );
-            variables = descend(
-                &self.objective,
-                &penalties,
-                variables,
-                self.config.iterations,
-            );
+            let objective = objective.get_or_insert_with(|| self.objective.clone());
+            tighten(&mut objective.torque, certificate);
+            variables = descend(objective, &penalties, variables, self.config.iterations);
             excitation = self.certified(self.fitted(&variables))?;
         }
         Ok(excitation)
@@ -466,6 +464,16 @@ impl<'a, const N: usize> Search<'a, N> {
     }
 }
 
+/// Lowers the torques that the search allows by what the certificate reached beyond a limit: it takes friction of either sign,
+/// and bounds between its points.
+fn tighten<const N: usize>(torque: &mut [f64; N], certificate: &Certificate) {
+    let checks = certificate.limits.iter();
+    let checks = checks.filter(|check| check.limit == "torque");
+    for (torque, check) in torque.iter_mut().zip(checks) {
+        *torque *= (check.allowed / check.worst).min(1.0);
+    }
+}
+
 /// Torque that friction leaves each joint of `share` of its limit, N·m; a tenth of the limit at least.
 fn torques<const N: usize>(robot: &Robot, share: f64) -> [f64; N] {
     std::array::from_fn(|j| {
@@ -543,5 +551,21 @@ mod tests {
             "{message}"
         );
         assert!(message.contains(&robot.joints[1].name), "{message}");
+    }
+
+    #[test]
+    fn friction_of_half_a_torque_limit_leaves_a_path() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        // Friction that helps to brake: the certificate does not count on it.
+        robot.joints[5].friction.coulomb = 0.5 * robot.joints[5].limits.torque;
+        robot.joints[4].friction.coulomb = 0.5 * robot.joints[4].limits.torque;
+        let config = SearchConfig {
+            starts: 4,
+            iterations: 40,
+            condition_required: false,
+            ..SearchConfig::default()
+        };
+        let found = optimise::<6>(&robot, &config, None, |_, _| {}).expect("a path");
+        assert!(found.certificate.expect("certified").holds);
     }
 }

@@ -149,6 +149,7 @@ pub fn identify<const N: usize>(
         robot: robot.name.clone(),
         headline_rmse_nm,
         headline_description_rmse_nm,
+        headline_torque_rms_nm: size,
         findings: judgement.findings,
         drive_gains,
         logs: logs.iter().map(|path| key_of(path, logs)).collect(),

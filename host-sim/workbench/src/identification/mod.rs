@@ -43,7 +43,7 @@ pub use dataset::SampleRow;
 pub use error::{IdentifyError, UnknownName};
 pub use filter::{Butterworth, despiked};
 pub use identify::{IdentifyConfig, Outcome, identify};
-pub use judge::{Finding, JointCheck, Judgement, judge};
+pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
 pub use page::page;

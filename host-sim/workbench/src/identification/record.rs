@@ -188,6 +188,8 @@ pub struct Report {
     pub headline_rmse_nm: Vec<Option<f64>>,
     /// RMS torque error of the description's own parameters on those rows, N·m.
     pub headline_description_rmse_nm: Vec<Option<f64>>,
+    /// RMS torque on the same rows, N·m.
+    pub headline_torque_rms_nm: Vec<Option<f64>>,
     /// Findings on logs and parameters, refusals first.
     pub findings: Vec<Finding>,
     /// Judgement of the training logs before anything was identified.

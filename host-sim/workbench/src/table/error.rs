@@ -67,7 +67,7 @@ pub enum TableProblem {
     Implausible(String, f64),
     /// Column and angle, rad, of a jump that a joint with ends in its range cannot make.
     #[error(
-        "column {0}: a jump of {1:.3} rad, a wrap that this joint with ends in its range cannot make"
+        "column {0}: a jump of {1:.3} rad, a wrap that this joint with ends in its range cannot make: a torque in the place of the position, or other units (--units)?"
     )]
     Wrap(String, f64),
 }

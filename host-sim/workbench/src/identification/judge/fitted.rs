@@ -1,8 +1,9 @@
 //! Findings on what was fitted: an unknown payload, and parameters that no arm has.
 
-use super::{ANALYTIC, DEVIATIONS, Judgement};
+use super::{ANALYTIC, DEVIATIONS, Finding, Judgement};
 use crate::identification::columns::Layout;
 use crate::identification::methods::Fit;
+use crate::identification::record::Report;
 use crate::robot::{Link, Robot};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -58,6 +59,40 @@ pub(in crate::identification) fn after_fit<const N: usize>(
             );
         }
     }
+}
+
+/// Share of the RMS torque, half of its power, and multiple of the noise alone from which an error is that of the equations.
+const UNEXPLAINED: (f64, f64) = (std::f64::consts::FRAC_1_SQRT_2, 3.0);
+
+/// Joints where the fitted parameters leave half of the power of the torque and noise is not the reason. One joint may have
+/// a defect of its own; two refuse.
+pub fn unexplained(report: &Report) -> Option<Finding> {
+    let noise = report.data_check.iter().flat_map(|check| &check.joints);
+    let noise = noise.map(|joint| joint.noise_floor_nm);
+    let errors = report.headline_rmse_nm.iter();
+    let joints = errors.zip(&report.headline_torque_rms_nm).zip(noise);
+    let shares = joints
+        .enumerate()
+        .filter_map(|(joint, ((error, size), noise))| {
+            let (error, size) = ((*error)?, (*size)?);
+            let (number, percent) = (joint + 1, 100.0 * error / size);
+            let clear = error > UNEXPLAINED.0 * size && error > UNEXPLAINED.1 * noise;
+            clear.then(|| {
+                format!(
+                    "J{number} {percent:.0} %, {:.0} % noise",
+                    100.0 * noise / size
+                )
+            })
+        });
+    let shares: Vec<String> = shares.collect();
+    (!shares.is_empty()).then(|| Finding {
+        refuses: shares.len() > 1,
+        text: format!(
+            "no parameters of description '{}' explain the torques (error left: {}): another arm, or joints in another order?",
+            report.robot,
+            shares.join("; ")
+        ),
+    })
 }
 
 /// Mass at the flange that the fit has and the description has not, kg, with its standard deviation; none where the
@@ -125,4 +160,40 @@ fn payload<const N: usize>(robot: &Robot, layout: &Layout<N>, fit: &Fit<N>) -> O
     let found = &gram * columns.tr_mul(&(&inverse * &rest));
     let deviation = gram[(0, 0)].sqrt();
     (found[0] > LEAST_KG && found[0] > DEVIATIONS * deviation).then_some((found[0], deviation))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identification::judge::JointCheck;
+
+    #[test]
+    fn torques_that_no_parameters_explain_are_found_joint_by_joint() {
+        let joint = |noise_floor_nm: f64| JointCheck {
+            position_rad: (-1.0, 1.0),
+            speed_rad_s: 1.0,
+            torque_rms_nm: 1.0,
+            noise_floor_nm,
+            unexplained_ratio: 0.1,
+            scale_ratio: None,
+        };
+        let report = |errors: [f64; 3]| Report {
+            headline_rmse_nm: errors.map(Some).to_vec(),
+            headline_torque_rms_nm: vec![Some(1.0); 3],
+            data_check: Some(Judgement {
+                joints: vec![joint(0.1), joint(0.1), joint(0.4)],
+                ..Judgement::default()
+            }),
+            ..Report::default()
+        };
+        // Small errors, and one that noise alone leaves.
+        assert_eq!(unexplained(&report([0.2, 0.6, 0.8])), None);
+        let one = unexplained(&report([0.8, 0.4, 0.8])).expect("joint 1");
+        assert!(
+            !one.refuses && one.text.contains("J1 80 %, 10 % noise"),
+            "{one:?}"
+        );
+        let two = unexplained(&report([0.8, 0.75, 0.8])).expect("joints 1 and 2");
+        assert!(two.refuses && two.text.contains("another arm"), "{two:?}");
+    }
 }

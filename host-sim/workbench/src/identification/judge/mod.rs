@@ -7,6 +7,7 @@ mod compare;
 mod delay;
 mod fitted;
 
+pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
 use super::columns::{ColumnSet, Layout};
@@ -332,16 +333,19 @@ fn units<const N: usize>(judgement: &mut Judgement, robot: &Robot, extremes: &[E
         );
         return;
     }
-    let strong = joints().find(|(_, (joint, seen))| {
-        let rms = (seen.power / f64::max(seen.rows, 1.0)).sqrt();
-        rms > BEYOND * joint.limits.torque
-    });
-    if let Some((number, (joint, seen))) = strong {
+    let strong: Vec<_> = joints()
+        .filter(|(_, (joint, seen))| {
+            let rms = (seen.power / f64::max(seen.rows, 1.0)).sqrt();
+            rms > BEYOND * joint.limits.torque
+        })
+        .collect();
+    if let Some((number, (joint, seen))) = strong.first() {
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
-        let unit = if thousandth {
-            ": is this mN·m (--units tau=mNm)?"
-        } else {
-            ""
+        // One unit holds for all joints; their limits may be of different use.
+        let unit = match thousandth {
+            true if strong.len() * 3 > N => ": is this mN·m (--units tau=mNm)?",
+            true => ", those of the others are within theirs: drive gain or unit?",
+            false => "",
         };
         let text = format!(
             "tau{} reaches {:.1} N·m, its limit is {} N·m{unit}",

@@ -1,0 +1,302 @@
+/* Client of a foretorque board in one file, and an example loop: read drives, sample, torque, drives, log.
+ *
+ *     cc -std=c11 -O2 -o client foretorque.c -lm && ./client PORT [SECONDS [LOG [Q1,Q2,...]]]
+ *
+ * POSIX; the messages are those of docs/protocol.md. Put your drives in the place of drives_read and drives_command.
+ * The torque of a board adds to the position loop of the drives, which must hold the arm alone. */
+#define _DEFAULT_SOURCE
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <poll.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <termios.h>
+#include <time.h>
+#include <unistd.h>
+
+#ifndef B2000000 /* Not every system has the rate of the link; a pseudo-terminal has none. */
+#define B2000000 B38400
+#endif
+
+enum { VERSION = 4, MOST_JOINTS = 8, MOST_BYTES = 300, TIMEOUT_MS = 2000 };
+enum { HELLO = 0, SAMPLE = 1, ARM = 10, DISARM = 11 };                /* host to board */
+enum { TORQUE = 1, ACK = 4, NACK = 5 };                               /* board to host */
+enum { DISARMED = 0, ARMED = 1, RAMP_DOWN = 2 };                      /* safety states */
+
+struct board {
+    int port;
+    int joints;
+    char arm[32];
+    uint16_t sequence;
+    uint8_t period;
+    uint8_t waiting[MOST_BYTES]; /* bytes of a frame that has not ended */
+    size_t count;
+    /* Of the last sample. */
+    uint32_t tick;
+    uint16_t flags;
+    uint8_t safety, reason;
+};
+
+/* Motion that the arm shall have in the next period, and measurement. */
+struct sample {
+    double q[MOST_JOINTS], qd[MOST_JOINTS], qdd[MOST_JOINTS];
+    double measured_q[MOST_JOINTS], measured_tau[MOST_JOINTS];
+};
+
+static void fail(const char *what) {
+    fprintf(stderr, "error: %s\n", what);
+    exit(1);
+}
+
+static uint32_t crc32(const uint8_t *bytes, size_t count) {
+    uint32_t crc = 0xffffffffu;
+    for (size_t k = 0; k < count; k++) {
+        crc ^= bytes[k];
+        for (int bit = 0; bit < 8; bit++) crc = (crc >> 1) ^ (0xedb88320u & (0u - (crc & 1u)));
+    }
+    return ~crc;
+}
+
+static uint32_t little(const uint8_t *bytes, int count) {
+    uint32_t value = 0;
+    for (int k = 0; k < count; k++) value |= (uint32_t)bytes[k] << (8 * k);
+    return value;
+}
+
+static uint8_t *put(uint8_t *to, uint32_t value, int count) {
+    for (int k = 0; k < count; k++) *to++ = (uint8_t)(value >> (8 * k));
+    return to;
+}
+
+/* Integers of `size` bytes in units of 2^-bits, saturated; NaN is the most negative one. */
+static uint8_t *put_scaled(uint8_t *to, const double *values, int joints, int size, int bits) {
+    double most = ldexp(1.0, 8 * size - 1) - 1.0;
+    for (int j = 0; j < joints; j++) {
+        double code = floor(ldexp(values[j], bits) + 0.5);
+        code = isnan(code) ? -most - 1.0 : fmax(-most, fmin(most, code));
+        to = put(to, (uint32_t)(int32_t)code, size);
+    }
+    return to;
+}
+
+/* Sends a message of `count` bytes under the next number: version, number, message, checksum, in COBS. */
+static void post(struct board *board, const uint8_t *message, size_t count) {
+    uint8_t body[MOST_BYTES], frame[MOST_BYTES + 4];
+    board->sequence = (uint16_t)(board->sequence % 65535 + 1);
+    uint8_t *end = put(put(body, VERSION, 1), board->sequence, 2);
+    memcpy(end, message, count);
+    end += count;
+    end = put(end, crc32(body, (size_t)(end - body)), 4);
+    size_t code = 0, length = 1; /* frames are shorter than 254 bytes: no block is full */
+    for (uint8_t *byte = body; byte < end; byte++) {
+        if (*byte) {
+            frame[length++] = *byte;
+        } else {
+            frame[code] = (uint8_t)(length - code);
+            code = length++;
+        }
+    }
+    frame[code] = (uint8_t)(length - code);
+    frame[length++] = 0;
+    for (size_t sent = 0; sent < length;) {
+        ssize_t written = write(board->port, frame + sent, length - sent);
+        if (written < 0 && errno != EINTR) fail("the port is gone");
+        if (written > 0) sent += (size_t)written;
+    }
+}
+
+/* Removes COBS in place and checks the frame; the length of its body without checksum, 0 for a damaged one. */
+static size_t unpack(uint8_t *frame, size_t count) {
+    size_t length = 0;
+    for (size_t place = 0; place < count;) {
+        size_t code = frame[place];
+        if (place + code > count) return 0;
+        memmove(frame + length, frame + place + 1, code - 1);
+        length += code - 1;
+        place += code;
+        if (code < 255 && place < count) frame[length++] = 0;
+    }
+    if (length < 8 || crc32(frame, length - 4) != little(frame + length - 4, 4)) return 0;
+    if (frame[0] != VERSION) fail("the board speaks another version of the protocol");
+    return length - 4;
+}
+
+/* Waits for the answer with the tag `wanted` to the last message; its content. */
+static const uint8_t *answer(struct board *board, uint8_t wanted) {
+    static uint8_t frame[MOST_BYTES];
+    for (;;) {
+        uint8_t byte;
+        struct pollfd port = {.fd = board->port, .events = POLLIN};
+        if (poll(&port, 1, TIMEOUT_MS) == 0) fail("the board does not answer");
+        ssize_t received = read(board->port, &byte, 1);
+        if (received < 0 && errno == EINTR) continue;
+        if (received <= 0) fail("the port is gone");
+        if (byte) {
+            if (board->count < sizeof board->waiting) board->waiting[board->count++] = byte;
+            continue;
+        }
+        memcpy(frame, board->waiting, board->count);
+        size_t length = unpack(frame, board->count);
+        board->count = 0;
+        if (length == 0 || little(frame + 1, 2) != board->sequence) continue; /* damaged, or telemetry */
+        if (frame[3] == NACK) {
+            fprintf(stderr, "error: the board refused: reason %d (docs/protocol.md)\n", frame[4]);
+            exit(1);
+        }
+        if (frame[3] == wanted) return frame + 4;
+    }
+}
+
+/* Opens the port and greets the board, which disarms it. */
+static void board_open(struct board *board, const char *port) {
+    memset(board, 0, sizeof *board);
+    board->port = open(port, O_RDWR | O_NOCTTY);
+    struct termios settings;
+    if (board->port < 0 || tcgetattr(board->port, &settings)) fail("the port cannot be opened");
+    cfmakeraw(&settings);
+    cfsetspeed(&settings, B2000000);
+    tcsetattr(board->port, TCSANOW, &settings);
+    uint8_t hello = HELLO;
+    post(board, &hello, 1);
+    const uint8_t *content = answer(board, HELLO);
+    size_t length = content[4] < sizeof board->arm - 1 ? content[4] : sizeof board->arm - 1;
+    memcpy(board->arm, content + 5, length);
+    board->joints = content[5 + content[4]];
+    if (board->joints < 1 || board->joints > MOST_JOINTS) fail("the board drives too many joints");
+}
+
+static void board_command(struct board *board, uint8_t tag) {
+    post(board, &tag, 1);
+    answer(board, ACK);
+}
+
+/* Runs a tick; the torques go into `torque`, N·m. */
+static void board_sample(struct board *board, const struct sample *sample, float *torque) {
+    uint8_t message[MOST_BYTES];
+    int n = board->joints;
+    uint8_t *end = put(message, SAMPLE, 1);
+    end = put(end, 1u | (uint32_t)board->period << 3, 1); /* measured; number of the period */
+    end = put(end, 0x80, 1);                              /* no temperature */
+    board->period = (uint8_t)((board->period + 1) % 32);
+    end = put_scaled(end, sample->q, n, 3, 20);
+    end = put_scaled(end, sample->qd, n, 3, 18);
+    end = put_scaled(end, sample->qdd, n, 2, 9);
+    end = put_scaled(end, sample->measured_q, n, 3, 20);
+    end = put_scaled(end, sample->measured_tau, n, 3, 14);
+    post(board, message, (size_t)(end - message));
+    const uint8_t *content = answer(board, TORQUE);
+    board->tick = little(content, 4);
+    board->flags = (uint16_t)little(content + 4, 2);
+    board->safety = content[6];
+    board->reason = content[7];
+    for (int j = 0; j < n; j++) {
+        uint32_t bits = little(content + 8 + 4 * j, 4);
+        memcpy(&torque[j], &bits, sizeof bits);
+    }
+}
+
+/* Simulated drives that follow at once. Yours send q, qd and the torque to the bus, and read q and torque from it. */
+static double drive_q[MOST_JOINTS], drive_tau[MOST_JOINTS];
+
+static void drives_read(struct sample *sample) {
+    memcpy(sample->measured_q, drive_q, sizeof drive_q);
+    memcpy(sample->measured_tau, drive_tau, sizeof drive_tau);
+}
+
+static void drives_command(const struct sample *desired, const float *torque, int joints) {
+    for (int j = 0; j < joints; j++) {
+        drive_q[j] = desired->q[j];
+        drive_tau[j] = torque[j];
+    }
+}
+
+/* A slow swing of every joint that begins at rest. */
+static void motion(double t_s, const double *start, int joints, struct sample *sample) {
+    const double size = 0.1, omega = 2.0;
+    for (int j = 0; j < joints; j++) {
+        sample->q[j] = start[j] + size * (1.0 - cos(omega * t_s));
+        sample->qd[j] = size * omega * sin(omega * t_s);
+        sample->qdd[j] = size * omega * omega * cos(omega * t_s);
+    }
+}
+
+static double seconds(void) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+static void columns(FILE *log, const char *name, const char *unit, int joints) {
+    for (int j = 1; j <= joints; j++) fprintf(log, ",%s%d_%s", name, j, unit);
+}
+
+static void row(FILE *log, const double *values, int joints) {
+    for (int j = 0; j < joints; j++) fprintf(log, ",%.9g", values[j]);
+}
+
+int main(int count, char **arguments) {
+    if (count < 2) fail("which port?");
+    const double period_s = 1e-3, duration_s = count > 2 ? atof(arguments[2]) : 5.0;
+    double start[MOST_JOINTS] = {0.0};
+    char *pose = count > 4 ? arguments[4] : NULL;
+    for (int j = 0; pose && j < MOST_JOINTS; j++) {
+        start[j] = strtod(pose, &pose);
+        pose = *pose == ',' ? pose + 1 : NULL;
+    }
+    struct board board;
+    board_open(&board, arguments[1]);
+    int n = board.joints;
+    printf("%s, %d joints\n", board.arm, n);
+    memcpy(drive_q, start, sizeof start);
+
+    struct sample sample = {0};
+    float torque[MOST_JOINTS];
+    memcpy(sample.q, start, sizeof start);
+    drives_read(&sample);
+    for (int k = 0; k < 20; k++) board_sample(&board, &sample, torque); /* the board sees where the arm stands */
+    board_command(&board, ARM);
+
+    FILE *log = fopen(count > 3 ? arguments[3] : "log.csv", "w");
+    if (!log) fail("the log cannot be written");
+    fprintf(log, "t_s");
+    columns(log, "q", "rad", n);
+    columns(log, "qd", "rad_s", n);
+    columns(log, "qdd", "rad_s2", n);
+    columns(log, "tau", "nm", n);
+    columns(log, "feed_forward", "nm", n);
+    fprintf(log, ",flags\n");
+    double begin = seconds();
+    long ticks = lround(duration_s / period_s);
+    for (long tick = 0; tick < ticks; tick++) {
+        double t_s = (double)tick * period_s, early_s = begin + t_s - seconds();
+        if (early_s > 0.0) usleep((useconds_t)(1e6 * early_s));
+        drives_read(&sample);
+        motion(t_s, start, n, &sample);
+        board_sample(&board, &sample, torque);
+        if (board.safety != ARMED) {
+            fprintf(stderr, "error: the board ended the torque: state %d, reason %d (docs/safety.md)\n", board.safety,
+                    board.reason);
+            return 1;
+        }
+        drives_command(&sample, torque, n);
+        /* The torque acts in the next period, the measurement is from before it. */
+        fprintf(log, "%.9g", t_s);
+        row(log, sample.measured_q, n);
+        row(log, sample.qd, n);
+        row(log, sample.qdd, n);
+        row(log, sample.measured_tau, n);
+        for (int j = 0; j < n; j++) fprintf(log, ",%.9g", (double)torque[j]);
+        fprintf(log, ",%d\n", board.flags);
+    }
+    if (fclose(log)) fail("the log cannot be written");
+
+    board_command(&board, DISARM);
+    do {
+        board_sample(&board, &sample, torque);
+    } while (board.safety == ARMED || board.safety == RAMP_DOWN);
+    printf("%ld ticks\n", ticks);
+    return 0;
+}

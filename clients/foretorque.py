@@ -1,0 +1,208 @@
+"""Client of a foretorque board in one file, and an example loop: read drives, sample, torque, drives, log.
+
+    python3 foretorque.py PORT [--seconds 5] [--log log.csv]
+
+Standard library and a POSIX system; the messages are those of docs/protocol.md. Put your drives in the place of
+SimulatedDrives. The torque of a board adds to the position loop of the drives, which must hold the arm alone.
+"""
+
+import argparse
+import binascii
+import csv
+import math
+import os
+import select
+import struct
+import sys
+import termios
+import time
+import tty
+
+VERSION = 4
+ARMED, RAMP_DOWN = 1, 2  # safety states in which torque flows
+
+
+class Refused(Exception):
+    """The board answered with Nack."""
+
+
+def stuffed(data):
+    """COBS: the data without zeros, and a zero as the end."""
+    out = bytearray()
+    for block in data.split(b"\0"):
+        while len(block) >= 254:
+            out += b"\xff" + block[:254]
+            block = block[254:]
+        out += bytes([len(block) + 1]) + block
+    return bytes(out + b"\0")
+
+
+def unstuffed(frame):
+    out, place = bytearray(), 0
+    while place < len(frame):
+        code = frame[place]
+        out += frame[place + 1 : place + code]
+        place += code
+        if code < 255 and place < len(frame):
+            out.append(0)
+    return bytes(out)
+
+
+def scaled(values, size, bits):
+    """Integers of `size` bytes in units of 2^-bits, saturated; NaN is the most negative one."""
+    most = (1 << (8 * size - 1)) - 1
+    codes = (
+        -most - 1 if math.isnan(x) else max(-most, min(most, math.floor(x * (1 << bits) + 0.5)))
+        for x in values
+    )
+    return b"".join(code.to_bytes(size, "little", signed=True) for code in codes)
+
+
+class Board:
+    """A board on a serial port. The constructor greets it, which disarms it."""
+
+    def __init__(self, port, timeout_s=2.0):
+        self.port = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(self.port)
+        settings = termios.tcgetattr(self.port)
+        settings[4] = settings[5] = termios.B2000000
+        termios.tcsetattr(self.port, termios.TCSANOW, settings)
+        self.timeout_s, self.waiting, self.sequence, self.period = timeout_s, b"", 0, 0
+        self.telemetry = []  # (tick, fields, bytes) that came unasked
+        os.write(self.port, b"\0")
+        hello = self._ask(b"\x00", 0)
+        self.arm_hash, length = struct.unpack_from("<IB", hello)
+        self.arm_name = hello[5 : 5 + length].decode()
+        self.joints = hello[5 + length]
+        self.safety = (0, 0)
+
+    def _frame(self, deadline):
+        """Sequence number, tag and content of the next sound frame."""
+        while True:
+            frame, end, rest = self.waiting.partition(b"\0")
+            if end:
+                self.waiting = rest
+                body = unstuffed(frame)
+                sound = len(body) > 7 and binascii.crc32(body[:-4]) == int.from_bytes(body[-4:], "little")
+                if sound and body[0] == VERSION:
+                    return int.from_bytes(body[1:3], "little"), body[3], body[4:-4]
+                if sound:
+                    raise RuntimeError(f"the board speaks protocol version {body[0]}, this client {VERSION}")
+                continue
+            left = deadline - time.monotonic()
+            if left <= 0 or not select.select([self.port], [], [], left)[0]:
+                raise TimeoutError("the board does not answer")
+            self.waiting += os.read(self.port, 4096)
+
+    def _ask(self, message, *answers):
+        """Content of the answer, which must have one of the tags `answers`."""
+        self.sequence = self.sequence % 65535 + 1
+        body = struct.pack("<BH", VERSION, self.sequence) + message
+        os.write(self.port, stuffed(body + binascii.crc32(body).to_bytes(4, "little")))
+        deadline = time.monotonic() + self.timeout_s
+        while True:
+            sequence, tag, content = self._frame(deadline)
+            if tag == 8:
+                tick, fields, length = struct.unpack_from("<IHB", content)
+                self.telemetry.append((tick, fields, content[-length:]))
+            elif sequence == self.sequence and tag == 5:
+                raise Refused(f"the board refused: {content.hex()} (docs/protocol.md, Nack reasons)")
+            elif sequence == self.sequence and tag in answers:
+                return content
+
+    def sample(self, desired, measured=None):
+        """Runs a tick: `desired` is (q, qd, qdd) of the next period, `measured` (q, tau). Returns the torques, N·m."""
+        measured_q, measured_tau = measured or ([0.0] * self.joints,) * 2
+        flags = int(measured is not None) | self.period << 3
+        self.period = (self.period + 1) % 32
+        q, qd, qdd = desired
+        motion = scaled(q, 3, 20) + scaled(qd, 3, 18) + scaled(qdd, 2, 9)
+        effort = scaled(measured_q, 3, 20) + scaled(measured_tau, 3, 14)
+        reply = self._ask(struct.pack("<BBb", 1, flags, -128) + motion + effort, 1)
+        self.tick, self.flags, *self.safety = struct.unpack_from("<IHBB", reply)
+        return list(struct.unpack_from(f"<{self.joints}f", reply, 8))
+
+    def arm(self, desired, measured):
+        """Shows the board where the arm stands, and lets torque through."""
+        for _ in range(20):
+            self.sample(desired, measured)
+        self._ask(b"\x0a", 4)
+
+    def disarm(self, desired, measured):
+        """Lets the torque go to zero while the drives hold `desired`."""
+        self._ask(b"\x0b", 4)
+        while self.sample(desired, measured) and self.safety[0] in (ARMED, RAMP_DOWN):
+            pass
+
+    def learning(self, on):
+        self._ask(bytes([4, on]), 4)
+
+    def stream(self, fields, every):
+        """Asks for telemetry of every `every`-th tick; it collects in `telemetry`."""
+        self._ask(struct.pack("<BHH", 17, fields, every), 4)
+
+
+class SimulatedDrives:
+    """Drives that follow at once. Yours send q, qd and the torque to the bus, and read q and torque from it."""
+
+    def __init__(self, q):
+        self.q, self.tau = list(q), [0.0] * len(q)
+
+    def read(self):
+        return self.q, self.tau
+
+    def command(self, q, qd, torque):
+        self.q, self.tau = list(q), list(torque)
+
+
+def motion(t_s, start):
+    """Desired position, velocity, acceleration: a slow swing of every joint that begins at rest."""
+    size, omega = 0.1, 2.0
+    swing = size * (1.0 - math.cos(omega * t_s))
+    return (
+        [q + swing for q in start],
+        [size * omega * math.sin(omega * t_s)] * len(start),
+        [size * omega**2 * math.cos(omega * t_s)] * len(start),
+    )
+
+
+def main():
+    arguments = argparse.ArgumentParser(description="Drive simulated drives with the torque of a board.")
+    arguments.add_argument("port")
+    arguments.add_argument("--seconds", type=float, default=5.0)
+    arguments.add_argument("--period-s", type=float, default=1e-3)
+    arguments.add_argument("--start", type=lambda text: [float(q) for q in text.split(",")], help="pose, rad,...")
+    arguments.add_argument("--log", default="log.csv")
+    chosen = arguments.parse_args()
+    board = Board(chosen.port)
+    joints = board.joints
+    print(f"{board.arm_name}, {joints} joints")
+    start = chosen.start or [0.0] * joints
+    drives = SimulatedDrives(start)
+    rest = (start, [0.0] * joints, [0.0] * joints)
+    board.arm(rest, drives.read())
+    names = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2"), ("tau", "nm"), ("feed_forward", "nm")]
+    with open(chosen.log, "w", newline="") as file:
+        log = csv.writer(file)
+        log.writerow(["t_s"] + [f"{name}{j}_{unit}" for name, unit in names for j in range(1, joints + 1)] + ["flags"])
+        begin = time.monotonic()
+        for tick in range(round(chosen.seconds / chosen.period_s)):
+            t_s = tick * chosen.period_s
+            time.sleep(max(0.0, begin + t_s - time.monotonic()))
+            measured = drives.read()
+            desired = motion(t_s, start)
+            torque = board.sample(desired, measured)
+            if board.safety[0] != ARMED:
+                sys.exit(f"the board ended the torque: state {board.safety[0]}, reason {board.safety[1]} (docs/safety.md)")
+            drives.command(desired[0], desired[1], torque)
+            # The torque acts in the next period, the measurement is from before it.
+            log.writerow([t_s, *measured[0], *desired[1], *desired[2], *measured[1], *torque, board.flags])
+    board.disarm(desired, drives.read())
+    print(f"{tick + 1} ticks, {chosen.log}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except (OSError, RuntimeError, TimeoutError, Refused) as failure:
+        sys.exit(f"error: {failure}")
