@@ -22,7 +22,8 @@
 //! # Shares
 //!
 //! ```text
-//! torque_j = loaded_j + w_j (learnt_j − loaded_j)     w_j = clip((Σ d r − 2 √(ρ_j σ_j² Σ d²)) / Σ d², 0, 1)
+//! torque_j = loaded_j + w_j (learnt_j − loaded_j)     w_j = clip(v (1 − 4 s²/v²), 0, 1)
+//! v = Σ d r / Σ d²     s² = ρ_j σ_j² / Σ d²
 //! ```
 //! d is the torque of the estimate at the older checkpoint and r the measured torque, both less that of the loaded set. The
 //! sums fade over 10 s. ρ is the correlation factor of the joint's innovations.
