@@ -15,7 +15,7 @@ use std::process::Command;
 const START: &str = "0,-1.2,1.6,-2,-1.57,0.3";
 
 fn client(name: &str) -> PathBuf {
-    let clients = Path::new(env!("CARGO_MANIFEST_DIR")).join("../clients");
+    let clients = Path::new(env!("CARGO_MANIFEST_DIR")).join("clients");
     clients.join(name)
 }
 
