@@ -77,7 +77,7 @@ impl Delay {
         self.last.pop_front();
         if self.sums.last().is_none_or(|last| last.count >= self.full) {
             if self.sums.len() == 2 * PARTS {
-                self.sums = self.sums.chunks(2).filter_map(|two| joined(two)).collect();
+                self.sums = self.sums.chunks(2).filter_map(joined).collect();
                 self.full *= 2.0;
             }
             self.full = self.full.max(1.0);
