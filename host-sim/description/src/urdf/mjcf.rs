@@ -4,12 +4,15 @@
 //! one. Default classes, frames, included files and the angle unit are resolved. Geoms are not read: a body without
 //! `<inertial>` has no inertial data.
 
+mod attributes;
+
 use super::UrdfProblem;
 use super::document::{
     Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, child,
     children, number, optional, parse_number, parsed, problem, required, unique, vector,
 };
 use crate::robot::{Link, Placement};
+use attributes::{numbers, ranges_are_radians};
 use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3};
 use roxmltree::Node;
 use std::path::Path;
@@ -154,87 +157,6 @@ impl<'a, 'input> Reader<'a, 'input> {
             }
         }
         Ok(())
-    }
-
-    /// Attribute of an element, or of its default class, the nearest first.
-    ///
-    /// * `class` default class of the elements around
-    fn attribute(
-        &self,
-        node: Node<'a, 'input>,
-        class: &str,
-        name: &str,
-    ) -> Option<Node<'a, 'input>> {
-        if node.has_attribute(name) {
-            return Some(node);
-        }
-        let tag = node.tag_name().name();
-        let mut class = node.attribute("class").unwrap_or(class);
-        for _ in 0..MOST_CLASSES {
-            let of_class = |default: &Node<'_, '_>| class_of(*default) == class;
-            let defaults = self
-                .root
-                .descendants()
-                .filter(|n| n.has_tag_name("default"));
-            let mut outer = None;
-            for default in defaults.filter(of_class) {
-                outer = default
-                    .parent()
-                    .filter(|parent| parent.has_tag_name("default"));
-                // An actuator's defaults may stand under its own name and under that of all actuators.
-                let found = [tag, "general"]
-                    .into_iter()
-                    .take(1 + usize::from(is_actuator(tag)));
-                let found = found.filter_map(|tag| child(default, tag));
-                if let Some(found) = found.into_iter().find(|n| n.has_attribute(name)) {
-                    return Some(found);
-                }
-            }
-            match (outer, class) {
-                (Some(parent), _) => class = class_of(parent),
-                (None, "main") => return None,
-                (None, _) => class = "main",
-            }
-        }
-        None
-    }
-
-    fn value(
-        &self,
-        node: Node<'a, 'input>,
-        class: &str,
-        name: &str,
-    ) -> Result<Option<f64>, UrdfProblem> {
-        let found = self.attribute(node, class, name);
-        found.map_or(Ok(None), |found| optional(found, name))
-    }
-
-    /// Numbers of an attribute; none where it is not given.
-    fn values(
-        &self,
-        node: Node<'a, 'input>,
-        class: &str,
-        name: &str,
-    ) -> Result<Vec<f64>, UrdfProblem> {
-        let found = self.attribute(node, class, name);
-        found.map_or(Ok(Vec::new()), |found| numbers(found, name))
-    }
-
-    /// The two ends of `name`, if `limited` does not switch them off.
-    fn range(
-        &self,
-        node: Node<'a, 'input>,
-        class: &str,
-        [name, limited]: [&str; 2],
-    ) -> Result<Option<(f64, f64)>, UrdfProblem> {
-        let on = self.attribute(node, class, limited);
-        let on = on.and_then(|on| on.attribute(limited)).unwrap_or("auto");
-        let on = on == "true" || (on == "auto" && self.autolimits);
-        match self.values(node, class, name)?[..] {
-            [low, high] if on && low < high => Ok(Some((low, high))),
-            [] | [_, _] => Ok(None),
-            _ => Err(problem(node, &format!("{name} is not two numbers"))),
-        }
     }
 
     /// The bodies in `node`, which lies at `at` in `link`.
@@ -483,106 +405,4 @@ impl<'a, 'input> Reader<'a, 'input> {
         }
         Ok(())
     }
-
-    /// An angle as written, rad.
-    fn angle(&self, written: f64) -> f64 {
-        if self.degrees {
-            written.to_radians()
-        } else {
-            written
-        }
-    }
-
-    /// Position and orientation of an element in the one around it.
-    fn pose(&self, node: Node<'a, 'input>) -> Result<Placement, UrdfProblem> {
-        let bad = |name: &str| {
-            problem(
-                node,
-                &format!("has an attribute '{name}' of another length than its kind has"),
-            )
-        };
-        let unit = |v: Vector3<f64>| Unit::try_new(v, 1e-9).ok_or_else(|| bad("axis"));
-        let mut rot = Rotation3::identity();
-        for name in ["quat", "axisangle", "xyaxes", "zaxis", "euler"] {
-            rot = match (name, &numbers(node, name)?[..]) {
-                (_, []) => continue,
-                ("quat", &[w, x, y, z]) => {
-                    UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
-                        .to_rotation_matrix()
-                }
-                ("axisangle", &[x, y, z, angle]) => {
-                    Rotation3::from_axis_angle(&unit(Vector3::new(x, y, z))?, self.angle(angle))
-                }
-                ("xyaxes", &[a, b, c, d, e, f]) => {
-                    let x = unit(Vector3::new(a, b, c))?.into_inner();
-                    let y = Vector3::new(d, e, f);
-                    let y = unit(y - x * x.dot(&y))?.into_inner();
-                    Rotation3::from_basis_unchecked(&[x, y, x.cross(&y)])
-                }
-                ("zaxis", &[x, y, z]) => {
-                    let axis = unit(Vector3::new(x, y, z))?.into_inner();
-                    let least = Rotation3::rotation_between(&Vector3::z(), &axis);
-                    least.unwrap_or_else(|| {
-                        Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
-                    })
-                }
-                ("euler", angles @ &[_, _, _]) => {
-                    self.euler.chars().zip(angles).fold(
-                        Rotation3::identity(),
-                        |rot, (axis, angle)| {
-                            let about = match axis.to_ascii_lowercase() {
-                                'x' => Vector3::x_axis(),
-                                'y' => Vector3::y_axis(),
-                                _ => Vector3::z_axis(),
-                            };
-                            let turn = Rotation3::from_axis_angle(&about, self.angle(*angle));
-                            // Lower case turns about the axes as they move, upper case about the fixed ones.
-                            if axis.is_ascii_lowercase() {
-                                rot * turn
-                            } else {
-                                turn * rot
-                            }
-                        },
-                    )
-                }
-                _ => return Err(bad(name)),
-            };
-        }
-        // As of a URDF: right angles written in decimals are right angles.
-        let exact = rot.matrix().map(f64::round);
-        let near = (rot.matrix() - exact).amax() < RIGHT_ANGLE_TOLERANCE;
-        let placed = Placement {
-            rot_parent_child: if near { exact } else { rot.into_inner() },
-            origin: vector(node, "pos")?.unwrap_or_default(),
-        };
-        Ok(placed.snapped())
-    }
-}
-
-/// Every range of a joint lies within a turn in radians. In degrees no arm moves with such ranges: the file is a part of one
-/// that names the unit.
-fn ranges_are_radians(root: Node<'_, '_>) -> bool {
-    let joints = root.descendants().filter(|n| n.has_tag_name("joint"));
-    let ends: Vec<f64> = joints
-        .filter_map(|joint| numbers(joint, "range").ok())
-        .flatten()
-        .collect();
-    !ends.is_empty() && ends.iter().all(|end| end.abs() <= std::f64::consts::TAU)
-}
-
-fn class_of<'a>(default: Node<'a, '_>) -> &'a str {
-    default.attribute("class").unwrap_or("main")
-}
-
-fn is_actuator(tag: &str) -> bool {
-    ["motor", "position", "velocity", "intvelocity", "damper"].contains(&tag)
-}
-
-/// Numbers of an attribute; none where it is not given.
-fn numbers(node: Node<'_, '_>, name: &str) -> Result<Vec<f64>, UrdfProblem> {
-    let Some(text) = node.attribute(name) else {
-        return Ok(Vec::new());
-    };
-    let values: Option<Vec<f64>> = text.split_whitespace().map(parse_number).collect();
-    values.ok_or_else(|| problem(node, &format!("{name}=\"{text}\" is not a list of numbers")))
 }

@@ -1,5 +1,7 @@
 //! The search: seeded starts, a quasi-Newton method with growing penalty weights, a certificate for each result.
 
+mod speeds;
+
 use super::certificate::Certificate;
 use super::certify::{Provenance, certify};
 use super::clearance::Clearances;
@@ -13,9 +15,9 @@ use super::variables::{Bases, VARIABLES};
 use crate::dynamics::{Joints, State};
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
-use crate::trajectory::via::TORQUE_SHARE;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use speeds::{TORQUE_SHARES, torques};
 use std::f64::consts::{PI, TAU};
 use std::num::NonZeroUsize;
 
@@ -40,16 +42,6 @@ const REPAIRS: usize = 4;
 const POOL: usize = 8;
 /// Least share of its tightest limit that a random series uses.
 const LEAST_SHARE: f64 = 0.4;
-/// Random series by which feasible speeds are found, and instants of each.
-const TRIALS: usize = 256;
-const TRIAL_INSTANTS: usize = 50;
-/// Factor on the speed of a joint whose torque is too large, and steps before a joint counts as too weak: to 2 %.
-const SLOWER: f64 = 0.7;
-const SLOWDOWNS: usize = 12;
-/// Shares of the torque limits for the described arm: the true one may be a quarter heavier; and where that leaves no path,
-/// what bounds on the rates between points leave.
-const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
-
 /// Configuration of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SearchConfig {
@@ -214,92 +206,6 @@ impl<'a, const N: usize> Search<'a, N> {
             },
             clearance,
         })
-    }
-
-    /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
-    /// them. Gravity, friction and inertia are those of the description.
-    ///
-    /// Errors: [`ExcitationError::TooWeak`], naming the joint.
-    fn adapt_speed(&mut self) -> Result<(), ExcitationError> {
-        let full = self.objective.limits.clone();
-        for torque_share in TORQUE_SHARES {
-            self.objective.torque = torques(self.robot, torque_share);
-            self.objective.limits.clone_from(&full);
-            self.origin.speed_share.fill(1.0);
-            for _ in 0..SLOWDOWNS {
-                let needed = self.least_torques();
-                let share = |j: usize| needed[j] / self.objective.torque[j];
-                if (0..N).all(|j| share(j) <= 1.0) {
-                    return Ok(());
-                }
-                for (j, limits) in full.iter().enumerate() {
-                    // The joints before a weak one shake it, too: they slow down half as much.
-                    let beyond = (j + 1..N).any(|k| share(k) > 1.0);
-                    let factor = match (share(j) > 1.0, beyond) {
-                        (true, _) => SLOWER,
-                        (false, true) => SLOWER.sqrt(),
-                        (false, false) => 1.0,
-                    };
-                    self.origin.speed_share[j] *= factor;
-                    let speed = self.origin.speed_share[j];
-                    self.objective.limits[j].qd = limits.qd * speed;
-                    self.objective.limits[j].qdd = limits.qdd * speed;
-                }
-            }
-        }
-        let needed = self.least_torques();
-        let share = |j: &usize| needed[*j] / self.objective.torque[*j];
-        let worst = (0..N).max_by(|a, b| share(a).total_cmp(&share(b)));
-        match worst.filter(|j| share(j) > 1.0) {
-            Some(j) => Err(ExcitationError::TooWeak {
-                joint: self.robot.joints[j].name.clone(),
-                needed_nm: needed[j],
-                friction_nm: self.robot.joints[j].friction.coulomb,
-                limit_nm: self.robot.joints[j].limits.torque,
-            }),
-            None => Ok(()),
-        }
-    }
-
-    /// Largest torque of every joint, N·m, on the random series that comes nearest to keeping all torque limits.
-    fn least_torques(&self) -> [f64; N] {
-        let omega = TAU / self.config.period_s;
-        let width = self.objective.rows.count();
-        let mut block = vec![0.0; N * width];
-        let mut best = (f64::INFINITY, [f64::INFINITY; N]);
-        for trial in 0..TRIALS {
-            let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
-            random.set_stream(trial as u64);
-            let series: Vec<JointSeries> = self
-                .objective
-                .limits
-                .iter()
-                .map(|limits| {
-                    let share = random.random_range(LEAST_SHARE..1.0);
-                    JointSeries::random(limits, omega, INSTANTS, share, &mut random)
-                })
-                .collect();
-            let mut most = [0.0_f64; N];
-            for k in 0..TRIAL_INSTANTS {
-                let t_s = self.config.period_s * k as f64 / TRIAL_INSTANTS as f64;
-                let mut state = State::rest(Joints::<N>::zeros());
-                for (j, series) in series.iter().enumerate() {
-                    (state.q[j], state.qd[j], state.qdd[j]) = series.at(t_s, omega);
-                }
-                self.objective.rows.write(&state, SIGN_WIDTH, &mut block);
-                for (most, row) in most.iter_mut().zip(block.chunks_exact(width)) {
-                    let parameters = self.objective.parameters.iter();
-                    let tau: f64 = row.iter().zip(parameters).map(|(y, x)| y * x).sum();
-                    *most = most.max(tau.abs());
-                }
-            }
-            let shares = most.iter().zip(&self.objective.torque);
-            let share = shares.fold(0.0_f64, |worst, (tau, limit)| worst.max(tau / limit));
-            if share < best.0 {
-                best = (share, most);
-            }
-        }
-        best.1
     }
 
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
@@ -474,98 +380,5 @@ fn tighten<const N: usize>(torque: &mut [f64; N], certificate: &Certificate) {
     }
 }
 
-/// Torque that friction leaves each joint of `share` of its limit, N·m; a tenth of the limit at least.
-fn torques<const N: usize>(robot: &Robot, share: f64) -> [f64; N] {
-    std::array::from_fn(|j| {
-        let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
-        let beyond = friction.coulomb * friction.stribeck_ratio + friction.cogging;
-        (share * limit - beyond).max(0.1 * limit)
-    })
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_gradient_agrees_with_central_differences() {
-        let robot = Robot::load("ur5").expect("built in");
-        use Criterion::{Condition, Constrained, DOptimal, VOptimal};
-        for criterion in [Condition, DOptimal, VOptimal, Constrained] {
-            let config = SearchConfig {
-                criterion,
-                starts: 1,
-                ..SearchConfig::default()
-            };
-            let search = Search::<6>::new(&robot, &config).expect("six joints");
-            let start = search.starts().remove(0);
-            // Beyond the limits, so that every penalty takes part.
-            let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
-            let penalties = search.penalties(10.0, 0.0);
-            let mut gradient = vec![0.0; start.len()];
-            search
-                .objective
-                .value(&start, &penalties, Some(&mut gradient));
-            let size = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
-            for v in 0..start.len() {
-                let h = 1e-5;
-                let at = |step: f64| {
-                    let mut moved = start.clone();
-                    moved[v] += step;
-                    search.objective.value(&moved, &penalties, None)
-                };
-                let expected = (at(h) - at(-h)) / (2.0 * h);
-                assert!(
-                    (gradient[v] - expected).abs() < 1e-4 * size,
-                    "{criterion:?}, variable {v}: {} {expected}",
-                    gradient[v]
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn joints_slow_down_to_what_friction_leaves_and_a_weak_one_is_named() {
-        let config = SearchConfig::default();
-        let adapted = |robot: &Robot| {
-            let mut search = Search::<6>::new(robot, &config).expect("six joints");
-            let found = search.adapt_speed();
-            (found, search.origin.speed_share)
-        };
-        let mut robot = Robot::load("ur5").expect("built in");
-        assert_eq!(adapted(&robot), (Ok(()), vec![1.0; 6]));
-        // At the speed limit friction alone would take four times the torque limit.
-        let limits = robot.joints[2].limits;
-        robot.joints[2].friction.viscous = 4.0 * limits.torque / limits.velocity;
-        let (found, shares) = adapted(&robot);
-        assert_eq!(found, Ok(()));
-        assert!(
-            shares[2] < 1.0 && shares[2] > 0.1 && shares[5] == 1.0,
-            "{shares:?}"
-        );
-        // Gravity at the shoulder.
-        robot.joints[1].limits.torque = 1.0;
-        let message = adapted(&robot).0.expect_err("too weak").to_string();
-        assert!(
-            message.contains("its limit is 1 N·m: correct it with --torque-limits"),
-            "{message}"
-        );
-        assert!(message.contains(&robot.joints[1].name), "{message}");
-    }
-
-    #[test]
-    fn friction_of_half_a_torque_limit_leaves_a_path() {
-        let mut robot = Robot::load("ur5").expect("built in");
-        // Friction that helps to brake: the certificate does not count on it.
-        robot.joints[5].friction.coulomb = 0.5 * robot.joints[5].limits.torque;
-        robot.joints[4].friction.coulomb = 0.5 * robot.joints[4].limits.torque;
-        let config = SearchConfig {
-            starts: 4,
-            iterations: 40,
-            condition_required: false,
-            ..SearchConfig::default()
-        };
-        let found = optimise::<6>(&robot, &config, None, |_, _| {}).expect("a path");
-        assert!(found.certificate.expect("certified").holds);
-    }
-}
+mod tests;

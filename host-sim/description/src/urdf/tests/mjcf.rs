@@ -1,0 +1,152 @@
+//! Arms of MuJoCo.
+
+use super::*;
+
+/// Default classes, degrees, a turned and shifted joint, an actuator's limit, a gripper whose fingers are coupled.
+pub(super) const MJCF: &str = r#"<!DOCTYPE mujoco><mujoco model="Two">
+  <compiler angle="degree" eulerseq="XYZ"/>
+  <option gravity="0 0 -9.8"/>
+  <default><joint armature="0.1" damping="1"/>
+    <default class="arm"><joint axis="0 1 0" range="-90 90"/><motor ctrlrange="-30 30"/>
+      <default class="small"><joint armature="0.02" frictionloss="0.3"/></default></default></default>
+  <worldbody><body name="stand" pos="0 0 1" childclass="arm">
+    <body name="upper" pos="0 0 0.5"><inertial pos="0.2 0 0" mass="2" diaginertia="0.01 0.03 0.03"/>
+      <joint name="shoulder" actuatorfrcrange="-40 50"/>
+      <frame pos="0.3 0 0"><body name="fore" euler="90 0 0">
+        <inertial pos="0.2 0 0" mass="1" fullinertia="0.01 0.02 0.02 0 0 0"/>
+        <joint name="elbow" class="small" axis="0 0 1" pos="0.1 0 0" ref="10"/>
+        <body name="left"><joint name="slide" type="slide"/><inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/></body>
+        <body name="right"><joint name="turn"/><inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/></body>
+      </body></frame></body></body></worldbody>
+  <actuator><motor joint="elbow" class="arm" gear="0.5"/><position joint="shoulder" forcerange="-35 35"/></actuator>
+  <equality><joint joint1="turn" joint2="slide"/></equality></mujoco>"#;
+
+#[test]
+fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
+    let import = parse("t", MJCF, &Selection::default()).unwrap();
+    let [shoulder, elbow] = &import.robot.joints[..] else {
+        panic!("{:?}", import.notes);
+    };
+    assert_eq!(import.robot.gravity.z, -9.8);
+    assert_eq!((&*shoulder.name, &*elbow.name), ("shoulder", "elbow"));
+    assert_eq!(shoulder.limits.position, (-FRAC_PI_2, FRAC_PI_2));
+    assert_eq!(
+        (shoulder.drive.rotor_inertia, elbow.drive.rotor_inertia),
+        (0.1, 0.02)
+    );
+    assert_eq!((elbow.friction.viscous, elbow.friction.coulomb), (1.0, 0.3));
+    assert_eq!((shoulder.limits.torque, elbow.limits.torque), (35.0, 15.0));
+    // The elbow turns about z of the forearm, y of the upper arm, at (0.3 + 0.1, 0, 0); at q = 10° the forearm is as drawn.
+    let q = Joints::<2>::new(0.0, 10.0_f64.to_radians());
+    let lever_elbow = 0.1;
+    let gravity = ReferenceModel::<2>::new(&import.robot)
+        .unwrap()
+        .gravity_torques(&q);
+    let expected = -9.8 * (2.0 * 0.2 + 0.5);
+    assert!((gravity[0] - expected).abs() < 1e-12, "{gravity}");
+    assert!(
+        (gravity[1].abs() - 9.8 * lever_elbow).abs() < 1e-12,
+        "{gravity}"
+    );
+    assert!(
+        import
+            .notes
+            .iter()
+            .any(|note| note.contains("ends at link 'fore'")),
+        "{:?}",
+        import.notes
+    );
+}
+
+#[test]
+fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
+    let read = |text: &str| parse("t", text, &Selection::default()).unwrap();
+    let noted = |import: &Import| import.notes.iter().any(|note| note.contains("as radians"));
+    let bare = MJCF.replace("angle=\"degree\" ", "");
+    // ±90 are degrees, ±1.5 of a part of a file are not, unless it says so.
+    let degrees = read(&bare);
+    let position = |import: &Import| import.robot.joints[0].limits.position;
+    assert_eq!(position(&degrees), (-FRAC_PI_2, FRAC_PI_2));
+    let radians = read(&bare.replace("-90 90", "-1.5 1.5"));
+    assert_eq!(position(&radians), (-1.5, 1.5));
+    assert_eq!([noted(&degrees), noted(&radians)], [false, true]);
+    let named = read(&MJCF.replace("-90 90", "-1.5 1.5"));
+    assert_eq!(
+        position(&named),
+        (-1.5_f64.to_radians(), 1.5_f64.to_radians())
+    );
+    assert!(!noted(&named));
+}
+
+#[test]
+fn parts_of_an_mjcf_that_change_the_dynamics_are_refused_by_name() {
+    for (good, bad, named) in [
+        (
+            "<worldbody>",
+            "<worldbody><replicate count=\"2\"/>",
+            "line 7: <replicate> cannot be read",
+        ),
+        (
+            "eulerseq",
+            "inertiafromgeom=\"true\" eulerseq",
+            "inertiafromgeom=\"true\" cannot be read",
+        ),
+        ("ref=\"10\"", "axis=\"0 0\"", "axis"),
+        ("mass=\"2\"", "mass=\"two\"", "mass=\"two\" is not a number"),
+        ("euler=\"90 0 0\"", "euler=\"90 0\"", "'euler'"),
+        (
+            "<worldbody>",
+            "<include file=\"no.xml\"/><worldbody>",
+            "file=\"no.xml\"",
+        ),
+        (
+            "name=\"turn\"",
+            "name=\"slide\"",
+            "the name 'slide' is used twice",
+        ),
+    ] {
+        assert!(MJCF.contains(good), "{good}");
+        let error = parse("t", &MJCF.replacen(good, bad, 1), &Selection::default()).unwrap_err();
+        assert!(error.to_string().contains(named), "{error}");
+        assert_eq!(error.to_string().lines().count(), 1);
+    }
+}
+
+#[test]
+fn a_chain_of_fingers_is_no_arm_and_a_palm_is_a_wrist() {
+    let hand = ARM
+        .replace(
+            r#""left_finger" type="prismatic""#,
+            r#""left_finger" type="revolute""#,
+        )
+        .replace(
+            r#"<link name="left"/>"#,
+            r#"<link name="left"/><joint name="left_finger_tip" type="revolute">
+          <parent link="left"/><child link="left_tip"/></joint><link name="left_tip"/>"#,
+        );
+    assert_eq!(
+        parse("t", &hand, &Selection::default())
+            .unwrap()
+            .robot
+            .joints
+            .len(),
+        2
+    );
+    // A wrist that carries a jaw.
+    let wrist = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
+    let wrist = wrist.replace("\"hand\"", "\"gripper\"").replace(
+        r#""left_finger" type="prismatic""#,
+        r#""jaw" type="revolute""#,
+    );
+    let start = wrist.find(r#"<joint name="right_finger""#).unwrap();
+    let end = wrist.find("<link name=\"right\"/>").unwrap();
+    let wrist = format!("{}{}", &wrist[..start], &wrist[end + 21..]);
+    let robot = parse("t", &wrist, &Selection::default()).unwrap().robot;
+    assert_eq!((robot.joints.len(), &*robot.joints[2].name), (3, "wrist"));
+    let palm = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
+    let palm = palm.replace("hand", "gripper");
+    let robot = parse("t", &palm, &Selection::default()).unwrap().robot;
+    assert_eq!(robot.joints[2].name, "wrist");
+    let loose = ARM.replace("<robot ", "<!DOCTYPE robot><robot foo:bar=\"1\" ");
+    assert_eq!(parse("t", &loose, &TO_HAND).unwrap().robot.joints.len(), 2);
+}

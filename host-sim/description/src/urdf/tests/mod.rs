@@ -1,0 +1,329 @@
+mod mjcf;
+mod refused;
+mod written;
+
+use super::*;
+use crate::dynamics::{Joints, ReferenceModel, State};
+use crate::robot::Placement;
+use nalgebra::{Matrix3, Vector3};
+use std::f64::consts::FRAC_PI_2;
+
+/// A shoulder and an elbow about y, a hand with two fingers bolted to the forearm, and a camera on the upper arm.
+const ARM: &str = r#"<robot name="Two-Link">
+  <link name="world"/>
+  <joint name="stand" type="fixed"><parent link="world"/><child link="base"/><origin xyz="0 0 1"/></joint>
+  <link name="base"/>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+    <origin xyz="0 0 0.5"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="3" effort="40"/>
+  </joint>
+  <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.03"/></inertial></link>
+  <joint name="camera_mount" type="fixed"><parent link="upper"/><child link="camera"/><origin xyz="0 0 0.1"/></joint>
+  <link name="camera"><inertial><mass value="1"/>
+    <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
+  <joint name="elbow" type="continuous"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0.4 0 0" rpy="1.5708 0 0"/><axis xyz="0 0 1"/><limit velocity="3" effort="20"/>
+    <dynamics damping="0.5" friction="0.25"/>
+  </joint>
+  <link name="fore"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
+  <joint name="wrist" type="fixed"><parent link="fore"/><child link="hand"/><origin xyz="0.3 0 0"/></joint>
+  <link name="hand"><inertial><mass value="0.5"/>
+    <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
+  <joint name="left_finger" type="prismatic"><parent link="hand"/><child link="left"/></joint>
+  <link name="left"/>
+  <joint name="right_finger" type="prismatic"><parent link="hand"/><child link="right"/>
+    <mimic joint="left_finger"/></joint>
+  <link name="right"/>
+</robot>"#;
+
+const TO_HAND: Selection<'static> = Selection {
+    base: None,
+    tip: Some("hand"),
+    weld: false,
+    repair: false,
+    link_mass: None,
+};
+
+fn gravity_torques(robot: &Robot) -> Joints<2> {
+    let model = ReferenceModel::<2>::new(robot).unwrap();
+    model.gravity_torques(&Joints::zeros())
+}
+
+#[test]
+fn bolted_links_become_part_of_the_link_that_moves_them() {
+    let import = parse("t", ARM, &TO_HAND).unwrap();
+    let robot = &import.robot;
+    assert_eq!(robot.name, "two_link");
+    let upper = &robot.joints[0].link;
+    assert_eq!(upper.mass, 3.0);
+    // About y only the two masses 2/3 kg·(0.2² + 0.1²) m² apart and their own tensors count; y is the joint's z.
+    let expected = 0.03 + 0.001 + 2.0 / 3.0 * (0.2 * 0.2 + 0.1 * 0.1);
+    assert!(
+        (upper.inertia_com.m33 - expected).abs() < 1e-15,
+        "{upper:?}"
+    );
+    assert_eq!(robot.joints[1].link.mass, 1.5);
+    // Held out level: 9.81 (2·0.2 + 1·0.5 + 0.5·0.7) about the shoulder, 9.81 (1·0.1 + 0.5·0.3) about the elbow. The
+    // shoulder turns about +y, which lowers the arm; the elbow about −y once its frame is rolled by 90°.
+    let tau = gravity_torques(robot);
+    let expected = Joints::<2>::new(-9.81 * 1.25, 9.81 * 0.25);
+    assert!((tau - expected).amax() < 1e-12, "{tau}");
+}
+
+#[test]
+fn axes_other_than_z_are_turned_onto_z_without_moving_the_zero() {
+    // A door whose hinge points along each axis in turn must have M and G of a body turning about that axis.
+    for axis in [
+        Vector3::x(),
+        -Vector3::x(),
+        Vector3::y(),
+        -Vector3::y(),
+        Vector3::z(),
+        -Vector3::z(),
+        Vector3::new(1.0, -2.0, 0.5),
+    ] {
+        let text = format!(
+            r#"<robot name="door"><link name="wall"/>
+            <joint name="hinge" type="revolute"><parent link="wall"/><child link="leaf"/>
+              <axis xyz="{} {} {}"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+            <link name="leaf"><inertial><origin xyz="0.3 0.2 -0.1"/><mass value="2"/>
+              <inertia ixx="0.1" iyy="0.12" izz="0.14" ixy="0.01" ixz="0.02" iyz="-0.03"/></inertial></link>
+            </robot>"#,
+            axis.x, axis.y, axis.z
+        );
+        let robot = parse("t", &text, &Selection::default()).unwrap().robot;
+        let model = ReferenceModel::<1>::new(&robot).unwrap();
+        let unit = axis.normalize();
+        let (com, mass) = (Vector3::new(0.3, 0.2, -0.1), 2.0);
+        let tensor = Matrix3::new(0.1, 0.01, 0.02, 0.01, 0.12, -0.03, 0.02, -0.03, 0.14);
+        let inertia = unit.dot(&(tensor * unit)) + mass * unit.cross(&com).norm_squared();
+        for q in [0.0, 0.7, -2.0] {
+            let turn = nalgebra::Rotation3::new(unit * q);
+            let lift = unit
+                .cross(&(turn * com))
+                .dot(&Vector3::new(0.0, 0.0, mass * 9.81));
+            let state = State {
+                q: Joints::<1>::new(q),
+                qd: Joints::<1>::new(1.5),
+                qdd: Joints::<1>::new(2.0),
+            };
+            let tau = model.inverse_dynamics(&state)[0];
+            assert!((tau - (2.0 * inertia + lift)).abs() < 1e-12, "{axis} {q}");
+        }
+        let exact = robot.joints[0]
+            .placement
+            .rot_parent_child
+            .iter()
+            .all(|x| x.fract() == 0.0);
+        assert_eq!(exact, axis.amax() == axis.norm(), "{axis}");
+    }
+}
+
+#[test]
+fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
+    let tensor = r#"ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001""#;
+    let nothing = r#"ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0""#;
+    assert_eq!(ARM.matches(tensor).count(), 2);
+    let points = ARM.replace(tensor, nothing);
+    let bolted = parse("t", &points, &TO_HAND).unwrap().robot;
+    assert_eq!(bolted.joints[1].link.mass, 1.5);
+    let only_a_point = points.replacen(
+        r#"<parent link="fore"/><child link="hand"/>"#,
+        r#"<parent link="fore"/><child link="hand"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" velocity="1" effort="1"/>"#,
+        1,
+    );
+    let only_a_point =
+        only_a_point.replacen(r#""wrist" type="fixed""#, r#""wrist" type="revolute""#, 1);
+    assert_eq!(
+        parse("t", &only_a_point, &TO_HAND).unwrap_err().to_string(),
+        "t: link 'hand': inertia is not positive definite (--repair takes the nearest of a body)"
+    );
+}
+
+#[test]
+fn a_tip_cuts_off_its_children_with_a_note() {
+    let selection = Selection {
+        base: Some("base"),
+        tip: Some("fore"),
+        ..Selection::default()
+    };
+    let import = parse("t", ARM, &selection).unwrap();
+    assert_eq!(import.robot.joints[1].link.mass, 1.0);
+    // The base frame is that of the base link, not of the world it stands in.
+    assert_eq!(
+        import.robot.joints[0].placement.origin,
+        Vector3::new(0.0, 0.0, 0.5)
+    );
+    let left_out = "left out: link 'hand' on joint 'wrist' and all it carries".to_owned();
+    assert!(import.notes.contains(&left_out), "{:?}", import.notes);
+    let whole = parse("t", ARM, &TO_HAND).unwrap();
+    assert_eq!(whole.robot.joints[0].placement.origin.z, 1.5);
+    assert!(!whole.notes.contains(&left_out));
+    for finger in ["left", "right"] {
+        let note =
+            format!("left out: link '{finger}' on joint '{finger}_finger' and all it carries");
+        assert!(whole.notes.contains(&note), "{:?}", whole.notes);
+    }
+}
+
+#[test]
+fn assumptions_are_listed_in_the_notes() {
+    let import = parse("t", ARM, &TO_HAND).unwrap();
+    let elbow = &import.robot.joints[1];
+    assert_eq!(elbow.limits.position, (-4.0 * FRAC_PI_2, 4.0 * FRAC_PI_2));
+    assert_eq!(
+        (elbow.friction.viscous, elbow.friction.coulomb),
+        (0.5, 0.25)
+    );
+    assert_eq!(elbow.drive.rotor_inertia, 0.0);
+    for note in [
+        "joint 'elbow': angles near right angles are taken as right angles",
+        "joint 'elbow' is continuous: its range is taken as ±2π rad",
+        "no acceleration limit at joints 'shoulder', 'elbow': 10 rad/s² is taken",
+        "drives are not described: rotor inertias 0, gains 1 N·m/A, 17-bit encoders",
+    ] {
+        assert!(import.notes.iter().any(|n| n == note), "{:?}", import.notes);
+    }
+    let flange = import.robot.flange;
+    assert_eq!(flange.origin, Vector3::new(0.3, 0.0, 0.0));
+}
+
+#[test]
+fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
+    let whole = parse("t", ARM, &Selection::default()).unwrap();
+    assert_eq!(whole.robot, parse("t", ARM, &TO_HAND).unwrap().robot);
+    let end = "the arm ends at link 'hand'".to_owned();
+    assert!(whole.notes.contains(&end), "{:?}", whole.notes);
+    // A jaw that turns is a finger by its name; without such a name it is a joint.
+    let jaw = ARM.replace(
+        "\"left_finger\" type=\"prismatic\"",
+        "\"jaw\" type=\"revolute\"",
+    );
+    let jaw = jaw.replace("<mimic joint=\"left_finger\"/>", "<mimic joint=\"jaw\"/>");
+    let ends = parse("t", &jaw, &Selection::default()).unwrap();
+    assert_eq!(ends.robot.joint_count(), 2);
+    let by_joint = Selection {
+        base: Some("elbow"),
+        tip: Some("elbow"),
+        ..Selection::default()
+    };
+    let forearm = parse("t", ARM, &by_joint).unwrap().robot;
+    assert_eq!(
+        (forearm.joint_count(), &*forearm.joints[0].name),
+        (1, "elbow")
+    );
+    // Two arms: the tips to choose from, the longer first.
+    let torso = ARM.replace("</robot>", r#"
+        <joint name="a" type="revolute"><parent link="base"/><child link="b"/></joint><link name="b"/>
+        <joint name="c" type="revolute"><parent link="b"/><child link="d"/></joint><link name="d"/>
+        <joint name="e" type="revolute"><parent link="d"/><child link="f"/></joint><link name="f"/></robot>"#);
+    let error = parse("t", &torso, &Selection::default())
+        .unwrap_err()
+        .to_string();
+    let expected =
+        "t: the tree branches at link 'world': choose the arm's end with --tip 'f' or --tip 'fore'";
+    assert_eq!(error, expected);
+}
+
+#[test]
+fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
+    let bare = ARM
+        .replace(" effort=\"40\"", "")
+        .replacen("velocity=\"3\"", "velocity=\"0\"", 1);
+    let import = parse("t", &bare, &Selection::default()).unwrap();
+    let shoulder = import.robot.joints[0].limits;
+    // 1.5 of 9.81 (3·0.137 + 1.5·(0.4 + 0.167)) N·m, and 1 N·m.
+    assert_eq!((shoulder.velocity, shoulder.torque), (2.0, 20.0));
+    for note in [
+        "joint 'shoulder': no velocity limit, 2 rad/s",
+        "joint 'shoulder': no torque limit, 20 N·m",
+    ] {
+        assert!(
+            import.notes.iter().any(|found| found.starts_with(note)),
+            "{:?}",
+            import.notes
+        );
+    }
+    let broken = ARM.replace("iyy=\"0.03\"", "iyy=\"0.3\"");
+    let repair = Selection {
+        repair: true,
+        ..Selection::default()
+    };
+    let repaired = parse("t", &broken, &repair).unwrap();
+    assert!(
+        repaired
+            .notes
+            .iter()
+            .any(|note| note.starts_with("link 'upper': inertia moved"))
+    );
+    let moments = repaired.robot.joints[0]
+        .link
+        .second_moments()
+        .symmetric_eigenvalues();
+    assert!(moments.min() > 0.0);
+    assert_eq!(
+        parse("t", ARM, &repair).unwrap().robot,
+        parse("t", ARM, &TO_HAND).unwrap().robot
+    );
+    let weld = Selection {
+        weld: true,
+        ..Selection::default()
+    };
+    let finger = r#"<link name="left"><inertial><mass value="0.1"/>
+        <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>"#;
+    let fingers = ARM.replace("<link name=\"left\"/>", finger);
+    let welded = parse("t", &fingers, &weld).unwrap();
+    assert!((welded.robot.joints[1].link.mass - 1.6).abs() < 1e-12);
+    let start = ARM.find(r#"<link name="upper">"#).unwrap();
+    let end = ARM.find(r#"<joint name="camera_mount""#).unwrap();
+    let hollow = format!("{}<link name=\"upper\"/>{}", &ARM[..start], &ARM[end..]);
+    let hollow = hollow.replacen(
+        "<inertial><mass value=\"1\"/>",
+        "<collision/><inertial><mass value=\"0\"/>",
+        1,
+    );
+    let hollow = hollow.replacen(
+        "<inertia ixx=\"0.001\" ixy=\"0\" ixz=\"0\" iyy=\"0.001\" iyz=\"0\" izz=\"0.001\"/>",
+        "<inertia ixx=\"0\" ixy=\"0\" ixz=\"0\" iyy=\"0\" iyz=\"0\" izz=\"0\"/>",
+        1,
+    );
+    assert!(
+        parse("t", &hollow, &Selection::default())
+            .unwrap_err()
+            .to_string()
+            .ends_with("--link-mass")
+    );
+    let rods = Selection {
+        link_mass: Some(2.0),
+        ..Selection::default()
+    };
+    assert_eq!(
+        parse("t", &hollow, &rods).unwrap().robot.joints[0]
+            .link
+            .mass,
+        2.0
+    );
+}
+
+#[test]
+fn panda_reaches_as_its_manufacturer_states() {
+    // All joints at zero: x = a7, z = d1 + d3 + d5 − flange (table of the manufacturer).
+    let robot = Robot::load("panda").unwrap();
+    let joints = robot.joints.iter();
+    let flange = joints.fold(Placement::identity(), |frame, joint| {
+        frame.then(&joint.placement)
+    });
+    let flange = flange.then(&robot.flange);
+    let expected = Vector3::new(0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107);
+    assert!((flange.origin - expected).norm() < 1e-15, "{flange:?}");
+    let mut entries = robot
+        .joints
+        .iter()
+        .flat_map(|joint| joint.placement.rot_parent_child.iter());
+    assert!(
+        entries.all(|entry| entry.fract() == 0.0),
+        "a right angle is not exact"
+    );
+}

@@ -1,0 +1,111 @@
+//! Speeds that torque limits and friction allow.
+
+use super::*;
+use crate::trajectory::via::TORQUE_SHARE;
+
+/// Random series by which feasible speeds are found, and instants of each.
+const TRIALS: usize = 256;
+const TRIAL_INSTANTS: usize = 50;
+/// Factor on the speed of a joint whose torque is too large, and steps before a joint counts as too weak: to 2 %.
+const SLOWER: f64 = 0.7;
+const SLOWDOWNS: usize = 12;
+/// Shares of the torque limits for the described arm: the true one may be a quarter heavier; and where that leaves no path,
+/// what bounds on the rates between points leave.
+pub(super) const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
+
+impl<const N: usize> Search<'_, N> {
+    /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
+    /// them. Gravity, friction and inertia are those of the description.
+    ///
+    /// Errors: [`ExcitationError::TooWeak`], naming the joint.
+    pub(super) fn adapt_speed(&mut self) -> Result<(), ExcitationError> {
+        let full = self.objective.limits.clone();
+        for torque_share in TORQUE_SHARES {
+            self.objective.torque = torques(self.robot, torque_share);
+            self.objective.limits.clone_from(&full);
+            self.origin.speed_share.fill(1.0);
+            for _ in 0..SLOWDOWNS {
+                let needed = self.least_torques();
+                let share = |j: usize| needed[j] / self.objective.torque[j];
+                if (0..N).all(|j| share(j) <= 1.0) {
+                    return Ok(());
+                }
+                for (j, limits) in full.iter().enumerate() {
+                    // The joints before a weak one shake it, too: they slow down half as much.
+                    let beyond = (j + 1..N).any(|k| share(k) > 1.0);
+                    let factor = match (share(j) > 1.0, beyond) {
+                        (true, _) => SLOWER,
+                        (false, true) => SLOWER.sqrt(),
+                        (false, false) => 1.0,
+                    };
+                    self.origin.speed_share[j] *= factor;
+                    let speed = self.origin.speed_share[j];
+                    self.objective.limits[j].qd = limits.qd * speed;
+                    self.objective.limits[j].qdd = limits.qdd * speed;
+                }
+            }
+        }
+        let needed = self.least_torques();
+        let share = |j: &usize| needed[*j] / self.objective.torque[*j];
+        let worst = (0..N).max_by(|a, b| share(a).total_cmp(&share(b)));
+        match worst.filter(|j| share(j) > 1.0) {
+            Some(j) => Err(ExcitationError::TooWeak {
+                joint: self.robot.joints[j].name.clone(),
+                needed_nm: needed[j],
+                friction_nm: self.robot.joints[j].friction.coulomb,
+                limit_nm: self.robot.joints[j].limits.torque,
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// Largest torque of every joint, N·m, on the random series that comes nearest to keeping all torque limits.
+    fn least_torques(&self) -> [f64; N] {
+        let omega = TAU / self.config.period_s;
+        let width = self.objective.rows.count();
+        let mut block = vec![0.0; N * width];
+        let mut best = (f64::INFINITY, [f64::INFINITY; N]);
+        for trial in 0..TRIALS {
+            let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
+            random.set_stream(trial as u64);
+            let series: Vec<JointSeries> = self
+                .objective
+                .limits
+                .iter()
+                .map(|limits| {
+                    let share = random.random_range(LEAST_SHARE..1.0);
+                    JointSeries::random(limits, omega, INSTANTS, share, &mut random)
+                })
+                .collect();
+            let mut most = [0.0_f64; N];
+            for k in 0..TRIAL_INSTANTS {
+                let t_s = self.config.period_s * k as f64 / TRIAL_INSTANTS as f64;
+                let mut state = State::rest(Joints::<N>::zeros());
+                for (j, series) in series.iter().enumerate() {
+                    (state.q[j], state.qd[j], state.qdd[j]) = series.at(t_s, omega);
+                }
+                self.objective.rows.write(&state, SIGN_WIDTH, &mut block);
+                for (most, row) in most.iter_mut().zip(block.chunks_exact(width)) {
+                    let parameters = self.objective.parameters.iter();
+                    let tau: f64 = row.iter().zip(parameters).map(|(y, x)| y * x).sum();
+                    *most = most.max(tau.abs());
+                }
+            }
+            let shares = most.iter().zip(&self.objective.torque);
+            let share = shares.fold(0.0_f64, |worst, (tau, limit)| worst.max(tau / limit));
+            if share < best.0 {
+                best = (share, most);
+            }
+        }
+        best.1
+    }
+}
+
+/// Torque that friction leaves each joint of `share` of its limit, N·m; a tenth of the limit at least.
+pub(super) fn torques<const N: usize>(robot: &Robot, share: f64) -> [f64; N] {
+    std::array::from_fn(|j| {
+        let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
+        let beyond = friction.coulomb * friction.stribeck_ratio + friction.cogging;
+        (share * limit - beyond).max(0.1 * limit)
+    })
+}
