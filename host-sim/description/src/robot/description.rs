@@ -22,7 +22,7 @@ impl Robot {
     /// Errors: [`RobotError`], naming the file and the field.
     ///
     /// ```
-    /// let ur5 = foretorque_workbench::robot::Robot::load("ur5").unwrap();
+    /// let ur5 = foretorque_description::robot::Robot::load("ur5").unwrap();
     /// assert_eq!(ur5.joints.len(), 6);
     /// ```
     pub fn load(name_or_path: &str) -> Result<Self, RobotError> {

@@ -11,7 +11,7 @@ impl Robot {
     /// Errors: those of the serialiser.
     ///
     /// ```
-    /// use foretorque_workbench::robot::Robot;
+    /// use foretorque_description::robot::Robot;
     /// let ur5 = Robot::load("ur5").unwrap();
     /// let again = Robot::parse("again", &ur5.to_toml().unwrap()).unwrap();
     /// assert!((again.joints[2].link.com - ur5.joints[2].link.com).amax() < 1e-15);

@@ -66,7 +66,7 @@ pub fn load(file: &Path, selection: &Selection<'_>) -> Result<Import, UrdfError>
 /// Errors: [`UrdfError`], one line that names the file and the element.
 ///
 /// ```
-/// use foretorque_workbench::urdf::{Selection, parse};
+/// use foretorque_description::urdf::{Selection, parse};
 /// let pendulum = r#"<robot name="pendulum">
 ///   <link name="wall"/>
 ///   <joint name="hinge" type="revolute">
