@@ -42,8 +42,6 @@ const ANCHORS: &[Anchor] = &[
     against("bp_18_32_6_update, est. cycles", 11635, 11635, PLAIN_C),
     alone("feedforward_step, est. cycles", 12_000),
     alone("learning_step, est. cycles", 60_000),
-    // A tenth of 1 ms at 168 MHz.
-    alone("dearest command, est. cycles", 16_800),
     alone("flash, bytes", 128 << 10),
     alone("flash of joint-drive, bytes", 128 << 10),
     alone("static RAM, bytes", 64 << 10),
