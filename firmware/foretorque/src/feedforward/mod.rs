@@ -6,6 +6,7 @@
 mod config;
 mod model;
 mod shares;
+mod state;
 mod step;
 
 #[cfg(test)]
@@ -18,7 +19,8 @@ pub use crate::learning::{
 };
 pub use config::FeedForwardConfig;
 pub use shares::{LEARNED_BOUND, Shares, evaluate, gravity};
-pub use step::{FeedForwardScratch, FeedForwardState, adopt, pause, step, step_stale};
+pub use state::FeedForwardState;
+pub use step::{FeedForwardScratch, adopt, pause, step, step_stale};
 
 use crate::arm::Arm;
 use crate::joint::{JointMeasurement, JointSample, JointVector};

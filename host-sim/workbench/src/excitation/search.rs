@@ -208,25 +208,28 @@ impl<'a, const N: usize> Search<'a, N> {
         })
     }
 
+    /// Random series of all joints from one stream of the seed.
+    fn random_series(&self, stream: u64) -> Vec<JointSeries> {
+        let omega = TAU / self.config.period_s;
+        let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
+        random.set_stream(stream);
+        let limits = self.objective.limits.iter();
+        limits
+            .map(|limits| {
+                let share = random.random_range(LEAST_SHARE..1.0);
+                JointSeries::random(limits, omega, INSTANTS, share, &mut random)
+            })
+            .collect()
+    }
+
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
     fn starts(&self) -> Vec<Vec<f64>> {
-        let omega = TAU / self.config.period_s;
         let penalties = self.penalties(COARSE_WEIGHTS[0], 0.0);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
             .map(|stream| {
-                let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
-                random.set_stream(stream as u64);
-                let variables: Vec<f64> = self
-                    .objective
-                    .limits
-                    .iter()
-                    .flat_map(|limits| {
-                        let share = random.random_range(LEAST_SHARE..1.0);
-                        let series =
-                            JointSeries::random(limits, omega, INSTANTS, share, &mut random);
-                        self.bases.variables(&series)
-                    })
-                    .collect();
+                let series = self.random_series(stream as u64);
+                let variables = series.iter().flat_map(|joint| self.bases.variables(joint));
+                let variables: Vec<f64> = variables.collect();
                 let value = self.objective.value(&variables, &penalties, None);
                 (value, variables)
             })

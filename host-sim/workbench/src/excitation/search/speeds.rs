@@ -66,17 +66,7 @@ impl<const N: usize> Search<'_, N> {
         let mut block = vec![0.0; N * width];
         let mut best = (f64::INFINITY, [f64::INFINITY; N]);
         for trial in 0..TRIALS {
-            let mut random = ChaCha8Rng::seed_from_u64(self.config.seed);
-            random.set_stream(trial as u64);
-            let series: Vec<JointSeries> = self
-                .objective
-                .limits
-                .iter()
-                .map(|limits| {
-                    let share = random.random_range(LEAST_SHARE..1.0);
-                    JointSeries::random(limits, omega, INSTANTS, share, &mut random)
-                })
-                .collect();
+            let series = self.random_series(trial as u64);
             let mut most = [0.0_f64; N];
             for k in 0..TRIAL_INSTANTS {
                 let t_s = self.config.period_s * k as f64 / TRIAL_INSTANTS as f64;

@@ -1,0 +1,162 @@
+//! State between ticks: the parameters in force, and the torque of the last tick.
+
+use super::Torque;
+use super::model::{Difference, LearntRange, Loaded};
+use super::shares::evaluate;
+use crate::arm::Arm;
+use crate::dynamics::{BaseParameters, rnea};
+use crate::joint::{JointMotion, JointVector};
+use crate::learning::{LearnerReport, LearntShare, LinearParameters, ParameterSet};
+use crate::limits::Flags;
+
+/// State between ticks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeedForwardState<const N: usize, const P: usize> {
+    /// The single set nearest to the torque: loaded and learnt parameters by their shares.
+    pub active: ParameterSet<N, P>,
+    /// The set that stands in for it: the one that was last loaded or committed.
+    pub committed: ParameterSet<N, P>,
+    /// Counter of the tick to come.
+    pub tick: u32,
+    /// Learning is switched on.
+    pub learning: bool,
+    /// Number of sets that were missing at the tick of their adoption.
+    pub late_sets: u32,
+    /// Report of the supervisor that came with the set in force.
+    pub report: LearnerReport<N>,
+    /// Base parameters that the payload adds.
+    pub payload: BaseParameters<P>,
+    /// Torque of the payload in the last tick, after its bound, N × N·m; part of the rigid-body share.
+    pub payload_torque: JointVector<N>,
+    /// The motion for which the active set has been learnt.
+    pub(super) range: LearntRange<N>,
+    /// The set that was last loaded: what was learnt is measured from it.
+    pub(super) loaded: Loaded<N, P>,
+    pub(super) active_difference: Difference<N, P>,
+    pub(super) committed_difference: Difference<N, P>,
+    /// Learnt part in the torque of the last tick, payload included, and the sum it was part of.
+    pub(super) learned: JointVector<N>,
+    pub(super) sum: JointVector<N>,
+    /// There is no last tick with these parameters.
+    pub(super) fresh: bool,
+    /// The committed set is another one since the last tick.
+    pub(super) recommitted: bool,
+    pub(super) last: Torque<N>,
+    pub(super) stale_ticks: u32,
+    /// Number of the last load.
+    pub(super) generation: u32,
+    /// Requests made to the learner.
+    pub(super) requests: u32,
+    /// Rounds to come in which no set is due yet.
+    pub(super) rounds_without_set: u32,
+    pub(super) adoption: Flags,
+}
+
+/// Rounds after a load in which no set is due: the first may be cut short, and the next then closes too late.
+const ROUNDS_WITHOUT_SET: u32 = 2;
+
+impl<const N: usize, const P: usize> FeedForwardState<N, P> {
+    /// At tick 0, torque zero, learning frozen, with `set` both active and committed.
+    pub fn new(set: ParameterSet<N, P>) -> Self {
+        Self {
+            active: set,
+            committed: set,
+            tick: 0,
+            learning: false,
+            late_sets: 0,
+            report: LearnerReport::new(),
+            payload: BaseParameters::zeros(),
+            payload_torque: JointVector::zeros(),
+            range: LearntRange::none(),
+            loaded: Loaded::new(&set),
+            active_difference: Difference::none(),
+            committed_difference: Difference::none(),
+            learned: JointVector::zeros(),
+            sum: JointVector::zeros(),
+            fresh: true,
+            recommitted: false,
+            last: Torque::zero(),
+            stale_ticks: 0,
+            generation: 0,
+            requests: 0,
+            rounds_without_set: ROUNDS_WITHOUT_SET,
+            adoption: Flags::NONE,
+        }
+    }
+
+    /// Back to what [`new`](Self::new) makes of `set`, in place: a board does it in the tick, whose stack is small. The
+    /// numbers of loads and requests go on.
+    #[inline(never)]
+    pub(super) fn restart(&mut self, set: &ParameterSet<N, P>) {
+        self.tick = 0;
+        self.load(set);
+        self.learning = false;
+        self.late_sets = 0;
+        self.report = LearnerReport::new();
+        self.payload_torque = JointVector::zeros();
+        self.learned = JointVector::zeros();
+        self.sum = JointVector::zeros();
+        self.recommitted = false;
+        self.last = Torque::zero();
+        self.stale_ticks = 0;
+        self.adoption = Flags::NONE;
+    }
+
+    /// Makes `set` loaded, active and committed from the tick to come on; the hand is empty.
+    pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
+        self.loaded = Loaded::new(set);
+        self.payload.fill(0.0);
+        self.range = LearntRange::none();
+        self.fresh = true;
+        self.active = *set;
+        self.committed = *set;
+        self.active_difference = Difference::none();
+        self.committed_difference = Difference::none();
+        self.generation = self.generation.wrapping_add(1);
+        self.rounds_without_set = ROUNDS_WITHOUT_SET;
+    }
+
+    /// Torque of the parameters in force for `motion`, N × N·m: loaded set, learnt change by the share of each joint, and
+    /// payload, without limits other than the network's bound.
+    pub fn torque<A: Arm<N, P>>(&self, motion: &JointMotion<N>) -> JointVector<N> {
+        let mut set = self.active;
+        set.rigid = self.loaded.rigid + self.payload;
+        let mut torque = evaluate::<A, N, P>(&set, motion).total;
+        let learnt = rnea::<A, N, P>(&self.active_difference.rigid, motion);
+        for (joint, share) in self.active_difference.share.iter().enumerate() {
+            torque[joint] += share * learnt[joint];
+        }
+        torque
+    }
+
+    /// Bring the learnt `set` into the torque with its `share`.
+    pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>, share: &LearntShare<N>) {
+        self.active_difference
+            .update(set, &share.joint, &self.active, &self.loaded);
+        self.active = *set;
+        let loaded = LinearParameters {
+            friction: self.loaded.friction.map(|joint| joint.0),
+            rigid: self.loaded.rigid.data.0[0],
+        };
+        let blend = share.blend(&loaded, &LinearParameters::of(set));
+        blend.write(&mut self.active);
+    }
+
+    /// Take out of `set`, a copy of the committed one, what was learnt since the load; a learnt network becomes silent.
+    pub fn drop_learnt(&self, set: &mut ParameterSet<N, P>) {
+        set.rigid = self.loaded.rigid;
+        set.friction = self.loaded.friction;
+        let learnt = &self.committed_difference.network;
+        for (network, &learnt) in set.network.iter_mut().zip(learnt) {
+            if learnt {
+                *network = network.silenced();
+            }
+        }
+    }
+
+    /// Make what is active the fallback, and the centre of the bound on learnt change.
+    pub(super) fn commit(&mut self) {
+        self.committed = self.active;
+        self.committed_difference = self.active_difference;
+    }
+}
