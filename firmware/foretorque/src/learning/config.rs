@@ -53,7 +53,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             noise: 0.01,
             outlier_sigmas: 3.0,
             correlation_s: 0.5,
-            process_noise: 1e-7,
+            // 1.7 % of the prior deviation in a minute, whatever the number of rows.
+            process_noise: 5e-6 * period_s * N as f32,
             torque_step: 0.005,
             // Tables, so that a board does not compute them.
             sigma: LinearParameters {

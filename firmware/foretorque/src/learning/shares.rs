@@ -1,7 +1,6 @@
 //! Shares of loaded set and estimate in the torque of each joint.
 
 use super::parameters::LinearParameters;
-use crate::math::sqrt;
 
 /// Part of the way from the loaded set to the learnt one that the torque takes, 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,7 +53,7 @@ fn blend(from: &[f32], values: &mut [f32], share: f32) {
     }
 }
 
-/// Standard deviations that noise takes from a share.
+/// Standard deviations below which a share is 0.
 const SIGNIFICANCE: f32 = 2.0;
 /// Residual of both sets, standard deviations, beyond which a row counts less: an outlier fits neither.
 const CLIP: f32 = 6.0;
@@ -62,9 +61,12 @@ const CLIP: f32 = 6.0;
 /// Evidence for the shares: sums over rows before they are learnt, faded.
 ///
 /// ```text
-/// w_j = clip((Σ d r − 2 √(ρ_j σ_j² Σ d²)) / Σ d², 0, 1)     d = estimate − loaded     r = measured − loaded
+/// w_j = clip(v (1 − 4 s²/v²), 0, 1)     v = Σ d r / Σ d²     s² = ρ_j σ_j² / Σ d²     d = estimate − loaded
+///                                                                              r = measured − loaded
 /// ```
-/// * the least-squares share, less two of its standard deviations under noise with the correlation factor ρ
+/// * v is the least-squares share, s its standard deviation under noise with the correlation factor ρ. The nonnegative
+///   garrote [Breiman 1995] of v: 0 below two standard deviations, and v where there is no doubt. A lower bound v − 2 s
+///   would leave a part of every error in the torque for as long as rows fade
 /// * the estimate is that of the older checkpoint: a newer one has learnt the noise that is still in r
 /// * rows with a large change weigh most, so a share falls fast where the estimate is wrong
 ///
@@ -130,9 +132,9 @@ impl<const N: usize> ShareEvidence<N> {
     /// * `variance` ρ σ² of the measurement
     pub(super) fn share(&self, joint: usize, variance: f32) -> f32 {
         let (cross, power) = self.joints.get(joint).copied().unwrap_or_default();
-        let share = (cross - SIGNIFICANCE * sqrt(variance * power)) / power;
-        // A comparison with a not-a-number is false.
-        match share > 0.0 && !self.is_reversed() {
+        let share = (cross - SIGNIFICANCE * SIGNIFICANCE * variance * power / cross) / power;
+        // A comparison with a not-a-number is false. Both terms change their sign with the cross product.
+        match cross > 0.0 && share > 0.0 && !self.is_reversed() {
             true if share < 1.0 => share,
             true => 1.0,
             false => 0.0,
@@ -180,8 +182,8 @@ mod tests {
     fn a_right_change_gets_all_and_a_wrong_one_nothing() {
         let mut evidence = ShareEvidence::NONE;
         assert_eq!(evidence.share(0, NOISE), 0.0);
-        // 1 − 2 √(ρ σ² / Σ d²) = 0.979.
-        assert!(after(&mut evidence, 4000, 0.1, 0.1) > 0.97);
+        // 1 − 4 ρ σ² / Σ d² = 0.9996.
+        assert!(after(&mut evidence, 4000, 0.1, 0.1) > 0.99);
         // Suddenly wrong by five times as much.
         assert!(after(&mut evidence, 170, -0.5, 0.0) < 0.25);
         assert_eq!(after(&mut none(), 1000, -0.1, 0.1), 0.0);

@@ -14,7 +14,7 @@ use foretorque_link::safety::SafetyState;
 use foretorque_link::wire::{Field, TelemetryFrame};
 use foretorque_workbench::board::{BoardError, Client, Native};
 use foretorque_workbench::closed_loop::control::PdConfig;
-use foretorque_workbench::closed_loop::{ClosedLoop, motion_f32};
+use foretorque_workbench::closed_loop::{Answer, ClosedLoop, motion_f32};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::metrics::{MOVING_RAD_S, TrackingError};
 use foretorque_workbench::plant::Plant;
@@ -259,8 +259,10 @@ impl<const N: usize> Bench<N> {
             put("unseen_over_batch_ratio", early / batch);
         }
         if scenario.against_pd {
+            let truth = self.truth_tracking(plant.clone(), source, &path, ticks)?;
             let alone = self.run::<A, P>((plant, source), &path, None, ticks, 0.0)?;
             let alone = alone.tracking.mean_rms_mrad();
+            put("tracking_truth_over_pd_ratio", truth / alone);
             put(
                 "tracking_over_pd_ratio",
                 learnt.tracking.mean_rms_mrad() / alone,
@@ -271,6 +273,33 @@ impl<const N: usize> Bench<N> {
             put("stays_below_0.35_s", above.map_or(0.0, |(t_s, _)| *t_s));
         }
         Ok((figures, learnt.curve))
+    }
+
+    /// Mean tracking error in the second half of `path`, mrad, with the torques that a perfect model of the measured ones
+    /// would predict as feed-forward.
+    fn truth_tracking(
+        &self,
+        mut plant: Plant<N>,
+        source: Source,
+        path: &Trajectory<N>,
+        ticks: usize,
+    ) -> Result<f64, StudyError> {
+        let pd = &self.pd[usize::from(source == Source::Link)];
+        let mut play = ClosedLoop::new(&mut plant, pd, path, PERIOD_S, None)?;
+        let mut tracking = TrackingError::default();
+        for tick in 0..ticks {
+            let next = path.at((tick + 1) as f64 * PERIOD_S);
+            let answer = Answer {
+                total: plant.true_torque(&next).cast(),
+                shares: None,
+                flags: 0,
+            };
+            let record = play.tick_with(&mut plant, |_| Ok::<_, StudyError>(Some(answer)))?;
+            if 2 * tick > ticks {
+                tracking.add(&(record.desired.q - record.q));
+            }
+        }
+        Ok(tracking.mean_rms_mrad())
     }
 
     /// Plays `path`, with the board that starts from a bank and learns, or not; or without one.
