@@ -28,9 +28,11 @@ impl<const K: usize> DenseUdFilter<K> {
 
     /// Update with `y = phi·theta + noise` of variance `variance`; a result that is not finite is discarded.
     ///
+    /// * returns the variance of the innovation
+    ///
     /// Cost: `3/2 K²` multiply-adds and K divisions.
     #[inline(never)]
-    pub(super) fn update(&mut self, phi: &[f32; K], y: f32, variance: f32) {
+    pub(super) fn update(&mut self, phi: &[f32; K], y: f32, variance: f32) -> f32 {
         let mut next = *self;
         let mut gain = [0.0; K];
         let mut alpha = variance;
@@ -66,6 +68,7 @@ impl<const K: usize> DenseUdFilter<K> {
         {
             *self = next;
         }
+        alpha
     }
 
     /// Add `variance` to every entry of D: the constants drift between rows.

@@ -35,7 +35,7 @@
 //!
 //! ```text
 //!          ┌───────────── 0 Healthy ─────────────┐
-//!          │                                     │  CUSUM > 25 (1)  ┌────────────────┐
+//!          │                                     │    alarm (1)     ┌────────────────┐
 //! start ──►│ torque follows the shares (25, 7),  ├─────────────────►│ 1 PayloadTest  │
 //!          │ commit every 8 s                    │◄──── 2, 6, 8 ────│   at most 3 s  │
 //!          │                                     │                  └───────┬────────┘
@@ -48,7 +48,8 @@
 //!
 //! * Healthy: the learnt set moves to the estimate and the shares to their evidence, by at most 0.5 % of the torque limit a
 //!   round. Following begins (25) at a common share of 1/2 and ends (7) at 1/4.
-//! * alarm: estimate, learnt set and shares return to the checkpoint of 0.128 s to 0.256 s ago and are frozen.
+//! * alarm: the CUSUM of a joint exceeds 25, or the evidence of the payload watch 60. Estimate, learnt set and shares
+//!   return to the checkpoint of 0.128 s to 0.256 s ago and are frozen.
 //! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6).
 //! * relearning: the variance of friction is raised; the torque stays as it is.
 //!
@@ -67,6 +68,7 @@ mod exchange;
 mod learner;
 mod parameters;
 mod payload;
+mod payload_watch;
 mod prior_covariance;
 mod quality;
 mod shares;

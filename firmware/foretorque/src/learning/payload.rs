@@ -148,10 +148,13 @@ impl PayloadFilter {
     }
 
     /// Update with the torque `tau` of standard deviation `sigma`, N·m.
-    pub(super) fn update(&mut self, row: &Payload, tau: f32, sigma: f32) {
+    ///
+    /// * returns the square of the innovation over its expected one
+    pub(super) fn update(&mut self, row: &Payload, tau: f32, sigma: f32) -> f32 {
         let inverse = 1.0 / sigma;
         let phi = self.scaled(row).map(|x| x * inverse);
-        self.filter.update(&phi, tau * inverse, 1.0);
+        let innovation = self.filter.residual(&phi, tau * inverse);
+        innovation * innovation / self.filter.update(&phi, tau * inverse, 1.0)
     }
 
     /// Estimate.

@@ -119,12 +119,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             .0[0];
         let row = payload_row::<A, N, P>(&row);
         let unit = self.config.noise * limits.torque;
+        // Correlated rows of the joint in a block, as one observation.
+        let rows = config.block_ticks as f32 / N as f32;
+        let noise = state.estimate.correlation(joint) * measured / rows;
         let supervisor = &mut state.supervisor;
         let Some((usual, blocks)) = supervisor.block_variance.get_mut(joint) else {
             return;
         };
-        let inflated =
-            unit * sqrt(config.block_inflation * *usual + FRICTION_CORRELATION * friction_variance);
+        let inflated = unit * sqrt(noise + FRICTION_CORRELATION * friction_variance);
         match phase {
             Phase::PayloadTest => {
                 // Thresholds are in variances of one measurement, not of a mean.
@@ -135,6 +137,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
             Phase::Healthy => {
                 let residual = (tau - payload_torque(&supervisor.payload, &row)) / unit;
+                // Errors of the estimate last for the window of the watch.
+                let lasting = (innovation - measured).max(0.0) * config.watch_blocks as f32;
+                let payload = &supervisor.payload;
+                let watch = &mut supervisor.payload_watch;
+                watch.add_row(payload, &row, tau, unit * sqrt(noise + lasting));
                 let expected = *usual + innovation - measured;
                 update_block_variance(usual, blocks, residual * residual);
                 if supervisor.updates_payload(config) {
@@ -193,6 +200,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 }
             }
             Phase::Healthy => {
+                let watch = &mut supervisor.payload_watch;
+                if let Some(evidence) = watch.end_block(config, &supervisor.payload) {
+                    self.decide_on(tick, None, Evidence::Change(evidence));
+                    return;
+                }
                 if supervisor.updates_payload(config) {
                     supervisor.payload = supervisor.payload_filter.payload();
                     supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);

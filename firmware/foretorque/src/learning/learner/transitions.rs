@@ -9,6 +9,7 @@ use crate::learning::config::LearnerConfig;
 use crate::learning::decision::Reason;
 use crate::learning::exchange::{LearningSample, Request};
 use crate::learning::payload::{NO_PAYLOAD, payload_base, payload_estimate};
+use crate::learning::payload_watch::PayloadWatch;
 use crate::learning::quality::{PayloadEstimate, Phase};
 use crate::learning::supervisor::Checkpoint;
 use crate::learning::supervisor::payload_test::{PayloadDecision, PayloadHypothesisTest};
@@ -85,8 +86,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 let supervisor = &mut state.supervisor;
                 supervisor.payload = older.payload;
                 supervisor.payload_base = payload_base::<A, N, P>(&older.payload);
+                let config = &self.config.supervisor;
+                let suspected = supervisor.payload_watch.is_alarm(config, &older.payload);
                 supervisor.payload_test =
-                    PayloadHypothesisTest::new(&self.config.supervisor, &older.payload);
+                    PayloadHypothesisTest::new(config, &older.payload, suspected);
                 return;
             }
             Action::Restore => {
@@ -125,6 +128,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 state.commit_due = true;
                 return;
             }
+        }
+        // A quiet test may have been cut short before a small payload showed: the watch goes on.
+        let supervisor = &mut state.supervisor;
+        if decided.action != Action::Resume || !supervisor.payload_test.was_quiet() {
+            let config = &self.config.supervisor;
+            supervisor.payload_watch = PayloadWatch::new(config, &supervisor.payload);
         }
         state.resume_detection();
     }

@@ -1,7 +1,7 @@
 use crate::arm::Arm;
 use crate::learning::change_detection::DetectorConfig;
 use crate::learning::error::{ConfigError, check_positive};
-use crate::learning::payload::{MAX_COM_DISTANCE, rated_payload};
+use crate::learning::payload::{MAX_COM_DISTANCE, Payload, rated_payload};
 
 /// Thresholds of the learning supervisor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,10 +18,11 @@ pub struct SupervisorConfig {
     pub max_com_distance: f32,
     /// Largest standard deviation of the mass of a promoted payload, kg.
     pub max_mass_sigma: f32,
-    /// Factor on the usual block variance in the payload filter, because consecutive blocks are correlated.
-    pub block_inflation: f32,
-    /// Largest ratio of mean square residuals, hypothesis to active set, that promotes a hypothesis.
-    pub residual_ratio: f32,
+    /// Least evidence for a change of the payload, twice a log-likelihood ratio: χ² of seven degrees of freedom exceeds it
+    /// with probability 1e-10.
+    pub payload_evidence: f32,
+    /// Window of the payload watch, blocks: 1.5 s, in which errors of the estimate count as constant.
+    pub watch_blocks: u32,
     /// Mean square residual that counts as fully explained, in variances of a measurement.
     pub quiet_level: f32,
     /// Consecutive blocks for which a condition of the payload test has to hold.
@@ -75,8 +76,8 @@ impl SupervisorConfig {
             min_payload_mass: 0.05 * rated,
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.03 * rated,
-            block_inflation: 5.0,
-            residual_ratio: 0.6,
+            payload_evidence: 60.0,
+            watch_blocks: 150,
             quiet_level: 0.5,
             decision_blocks: 5,
             timeout_blocks: 300,
@@ -93,6 +94,16 @@ impl SupervisorConfig {
         }
     }
 
+    /// True if `change` of the payload is a body within the limits of mass and distance, picked up or put down.
+    pub(crate) fn is_body(&self, change: &Payload) -> bool {
+        let [mass, x, y, z, ..] = *change;
+        let first = self.max_com_distance * mass;
+        let mass = mass.abs();
+        mass >= self.min_payload_mass
+            && mass <= self.max_payload_mass
+            && x * x + y * y + z * z <= first * first
+    }
+
     /// Check of every field.
     ///
     /// Errors: the first field that is not positive and finite.
@@ -105,8 +116,8 @@ impl SupervisorConfig {
             ("supervisor.min_payload_mass", self.min_payload_mass),
             ("supervisor.max_com_distance", self.max_com_distance),
             ("supervisor.max_mass_sigma", self.max_mass_sigma),
-            ("supervisor.block_inflation", self.block_inflation),
-            ("supervisor.residual_ratio", self.residual_ratio),
+            ("supervisor.payload_evidence", self.payload_evidence),
+            ("supervisor.watch_blocks", self.watch_blocks as f32),
             ("supervisor.quiet_level", self.quiet_level),
             ("supervisor.share_memory_s", self.share_memory_s),
             ("supervisor.trust_floor", self.trust_floor),

@@ -32,15 +32,24 @@ const REMAINDER: f32 = 0.02;
 /// Multiple of the usual mean square of blocks that may remain after a disturbance, because no model of a real arm reaches the noise.
 const USUAL_FACTOR: f32 = 2.0;
 
+/// Part of the evidence for the hypothesis that an empty hand must have for a release.
+const EMPTY_PART: f32 = 0.8;
+
 /// Test of a payload hypothesis. Squares are in variances of a measurement and fade with each block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PayloadHypothesisTest {
     filter: PayloadFilter,
+    /// True after an alarm of the payload watch: no transient.
+    suspected: bool,
+    /// True if a residual was beyond the usual since the alarm.
+    loud: bool,
     blocks: u32,
+    /// Evidence for the hypothesis and for an empty hand, each over the payload in the torque: twice a log-likelihood ratio.
+    evidence: f32,
+    empty_evidence: f32,
     rows: f32,
-    /// Squares with the payload in the torque, with an empty hand, and with the hypothesis.
+    /// Squares with the payload in the torque and with the hypothesis.
     current: f32,
-    empty: f32,
     hypothesis: f32,
     /// Consecutive blocks for which each condition holds.
     promote_blocks: u32,
@@ -50,13 +59,18 @@ pub(crate) struct PayloadHypothesisTest {
 
 impl PayloadHypothesisTest {
     /// Test without blocks, with the hypothesis at `payload`.
-    pub(crate) const fn new(config: &SupervisorConfig, payload: &Payload) -> Self {
+    ///
+    /// * `suspected` true after an alarm of the payload watch
+    pub(crate) const fn new(config: &SupervisorConfig, payload: &Payload, suspected: bool) -> Self {
         Self {
             filter: PayloadFilter::new(payload, &payload_sigma(config.max_payload_mass)),
+            suspected,
+            loud: false,
             blocks: 0,
+            evidence: 0.0,
+            empty_evidence: 0.0,
             rows: 0.0,
             current: 0.0,
-            empty: 0.0,
             hypothesis: 0.0,
             promote_blocks: 0,
             release_blocks: 0,
@@ -67,7 +81,7 @@ impl PayloadHypothesisTest {
     /// Add the residual torque `tau` of one joint without payload, N·m, with its payload row.
     ///
     /// * `payload` payload in the torque      * `sigma` standard deviation of a measurement, N·m
-    /// * `inflated` standard deviation for the payload filter, N·m
+    /// * `inflated` standard deviation of a block for the payload filter, N·m
     #[inline(never)]
     pub(crate) fn add_row(
         &mut self,
@@ -84,10 +98,13 @@ impl PayloadHypothesisTest {
         };
         self.rows += 1.0;
         self.current += square(tau - payload_torque(payload, row));
-        self.empty += square(tau);
         // Before the update, on a row new to the hypothesis.
         self.hypothesis += square(self.filter.residual(row, tau));
-        self.filter.update(row, tau, inflated);
+        let ratio = sigma / inflated;
+        let weight = ratio * ratio;
+        let before = weight * square(tau - payload_torque(payload, row));
+        self.empty_evidence += before - weight * square(tau);
+        self.evidence += before - self.filter.update(row, tau, inflated);
     }
 
     /// Decision after the last joint of a block, if there is one.
@@ -108,28 +125,23 @@ impl PayloadHypothesisTest {
         }
         let enough = self.rows >= MIN_ROWS;
         let inverse = 1.0 / self.rows;
-        let [current, empty, hypothesis] =
-            [self.current, self.empty, self.hypothesis].map(|sum| sum * inverse);
-        let accepted = self.rejection(config, current, hypothesis).is_none();
-        let explained = config.quiet_level + REMAINDER * current;
+        let [current, hypothesis] = [self.current, self.hypothesis].map(|sum| sum * inverse);
+        let quiet = config.quiet_level + USUAL_FACTOR * usual;
+        let rejection = self.rejection(config, quiet, current, hypothesis);
         let gone = carries_payload
-            && empty < config.residual_ratio * current
-            && (empty < explained || empty < 1.2 * hypothesis);
+            && self.evidence > config.payload_evidence
+            && self.empty_evidence > EMPTY_PART * self.evidence;
         let count = |counter: &mut u32, holds: bool, enough: bool| {
             *counter = if holds && enough { *counter + 1 } else { 0 };
             *counter >= config.decision_blocks
         };
-        let promoted = count(&mut self.promote_blocks, accepted, enough);
+        let promoted = count(&mut self.promote_blocks, rejection.is_none(), enough);
         let released = count(&mut self.release_blocks, gone, enough);
         let enough = enough || single && self.rows >= MIN_ROWS_SINGLE;
-        let quiet = config.quiet_level + USUAL_FACTOR * usual;
-        let over = count(&mut self.quiet_blocks, current < quiet, enough);
-        for sum in [
-            &mut self.rows,
-            &mut self.current,
-            &mut self.empty,
-            &mut self.hypothesis,
-        ] {
+        self.loud |= enough && current >= quiet;
+        let over = current < quiet && !self.suspected;
+        let over = count(&mut self.quiet_blocks, over, enough);
+        for sum in [&mut self.rows, &mut self.current, &mut self.hypothesis] {
             *sum *= FADE;
         }
         if released {
@@ -139,9 +151,8 @@ impl PayloadHypothesisTest {
         } else if over {
             Some(PayloadDecision::Transient)
         } else if self.blocks >= config.timeout_blocks {
-            let (reason, figure) = self
-                .rejection(config, current, hypothesis)
-                .unwrap_or((Reason::Uncertain, self.filter.mass_sigma()));
+            let uncertain = (Reason::Uncertain, self.filter.mass_sigma());
+            let (reason, figure) = rejection.unwrap_or(uncertain);
             Some(PayloadDecision::Refuse(reason, figure))
         } else {
             None
@@ -149,21 +160,20 @@ impl PayloadHypothesisTest {
     }
 
     /// Reason to reject the hypothesis, with its figure.
+    ///
+    /// * `quiet` mean square that counts as usual
     fn rejection(
         &self,
         config: &SupervisorConfig,
+        quiet: f32,
         current: f32,
         hypothesis: f32,
     ) -> Option<(Reason, f32)> {
         let mass_sigma = self.filter.mass_sigma();
         let payload = payload_estimate(&self.filter.payload(), mass_sigma);
-        let [x, y, z] = payload.com;
-        let distance_squared = x * x + y * y + z * z;
-        let plausible = payload.mass >= config.min_payload_mass
-            && payload.mass <= config.max_payload_mass
-            && distance_squared <= config.max_com_distance * config.max_com_distance;
-        let explained = hypothesis <= config.residual_ratio * current
-            && hypothesis <= config.quiet_level + REMAINDER * current;
+        let plausible = payload.mass > 0.0 && config.is_body(&self.filter.payload());
+        let explained =
+            self.evidence > config.payload_evidence && hypothesis <= quiet + REMAINDER * current;
         if !plausible {
             Some((Reason::Implausible, payload.mass))
         } else if mass_sigma >= config.max_mass_sigma {
@@ -178,6 +188,11 @@ impl PayloadHypothesisTest {
     /// Payload filter of the hypothesis.
     pub(crate) fn filter(&self) -> &PayloadFilter {
         &self.filter
+    }
+
+    /// True if no residual was beyond the usual since the alarm: the alarm had a small cause, or none.
+    pub(crate) fn was_quiet(&self) -> bool {
+        !self.loud
     }
 
     /// Number of blocks since the alarm.
@@ -200,7 +215,7 @@ mod tests {
     /// parameter a block, and two in the directions of the mass.
     fn decided(carried: &Payload, felt: &Payload, noise: f32) -> (u32, PayloadDecision) {
         let config = config();
-        let mut test = PayloadHypothesisTest::new(&config, carried);
+        let mut test = PayloadHypothesisTest::new(&config, carried, false);
         for block in 1.. {
             for k in 0..PAYLOAD_PARAMETERS + 2 {
                 let mut row = NO_PAYLOAD;
