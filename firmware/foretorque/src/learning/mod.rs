@@ -68,7 +68,6 @@ mod exchange;
 mod learner;
 mod parameters;
 mod payload;
-mod payload_watch;
 mod prior_covariance;
 mod quality;
 mod shares;

@@ -13,6 +13,7 @@ use crate::learning::conditioning::{AVERAGED, ConditionedSample};
 use crate::learning::estimator::joint_friction_row;
 use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
+use crate::learning::supervisor::payload_test::{PayloadDecision, PayloadHypothesisTest};
 use crate::learning::supervisor::step::Evidence;
 use crate::math::sqrt;
 
@@ -127,10 +128,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             return;
         };
         let inflated = unit * sqrt(noise + FRICTION_CORRELATION * friction_variance);
+        // Thresholds are in variances of one measurement, not of a mean.
+        let sigma = unit * sqrt(AVERAGED as f32 * measured);
         match phase {
             Phase::PayloadTest => {
-                // Thresholds are in variances of one measurement, not of a mean.
-                let sigma = unit * sqrt(AVERAGED as f32 * measured);
                 let payload = &supervisor.payload;
                 let test = &mut supervisor.payload_test;
                 test.add_row(payload, &row, tau, sigma, inflated);
@@ -140,8 +141,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 // Errors of the estimate last for the window of the watch.
                 let lasting = (innovation - measured).max(0.0) * config.watch_blocks as f32;
                 let payload = &supervisor.payload;
-                let watch = &mut supervisor.payload_watch;
-                watch.add_row(payload, &row, tau, unit * sqrt(noise + lasting));
+                let test = &mut supervisor.payload_test;
+                let deviation = unit * sqrt(noise + lasting);
+                test.add_row(payload, &row, tau, sigma, deviation);
                 let expected = *usual + innovation - measured;
                 update_block_variance(usual, blocks, residual * residual);
                 if supervisor.updates_payload(config) {
@@ -179,41 +181,43 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         filter.friction_prediction_variance(joint, &phi)
     }
 
-    /// Decision after the last joint of a block: end of the payload test, or update of the payload in the torque.
+    /// Decision after the last joint of a block: end of the payload test; update of the payload in the torque.
     #[inline(never)]
     fn decide(&mut self, tick: u32) {
         let config = &self.config.supervisor;
         let phase = self.state.phase();
+        if !matches!(phase, Phase::PayloadTest | Phase::Healthy) {
+            return;
+        }
         let supervisor = &mut self.state.supervisor;
-        match phase {
-            Phase::PayloadTest => {
-                let mut usual = 0.0;
-                let joints = supervisor.block_variance.iter();
-                for ((square, _), measured) in joints.zip(self.state.estimate.variance()) {
-                    usual += square / (AVERAGED as f32 * measured * N as f32);
-                }
-                let carries_payload = supervisor.carries_payload();
-                let single = self.only_joint.is_some();
-                let test = &mut supervisor.payload_test;
-                if let Some(decision) = test.decide(config, carries_payload, single, usual) {
-                    self.end_payload_test(tick, decision);
-                }
+        let mut usual = 0.0;
+        let joints = supervisor.block_variance.iter();
+        for ((square, _), measured) in joints.zip(self.state.estimate.variance()) {
+            usual += square / (AVERAGED as f32 * measured * N as f32);
+        }
+        let carries_payload = supervisor.carries_payload();
+        let single = self.only_joint.is_some();
+        let test = &mut supervisor.payload_test;
+        let decision = test.decide(config, carries_payload, single, usual);
+        if phase == Phase::Healthy {
+            let is_over = test.blocks() >= config.watch_blocks;
+            if supervisor.updates_payload(config) {
+                supervisor.payload = supervisor.payload_filter.payload();
+                supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
             }
-            Phase::Healthy => {
-                let watch = &mut supervisor.payload_watch;
-                if let Some(evidence) = watch.end_block(config, &supervisor.payload) {
-                    self.decide_on(tick, None, Evidence::Change(evidence));
-                    return;
-                }
-                if supervisor.updates_payload(config) {
-                    supervisor.payload = supervisor.payload_filter.payload();
-                    supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
-                }
-                if supervisor.carries_payload() {
-                    supervisor.blocks_carried = supervisor.blocks_carried.saturating_add(1);
-                }
+            if carries_payload {
+                supervisor.blocks_carried = supervisor.blocks_carried.saturating_add(1);
             }
-            Phase::Relearning | Phase::Stopped => {}
+            if !decision.is_some_and(PayloadDecision::is_change) {
+                if is_over {
+                    supervisor.payload_test =
+                        PayloadHypothesisTest::new(config, &supervisor.payload);
+                }
+                return;
+            }
+        }
+        if let Some(decision) = decision {
+            self.end_payload_test(tick, decision);
         }
     }
 }

@@ -9,7 +9,6 @@ use crate::learning::config::LearnerConfig;
 use crate::learning::decision::Reason;
 use crate::learning::exchange::{LearningSample, Request};
 use crate::learning::payload::{NO_PAYLOAD, payload_base, payload_estimate};
-use crate::learning::payload_watch::PayloadWatch;
 use crate::learning::quality::{PayloadEstimate, Phase};
 use crate::learning::supervisor::Checkpoint;
 use crate::learning::supervisor::payload_test::{PayloadDecision, PayloadHypothesisTest};
@@ -86,10 +85,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 let supervisor = &mut state.supervisor;
                 supervisor.payload = older.payload;
                 supervisor.payload_base = payload_base::<A, N, P>(&older.payload);
-                let config = &self.config.supervisor;
-                let suspected = supervisor.payload_watch.is_alarm(config, &older.payload);
                 supervisor.payload_test =
-                    PayloadHypothesisTest::new(config, &older.payload, suspected);
+                    PayloadHypothesisTest::new(&self.config.supervisor, &older.payload);
                 return;
             }
             Action::Restore => {
@@ -98,6 +95,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
             Action::Promote => {
                 let [_, before] = state.supervisor.checkpoints;
+                state.restore(&before);
                 let supervisor = &mut state.supervisor;
                 supervisor.payload_filter = *supervisor.payload_test.filter();
                 supervisor.payload = supervisor.payload_filter.payload();
@@ -129,12 +127,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 return;
             }
         }
-        // A quiet test may have been cut short before a small payload showed: the watch goes on.
         let supervisor = &mut state.supervisor;
-        if decided.action != Action::Resume || !supervisor.payload_test.was_quiet() {
-            let config = &self.config.supervisor;
-            supervisor.payload_watch = PayloadWatch::new(config, &supervisor.payload);
-        }
+        supervisor.payload_test =
+            PayloadHypothesisTest::new(&self.config.supervisor, &supervisor.payload);
         state.resume_detection();
     }
 

@@ -8,7 +8,6 @@ pub(super) mod step;
 use super::change_detection::{Block, BlockAverage, ChangeDetector};
 use super::parameters::LinearParameters;
 use super::payload::{NO_PAYLOAD, Payload, PayloadFilter, payload_sigma};
-use super::payload_watch::PayloadWatch;
 use super::quality::Phase;
 use super::shares::{LearntShare, ShareEvidence};
 use crate::dynamics::BaseParameters;
@@ -58,7 +57,6 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
     /// Payload filter after promotion.
     pub(super) payload_filter: PayloadFilter,
     pub(super) blocks_carried: u32,
-    pub(super) payload_watch: PayloadWatch,
     pub(super) payload_test: PayloadHypothesisTest,
     /// Usual mean square of each joint's blocks, in units of the configured noise, and the number of blocks behind it.
     pub(super) block_variance: [(f32, u32); N],
@@ -95,8 +93,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
                 &payload_sigma(config.max_payload_mass),
             ),
             blocks_carried: 0,
-            payload_watch: PayloadWatch::new(config, &NO_PAYLOAD),
-            payload_test: PayloadHypothesisTest::new(config, &NO_PAYLOAD, false),
+            payload_test: PayloadHypothesisTest::new(config, &NO_PAYLOAD),
             block_variance: [(1.0, 0); N],
             before_payload: None,
             checkpoints: [checkpoint; 2],

@@ -1,4 +1,4 @@
-//! Test after an alarm: a payload picked up, a payload released, or a transient disturbance.
+//! Test of a payload: picked up, released, or a transient disturbance.
 
 use super::config::SupervisorConfig;
 use crate::learning::decision::Reason;
@@ -17,6 +17,13 @@ pub(crate) enum PayloadDecision {
     Transient,
     /// Timeout; reason of the refusal, with its figure.
     Refuse(Reason, f32),
+}
+
+impl PayloadDecision {
+    /// True if the payload in the torque changes.
+    pub(crate) fn is_change(self) -> bool {
+        matches!(self, Self::Promote | Self::Release)
+    }
 }
 
 /// Fading of the sums with each block.
@@ -39,10 +46,6 @@ const EMPTY_PART: f32 = 0.8;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PayloadHypothesisTest {
     filter: PayloadFilter,
-    /// True after an alarm of the payload watch: no transient.
-    suspected: bool,
-    /// True if a residual was beyond the usual since the alarm.
-    loud: bool,
     blocks: u32,
     /// Evidence for the hypothesis and for an empty hand, each over the payload in the torque: twice a log-likelihood ratio.
     evidence: f32,
@@ -59,13 +62,9 @@ pub(crate) struct PayloadHypothesisTest {
 
 impl PayloadHypothesisTest {
     /// Test without blocks, with the hypothesis at `payload`.
-    ///
-    /// * `suspected` true after an alarm of the payload watch
-    pub(crate) const fn new(config: &SupervisorConfig, payload: &Payload, suspected: bool) -> Self {
+    pub(crate) const fn new(config: &SupervisorConfig, payload: &Payload) -> Self {
         Self {
             filter: PayloadFilter::new(payload, &payload_sigma(config.max_payload_mass)),
-            suspected,
-            loud: false,
             blocks: 0,
             evidence: 0.0,
             empty_evidence: 0.0,
@@ -138,9 +137,7 @@ impl PayloadHypothesisTest {
         let promoted = count(&mut self.promote_blocks, rejection.is_none(), enough);
         let released = count(&mut self.release_blocks, gone, enough);
         let enough = enough || single && self.rows >= MIN_ROWS_SINGLE;
-        self.loud |= enough && current >= quiet;
-        let over = current < quiet && !self.suspected;
-        let over = count(&mut self.quiet_blocks, over, enough);
+        let over = count(&mut self.quiet_blocks, current < quiet, enough);
         for sum in [&mut self.rows, &mut self.current, &mut self.hypothesis] {
             *sum *= FADE;
         }
@@ -190,11 +187,6 @@ impl PayloadHypothesisTest {
         &self.filter
     }
 
-    /// True if no residual was beyond the usual since the alarm: the alarm had a small cause, or none.
-    pub(crate) fn was_quiet(&self) -> bool {
-        !self.loud
-    }
-
     /// Number of blocks since the alarm.
     pub(crate) fn blocks(&self) -> u32 {
         self.blocks
@@ -215,7 +207,7 @@ mod tests {
     /// parameter a block, and two in the directions of the mass.
     fn decided(carried: &Payload, felt: &Payload, noise: f32) -> (u32, PayloadDecision) {
         let config = config();
-        let mut test = PayloadHypothesisTest::new(&config, carried, false);
+        let mut test = PayloadHypothesisTest::new(&config, carried);
         for block in 1.. {
             for k in 0..PAYLOAD_PARAMETERS + 2 {
                 let mut row = NO_PAYLOAD;

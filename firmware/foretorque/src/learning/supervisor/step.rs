@@ -112,7 +112,7 @@ pub(crate) fn step(
             to(Phase::PayloadTest, Action::TestPayload, Reason::Alarm, sum)
         }
         (
-            Phase::PayloadTest,
+            Phase::PayloadTest | Phase::Healthy,
             Evidence::Payload {
                 decision,
                 mass,
