@@ -48,6 +48,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// assert!(config.validate().is_ok());
     /// ```
     pub fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
+        let supervisor = SupervisorConfig::for_arm::<A, N, P>(1.0 / period_s);
         Self {
             inv_period: 1.0 / period_s,
             noise: 0.01,
@@ -66,8 +67,9 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
                 output_sigma: 0.02,
                 hidden_rate: 1e-4,
                 clip_sigmas: 3.0,
+                memory_rows: supervisor.share_memory_s / (period_s * N as f32),
             },
-            supervisor: SupervisorConfig::for_arm::<A, N, P>(1.0 / period_s),
+            supervisor,
         }
     }
 
@@ -90,6 +92,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("process_noise", self.process_noise),
             ("torque_step", self.torque_step),
             ("network.clip_sigmas", self.network.clip_sigmas),
+            ("network.memory_rows", self.network.memory_rows),
         ];
         let [friction, rigid] = self.sigma.parts();
         let rigid = rigid.iter().map(|&s| ("sigma.rigid", s));

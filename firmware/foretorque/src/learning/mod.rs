@@ -26,7 +26,7 @@
 //! v = Σ d r / Σ d²     s² = ρ_j σ_j² / Σ d²
 //! ```
 //! d is the torque of the estimate at the older checkpoint and r the measured torque, both less that of the loaded set. The
-//! sums fade over 10 s. ρ is the correlation factor of the joint's innovations.
+//! sums fade over 20 s. ρ is the correlation factor of the joint's innovations.
 //!
 //! # Supervisor
 //!

@@ -11,14 +11,14 @@ const OUTPUTS: usize = NETWORK_HIDDEN + 1;
 /// Rows of a block: 0.1 s at 167 rows a second. Residuals are correlated over tenths of a second, so blocks are the
 /// independent observations, not rows.
 const BLOCK_ROWS: u32 = 16;
-/// Fading of the sums with each block: 37 % after 4096 rows, 25 s.
-const FADE: f32 = 1.0 - BLOCK_ROWS as f32 / 4096.0;
 /// Least rows of a joint before a promotion: 6 s.
 const PROMOTION_ROWS: u32 = 1000;
 /// Least rows of a joint before its network is silenced.
 const HARM_ROWS: u32 = 256;
-/// Significance of a promotion or silencing, standard deviations.
+/// Significance of a promotion, standard deviations.
 const SIGNIFICANCE: f32 = 3.0;
+/// Significance of a silencing, standard deviations: a wrong one loses only what the network gains until its next promotion.
+const HARM_SIGNIFICANCE: f32 = 1.0;
 /// Significance of a joint's own rows if all joints together are significant: noise hides in one joint what six show.
 const OWN_SIGNIFICANCE: f32 = 0.5;
 /// Largest ratio of mean square residuals, candidate to active network, for a promotion.
@@ -37,6 +37,8 @@ pub struct TrainerConfig {
     pub hidden_rate: f32,
     /// Bound of an error, standard deviations of the measurement; larger ones count as this many.
     pub clip_sigmas: f32,
+    /// Memory of the comparison of networks, rows of a joint.
+    pub memory_rows: f32,
 }
 
 /// Training row of a joint's network.
@@ -109,8 +111,8 @@ impl BlockSum {
         total: PairedSum::ZERO,
     };
 
-    fn close_block(&mut self) {
-        self.total.fade(FADE);
+    fn close_block(&mut self, fade: f32) {
+        self.total.fade(fade);
         self.total.add(self.block);
         self.block = 0.0;
     }
@@ -141,7 +143,9 @@ impl NetworkTest {
     };
 
     /// Add the squares of one row; returns true if it completes a block.
-    fn add_row(&mut self, active: f32, candidate: f32, silent: f32) -> bool {
+    ///
+    /// * `memory` rows after which the sums have faded to 37 %
+    fn add_row(&mut self, [active, candidate, silent]: [f32; 3], memory: f32) -> bool {
         self.rows += 1;
         self.active += active;
         self.candidate += candidate;
@@ -150,10 +154,11 @@ impl NetworkTest {
         self.harm.block += active - silent;
         let complete = self.rows.is_multiple_of(BLOCK_ROWS);
         if complete {
-            self.advantage.close_block();
-            self.harm.close_block();
+            let fade = 1.0 - BLOCK_ROWS as f32 / memory;
+            self.advantage.close_block(fade);
+            self.harm.close_block(fade);
             for sum in [&mut self.active, &mut self.candidate, &mut self.silent] {
-                *sum *= FADE;
+                *sum *= fade;
             }
         }
         complete
@@ -167,7 +172,7 @@ impl NetworkTest {
 /// back-propagation.
 ///
 /// Candidate, active network and no network predict every row before it is learnt. A candidate enters the torque when it
-/// is significantly better; an active network worse than none is silenced.
+/// is significantly better; an active network that is probably worse than none is silenced.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct NetworkTrainer<const N: usize> {
     candidate: [JointNetwork; N],
@@ -226,10 +231,10 @@ impl<const N: usize> NetworkTrainer<N> {
         if !(row.residual + inverse + active_square + candidate_square + silent).is_finite() {
             return None;
         }
-        let complete = self
-            .test
-            .get_mut(joint)?
-            .add_row(active_square, candidate_square, silent);
+        let complete = self.test.get_mut(joint)?.add_row(
+            [active_square, candidate_square, silent],
+            config.memory_rows,
+        );
         let step = StepParameters {
             learning_rate: config.hidden_rate,
             error_clip: config.clip_sigmas * row.sigma,
@@ -277,7 +282,7 @@ impl<const N: usize> NetworkTrainer<N> {
         {
             *active = *candidate;
             NetworkDecision::Promoted(test.candidate / test.active)
-        } else if test.rows >= HARM_ROWS && test.harm.total.is_above(SIGNIFICANCE) {
+        } else if test.rows >= HARM_ROWS && test.harm.total.is_above(HARM_SIGNIFICANCE) {
             *active = active.silenced();
             NetworkDecision::Silenced(test.active / test.silent)
         } else {

@@ -149,9 +149,24 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 shares: [rigid * inv_limit, friction * inv_limit, network],
             },
         );
-        if !state.phase().learns() || state.supervisor.pauses_estimate(&self.config.supervisor) {
+        if !state.phase().learns() {
             return RowOutcome::Frozen;
         }
+        // The network learns the residual of the active set, which is in the torque, not that of the estimate. Under a payload
+        // it is compared, too: what it gained before may cost now.
+        let network_row = NetworkRow {
+            qd: row.qd,
+            residual,
+            sigma,
+        };
+        self.train_network(row.tick, joint, &network_row);
+        let state = &mut self.state;
+        if state.supervisor.pauses_estimate(&self.config.supervisor) {
+            return RowOutcome::Frozen;
+        }
+        let Some(active) = state.active.friction.get(joint) else {
+            return RowOutcome::Rejected;
+        };
         let mut columns = *row.columns;
         let gain = joint_attenuation::<A, N, P>(joint, row.qd, self.config.inv_period);
         let commanded = columns.attenuate_cogging(gain, active);
@@ -179,13 +194,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let fade = 1.0 - N as f32 / memory;
         let evidence = &mut state.supervisor.learnt.evidence;
         evidence.add_row(joint, torques, sigma, fade);
-        // The network learns the residual of the active set, which is in the torque, not that of the estimate.
-        let network_row = NetworkRow {
-            qd: row.qd,
-            residual,
-            sigma,
-        };
-        self.train_network(row.tick, joint, &network_row);
         grow(&mut self.state.range, &sample.motion.qd, &sample.motion.qdd);
         RowOutcome::Accepted
     }

@@ -379,3 +379,25 @@ fn a_pending_commit_ends_with_a_new_load() {
     let published = exchange.published.unwrap();
     assert_eq!((published.generation, published.commit), (1, false));
 }
+
+#[test]
+fn a_network_that_costs_is_silenced_under_a_payload_too() {
+    let mut learner = learner();
+    learn_ticks(&mut learner, 0..60, true);
+    let supervisor = &mut learner.state.supervisor;
+    supervisor.before_payload = Some(supervisor.checkpoints[1]);
+    supervisor.learnt.share.joint = [1.0; N];
+    let estimate = learner.state.estimate;
+    for network in &mut learner.state.active.network {
+        network.output_bias[0] = -0.05;
+    }
+    learn_ticks(&mut learner, 60..6000, true);
+    assert!(learner.state.estimate == estimate, "it pauses");
+    let decisions = &learner.state.report.decisions;
+    let silenced = (0..decisions.count()).filter_map(|index| decisions.get(index));
+    assert!(
+        silenced
+            .map(|decision| decision.reason)
+            .any(|reason| reason == Reason::NetworkSilenced)
+    );
+}

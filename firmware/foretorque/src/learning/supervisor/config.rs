@@ -82,7 +82,7 @@ impl SupervisorConfig {
             decision_blocks: 5,
             timeout_blocks: 300,
             payload_update_blocks: 1000,
-            share_memory_s: 10.0,
+            share_memory_s: 20.0,
             relearning_ticks: (5.0 * inv_period) as u32,
             commit_ticks: (8.0 * inv_period) as u32,
             following_share: (0.5, 0.25),

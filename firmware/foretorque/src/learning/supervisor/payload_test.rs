@@ -276,4 +276,42 @@ mod tests {
         );
         assert_eq!(block, late);
     }
+
+    /// First change of the payload in the window of the background test with `felt` where `carried` is in the torque, and
+    /// its block; torques below the noise of one standard deviation.
+    fn found(carried: &Payload, felt: &Payload) -> Option<(u32, PayloadDecision)> {
+        let config = config();
+        let mut test = PayloadHypothesisTest::new(&config, carried);
+        let mut random = 1u64;
+        (1..config.watch_blocks).find_map(|block| {
+            for k in 0..PAYLOAD_PARAMETERS + 2 {
+                let mut row = NO_PAYLOAD;
+                row[k % PAYLOAD_PARAMETERS] = 0.3;
+                random = random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1);
+                // Uniform, of variance 1.
+                let noise = 3.0f32.sqrt() * ((random >> 40) as f32 / (1 << 23) as f32 - 1.0);
+                let tau = payload_torque(felt, &row) + 0.1 * noise;
+                test.add_row(carried, &row, tau, 0.1, 0.1);
+            }
+            let decision = test.decide(&config, *carried != NO_PAYLOAD, false, 1.0)?;
+            decision.is_change().then_some((block, decision))
+        })
+    }
+
+    #[test]
+    fn a_payload_below_the_noise_is_found_in_the_background_and_noise_is_none() {
+        let mut light = NO_PAYLOAD;
+        light[0] = 0.3;
+        assert_eq!(found(&NO_PAYLOAD, &NO_PAYLOAD), None);
+        assert_eq!(found(&light, &light), None);
+        for (carried, felt, wanted) in [
+            (NO_PAYLOAD, light, PayloadDecision::Promote),
+            (light, NO_PAYLOAD, PayloadDecision::Release),
+        ] {
+            let (block, decision) = found(&carried, &felt).expect("a change");
+            assert!(decision == wanted && block > 20, "{block}: {decision:?}");
+        }
+    }
 }

@@ -274,6 +274,13 @@ mod tests {
                 (Reason::Promoted, 2.0),
             ),
             (
+                Healthy,
+                payload(PayloadDecision::Promote),
+                Healthy,
+                Action::Promote,
+                (Reason::Promoted, 2.0),
+            ),
+            (
                 PayloadTest,
                 payload(PayloadDecision::Release),
                 Healthy,

@@ -4,6 +4,7 @@ const CONFIG: TrainerConfig = TrainerConfig {
     output_sigma: 0.02,
     hidden_rate: 1e-4,
     clip_sigmas: 3.0,
+    memory_rows: 3333.0,
 };
 
 fn silent() -> [JointNetwork; 1] {
@@ -94,8 +95,8 @@ fn rows_of_one_block_count_as_one_observation() {
         white.block += 0.1 + sign(k);
         slow.block += 0.1 + sign(k / BLOCK_ROWS);
         if k % BLOCK_ROWS == BLOCK_ROWS - 1 {
-            white.close_block();
-            slow.close_block();
+            white.close_block(0.996);
+            slow.close_block(0.996);
         }
     }
     assert!(white.total.is_above(SIGNIFICANCE) && !slow.total.is_above(SIGNIFICANCE));
