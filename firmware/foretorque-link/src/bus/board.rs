@@ -1,8 +1,8 @@
 //! The drives on the buses of a board, between its session and its ports.
 
+use super::FaultCause;
 use super::config::BusJoint;
 use super::drives::{BusDrives, BusPhase};
-use super::fault::FaultCause;
 use super::line::LineMotion;
 use crate::drives::Frame;
 use crate::safety::{SafetyReason, SafetyState};

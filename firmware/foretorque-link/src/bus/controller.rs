@@ -1,7 +1,7 @@
 use super::config::{BusConfig, BusConfigError};
 use super::drives::{BusDrives, BusPhase};
-use super::fault::{BusFault, FaultCause};
 use super::joint::JointCounters;
+use super::{BusFault, FaultCause};
 use crate::drives::{Frame, Saturation};
 use crate::safety::{Safety, SafetyReason, SafetyState, SafetyStatus};
 use crate::session::LearnerMailbox;

@@ -1,8 +1,8 @@
 //! The drives of one arm: replies in, phases of switching on and off, command frames out.
 
 use super::config::{BUSES, BusJoint, micros};
-use super::fault::{BusFault, FaultCause};
 use super::joint::{JointCounters, JointLink, STATE_PERIODS};
+use super::{BusFault, FaultCause};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
 use crate::drives::{DriveState, Frame, Frames, JointCommand, Order, Saturation};
 use crate::safety::SafetyLimits;

@@ -1,7 +1,7 @@
 //! One joint of the bus: its replies, their age, the faults they show.
 
+use super::FaultCause;
 use super::config::BusJoint;
-use super::fault::FaultCause;
 use super::{FOLLOWING_RAD, STUCK_RAD};
 use crate::drives::{Carry, DriveState, Event, Frames, JointReply, Order, Scale};
 

@@ -11,7 +11,7 @@
 //! Torques are in thousandths of the rated torque (6076h). The same bytes are the process data of EtherCAT; the stack that
 //! configures the mapping is the user's. Source: CiA 402-2; Beckhoff's object pages of AX8000 and AMP8000.
 
-use super::quantity::{carried, nearest};
+use super::frame::{carried, nearest};
 use super::{
     Carry, Cia402, ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand,
     JointReply, Order, Request, Saturation, Scale, TURN, push,

@@ -4,7 +4,7 @@
 //! in the eight bytes, big endian. A reply (kind 2) has state and faults in the identifier. Sources: CyberGear manual
 //! 4.1; RobStride manual, private protocol. The manual's position range is ±4π, its sample code's ±12.5 rad.
 
-use super::quantity::{carried, centred, code_of, from_centred, nearest};
+use super::frame::{carried, centred, code_of, from_centred, nearest};
 use super::{
     Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Ranges,
     Request, Saturation, Scale, push,

@@ -8,7 +8,7 @@ mod bridge;
 
 pub use bridge::{Bridge, Port};
 
-use super::quantity::carried;
+use super::frame::carried;
 use super::{DriveProfile, Frame, JointCommand, Protocol, Request, cybergear, mit, moteus, odrive};
 
 /// Torque added to the commands that pass, one per joint.

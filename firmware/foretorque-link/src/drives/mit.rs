@@ -9,7 +9,7 @@
 //!
 //! Sources: bgkatz/motorcontrol `can.cpp`; Damiao's DM-J manual.
 
-use super::quantity::{carried, centred, code_of, from_centred, nearest};
+use super::frame::{carried, centred, code_of, from_centred, nearest};
 use super::{
     Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Ranges,
     Request, Saturation, Scale, push,

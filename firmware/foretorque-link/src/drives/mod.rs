@@ -19,14 +19,12 @@ mod mit;
 mod moteus;
 mod odrive;
 mod profile;
-mod quantity;
 pub mod text;
 
-pub use frame::Frame;
+pub use frame::{Carry, Frame, Saturation};
 pub use profile::{
     Cia402, ControlMode, DriveProfile, Moteus, Odrive, ProfileError, Protocol, Ranges, Resolution,
 };
-pub use quantity::{Carry, Saturation};
 
 /// Radians of a turn.
 const TURN: f32 = core::f32::consts::TAU;

@@ -3,7 +3,7 @@
 //! Turns and turns/s of the axis' coordinate, N·m. `Set_Input_Pos` carries velocity and torque as scaled i16, the other
 //! two inputs as f32. Source: ODrive's CAN protocol and DBC, firmware 0.6.
 
-use super::quantity::{carried, pair, unpair};
+use super::frame::{carried, pair, unpair};
 use super::{
     Carry, ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply,
     Odrive, Order, Request, Saturation, Scale, TURN, push,

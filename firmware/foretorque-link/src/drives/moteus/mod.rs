@@ -6,7 +6,7 @@
 
 mod registers;
 
-use super::quantity::{carried, nearest};
+use super::frame::{carried, nearest};
 use super::{
     Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Moteus, Order,
     Request, Resolution, Saturation, TURN, push,

@@ -1,6 +1,6 @@
 //! Registers and subframes of a frame.
 
-use super::super::quantity::carried;
+use super::super::frame::carried;
 use super::super::{Frame, Resolution};
 
 /// Padding of a frame to the next length of CAN-FD: a subframe that does nothing.

@@ -1,19 +1,14 @@
 //! Bytes to messages and back: frames, sequence numbers, uploads and downloads, telemetry. Moves no torque.
 
-mod link;
 mod telemetry;
-mod transfer;
-
-pub(super) use link::LinkState;
-pub(super) use telemetry::{Instant, Stream};
-pub(super) use transfer::Transfer;
 
 use super::mailbox::Signature;
+use crate::bank::ParameterBank;
 use crate::wire::{
-    BoardMessage, DecodeError, Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason,
+    BoardMessage, CHUNK, DecodeError, Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason,
 };
 use crate::write_key::WriteKey;
-use link::Order;
+pub(super) use telemetry::{Instant, Stream};
 
 /// Content of a frame that is to be acted on.
 pub(super) enum Received<const N: usize> {
@@ -139,5 +134,222 @@ impl Protocol {
             (Some(nonce), Some(mac)) => Ok(Some(Signature { key, nonce, mac })),
             _ => Err(NackReason::Key),
         }
+    }
+}
+
+/// Frames whose number lies at most this far back are repeats; a number farther back means that the host restarted.
+const REPEAT_WINDOW: u16 = 16;
+
+/// Order of a frame in the host's sequence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Order {
+    /// It is new.
+    Forward,
+    /// It, or a later one, was received before.
+    Repeated,
+}
+
+/// Counters and last sequence number of the link.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::session) struct LinkState {
+    pub(in crate::session) frames: u32,
+    pub(in crate::session) crc_errors: u32,
+    pub(in crate::session) framing_errors: u32,
+    pub(in crate::session) foreign_version: u32,
+    pub(in crate::session) unknown: u32,
+    pub(in crate::session) missed: u32,
+    pub(in crate::session) repeated: u32,
+    pub(in crate::session) overruns: u32,
+    pub(in crate::session) replies_lost: u32,
+    last: Option<u16>,
+}
+
+impl LinkState {
+    /// Counters at zero; the sequence continues after `last`.
+    pub(super) const fn new(last: Option<u16>) -> Self {
+        Self {
+            frames: 0,
+            crc_errors: 0,
+            framing_errors: 0,
+            foreign_version: 0,
+            unknown: 0,
+            missed: 0,
+            repeated: 0,
+            overruns: 0,
+            replies_lost: 0,
+            last,
+        }
+    }
+
+    /// Resets the counters; the sequence continues.
+    pub(super) fn reset(&mut self) {
+        *self = Self::new(self.last);
+    }
+
+    /// Counts a good frame. `restart` restarts the sequence.
+    pub(super) fn accept(&mut self, sequence: u16, restart: bool) -> Order {
+        self.frames = self.frames.saturating_add(1);
+        let step = match self.last {
+            Some(last) if !restart => sequence.wrapping_sub(last),
+            _ => 1,
+        };
+        if step == 0 || step > u16::MAX - REPEAT_WINDOW {
+            self.repeated = self.repeated.saturating_add(1);
+            return Order::Repeated;
+        }
+        // A host that wraps leaves out 0, which is the board's own number.
+        let left_out = u16::from(!restart && self.last.is_some_and(|last| sequence < last));
+        let missed = (step - 1).saturating_sub(left_out);
+        self.missed = self.missed.saturating_add(u32::from(missed));
+        self.last = Some(sequence);
+        Order::Forward
+    }
+
+    pub(super) fn refuse(&mut self, error: DecodeError) {
+        let counter = match error {
+            DecodeError::Framing => &mut self.framing_errors,
+            DecodeError::Checksum => &mut self.crc_errors,
+            DecodeError::ForeignVersion(_) => &mut self.foreign_version,
+            DecodeError::Unknown => &mut self.unknown,
+        };
+        *counter = counter.saturating_add(1);
+    }
+
+    /// Frames missed and refused, replies lost and overruns: the low halves of their counters.
+    pub(in crate::session) fn losses(&self) -> [u16; 4] {
+        let refused = self.crc_errors.wrapping_add(self.framing_errors);
+        [self.missed, refused, self.replies_lost, self.overruns].map(|count| count as u16)
+    }
+}
+
+/// A parameter bank on its way up or down, or an excitation on its way up, in one buffer.
+pub(in crate::session) struct Transfer {
+    bytes: [u8; ParameterBank::MAX_BYTES],
+    length: usize,
+    direction: Direction,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Direction {
+    Idle,
+    Up,
+    Down,
+}
+
+impl Transfer {
+    pub(in crate::session) const fn new() -> Self {
+        Self {
+            bytes: [0; ParameterBank::MAX_BYTES],
+            length: 0,
+            direction: Direction::Idle,
+        }
+    }
+
+    pub(in crate::session) fn abort(&mut self) {
+        self.direction = Direction::Idle;
+        self.length = 0;
+    }
+
+    /// Takes the next chunk of an upload. Offset 0 begins anew. A repeated chunk does no harm, so a host whose
+    /// acknowledgement was lost may send it again.
+    pub(in crate::session) fn write(
+        &mut self,
+        offset: u16,
+        chunk: &[u8],
+    ) -> Result<(), NackReason> {
+        if offset == 0 {
+            self.direction = Direction::Up;
+        } else if self.direction != Direction::Up {
+            return Err(NackReason::Gap { expected: 0 });
+        }
+        let start = usize::from(offset);
+        let end = start + chunk.len();
+        if start > self.length {
+            let expected = self.length as u16;
+            return Err(NackReason::Gap { expected });
+        }
+        let place = self.bytes.get_mut(start..end).ok_or(NackReason::TooLong)?;
+        for (slot, byte) in place.iter_mut().zip(chunk) {
+            *slot = *byte;
+        }
+        self.length = end;
+        Ok(())
+    }
+
+    /// Announced length of a complete upload; it is over.
+    ///
+    /// Errors: [`NackReason::Checksum`] where the upload has another length, or there is none.
+    pub(in crate::session) fn end(&mut self, length: u16) -> Result<(), NackReason> {
+        let complete = self.direction == Direction::Up && self.length == usize::from(length);
+        self.direction = Direction::Idle;
+        complete.then_some(()).ok_or(NackReason::Checksum)
+    }
+
+    /// Bytes of the last upload or snapshot.
+    pub(in crate::session) fn content(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or_default()
+    }
+
+    /// Keeps `bytes` for reading, as many as the buffer takes; an unfinished upload is dropped.
+    pub(in crate::session) fn hold(&mut self, bytes: &[u8]) {
+        self.length = self.bytes.len().min(bytes.len());
+        for (slot, byte) in self.bytes.iter_mut().zip(bytes) {
+            *slot = *byte;
+        }
+        self.direction = Direction::Down;
+    }
+
+    /// The chunk at `offset` of the bytes kept for reading; empty behind their end.
+    pub(in crate::session) fn chunk<const N: usize>(
+        &self,
+        offset: u16,
+    ) -> Result<BoardMessage<N>, NackReason> {
+        if self.direction != Direction::Down {
+            return Err(NackReason::Gap { expected: 0 });
+        }
+        let rest = self
+            .content()
+            .get(usize::from(offset)..)
+            .unwrap_or_default();
+        Ok(BoardMessage::BankChunk {
+            offset,
+            length: self.length as u16,
+            bytes: rest.iter().copied().take(CHUNK).collect(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_and_repeats_are_counted() {
+        for (numbers, missed_and_repeated) in [
+            (&[1, 2, 3][..], (0, 0)),
+            (&[900, 901], (0, 0)),
+            (&[1, 4], (2, 0)),
+            (&[1, 1, 2], (0, 1)),
+            (&[1, 3, 2, 4], (1, 1)),
+            (&[65534, 65535, 1, 2], (0, 0)),
+            (&[65535, 3], (2, 0)),
+            (&[65535, 1, 65535, 2], (0, 1)),
+            (&[30_000, 100], (35_634, 0)),
+        ] {
+            let mut link = LinkState::new(None);
+            for &number in numbers {
+                link.accept(number, false);
+            }
+            let counted = (link.missed, link.repeated);
+            assert_eq!(counted, missed_and_repeated, "{numbers:?}");
+        }
+    }
+
+    #[test]
+    fn hello_restarts_the_count() {
+        let mut link = LinkState::new(Some(500));
+        assert_eq!(link.accept(498, true), Order::Forward);
+        assert_eq!(link.accept(499, false), Order::Forward);
+        assert_eq!((link.missed, link.repeated), (0, 0));
     }
 }

@@ -1,6 +1,5 @@
 //! Helpers of the tests of the wire format.
 
-mod any;
 mod line;
 mod page;
 mod sizes;
