@@ -203,10 +203,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
     ) -> BusTick<N> {
         self.safety.period();
         self.feed_forward.adopt(mailbox.exchange());
-        let mut measured = JointMeasurement {
-            q: JointVector::zeros(),
-            tau: JointVector::zeros(),
-        };
+        let mut measured = JointMeasurement::zero();
         let measured = self.drives.measure(&mut measured).then_some(measured);
         for (joint, celsius) in self.drives.temperatures() {
             self.safety.note_temperature(joint, celsius);

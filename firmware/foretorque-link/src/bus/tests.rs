@@ -85,10 +85,6 @@ impl Drives {
                     Request::Order(Order::ReadScale(scale)) => {
                         let value = [12.5, 30.0, 200.0][scale as usize];
                         joint.drive.reply_scale(scale, value, &mut frames);
-                        frames
-                            .iter()
-                            .for_each(|frame| controller.receive(bus, frame));
-                        continue;
                     }
                     Request::Order(Order::Enable) => self.on[j] = true,
                     Request::Order(Order::Disable) => self.on[j] = false,
@@ -111,7 +107,7 @@ impl Drives {
                         DriveState::Disabled
                     }),
                 };
-                if change(j, &mut reply) {
+                if frames.is_empty() && change(j, &mut reply) {
                     joint.drive.reply(&reply, &mut frames);
                 }
                 frames
@@ -184,35 +180,28 @@ fn arms_after_the_scales_and_sends_torque_and_ramped_gains() {
 
 #[test]
 fn faults_of_the_replies_end_the_torque_with_their_joint() {
-    type Change = fn(usize, &mut JointReply) -> bool;
-    let cases: [(&str, Change); 5] = [
-        ("joint 3: the drive does not answer", |j, _| j != 2),
-        ("joint 3: the drive reports fault 0x9", |j, reply| {
-            if j == 2 {
-                reply.state = Some(DriveState::Fault(9));
-            }
-            true
+    type Change = fn(&mut JointReply) -> bool;
+    fn set<T>(field: &mut T, value: T) -> bool {
+        *field = value;
+        true
+    }
+    let cases: [(&str, usize, Change); 5] = [
+        ("joint 3: the drive does not answer", 2, |_| false),
+        ("joint 3: the drive reports fault 0x9", 2, |reply| {
+            set(&mut reply.state, Some(DriveState::Fault(9)))
         }),
-        ("joint 3: the drive has switched itself off", |j, reply| {
-            if j == 2 {
-                reply.state = Some(DriveState::Disabled);
-            }
-            true
+        ("joint 3: the drive has switched itself off", 2, |reply| {
+            set(&mut reply.state, Some(DriveState::Disabled))
         }),
-        ("joint 3: desired position", |j, reply| {
-            if j == 2 {
-                reply.position = Some(0.5);
-            }
-            true
+        ("joint 3: desired position", 2, |reply| {
+            set(&mut reply.position, Some(0.5))
         }),
-        ("joint 5: the drive reports fault 0xd", |j, reply| {
-            if j == 4 {
-                reply.state = Some(DriveState::Fault(0xd));
-            }
-            true
+        ("joint 5: the drive reports fault 0xd", 4, |reply| {
+            set(&mut reply.state, Some(DriveState::Fault(0xd)))
         }),
     ];
-    for (named, change) in cases {
+    for (named, joint, change) in cases {
+        let change = |j: usize, reply: &mut JointReply| j != joint || change(reply);
         let mut drives = Drives::new();
         let mut controller = drives.started();
         let rest = JointMotion::zero();

@@ -8,8 +8,8 @@ mod registers;
 
 use super::frame::{carried, nearest};
 use super::{
-    Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Moteus, Order,
-    Request, Resolution, Saturation, TURN, push,
+    DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Moteus, Order,
+    Outgoing, Request, Resolution, Saturation, Scale, TURN, push,
 };
 use registers::*;
 
@@ -28,163 +28,217 @@ fn query(bytes: &mut Bytes, resolution: Resolution) {
     );
 }
 
-fn send(profile: &DriveProfile, bytes: &[u8], frames: &mut Frames) {
-    let id = 0x8000 | u32::from(profile.host_id & 0x7f) << 8 | u32::from(profile.id & 0x7f);
-    push(frames, Frame::extended(id, bytes).into_fd(NOP));
+/// Codec of one drive.
+pub(super) struct Codec<'p> {
+    pub(super) drive: &'p DriveProfile,
+    pub(super) scales: &'p Moteus,
 }
 
-pub(super) fn command(
-    profile: &DriveProfile,
-    scales: &Moteus,
-    motion: &JointCommand,
-    carry: &mut Carry,
-    flags: &mut Saturation,
-    frames: &mut Frames,
-) {
-    let resolution = scales.resolution;
-    let [position, velocity, torque] = steps(resolution);
-    let unit = match resolution {
-        Resolution::Int16 => 1.0 / 32767.0,
-        _ => 1.0 / 2_147_483_647.0,
-    };
-    let mut bytes = Bytes::new();
-    put(
-        &mut bytes,
-        &[
-            WRITE | 1,
-            MODE as u8,
-            POSITION,
-            WRITE | form(resolution).0,
-            5,
-            COMMAND as u8,
-        ],
-    );
-    let (mut none, kp) = (0.0, motion.kp * TURN / scales.kp);
-    let kd = motion.kd * TURN / scales.kd;
-    // Integers end at a scale of 1.
-    let most = if resolution == Resolution::F32 {
-        1e3
-    } else {
-        1.0
-    };
-    let kp = flags.clamp_in(kp, 0.0, most, Saturation::KP);
-    let kd = flags.clamp_in(kd, 0.0, most, Saturation::KD);
-    let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
-    let mut field = |value: f32, step: f32, carry: &mut f32, flag: Saturation| {
-        if write(&mut bytes, resolution, value, step, carry) {
-            flags.insert(flag);
-        }
-    };
-    field(turns, position, &mut none, Saturation::POSITION);
-    none = 0.0;
-    field(speed, velocity, &mut carry.velocity, Saturation::VELOCITY);
-    field(motion.torque, torque, &mut carry.torque, Saturation::TORQUE);
-    field(kp, unit, &mut none, Saturation::KP);
-    none = 0.0;
-    field(kd, unit, &mut none, Saturation::KD);
-    put(&mut bytes, &[WRITE | 0x0d, WATCHDOG as u8]);
-    put(&mut bytes, &scales.watchdog_s.to_le_bytes());
-    query(&mut bytes, resolution);
-    send(profile, &bytes, frames);
-}
-
-pub(super) fn order(
-    profile: &DriveProfile,
-    scales: &Moteus,
-    order: Order,
-    frames: &mut Frames,
-) -> bool {
-    let mut bytes = Bytes::new();
-    match order {
-        // Mode 0 also clears a fault and a time-out.
-        Order::Disable | Order::ClearFault => {
-            put(&mut bytes, &[WRITE | 1, MODE as u8, STOPPED]);
-        }
-        Order::Enable => {
-            send(profile, &[WRITE | 1, MODE as u8, STOPPED], frames);
-            // Without a position the drive holds the present one, here with gain scales and torque of 0.
-            put(
-                &mut bytes,
-                &[WRITE | 1, MODE as u8, POSITION, WRITE | 2, 0x23, 0, 0],
-            );
-        }
-        Order::SetZero => {
-            let [r0, r1] = SET_OUTPUT;
-            put(&mut bytes, &[WRITE | 0x0d, r0, r1, 0, 0, 0, 0]);
-        }
-        Order::Report => {}
-        Order::ReadScale(_) => return false,
+impl Codec<'_> {
+    fn send(&self, bytes: &[u8], frames: &mut Frames) {
+        let id =
+            0x8000 | u32::from(self.drive.host_id & 0x7f) << 8 | u32::from(self.drive.id & 0x7f);
+        push(frames, Frame::extended(id, bytes).into_fd(NOP));
     }
-    query(&mut bytes, scales.resolution);
-    send(profile, &bytes, frames);
-    true
-}
 
-pub(super) fn decode(profile: &DriveProfile, frame: &Frame) -> Option<Event> {
-    let from = u32::from(profile.id & 0x7f) << 8 | u32::from(profile.host_id & 0x7f);
-    if frame.remote || frame.id & 0x7fff != from {
-        return None;
-    }
-    let mut reply = JointReply::default();
-    let (mut mode, mut fault, mut any) = (None, 0, false);
-    let whole = each(frame.bytes(), REPLY, |register, value, _| {
-        any = true;
-        match register {
-            MODE => mode = Some(value.count() as u8),
-            1 => reply.position = value.scaled(0.01, 1e-4, 1e-5).map(|turns| turns * TURN),
-            2 => reply.velocity = value.scaled(0.1, 2.5e-4, 1e-5).map(|turns| turns * TURN),
-            3 => reply.torque = value.scaled(0.5, 0.01, 1e-3),
-            TEMPERATURE => reply.temperature = value.scaled(1.0, 0.1, 1e-3),
-            FAULT => fault = value.count(),
-            _ => {}
-        }
-    });
-    reply.state = mode.map(|mode| match mode {
-        STOPPED => DriveState::Disabled,
-        FAULTED => DriveState::Fault(fault.max(1)),
-        TIMED_OUT => DriveState::Fault(TIMED_OUT.into()),
-        _ => DriveState::Enabled,
-    });
-    (whole && any).then_some(Event::Reply(reply))
-}
-
-pub(super) fn accept(profile: &DriveProfile, scales: &Moteus, frame: &Frame) -> Option<Request> {
-    if frame.remote || frame.id & 0x7f != u32::from(profile.id) || frame.id & 0x80 != 0 {
-        return None;
-    }
-    let mut motion = JointCommand {
-        kp: scales.kp / TURN,
-        kd: scales.kd / TURN,
-        ..JointCommand::default()
-    };
-    let (mut mode, mut zero, mut position) = (None, false, None);
-    let whole = each(frame.bytes(), WRITE, |register, value, _| {
-        let unit = value.scaled(1.0 / 127.0, 1.0 / 32767.0, 1.0 / 2_147_483_647.0);
-        match register {
-            MODE => mode = Some(value.count() as u8),
-            COMMAND => position = value.scaled(0.01, 1e-4, 1e-5),
-            0x021 => motion.velocity = value.scaled(0.1, 2.5e-4, 1e-5).unwrap_or(0.0) * TURN,
-            TORQUE => motion.torque = value.scaled(0.5, 0.01, 1e-3).unwrap_or(0.0),
-            0x023 => motion.kp = unit.unwrap_or(1.0) * scales.kp / TURN,
-            0x024 => motion.kd = unit.unwrap_or(1.0) * scales.kd / TURN,
-            0x130 | 0x131 => zero = true,
-            _ => {}
-        }
-    });
-    match mode {
-        _ if !whole => None,
-        Some(POSITION) => match position {
-            Some(turns) => {
-                motion.position = turns * TURN;
-                Some(Request::Command(motion))
+    pub(super) fn command(&self, motion: &JointCommand, out: &mut Outgoing<'_>) {
+        let resolution = self.scales.resolution;
+        let [position, velocity, torque] = steps(resolution);
+        let unit = match resolution {
+            Resolution::Int16 => 1.0 / 32767.0,
+            _ => 1.0 / 2_147_483_647.0,
+        };
+        let mut bytes = Bytes::new();
+        put(
+            &mut bytes,
+            &[
+                WRITE | 1,
+                MODE as u8,
+                POSITION,
+                WRITE | form(resolution).0,
+                5,
+                COMMAND as u8,
+            ],
+        );
+        let (mut none, kp) = (0.0, motion.kp * TURN / self.scales.kp);
+        let kd = motion.kd * TURN / self.scales.kd;
+        // Integers end at a scale of 1.
+        let most = if resolution == Resolution::F32 {
+            1e3
+        } else {
+            1.0
+        };
+        let kp = out.flags.clamp_in(kp, 0.0, most, Saturation::KP);
+        let kd = out.flags.clamp_in(kd, 0.0, most, Saturation::KD);
+        let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
+        let mut field = |value: f32, step: f32, carry: &mut f32, flag: Saturation| {
+            if write(&mut bytes, resolution, value, step, carry) {
+                out.flags.insert(flag);
             }
-            None => (motion.kp == 0.0 && motion.kd == 0.0).then_some(Request::Order(Order::Enable)),
-        },
-        Some(STOPPED) => Some(Request::Order(Order::Disable)),
-        None if zero => Some(Request::Order(Order::SetZero)),
-        None => Some(Request::Order(Order::Report)),
-        Some(_) => None,
+        };
+        field(turns, position, &mut none, Saturation::POSITION);
+        none = 0.0;
+        field(
+            speed,
+            velocity,
+            &mut out.carry.velocity,
+            Saturation::VELOCITY,
+        );
+        field(
+            motion.torque,
+            torque,
+            &mut out.carry.torque,
+            Saturation::TORQUE,
+        );
+        field(kp, unit, &mut none, Saturation::KP);
+        none = 0.0;
+        field(kd, unit, &mut none, Saturation::KD);
+        put(&mut bytes, &[WRITE | 0x0d, WATCHDOG as u8]);
+        put(&mut bytes, &self.scales.watchdog_s.to_le_bytes());
+        query(&mut bytes, resolution);
+        self.send(&bytes, out.frames);
     }
+
+    pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
+        let mut bytes = Bytes::new();
+        match order {
+            // Mode 0 also clears a fault and a time-out.
+            Order::Disable | Order::ClearFault => {
+                put(&mut bytes, &[WRITE | 1, MODE as u8, STOPPED]);
+            }
+            Order::Enable => {
+                self.send(&[WRITE | 1, MODE as u8, STOPPED], frames);
+                // Without a position the drive holds the present one, here with gain scales and torque of 0.
+                put(
+                    &mut bytes,
+                    &[WRITE | 1, MODE as u8, POSITION, WRITE | 2, 0x23, 0, 0],
+                );
+            }
+            Order::SetZero => {
+                let [r0, r1] = SET_OUTPUT;
+                put(&mut bytes, &[WRITE | 0x0d, r0, r1, 0, 0, 0, 0]);
+            }
+            Order::Report => {}
+            Order::ReadScale(_) => return false,
+        }
+        query(&mut bytes, self.scales.resolution);
+        self.send(&bytes, frames);
+        true
+    }
+
+    pub(super) fn decode(&self, frame: &Frame) -> Option<Event> {
+        let from = u32::from(self.drive.id & 0x7f) << 8 | u32::from(self.drive.host_id & 0x7f);
+        if frame.remote || frame.id & 0x7fff != from {
+            return None;
+        }
+        let mut reply = JointReply::default();
+        let (mut mode, mut fault, mut any) = (None, 0, false);
+        let whole = each(frame.bytes(), REPLY, |register, value, _| {
+            any = true;
+            match register {
+                MODE => mode = Some(value.count() as u8),
+                1 => reply.position = value.scaled(0.01, 1e-4, 1e-5).map(|turns| turns * TURN),
+                2 => reply.velocity = value.scaled(0.1, 2.5e-4, 1e-5).map(|turns| turns * TURN),
+                3 => reply.torque = value.scaled(0.5, 0.01, 1e-3),
+                TEMPERATURE => reply.temperature = value.scaled(1.0, 0.1, 1e-3),
+                FAULT => fault = value.count(),
+                _ => {}
+            }
+        });
+        reply.state = mode.map(|mode| match mode {
+            STOPPED => DriveState::Disabled,
+            FAULTED => DriveState::Fault(fault.max(1)),
+            TIMED_OUT => DriveState::Fault(TIMED_OUT.into()),
+            _ => DriveState::Enabled,
+        });
+        (whole && any).then_some(Event::Reply(reply))
+    }
+
+    pub(super) fn accept(&self, frame: &Frame) -> Option<Request> {
+        if frame.remote || frame.id & 0x7f != u32::from(self.drive.id) || frame.id & 0x80 != 0 {
+            return None;
+        }
+        let mut motion = JointCommand {
+            kp: self.scales.kp / TURN,
+            kd: self.scales.kd / TURN,
+            ..JointCommand::default()
+        };
+        let (mut mode, mut zero, mut position) = (None, false, None);
+        let whole = each(frame.bytes(), WRITE, |register, value, _| {
+            let unit = value.scaled(1.0 / 127.0, 1.0 / 32767.0, 1.0 / 2_147_483_647.0);
+            match register {
+                MODE => mode = Some(value.count() as u8),
+                COMMAND => position = value.scaled(0.01, 1e-4, 1e-5),
+                0x021 => motion.velocity = value.scaled(0.1, 2.5e-4, 1e-5).unwrap_or(0.0) * TURN,
+                TORQUE => motion.torque = value.scaled(0.5, 0.01, 1e-3).unwrap_or(0.0),
+                0x023 => motion.kp = unit.unwrap_or(1.0) * self.scales.kp / TURN,
+                0x024 => motion.kd = unit.unwrap_or(1.0) * self.scales.kd / TURN,
+                0x130 | 0x131 => zero = true,
+                _ => {}
+            }
+        });
+        match mode {
+            _ if !whole => None,
+            Some(POSITION) => match position {
+                Some(turns) => {
+                    motion.position = turns * TURN;
+                    Some(Request::Command(motion))
+                }
+                None => {
+                    (motion.kp == 0.0 && motion.kd == 0.0).then_some(Request::Order(Order::Enable))
+                }
+            },
+            Some(STOPPED) => Some(Request::Order(Order::Disable)),
+            None if zero => Some(Request::Order(Order::SetZero)),
+            None => Some(Request::Order(Order::Report)),
+            Some(_) => None,
+        }
+    }
+
+    pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
+        let resolution = self.scales.resolution;
+        let (mode, fault) = match reply.state.unwrap_or_default() {
+            DriveState::Disabled => (STOPPED, 0),
+            DriveState::Enabled => (POSITION, 0),
+            DriveState::Fault(11) => (TIMED_OUT, 0),
+            DriveState::Fault(code) => (FAULTED, code.clamp(1, 127) as u8),
+        };
+        let mut bytes = Bytes::new();
+        put(
+            &mut bytes,
+            &[
+                REPLY | 1,
+                MODE as u8,
+                mode,
+                REPLY | form(resolution).0 | 3,
+                1,
+            ],
+        );
+        let turns = |value: Option<f32>| value.unwrap_or_default() / TURN;
+        let values = [
+            turns(reply.position),
+            turns(reply.velocity),
+            reply.torque.unwrap_or_default(),
+        ];
+        for (value, step) in values.into_iter().zip(steps(resolution)) {
+            write(&mut bytes, resolution, value, step, &mut 0.0);
+        }
+        let celsius = nearest(reply.temperature.unwrap_or_default()).clamp(-127, 127) as i8;
+        put(
+            &mut bytes,
+            &[REPLY | 2, TEMPERATURE as u8, celsius as u8, fault],
+        );
+        let id = u32::from(self.drive.id & 0x7f) << 8 | u32::from(self.drive.host_id & 0x7f);
+        let frame = if id > Frame::STANDARD_MAX {
+            Frame::extended(id, &bytes)
+        } else {
+            Frame::standard(id, &bytes)
+        };
+        push(frames, frame.into_fd(NOP));
+    }
+
+    /// No drive of this protocol reports a scale.
+    pub(super) fn reply_scale(&self, _: Scale, _: f32, _: &mut Frames) {}
 }
 
 /// Adds a torque, N·m, to that of a motion command; saturates. A command without the field stays as it is.
@@ -227,51 +281,4 @@ pub(super) fn add_torque(frame: &mut Frame, torque: f32, carry: &mut f32) {
     {
         *to = *from;
     }
-}
-
-pub(super) fn reply(
-    profile: &DriveProfile,
-    scales: &Moteus,
-    reply: &JointReply,
-    frames: &mut Frames,
-) {
-    let resolution = scales.resolution;
-    let (mode, fault) = match reply.state.unwrap_or_default() {
-        DriveState::Disabled => (STOPPED, 0),
-        DriveState::Enabled => (POSITION, 0),
-        DriveState::Fault(11) => (TIMED_OUT, 0),
-        DriveState::Fault(code) => (FAULTED, code.clamp(1, 127) as u8),
-    };
-    let mut bytes = Bytes::new();
-    put(
-        &mut bytes,
-        &[
-            REPLY | 1,
-            MODE as u8,
-            mode,
-            REPLY | form(resolution).0 | 3,
-            1,
-        ],
-    );
-    let turns = |value: Option<f32>| value.unwrap_or_default() / TURN;
-    let values = [
-        turns(reply.position),
-        turns(reply.velocity),
-        reply.torque.unwrap_or_default(),
-    ];
-    for (value, step) in values.into_iter().zip(steps(resolution)) {
-        write(&mut bytes, resolution, value, step, &mut 0.0);
-    }
-    let celsius = nearest(reply.temperature.unwrap_or_default()).clamp(-127, 127) as i8;
-    put(
-        &mut bytes,
-        &[REPLY | 2, TEMPERATURE as u8, celsius as u8, fault],
-    );
-    let id = u32::from(profile.id & 0x7f) << 8 | u32::from(profile.host_id & 0x7f);
-    let frame = if id > Frame::STANDARD_MAX {
-        Frame::extended(id, &bytes)
-    } else {
-        Frame::standard(id, &bytes)
-    };
-    push(frames, frame.into_fd(NOP));
 }
