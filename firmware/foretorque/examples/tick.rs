@@ -4,7 +4,7 @@
 
 use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
 use foretorque::feedforward::FeedForwardConfig;
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 use foretorque::learning::ConfigError;
 
 const PERIOD_S: f32 = 1e-3;

@@ -61,7 +61,7 @@ impl MotionFilter {
 struct LineJoint {
     joint: BusJoint,
     filter: MotionFilter,
-    /// What the drive has replied and no sample has used.
+    /// Replies of the drive that no sample has used.
     reply: JointReply,
 }
 

@@ -160,19 +160,12 @@ macro_rules! codec {
     ($profile:expr, $codec:ident => $call:expr) => {{
         let drive = $profile;
         match &drive.protocol {
-            Protocol::MiniCheetah(scales) => {
+            Protocol::MiniCheetah(scales) | Protocol::Damiao(scales) => {
+                let damiao = matches!(drive.protocol, Protocol::Damiao(_));
                 let $codec = mit::Codec {
                     drive,
                     scales,
-                    damiao: false,
-                };
-                $call
-            }
-            Protocol::Damiao(scales) => {
-                let $codec = mit::Codec {
-                    drive,
-                    scales,
-                    damiao: true,
+                    damiao,
                 };
                 $call
             }

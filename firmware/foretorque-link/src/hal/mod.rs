@@ -14,7 +14,7 @@ mod stage;
 
 pub use enable::TorqueEnable;
 #[cfg(test)]
-pub(crate) use encoder::chip::Chip;
+pub(crate) use encoder::tests::Chip;
 pub use encoder::{AbsoluteEncoder, Direction, EncoderConfig, EncoderError, EncoderState};
 pub use output::{DacModel, OutputError, PwmWithDirection, SpiDac, TorqueOutput};
 pub use stage::{Driven, MotorStage, StageError, TorqueScale};

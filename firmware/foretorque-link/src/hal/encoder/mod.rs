@@ -2,9 +2,6 @@ use core::f32::consts::TAU;
 use core::fmt;
 use embedded_hal::spi::{Error as _, ErrorKind, SpiDevice};
 
-#[cfg(test)]
-pub(crate) mod chip;
-
 /// Counts of one turn: 14 bits.
 const TURN: i32 = 1 << 14;
 const VALUE: u16 = 0x3fff;
@@ -329,4 +326,4 @@ impl fmt::Display for EncoderError {
 impl core::error::Error for EncoderError {}
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

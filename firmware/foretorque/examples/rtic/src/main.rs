@@ -7,7 +7,7 @@ mod app {
     use core::mem::MaybeUninit;
     use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
     use foretorque::feedforward::FeedForwardConfig;
-    use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+    use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
     use foretorque::learning::LearningSample;
 
     #[shared]
