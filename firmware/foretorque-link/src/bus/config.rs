@@ -233,3 +233,28 @@ impl BusJoint {
 pub(super) fn micros(period_s: f32) -> u32 {
     (period_s * 1e6 + 0.5) as u32
 }
+
+/// Periods in a time, rounded up.
+pub(super) fn periods(time_s: f32, period_s: f32) -> u16 {
+    (time_s / period_s) as u16 + 1
+}
+
+/// Joints in an order in which the buses take turns; those without a drive come first.
+pub(super) fn alternating<const N: usize>(joints: &[Option<BusJoint>; N]) -> [u8; N] {
+    // The place of a joint on its own bus, then the bus.
+    let place = |joint: usize| {
+        let bus = joints.get(joint).copied().flatten().map(|joint| joint.bus);
+        let before = joints.iter().take(joint).flatten();
+        let before = before.filter(|other| Some(other.bus) == bus).count();
+        bus.map(|bus| (before, bus))
+    };
+    let mut order = [0; N];
+    for joint in 0..N {
+        let key = |joint| (place(joint), joint);
+        let rank = (0..N).filter(|&other| key(other) < key(joint)).count();
+        if let Some(slot) = order.get_mut(rank) {
+            *slot = joint as u8;
+        }
+    }
+    order
+}

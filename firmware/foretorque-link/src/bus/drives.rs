@@ -1,6 +1,6 @@
 //! The drives of one arm: replies in, phases of switching on and off, command frames out.
 
-use super::config::{BUSES, BusJoint, micros};
+use super::config::{BUSES, BusJoint, alternating, micros, periods};
 use super::joint::{JointCounters, JointLink, STATE_PERIODS};
 use super::{BusFault, FaultCause};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
@@ -391,32 +391,7 @@ impl<const N: usize> BusDrives<N> {
     }
 }
 
-/// Periods in a time, rounded up.
-fn periods(time_s: f32, period_s: f32) -> u16 {
-    (time_s / period_s) as u16 + 1
-}
-
 fn finite<const N: usize>(motion: &JointMotion<N>) -> bool {
     let mut values = motion.q.iter().chain(motion.qd.iter());
     values.all(|value| value.is_finite())
-}
-
-/// Joints in an order in which the buses take turns; those without a drive come first.
-fn alternating<const N: usize>(joints: &[Option<BusJoint>; N]) -> [u8; N] {
-    // The place of a joint on its own bus, then the bus.
-    let place = |joint: usize| {
-        let bus = joints.get(joint).copied().flatten().map(|joint| joint.bus);
-        let before = joints.iter().take(joint).flatten();
-        let before = before.filter(|other| Some(other.bus) == bus).count();
-        bus.map(|bus| (before, bus))
-    };
-    let mut order = [0; N];
-    for joint in 0..N {
-        let key = |joint| (place(joint), joint);
-        let rank = (0..N).filter(|&other| key(other) < key(joint)).count();
-        if let Some(slot) = order.get_mut(rank) {
-            *slot = joint as u8;
-        }
-    }
-    order
 }
