@@ -34,13 +34,17 @@ pub(super) struct Codec<'p> {
 }
 
 impl Codec<'_> {
+    /// Frame of a function code.
+    fn frame(&self, function: u32, bytes: &[u8]) -> Frame {
+        Frame::standard(function + u32::from(self.drive.id), bytes)
+    }
+
     fn output(&self, control: u16, target: i32, torque: i16) -> Frame {
         let [c0, c1] = control.to_le_bytes();
         let ([p0, p1, p2, p3], [t0, t1]) = (target.to_le_bytes(), torque.to_le_bytes());
-        let id = 0x200 + u32::from(self.drive.id);
         match self.scales.mode {
-            ControlMode::Torque => Frame::standard(id, &[c0, c1, t0, t1]),
-            _ => Frame::standard(id, &[c0, c1, p0, p1, p2, p3, t0, t1]),
+            ControlMode::Torque => self.frame(0x200, &[c0, c1, t0, t1]),
+            _ => self.frame(0x200, &[c0, c1, p0, p1, p2, p3, t0, t1]),
         }
     }
 
@@ -48,38 +52,23 @@ impl Codec<'_> {
         // The largest f32 below 2^31.
         const MOST: f32 = 2_147_483_500.0;
         let counts = self.scales.counts_per_turn / TURN;
+        let (position, velocity) = (motion.position * counts, motion.velocity * counts);
+        let flags = &mut *out.flags;
         let target = match self.scales.mode {
-            ControlMode::Position => {
-                out.flags
-                    .clamp(motion.position * counts, MOST, Saturation::POSITION)
-            }
-            ControlMode::Velocity => {
-                out.flags
-                    .clamp(motion.velocity * counts, MOST, Saturation::VELOCITY)
-            }
+            ControlMode::Position => flags.clamp(position, MOST, Saturation::POSITION),
+            ControlMode::Velocity => flags.clamp(velocity, MOST, Saturation::VELOCITY),
             ControlMode::Torque => 0.0,
         };
-        let most = f32::from(i16::MAX);
-        let torque = out.flags.clamp(
-            motion.torque * 1e3 / self.scales.rated_torque,
-            most,
-            Saturation::TORQUE,
-        );
-        let torque = carried(
-            torque,
-            &mut out.carry.torque,
-            (-i16::MAX).into(),
-            i16::MAX.into(),
-        ) as i16;
+        let most = i32::from(i16::MAX);
+        let torque = motion.torque * 1e3 / self.scales.rated_torque;
+        let torque = flags.clamp(torque, most as f32, Saturation::TORQUE);
+        let torque = carried(torque, &mut out.carry.torque, -most, most) as i16;
         push(out.frames, self.output(ENABLED, nearest(target), torque));
     }
 
     fn sdo(&self, [c, i0, i1, s]: [u8; 4], value: u32) -> Frame {
         let [v0, v1, v2, v3] = value.to_le_bytes();
-        Frame::standard(
-            0x600 + u32::from(self.drive.id),
-            &[c, i0, i1, s, v0, v1, v2, v3],
-        )
+        self.frame(0x600, &[c, i0, i1, s, v0, v1, v2, v3])
     }
 
     pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
@@ -191,21 +180,15 @@ impl Codec<'_> {
         };
         let ([s0, s1], [p0, p1, p2, p3]) = (status.to_le_bytes(), position);
         let [t0, t1] = torque.to_le_bytes();
-        let id = u32::from(self.drive.id);
-        push(
-            frames,
-            Frame::standard(0x180 + id, &[s0, s1, p0, p1, p2, p3, t0, t1]),
-        );
-        push(frames, Frame::standard(0x280 + id, &velocity));
+        let first = [s0, s1, p0, p1, p2, p3, t0, t1];
+        push(frames, self.frame(0x180, &first));
+        push(frames, self.frame(0x280, &velocity));
     }
 
     pub(super) fn reply_scale(&self, _: Scale, value: f32, frames: &mut Frames) {
         let ([c, i0, i1, s], millis) = (RATED, (value * 1e3) as u32);
         let [v0, v1, v2, v3] = millis.to_le_bytes();
         let bytes = [c, i0, i1, s, v0, v1, v2, v3];
-        push(
-            frames,
-            Frame::standard(0x580 + u32::from(self.drive.id), &bytes),
-        );
+        push(frames, self.frame(0x580, &bytes));
     }
 }

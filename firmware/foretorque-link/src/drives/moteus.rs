@@ -4,28 +4,16 @@
 //! watchdog (0x027); it then reads mode, position, velocity and torque (0x000 to 0x003), temperature and fault (0x00e,
 //! 0x00f). Turns and turns/s at the output, N·m. Source: mjbots/moteus, docs/protocol.
 
-mod registers;
-
 use super::frame::{carried, nearest};
 use super::{
     DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Moteus, Order,
     Outgoing, Request, Resolution, Saturation, Scale, TURN, push,
 };
-use registers::*;
 
 fn query(bytes: &mut Bytes, resolution: Resolution) {
     let (form, _) = form(resolution);
-    put(
-        bytes,
-        &[
-            READ | 1,
-            MODE as u8,
-            READ | form | 3,
-            1,
-            READ | 2,
-            TEMPERATURE as u8,
-        ],
-    );
+    put(bytes, &[READ | 1, MODE as u8, READ | form | 3, 1]);
+    put(bytes, &[READ | 2, TEMPERATURE as u8]);
 }
 
 /// Codec of one drive.
@@ -49,50 +37,30 @@ impl Codec<'_> {
             _ => 1.0 / 2_147_483_647.0,
         };
         let mut bytes = Bytes::new();
-        put(
-            &mut bytes,
-            &[
-                WRITE | 1,
-                MODE as u8,
-                POSITION,
-                WRITE | form(resolution).0,
-                5,
-                COMMAND as u8,
-            ],
-        );
-        let (mut none, kp) = (0.0, motion.kp * TURN / self.scales.kp);
+        put(&mut bytes, &[WRITE | 1, MODE as u8, POSITION]);
+        put(&mut bytes, &[WRITE | form(resolution).0, 5, COMMAND as u8]);
+        let kp = motion.kp * TURN / self.scales.kp;
         let kd = motion.kd * TURN / self.scales.kd;
         // Integers end at a scale of 1.
-        let most = if resolution == Resolution::F32 {
-            1e3
-        } else {
-            1.0
+        let most = match resolution {
+            Resolution::F32 => 1e3,
+            _ => 1.0,
         };
         let kp = out.flags.clamp_in(kp, 0.0, most, Saturation::KP);
         let kd = out.flags.clamp_in(kd, 0.0, most, Saturation::KD);
         let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
-        let mut field = |value: f32, step: f32, carry: &mut f32, flag: Saturation| {
+        let (of_velocity, of_torque) = (&mut out.carry.velocity, &mut out.carry.torque);
+        for (value, step, carry, flag) in [
+            (turns, position, &mut 0.0, Saturation::POSITION),
+            (speed, velocity, of_velocity, Saturation::VELOCITY),
+            (motion.torque, torque, of_torque, Saturation::TORQUE),
+            (kp, unit, &mut 0.0, Saturation::KP),
+            (kd, unit, &mut 0.0, Saturation::KD),
+        ] {
             if write(&mut bytes, resolution, value, step, carry) {
                 out.flags.insert(flag);
             }
-        };
-        field(turns, position, &mut none, Saturation::POSITION);
-        none = 0.0;
-        field(
-            speed,
-            velocity,
-            &mut out.carry.velocity,
-            Saturation::VELOCITY,
-        );
-        field(
-            motion.torque,
-            torque,
-            &mut out.carry.torque,
-            Saturation::TORQUE,
-        );
-        field(kp, unit, &mut none, Saturation::KP);
-        none = 0.0;
-        field(kd, unit, &mut none, Saturation::KD);
+        }
         put(&mut bytes, &[WRITE | 0x0d, WATCHDOG as u8]);
         put(&mut bytes, &self.scales.watchdog_s.to_le_bytes());
         query(&mut bytes, resolution);
@@ -109,10 +77,8 @@ impl Codec<'_> {
             Order::Enable => {
                 self.send(&[WRITE | 1, MODE as u8, STOPPED], frames);
                 // Without a position the drive holds the present one, here with gain scales and torque of 0.
-                put(
-                    &mut bytes,
-                    &[WRITE | 1, MODE as u8, POSITION, WRITE | 2, 0x23, 0, 0],
-                );
+                put(&mut bytes, &[WRITE | 1, MODE as u8, POSITION]);
+                put(&mut bytes, &[WRITE | 2, 0x23, 0, 0]);
             }
             Order::SetZero => {
                 let [r0, r1] = SET_OUTPUT;
@@ -204,16 +170,8 @@ impl Codec<'_> {
             DriveState::Fault(code) => (FAULTED, code.clamp(1, 127) as u8),
         };
         let mut bytes = Bytes::new();
-        put(
-            &mut bytes,
-            &[
-                REPLY | 1,
-                MODE as u8,
-                mode,
-                REPLY | form(resolution).0 | 3,
-                1,
-            ],
-        );
+        put(&mut bytes, &[REPLY | 1, MODE as u8, mode]);
+        put(&mut bytes, &[REPLY | form(resolution).0 | 3, 1]);
         let turns = |value: Option<f32>| value.unwrap_or_default() / TURN;
         let values = [
             turns(reply.position),
@@ -224,15 +182,12 @@ impl Codec<'_> {
             write(&mut bytes, resolution, value, step, &mut 0.0);
         }
         let celsius = nearest(reply.temperature.unwrap_or_default()).clamp(-127, 127) as i8;
-        put(
-            &mut bytes,
-            &[REPLY | 2, TEMPERATURE as u8, celsius as u8, fault],
-        );
+        put(&mut bytes, &[REPLY | 2, TEMPERATURE as u8]);
+        put(&mut bytes, &[celsius as u8, fault]);
         let id = u32::from(self.drive.id & 0x7f) << 8 | u32::from(self.drive.host_id & 0x7f);
-        let frame = if id > Frame::STANDARD_MAX {
-            Frame::extended(id, &bytes)
-        } else {
-            Frame::standard(id, &bytes)
+        let frame = match id > Frame::STANDARD_MAX {
+            true => Frame::extended(id, &bytes),
+            false => Frame::standard(id, &bytes),
         };
         push(frames, frame.into_fd(NOP));
     }
@@ -263,10 +218,8 @@ pub(super) fn add_torque(frame: &mut Frame, torque: f32, carry: &mut f32) {
     match value {
         Value::Byte(_) => put(&mut bytes, &(code(0.5, i8::MAX.into()) as i8).to_le_bytes()),
         Value::Integer(_, Resolution::Int16) => {
-            put(
-                &mut bytes,
-                &(code(0.01, i16::MAX.into()) as i16).to_le_bytes(),
-            );
+            let code = code(0.01, i16::MAX.into()) as i16;
+            put(&mut bytes, &code.to_le_bytes());
         }
         Value::Integer(..) => put(&mut bytes, &code(1e-3, i32::MAX).to_le_bytes()),
         Value::Float(_) => put(&mut bytes, &(before + torque).to_le_bytes()),
@@ -281,4 +234,167 @@ pub(super) fn add_torque(frame: &mut Frame, torque: f32, carry: &mut f32) {
     {
         *to = *from;
     }
+}
+
+/// Padding of a frame to the next length of CAN-FD: a subframe that does nothing.
+const NOP: u8 = 0x50;
+const WRITE: u8 = 0x00;
+const READ: u8 = 0x10;
+const REPLY: u8 = 0x20;
+const MODE: u32 = 0x000;
+const TEMPERATURE: u32 = 0x00e;
+const FAULT: u32 = 0x00f;
+const COMMAND: u32 = 0x020;
+const TORQUE: u32 = 0x022;
+const WATCHDOG: u32 = 0x027;
+/// Register that sets the output position; two bytes as a variable-length integer.
+const SET_OUTPUT: [u8; 2] = [0xb0, 0x02];
+const STOPPED: u8 = 0;
+const FAULTED: u8 = 1;
+const POSITION: u8 = 10;
+const TIMED_OUT: u8 = 11;
+
+/// Bytes of a frame while it is put together.
+type Bytes = heapless::Vec<u8, { Frame::CAPACITY }>;
+
+fn put(bytes: &mut Bytes, more: &[u8]) {
+    let fits = bytes.extend_from_slice(more);
+    debug_assert!(fits.is_ok(), "longer than a frame");
+}
+
+/// Steps of position, velocity and torque in turns, turns/s and N·m; 0 for f32.
+const fn steps(resolution: Resolution) -> [f32; 3] {
+    match resolution {
+        Resolution::Int16 => [1e-4, 2.5e-4, 1e-2],
+        Resolution::Int32 => [1e-5, 1e-5, 1e-3],
+        Resolution::F32 => [0.0; 3],
+    }
+}
+
+/// Bits 2 and 3 of a subframe's first byte, and bytes of a value.
+const fn form(resolution: Resolution) -> (u8, usize) {
+    match resolution {
+        Resolution::Int16 => (0x04, 2),
+        Resolution::Int32 => (0x08, 4),
+        Resolution::F32 => (0x0c, 4),
+    }
+}
+
+/// Appends one value in units of `step`. The most negative integer means "not given", so it is never sent.
+fn write(
+    bytes: &mut Bytes,
+    resolution: Resolution,
+    value: f32,
+    step: f32,
+    carry: &mut f32,
+) -> bool {
+    match resolution {
+        Resolution::F32 => {
+            put(bytes, &value.to_le_bytes());
+            false
+        }
+        Resolution::Int16 => {
+            let (value, most) = (value / step, i32::from(i16::MAX));
+            let code = carried(value, carry, -most, most) as i16;
+            put(bytes, &code.to_le_bytes());
+            value > most as f32 || value < -most as f32
+        }
+        Resolution::Int32 => {
+            let value = value / step;
+            let code = carried(value, carry, -i32::MAX, i32::MAX);
+            put(bytes, &code.to_le_bytes());
+            value >= 2_147_483_600.0 || value <= -2_147_483_600.0
+        }
+    }
+}
+
+/// Value of one register in a subframe.
+#[derive(Clone, Copy)]
+enum Value {
+    Integer(i32, Resolution),
+    Byte(i8),
+    Float(f32),
+}
+
+impl Value {
+    /// In the unit of a register with these steps for 8, 16 and 32 bits; `None` where it is not given.
+    fn scaled(self, byte: f32, short: f32, long: f32) -> Option<f32> {
+        match self {
+            Self::Byte(i8::MIN) | Self::Integer(i32::MIN, Resolution::Int32) => None,
+            Self::Integer(value, Resolution::Int16) if value == i16::MIN.into() => None,
+            Self::Byte(value) => Some(f32::from(value) * byte),
+            Self::Integer(value, Resolution::Int16) => Some(value as f32 * short),
+            Self::Integer(value, _) => Some(value as f32 * long),
+            Self::Float(value) => value.is_finite().then_some(value),
+        }
+    }
+
+    fn count(self) -> u32 {
+        match self {
+            Self::Byte(value) => value.max(0) as u32,
+            Self::Integer(value, _) => value.max(0) as u32,
+            Self::Float(value) => value as u32,
+        }
+    }
+}
+
+fn varuint<'a>(bytes: &mut &'a [u8]) -> Option<u32> {
+    let mut value = 0_u32;
+    for shift in [0, 7, 14, 21, 28] {
+        let (&byte, rest): (&'a u8, _) = bytes.split_first()?;
+        *bytes = rest;
+        value |= u32::from(byte & 0x7f) << shift;
+        if byte & 0x80 == 0 {
+            return Some(value);
+        }
+    }
+    None
+}
+
+fn next(bytes: &mut &[u8], form: u8) -> Option<Value> {
+    fn take<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
+        let (&head, rest) = bytes.split_first_chunk()?;
+        *bytes = rest;
+        Some(head)
+    }
+    Some(match form {
+        0 => Value::Byte(i8::from_le_bytes(take(bytes)?)),
+        1 => Value::Integer(i16::from_le_bytes(take(bytes)?).into(), Resolution::Int16),
+        2 => Value::Integer(i32::from_le_bytes(take(bytes)?), Resolution::Int32),
+        _ => Value::Float(f32::from_le_bytes(take(bytes)?)),
+    })
+}
+
+/// Calls `register` with every value of `kind` in a frame and the place behind it; `false` where the frame ends in the middle of a subframe or
+/// has one of an unknown kind.
+fn each(all: &[u8], kind: u8, mut register: impl FnMut(u32, Value, usize)) -> bool {
+    let mut bytes = all;
+    let mut walk = || {
+        while let Some((&first, rest)) = bytes.split_first() {
+            bytes = rest;
+            match first & 0xf0 {
+                _ if first == NOP => {}
+                family @ (WRITE | READ | REPLY) => {
+                    let count = match first & 3 {
+                        0 => varuint(&mut bytes)?,
+                        count => count.into(),
+                    };
+                    let start = varuint(&mut bytes)?;
+                    if family == READ {
+                        continue;
+                    }
+                    // A frame of 64 bytes has no room for more.
+                    for place in 0..count.min(64) {
+                        let value = next(&mut bytes, first >> 2 & 3)?;
+                        if family == kind {
+                            register(start.wrapping_add(place), value, all.len() - bytes.len());
+                        }
+                    }
+                }
+                _ => return None,
+            }
+        }
+        Some(())
+    };
+    walk().is_some()
 }
