@@ -365,7 +365,8 @@ fn lines_of_text_come_back() {
 fn profiles_that_contradict_themselves_are_refused() {
     let good = profile(Protocol::Damiao(RANGES));
     assert_eq!(good.check(), Ok(()));
-    let changes: [(fn(&mut DriveProfile), &str); 8] = [
+    type Change = fn(&mut DriveProfile);
+    let changes: [(Change, &str); 8] = [
         (|p| p.sign = 0.5, "size of sign"),
         (|p| p.sign = f32::NAN, "sign"),
         (|p| p.gear = 0.0, "gear"),
