@@ -1,7 +1,6 @@
 //! Firmware for a described arm: description, module, images, sizes. Nothing in the source tree changes.
 
 use std::fs;
-use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
 use elf::ElfBytes;
@@ -27,19 +26,10 @@ pub(crate) fn run(forced: Option<Way>, urdf: &str, name: &str, selection: &[Stri
     // Relative paths are the caller's, and host-sim runs in the workspace's root.
     let urdf = fs::canonicalize(urdf).with_context(|| format!("cannot read {urdf}"))?;
     let out = shell::root().join(OUT).join(name);
-    fs::create_dir_all(&out).with_context(|| format!("cannot write {}", out.display()))?;
-    let (toml, module) = (
-        out.join(name).with_extension("toml"),
-        out.join(name).with_extension("rs"),
-    );
+    let [toml, module] = ["toml", "rs"].map(|kind| out.join(name).with_extension(kind));
     shell::run(command("cargo").args(["build", "--release", "-p", "host-sim"]))?;
-    let host_sim = || {
-        command(
-            &shell::root()
-                .join("target/release/host-sim")
-                .to_string_lossy(),
-        )
-    };
+    let program = shell::root().join("target/release/host-sim");
+    let host_sim = || command(&program.to_string_lossy());
     let mut describe = host_sim();
     describe
         .arg("describe")
@@ -50,15 +40,10 @@ pub(crate) fn run(forced: Option<Way>, urdf: &str, name: &str, selection: &[Stri
         // Once more, for its refusal to be seen.
         return shell::run(&mut describe);
     };
-    fs::write(&toml, text).with_context(|| format!("cannot write {}", toml.display()))?;
-    shell::run(
-        host_sim()
-            .arg("generate")
-            .arg("--robot")
-            .arg(&toml)
-            .arg("--out")
-            .arg(&module),
-    )?;
+    shell::write(&toml, text)?;
+    let mut generate = host_sim();
+    generate.args(["generate", "--robot"]).arg(&toml);
+    shell::run(generate.arg("--out").arg(&module))?;
     for (package, image) in IMAGES {
         let mut build = tools.board.tool("cargo");
         build
@@ -67,23 +52,19 @@ pub(crate) fn run(forced: Option<Way>, urdf: &str, name: &str, selection: &[Stri
             .env("FORETORQUE_ARM", &module)
             .env("CARGO_TARGET_DIR", shell::root().join(BUILD));
         shell::run(&mut build)?;
-        let elf = shell::root()
-            .join(BUILD)
-            .join(TARGET)
-            .join(PROFILE)
-            .join(image);
-        let bytes = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
+        let elves = shell::root().join(BUILD).join(TARGET).join(PROFILE);
+        let bytes = shell::read(&elves.join(image))?;
         let kept = out.join(image);
-        fs::write(&kept, &bytes).with_context(|| format!("cannot write {}", kept.display()))?;
+        shell::write(&kept, &bytes)?;
         let (flash, ram) = sizes(&bytes)?;
         println!(
             "{image}: {flash} bytes of flash, {ram} bytes of static RAM: {}",
-            shown(&kept)
+            shell::shown(&kept)
         );
     }
     println!(
         "host-sim run --robot {} --board qemu … runs it",
-        shown(&toml)
+        shell::shown(&toml)
     );
     Ok(())
 }
@@ -97,21 +78,10 @@ fn sizes(elf: &[u8]) -> Result<(u64, u64)> {
     let (mut flash, mut ram) = (0, 0);
     for segment in loaded {
         flash += segment.p_filesz;
-        ram += if segment.p_flags & PF_W == 0 {
-            0
-        } else {
-            segment.p_memsz
-        };
+        if segment.p_flags & PF_W != 0 {
+            ram += segment.p_memsz;
+        }
     }
     ensure!(flash > 0, "the firmware has no segments to load");
     Ok((flash, ram))
-}
-
-/// The path as one types it in the workspace's root.
-fn shown(path: &Path) -> String {
-    let root = shell::root();
-    path.strip_prefix(root)
-        .unwrap_or(path)
-        .display()
-        .to_string()
 }

@@ -1,7 +1,7 @@
 //! From the linked ELF to the board: images for any programmer, and the ELF itself through probe-rs.
 
 use std::fs;
-use std::path::Path;
+use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use crc::{CRC_32_ISO_HDLC, Crc};
@@ -12,7 +12,7 @@ use ihex::Record;
 
 use crate::runs::ELF_COPY;
 use crate::setup::{self, Way};
-use crate::shell::{self, capture, command};
+use crate::shell::{self, capture, command, shown};
 use crate::toolchain;
 
 /// Where the images go, from the workspace's root.
@@ -76,21 +76,14 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
     let mut firmware = tools.board.board_cargo("build");
     shell::run(firmware.args(["--bin", board.binary()]))?;
     let elf = toolchain::elf(board.binary());
-    let bytes = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
+    let bytes = shell::read(&elf)?;
     let mut sealed = bytes.clone();
     seal(&mut sealed)?;
     write_images(&loadable(&sealed)?, board.binary())?;
-    let sealed_elf = shell::root()
-        .join(OUT)
-        .join(board.binary())
-        .with_extension("elf");
-    fs::write(&sealed_elf, &sealed)
-        .with_context(|| format!("cannot write {}", sealed_elf.display()))?;
-    println!("ELF:  {} ({} bytes)", shown(&elf).display(), bytes.len());
-    println!(
-        "      {} (likewise, with its checksum)",
-        shown(&sealed_elf).display()
-    );
+    let sealed_elf = image(board.binary(), "elf");
+    shell::write(&sealed_elf, &sealed)?;
+    println!("ELF:  {} ({} bytes)", shown(&elf), bytes.len());
+    println!("      {} (likewise, with its checksum)", shown(&sealed_elf));
     if board == Board::Odrive {
         println!("demo: {}", compared(&bytes));
     }
@@ -208,13 +201,9 @@ fn loadable(elf: &[u8]) -> Result<Vec<Segment>> {
 
 /// Writes both images, reads them back, and compares them with the segments of the ELF.
 fn write_images(segments: &[Segment], name: &str) -> Result<()> {
-    let out = shell::root().join(OUT);
-    fs::create_dir_all(&out).with_context(|| format!("cannot write {}", out.display()))?;
-    let bin = out.join(name).with_extension("bin");
-    let hex = out.join(name).with_extension("hex");
-    fs::write(&bin, flat(segments)).with_context(|| format!("cannot write {}", bin.display()))?;
-    fs::write(&hex, intel_hex(segments)?)
-        .with_context(|| format!("cannot write {}", hex.display()))?;
+    let (bin, hex) = (image(name, "bin"), image(name, "hex"));
+    shell::write(&bin, flat(segments))?;
+    shell::write(&hex, intel_hex(segments)?)?;
 
     let base = segments.first().map_or(0, |(address, _)| *address);
     let image = fs::read(&bin)?;
@@ -227,10 +216,10 @@ fn write_images(segments: &[Segment], name: &str) -> Result<()> {
     );
     println!(
         "bin:  {} ({} bytes from {base:#010x}, read back and compared with the ELF)",
-        shown(&bin).display(),
+        shown(&bin),
         image.len()
     );
-    println!("hex:  {} (likewise)", shown(&hex).display());
+    println!("hex:  {} (likewise)", shown(&hex));
     Ok(())
 }
 
@@ -295,11 +284,10 @@ fn read_hex(text: &str) -> Result<Vec<(u32, u8)>> {
     Ok(bytes)
 }
 
-/// A path as one would type it in the workspace's root.
-fn shown(path: &Path) -> &Path {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
-    root.and_then(|root| path.strip_prefix(root).ok())
-        .unwrap_or(path)
+/// Place of an image.
+fn image(binary: &str, kind: &str) -> PathBuf {
+    let out = shell::root().join(OUT);
+    out.join(binary).with_extension(kind)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Running other programs: shown, captured, or bounded in time. None of them gets a standard input.
 
 use std::fmt::Write as _;
+use std::fs;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -91,6 +92,24 @@ pub(crate) fn run_bounded(command: &mut Command, limit: Duration) -> Result<()> 
         bail!("`{}`: {reason}", line(command));
     }
     Ok(())
+}
+
+/// The bytes of a file.
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
+    fs::read(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Writes a file, and the directories that it needs.
+pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
+    let written = path.parent().map_or(Ok(()), fs::create_dir_all);
+    let written = written.and_then(|()| fs::write(path, content));
+    written.with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// A path as one types it in the workspace's root.
+pub(crate) fn shown(path: &Path) -> String {
+    let short = path.strip_prefix(root());
+    short.unwrap_or(path).display().to_string()
 }
 
 /// Does a task; prints its name before, its result and its time after.

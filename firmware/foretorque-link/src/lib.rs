@@ -16,6 +16,9 @@
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
+#[macro_use]
+mod texts;
+
 pub mod bank;
 pub mod bus;
 mod division;

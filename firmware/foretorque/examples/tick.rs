@@ -4,7 +4,7 @@
 
 use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
 use foretorque::feedforward::FeedForwardConfig;
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 use foretorque::learning::ConfigError;
 
 const PERIOD_S: f32 = 1e-3;
@@ -17,10 +17,7 @@ fn main() -> Result<(), ConfigError> {
     feedforward.set_learning(true);
 
     // From the drives: position, rad, and torque on the link side, N·m, of every joint.
-    let measured = Some(JointMeasurement {
-        q: JointVector::zeros(),
-        tau: JointVector::zeros(),
-    });
+    let measured = Some(JointMeasurement::zero());
     // From the trajectory: position, velocity and acceleration at the end of the period.
     let desired = JointMotion::zero();
 

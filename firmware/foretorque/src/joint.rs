@@ -41,6 +41,16 @@ pub struct JointMeasurement<const N: usize> {
     pub tau: JointVector<N>,
 }
 
+impl<const N: usize> JointMeasurement<N> {
+    /// All joints at zero, without torque.
+    pub const fn zero() -> Self {
+        Self {
+            q: zero_vector(),
+            tau: zero_vector(),
+        }
+    }
+}
+
 /// Input of one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointSample<const N: usize> {

@@ -81,39 +81,34 @@ impl Budget {
             .context("there is no line `Toolchain: …`")?;
         let mut lines = Vec::new();
         let mut raises = Vec::new();
-        for row in text
-            .lines()
-            .filter(|line| line.starts_with("| `") || line.starts_with("| raise |"))
-        {
-            let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
-            if let ["raise", quantity, old, new, why] = cells[..] {
-                let number = |cell: &str| {
-                    let number = cell.parse();
-                    number.with_context(|| format!("`{cell}` is no number in: {row}"))
-                };
-                ensure!(!why.is_empty(), "a raise without a reason: {row}");
-                raises.push(Raise {
-                    quantity: quantity.replace('`', ""),
-                    old: number(old)?,
-                    new: number(new)?,
-                    why: why.into(),
-                });
+        let number = |cell: &str, row: &str| {
+            let number = cell.parse();
+            number.with_context(|| format!("`{cell}` is no number in: {row}"))
+        };
+        for row in text.lines() {
+            if !row.starts_with("| `") && !row.starts_with("| raise |") {
                 continue;
             }
-            // The columns between are for people.
-            let [quantity, value, limit, .., how] = cells[..] else {
-                bail!("not four cells or more: {row}");
-            };
-            let number = |cell: &str| {
-                let number = cell.parse();
-                number.with_context(|| format!("`{cell}` is no number in: {row}"))
-            };
-            lines.push(Line {
-                quantity: quantity.replace('`', ""),
-                value: number(value)?,
-                limit: number(limit)?,
-                how: how.into(),
-            });
+            let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
+            match cells[..] {
+                ["raise", quantity, old, new, why] => {
+                    ensure!(!why.is_empty(), "a raise without a reason: {row}");
+                    raises.push(Raise {
+                        quantity: quantity.replace('`', ""),
+                        old: number(old, row)?,
+                        new: number(new, row)?,
+                        why: why.into(),
+                    });
+                }
+                // The columns between are for people.
+                [quantity, value, limit, .., how] => lines.push(Line {
+                    quantity: quantity.replace('`', ""),
+                    value: number(value, row)?,
+                    limit: number(limit, row)?,
+                    how: how.into(),
+                }),
+                _ => bail!("not four cells or more: {row}"),
+            }
         }
         let toolchain = toolchain.trim().into();
         Ok(Self {
@@ -151,11 +146,7 @@ impl Budget {
 
     /// Compares with the measurements of the code of `toolchain`.
     pub(crate) fn compare(&self, toolchain: &str, measured: &[Measured]) -> Verdict {
-        let measured_rows = measured;
-        let Verdict {
-            mut exceeded,
-            mut notes,
-        } = Verdict::default();
+        let (mut exceeded, mut notes) = (Vec::new(), Vec::new());
         let foreign = release(toolchain) != release(&self.toolchain);
         let margin = if foreign { FOREIGN_MARGIN } else { 0.0 };
         if foreign {
@@ -189,14 +180,11 @@ impl Budget {
                 ));
             }
         }
-        let measured = |line: &&Line| !measured.iter().any(|m| m.quantity == line.quantity);
-        let gone = self
-            .lines
-            .iter()
-            .filter(measured)
-            .map(|line| &line.quantity);
-        exceeded.extend(gone.map(|name| format!("{name}: is in the budget and was not measured")));
-        exceeded.extend(self.unexplained(measured_rows));
+        let seen = |line: &Line| measured.iter().any(|m| m.quantity == line.quantity);
+        for Line { quantity, .. } in self.lines.iter().filter(|line| !seen(line)) {
+            exceeded.push(format!("{quantity}: is in the budget and was not measured"));
+        }
+        exceeded.extend(self.unexplained(measured));
         Verdict { exceeded, notes }
     }
 

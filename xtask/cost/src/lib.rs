@@ -13,7 +13,6 @@ mod image;
 mod memory;
 mod report;
 mod row;
-mod size;
 mod spread;
 mod step;
 mod thumb;
@@ -68,7 +67,7 @@ pub fn bench(elves: &Path, root: &Path, toolchain: &str, accept: bool) -> Result
         "{DRIVE}: {} B flash, {} B static RAM; worst stack of the tick {} B\n",
         drive.flash_bytes, drive.ram_bytes, drive.stack_bytes
     );
-    println!("{}", size::table(&joint));
+    println!("{}", memory::by_module_table(&joint));
     println!("{}\n", report::spread(&spread));
     println!("executed instructions by kind");
     for row in &rows {

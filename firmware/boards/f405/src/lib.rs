@@ -9,7 +9,7 @@
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
 //! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
-//! | [`frame_bound`], `link`, `ring` | serial link, its bound and the queues of its bytes |
+//! | [`frame_bound`], `link` | serial link, its bound and the queues of its bytes |
 //! | [`image`] | check of the program in flash |
 //! | `statics` | session and learner in static memory |
 //! | `flash_driver`, `key_slot`, `store_flash`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
@@ -36,8 +36,6 @@ pub mod clock;
 #[cfg(target_os = "none")]
 pub mod counter;
 #[cfg(target_os = "none")]
-pub mod described;
-#[cfg(target_os = "none")]
 pub mod drive;
 #[cfg(target_os = "none")]
 pub mod fault;
@@ -55,8 +53,6 @@ pub mod pin;
 pub mod pyboard;
 #[cfg(target_os = "none")]
 pub mod pyboard_drive;
-#[cfg(target_os = "none")]
-pub mod ring;
 #[cfg(target_os = "none")]
 pub mod statics;
 #[cfg(target_os = "none")]

@@ -1,12 +1,11 @@
 //! The serial link: USART2, one byte an interrupt in each direction.
 
-use core::sync::atomic::{AtomicU32, Ordering};
-
-use foretorque_link::telemetry::Cost;
-use stm32f4xx_hal::pac::{Interrupt, USART2};
-
-use crate::ring::{Receiver, Sender};
 use crate::{chip, counter};
+use core::hint::assert_unchecked;
+use core::sync::atomic::{AtomicU32, Ordering};
+use foretorque_link::telemetry::Cost;
+use heapless::spsc::{Consumer, Producer, Queue};
+use stm32f4xx_hal::pac::{Interrupt, USART2};
 
 /// Bytes received and not yet read: more than the longest frame, so that an upload survives a busy tick.
 pub const RECEIVE_RING: usize = 1024;
@@ -198,5 +197,45 @@ fn note_cost(spent: u32) {
     RECEIVED.counted.store(counted, Ordering::Relaxed);
     if spent > RECEIVED.counts_max.load(Ordering::Relaxed) {
         RECEIVED.counts_max.store(spent, Ordering::Relaxed);
+    }
+}
+
+/// The end where they go in.
+pub struct Sender<const N: usize, T: 'static = u8>(Producer<'static, T>);
+
+/// The end where they come out.
+pub struct Receiver<const N: usize, T: 'static = u8>(Consumer<'static, T>);
+
+/// The two ends of `queue`.
+pub fn split<const N: usize, T>(queue: &'static mut Queue<T, N>) -> (Sender<N, T>, Receiver<N, T>) {
+    let (sender, receiver) = queue.split();
+    (Sender(sender), Receiver(receiver))
+}
+
+impl<const N: usize, T> Sender<N, T> {
+    /// Puts one in; false if the queue is full.
+    #[inline(always)]
+    pub fn put(&mut self, item: T) -> bool {
+        // SAFETY: the only constructor takes a queue of this length.
+        unsafe { assert_unchecked(self.0.capacity() == N - 1) };
+        self.0.enqueue(item).is_ok()
+    }
+
+    /// Number that can be put in.
+    #[inline(always)]
+    pub fn free(&self) -> usize {
+        // SAFETY: as above.
+        unsafe { assert_unchecked(self.0.capacity() == N - 1) };
+        self.0.capacity() - self.0.len()
+    }
+}
+
+impl<const N: usize, T> Receiver<N, T> {
+    /// Takes the oldest one out.
+    #[inline(always)]
+    pub fn take(&mut self) -> Option<T> {
+        // SAFETY: as above.
+        unsafe { assert_unchecked(self.0.capacity() == N - 1) };
+        self.0.dequeue()
     }
 }

@@ -1,8 +1,8 @@
 //! The drives on the buses of a board, between its session and its ports.
 
+use super::FaultCause;
 use super::config::BusJoint;
 use super::drives::{BusDrives, BusPhase};
-use super::fault::FaultCause;
 use super::line::LineMotion;
 use crate::drives::Frame;
 use crate::safety::{SafetyReason, SafetyState};
@@ -194,10 +194,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrive
         match &mut self.side {
             Side::Master(drives) => {
                 let given = sample.and_then(|sample| sample.measured);
-                let mut measured = given.unwrap_or(JointMeasurement {
-                    q: JointVector::zeros(),
-                    tau: JointVector::zeros(),
-                });
+                let mut measured = given.unwrap_or(JointMeasurement::zero());
                 let whole = drives.measure(&mut measured) && (given.is_some() || drives.complete());
                 if let Some(sample) = sample {
                     sample.measured = whole.then_some(measured);

@@ -66,45 +66,35 @@ impl<const N: usize> BusConfig<N> {
     ///
     /// Errors: the first contradiction, with joint, field and both values.
     pub fn check<A: Arm<N, P>, const P: usize>(&self) -> Result<(), BusConfigError> {
-        let whole = |field, value, against, bound| BusConfigError {
-            joint: None,
+        let error = |joint: Option<usize>, (field, value, against, bound)| BusConfigError {
+            joint: joint.map(|joint| joint as u8),
             field,
             value,
             against,
             bound,
         };
         let (least, most) = PERIODS_S;
-        let period_s = self.period_s;
-        if period_s.is_nan() || period_s < least {
-            return Err(whole("period_s", period_s, "the shortest period", least));
-        }
-        if period_s > most {
-            return Err(whole("period_s", period_s, "the longest period", most));
+        for (against, bound, kept) in [
+            ("the shortest period", least, self.period_s >= least),
+            ("the longest period", most, self.period_s <= most),
+        ] {
+            if !kept {
+                return Err(error(None, ("period_s", self.period_s, against, bound)));
+            }
         }
         for (index, joint) in self.joints.iter().enumerate() {
-            let at = |field, value, against, bound| BusConfigError {
-                joint: Some(index as u8),
-                field,
-                value,
-                against,
-                bound,
-            };
+            let at = |contradiction| error(Some(index), contradiction);
             joint.drive.check().map_err(|error| {
-                let ProfileError {
-                    field,
-                    value,
-                    range,
-                } = error;
-                let (against, bound) = if value < range.0 {
-                    ("the least value", range.0)
-                } else {
-                    ("the largest value", range.1)
+                let ProfileError { range, .. } = error;
+                let (against, bound) = match error.value < range.0 {
+                    true => ("the least value", range.0),
+                    false => ("the largest value", range.1),
                 };
-                at(field, value, against, bound)
+                at((error.field, error.value, against, bound))
             })?;
             if joint.bus >= BUSES {
                 let last = f32::from(BUSES - 1);
-                return Err(at("bus", joint.bus.into(), "the last bus", last));
+                return Err(at(("bus", joint.bus.into(), "the last bus", last)));
             }
             let before = self
                 .joints
@@ -113,12 +103,10 @@ impl<const N: usize> BusConfig<N> {
                 .position(|other| other.bus == joint.bus && other.drive.id == joint.drive.id);
             if let Some(before) = before {
                 let id = joint.drive.id.into();
-                return Err(at("id", id, "the same id of joint", before as f32 + 1.0));
+                return Err(at(("id", id, "the same id of joint", before as f32 + 1.0)));
             }
             if let Some(&limits) = A::limits().get(index) {
-                joint
-                    .check_against(&limits)
-                    .map_err(|(field, value, against, bound)| at(field, value, against, bound))?;
+                joint.check_against(&limits).map_err(at)?;
             }
         }
         Ok(())
@@ -156,9 +144,14 @@ type Contradiction = (&'static str, f32, &'static str, f32);
 impl BusJoint {
     fn check_against(&self, limits: &foretorque::arm::JointLimits) -> Result<(), Contradiction> {
         let drive = &self.drive;
-        if drive.torque_limit > limits.torque {
-            let torque = ("torque_limit", drive.torque_limit);
-            return Err((torque.0, torque.1, "the torque of the arm", limits.torque));
+        let most = limits.torque;
+        if drive.torque_limit > most {
+            return Err((
+                "torque_limit",
+                drive.torque_limit,
+                "the torque of the arm",
+                most,
+            ));
         }
         for (field, gain) in [("kp", self.kp), ("kd", self.kd)] {
             if !(gain >= 0.0 && gain.is_finite()) {
@@ -169,46 +162,28 @@ impl BusJoint {
             return Ok(());
         };
         let square = drive.gear * drive.gear;
-        let reach = ranges.position / drive.gear;
+        for (field, gain, against, most) in [
+            ("kp", self.kp, "the largest kp of the frame", ranges.kp),
+            ("kd", self.kd, "the largest kd of the frame", ranges.kd),
+        ] {
+            if gain > most * square {
+                return Err((field, gain, against, most * square));
+            }
+        }
         let (low, high) = limits.position;
-        let position = (low - drive.zero).abs().max((high - drive.zero).abs());
-        let velocity = ranges.velocity / drive.gear;
-        let at_most = [
-            (
-                "kp",
-                self.kp,
-                "the largest kp of the frame",
-                ranges.kp * square,
-            ),
-            (
-                "kd",
-                self.kd,
-                "the largest kd of the frame",
-                ranges.kd * square,
-            ),
-        ];
-        let at_least = [
-            (
-                "range of position",
-                reach,
-                "the travel of the arm from its zero",
-                position,
-            ),
-            (
-                "range of velocity",
-                velocity,
-                "the velocity of the arm",
-                limits.velocity,
-            ),
-        ];
-        let above = at_most
-            .into_iter()
-            .find(|(_, value, _, bound)| value > bound);
-        let below = at_least
-            .into_iter()
-            .find(|(_, value, _, bound)| value < bound);
-        if let Some(contradiction) = above.or(below) {
-            return Err(contradiction);
+        let travel = (low - drive.zero).abs().max((high - drive.zero).abs());
+        let (travels, moves) = (
+            "the travel of the arm from its zero",
+            "the velocity of the arm",
+        );
+        for (field, range, against, least) in [
+            ("range of position", ranges.position, travels, travel),
+            ("range of velocity", ranges.velocity, moves, limits.velocity),
+        ] {
+            let reach = range / drive.gear;
+            if reach < least {
+                return Err((field, reach, against, least));
+            }
         }
         Ok(())
     }
@@ -257,4 +232,29 @@ impl BusJoint {
 /// A period, s, in µs.
 pub(super) fn micros(period_s: f32) -> u32 {
     (period_s * 1e6 + 0.5) as u32
+}
+
+/// Periods in a time, rounded up.
+pub(super) fn periods(time_s: f32, period_s: f32) -> u16 {
+    (time_s / period_s) as u16 + 1
+}
+
+/// Joints in an order in which the buses take turns; those without a drive come first.
+pub(super) fn alternating<const N: usize>(joints: &[Option<BusJoint>; N]) -> [u8; N] {
+    // The place of a joint on its own bus, then the bus.
+    let place = |joint: usize| {
+        let bus = joints.get(joint).copied().flatten().map(|joint| joint.bus);
+        let before = joints.iter().take(joint).flatten();
+        let before = before.filter(|other| Some(other.bus) == bus).count();
+        bus.map(|bus| (before, bus))
+    };
+    let mut order = [0; N];
+    for joint in 0..N {
+        let key = |joint| (place(joint), joint);
+        let rank = (0..N).filter(|&other| key(other) < key(joint)).count();
+        if let Some(slot) = order.get_mut(rank) {
+            *slot = joint as u8;
+        }
+    }
+    order
 }

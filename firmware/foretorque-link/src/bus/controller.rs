@@ -1,7 +1,7 @@
 use super::config::{BusConfig, BusConfigError};
 use super::drives::{BusDrives, BusPhase};
-use super::fault::{BusFault, FaultCause};
 use super::joint::JointCounters;
+use super::{BusFault, FaultCause};
 use crate::drives::{Frame, Saturation};
 use crate::safety::{Safety, SafetyReason, SafetyState, SafetyStatus};
 use crate::session::LearnerMailbox;
@@ -203,10 +203,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
     ) -> BusTick<N> {
         self.safety.period();
         self.feed_forward.adopt(mailbox.exchange());
-        let mut measured = JointMeasurement {
-            q: JointVector::zeros(),
-            tau: JointVector::zeros(),
-        };
+        let mut measured = JointMeasurement::zero();
         let measured = self.drives.measure(&mut measured).then_some(measured);
         for (joint, celsius) in self.drives.temperatures() {
             self.safety.note_temperature(joint, celsius);

@@ -1,8 +1,8 @@
 //! The drives of one arm: replies in, phases of switching on and off, command frames out.
 
-use super::config::{BUSES, BusJoint, micros};
-use super::fault::{BusFault, FaultCause};
+use super::config::{BUSES, BusJoint, alternating, micros, periods};
 use super::joint::{JointCounters, JointLink, STATE_PERIODS};
+use super::{BusFault, FaultCause};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
 use crate::drives::{DriveState, Frame, Frames, JointCommand, Order, Saturation};
 use crate::safety::SafetyLimits;
@@ -113,7 +113,7 @@ impl<const N: usize> BusDrives<N> {
         let mut positions = JointVector::<N>::zeros();
         for (slot, link) in positions.iter_mut().zip(&self.links) {
             if let Some(link) = link {
-                *slot = link.position()?;
+                *slot = link.reply.position?;
             }
         }
         Some(positions)
@@ -122,7 +122,7 @@ impl<const N: usize> BusDrives<N> {
     /// Temperatures that the drives have reported: joint, °C.
     pub fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
         let links = self.links.iter().enumerate();
-        links.filter_map(|(joint, link)| Some((joint, link.as_ref()?.temperature()?)))
+        links.filter_map(|(joint, link)| Some((joint, link.as_ref()?.reply.temperature? as i8)))
     }
 
     /// Takes a frame that has arrived; foreign frames are counted.
@@ -226,10 +226,10 @@ impl<const N: usize> BusDrives<N> {
         let silence = self.silence();
         for (index, link) in self.links.iter_mut().enumerate() {
             let Some(link) = link else { continue };
-            let here = link.position().unwrap_or_default();
+            let here = link.reply.position.unwrap_or_default();
             let desired = self.desired.q.get(index).copied();
             let desired = desired.filter(|_| started).unwrap_or(here);
-            let off = started && link.state == Some(DriveState::Disabled);
+            let off = started && link.reply.state == Some(DriveState::Disabled);
             let cause = link.fault(desired, silence);
             if let Some(cause) = cause.or(off.then_some(FaultCause::Disabled)) {
                 self.fail(Some(index as u8), cause);
@@ -262,7 +262,7 @@ impl<const N: usize> BusDrives<N> {
             BusPhase::Enabling(_) if self.fault.is_some() => BusPhase::Off,
             BusPhase::Enabling(count) => {
                 let waiting = self.links.iter().position(|link| {
-                    link.as_ref().is_some_and(|link| match link.state {
+                    link.as_ref().is_some_and(|link| match link.reply.state {
                         Some(state) => state != DriveState::Enabled,
                         None => count < 2 * STATE_PERIODS,
                     })
@@ -308,7 +308,7 @@ impl<const N: usize> BusDrives<N> {
             };
             let joint = link.joint;
             frames.clear();
-            let here = link.position().unwrap_or_default();
+            let here = link.reply.position.unwrap_or_default();
             let mut hold = here;
             if let Some(held) = self.held.get_mut(index) {
                 if armed || self.phase == BusPhase::Off {
@@ -330,7 +330,7 @@ impl<const N: usize> BusDrives<N> {
                 BusPhase::Off => None,
                 BusPhase::Enabling(count) => {
                     let by_command = joint.drive.enabled_by_command() && count >= STATE_PERIODS;
-                    let enabled = link.state == Some(DriveState::Enabled);
+                    let enabled = link.reply.state == Some(DriveState::Enabled);
                     (enabled || by_command).then_some(resting)
                 }
                 BusPhase::Running(_) if armed => Some(JointCommand {
@@ -391,32 +391,7 @@ impl<const N: usize> BusDrives<N> {
     }
 }
 
-/// Periods in a time, rounded up.
-fn periods(time_s: f32, period_s: f32) -> u16 {
-    (time_s / period_s) as u16 + 1
-}
-
 fn finite<const N: usize>(motion: &JointMotion<N>) -> bool {
     let mut values = motion.q.iter().chain(motion.qd.iter());
     values.all(|value| value.is_finite())
-}
-
-/// Joints in an order in which the buses take turns; those without a drive come first.
-fn alternating<const N: usize>(joints: &[Option<BusJoint>; N]) -> [u8; N] {
-    // The place of a joint on its own bus, then the bus.
-    let place = |joint: usize| {
-        let bus = joints.get(joint).copied().flatten().map(|joint| joint.bus);
-        let before = joints.iter().take(joint).flatten();
-        let before = before.filter(|other| Some(other.bus) == bus).count();
-        bus.map(|bus| (before, bus))
-    };
-    let mut order = [0; N];
-    for joint in 0..N {
-        let key = |joint| (place(joint), joint);
-        let rank = (0..N).filter(|&other| key(other) < key(joint)).count();
-        if let Some(slot) = order.get_mut(rank) {
-            *slot = joint as u8;
-        }
-    }
-    order
 }

@@ -1,7 +1,7 @@
 //! One joint of the bus: its replies, their age, the faults they show.
 
+use super::FaultCause;
 use super::config::BusJoint;
-use super::fault::FaultCause;
 use super::{FOLLOWING_RAD, STUCK_RAD};
 use crate::drives::{Carry, DriveState, Event, Frames, JointReply, Order, Scale};
 
@@ -43,13 +43,11 @@ pub(super) struct JointLink {
     pub(super) joint: BusJoint,
     pub(super) carry: Carry,
     pub(super) counters: JointCounters,
-    pub(super) state: Option<DriveState>,
+    /// Newest of all that the drive has replied.
+    pub(super) reply: JointReply,
     /// Periods since the last reply.
     pub(super) age: u16,
-    position: Option<f32>,
-    torque: Option<f32>,
     torque_age: u16,
-    temperature: Option<f32>,
     /// Replies of this period, and the first of their positions.
     replies: u8,
     first: Option<f32>,
@@ -82,12 +80,9 @@ impl JointLink {
             joint,
             carry: Carry::default(),
             counters: JointCounters::default(),
-            state: None,
+            reply: JointReply::default(),
             age: u16::MAX,
-            position: None,
-            torque: None,
             torque_age: u16::MAX,
-            temperature: None,
             replies: 0,
             first: None,
             conflicts: 0,
@@ -123,36 +118,19 @@ impl JointLink {
     }
 
     fn take_reply(&mut self, reply: &JointReply) {
-        if reply.state.is_some() {
-            self.state = reply.state;
-        }
-        if reply.temperature.is_some() {
-            self.temperature = reply.temperature;
-        }
+        self.reply.update(reply);
         if reply.torque.is_some() {
-            self.torque = reply.torque;
             self.torque_age = 0;
         }
         let Some(position) = reply.position else {
             return;
         };
-        self.position = Some(position);
         self.first.get_or_insert(position);
         self.replies = self.replies.saturating_add(1);
         increment(&mut self.counters.replies);
         if self.replies > 1 {
             increment(&mut self.counters.doubled);
         }
-    }
-
-    /// Last known position, rad.
-    pub(super) fn position(&self) -> Option<f32> {
-        self.position
-    }
-
-    /// Reported temperature, °C.
-    pub(super) fn temperature(&self) -> Option<i8> {
-        self.temperature.map(|celsius| celsius as i8)
     }
 
     /// Closes a period: position and torque of its last reply, `None` without one that is sound.
@@ -171,7 +149,7 @@ impl JointLink {
             return None;
         }
         self.age = 0;
-        let (position, torque) = (self.position?, self.torque?);
+        let (position, torque) = (self.reply.position?, self.reply.torque?);
         let first = first.unwrap_or(position);
         let agrees = (first - position).abs() <= step;
         if agrees {
@@ -188,7 +166,7 @@ impl JointLink {
     ///
     /// * `silence` periods without a reply that make a fault
     pub(super) fn fault(&mut self, desired: f32, silence: u16) -> Option<FaultCause> {
-        let (position, torque) = (self.position, self.torque);
+        let (position, torque) = (self.reply.position, self.reply.torque);
         if self.age == 0 && (position, torque) == self.repeated {
             self.repeats = self.repeats.saturating_add(1);
         } else if self.age == 0 {
@@ -199,7 +177,7 @@ impl JointLink {
         if self.age >= silence {
             return Some(FaultCause::Silent);
         }
-        if let Some(DriveState::Fault(code)) = self.state {
+        if let Some(DriveState::Fault(code)) = self.reply.state {
             return Some(FaultCause::Drive(code));
         }
         if self.conflicts >= 2 * CONFLICTS {
@@ -235,10 +213,10 @@ impl JointLink {
 
     /// Reason against switching the drive on.
     pub(super) fn refusal(&self, silence: u16) -> Option<FaultCause> {
-        if self.age >= silence || self.position.is_none() {
+        if self.age >= silence || self.reply.position.is_none() {
             return Some(FaultCause::Silent);
         }
-        if let Some(DriveState::Fault(code)) = self.state {
+        if let Some(DriveState::Fault(code)) = self.reply.state {
             return Some(FaultCause::Drive(code));
         }
         self.different_scale()

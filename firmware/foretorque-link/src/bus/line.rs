@@ -1,9 +1,9 @@
 //! Desired and measured motion of an arm, from the frames that pass a board in line.
 
 use super::config::BusJoint;
-use crate::drives::{Event, Frame, Request};
+use crate::drives::{Event, Frame, JointReply, Request};
 use crate::safety::COMMAND_TIMEOUT_US;
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 
 /// Weight of a command over that of the next one. The filter remembers ten commands: positions of 16 bits over ±12.5 rad
 /// at 500 Hz then give accelerations with a standard deviation of 0.04 rad/s².
@@ -61,9 +61,8 @@ impl MotionFilter {
 struct LineJoint {
     joint: BusJoint,
     filter: MotionFilter,
-    position: Option<f32>,
-    torque: Option<f32>,
-    temperature: Option<f32>,
+    /// Replies of the drive that no sample has used.
+    reply: JointReply,
 }
 
 /// Motion of the joints whose commands and replies pass.
@@ -76,9 +75,7 @@ impl<const N: usize> LineMotion<N> {
         let of = |joint| LineJoint {
             joint,
             filter: MotionFilter::default(),
-            position: None,
-            torque: None,
-            temperature: None,
+            reply: JointReply::default(),
         };
         Self {
             joints: joints.map(|joint| joint.map(of)),
@@ -94,16 +91,14 @@ impl<const N: usize> LineMotion<N> {
                     slot.filter.command = Some(command.position);
                 }
             } else if let Some(Event::Reply(reply)) = drive.decode(frame) {
-                slot.position = reply.position.or(slot.position);
-                slot.torque = reply.torque.or(slot.torque);
-                slot.temperature = reply.temperature.or(slot.temperature);
+                slot.reply.update(&reply);
             }
         }
     }
 
     pub(super) fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
         let joints = self.joints.iter().enumerate();
-        joints.filter_map(|(joint, slot)| Some((joint, slot.as_ref()?.temperature? as i8)))
+        joints.filter_map(|(joint, slot)| Some((joint, slot.as_ref()?.reply.temperature? as i8)))
     }
 
     /// Closes a period: the sample of what has passed. Joints without a drive here take their part of `given`.
@@ -114,10 +109,7 @@ impl<const N: usize> LineMotion<N> {
     ) -> Option<JointSample<N>> {
         let mut desired = given.map_or(JointMotion::zero(), |given| given.desired);
         let known = given.and_then(|given| given.measured);
-        let mut measured = known.unwrap_or(JointMeasurement {
-            q: JointVector::zeros(),
-            tau: JointVector::zeros(),
-        });
+        let mut measured = known.unwrap_or(JointMeasurement::zero());
         let (mut commanded, mut replied) = (true, true);
         let motion = desired
             .q
@@ -138,7 +130,7 @@ impl<const N: usize> LineMotion<N> {
                 None => commanded = false,
             }
             // A reply counts once.
-            match slot.position.take().zip(slot.torque.take()) {
+            match slot.reply.position.take().zip(slot.reply.torque.take()) {
                 Some(now) => (*position, *torque) = now,
                 None => replied = false,
             }

@@ -11,10 +11,10 @@
 //! Torques are in thousandths of the rated torque (6076h). The same bytes are the process data of EtherCAT; the stack that
 //! configures the mapping is the user's. Source: CiA 402-2; Beckhoff's object pages of AX8000 and AMP8000.
 
-use super::quantity::{carried, nearest};
+use super::frame::{carried, nearest};
 use super::{
-    Carry, Cia402, ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand,
-    JointReply, Order, Request, Saturation, Scale, TURN, push,
+    Cia402, ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply,
+    Order, Outgoing, Request, Saturation, Scale, TURN, push,
 };
 
 const ENABLED: u16 = 0x0f;
@@ -27,193 +27,168 @@ const READ_RATED: [u8; 4] = [0x40, 0x76, 0x60, 0];
 const RATED: [u8; 4] = [0x43, 0x76, 0x60, 0];
 const WRITE_CONTROL: [u8; 4] = [0x2b, 0x40, 0x60, 0];
 
-fn output(
-    profile: &DriveProfile,
-    scales: &Cia402,
-    control: u16,
-    target: i32,
-    torque: i16,
-) -> Frame {
-    let [c0, c1] = control.to_le_bytes();
-    let ([p0, p1, p2, p3], [t0, t1]) = (target.to_le_bytes(), torque.to_le_bytes());
-    let id = 0x200 + u32::from(profile.id);
-    match scales.mode {
-        ControlMode::Torque => Frame::standard(id, &[c0, c1, t0, t1]),
-        _ => Frame::standard(id, &[c0, c1, p0, p1, p2, p3, t0, t1]),
-    }
+/// Codec of one drive.
+pub(super) struct Codec<'p> {
+    pub(super) drive: &'p DriveProfile,
+    pub(super) scales: &'p Cia402,
 }
 
-pub(super) fn command(
-    profile: &DriveProfile,
-    scales: &Cia402,
-    motion: &JointCommand,
-    carry: &mut Carry,
-    flags: &mut Saturation,
-    frames: &mut Frames,
-) {
-    // The largest f32 below 2^31.
-    const MOST: f32 = 2_147_483_500.0;
-    let counts = scales.counts_per_turn / TURN;
-    let target = match scales.mode {
-        ControlMode::Position => flags.clamp(motion.position * counts, MOST, Saturation::POSITION),
-        ControlMode::Velocity => flags.clamp(motion.velocity * counts, MOST, Saturation::VELOCITY),
-        ControlMode::Torque => 0.0,
-    };
-    let most = f32::from(i16::MAX);
-    let torque = flags.clamp(
-        motion.torque * 1e3 / scales.rated_torque,
-        most,
-        Saturation::TORQUE,
-    );
-    let torque = carried(
-        torque,
-        &mut carry.torque,
-        (-i16::MAX).into(),
-        i16::MAX.into(),
-    ) as i16;
-    push(
-        frames,
-        output(profile, scales, ENABLED, nearest(target), torque),
-    );
-}
+impl Codec<'_> {
+    /// Frame of a function code.
+    fn frame(&self, function: u32, bytes: &[u8]) -> Frame {
+        Frame::standard(function + u32::from(self.drive.id), bytes)
+    }
 
-fn sdo(profile: &DriveProfile, [c, i0, i1, s]: [u8; 4], value: u32) -> Frame {
-    let [v0, v1, v2, v3] = value.to_le_bytes();
-    Frame::standard(
-        0x600 + u32::from(profile.id),
-        &[c, i0, i1, s, v0, v1, v2, v3],
-    )
-}
+    fn output(&self, control: u16, target: i32, torque: i16) -> Frame {
+        let [c0, c1] = control.to_le_bytes();
+        let ([p0, p1, p2, p3], [t0, t1]) = (target.to_le_bytes(), torque.to_le_bytes());
+        match self.scales.mode {
+            ControlMode::Torque => self.frame(0x200, &[c0, c1, t0, t1]),
+            _ => self.frame(0x200, &[c0, c1, p0, p1, p2, p3, t0, t1]),
+        }
+    }
 
-pub(super) fn order(
-    profile: &DriveProfile,
-    scales: &Cia402,
-    order: Order,
-    frames: &mut Frames,
-) -> bool {
-    match order {
-        Order::Enable => {
-            // The control word of the first command, beside its target, is what enables the operation.
-            push(frames, Frame::standard(0, &[1, profile.id as u8]));
-            push(frames, sdo(profile, WRITE_CONTROL, SHUTDOWN.into()));
-            push(frames, sdo(profile, WRITE_CONTROL, SWITCH_ON.into()));
-        }
-        Order::Disable => push(frames, output(profile, scales, SHUTDOWN, 0, 0)),
-        Order::ClearFault => push(frames, output(profile, scales, RESET, 0, 0)),
-        Order::ReadScale(Scale::Torque) => push(frames, sdo(profile, READ_RATED, 0)),
-        Order::Report => push(frames, Frame::standard(SYNC, &[])),
-        Order::SetZero | Order::ReadScale(_) => return false,
+    pub(super) fn command(&self, motion: &JointCommand, out: &mut Outgoing<'_>) {
+        // The largest f32 below 2^31.
+        const MOST: f32 = 2_147_483_500.0;
+        let counts = self.scales.counts_per_turn / TURN;
+        let (position, velocity) = (motion.position * counts, motion.velocity * counts);
+        let flags = &mut *out.flags;
+        let target = match self.scales.mode {
+            ControlMode::Position => flags.clamp(position, MOST, Saturation::POSITION),
+            ControlMode::Velocity => flags.clamp(velocity, MOST, Saturation::VELOCITY),
+            ControlMode::Torque => 0.0,
+        };
+        let most = i32::from(i16::MAX);
+        let torque = motion.torque * 1e3 / self.scales.rated_torque;
+        let torque = flags.clamp(torque, most as f32, Saturation::TORQUE);
+        let torque = carried(torque, &mut out.carry.torque, -most, most) as i16;
+        push(out.frames, self.output(ENABLED, nearest(target), torque));
     }
-    true
-}
 
-pub(super) fn decode(profile: &DriveProfile, scales: &Cia402, frame: &Frame) -> Option<Event> {
-    if frame.extended || frame.remote {
-        return None;
+    fn sdo(&self, [c, i0, i1, s]: [u8; 4], value: u32) -> Frame {
+        let [v0, v1, v2, v3] = value.to_le_bytes();
+        self.frame(0x600, &[c, i0, i1, s, v0, v1, v2, v3])
     }
-    let to_rad = TURN / scales.counts_per_turn;
-    let mut reply = JointReply::default();
-    match (frame.id.checked_sub(profile.id.into())?, frame.bytes()) {
-        (0x180, &[s0, s1, p0, p1, p2, p3, t0, t1]) => {
-            let torque = i16::from_le_bytes([t0, t1]);
-            reply.position = Some(i32::from_le_bytes([p0, p1, p2, p3]) as f32 * to_rad);
-            reply.torque = Some(f32::from(torque) * 1e-3 * scales.rated_torque);
-            let status = u16::from_le_bytes([s0, s1]);
-            reply.state = Some(if status & 8 != 0 {
-                DriveState::Fault(status.into())
-            } else if status & 0x6f == 0x27 {
-                DriveState::Enabled
-            } else {
-                DriveState::Disabled
-            });
-        }
-        (0x280, &[v0, v1, v2, v3]) => {
-            reply.velocity = Some(i32::from_le_bytes([v0, v1, v2, v3]) as f32 * to_rad);
-        }
-        (0x580, &[c, i0, i1, s, v0, v1, v2, v3]) if [c, i0, i1, s] == RATED => {
-            let millis = u32::from_le_bytes([v0, v1, v2, v3]);
-            return Some(Event::Scale(Scale::Torque, millis as f32 / 1e3));
-        }
-        _ => return None,
-    }
-    Some(Event::Reply(reply))
-}
 
-pub(super) fn accept(profile: &DriveProfile, scales: &Cia402, frame: &Frame) -> Option<Request> {
-    if frame.extended || frame.remote {
-        return None;
-    }
-    if frame.id == SYNC {
-        return Some(Request::Order(Order::Report));
-    }
-    let (control, target, torque) = match (frame.id.checked_sub(profile.id.into())?, frame.bytes())
-    {
-        (0x200, &[c0, c1, p0, p1, p2, p3, t0, t1]) if scales.mode != ControlMode::Torque => {
-            ([c0, c1], [p0, p1, p2, p3], [t0, t1])
+    pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
+        match order {
+            Order::Enable => {
+                // The control word of the first command, beside its target, is what enables the operation.
+                push(frames, Frame::standard(0, &[1, self.drive.id as u8]));
+                push(frames, self.sdo(WRITE_CONTROL, SHUTDOWN.into()));
+                push(frames, self.sdo(WRITE_CONTROL, SWITCH_ON.into()));
+            }
+            Order::Disable => push(frames, self.output(SHUTDOWN, 0, 0)),
+            Order::ClearFault => push(frames, self.output(RESET, 0, 0)),
+            Order::ReadScale(Scale::Torque) => push(frames, self.sdo(READ_RATED, 0)),
+            Order::Report => push(frames, Frame::standard(SYNC, &[])),
+            Order::SetZero | Order::ReadScale(_) => return false,
         }
-        (0x200, &[c0, c1, t0, t1]) if scales.mode == ControlMode::Torque => {
-            ([c0, c1], [0; 4], [t0, t1])
+        true
+    }
+
+    pub(super) fn decode(&self, frame: &Frame) -> Option<Event> {
+        if frame.extended || frame.remote {
+            return None;
         }
-        (0x600, &[c, i0, i1, s, low, high, _, _]) => {
-            let order = match [c, i0, i1, s] {
-                READ_RATED => Order::ReadScale(Scale::Torque),
-                WRITE_CONTROL if u16::from_le_bytes([low, high]) == SWITCH_ON => Order::Enable,
+        let to_rad = TURN / self.scales.counts_per_turn;
+        let mut reply = JointReply::default();
+        match (frame.id.checked_sub(self.drive.id.into())?, frame.bytes()) {
+            (0x180, &[s0, s1, p0, p1, p2, p3, t0, t1]) => {
+                let torque = i16::from_le_bytes([t0, t1]);
+                reply.position = Some(i32::from_le_bytes([p0, p1, p2, p3]) as f32 * to_rad);
+                reply.torque = Some(f32::from(torque) * 1e-3 * self.scales.rated_torque);
+                let status = u16::from_le_bytes([s0, s1]);
+                reply.state = Some(if status & 8 != 0 {
+                    DriveState::Fault(status.into())
+                } else if status & 0x6f == 0x27 {
+                    DriveState::Enabled
+                } else {
+                    DriveState::Disabled
+                });
+            }
+            (0x280, &[v0, v1, v2, v3]) => {
+                reply.velocity = Some(i32::from_le_bytes([v0, v1, v2, v3]) as f32 * to_rad);
+            }
+            (0x580, &[c, i0, i1, s, v0, v1, v2, v3]) if [c, i0, i1, s] == RATED => {
+                let millis = u32::from_le_bytes([v0, v1, v2, v3]);
+                return Some(Event::Scale(Scale::Torque, millis as f32 / 1e3));
+            }
+            _ => return None,
+        }
+        Some(Event::Reply(reply))
+    }
+
+    pub(super) fn accept(&self, frame: &Frame) -> Option<Request> {
+        if frame.extended || frame.remote {
+            return None;
+        }
+        if frame.id == SYNC {
+            return Some(Request::Order(Order::Report));
+        }
+        let (control, target, torque) =
+            match (frame.id.checked_sub(self.drive.id.into())?, frame.bytes()) {
+                (0x200, &[c0, c1, p0, p1, p2, p3, t0, t1])
+                    if self.scales.mode != ControlMode::Torque =>
+                {
+                    ([c0, c1], [p0, p1, p2, p3], [t0, t1])
+                }
+                (0x200, &[c0, c1, t0, t1]) if self.scales.mode == ControlMode::Torque => {
+                    ([c0, c1], [0; 4], [t0, t1])
+                }
+                (0x600, &[c, i0, i1, s, low, high, _, _]) => {
+                    let order = match [c, i0, i1, s] {
+                        READ_RATED => Order::ReadScale(Scale::Torque),
+                        WRITE_CONTROL if u16::from_le_bytes([low, high]) == SWITCH_ON => {
+                            Order::Enable
+                        }
+                        _ => return None,
+                    };
+                    return Some(Request::Order(order));
+                }
                 _ => return None,
             };
-            return Some(Request::Order(order));
+        match u16::from_le_bytes(control) {
+            ENABLED => {}
+            RESET => return Some(Request::Order(Order::ClearFault)),
+            _ => return Some(Request::Order(Order::Disable)),
         }
-        _ => return None,
-    };
-    match u16::from_le_bytes(control) {
-        ENABLED => {}
-        RESET => return Some(Request::Order(Order::ClearFault)),
-        _ => return Some(Request::Order(Order::Disable)),
+        let target = i32::from_le_bytes(target) as f32 * TURN / self.scales.counts_per_turn;
+        let mut motion = JointCommand {
+            torque: f32::from(i16::from_le_bytes(torque)) * 1e-3 * self.scales.rated_torque,
+            ..JointCommand::default()
+        };
+        match self.scales.mode {
+            ControlMode::Position => motion.position = target,
+            ControlMode::Velocity => motion.velocity = target,
+            ControlMode::Torque => {}
+        }
+        Some(Request::Command(motion))
     }
-    let target = i32::from_le_bytes(target) as f32 * TURN / scales.counts_per_turn;
-    let mut motion = JointCommand {
-        torque: f32::from(i16::from_le_bytes(torque)) * 1e-3 * scales.rated_torque,
-        ..JointCommand::default()
-    };
-    match scales.mode {
-        ControlMode::Position => motion.position = target,
-        ControlMode::Velocity => motion.velocity = target,
-        ControlMode::Torque => {}
+
+    pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
+        let counts = self.scales.counts_per_turn / TURN;
+        let position = nearest(reply.position.unwrap_or_default() * counts).to_le_bytes();
+        let velocity = nearest(reply.velocity.unwrap_or_default() * counts).to_le_bytes();
+        let thousandths = reply.torque.unwrap_or_default() * 1e3 / self.scales.rated_torque;
+        let torque = nearest(thousandths).clamp((-i16::MAX).into(), i16::MAX.into()) as i16;
+        let status: u16 = match reply.state.unwrap_or_default() {
+            DriveState::Disabled => 0x21,
+            DriveState::Enabled => 0x27,
+            DriveState::Fault(_) => 0x08,
+        };
+        let ([s0, s1], [p0, p1, p2, p3]) = (status.to_le_bytes(), position);
+        let [t0, t1] = torque.to_le_bytes();
+        let first = [s0, s1, p0, p1, p2, p3, t0, t1];
+        push(frames, self.frame(0x180, &first));
+        push(frames, self.frame(0x280, &velocity));
     }
-    Some(Request::Command(motion))
-}
 
-pub(super) fn reply(
-    profile: &DriveProfile,
-    scales: &Cia402,
-    reply: &JointReply,
-    frames: &mut Frames,
-) {
-    let counts = scales.counts_per_turn / TURN;
-    let position = nearest(reply.position.unwrap_or_default() * counts).to_le_bytes();
-    let velocity = nearest(reply.velocity.unwrap_or_default() * counts).to_le_bytes();
-    let thousandths = reply.torque.unwrap_or_default() * 1e3 / scales.rated_torque;
-    let torque = nearest(thousandths).clamp((-i16::MAX).into(), i16::MAX.into()) as i16;
-    let status: u16 = match reply.state.unwrap_or_default() {
-        DriveState::Disabled => 0x21,
-        DriveState::Enabled => 0x27,
-        DriveState::Fault(_) => 0x08,
-    };
-    let ([s0, s1], [p0, p1, p2, p3]) = (status.to_le_bytes(), position);
-    let [t0, t1] = torque.to_le_bytes();
-    let id = u32::from(profile.id);
-    push(
-        frames,
-        Frame::standard(0x180 + id, &[s0, s1, p0, p1, p2, p3, t0, t1]),
-    );
-    push(frames, Frame::standard(0x280 + id, &velocity));
-}
-
-pub(super) fn reply_scale(profile: &DriveProfile, value: f32, frames: &mut Frames) {
-    let ([c, i0, i1, s], millis) = (RATED, (value * 1e3) as u32);
-    let [v0, v1, v2, v3] = millis.to_le_bytes();
-    let bytes = [c, i0, i1, s, v0, v1, v2, v3];
-    push(
-        frames,
-        Frame::standard(0x580 + u32::from(profile.id), &bytes),
-    );
+    pub(super) fn reply_scale(&self, _: Scale, value: f32, frames: &mut Frames) {
+        let ([c, i0, i1, s], millis) = (RATED, (value * 1e3) as u32);
+        let [v0, v1, v2, v3] = millis.to_le_bytes();
+        let bytes = [c, i0, i1, s, v0, v1, v2, v3];
+        push(frames, self.frame(0x580, &bytes));
+    }
 }

@@ -4,10 +4,10 @@
 //! in the eight bytes, big endian. A reply (kind 2) has state and faults in the identifier. Sources: CyberGear manual
 //! 4.1; RobStride manual, private protocol. The manual's position range is ±4π, its sample code's ±12.5 rad.
 
-use super::quantity::{carried, centred, code_of, from_centred, nearest};
+use super::frame::{carried, centred, code_of, from_centred, nearest};
 use super::{
-    Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Ranges,
-    Request, Saturation, Scale, push,
+    DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Outgoing,
+    Ranges, Request, Scale, push,
 };
 
 const STEPS: u16 = 0xffff;
@@ -42,140 +42,141 @@ fn unpack([a0, a1, b0, b1, c0, c1, d0, d1]: [u8; 8]) -> [u16; 4] {
     [[a0, a1], [b0, b1], [c0, c1], [d0, d1]].map(u16::from_be_bytes)
 }
 
-pub(super) fn command(
-    profile: &DriveProfile,
-    ranges: &Ranges,
-    command: &JointCommand,
-    carry: &mut Carry,
-    flags: &mut Saturation,
-    frames: &mut Frames,
-) {
-    let command = ranges.clamp(command, flags);
-    let code = |value: f32, scale: f32, carry: &mut f32| {
-        carried(centred(value, scale, STEPS), carry, 0, STEPS.into()) as u16
-    };
-    let steps = f32::from(STEPS);
-    let bytes = pack([
-        nearest(centred(command.position, ranges.position, STEPS)) as u16,
-        code(command.velocity, ranges.velocity, &mut carry.velocity),
-        nearest(command.kp * steps / ranges.kp) as u16,
-        nearest(command.kd * steps / ranges.kd) as u16,
-    ]);
-    let torque = code(command.torque, ranges.torque, &mut carry.torque);
-    send(kind::COMMAND, torque, profile.id, bytes, frames);
+/// Codec of one drive.
+pub(super) struct Codec<'p> {
+    pub(super) drive: &'p DriveProfile,
+    pub(super) scales: &'p Ranges,
 }
 
-pub(super) fn order(profile: &DriveProfile, order: Order, frames: &mut Frames) -> bool {
-    let (kind, bytes) = match order {
-        Order::Enable => (kind::ENABLE, [0; 8]),
-        Order::Disable => (kind::STOP, [0; 8]),
-        Order::ClearFault => (kind::STOP, [1, 0, 0, 0, 0, 0, 0, 0]),
-        Order::SetZero => (kind::ZERO, [1, 0, 0, 0, 0, 0, 0, 0]),
-        Order::ReadScale(Scale::Torque) => {
-            let [low, high] = TORQUE_LIMIT.to_le_bytes();
-            (kind::READ, [low, high, 0, 0, 0, 0, 0, 0])
-        }
-        Order::ReadScale(_) | Order::Report => return false,
-    };
-    send(kind, profile.host_id, profile.id, bytes, frames);
-    true
-}
-
-pub(super) fn decode(profile: &DriveProfile, ranges: &Ranges, frame: &Frame) -> Option<Event> {
-    let data = frame.eight().filter(|_| frame.extended)?;
-    let own = frame.id & 0xffff == u32::from(profile.id) << 8 | u32::from(profile.host_id);
-    let [p, v, t, celsius] = unpack(data);
-    match frame.id >> 24 {
-        _ if !own => None,
-        kind::REPLY | kind::ACTIVE => Some(Event::Reply(JointReply {
-            position: Some(from_centred(p, ranges.position, STEPS)),
-            velocity: Some(from_centred(v, ranges.velocity, STEPS)),
-            torque: Some(from_centred(t, ranges.torque, STEPS)),
-            temperature: Some(f32::from(celsius) * 0.1),
-            state: Some(match (frame.id >> 16 & 0x3f, frame.id >> 22 & 3) {
-                (0, 2) => DriveState::Enabled,
-                (0, _) => DriveState::Disabled,
-                (faults, _) => DriveState::Fault(faults),
-            }),
-        })),
-        kind::READ => {
-            let [low, high, _, _, value @ ..] = data;
-            let value = f32::from_le_bytes(value);
-            let known = u16::from_le_bytes([low, high]) == TORQUE_LIMIT && value.is_finite();
-            known.then_some(Event::Scale(Scale::Torque, value))
-        }
-        kind::FAULT => {
-            let [faults @ .., _, _, _, _] = data;
-            let state = match u32::from_le_bytes(faults) {
-                0 => None,
-                faults => Some(DriveState::Fault(faults)),
-            };
-            Some(Event::Reply(JointReply {
-                state,
-                ..JointReply::default()
-            }))
-        }
-        _ => None,
+impl Codec<'_> {
+    pub(super) fn command(&self, command: &JointCommand, out: &mut Outgoing<'_>) {
+        let command = self.scales.clamp(command, out.flags);
+        let code = |value: f32, scale: f32, carry: &mut f32| {
+            carried(centred(value, scale, STEPS), carry, 0, STEPS.into()) as u16
+        };
+        let steps = f32::from(STEPS);
+        let bytes = pack([
+            nearest(centred(command.position, self.scales.position, STEPS)) as u16,
+            code(
+                command.velocity,
+                self.scales.velocity,
+                &mut out.carry.velocity,
+            ),
+            nearest(command.kp * steps / self.scales.kp) as u16,
+            nearest(command.kd * steps / self.scales.kd) as u16,
+        ]);
+        let torque = code(command.torque, self.scales.torque, &mut out.carry.torque);
+        send(kind::COMMAND, torque, self.drive.id, bytes, out.frames);
     }
-}
 
-pub(super) fn accept(profile: &DriveProfile, ranges: &Ranges, frame: &Frame) -> Option<Request> {
-    let data = frame.eight().filter(|_| frame.extended)?;
-    if frame.id & 0xff != u32::from(profile.id) {
-        return None;
+    pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
+        let (kind, bytes) = match order {
+            Order::Enable => (kind::ENABLE, [0; 8]),
+            Order::Disable => (kind::STOP, [0; 8]),
+            Order::ClearFault => (kind::STOP, [1, 0, 0, 0, 0, 0, 0, 0]),
+            Order::SetZero => (kind::ZERO, [1, 0, 0, 0, 0, 0, 0, 0]),
+            Order::ReadScale(Scale::Torque) => {
+                let [low, high] = TORQUE_LIMIT.to_le_bytes();
+                (kind::READ, [low, high, 0, 0, 0, 0, 0, 0])
+            }
+            Order::ReadScale(_) | Order::Report => return false,
+        };
+        send(kind, self.drive.host_id, self.drive.id, bytes, frames);
+        true
     }
-    let [p, v, kp, kd] = unpack(data);
-    let order = match frame.id >> 24 {
-        kind::COMMAND => {
-            let steps = f32::from(STEPS);
-            return Some(Request::Command(JointCommand {
-                position: from_centred(p, ranges.position, STEPS),
-                velocity: from_centred(v, ranges.velocity, STEPS),
-                torque: from_centred((frame.id >> 8) as u16, ranges.torque, STEPS),
-                kp: f32::from(kp) * ranges.kp / steps,
-                kd: f32::from(kd) * ranges.kd / steps,
-            }));
-        }
-        kind::ENABLE => Order::Enable,
-        kind::STOP if data.starts_with(&[1]) => Order::ClearFault,
-        kind::STOP => Order::Disable,
-        kind::ZERO => Order::SetZero,
-        kind::READ if data.starts_with(&TORQUE_LIMIT.to_le_bytes()) => {
-            Order::ReadScale(Scale::Torque)
-        }
-        _ => return None,
-    };
-    Some(Request::Order(order))
-}
 
-pub(super) fn reply(
-    profile: &DriveProfile,
-    ranges: &Ranges,
-    reply: &JointReply,
-    frames: &mut Frames,
-) {
-    let bytes = pack([
-        code_of(reply.position, ranges.position, STEPS),
-        code_of(reply.velocity, ranges.velocity, STEPS),
-        code_of(reply.torque, ranges.torque, STEPS),
-        nearest(reply.temperature.unwrap_or_default() * 10.0).clamp(0, STEPS.into()) as u16,
-    ]);
-    let state = match reply.state.unwrap_or_default() {
-        DriveState::Disabled => 0,
-        DriveState::Enabled => 2 << 14,
-        DriveState::Fault(faults) => (faults.clamp(1, 0x3f) as u16) << 8,
-    };
-    let id = kind::REPLY << 24 | u32::from(state | profile.id & 0xff) << 8;
-    push(
-        frames,
-        Frame::extended(id | u32::from(profile.host_id), &bytes),
-    );
-}
+    pub(super) fn decode(&self, frame: &Frame) -> Option<Event> {
+        let data = frame.eight().filter(|_| frame.extended)?;
+        let own =
+            frame.id & 0xffff == u32::from(self.drive.id) << 8 | u32::from(self.drive.host_id);
+        let [p, v, t, celsius] = unpack(data);
+        match frame.id >> 24 {
+            _ if !own => None,
+            kind::REPLY | kind::ACTIVE => Some(Event::Reply(JointReply {
+                position: Some(from_centred(p, self.scales.position, STEPS)),
+                velocity: Some(from_centred(v, self.scales.velocity, STEPS)),
+                torque: Some(from_centred(t, self.scales.torque, STEPS)),
+                temperature: Some(f32::from(celsius) * 0.1),
+                state: Some(match (frame.id >> 16 & 0x3f, frame.id >> 22 & 3) {
+                    (0, 2) => DriveState::Enabled,
+                    (0, _) => DriveState::Disabled,
+                    (faults, _) => DriveState::Fault(faults),
+                }),
+            })),
+            kind::READ => {
+                let [low, high, _, _, value @ ..] = data;
+                let value = f32::from_le_bytes(value);
+                let known = u16::from_le_bytes([low, high]) == TORQUE_LIMIT && value.is_finite();
+                known.then_some(Event::Scale(Scale::Torque, value))
+            }
+            kind::FAULT => {
+                let [faults @ .., _, _, _, _] = data;
+                let state = match u32::from_le_bytes(faults) {
+                    0 => None,
+                    faults => Some(DriveState::Fault(faults)),
+                };
+                Some(Event::Reply(JointReply {
+                    state,
+                    ..JointReply::default()
+                }))
+            }
+            _ => None,
+        }
+    }
 
-pub(super) fn reply_scale(profile: &DriveProfile, value: f32, frames: &mut Frames) {
-    let ([low, high], [v0, v1, v2, v3]) = (TORQUE_LIMIT.to_le_bytes(), value.to_le_bytes());
-    let bytes = [low, high, 0, 0, v0, v1, v2, v3];
-    send(kind::READ, profile.id, profile.host_id, bytes, frames);
+    pub(super) fn accept(&self, frame: &Frame) -> Option<Request> {
+        let data = frame.eight().filter(|_| frame.extended)?;
+        if frame.id & 0xff != u32::from(self.drive.id) {
+            return None;
+        }
+        let [p, v, kp, kd] = unpack(data);
+        let order = match frame.id >> 24 {
+            kind::COMMAND => {
+                let steps = f32::from(STEPS);
+                return Some(Request::Command(JointCommand {
+                    position: from_centred(p, self.scales.position, STEPS),
+                    velocity: from_centred(v, self.scales.velocity, STEPS),
+                    torque: from_centred((frame.id >> 8) as u16, self.scales.torque, STEPS),
+                    kp: f32::from(kp) * self.scales.kp / steps,
+                    kd: f32::from(kd) * self.scales.kd / steps,
+                }));
+            }
+            kind::ENABLE => Order::Enable,
+            kind::STOP if data.starts_with(&[1]) => Order::ClearFault,
+            kind::STOP => Order::Disable,
+            kind::ZERO => Order::SetZero,
+            kind::READ if data.starts_with(&TORQUE_LIMIT.to_le_bytes()) => {
+                Order::ReadScale(Scale::Torque)
+            }
+            _ => return None,
+        };
+        Some(Request::Order(order))
+    }
+
+    pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
+        let bytes = pack([
+            code_of(reply.position, self.scales.position, STEPS),
+            code_of(reply.velocity, self.scales.velocity, STEPS),
+            code_of(reply.torque, self.scales.torque, STEPS),
+            nearest(reply.temperature.unwrap_or_default() * 10.0).clamp(0, STEPS.into()) as u16,
+        ]);
+        let state = match reply.state.unwrap_or_default() {
+            DriveState::Disabled => 0,
+            DriveState::Enabled => 2 << 14,
+            DriveState::Fault(faults) => (faults.clamp(1, 0x3f) as u16) << 8,
+        };
+        let id = kind::REPLY << 24 | u32::from(state | self.drive.id & 0xff) << 8;
+        push(
+            frames,
+            Frame::extended(id | u32::from(self.drive.host_id), &bytes),
+        );
+    }
+
+    pub(super) fn reply_scale(&self, _: Scale, value: f32, frames: &mut Frames) {
+        let ([low, high], [v0, v1, v2, v3]) = (TORQUE_LIMIT.to_le_bytes(), value.to_le_bytes());
+        let bytes = [low, high, 0, 0, v0, v1, v2, v3];
+        send(kind::READ, self.drive.id, self.drive.host_id, bytes, frames);
+    }
 }
 
 /// Adds steps to the torque in the identifier of a motion command; saturates.

@@ -1,5 +1,6 @@
-//! CAN frames, classic and FD.
+//! CAN frames, classic and FD, and the packed integers in them: scaling, saturation, rounding error.
 
+use super::{JointCommand, Ranges};
 use core::fmt;
 
 /// One CAN frame, classic (at most 8 bytes) or FD (at most 64).
@@ -108,5 +109,124 @@ impl fmt::Debug for Frame {
         self.bytes()
             .iter()
             .try_for_each(|byte| write!(f, "{byte:02X}"))
+    }
+}
+
+/// Flags of one command: what did not fit its field.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Saturation(pub u8);
+
+impl Saturation {
+    /// Position out of the field's range.
+    pub const POSITION: Self = Self(1);
+    /// Velocity out of the field's range.
+    pub const VELOCITY: Self = Self(1 << 1);
+    /// Torque beyond the profile's limit or the field's range.
+    pub const TORQUE: Self = Self(1 << 2);
+    /// Stiffness out of the field's range.
+    pub const KP: Self = Self(1 << 3);
+    /// Damping out of the field's range.
+    pub const KD: Self = Self(1 << 4);
+    /// A value is not finite, or the protocol has no such command: no torque.
+    pub const REFUSED: Self = Self(1 << 7);
+
+    /// No flag is set.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Every flag of `other` is set.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Sets the flags of `other`.
+    pub const fn insert(&mut self, other: Self) {
+        self.0 |= other.0;
+    }
+
+    /// `value` within ±`limit`; sets `flag` where it was not.
+    pub(super) fn clamp(&mut self, value: f32, limit: f32, flag: Self) -> f32 {
+        self.clamp_in(value, -limit, limit, flag)
+    }
+
+    /// `value` within `low` and `high`; sets `flag` where it was not.
+    pub(super) fn clamp_in(&mut self, value: f32, low: f32, high: f32, flag: Self) -> f32 {
+        if value < low {
+            self.insert(flag);
+            low
+        } else if value > high {
+            self.insert(flag);
+            high
+        } else {
+            value
+        }
+    }
+}
+
+/// Rounding errors of one joint's last command, carried over to its next one, in steps of their fields.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Carry {
+    pub(super) velocity: f32,
+    pub(super) torque: f32,
+}
+
+/// Integer nearest to `value`, halves away from zero.
+pub(super) fn nearest(value: f32) -> i32 {
+    // The cast truncates and saturates.
+    (if value < 0.0 {
+        value - 0.5
+    } else {
+        value + 0.5
+    }) as i32
+}
+
+/// Integer nearest to `value + carry` within `low` and `high`; keeps the rounding error in `carry`.
+pub(super) fn carried(value: f32, carry: &mut f32, low: i32, high: i32) -> i32 {
+    let wanted = value + *carry;
+    let code = nearest(wanted).max(low).min(high);
+    *carry = (wanted - code as f32).clamp(-0.5, 0.5);
+    code
+}
+
+/// Code of `value` in a field of `steps` steps from −`scale` to +`scale`, not rounded.
+pub(super) fn centred(value: f32, scale: f32, steps: u16) -> f32 {
+    (value + scale) * f32::from(steps) / (2.0 * scale)
+}
+
+/// Value of a code of such a field.
+pub(super) fn from_centred(code: u16, scale: f32, steps: u16) -> f32 {
+    f32::from(code) * (2.0 * scale) / f32::from(steps) - scale
+}
+
+/// Code of a measured value in such a field; an absent one counts as 0.
+pub(super) fn code_of(value: Option<f32>, scale: f32, steps: u16) -> u16 {
+    nearest(centred(value.unwrap_or_default(), scale, steps)).clamp(0, steps.into()) as u16
+}
+
+/// Eight bytes of two numbers, little endian.
+pub(super) fn pair(first: f32, second: f32) -> [u8; 8] {
+    let ([a0, a1, a2, a3], [b0, b1, b2, b3]) = (first.to_le_bytes(), second.to_le_bytes());
+    [a0, a1, a2, a3, b0, b1, b2, b3]
+}
+
+/// The two numbers of eight bytes, little endian.
+pub(super) fn unpair([a0, a1, a2, a3, b0, b1, b2, b3]: [u8; 8]) -> (f32, f32) {
+    (
+        f32::from_le_bytes([a0, a1, a2, a3]),
+        f32::from_le_bytes([b0, b1, b2, b3]),
+    )
+}
+
+impl Ranges {
+    /// A command in the coordinates of the drive within the fields; sets the flags of what was not.
+    pub(super) fn clamp(&self, command: &JointCommand, flags: &mut Saturation) -> JointCommand {
+        JointCommand {
+            position: flags.clamp(command.position, self.position, Saturation::POSITION),
+            velocity: flags.clamp(command.velocity, self.velocity, Saturation::VELOCITY),
+            torque: flags.clamp(command.torque, self.torque, Saturation::TORQUE),
+            kp: flags.clamp_in(command.kp, 0.0, self.kp, Saturation::KP),
+            kd: flags.clamp_in(command.kd, 0.0, self.kd, Saturation::KD),
+        }
     }
 }

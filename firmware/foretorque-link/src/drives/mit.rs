@@ -9,10 +9,10 @@
 //!
 //! Sources: bgkatz/motorcontrol `can.cpp`; Damiao's DM-J manual.
 
-use super::quantity::{carried, centred, code_of, from_centred, nearest};
+use super::frame::{carried, centred, code_of, from_centred, nearest};
 use super::{
-    Carry, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Ranges,
-    Request, Saturation, Scale, push,
+    DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Outgoing,
+    Ranges, Request, Saturation, Scale, push,
 };
 
 const FINE: u16 = 0xffff;
@@ -23,43 +23,156 @@ const READ: u8 = 0x33;
 /// First bytes of an order.
 const PREFIX: [u8; 7] = [0xff; 7];
 
-/// The eight bytes of a command in the coordinates of the drive.
-pub(super) fn command(
-    ranges: &Ranges,
-    command: &JointCommand,
-    carry: &mut Carry,
-    flags: &mut Saturation,
-) -> [u8; 8] {
-    let JointCommand {
-        position,
-        velocity,
-        torque,
-        kp,
-        kd,
-    } = ranges.clamp(command, flags);
-    let coarse = i32::from(COARSE);
-    let p = nearest(centred(position, ranges.position, FINE)) as u16;
-    let v = carried(
-        centred(velocity, ranges.velocity, COARSE),
-        &mut carry.velocity,
-        0,
-        coarse,
-    ) as u16;
-    let t = carried(
-        centred(torque, ranges.torque, COARSE),
-        &mut carry.torque,
-        0,
-        coarse,
-    ) as u16;
-    let kp = nearest(kp * f32::from(COARSE) / ranges.kp) as u16;
-    let kd = nearest(kd * f32::from(COARSE) / ranges.kd) as u16;
-    let data = pack(p, v, kp, kd, t);
-    if data.starts_with(&PREFIX) {
-        // Seven bytes of 0xff are the prefix of an order.
-        flags.insert(Saturation::POSITION);
-        return pack(p.saturating_sub(1), v, kp, kd, t);
+/// Codec of one drive.
+pub(super) struct Codec<'p> {
+    pub(super) drive: &'p DriveProfile,
+    pub(super) scales: &'p Ranges,
+    /// With registers, status and clearing of faults.
+    pub(super) damiao: bool,
+}
+
+impl Codec<'_> {
+    pub(super) fn command(&self, command: &JointCommand, out: &mut Outgoing<'_>) {
+        let ranges = self.scales;
+        let command = ranges.clamp(command, out.flags);
+        let coarse = |value: f32, scale: f32, carry: &mut f32| {
+            carried(centred(value, scale, COARSE), carry, 0, COARSE.into()) as u16
+        };
+        let p = nearest(centred(command.position, ranges.position, FINE)) as u16;
+        let v = coarse(command.velocity, ranges.velocity, &mut out.carry.velocity);
+        let t = coarse(command.torque, ranges.torque, &mut out.carry.torque);
+        let kp = nearest(command.kp * f32::from(COARSE) / ranges.kp) as u16;
+        let kd = nearest(command.kd * f32::from(COARSE) / ranges.kd) as u16;
+        let mut data = pack(p, v, kp, kd, t);
+        if data.starts_with(&PREFIX) {
+            // Seven bytes of 0xff are the prefix of an order.
+            out.flags.insert(Saturation::POSITION);
+            data = pack(p.saturating_sub(1), v, kp, kd, t);
+        }
+        push(out.frames, Frame::standard(self.drive.id.into(), &data));
     }
-    data
+
+    pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
+        let last = match (order, self.damiao) {
+            (Order::Enable, _) => 0xfc,
+            (Order::Disable, _) => 0xfd,
+            (Order::SetZero, _) => 0xfe,
+            (Order::ClearFault, true) => 0xfb,
+            (Order::ReadScale(scale), true) => {
+                let [low, high] = self.drive.id.to_le_bytes();
+                let data = [low, high, READ, register(scale), 0, 0, 0, 0];
+                push(frames, Frame::standard(REGISTERS, &data));
+                return true;
+            }
+            (Order::Report, true) => {
+                let [low, high] = self.drive.id.to_le_bytes();
+                let data = [low, high, 0xcc, 0, 0, 0, 0, 0];
+                push(frames, Frame::standard(REGISTERS, &data));
+                return true;
+            }
+            (Order::ClearFault | Order::ReadScale(_) | Order::Report, false) => return false,
+        };
+        let data = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, last];
+        push(frames, Frame::standard(self.drive.id.into(), &data));
+        true
+    }
+
+    pub(super) fn decode(&self, frame: &Frame) -> Option<Event> {
+        let ranges = self.scales;
+        if !plain(frame, self.drive.host_id) {
+            return None;
+        }
+        if !self.damiao {
+            let (&[id, p0, p1, v, vt, t], _) = frame.bytes().split_first_chunk()?;
+            let own = u16::from(id) == self.drive.id;
+            return own.then(|| Event::Reply(measured(ranges, [p0, p1, v, vt, t])));
+        }
+        let data = frame.eight()?;
+        let [low, high, kind, index, value @ ..] = data;
+        if kind == READ
+            && u16::from_le_bytes([low, high]) == self.drive.id
+            && let Some(scale) = scale_of(index)
+        {
+            let value = f32::from_le_bytes(value);
+            return value.is_finite().then_some(Event::Scale(scale, value));
+        }
+        let [first, p0, p1, v, vt, t, mosfet, rotor] = data;
+        if u16::from(first & 0xf) != self.drive.id & 0xf {
+            return None;
+        }
+        let state = match first >> 4 {
+            0 => DriveState::Disabled,
+            1 => DriveState::Enabled,
+            code => DriveState::Fault(code.into()),
+        };
+        let reply = JointReply {
+            temperature: Some(mosfet.max(rotor).into()),
+            state: Some(state),
+            ..measured(ranges, [p0, p1, v, vt, t])
+        };
+        Some(Event::Reply(reply))
+    }
+
+    pub(super) fn accept(&self, frame: &Frame) -> Option<Request> {
+        let (data, ranges) = (frame.eight()?, self.scales);
+        if self.damiao && plain(frame, REGISTERS as u16) {
+            let [low, high, kind, index, ..] = data;
+            let own = u16::from_le_bytes([low, high]) == self.drive.id;
+            let order = match kind {
+                READ => Order::ReadScale(scale_of(index)?),
+                0xcc => Order::Report,
+                _ => return None,
+            };
+            return own.then_some(Request::Order(order));
+        }
+        if !plain(frame, self.drive.id) {
+            return None;
+        }
+        let [p0, p1, v, vk, kp, kd, kt, t] = data;
+        if data.starts_with(&PREFIX) {
+            match t {
+                0xfc => return Some(Request::Order(Order::Enable)),
+                0xfd => return Some(Request::Order(Order::Disable)),
+                0xfe => return Some(Request::Order(Order::SetZero)),
+                0xfb if self.damiao => return Some(Request::Order(Order::ClearFault)),
+                _ => {}
+            }
+        }
+        let motion = measured(ranges, [p0, p1, v, vk & 0xf0 | kt & 0xf, t]);
+        let kp = u16::from(vk & 0xf) << 8 | u16::from(kp);
+        let kd = u16::from(kd) << 4 | u16::from(kt) >> 4;
+        Some(Request::Command(JointCommand {
+            position: motion.position.unwrap_or_default(),
+            velocity: motion.velocity.unwrap_or_default(),
+            torque: motion.torque.unwrap_or_default(),
+            kp: f32::from(kp) * ranges.kp / f32::from(COARSE),
+            kd: f32::from(kd) * ranges.kd / f32::from(COARSE),
+        }))
+    }
+
+    pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
+        let status = match reply.state.unwrap_or_default() {
+            DriveState::Disabled => 0,
+            DriveState::Enabled => 1,
+            DriveState::Fault(code) => code.clamp(2, 15) as u8,
+        };
+        let (id, [p0, p1, v, vt, t]) = (self.drive.id as u8, measurement(self.scales, reply));
+        let celsius = reply.temperature.unwrap_or_default() as u8;
+        let damiao = [status << 4 | id & 0xf, p0, p1, v, vt, t, celsius, celsius];
+        let mini_cheetah = [id, p0, p1, v, vt, t];
+        let data: &[u8] = if self.damiao { &damiao } else { &mini_cheetah };
+        push(frames, Frame::standard(self.drive.host_id.into(), data));
+    }
+
+    pub(super) fn reply_scale(&self, scale: Scale, value: f32, frames: &mut Frames) {
+        if !self.damiao {
+            return;
+        }
+        let [low, high] = self.drive.id.to_le_bytes();
+        let [v0, v1, v2, v3] = value.to_le_bytes();
+        let data = [low, high, READ, register(scale), v0, v1, v2, v3];
+        push(frames, Frame::standard(self.drive.host_id.into(), &data));
+    }
 }
 
 fn pack(p: u16, v: u16, kp: u16, kd: u16, t: u16) -> [u8; 8] {
@@ -123,163 +236,8 @@ const fn scale_of(register: u8) -> Option<Scale> {
     }
 }
 
-/// Appends the frame of an order; `damiao`: with clearing of faults and with registers.
-pub(super) fn order(
-    profile: &DriveProfile,
-    order: Order,
-    damiao: bool,
-    frames: &mut Frames,
-) -> bool {
-    let last = match (order, damiao) {
-        (Order::Enable, _) => 0xfc,
-        (Order::Disable, _) => 0xfd,
-        (Order::SetZero, _) => 0xfe,
-        (Order::ClearFault, true) => 0xfb,
-        (Order::ReadScale(scale), true) => {
-            let [low, high] = profile.id.to_le_bytes();
-            let data = [low, high, READ, register(scale), 0, 0, 0, 0];
-            push(frames, Frame::standard(REGISTERS, &data));
-            return true;
-        }
-        (Order::Report, true) => {
-            let [low, high] = profile.id.to_le_bytes();
-            let data = [low, high, 0xcc, 0, 0, 0, 0, 0];
-            push(frames, Frame::standard(REGISTERS, &data));
-            return true;
-        }
-        (Order::ClearFault | Order::ReadScale(_) | Order::Report, false) => return false,
-    };
-    let data = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, last];
-    push(frames, Frame::standard(profile.id.into(), &data));
-    true
-}
-
 fn plain(frame: &Frame, id: u16) -> bool {
     !frame.extended && !frame.remote && frame.id == u32::from(id)
-}
-
-pub(super) fn decode_mini_cheetah(
-    profile: &DriveProfile,
-    ranges: &Ranges,
-    frame: &Frame,
-) -> Option<Event> {
-    let (&[id, p0, p1, v, vt, t], _) = frame.bytes().split_first_chunk()?;
-    let own = plain(frame, profile.host_id) && u16::from(id) == profile.id;
-    own.then(|| Event::Reply(measured(ranges, [p0, p1, v, vt, t])))
-}
-
-pub(super) fn decode_damiao(
-    profile: &DriveProfile,
-    ranges: &Ranges,
-    frame: &Frame,
-) -> Option<Event> {
-    let data = frame.eight().filter(|_| plain(frame, profile.host_id))?;
-    let [low, high, kind, index, value @ ..] = data;
-    if kind == READ
-        && u16::from_le_bytes([low, high]) == profile.id
-        && let Some(scale) = scale_of(index)
-    {
-        let value = f32::from_le_bytes(value);
-        return value.is_finite().then_some(Event::Scale(scale, value));
-    }
-    let [first, p0, p1, v, vt, t, mosfet, rotor] = data;
-    if u16::from(first & 0xf) != profile.id & 0xf {
-        return None;
-    }
-    let state = match first >> 4 {
-        0 => DriveState::Disabled,
-        1 => DriveState::Enabled,
-        code => DriveState::Fault(code.into()),
-    };
-    let reply = JointReply {
-        temperature: Some(mosfet.max(rotor).into()),
-        state: Some(state),
-        ..measured(ranges, [p0, p1, v, vt, t])
-    };
-    Some(Event::Reply(reply))
-}
-
-pub(super) fn accept(
-    profile: &DriveProfile,
-    ranges: &Ranges,
-    damiao: bool,
-    frame: &Frame,
-) -> Option<Request> {
-    let data = frame.eight()?;
-    if damiao && plain(frame, REGISTERS as u16) {
-        let [low, high, kind, index, ..] = data;
-        let own = u16::from_le_bytes([low, high]) == profile.id;
-        let order = match kind {
-            READ => Order::ReadScale(scale_of(index)?),
-            0xcc => Order::Report,
-            _ => return None,
-        };
-        return own.then_some(Request::Order(order));
-    }
-    if !plain(frame, profile.id) {
-        return None;
-    }
-    let [p0, p1, v, vk, kp, kd, kt, t] = data;
-    if data.starts_with(&PREFIX) {
-        match t {
-            0xfc => return Some(Request::Order(Order::Enable)),
-            0xfd => return Some(Request::Order(Order::Disable)),
-            0xfe => return Some(Request::Order(Order::SetZero)),
-            0xfb if damiao => return Some(Request::Order(Order::ClearFault)),
-            _ => {}
-        }
-    }
-    let motion = measured(ranges, [p0, p1, v, vk & 0xf0 | kt & 0xf, t]);
-    let kp = u16::from(vk & 0xf) << 8 | u16::from(kp);
-    let kd = u16::from(kd) << 4 | u16::from(kt) >> 4;
-    Some(Request::Command(JointCommand {
-        position: motion.position.unwrap_or_default(),
-        velocity: motion.velocity.unwrap_or_default(),
-        torque: motion.torque.unwrap_or_default(),
-        kp: f32::from(kp) * ranges.kp / f32::from(COARSE),
-        kd: f32::from(kd) * ranges.kd / f32::from(COARSE),
-    }))
-}
-
-pub(super) fn reply_mini_cheetah(
-    profile: &DriveProfile,
-    ranges: &Ranges,
-    reply: &JointReply,
-    frames: &mut Frames,
-) {
-    let [p0, p1, v, vt, t] = measurement(ranges, reply);
-    let data = [profile.id as u8, p0, p1, v, vt, t];
-    push(frames, Frame::standard(profile.host_id.into(), &data));
-}
-
-pub(super) fn reply_damiao(
-    profile: &DriveProfile,
-    ranges: &Ranges,
-    reply: &JointReply,
-    frames: &mut Frames,
-) {
-    let status = match reply.state.unwrap_or_default() {
-        DriveState::Disabled => 0,
-        DriveState::Enabled => 1,
-        DriveState::Fault(code) => code.clamp(2, 15) as u8,
-    };
-    let [p0, p1, v, vt, t] = measurement(ranges, reply);
-    let celsius = reply.temperature.unwrap_or_default() as u8;
-    let first = status << 4 | profile.id as u8 & 0xf;
-    let data = [first, p0, p1, v, vt, t, celsius, celsius];
-    push(frames, Frame::standard(profile.host_id.into(), &data));
-}
-
-pub(super) fn reply_register(
-    profile: &DriveProfile,
-    scale: Scale,
-    value: f32,
-    frames: &mut Frames,
-) {
-    let [low, high] = profile.id.to_le_bytes();
-    let [v0, v1, v2, v3] = value.to_le_bytes();
-    let data = [low, high, READ, register(scale), v0, v1, v2, v3];
-    push(frames, Frame::standard(profile.host_id.into(), &data));
 }
 
 /// Adds steps to the torque of a motion command; saturates. A frame that is an order, or would become one, stays.

@@ -19,14 +19,12 @@ mod mit;
 mod moteus;
 mod odrive;
 mod profile;
-mod quantity;
 pub mod text;
 
-pub use frame::Frame;
+pub use frame::{Carry, Frame, Saturation};
 pub use profile::{
     Cia402, ControlMode, DriveProfile, Moteus, Odrive, ProfileError, Protocol, Ranges, Resolution,
 };
-pub use quantity::{Carry, Saturation};
 
 /// Radians of a turn.
 const TURN: f32 = core::f32::consts::TAU;
@@ -150,6 +148,47 @@ pub enum Request {
     Order(Order),
 }
 
+/// Frames of a motion command, the rounding errors it takes and leaves, and flags of what saturated.
+struct Outgoing<'o> {
+    frames: &'o mut Frames,
+    carry: &'o mut Carry,
+    flags: &'o mut Saturation,
+}
+
+/// The call on the codec of a profile.
+macro_rules! codec {
+    ($profile:expr, $codec:ident => $call:expr) => {{
+        let drive = $profile;
+        match &drive.protocol {
+            Protocol::MiniCheetah(scales) | Protocol::Damiao(scales) => {
+                let damiao = matches!(drive.protocol, Protocol::Damiao(_));
+                let $codec = mit::Codec {
+                    drive,
+                    scales,
+                    damiao,
+                };
+                $call
+            }
+            Protocol::CyberGear(scales) | Protocol::RobStride(scales) => {
+                let $codec = cybergear::Codec { drive, scales };
+                $call
+            }
+            Protocol::Moteus(scales) => {
+                let $codec = moteus::Codec { drive, scales };
+                $call
+            }
+            Protocol::Odrive(scales) => {
+                let $codec = odrive::Codec { drive, scales };
+                $call
+            }
+            Protocol::Cia402(scales) => {
+                let $codec = cia402::Codec { drive, scales };
+                $call
+            }
+        }
+    }};
+}
+
 impl DriveProfile {
     /// Appends the frames of a motion command. Flags of what saturated; [`Saturation::REFUSED`] where a value was not
     /// finite, and then the frames take the torque off and `carry` is cleared.
@@ -170,54 +209,23 @@ impl DriveProfile {
             self.order(Order::Disable, frames);
             return Saturation::REFUSED;
         }
-        match &self.protocol {
-            Protocol::MiniCheetah(ranges) | Protocol::Damiao(ranges) => {
-                let data = mit::command(ranges, &drive, carry, &mut flags);
-                push(frames, Frame::standard(self.id.into(), &data));
-            }
-            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
-                cybergear::command(self, ranges, &drive, carry, &mut flags, frames);
-            }
-            Protocol::Moteus(scales) => {
-                moteus::command(self, scales, &drive, carry, &mut flags, frames);
-            }
-            Protocol::Odrive(scales) => {
-                odrive::command(self, scales, &drive, carry, &mut flags, frames);
-            }
-            Protocol::Cia402(scales) => {
-                cia402::command(self, scales, &drive, carry, &mut flags, frames);
-            }
-        }
+        let mut out = Outgoing {
+            frames,
+            carry,
+            flags: &mut flags,
+        };
+        codec!(self, codec => codec.command(&drive, &mut out));
         flags
     }
 
     /// Appends the frames of an order. `false`: the protocol has none for it.
     pub fn order(&self, order: Order, frames: &mut Frames) -> bool {
-        match &self.protocol {
-            Protocol::MiniCheetah(_) => mit::order(self, order, false, frames),
-            Protocol::Damiao(_) => mit::order(self, order, true, frames),
-            Protocol::CyberGear(_) | Protocol::RobStride(_) => {
-                cybergear::order(self, order, frames)
-            }
-            Protocol::Moteus(scales) => moteus::order(self, scales, order, frames),
-            Protocol::Odrive(scales) => odrive::order(self, scales, order, frames),
-            Protocol::Cia402(scales) => cia402::order(self, scales, order, frames),
-        }
+        codec!(self, codec => codec.order(order, frames))
     }
 
     /// Content of a frame from this drive; `None` for any other frame.
     pub fn decode(&self, frame: &Frame) -> Option<Event> {
-        let event = match &self.protocol {
-            Protocol::MiniCheetah(ranges) => mit::decode_mini_cheetah(self, ranges, frame),
-            Protocol::Damiao(ranges) => mit::decode_damiao(self, ranges, frame),
-            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
-                cybergear::decode(self, ranges, frame)
-            }
-            Protocol::Moteus(_) => moteus::decode(self, frame),
-            Protocol::Odrive(scales) => odrive::decode(self, scales, frame),
-            Protocol::Cia402(scales) => cia402::decode(self, scales, frame),
-        }?;
-        Some(match event {
+        Some(match codec!(self, codec => codec.decode(frame))? {
             Event::Reply(reply) => Event::Reply(self.reply_of_joint(&reply)),
             scale @ Event::Scale(..) => scale,
         })
@@ -225,17 +233,7 @@ impl DriveProfile {
 
     /// Content of a frame to this drive, as the drive reads it; `None` for any other frame.
     pub fn accept(&self, frame: &Frame) -> Option<Request> {
-        let request = match &self.protocol {
-            Protocol::MiniCheetah(ranges) => mit::accept(self, ranges, false, frame),
-            Protocol::Damiao(ranges) => mit::accept(self, ranges, true, frame),
-            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
-                cybergear::accept(self, ranges, frame)
-            }
-            Protocol::Moteus(scales) => moteus::accept(self, scales, frame),
-            Protocol::Odrive(scales) => odrive::accept(self, scales, frame),
-            Protocol::Cia402(scales) => cia402::accept(self, scales, frame),
-        }?;
-        match request {
+        match codec!(self, codec => codec.accept(frame))? {
             Request::Command(command) => {
                 let command = self.in_joint(&command);
                 command.is_finite().then_some(Request::Command(command))
@@ -256,29 +254,12 @@ impl DriveProfile {
             torque: Some(torque),
             ..*reply
         };
-        match &self.protocol {
-            Protocol::MiniCheetah(ranges) => mit::reply_mini_cheetah(self, ranges, &drive, frames),
-            Protocol::Damiao(ranges) => mit::reply_damiao(self, ranges, &drive, frames),
-            Protocol::CyberGear(ranges) | Protocol::RobStride(ranges) => {
-                cybergear::reply(self, ranges, &drive, frames);
-            }
-            Protocol::Moteus(scales) => moteus::reply(self, scales, &drive, frames),
-            Protocol::Odrive(_) => odrive::reply(self, &drive, frames),
-            Protocol::Cia402(scales) => cia402::reply(self, scales, &drive, frames),
-        }
+        codec!(self, codec => codec.reply(&drive, frames));
     }
 
     /// Appends the frame by which this drive reports a scale, in the unit of the profile's field.
     pub fn reply_scale(&self, scale: Scale, value: f32, frames: &mut Frames) {
-        match &self.protocol {
-            Protocol::Damiao(_) => mit::reply_register(self, scale, value, frames),
-            Protocol::CyberGear(_) | Protocol::RobStride(_) => {
-                cybergear::reply_scale(self, value, frames);
-            }
-            Protocol::Odrive(scales) => odrive::reply_scale(self, scales, value, frames),
-            Protocol::Cia402(_) => cia402::reply_scale(self, value, frames),
-            Protocol::MiniCheetah(_) | Protocol::Moteus(_) => {}
-        }
+        codec!(self, codec => codec.reply_scale(scale, value, frames));
     }
 
     fn reply_of_joint(&self, drive: &JointReply) -> JointReply {

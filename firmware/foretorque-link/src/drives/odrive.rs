@@ -3,10 +3,10 @@
 //! Turns and turns/s of the axis' coordinate, N·m. `Set_Input_Pos` carries velocity and torque as scaled i16, the other
 //! two inputs as f32. Source: ODrive's CAN protocol and DBC, firmware 0.6.
 
-use super::quantity::{carried, pair, unpair};
+use super::frame::{carried, pair, unpair};
 use super::{
-    Carry, ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply,
-    Odrive, Order, Request, Saturation, Scale, TURN, push,
+    ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Odrive,
+    Order, Outgoing, Request, Saturation, Scale, TURN, push,
 };
 
 /// Commands of the identifier.
@@ -29,218 +29,191 @@ mod command {
 const IDLE: u32 = 1;
 const CLOSED_LOOP: u32 = 8;
 
-fn id(profile: &DriveProfile, command: u16) -> u32 {
-    u32::from(profile.id << 5 | command)
+/// Codec of one drive.
+pub(super) struct Codec<'p> {
+    pub(super) drive: &'p DriveProfile,
+    pub(super) scales: &'p Odrive,
 }
 
-fn send(profile: &DriveProfile, command: u16, bytes: &[u8], frames: &mut Frames) {
-    push(frames, Frame::standard(id(profile, command), bytes));
+impl Codec<'_> {
+    fn id(&self, command: u16) -> u32 {
+        u32::from(self.drive.id << 5 | command)
+    }
+
+    fn send(&self, command: u16, bytes: &[u8], frames: &mut Frames) {
+        push(frames, Frame::standard(self.id(command), bytes));
+    }
+
+    fn poll(&self, frames: &mut Frames) {
+        for command in [command::ESTIMATES, command::TORQUES] {
+            push(frames, Frame::remote(self.id(command)));
+        }
+    }
+
+    pub(super) fn command(&self, motion: &JointCommand, out: &mut Outgoing<'_>) {
+        let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
+        match self.scales.mode {
+            ControlMode::Position => {
+                let most = f32::from(i16::MAX);
+                let mut code = |value: f32, carry: &mut f32, flag: Saturation| {
+                    let value = out.flags.clamp(value, most, flag);
+                    carried(value, carry, (-i16::MAX).into(), i16::MAX.into()) as i16
+                };
+                let speed = speed * self.scales.velocity_scale;
+                let torque = motion.torque * self.scales.torque_scale;
+                let speed =
+                    code(speed, &mut out.carry.velocity, Saturation::VELOCITY).to_le_bytes();
+                let torque = code(torque, &mut out.carry.torque, Saturation::TORQUE).to_le_bytes();
+                let ([p0, p1, p2, p3], [v0, v1], [t0, t1]) = (turns.to_le_bytes(), speed, torque);
+                let bytes = [p0, p1, p2, p3, v0, v1, t0, t1];
+                self.send(command::POSITION, &bytes, out.frames);
+            }
+            ControlMode::Velocity => {
+                self.send(command::VELOCITY, &pair(speed, motion.torque), out.frames);
+            }
+            ControlMode::Torque => {
+                self.send(command::TORQUE, &pair(motion.torque, 0.0), out.frames);
+            }
+        }
+        if self.scales.polled {
+            self.poll(out.frames);
+        }
+    }
+
+    pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
+        match order {
+            Order::Enable => {
+                let control = match self.scales.mode {
+                    ControlMode::Torque => 1_u8,
+                    ControlMode::Velocity => 2,
+                    ControlMode::Position => 3,
+                };
+                // Input mode 1: pass-through.
+                self.send(command::MODE, &[control, 0, 0, 0, 1, 0, 0, 0], frames);
+                self.send(command::STATE, &state(CLOSED_LOOP), frames);
+            }
+            Order::Disable => self.send(command::STATE, &state(IDLE), frames),
+            Order::ClearFault => self.send(command::CLEAR, &[0], frames),
+            Order::SetZero => self.send(command::ZERO, &[0; 8], frames),
+            Order::Report => self.poll(frames),
+            Order::ReadScale(Scale::Torque) if self.scales.torque_scale_endpoint != 0 => {
+                let [low, high] = self.scales.torque_scale_endpoint.to_le_bytes();
+                self.send(command::READ, &[0, low, high, 0, 0, 0, 0, 0], frames);
+            }
+            Order::ReadScale(_) => return false,
+        }
+        true
+    }
+
+    pub(super) fn decode(&self, frame: &Frame) -> Option<Event> {
+        let data = frame.eight().filter(|_| !frame.extended)?;
+        if frame.id >> 5 != u32::from(self.drive.id) {
+            return None;
+        }
+        let (first, second) = unpair(data);
+        let finite = |value: f32| value.is_finite().then_some(value);
+        let mut reply = JointReply::default();
+        match (frame.id & 0x1f) as u16 {
+            command::ESTIMATES => {
+                reply.position = finite(first * TURN);
+                reply.velocity = finite(second * TURN);
+            }
+            command::TORQUES => reply.torque = finite(second),
+            command::TEMPERATURE => {
+                let highest = if first > second { first } else { second };
+                reply.temperature = finite(highest);
+            }
+            command::HEARTBEAT => {
+                let [error @ .., state, _, _, _] = data;
+                reply.state = Some(match (u32::from_le_bytes(error), u32::from(state)) {
+                    (0, CLOSED_LOOP) => DriveState::Enabled,
+                    (0, _) => DriveState::Disabled,
+                    (error, _) => DriveState::Fault(error),
+                });
+            }
+            command::VALUE => {
+                let [_, low, high, ..] = data;
+                let own = u16::from_le_bytes([low, high]) == self.scales.torque_scale_endpoint;
+                let value =
+                    finite(second).filter(|_| own && self.scales.torque_scale_endpoint != 0)?;
+                return Some(Event::Scale(Scale::Torque, value));
+            }
+            _ => return None,
+        }
+        Some(Event::Reply(reply))
+    }
+
+    pub(super) fn accept(&self, frame: &Frame) -> Option<Request> {
+        if frame.extended || frame.id >> 5 != u32::from(self.drive.id) {
+            return None;
+        }
+        let kind = (frame.id & 0x1f) as u16;
+        if frame.remote {
+            // The drive answers the other remote frame, too, with the reply to this one.
+            return (kind == command::ESTIMATES).then_some(Request::Order(Order::Report));
+        }
+        let mut data = [0; 8];
+        data.iter_mut()
+            .zip(frame.bytes())
+            .for_each(|(to, from)| *to = *from);
+        let (first, second) = unpair(data);
+        let mut motion = JointCommand::default();
+        match (kind, frame.bytes().len()) {
+            (command::POSITION, 8) => {
+                let [_, _, _, _, v0, v1, t0, t1] = data;
+                motion.position = first * TURN;
+                motion.velocity =
+                    f32::from(i16::from_le_bytes([v0, v1])) * TURN / self.scales.velocity_scale;
+                motion.torque = f32::from(i16::from_le_bytes([t0, t1])) / self.scales.torque_scale;
+            }
+            (command::VELOCITY, 8) => (motion.velocity, motion.torque) = (first * TURN, second),
+            (command::TORQUE, 4 | 8) => motion.torque = first,
+            (command::STATE, 4 | 8) => {
+                let [state @ .., _, _, _, _] = data;
+                return match u32::from_le_bytes(state) {
+                    CLOSED_LOOP => Some(Request::Order(Order::Enable)),
+                    IDLE => Some(Request::Order(Order::Disable)),
+                    _ => None,
+                };
+            }
+            (command::CLEAR, _) => return Some(Request::Order(Order::ClearFault)),
+            (command::ZERO, 4 | 8) => return Some(Request::Order(Order::SetZero)),
+            (command::READ, 8) => {
+                let [_, low, high, ..] = data;
+                let own = u16::from_le_bytes([low, high]) == self.scales.torque_scale_endpoint;
+                return own.then_some(Request::Order(Order::ReadScale(Scale::Torque)));
+            }
+            _ => return None,
+        }
+        motion.is_finite().then_some(Request::Command(motion))
+    }
+
+    pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
+        let turns = |value: Option<f32>| value.unwrap_or_default() / TURN;
+        let estimates = pair(turns(reply.position), turns(reply.velocity));
+        self.send(command::ESTIMATES, &estimates, frames);
+        let torque = reply.torque.unwrap_or_default();
+        self.send(command::TORQUES, &pair(torque, torque), frames);
+        let (error, state) = match reply.state.unwrap_or_default() {
+            DriveState::Disabled => (0, IDLE),
+            DriveState::Enabled => (0, CLOSED_LOOP),
+            DriveState::Fault(error) => (error.max(1), IDLE),
+        };
+        let [e0, e1, e2, e3] = error.to_le_bytes();
+        let bytes = [e0, e1, e2, e3, state as u8, 0, 0, 0];
+        self.send(command::HEARTBEAT, &bytes, frames);
+    }
+
+    pub(super) fn reply_scale(&self, _: Scale, value: f32, frames: &mut Frames) {
+        let [low, high] = self.scales.torque_scale_endpoint.to_le_bytes();
+        let [v0, v1, v2, v3] = value.to_le_bytes();
+        self.send(command::VALUE, &[0, low, high, 0, v0, v1, v2, v3], frames);
+    }
 }
 
 /// The eight bytes of a requested state; the DBC has all frames with data at full length.
 const fn state(state: u32) -> [u8; 8] {
     (state as u64).to_le_bytes()
-}
-
-fn poll(profile: &DriveProfile, frames: &mut Frames) {
-    for command in [command::ESTIMATES, command::TORQUES] {
-        push(frames, Frame::remote(id(profile, command)));
-    }
-}
-
-pub(super) fn command(
-    profile: &DriveProfile,
-    scales: &Odrive,
-    motion: &JointCommand,
-    carry: &mut Carry,
-    flags: &mut Saturation,
-    frames: &mut Frames,
-) {
-    let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
-    match scales.mode {
-        ControlMode::Position => {
-            let most = f32::from(i16::MAX);
-            let mut code = |value: f32, carry: &mut f32, flag: Saturation| {
-                let value = flags.clamp(value, most, flag);
-                carried(value, carry, (-i16::MAX).into(), i16::MAX.into()) as i16
-            };
-            let speed = speed * scales.velocity_scale;
-            let torque = motion.torque * scales.torque_scale;
-            let speed = code(speed, &mut carry.velocity, Saturation::VELOCITY).to_le_bytes();
-            let torque = code(torque, &mut carry.torque, Saturation::TORQUE).to_le_bytes();
-            let ([p0, p1, p2, p3], [v0, v1], [t0, t1]) = (turns.to_le_bytes(), speed, torque);
-            let bytes = [p0, p1, p2, p3, v0, v1, t0, t1];
-            send(profile, command::POSITION, &bytes, frames);
-        }
-        ControlMode::Velocity => {
-            send(
-                profile,
-                command::VELOCITY,
-                &pair(speed, motion.torque),
-                frames,
-            );
-        }
-        ControlMode::Torque => {
-            send(profile, command::TORQUE, &pair(motion.torque, 0.0), frames);
-        }
-    }
-    if scales.polled {
-        poll(profile, frames);
-    }
-}
-
-pub(super) fn order(
-    profile: &DriveProfile,
-    scales: &Odrive,
-    order: Order,
-    frames: &mut Frames,
-) -> bool {
-    match order {
-        Order::Enable => {
-            let control = match scales.mode {
-                ControlMode::Torque => 1_u8,
-                ControlMode::Velocity => 2,
-                ControlMode::Position => 3,
-            };
-            // Input mode 1: pass-through.
-            send(
-                profile,
-                command::MODE,
-                &[control, 0, 0, 0, 1, 0, 0, 0],
-                frames,
-            );
-            send(profile, command::STATE, &state(CLOSED_LOOP), frames);
-        }
-        Order::Disable => send(profile, command::STATE, &state(IDLE), frames),
-        Order::ClearFault => send(profile, command::CLEAR, &[0], frames),
-        Order::SetZero => send(profile, command::ZERO, &[0; 8], frames),
-        Order::Report => poll(profile, frames),
-        Order::ReadScale(Scale::Torque) if scales.torque_scale_endpoint != 0 => {
-            let [low, high] = scales.torque_scale_endpoint.to_le_bytes();
-            send(
-                profile,
-                command::READ,
-                &[0, low, high, 0, 0, 0, 0, 0],
-                frames,
-            );
-        }
-        Order::ReadScale(_) => return false,
-    }
-    true
-}
-
-pub(super) fn decode(profile: &DriveProfile, scales: &Odrive, frame: &Frame) -> Option<Event> {
-    let data = frame.eight().filter(|_| !frame.extended)?;
-    if frame.id >> 5 != u32::from(profile.id) {
-        return None;
-    }
-    let (first, second) = unpair(data);
-    let finite = |value: f32| value.is_finite().then_some(value);
-    let mut reply = JointReply::default();
-    match (frame.id & 0x1f) as u16 {
-        command::ESTIMATES => {
-            reply.position = finite(first * TURN);
-            reply.velocity = finite(second * TURN);
-        }
-        command::TORQUES => reply.torque = finite(second),
-        command::TEMPERATURE => {
-            let highest = if first > second { first } else { second };
-            reply.temperature = finite(highest);
-        }
-        command::HEARTBEAT => {
-            let [error @ .., state, _, _, _] = data;
-            reply.state = Some(match (u32::from_le_bytes(error), u32::from(state)) {
-                (0, CLOSED_LOOP) => DriveState::Enabled,
-                (0, _) => DriveState::Disabled,
-                (error, _) => DriveState::Fault(error),
-            });
-        }
-        command::VALUE => {
-            let [_, low, high, ..] = data;
-            let own = u16::from_le_bytes([low, high]) == scales.torque_scale_endpoint;
-            let value = finite(second).filter(|_| own && scales.torque_scale_endpoint != 0)?;
-            return Some(Event::Scale(Scale::Torque, value));
-        }
-        _ => return None,
-    }
-    Some(Event::Reply(reply))
-}
-
-pub(super) fn accept(profile: &DriveProfile, scales: &Odrive, frame: &Frame) -> Option<Request> {
-    if frame.extended || frame.id >> 5 != u32::from(profile.id) {
-        return None;
-    }
-    let kind = (frame.id & 0x1f) as u16;
-    if frame.remote {
-        // The drive answers the other remote frame, too, with the reply to this one.
-        return (kind == command::ESTIMATES).then_some(Request::Order(Order::Report));
-    }
-    let mut data = [0; 8];
-    data.iter_mut()
-        .zip(frame.bytes())
-        .for_each(|(to, from)| *to = *from);
-    let (first, second) = unpair(data);
-    let mut motion = JointCommand::default();
-    match (kind, frame.bytes().len()) {
-        (command::POSITION, 8) => {
-            let [_, _, _, _, v0, v1, t0, t1] = data;
-            motion.position = first * TURN;
-            motion.velocity =
-                f32::from(i16::from_le_bytes([v0, v1])) * TURN / scales.velocity_scale;
-            motion.torque = f32::from(i16::from_le_bytes([t0, t1])) / scales.torque_scale;
-        }
-        (command::VELOCITY, 8) => (motion.velocity, motion.torque) = (first * TURN, second),
-        (command::TORQUE, 4 | 8) => motion.torque = first,
-        (command::STATE, 4 | 8) => {
-            let [state @ .., _, _, _, _] = data;
-            return match u32::from_le_bytes(state) {
-                CLOSED_LOOP => Some(Request::Order(Order::Enable)),
-                IDLE => Some(Request::Order(Order::Disable)),
-                _ => None,
-            };
-        }
-        (command::CLEAR, _) => return Some(Request::Order(Order::ClearFault)),
-        (command::ZERO, 4 | 8) => return Some(Request::Order(Order::SetZero)),
-        (command::READ, 8) => {
-            let [_, low, high, ..] = data;
-            let own = u16::from_le_bytes([low, high]) == scales.torque_scale_endpoint;
-            return own.then_some(Request::Order(Order::ReadScale(Scale::Torque)));
-        }
-        _ => return None,
-    }
-    motion.is_finite().then_some(Request::Command(motion))
-}
-
-pub(super) fn reply(profile: &DriveProfile, reply: &JointReply, frames: &mut Frames) {
-    let turns = |value: Option<f32>| value.unwrap_or_default() / TURN;
-    let estimates = pair(turns(reply.position), turns(reply.velocity));
-    send(profile, command::ESTIMATES, &estimates, frames);
-    let torque = reply.torque.unwrap_or_default();
-    send(profile, command::TORQUES, &pair(torque, torque), frames);
-    let (error, state) = match reply.state.unwrap_or_default() {
-        DriveState::Disabled => (0, IDLE),
-        DriveState::Enabled => (0, CLOSED_LOOP),
-        DriveState::Fault(error) => (error.max(1), IDLE),
-    };
-    let [e0, e1, e2, e3] = error.to_le_bytes();
-    let bytes = [e0, e1, e2, e3, state as u8, 0, 0, 0];
-    send(profile, command::HEARTBEAT, &bytes, frames);
-}
-
-pub(super) fn reply_scale(
-    profile: &DriveProfile,
-    scales: &Odrive,
-    value: f32,
-    frames: &mut Frames,
-) {
-    let [low, high] = scales.torque_scale_endpoint.to_le_bytes();
-    let [v0, v1, v2, v3] = value.to_le_bytes();
-    send(
-        profile,
-        command::VALUE,
-        &[0, low, high, 0, v0, v1, v2, v3],
-        frames,
-    );
 }
 
 /// Adds to the torque of a motion command: `torque`, N·m, where it is an f32, else `steps`; saturates.

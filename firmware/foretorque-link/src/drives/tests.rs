@@ -1,8 +1,5 @@
 //! Codecs: there and back within half a step, saturation, refusal, unbiased torque, arbitrary frames.
 
-mod lines;
-mod profiles;
-
 use super::*;
 use proptest::prelude::*;
 
@@ -44,20 +41,18 @@ const fn cia402(mode: ControlMode) -> Protocol {
 /// Step of position, velocity, torque, kp and kd of each protocol; infinite where the command does not carry it.
 pub(super) const PROTOCOLS: [(Protocol, [f32; 5]); 13] = {
     const NO: f32 = f32::INFINITY;
-    const MIT: [f32; 5] = [
-        25.0 / 65535.0,
-        60.0 / 4095.0,
-        20.0 / 4095.0,
-        500.0 / 4095.0,
-        5.0 / 4095.0,
-    ];
-    const FINE: [f32; 5] = [
-        25.0 / 65535.0,
-        60.0 / 65535.0,
-        20.0 / 65535.0,
-        500.0 / 65535.0,
-        5.0 / 65535.0,
-    ];
+    const fn steps(position: f32, others: f32) -> [f32; 5] {
+        let [p, v, t, kp, kd] = [25.0, 60.0, 20.0, 500.0, 5.0];
+        [
+            p / position,
+            v / others,
+            t / others,
+            kp / others,
+            kd / others,
+        ]
+    }
+    const MIT: [f32; 5] = steps(65535.0, 4095.0);
+    const FINE: [f32; 5] = steps(65535.0, 65535.0);
     const COUNT: f32 = TURN / 1_048_576.0;
     [
         (Protocol::MiniCheetah(RANGES), MIT),
@@ -98,13 +93,14 @@ pub(super) fn profile(protocol: Protocol) -> DriveProfile {
 }
 
 fn values(command: &JointCommand) -> [f32; 5] {
-    [
-        command.position,
-        command.velocity,
-        command.torque,
-        command.kp,
-        command.kd,
-    ]
+    let JointCommand {
+        position,
+        velocity,
+        torque,
+        kp,
+        kd,
+    } = *command;
+    [position, velocity, torque, kp, kd]
 }
 
 fn motion([position, velocity, torque, kp, kd]: [f32; 5]) -> JointCommand {
@@ -125,10 +121,8 @@ fn sent(
 ) -> (Saturation, Option<Request>) {
     let mut frames = Frames::new();
     let flags = profile.command(command, carry, &mut frames);
-    (
-        flags,
-        frames.first().and_then(|frame| profile.accept(frame)),
-    )
+    let read = frames.first().and_then(|frame| profile.accept(frame));
+    (flags, read)
 }
 
 proptest! {
@@ -220,16 +214,9 @@ fn finite(profile: &DriveProfile, frame: &Frame) -> Result<(), TestCaseError> {
     }
     match profile.decode(frame) {
         Some(Event::Reply(reply)) => {
-            let values = [
-                reply.position,
-                reply.velocity,
-                reply.torque,
-                reply.temperature,
-            ];
-            prop_assert!(
-                values.into_iter().flatten().all(f32::is_finite),
-                "{frame:?} {reply:?}"
-            );
+            let motion = [reply.position, reply.velocity, reply.torque];
+            let mut values = motion.into_iter().chain([reply.temperature]).flatten();
+            prop_assert!(values.all(f32::is_finite), "{frame:?} {reply:?}");
         }
         Some(Event::Scale(_, value)) => prop_assert!(value.is_finite()),
         None => {}
@@ -271,11 +258,8 @@ fn values_that_are_not_finite_take_the_torque_off() {
         };
         let (flags, request) = sent(&profile(protocol), &command, &mut Carry::default());
         assert_eq!(flags, Saturation::REFUSED);
-        assert_eq!(
-            request,
-            Some(Request::Order(Order::Disable)),
-            "{protocol:?}"
-        );
+        let off = Some(Request::Order(Order::Disable));
+        assert_eq!(request, off, "{protocol:?}");
     }
 }
 
@@ -289,11 +273,8 @@ fn full_scale_is_no_order() {
     };
     // The torques whose codes end in FC, FD and FE.
     for torque in [9.985_f32, 9.99, 9.995, 10.0] {
-        let (_, request) = sent(
-            &profile,
-            &motion([99.0, 99.0, torque, 999.0, 99.0]),
-            &mut Carry::default(),
-        );
+        let command = motion([99.0, 99.0, torque, 999.0, 99.0]);
+        let (_, request) = sent(&profile, &command, &mut Carry::default());
         assert!(matches!(request, Some(Request::Command(_))), "{request:?}");
     }
 }
@@ -301,47 +282,28 @@ fn full_scale_is_no_order() {
 #[test]
 fn orders_and_scales_come_back() {
     use {Order::*, Scale::*};
-    let orders = [
-        Enable,
-        Disable,
-        ClearFault,
-        SetZero,
-        Report,
-        ReadScale(Position),
-        ReadScale(Velocity),
-        ReadScale(Torque),
-    ];
-    let mut without = std::string::String::new();
+    let orders = [Enable, Disable, ClearFault, SetZero, Report];
+    let scales = [Position, Velocity, Torque].map(ReadScale);
     for (protocol, _) in PROTOCOLS {
-        for order in orders {
+        for order in orders.into_iter().chain(scales) {
             let (profile, mut frames) = (profile(protocol), Frames::new());
             if !profile.order(order, &mut frames) {
-                without += &std::format!("{order:?} ");
+                assert!(![Enable, Disable].contains(&order), "{protocol:?}");
                 continue;
             }
             let read = frames.iter().rev().find_map(|frame| profile.accept(frame));
             // moteus: mode 0 for both.
             let alike = matches!((protocol, order), (Protocol::Moteus(_), ClearFault));
-            assert_eq!(
-                read,
-                Some(Request::Order(if alike { Disable } else { order })),
-                "{protocol:?}"
-            );
+            let wanted = Request::Order(if alike { Disable } else { order });
+            assert_eq!(read, Some(wanted), "{protocol:?}");
             if let ReadScale(scale) = order {
                 let mut frames = Frames::new();
                 profile.reply_scale(scale, 12.5, &mut frames);
-                assert_eq!(
-                    profile.decode(&frames[0]),
-                    Some(Event::Scale(scale, 12.5)),
-                    "{protocol:?}"
-                );
+                let read = profile.decode(&frames[0]);
+                assert_eq!(read, Some(Event::Scale(scale, 12.5)), "{protocol:?}");
             }
         }
     }
-    assert_eq!(
-        without.matches("Enable").count() + without.matches("Disable").count(),
-        0
-    );
 }
 
 #[test]
@@ -352,8 +314,77 @@ fn a_finite_number_of_turns_is_no_infinite_angle() {
     let profile = profile(odrive(ControlMode::Velocity));
     let read = profile.decode(&Frame::standard(3 << 5 | 0x09, &estimates));
     assert_eq!(read, Some(Event::Reply(JointReply::default())));
+    let command = Frame::standard(3 << 5 | 0x0d, &estimates);
+    assert_eq!(profile.accept(&command), None);
+}
+
+#[test]
+fn lines_of_text_come_back() {
+    let bytes = [1, 0, 10, 7, 32, 0x88, 0x13, 0xa0, 0x0f, 0x7d, 0, 0x17, 1];
+    let command = Frame::extended(0x8001, &bytes);
+    let line = text::write_line(&command.into_fd(0x50), text::Direction::Send);
+    // The line of the Python client moteus 1.1.1.
     assert_eq!(
-        profile.accept(&Frame::standard(3 << 5 | 0x0d, &estimates)),
-        None
+        &line[..],
+        b"can send 8001 01000A07208813A00F7D001701505050 BF *18\n"
     );
+    for frame in [
+        command.into_fd(0x50),
+        Frame::standard(0x100, &[1, 2]),
+        Frame::extended(0x1fff_ffff, &[]),
+        Frame::standard(0, &[7; 64]).into_fd(0),
+    ] {
+        for direction in [text::Direction::Send, text::Direction::Receive] {
+            let line = text::write_line(&frame, direction);
+            assert_eq!(text::read_line(&line), Some(frame));
+            for place in 0..line.len() - 1 {
+                let mut damaged = line.clone();
+                damaged[place] ^= 1;
+                let read = text::read_line(&damaged);
+                // Without its `*` a line has no sum, but its frame is whole.
+                assert!(read.is_none() || read == Some(frame), "{place}");
+            }
+        }
+    }
+    for bad in [
+        "",
+        "can",
+        "can send",
+        "can send g 00",
+        "rcv 1 0",
+        "rcv 1 000",
+        "rcv 1 00 *00",
+        "rcv 123456789 00",
+        "OK",
+    ] {
+        assert_eq!(text::read_line(bad.as_bytes()), None, "{bad}");
+    }
+}
+
+#[test]
+fn profiles_that_contradict_themselves_are_refused() {
+    let good = profile(Protocol::Damiao(RANGES));
+    assert_eq!(good.check(), Ok(()));
+    type Change = fn(&mut DriveProfile);
+    let changes: [(Change, &str); 8] = [
+        (|p| p.sign = 0.5, "size of sign"),
+        (|p| p.sign = f32::NAN, "sign"),
+        (|p| p.gear = 0.0, "gear"),
+        (|p| p.torque_limit = 10.1, "torque_limit"),
+        (|p| p.torque_limit = f32::NAN, "torque_limit"),
+        (|p| p.id = 0, "id"),
+        (
+            |p| (p.protocol, p.id) = (odrive(ControlMode::Position), 63),
+            "id",
+        ),
+        (
+            |p| p.protocol = Protocol::Damiao(Ranges { kd: 0.0, ..RANGES }),
+            "kd",
+        ),
+    ];
+    for (change, field) in changes {
+        let mut profile = good;
+        change(&mut profile);
+        assert_eq!(profile.check().map_err(|error| error.field), Err(field));
+    }
 }

@@ -1,11 +1,9 @@
-use super::check;
-use super::path::Path;
-use super::path_speed::PathSpeed;
+use super::ExcitationState::{self, *};
+use super::check::{self, Supervision};
+use super::path::{Path, PathSpeed};
 use super::program::{AbortReason, ExcitationError, ExcitationProgram, PlayLimits};
 use super::series::PreparedSeries;
-use super::state::ExcitationState::{self, *};
-use super::state::{ExcitationCommand, ExcitationCommand as Command};
-use super::supervision::Supervision;
+use super::{ExcitationCommand, ExcitationCommand as Command};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointSample, JointVector};
 

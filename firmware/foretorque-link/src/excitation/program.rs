@@ -1,5 +1,4 @@
 use super::series::{HARMONICS, JointSeries};
-use core::fmt;
 use foretorque::arm::{Arm, JointLimits};
 use serde::{Deserialize, Serialize};
 
@@ -154,72 +153,34 @@ impl<const N: usize> PlayLimits<N> {
     }
 }
 
-/// Reason why an excitation is not played.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum ExcitationError {
-    /// It belongs to another arm.
-    WrongArm,
-    /// A coefficient, bound or period cannot be played; joint from 0.
-    Number(u8),
-    /// The certificate exceeds the limits of the board.
-    CertificateBeyondLimits(u8),
-    /// The series leaves its certificate.
-    CertificateBroken(u8),
-    /// The series does not start at rest.
-    NotAtRest(u8),
-    /// None is loaded.
-    NotLoaded,
-    /// One is playing: stop it first.
-    Running,
-}
-
-impl fmt::Display for ExcitationError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (joint, text) = match *self {
-            Self::WrongArm => return f.write_str("the excitation belongs to another arm"),
-            Self::NotLoaded => return f.write_str("no excitation is loaded"),
-            Self::Running => return f.write_str("an excitation is running: stop it first"),
-            Self::Number(j) => (j, "coefficient, bound or period cannot be played"),
-            Self::CertificateBeyondLimits(j) => (j, "certificate exceeds the arm's limits"),
-            Self::CertificateBroken(j) => (j, "series does not keep its certificate"),
-            Self::NotAtRest(j) => (j, "series does not start at rest"),
-        };
-        write!(f, "joint {}: {text}", u16::from(joint) + 1)
+errors! {
+    /// Reason why an excitation is not played.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+    pub enum ExcitationError {
+        WrongArm = "the excitation belongs to another arm";
+        Number of joint = "joint {joint}: coefficient, bound or period cannot be played";
+        CertificateBeyondLimits of joint = "joint {joint}: certificate exceeds the arm's limits";
+        CertificateBroken of joint = "joint {joint}: series does not keep its certificate";
+        NotAtRest of joint = "joint {joint}: series does not start at rest";
+        NotLoaded = "no excitation is loaded";
+        Running = "an excitation is running: stop it first";
     }
 }
 
-impl core::error::Error for ExcitationError {}
-
-/// Reason why an excitation was aborted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum AbortReason {
-    /// Measured or desired position outside the limits; joint from 0.
-    Position(u8),
-    /// Measured or desired velocity beyond the limit.
-    Velocity(u8),
-    /// Desired acceleration beyond the limit.
-    Acceleration(u8),
-    /// Tracking error beyond the limit.
-    Tracking(u8),
-    /// No measurement for too long.
-    Blind,
-    /// A measured or desired position is not finite.
-    NotFinite(u8),
-}
-
-impl fmt::Display for AbortReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (joint, text) = match *self {
-            Self::Blind => return f.write_str("no measurements"),
-            Self::Position(j) => (j, "outside its range"),
-            Self::Velocity(j) => (j, "too fast"),
-            Self::Acceleration(j) => (j, "acceleration too high"),
-            Self::Tracking(j) => (j, "does not follow"),
-            Self::NotFinite(j) => (j, "a position is not finite"),
-        };
-        write!(f, "joint {}: {text}", u16::from(joint) + 1)
+errors! {
+    /// Reason why an excitation was aborted: a limit of measured or desired motion.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+    pub enum AbortReason {
+        Position of joint = "joint {joint}: outside its range";
+        Velocity of joint = "joint {joint}: too fast";
+        /// (Of the desired motion.)
+        Acceleration of joint = "joint {joint}: acceleration too high";
+        Tracking of joint = "joint {joint}: does not follow";
+        /// (For too long.)
+        Blind = "no measurements";
+        NotFinite of joint = "joint {joint}: a position is not finite";
     }
 }
 

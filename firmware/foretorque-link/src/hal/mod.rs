@@ -7,18 +7,14 @@
 //! ```
 //! Every call is bounded: at most three bus transfers and a few pin accesses, without loops.
 
-mod dac;
 mod enable;
 mod encoder;
 mod output;
-mod pwm;
 mod stage;
 
-pub use dac::{DacModel, SpiDac};
 pub use enable::TorqueEnable;
 #[cfg(test)]
-pub(crate) use encoder::chip::Chip;
+pub(crate) use encoder::tests::Chip;
 pub use encoder::{AbsoluteEncoder, Direction, EncoderConfig, EncoderError, EncoderState};
-pub use output::{OutputError, TorqueOutput};
-pub use pwm::PwmWithDirection;
+pub use output::{DacModel, OutputError, PwmWithDirection, SpiDac, TorqueOutput};
 pub use stage::{Driven, MotorStage, StageError, TorqueScale};

@@ -265,10 +265,8 @@ mod tests {
         enables: &[Transaction],
         faults: &[Transaction],
     ) -> MotorStage<Recorder, Mock, Mock> {
-        let recorder = Recorder {
-            levels: Vec::new(),
-            fails,
-        };
+        let levels = Vec::new();
+        let recorder = Recorder { levels, fails };
         MotorStage::new(recorder, Mock::new(enables), Mock::new(faults), scale).unwrap()
     }
 
@@ -288,10 +286,8 @@ mod tests {
             (10.0, 150.1, 15.0, 0.75, true),
             (10.0, -1e9, -15.0, -0.75, true),
         ] {
-            let scale = TorqueScale {
-                gain_nm_per_a: gain,
-                ..SCALE
-            };
+            let mut scale = SCALE;
+            scale.gain_nm_per_a = gain;
             let mut stage = stage(scale, None, &[low(), high()], &[fault(false), fault(false)]);
             stage.enable().unwrap();
             let driven = stage.drive(wanted).unwrap();
@@ -347,19 +343,16 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_with_a_fault_is_not_enabled() {
-        let mut stage = stage(SCALE, None, &[low(), low()], &[fault(true)]);
-        assert_eq!(stage.enable(), Err(StageError::Fault));
-        assert!(!stage.is_enabled());
-        levels(stage);
-    }
-
-    #[test]
-    fn an_output_that_cannot_be_zeroed_is_not_enabled() {
-        let mut stage = stage(SCALE, Some(1), &[low(), low()], &[fault(false)]);
-        assert_eq!(stage.enable(), Err(StageError::Output(FAILED)));
-        assert!(!stage.is_enabled());
-        levels(stage);
+    fn a_stage_with_a_fault_or_an_output_that_cannot_be_zeroed_is_not_enabled() {
+        for (fails, seen, error) in [
+            (None, fault(true), StageError::Fault),
+            (Some(1), fault(false), StageError::Output(FAILED)),
+        ] {
+            let mut stage = stage(SCALE, fails, &[low(), low()], &[seen]);
+            assert_eq!(stage.enable(), Err(error));
+            assert!(!stage.is_enabled());
+            levels(stage);
+        }
     }
 
     #[test]

@@ -12,7 +12,6 @@
 
 mod input;
 mod limits;
-mod plausibility;
 pub mod promises;
 mod reason;
 mod task_check_in;

@@ -1,6 +1,6 @@
 use embedded_storage::nor_flash::NorFlash;
 
-use super::record::{HEADER_BYTES, Header, SLOT_BYTES};
+use super::{HEADER_BYTES, Header, SLOT_BYTES};
 use super::{SECTORS, StoreError, slots};
 use crate::bank::ParameterBank;
 use crate::wire::CRC;

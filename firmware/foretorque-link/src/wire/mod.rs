@@ -5,7 +5,6 @@
 
 mod array;
 mod codec;
-mod decoder;
 mod frames;
 mod identity;
 mod message;
@@ -16,8 +15,7 @@ pub mod size;
 pub(crate) use codec::CRC;
 #[cfg(test)]
 pub(crate) use codec::encode_as;
-pub use codec::{EncodeError, FrameBuffer, checksum, encode};
-pub use decoder::{DecodeError, Decoder, FrameView};
+pub use codec::{DecodeError, Decoder, EncodeError, FrameBuffer, FrameView, checksum, encode};
 pub use frames::{
     EvaluatedFrame, ExcitedFrame, FullTorqueFrame, MotionFrame, SampleFlags, SampleFrame,
     TorqueFrame,

@@ -219,11 +219,23 @@ mod tests {
     const O: usize = 3;
     type Net<A> = BpNetwork<I, H, O, A>;
 
+    fn step(learning_rate: f32, error_clip: f32) -> StepParameters {
+        StepParameters {
+            learning_rate,
+            error_clip,
+        }
+    }
+
     /// The network's weights as one list, f64: hidden weights, hidden thresholds, output weights, output thresholds.
     fn flatten<A: Activation>(net: &Net<A>) -> Vec<f64> {
         let hidden = net.hidden_weights.iter().chain(net.hidden_bias.iter());
         let output = net.output_weights.iter().chain(net.output_bias.iter());
         hidden.chain(output).map(|&w| f64::from(w)).collect()
+    }
+
+    fn change<A: Activation>(moved: &Net<A>, net: &Net<A>) -> Vec<f64> {
+        let both = flatten(moved).into_iter().zip(flatten(net));
+        both.map(|(moved, net)| moved - net).collect()
     }
 
     /// Twin in f64: the squared error written with plain indices, from the textbook.
@@ -281,81 +293,42 @@ mod tests {
         let target = SVector::from([0.2, 0.1, -0.4]);
         let gradient = flatten(&net.gradient(&x, &target));
         let mut moved = net;
-        moved.update(
-            &x,
-            &target,
-            &StepParameters {
-                learning_rate: 0.1,
-                error_clip: 10.0,
-            },
-        );
-        let change: Vec<f64> = flatten(&moved)
-            .iter()
-            .zip(flatten(&net))
-            .map(|(m, n)| m - n)
-            .collect();
-        let dot: f64 = change.iter().zip(&gradient).map(|(c, g)| c * g).sum();
-        let norms =
-            change.iter().map(|c| c * c).sum::<f64>() * gradient.iter().map(|g| g * g).sum::<f64>();
-        assert!(
-            (dot / norms.sqrt() + 1.0).abs() < 1e-5,
-            "cosine {}",
-            dot / norms.sqrt()
-        );
+        moved.update(&x, &target, &step(0.1, 10.0));
+        let change = change(&moved, &net);
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let norms = dot(&change, &change) * dot(&gradient, &gradient);
+        let cosine = dot(&change, &gradient) / norms.sqrt();
+        assert!((cosine + 1.0).abs() < 1e-5, "cosine {cosine}");
     }
 
     #[test]
     fn an_outlier_moves_the_weights_by_no_more_than_the_clip_allows() {
-        let step = StepParameters {
-            learning_rate: 0.5,
-            error_clip: 0.02,
-        };
+        let parameters = step(0.5, 0.02);
         for scale in [1e-3, 1.0, 1e3, 1e9] {
             let net: Net<Relu> = BpNetwork::random(2);
             let mut moved = net;
             moved.update(
                 &SVector::from([scale, -scale, scale, 1.0]),
                 &SVector::from([1e12, -1e12, 0.0]),
-                &step,
+                &parameters,
             );
-            let change: f64 = flatten(&moved)
-                .iter()
-                .zip(flatten(&net))
-                .map(|(m, n)| (m - n).powi(2))
-                .sum();
-            let bound = 0.5 * 0.5 * 0.02 * 3f64.sqrt();
-            assert!(
-                change.sqrt() <= bound * 1.001,
-                "{} at {scale}",
-                change.sqrt()
-            );
+            let change: f64 = change(&moved, &net).iter().map(|c| c * c).sum();
+            let (change, bound) = (change.sqrt(), 0.5 * 0.5 * 0.02 * 3f64.sqrt());
+            assert!(change <= bound * 1.001, "{change} at {scale}");
         }
     }
 
     #[test]
     fn what_is_not_finite_changes_no_weight() {
-        let step = StepParameters {
-            learning_rate: 0.1,
-            error_clip: 1.0,
-        };
-        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX] {
+        let infinite = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
+        let inputs = infinite.map(|bad| (bad, 0.0));
+        for (input, target) in inputs.into_iter().chain([(0.0, f32::NAN)]) {
             let net: Net<Relu> = BpNetwork::random(2);
             let mut moved = net;
-            moved.update(
-                &SVector::from([bad, 0.0, 0.0, 0.0]),
-                &SVector::zeros(),
-                &step,
-            );
-            assert_eq!(moved, net, "input {bad}");
+            let x = SVector::from([input, 0.0, 0.0, 0.0]);
+            moved.update(&x, &SVector::from([target, 0.0, 0.0]), &step(0.1, 1.0));
+            assert_eq!(moved, net, "input {input}, target {target}");
         }
-        let net: Net<Relu> = BpNetwork::random(2);
-        let mut moved = net;
-        moved.update(
-            &SVector::zeros(),
-            &SVector::from([f32::NAN, 0.0, 0.0]),
-            &step,
-        );
-        assert_eq!(moved, net);
     }
 
     #[test]
@@ -363,10 +336,7 @@ mod tests {
         let mut net: BpNetwork<3, 6, 1> = BpNetwork::silent(11);
         let inputs = |v: f32| SVector::from([0.5 * v, (v / 0.03).tanh(), (v / 0.15).tanh()]);
         let curve = |v: f32| 0.02 * (v / 0.03).tanh() * (-(v / 0.1) * (v / 0.1)).exp();
-        let step = StepParameters {
-            learning_rate: 0.05,
-            error_clip: 0.05,
-        };
+        let parameters = step(0.05, 0.05);
         let rms = |net: &BpNetwork<3, 6, 1>| {
             let error = |k: i32| net.forward(&inputs(k as f32 * 0.01))[0] - curve(k as f32 * 0.01);
             ((-100..=100).map(|k| error(k).powi(2)).sum::<f32>() / 201.0).sqrt()
@@ -375,7 +345,7 @@ mod tests {
         for tick in 0..60_000 {
             // Multiples of the golden ratio visit ±1 evenly in a mixed order.
             let v = 2.0 * (f64::from(tick) * 0.618_033_988_75).fract() as f32 - 1.0;
-            net.update(&inputs(v), &SVector::from([curve(v)]), &step);
+            net.update(&inputs(v), &SVector::from([curve(v)]), &parameters);
         }
         assert!(rms(&net) < 0.5 * before, "{} of {before}", rms(&net));
     }

@@ -6,8 +6,8 @@ mod run {
     use core::mem::MaybeUninit;
 
     use foretorque_f405::arm::BoardSession;
+    use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS};
     use foretorque_f405::counter::{self, Counter};
-    use foretorque_f405::described::{Arm, JOINTS, Learner, PARAMETERS};
     use foretorque_f405::statics::{init_learner, init_session};
     use foretorque_images::semihost::{Streams, exit};
     use foretorque_link::session::{BoardDescription, Housekeeping, Mailboxes, NoLocalSensor};

@@ -256,10 +256,8 @@ impl Encoding {
     fn build(&self, address: u32, undefined: Instruction) -> Instruction {
         let &(_, _, kind, reads, writes) = self.row;
         let mut reading = reads.split_whitespace();
-        let base = reading
-            .next()
-            .and_then(|name| self.number(name))
-            .unwrap_or(0);
+        let base = reading.next().and_then(|name| self.number(name));
+        let base = base.unwrap_or(0);
         let back = self.field(b'w') == 1;
         let mut made = Instruction {
             class: Class::Branch,
@@ -297,10 +295,9 @@ impl Encoding {
                     base,
                     index: index.map(|index| (index, self.field(b'h'))),
                     // Without a `p` before the access, the base moves behind it.
-                    offset: if self.find(b'p').is_some_and(|(p, _)| p == 0) {
-                        0
-                    } else {
-                        offset
+                    offset: match self.find(b'p') {
+                        Some((0, _)) => 0,
+                        _ => offset,
                     },
                 });
                 made.flow = match (made.writes.has(PC), base == SP) {
@@ -333,11 +330,9 @@ impl Encoding {
                 made.class = Class::Multiple { words };
                 if load {
                     made.writes = set;
-                    made.flow = if set.has(PC) {
-                        Flow::Return
-                    } else {
-                        Flow::Next
-                    };
+                    if set.has(PC) {
+                        made.flow = Flow::Return;
+                    }
                 } else {
                     made.reads = made.reads | set;
                 }
@@ -351,9 +346,9 @@ impl Encoding {
                 made.flow = Flow::Branch(relative(address, 2 * self.field(b'i') as i32));
             }
             Kind::Conditional => {
-                let sign = self.field(b's') << 19 | self.field(b'k') << 18 | self.field(b'j') << 17;
-                made.flow =
-                    Flow::Branch(relative(address, 2 * signed(sign | self.field(b'i'), 20)));
+                let high = self.field(b's') << 19 | self.field(b'k') << 18 | self.field(b'j') << 17;
+                let distance = 2 * signed(high | self.field(b'i'), 20);
+                made.flow = Flow::Branch(relative(address, distance));
             }
             Kind::Far(flow) => {
                 let sign = self.field(b's');
@@ -363,8 +358,7 @@ impl Encoding {
             }
             Kind::Table => {
                 let halfwords = self.field(b'h') == 1;
-                made.class = Class::TableBranch;
-                made.flow = Flow::Table { halfwords };
+                (made.class, made.flow) = (Class::TableBranch, Flow::Table { halfwords });
             }
             Kind::IfThen => {
                 let count = 4 - self.field(b'i').trailing_zeros();

@@ -39,8 +39,7 @@ use crate::board::{Board, Drive as _};
 use crate::counter;
 use crate::fault::{self, Reason};
 use crate::frame_bound::FrameBound;
-use crate::link::{self, RECEIVE_RING, TRANSMIT_RING, Wire};
-use crate::ring::{Receiver, Sender};
+use crate::link::{self, RECEIVE_RING, Receiver, Sender, TRANSMIT_RING, Wire};
 use crate::tick_timer::{self, TickTimer};
 use crate::watchdog::{self, TASKS};
 

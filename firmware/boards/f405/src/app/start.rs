@@ -24,7 +24,6 @@ use crate::frame_bound::FrameBound;
 use crate::key_slot;
 use crate::link::{self, RECEIVE_RING, TRANSMIT_RING, Wire};
 use crate::log;
-use crate::ring;
 use crate::statics::{init_learner, init_session};
 use crate::store_flash::{Registers, StoreFlash};
 use crate::tick_timer::TickTimer;
@@ -156,8 +155,8 @@ pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
     let mut timer = TickTimer::new(core.SYST, clocks.cpu_hz, !emulated);
     timer.configure(session.configuration());
 
-    let (receive_in, received) = ring::split(&mut statics.receive_ring);
-    let (mut waiting, transmit_out) = ring::split(&mut statics.transmit_ring);
+    let (receive_in, received) = link::split(&mut statics.receive_ring);
+    let (mut waiting, transmit_out) = link::split(&mut statics.transmit_ring);
     let wire = Wire::start(chip.USART2, clocks.apb1_hz, receive_in, transmit_out);
     let out = &mut statics.out;
     let boot_counts = counter::now().wrapping_sub(booting);

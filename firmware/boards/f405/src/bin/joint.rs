@@ -4,9 +4,9 @@
 #[cfg(target_os = "none")]
 foretorque_f405::image!(
     foretorque_f405::odrive_v3::OdriveV3,
-    foretorque_f405::described::Arm,
-    foretorque_f405::described::JOINTS,
-    foretorque_f405::described::PARAMETERS
+    foretorque_f405::arm::Arm,
+    foretorque_f405::arm::JOINTS,
+    foretorque_f405::arm::PARAMETERS
 );
 
 #[cfg(not(target_os = "none"))]

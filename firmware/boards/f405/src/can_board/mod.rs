@@ -41,9 +41,9 @@ use crate::clock::Clocks;
 use crate::counter;
 use crate::drive::switch;
 use crate::fault::EnablePin;
+use crate::link::{self, Receiver, Sender};
 use crate::pin::{Pin, Port};
 use crate::pyboard::Pyboard;
-use crate::ring::{self, Receiver, Sender};
 use ports::FramePort;
 
 /// Time for which a torque is added after the last tick, s: that without a reply after which a master ends it.
@@ -159,8 +159,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for BusDrive<A
         let in_line = (role == Role::InLine).then(|| InLine::new(profiles, expiry));
         let orders = cortex_m::singleton!(: Queue<Order, LEAVING> = Queue::new())?;
         let arrived = cortex_m::singleton!(: Queue<(u8, Frame), ARRIVED> = Queue::new())?;
-        let (order, orders) = ring::split(orders);
-        let (arrive, arrived) = ring::split(arrived);
+        let (order, orders) = link::split(orders);
+        let (arrive, arrived) = link::split(arrived);
         let task = &raw mut TASK;
         // SAFETY: the interrupts that read it are still masked.
         unsafe {

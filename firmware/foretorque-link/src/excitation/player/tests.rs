@@ -38,13 +38,9 @@ fn at_rest(q: f32) -> JointMotion<N> {
 }
 
 fn sample(desired: JointMotion<N>, q: JointVector<N>) -> JointSample<N> {
-    JointSample {
-        desired,
-        measured: Some(JointMeasurement {
-            q,
-            tau: JointVector::<N>::zeros(),
-        }),
-    }
+    let tau = JointVector::zeros();
+    let measured = Some(JointMeasurement { q, tau });
+    JointSample { desired, measured }
 }
 
 /// A player that has loaded `program`.

@@ -1,19 +1,15 @@
 //! Bytes to messages and back: frames, sequence numbers, uploads and downloads, telemetry. Moves no torque.
 
-mod link;
 mod telemetry;
 mod transfer;
-
-pub(super) use link::LinkState;
-pub(super) use telemetry::{Instant, Stream};
-pub(super) use transfer::Transfer;
 
 use super::mailbox::Signature;
 use crate::wire::{
     BoardMessage, DecodeError, Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason,
 };
 use crate::write_key::WriteKey;
-use link::Order;
+pub(super) use telemetry::{Instant, Stream};
+pub(super) use transfer::Transfer;
 
 /// Content of a frame that is to be acted on.
 pub(super) enum Received<const N: usize> {
@@ -139,5 +135,125 @@ impl Protocol {
             (Some(nonce), Some(mac)) => Ok(Some(Signature { key, nonce, mac })),
             _ => Err(NackReason::Key),
         }
+    }
+}
+
+/// Frames whose number lies at most this far back are repeats; a number farther back means that the host restarted.
+const REPEAT_WINDOW: u16 = 16;
+
+/// Order of a frame in the host's sequence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Order {
+    /// It is new.
+    Forward,
+    /// It, or a later one, was received before.
+    Repeated,
+}
+
+/// Counters and last sequence number of the link.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::session) struct LinkState {
+    pub(in crate::session) frames: u32,
+    pub(in crate::session) crc_errors: u32,
+    pub(in crate::session) framing_errors: u32,
+    pub(in crate::session) foreign_version: u32,
+    pub(in crate::session) unknown: u32,
+    pub(in crate::session) missed: u32,
+    pub(in crate::session) repeated: u32,
+    pub(in crate::session) overruns: u32,
+    pub(in crate::session) replies_lost: u32,
+    last: Option<u16>,
+}
+
+impl LinkState {
+    /// Counters at zero; the sequence continues after `last`.
+    pub(super) const fn new(last: Option<u16>) -> Self {
+        Self {
+            frames: 0,
+            crc_errors: 0,
+            framing_errors: 0,
+            foreign_version: 0,
+            unknown: 0,
+            missed: 0,
+            repeated: 0,
+            overruns: 0,
+            replies_lost: 0,
+            last,
+        }
+    }
+
+    /// Resets the counters; the sequence continues.
+    pub(super) fn reset(&mut self) {
+        *self = Self::new(self.last);
+    }
+
+    /// Counts a good frame. `restart` restarts the sequence.
+    pub(super) fn accept(&mut self, sequence: u16, restart: bool) -> Order {
+        self.frames = self.frames.saturating_add(1);
+        let step = match self.last {
+            Some(last) if !restart => sequence.wrapping_sub(last),
+            _ => 1,
+        };
+        if step == 0 || step > u16::MAX - REPEAT_WINDOW {
+            self.repeated = self.repeated.saturating_add(1);
+            return Order::Repeated;
+        }
+        // A host that wraps leaves out 0, which is the board's own number.
+        let left_out = u16::from(!restart && self.last.is_some_and(|last| sequence < last));
+        let missed = (step - 1).saturating_sub(left_out);
+        self.missed = self.missed.saturating_add(u32::from(missed));
+        self.last = Some(sequence);
+        Order::Forward
+    }
+
+    pub(super) fn refuse(&mut self, error: DecodeError) {
+        let counter = match error {
+            DecodeError::Framing => &mut self.framing_errors,
+            DecodeError::Checksum => &mut self.crc_errors,
+            DecodeError::ForeignVersion(_) => &mut self.foreign_version,
+            DecodeError::Unknown => &mut self.unknown,
+        };
+        *counter = counter.saturating_add(1);
+    }
+
+    /// Frames missed and refused, replies lost and overruns: the low halves of their counters.
+    pub(in crate::session) fn losses(&self) -> [u16; 4] {
+        let refused = self.crc_errors.wrapping_add(self.framing_errors);
+        [self.missed, refused, self.replies_lost, self.overruns].map(|count| count as u16)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_and_repeats_are_counted() {
+        for (numbers, missed_and_repeated) in [
+            (&[1, 2, 3][..], (0, 0)),
+            (&[900, 901], (0, 0)),
+            (&[1, 4], (2, 0)),
+            (&[1, 1, 2], (0, 1)),
+            (&[1, 3, 2, 4], (1, 1)),
+            (&[65534, 65535, 1, 2], (0, 0)),
+            (&[65535, 3], (2, 0)),
+            (&[65535, 1, 65535, 2], (0, 1)),
+            (&[30_000, 100], (35_634, 0)),
+        ] {
+            let mut link = LinkState::new(None);
+            for &number in numbers {
+                link.accept(number, false);
+            }
+            let counted = (link.missed, link.repeated);
+            assert_eq!(counted, missed_and_repeated, "{numbers:?}");
+        }
+    }
+
+    #[test]
+    fn hello_restarts_the_count() {
+        let mut link = LinkState::new(Some(500));
+        assert_eq!(link.accept(498, true), Order::Forward);
+        assert_eq!(link.accept(499, false), Order::Forward);
+        assert_eq!((link.missed, link.repeated), (0, 0));
     }
 }

@@ -52,7 +52,7 @@ pub(crate) struct Board {
 }
 
 impl Board {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let mut description = BoardDescription::plain(NoClock);
         description.capabilities = Capabilities::LEARNING | Capabilities::TIMER;
         Self::described(description)

@@ -1,13 +1,16 @@
-//! Helpers of the tests of the wire format.
+//! Messages over the link, whole and damaged.
 
-mod any;
-mod line;
 mod page;
 mod sizes;
 
 use super::*;
+use crate::wire::codec::encode_as;
+use core::fmt::Debug;
+use proptest::prelude::*;
+use proptest::sample::select;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use sizes::longest;
 use std::vec::Vec;
 
 const N: usize = 6;
@@ -49,4 +52,150 @@ fn assert_survives<M: Serialize + DeserializeOwned>(sequence: u16, message: &M) 
     };
     assert_eq!(*number, sequence);
     assert_eq!(wire(sequence, again), frame);
+}
+
+fn bytes(most: usize) -> impl Strategy<Value = Vec<u8>> {
+    prop::collection::vec(any::<u8>(), 0..=most)
+}
+
+/// A message with any values in it, NaN, infinities and denormals too: one of `examples` with other bytes behind the tag,
+/// wherever they still are a message.
+fn like<M>(examples: impl Into<Vec<M>>) -> impl Strategy<Value = M>
+where
+    M: Serialize + DeserializeOwned + Clone + Debug + 'static,
+{
+    // Small ones are likelier to be a tag or a length.
+    let byte = prop_oneof![any::<u8>(), 0..16u8];
+    let others = prop::collection::vec(byte, MAX_PAYLOAD);
+    (select(examples.into()), others).prop_map(|(example, others)| {
+        let mut buffer = [0; MAX_PAYLOAD];
+        let content = postcard::to_slice(&example, &mut buffer).unwrap();
+        for place in 1..content.len() {
+            let old = core::mem::replace(&mut content[place], others[place]);
+            if postcard::take_from_bytes::<M>(content).is_err() {
+                content[place] = old;
+            }
+        }
+        postcard::take_from_bytes(content).unwrap().0
+    })
+}
+
+fn host_message() -> impl Strategy<Value = HostMessage<N>> {
+    like(longest().0)
+}
+
+fn board_message() -> impl Strategy<Value = BoardMessage<N>> {
+    like(longest().1)
+}
+
+proptest! {
+    #[test]
+    fn every_host_message_survives(sequence: u16, message in host_message()) {
+        assert_survives(sequence, &message);
+    }
+
+    #[test]
+    fn every_board_message_survives(sequence: u16, message in board_message()) {
+        assert_survives(sequence, &message);
+    }
+
+    #[test]
+    fn up_to_three_flipped_bits_are_found(
+        message in host_message(),
+        flips in prop::collection::vec((any::<prop::sample::Index>(), 0..8u32), 1..=3),
+    ) {
+        let frame = wire(7, &message);
+        let mut damaged = frame.clone();
+        for (place, bit) in flips {
+            let place = place.index(frame.len());
+            damaged[place] ^= 1 << bit;
+        }
+        let unharmed = damaged == frame;
+        // The delimiter of the damaged frame may be lost: then the next frame is lost too, and no more.
+        damaged.extend(wire(8, &HostMessage::<N>::Statistics));
+        damaged.extend(wire(9, &HostMessage::<N>::Hello));
+        let (good, _) = receive::<HostMessage<N>>(&damaged);
+        prop_assert_eq!(good.iter().any(|(sequence, _)| *sequence == 7), unharmed);
+        prop_assert!(good.iter().all(|(sequence, _)| [7, 8, 9].contains(sequence)));
+        prop_assert_eq!(good.last(), Some(&(9, HostMessage::Hello)));
+    }
+
+    #[test]
+    fn a_frame_cut_short_costs_at_most_the_next_one(
+        message in host_message(),
+        cut in any::<prop::sample::Index>(),
+    ) {
+        let frame = wire(7, &message);
+        let mut line = frame[..cut.index(frame.len())].to_vec();
+        line.extend(wire(8, &HostMessage::<N>::Statistics));
+        line.extend(wire(9, &HostMessage::<N>::Hello));
+        let (good, _) = receive::<HostMessage<N>>(&line);
+        prop_assert!(good.iter().all(|(sequence, _)| *sequence != 7));
+        prop_assert_eq!(good.last(), Some(&(9, HostMessage::Hello)));
+    }
+
+    #[test]
+    fn garbage_costs_no_more_than_the_frame_it_touches(
+        garbage in bytes(600),
+        message in host_message(),
+    ) {
+        let mut line = garbage;
+        line.extend(wire(1, &HostMessage::<N>::Hello));
+        line.extend(wire(2, &message));
+        let (good, _) = receive::<HostMessage<N>>(&line);
+        let last = good.last().map(|(sequence, again)| (*sequence, wire(2, again)));
+        prop_assert_eq!(last, Some((2, wire(2, &message))));
+        prop_assert!(good.len() <= 2);
+    }
+
+    #[test]
+    fn a_repeated_frame_is_received_twice(message in host_message()) {
+        let frame = wire(3, &message);
+        let (good, bad) = receive::<HostMessage<N>>(&[frame.clone(), frame].concat());
+        prop_assert_eq!(good.iter().map(|(sequence, _)| *sequence).collect::<Vec<_>>(), [3, 3]);
+        prop_assert!(bad.is_empty());
+    }
+
+    #[test]
+    fn a_foreign_version_is_named(ahead in 1..=255u8, message in host_message()) {
+        // Any but its own, older ones too.
+        let version = PROTOCOL_VERSION.wrapping_add(ahead);
+        let mut buffer = [0; MAX_FRAME];
+        let frame = encode_as(version, 1, &message, &mut buffer).unwrap();
+        let (good, bad) = receive::<HostMessage<N>>(frame);
+        prop_assert!(good.is_empty());
+        prop_assert_eq!(bad, [DecodeError::ForeignVersion(version)]);
+    }
+}
+
+#[test]
+fn a_sample_of_six_joints_is_none_of_seven() {
+    let six = SampleFrame::<6>::new(&foretorque::joint::JointSample {
+        desired: foretorque::joint::JointMotion::zero(),
+        measured: None,
+    });
+    let (good, bad) = receive::<HostMessage<7>>(&wire(1, &HostMessage::Sample(six)));
+    assert!(good.is_empty());
+    assert_eq!(bad, [DecodeError::Unknown]);
+}
+
+#[test]
+fn an_overlong_frame_is_refused_and_the_next_one_received() {
+    let mut line = [1; 3 * MAX_FRAME].to_vec();
+    line.push(0);
+    line.extend(wire(4, &HostMessage::<N>::Hello));
+    let (good, bad) = receive::<HostMessage<N>>(&line);
+    assert_eq!(bad, [DecodeError::Framing]);
+    assert_eq!(good, [(4, HostMessage::Hello)]);
+}
+
+#[test]
+fn lost_bytes_are_those_of_refused_frames() {
+    let mut frame = wire(4, &HostMessage::<N>::Hello);
+    frame[2] ^= 4;
+    let mut decoder = Decoder::new();
+    for byte in [&[0, 0][..], &frame, &wire(5, &HostMessage::<N>::Hello)].concat() {
+        let _ = decoder.push(byte);
+    }
+    assert_eq!(decoder.bytes_lost() as usize, frame.len());
 }

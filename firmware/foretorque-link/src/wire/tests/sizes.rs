@@ -31,6 +31,15 @@ pub(super) fn sizes<const J: usize>() -> [Vec<(String, usize)>; 2] {
 
 /// The longest frame of every message of host and board, in the order of their tags.
 pub(super) fn frames<const J: usize>() -> [Vec<(String, Vec<u8>)>; 2] {
+    let (from_host, from_board) = longest::<J>();
+    [
+        from_host.into_iter().map(framed).collect(),
+        from_board.into_iter().map(framed).collect(),
+    ]
+}
+
+/// Every message of host and board at its longest, in the order of their tags.
+pub(super) fn longest<const J: usize>() -> ([HostMessage<J>; 23], [BoardMessage<J>; 12]) {
     let ones = [f32::from_bits(0x0101_0101); J];
     let chunk: Chunk = [0xA5; CHUNK].into_iter().collect();
     let name: Name = "abcdefghijklmnopqrstuvwx".parse().unwrap();
@@ -158,10 +167,7 @@ pub(super) fn frames<const J: usize>() -> [Vec<(String, Vec<u8>)>; 2] {
         BoardMessage::Excitation(aborted),
         BoardMessage::Excited(excited),
     ];
-    [
-        from_host.into_iter().map(framed).collect(),
-        from_board.into_iter().map(framed).collect(),
-    ]
+    (from_host, from_board)
 }
 
 fn assert_cyclic_sizes<const J: usize>() {

@@ -7,7 +7,7 @@ mod app {
     use core::mem::MaybeUninit;
     use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
     use foretorque::feedforward::FeedForwardConfig;
-    use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+    use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
     use foretorque::learning::LearningSample;
 
     #[shared]
@@ -51,10 +51,7 @@ mod app {
     #[task(binds = SysTick, priority = 2, shared = [exchange], local = [feedforward])]
     fn tick(mut cx: tick::Context) {
         // Replace both by your drives and your trajectory.
-        let measured = Some(JointMeasurement {
-            q: JointVector::zeros(),
-            tau: JointVector::zeros(),
-        });
+        let measured = Some(JointMeasurement::zero());
         let desired = JointMotion::zero();
 
         cx.shared
