@@ -24,7 +24,7 @@ fn short(seed: u64) -> SearchConfig {
 }
 
 fn found(robot: &Robot, config: &SearchConfig) -> Excitation {
-    optimise::<6>(robot, config, None, |_, _| {}).expect("feasible")
+    optimise(robot, config, None, |_, _| {}).expect("feasible")
 }
 
 fn certificate(excitation: &Excitation) -> &Certificate {
@@ -89,7 +89,7 @@ fn improving_a_trajectory_never_makes_it_worse() {
         ..short(4)
     };
     let first = found(&robot, &config);
-    let second = optimise::<6>(&robot, &config, Some(&first), |_, _| {}).expect("feasible");
+    let second = optimise(&robot, &config, Some(&first), |_, _| {}).expect("feasible");
     let error = |excitation: &Excitation| certificate(excitation).predicted_nrmse_percent;
     assert!(error(&second) <= error(&first));
 }

@@ -137,7 +137,7 @@ fn search<const N: usize>(
         condition_limit: config.condition_limit,
         ..SearchConfig::default()
     };
-    let mut excitation = optimise::<N>(robot, &search, None, |_, _| ())?;
+    let mut excitation = optimise(robot, &search, None, |_, _| ())?;
     let uncertified = || StudyError::Unusable("the excitation has no certificate".to_owned());
     let recount = recount::<N>(robot, &excitation, search.range_rad, config.points)
         .ok_or_else(uncertified)?;

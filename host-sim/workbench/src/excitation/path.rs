@@ -3,7 +3,7 @@
 use super::certificate::Certificate;
 use super::error::ExcitationError;
 use super::series::{JointSeries, ORDER};
-use crate::dynamics::{Joints, State};
+use crate::dynamics::{Motion, State};
 use crate::robot::Robot;
 use foretorque_link::excitation::{self as board, ExcitationProgram, HARMONICS, MotionBounds};
 use serde::{Deserialize, Serialize};
@@ -29,13 +29,18 @@ pub struct Excitation {
 
 impl Excitation {
     /// The motion at `t_s`, which may lie beyond the first period.
-    pub fn at<const N: usize>(&self, t_s: f64) -> State<N> {
+    pub fn motion(&self, t_s: f64) -> Motion {
         let omega = TAU / self.period_s;
-        let mut state = State::rest(Joints::zeros());
-        for (j, series) in self.joints.iter().take(N).enumerate() {
-            (state.q[j], state.qd[j], state.qdd[j]) = series.at(t_s, omega);
+        let mut motion = Motion::zeros(self.joints.len());
+        for (j, series) in self.joints.iter().enumerate() {
+            (motion.q[j], motion.qd[j], motion.qdd[j]) = series.at(t_s, omega);
         }
-        state
+        motion
+    }
+
+    /// See [`motion`](Self::motion). Panics for another number of joints.
+    pub fn at<const N: usize>(&self, t_s: f64) -> State<N> {
+        self.motion(t_s).into()
     }
 
     /// Checks that the excitation is one for this robot.

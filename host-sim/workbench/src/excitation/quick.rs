@@ -43,15 +43,14 @@ impl Excitation {
     /// Every candidate starts and ends at rest and is scaled radially into the limits, so that all are feasible.
     /// `progress` is called after every candidate.
     ///
-    /// Errors: [`ExcitationError::Infeasible`], or [`ExcitationError::Shape`] when the robot has not `N` joints.
-    pub fn quick<const N: usize>(
+    /// Errors: [`ExcitationError::Infeasible`].
+    pub fn quick(
         robot: &Robot,
         seed: u64,
         config: &QuickConfig,
         mut progress: impl FnMut(),
     ) -> Result<Self, ExcitationError> {
-        let rows = Rows::<N>::new(robot, Frames::Board)
-            .ok_or_else(|| ExcitationError::joint_count(robot.joint_count(), N))?;
+        let rows = Rows::new(robot, Frames::Board);
         let limits = Extremes::of_limits(robot, config.range_rad, config.limit_share)?;
         let omega = TAU / config.period_s;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -80,10 +79,11 @@ impl Excitation {
     }
 
     /// Condition number of the rigid base regressor, rotors included, stacked over 100 instants of the period.
-    fn condition_number<const N: usize>(&self, rows: &Rows<N>) -> f64 {
+    fn condition_number(&self, rows: &Rows) -> f64 {
         const INSTANTS: usize = 100;
-        let rigid = rows.count() - 2 * N;
-        let instants = (0..INSTANTS).map(|k| self.at(self.period_s * k as f64 / INSTANTS as f64));
+        let rigid = rows.count() - 2 * rows.joints();
+        let instants =
+            (0..INSTANTS).map(|k| self.motion(self.period_s * k as f64 / INSTANTS as f64));
         let stacked = rows.stacked(&instants.collect::<Vec<_>>());
         let stacked = stacked.columns(0, rigid).into_owned();
         let values = stacked.tr_mul(&stacked).symmetric_eigenvalues();
@@ -101,7 +101,7 @@ mod tests {
             candidates: 3,
             ..QuickConfig::default()
         };
-        let excitation = Excitation::quick::<6>(&robot, seed, &config, || {}).expect("feasible");
+        let excitation = Excitation::quick(&robot, seed, &config, || {}).expect("feasible");
         (robot, excitation)
     }
 

@@ -19,17 +19,17 @@ use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 /// * `cogging` direct connections of the networks from the cogging phase, N·m: they go to the board's cogging columns
 pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
     robot: &Robot,
-    layout: &Layout<N>,
-    fit: &Fit<N>,
-    networks: Option<&[JointNetwork; N]>,
-    cogging: Option<&CoggingAmplitudes<N>>,
+    layout: &Layout,
+    fit: &Fit,
+    networks: Option<&[JointNetwork]>,
+    cogging: Option<&CoggingAmplitudes>,
 ) -> Option<ParameterBank> {
     if layout.base != A::index().count {
         return None;
     }
     let mut set = ParameterSet::<N, P>::nominal::<A>(NETWORK_SEED);
     if let Some(networks) = networks {
-        set.network = *networks;
+        set.network = networks.try_into().ok()?;
     }
     let mut bank = ParameterBank::from_set::<A, N, P>(&set);
     let deviations = fit.deviations();
@@ -39,7 +39,7 @@ pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
         column.value = fit.theta[place] as f32;
         column.deviation = deviations[place] as f32;
     }
-    for (joint, amplitudes) in cogging.into_iter().flatten().enumerate() {
+    for (joint, amplitudes) in cogging.iter().flat_map(|own| own.iter()).enumerate() {
         for (column, amplitude) in COGGING_COLUMNS.into_iter().zip(amplitudes) {
             let name = format!("{}{}", column.properties().symbol, joint + 1);
             let mut columns = bank.columns.iter_mut();

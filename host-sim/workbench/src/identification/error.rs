@@ -10,9 +10,6 @@ pub enum IdentifyError {
     /// A log is missing or damaged.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// The robot has another number of joints than this one.
-    #[error("robot '{0}' has not {1} joints")]
-    Joints(String, usize),
     /// No joint moves in these logs.
     #[error("{0}: no joint moves")]
     NoMotion(String),

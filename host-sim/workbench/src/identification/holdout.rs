@@ -7,6 +7,7 @@ use super::methods::MethodName;
 use super::problem::{Candidate, Problem, TrainingData};
 use super::record::{LearningPoint, SplitRecord};
 use super::solve::solve_all;
+use crate::dynamics::PerJoint;
 use crate::metrics::root_mean_square;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -19,12 +20,12 @@ const ROWS: usize = 4000;
 const SHARES: [f64; 5] = [0.0625, 0.125, 0.25, 0.5, 1.0];
 
 /// Errors on 20 % of the rows, drawn at random, of every method trained on the rest.
-pub(super) fn split<const N: usize>(
-    problem: &Problem<'_, N>,
-    sample: &[SampleRow<N>],
+pub(super) fn split(
+    problem: &Problem<'_>,
+    sample: &[SampleRow],
 ) -> Result<Vec<SplitRecord>, IdentifyError> {
     let mut random = ChaCha8Rng::seed_from_u64(problem.seed);
-    let (training, held_out): (Vec<&SampleRow<N>>, Vec<&SampleRow<N>>) = sample
+    let (training, held_out): (Vec<&SampleRow>, Vec<&SampleRow>) = sample
         .iter()
         .partition(|_| random.random_range(0.0..1.0) < TRAINING_SHARE);
     let data = TrainingData::of(problem.layout, training);
@@ -36,14 +37,14 @@ pub(super) fn split<const N: usize>(
 }
 
 /// Errors on rows of an unseen log of every method trained on growing shares of the log.
-pub(super) fn learning_curves<const N: usize>(
-    problem: &Problem<'_, N>,
-    sample: &[SampleRow<N>],
-    unseen: &[SampleRow<N>],
+pub(super) fn learning_curves(
+    problem: &Problem<'_>,
+    sample: &[SampleRow],
+    unseen: &[SampleRow],
 ) -> Vec<(MethodName, Vec<LearningPoint>)> {
     let stride = sample.len().div_ceil(ROWS).max(1);
-    let rows: Vec<&SampleRow<N>> = sample.iter().step_by(stride).collect();
-    let unseen: Vec<&SampleRow<N>> = unseen.iter().collect();
+    let rows: Vec<&SampleRow> = sample.iter().step_by(stride).collect();
+    let unseen: Vec<&SampleRow> = unseen.iter().collect();
     let methods = problem.methods.iter();
     methods
         .map(|&name| {
@@ -71,26 +72,24 @@ pub(super) fn learning_curves<const N: usize>(
 }
 
 /// RMS error of every joint over its moving rows.
-pub(super) fn errors<const N: usize>(
-    layout: &Layout<N>,
-    candidate: &Candidate<N>,
-    rows: &[&SampleRow<N>],
-) -> SplitRecord {
-    let (mut error, mut power, mut count) = ([0.0; N], [0.0; N], [0.0; N]);
+pub(super) fn errors(layout: &Layout, candidate: &Candidate, rows: &[&SampleRow]) -> SplitRecord {
+    let zero = PerJoint::repeat(layout.joints(), 0.0);
+    let (mut error, mut power, mut count) = (zero, zero, zero);
     for row in rows {
         let predicted = candidate.torque(layout, row);
-        for joint in (0..N).filter(|&joint| row.moving[joint]) {
+        for joint in (0..layout.joints()).filter(|&joint| row.moving[joint]) {
             error[joint] += (predicted[joint] - row.tau[joint]).powi(2);
             power[joint] += row.tau[joint].powi(2);
             count[joint] += 1.0;
         }
     }
-    let root = |over: [f64; N]| {
-        let joints = error.iter().zip(over);
-        joints.map(|(error, over)| (over > 0.0).then(|| f64::sqrt(error / over)))
+    let root = |over: PerJoint<f64>| {
+        let joints = error.iter().zip(over.iter());
+        let roots = joints.map(|(error, over)| (*over > 0.0).then(|| f64::sqrt(error / over)));
+        roots.collect()
     };
     SplitRecord {
-        rmse_moving_nm: root(count).collect(),
-        nrmse_moving_ratio: root(power).collect(),
+        rmse_moving_nm: root(count),
+        nrmse_moving_ratio: root(power),
     }
 }

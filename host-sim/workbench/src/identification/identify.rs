@@ -15,6 +15,7 @@ use super::solve::solve_all;
 use super::stream::for_each_prepared;
 use super::study::{Study, Unseen, key_of, recommended};
 use super::truth::truths;
+use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use foretorque::feedforward::JointNetwork;
 use std::path::{Path, PathBuf};
@@ -42,46 +43,44 @@ pub struct IdentifyConfig {
 
 /// Result of an identification.
 #[derive(Clone, Debug)]
-pub struct Outcome<const N: usize> {
+pub struct Outcome {
     /// All figures.
     pub report: Report,
     /// Columns that the board has.
-    pub bank_layout: Layout<N>,
+    pub bank_layout: Layout,
     /// The recommended fit over them.
-    pub bank_fit: Fit<N>,
+    pub bank_fit: Fit,
     /// The recommended residual networks, if it has any.
-    pub networks: Option<Box<[JointNetwork; N]>>,
+    pub networks: Option<Vec<JointNetwork>>,
     /// Their direct connections from the cogging phase, N·m.
-    pub cogging: Option<CoggingAmplitudes<N>>,
+    pub cogging: Option<CoggingAmplitudes>,
     /// The description with the consistent parameters, if they were asked for.
     pub robot: Option<Robot>,
     /// Time, measured and predicted torque on the first validation log: of the recommended method.
-    pub trace: Vec<(f64, [f64; N], [f64; N])>,
+    pub trace: Vec<(f64, PerJoint<f64>, PerJoint<f64>)>,
 }
 
 /// Parameters of a robot by all methods, validated on unseen logs.
 ///
 /// Errors: [`IdentifyError`].
-pub fn identify<const N: usize>(
+pub fn identify(
     robot: &Robot,
     logs: &[PathBuf],
     validate: &[PathBuf],
     config: &IdentifyConfig,
     progress: Progress<'_>,
-) -> Result<Outcome<N>, IdentifyError> {
+) -> Result<Outcome, IdentifyError> {
     for path in logs.iter().chain(validate).chain(&config.test) {
-        config.prepare.check::<N>(path, robot)?;
+        config.prepare.check(path, robot)?;
     }
     let (robot, drive_gains) = if config.gains_from_standstill {
         progress("drive gains");
-        with_gains::<N>(robot, logs, config.prepare.still_rad_s)?
+        with_gains(robot, logs, config.prepare.still_rad_s)?
     } else {
         (robot.clone(), Vec::new())
     };
     let (on_board, left_out) = config.columns.on_board();
-    let layout = |columns| Layout::<N>::new(&robot, columns);
-    let layouts = layout(&config.columns).zip(layout(&on_board));
-    let (layout, board) = layouts.ok_or_else(|| IdentifyError::Joints(robot.name.clone(), N))?;
+    let [layout, board] = [&config.columns, &on_board].map(|columns| Layout::new(&robot, columns));
     let mut notes = Vec::new();
     let dataset = gather(&robot, &layout, logs, config, &mut notes, progress)?;
     let data = TrainingData::all(&dataset);
@@ -180,11 +179,7 @@ pub fn identify<const N: usize>(
 }
 
 /// Figures of settings and dataset.
-fn figures<const N: usize>(
-    config: &IdentifyConfig,
-    dataset: &Dataset<N>,
-    layout: &Layout<N>,
-) -> Report {
+fn figures(config: &IdentifyConfig, dataset: &Dataset, layout: &Layout) -> Report {
     let (condition_number, equilibrated) = dataset.sums.all.condition_numbers(layout);
     let share = |still: usize| still as f64 / dataset.rows_read.max(1) as f64;
     Report {
@@ -197,7 +192,7 @@ fn figures<const N: usize>(
         still_rad_s: config.prepare.still_rad_s,
         rows_read: dataset.rows_read,
         rows_used: dataset.sums.rows,
-        still_share_ratio: dataset.still.map(share).to_vec(),
+        still_share_ratio: dataset.still.iter().copied().map(share).collect(),
         spikes: dataset.spikes,
         rank: layout.parameters.len(),
         condition_number,
@@ -208,14 +203,14 @@ fn figures<const N: usize>(
 }
 
 /// Dataset of the training logs, in one pass.
-fn gather<const N: usize>(
+fn gather(
     robot: &Robot,
-    layout: &Layout<N>,
+    layout: &Layout,
     logs: &[PathBuf],
     config: &IdentifyConfig,
     notes: &mut Vec<String>,
     progress: Progress<'_>,
-) -> Result<Dataset<N>, IdentifyError> {
+) -> Result<Dataset, IdentifyError> {
     let (mut dataset, prepare) = (Dataset::new(layout), &config.prepare);
     for path in logs {
         progress(&format!("reading {}", path.display()));

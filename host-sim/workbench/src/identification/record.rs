@@ -210,9 +210,9 @@ impl MethodRecord {
     }
 
     /// The record of a result, without validation logs.
-    pub(super) fn of<const N: usize>(
-        result: &MethodResult<N>,
-        layout: &Layout<N>,
+    pub(super) fn of(
+        result: &MethodResult,
+        layout: &Layout,
         truth: Option<&[Option<f64>]>,
         split_80_20: SplitRecord,
     ) -> Self {

@@ -29,19 +29,19 @@ pub(super) enum Unseen {
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
 
 /// All methods on one dataset.
-pub(super) struct Study<'a, const N: usize> {
-    pub(super) problem: Problem<'a, N>,
-    pub(super) dataset: &'a Dataset<N>,
+pub(super) struct Study<'a> {
+    pub(super) problem: Problem<'a>,
+    pub(super) dataset: &'a Dataset,
     /// Weighted least squares, whose covariance is the Cramér–Rao bound.
-    pub(super) bound: Fit<N>,
-    pub(super) results: Vec<MethodResult<N>>,
+    pub(super) bound: Fit,
+    pub(super) results: Vec<MethodResult>,
     pub(super) truth: Option<Vec<Option<f64>>>,
     pub(super) progress: Progress<'a>,
 }
 
-impl<const N: usize> Study<'_, N> {
+impl Study<'_> {
     /// Records of all methods, without validation logs.
-    pub(super) fn records(&self, data: &TrainingData<'_, N>) -> Result<Methods, IdentifyError> {
+    pub(super) fn records(&self, data: &TrainingData<'_>) -> Result<Methods, IdentifyError> {
         (self.progress)("80/20 split");
         let Problem { layout, seed, .. } = self.problem;
         let truth = self.truth.as_deref();
@@ -66,7 +66,7 @@ impl<const N: usize> Study<'_, N> {
             }
             methods.insert(result.name.to_string(), record);
         }
-        let sample: Vec<&SampleRow<N>> = self.dataset.sample.iter().collect();
+        let sample: Vec<&SampleRow> = self.dataset.sample.iter().collect();
         for (name, candidate) in RIVALS.iter().zip(self.rivals()) {
             let record = MethodRecord {
                 split_80_20: errors(layout, &candidate, &sample),
@@ -78,7 +78,7 @@ impl<const N: usize> Study<'_, N> {
     }
 
     /// The description's own parameters, and zero torque.
-    fn rivals(&self) -> [Candidate<N>; 2] {
+    fn rivals(&self) -> [Candidate; 2] {
         let Problem { robot, layout, .. } = self.problem;
         let theta = description(robot, layout);
         let zero = DVector::zeros(theta.len());
@@ -92,7 +92,7 @@ impl<const N: usize> Study<'_, N> {
         prepare: &PrepareConfig,
         methods: &mut Methods,
         notes: &mut Vec<String>,
-    ) -> Result<Trace<N>, IdentifyError> {
+    ) -> Result<Trace, IdentifyError> {
         let Problem { robot, layout, .. } = self.problem;
         // The linear part of networks competes with them, and takes their place where it is better on unseen rows.
         let fallback = self
@@ -105,7 +105,7 @@ impl<const N: usize> Study<'_, N> {
         let rivals = self.rivals();
         let results = self.results.iter().map(|result| &result.candidate);
         let last = linear.iter().map(|(candidate, _)| candidate);
-        let candidates: Vec<&Candidate<N>> = results.chain(&rivals).chain(last).collect();
+        let candidates: Vec<&Candidate> = results.chain(&rivals).chain(last).collect();
         let add = |methods: &mut Methods, name: &str, log: String, record| {
             let method = methods.entry(name.to_owned()).or_default();
             method.unseen(kind == Unseen::Test).insert(log, record);
@@ -183,7 +183,7 @@ impl<const N: usize> Study<'_, N> {
     }
 
     /// Parameter error of a linear model; `None` when a true parameter is unknown.
-    fn error(&self, result: &MethodResult<N>) -> Option<DVector<f64>> {
+    fn error(&self, result: &MethodResult) -> Option<DVector<f64>> {
         let Candidate::Linear(theta) = &result.candidate else {
             return None;
         };
@@ -196,9 +196,9 @@ impl<const N: usize> Study<'_, N> {
     /// * `complete` the board has all columns
     pub(super) fn bank_fit(
         &self,
-        result: &MethodResult<N>,
+        result: &MethodResult,
         complete: bool,
-    ) -> Result<Fit<N>, IdentifyError> {
+    ) -> Result<Fit, IdentifyError> {
         let Problem {
             robot,
             layout,
@@ -206,9 +206,8 @@ impl<const N: usize> Study<'_, N> {
             ..
         } = self.problem;
         let sums = self.dataset.sums.clean.subset(layout, board);
-        let honest = |fit: Fit<N>| {
-            with_block_deviations(fit, (&sums, board), (&self.dataset.sample, layout))
-        };
+        let honest =
+            |fit: Fit| with_block_deviations(fit, (&sums, board), (&self.dataset.sample, layout));
         if let (true, Some(fit)) = (complete, &result.fit) {
             return Ok(honest(fit.clone()));
         }
@@ -232,8 +231,8 @@ impl<const N: usize> Study<'_, N> {
 
 /// Place of the method with the least error on moving rows it was not trained on, of those the board can run: mean over
 /// the validation logs, or without any the rows that the split held out.
-pub(super) fn recommended<const N: usize>(results: &[MethodResult<N>], methods: &Methods) -> usize {
-    let error = |result: &MethodResult<N>| {
+pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize {
+    let error = |result: &MethodResult| {
         let record = &methods[&result.name.to_string()];
         let logs = record.validation.values();
         let errors = logs.map(|log| log.joints_nrmse_moving_ratio);

@@ -9,7 +9,7 @@ use foretorque::dynamics::FrictionColumn;
 use nalgebra::DVector;
 
 /// True parameters of the layout; `None` for a column that takes up friction of another kind.
-pub(super) fn truths<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<Option<f64>> {
+pub(super) fn truths(robot: &Robot, layout: &Layout) -> Vec<Option<f64>> {
     let base = robot.base_parameters();
     let mut out: Vec<Option<f64>> = base.into_iter().map(Some).collect();
     for parameter in layout.parameters.iter().skip(layout.base) {
@@ -41,10 +41,10 @@ pub(super) fn base_error(theta: &DVector<f64>, truth: &[Option<f64>], base: usiz
 }
 
 /// Error of the base parameters by epoch of the accelerated layer; empty without a truth.
-pub(super) fn error_curve<const N: usize>(
-    data: &TrainingData<'_, N>,
-    layout: &Layout<N>,
-    reference: &Fit<N>,
+pub(super) fn error_curve(
+    data: &TrainingData<'_>,
+    layout: &Layout,
+    reference: &Fit,
     truth: Option<&[Option<f64>]>,
     seed: u64,
 ) -> Vec<(usize, f64)> {

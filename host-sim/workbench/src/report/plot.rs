@@ -70,12 +70,13 @@ impl Panel {
         self
     }
 
-    /// One panel over time for each of `N` joints.
-    pub fn of_joints<const N: usize>(
+    /// One panel over time for each of so many joints.
+    pub fn of_joints(
+        joints: usize,
         y_label: &str,
         curves: impl Fn(usize) -> Vec<Curve>,
     ) -> Vec<Self> {
-        (0..N)
+        (0..joints)
             .map(|j| Self::new(format!("joint {}", j + 1), "t / s", y_label, curves(j)))
             .collect()
     }

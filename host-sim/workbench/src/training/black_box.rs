@@ -1,7 +1,7 @@
 //! The black-box BP network: all positions, velocities and accelerations in, all torques out, 32 hidden units.
 
 use super::TrainingNetwork;
-use crate::dynamics::State;
+use crate::dynamics::{Motion, PerJoint};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -19,35 +19,37 @@ const RATE: f64 = 3e-3;
 
 /// A trained black box with the scales of its inputs and outputs.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BlackBox<const N: usize> {
+pub struct BlackBox {
     network: TrainingNetwork,
     centre: Vec<f64>,
     spread: Vec<f64>,
-    torque_centre: [f64; N],
-    torque_spread: [f64; N],
+    torque_centre: PerJoint<f64>,
+    torque_spread: PerJoint<f64>,
     /// RMSE of each epoch over the spread of the torques, a ratio.
     pub losses: Vec<f64>,
 }
 
-impl<const N: usize> BlackBox<N> {
+impl BlackBox {
     /// Network trained on states and torques, N·m; a joint that stands still in a row has no error there.
     ///
     /// Gradient descent on batches with a rate of its own for every weight [Kingma and Ba 2015].
     pub fn train(
-        rows: &[(State<N>, [f64; N], [bool; N])],
+        rows: &[(Motion, PerJoint<f64>, PerJoint<bool>)],
         seed: u64,
         watch: &mut dyn FnMut(usize, f64),
     ) -> Self {
         let stride = rows.len().div_ceil(ROWS).max(1);
         let rows: Vec<_> = rows.iter().step_by(stride).collect();
         let inputs: Vec<Vec<f64>> = rows.iter().map(|(state, ..)| raw_inputs(state)).collect();
-        let (centre, spread) = (0..3 * N)
+        let joints = rows.first().map_or(1, |(motion, ..)| motion.q.len());
+        let (centre, spread) = (0..3 * joints)
             .map(|i| moments(inputs.iter().map(|x| x[i])))
             .unzip();
-        let torques: [(f64, f64); N] =
-            std::array::from_fn(|joint| moments(rows.iter().map(|(_, tau, _)| tau[joint])));
+        let torques = PerJoint::from_fn(joints, |joint| {
+            moments(rows.iter().map(|(_, tau, _)| tau[joint]))
+        });
         let mut out = Self {
-            network: TrainingNetwork::silent(3 * N, HIDDEN, N, seed),
+            network: TrainingNetwork::silent(3 * joints, HIDDEN, joints, seed),
             centre,
             spread,
             torque_centre: torques.map(|(centre, _)| centre),
@@ -68,9 +70,9 @@ impl<const N: usize> BlackBox<N> {
                 let mut gradient = vec![0.0; size];
                 for &row in batch {
                     let (_, tau, moving) = rows[row];
-                    let (mut a, mut e) = ([0.0; HIDDEN], [0.0; N]);
+                    let (mut a, mut e) = ([0.0; HIDDEN], PerJoint::repeat(joints, 0.0));
                     out.network.forward(&inputs[row], &mut a, &mut e);
-                    for joint in 0..N {
+                    for joint in 0..joints {
                         let target =
                             (tau[joint] - out.torque_centre[joint]) / out.torque_spread[joint];
                         e[joint] = f64::from(u8::from(moving[joint])) * (e[joint] - target);
@@ -97,11 +99,11 @@ impl<const N: usize> BlackBox<N> {
     }
 
     /// Torques at `state`, N·m.
-    pub fn torque(&self, state: &State<N>) -> [f64; N] {
-        let (mut a, mut y) = ([0.0; HIDDEN], [0.0; N]);
+    pub fn torque(&self, state: &Motion) -> PerJoint<f64> {
+        let (mut a, mut y) = ([0.0; HIDDEN], self.torque_centre);
         self.network
             .forward(&self.scaled(&raw_inputs(state)), &mut a, &mut y);
-        std::array::from_fn(|joint| {
+        PerJoint::from_fn(y.len(), |joint| {
             self.torque_centre[joint] + self.torque_spread[joint] * y[joint]
         })
     }
@@ -115,7 +117,7 @@ impl<const N: usize> BlackBox<N> {
     }
 }
 
-fn raw_inputs<const N: usize>(state: &State<N>) -> Vec<f64> {
+fn raw_inputs(state: &Motion) -> Vec<f64> {
     let parts = [&state.q, &state.qd, &state.qdd];
     parts.iter().flat_map(|part| part.iter()).copied().collect()
 }
