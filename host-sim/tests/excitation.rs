@@ -37,7 +37,7 @@ fn every_limit_holds_between_the_points_that_were_checked() {
     for seed in 1..=2 {
         let excitation = found(&robot, &short(seed));
         assert!(certificate(&excitation).holds);
-        let counted = recount::<6>(&robot, &excitation, PI, 20_011).expect("certified");
+        let counted = recount(&robot, &excitation, PI, 20_011).expect("certified");
         assert_eq!(
             (counted.violations, counted.beyond_certificate),
             (0, 0),
@@ -61,7 +61,7 @@ fn a_recount_sees_what_breaks_a_limit() {
     for (place, change) in changes.iter().enumerate() {
         let mut other = robot.clone();
         change(&mut other);
-        let counted = recount::<6>(&other, &excitation, PI, 2000).expect("certified");
+        let counted = recount(&other, &excitation, PI, 2000).expect("certified");
         assert!(counted.violations > 0, "change {place}");
     }
 }

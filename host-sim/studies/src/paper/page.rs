@@ -2,8 +2,8 @@
 
 use super::cell::{FRICTIONS, FrictionKind};
 use super::config::PaperReport;
-use super::curves::Curves;
 use super::findings::{of_times, percent};
+use super::rigid::Curves;
 use super::summary::{Condition, Times};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::excitation::page::{legend, panels, picture as excitation_picture};

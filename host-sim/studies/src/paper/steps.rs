@@ -1,7 +1,7 @@
 //! The paper's steps (1) to (4): known parameters, no friction, no rotors, no noise, 36 base parameters.
 
 use super::cell::ROWS;
-use super::curves::Curves;
+use super::rigid::Curves;
 use super::rigid::{RigidBody, Rows, Sample};
 use crate::StudyError;
 use foretorque::arm::ur5::JOINTS;
