@@ -1,5 +1,5 @@
 use super::arm::RobotOptions;
-use super::progress::Bar;
+use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, unusable};
 use clap::{Args, ValueEnum};

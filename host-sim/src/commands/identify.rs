@@ -1,5 +1,5 @@
 use super::arm::{LogOptions, RobotOptions};
-use super::progress::Lines;
+use super::terminal::Lines;
 use super::terminal::show;
 use super::{Failure, not_negative, positive, unusable};
 use clap::Args;

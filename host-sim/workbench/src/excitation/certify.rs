@@ -1,7 +1,7 @@
 //! Check of an excitation: every limit on a fine grid, with bounds between its points.
 
+use super::ExcitationError;
 use super::certificate::{Certificate, LimitCheck};
-use super::error::ExcitationError;
 use super::information::{Criterion, NOISE, SAMPLES, condition_number};
 use super::objective::Objective;
 use super::path::Excitation;

@@ -2,16 +2,16 @@
 
 mod speeds;
 
+use super::ExcitationError;
 use super::certificate::Certificate;
 use super::certify::{Provenance, certify};
 use super::clearance::Clearances;
-use super::error::ExcitationError;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
 use super::objective::{INSTANTS, Objective, PenaltyWeights, basis, descend};
 use super::path::Excitation;
 use super::rows::{Frames, Rows};
+use super::series::{Bases, VARIABLES};
 use super::series::{Extremes, JointSeries, ORDER};
-use super::variables::{Bases, VARIABLES};
 use crate::dynamics::{Motion, PerJoint};
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;

@@ -1,6 +1,6 @@
 //! Columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
 
-use super::error::UnknownName;
+use super::UnknownName;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use foretorque::dynamics::{
@@ -212,19 +212,18 @@ impl Layout {
         }
         let feels = feels_gravity(&model);
         // A column that is always zero drops out: load of an upright axis, cogging of a drive without cycles.
-        let friction = (0..joints).map(|joint| {
-            let cycles = robot.joints[joint].friction.cogging_cycles_rev > 0.0;
-            let terms = set.0.iter().copied();
-            let shown = terms.filter(|&term| match term {
+        let cogging = PerJoint::from_fn(joints, |joint| {
+            robot.joints[joint].friction.cogging_cycles_rev
+        });
+        let mut friction: Vec<Vec<FrictionTerm>> = Vec::new();
+        for (joint, active) in active.iter_mut().enumerate() {
+            let mut shown = set.0.clone();
+            shown.retain(|&term| match term {
                 LOAD => feels[joint],
-                Board(column) => cycles || !COGGING_COLUMNS.contains(&column),
+                Board(column) => cogging[joint] > 0.0 || !COGGING_COLUMNS.contains(&column),
                 _ => true,
             });
-            shown.collect()
-        });
-        let friction: Vec<Vec<FrictionTerm>> = friction.collect();
-        for (joint, active) in active.iter_mut().enumerate() {
-            for &term in &friction[joint] {
+            for &term in &shown {
                 let (symbol, unit) = term.symbol_and_unit();
                 active.push(parameters.len());
                 parameters.push(Parameter {
@@ -233,6 +232,7 @@ impl Layout {
                     friction: Some((term, joint)),
                 });
             }
+            friction.push(shown);
         }
         let precision = parameters.iter().map(|parameter| match parameter.friction {
             Some((term @ Board(column), joint)) if !term.is_plain() => {
@@ -241,7 +241,6 @@ impl Layout {
             }
             _ => 0.0,
         });
-        let precision = precision.collect();
         let mut width = 0;
         let offset = active.iter().map(|active| {
             width += active.len();
@@ -249,6 +248,7 @@ impl Layout {
         });
         Self {
             offset: offset.collect(),
+            precision: precision.collect(),
             parameters,
             base: standard.len(),
             active,
@@ -256,10 +256,7 @@ impl Layout {
             friction,
             standard,
             model,
-            cogging: PerJoint::from_fn(joints, |joint| {
-                robot.joints[joint].friction.cogging_cycles_rev
-            }),
-            precision,
+            cogging,
         }
     }
 

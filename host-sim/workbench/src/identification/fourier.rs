@@ -3,8 +3,8 @@
 //! Everything between the harmonics of a periodic motion is noise: averaging and projection remove it without edges, and
 //! the derivatives of the series are exact [Swevers et al. 1997]. Regressor and torque share the harmonics.
 
+use super::IdentifyError;
 use super::columns::Layout;
-use super::error::IdentifyError;
 use super::filter::{despiked, median};
 use super::log::{LogReader, LogRow};
 use super::prepare::{Preparation, PrepareConfig, Prepared, states};

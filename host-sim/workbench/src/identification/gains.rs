@@ -1,6 +1,6 @@
 //! Drive gains from standstill: the motors hold the gravity torque.
 
-use super::error::IdentifyError;
+use super::IdentifyError;
 use super::log::LogReader;
 use super::record::GainRecord;
 use crate::dynamics::{PerJoint, RigidBodies};

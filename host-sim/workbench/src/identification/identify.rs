@@ -1,9 +1,9 @@
 //! From logs to a report and the parameters of a bank.
 
+use super::IdentifyError;
 use super::cogging::CoggingAmplitudes;
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
-use super::error::IdentifyError;
 use super::fourier::folded;
 use super::gains::with_gains;
 use super::judge::{Judgement, after_fit};
@@ -13,11 +13,15 @@ use super::problem::{Candidate, Problem, Progress, TrainingData};
 use super::record::{RIVALS, Report};
 use super::solve::solve_all;
 use super::stream::for_each_prepared;
+use super::study::truths;
 use super::study::{Study, Unseen, key_of, recommended};
-use super::truth::truths;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
+use foretorque::arm::Arm;
+use foretorque::dynamics::COGGING_COLUMNS;
 use foretorque::feedforward::JointNetwork;
+use foretorque::learning::ParameterSet;
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use std::path::{Path, PathBuf};
 
 /// Settings of an identification.
@@ -256,4 +260,52 @@ fn same_content(one: &Path, other: &Path) -> bool {
     let length = |path: &Path| std::fs::metadata(path).map(|file| file.len()).ok();
     let bytes = |path: &Path| std::fs::read(path).ok();
     length(one) == length(other) && bytes(one).is_some() && bytes(one) == bytes(other)
+}
+
+/// The bank of a fit over columns the board has; `None` when the layout is not that of `A`.
+///
+/// Columns without a fit are zero and keep the deviation of an unidentified bank.
+///
+/// * `layout` the columns of `fit`
+/// * `networks` one a joint; zero without
+/// * `cogging` direct connections of the networks from the cogging phase, N·m: they go to the board's cogging columns
+pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
+    robot: &Robot,
+    layout: &Layout,
+    fit: &Fit,
+    networks: Option<&[JointNetwork]>,
+    cogging: Option<&CoggingAmplitudes>,
+) -> Option<ParameterBank> {
+    if layout.base != A::index().count {
+        return None;
+    }
+    let mut set = ParameterSet::<N, P>::nominal::<A>(NETWORK_SEED);
+    if let Some(networks) = networks {
+        set.network = networks.try_into().ok()?;
+    }
+    let mut bank = ParameterBank::from_set::<A, N, P>(&set);
+    let deviations = fit.deviations();
+    for (place, parameter) in layout.parameters.iter().enumerate() {
+        let mut columns = bank.columns.iter_mut();
+        let column = columns.find(|column| column.id.to_string() == parameter.name)?;
+        column.value = fit.theta[place] as f32;
+        column.deviation = deviations[place] as f32;
+    }
+    for (joint, amplitudes) in cogging.iter().flat_map(|own| own.iter()).enumerate() {
+        for (column, amplitude) in COGGING_COLUMNS.into_iter().zip(amplitudes) {
+            let name = format!("{}{}", column.properties().symbol, joint + 1);
+            let mut columns = bank.columns.iter_mut();
+            let column = columns.find(|column| column.id.to_string() == name);
+            // An arm without cogging has no such column and no amplitude either.
+            match column {
+                Some(column) => column.value += *amplitude as f32,
+                None if *amplitude == 0.0 => (),
+                None => return None,
+            }
+        }
+    }
+    for (gain, joint) in bank.drive_gains_nm_a.iter_mut().zip(&robot.joints) {
+        *gain = joint.drive.gain as f32;
+    }
+    Some(bank)
 }

@@ -1,8 +1,8 @@
 //! Least squares: plain, weighted by joint, robust.
 
+use super::UnknownName;
 use super::columns::Layout;
 use super::dataset::SampleRow;
-use super::error::UnknownName;
 use super::filter::median;
 use super::normal::{JointSums, NormalEquations, solve};
 use crate::dynamics::PerJoint;

@@ -4,8 +4,8 @@
 //! parameters and the gradient of the BP network's loss all follow from them without another pass over the log. The price
 //! is the square of the condition number, which f64 affords up to about 1e7 (rank decisions are made at 1e4).
 
+use super::IdentifyError;
 use super::columns::Layout;
-use super::error::IdentifyError;
 use crate::dynamics::PerJoint;
 use nalgebra::{DMatrix, DMatrixView, DVector};
 

@@ -1,7 +1,7 @@
 //! From a stretch of a log to the rows of the linear model: motion, regressor and torque through the same filter.
 
+use super::IdentifyError;
 use super::columns::Layout;
-use super::error::IdentifyError;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
 use super::speed::SpeedSums;

@@ -3,7 +3,7 @@
 use super::columns::Layout;
 use super::judge::{Finding, Judgement};
 use super::problem::MethodResult;
-use super::truth::base_error;
+use super::study::base_error;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

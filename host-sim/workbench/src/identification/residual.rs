@@ -1,8 +1,8 @@
 //! The linear model that the board has and one small BP network a joint for its residual.
 
+use super::IdentifyError;
 use super::cogging::CoggingAmplitudes;
 use super::columns::Layout;
-use super::error::IdentifyError;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::NormalEquations;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};

@@ -1,9 +1,9 @@
 //! One method after the other on the same training data.
 
+use super::IdentifyError;
 use super::columns::Layout;
 use super::consistent::consistent;
 use super::dataset::SampleRow;
-use super::error::IdentifyError;
 use super::evidence::evidence;
 use super::methods::{Fit, MethodName, irls, ols, wls};
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};

@@ -315,12 +315,7 @@ mod tests {
         )
     }
 
-    /// Rows of a log of one joint that moves on a cubic, at these times.
-    fn read(name: &str, times_s: &[f64]) -> (Vec<LogRow>, WholeLog) {
-        stamped(name, times_s, times_s)
-    }
-
-    /// A log with given stamps.
+    /// Rows of a log of one joint that moves on a cubic, at these times, with these stamps.
     fn stamped(name: &str, times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow>, WholeLog) {
         let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
         let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
@@ -347,7 +342,7 @@ mod tests {
             .filter(|k| k % 4 < 2)
             .map(|k| 8e-3 * f64::from(k) + 2e-4 * f64::from(k * 7 % 3 - 1))
             .collect();
-        let (rows, log) = read("lost", &times);
+        let (rows, log) = stamped("lost", &times, &times);
         assert_eq!((rows.len(), log.lost()), (398, 198));
         assert!((log.period_s() - 8e-3).abs() < 1e-5, "{}", log.period_s());
         for row in &rows {
@@ -367,7 +362,7 @@ mod tests {
         for k in 0..400 {
             times.push(times[k] + if k % 2 == 0 { 10e-3 } else { 12e-3 });
         }
-        let (rows, log) = read("uneven", &times);
+        let (rows, log) = stamped("uneven", &times, &times);
         assert!((log.period_s() - 11e-3).abs() < 1e-12);
         assert!(log.notes().any(|note| note.contains("grid of 11.00 ms")));
         for (k, row) in rows.iter().enumerate() {

@@ -1,9 +1,9 @@
 //! Line plots as SVG that takes its colours from the page, so that it reads in light and in dark.
 
-pub use super::color::PlotColor;
+pub use super::PlotColor;
 
-use super::color::{AXIS, GRID, TEXT, coloured, light};
 use super::escape;
+use super::{AXIS, GRID, TEXT, coloured, light};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
@@ -331,7 +331,7 @@ mod tests {
             panel("b", PlotColor::Joint(7)),
         ];
         let svg = grid(&panels, 1).expect("draws");
-        let sheet = crate::report::color::style_sheet();
+        let sheet = crate::report::style_sheet();
         for piece in svg.split("=\"#").skip(1) {
             let hex = piece.split('"').next().unwrap_or_default();
             assert!(sheet.contains(hex), "{hex}");

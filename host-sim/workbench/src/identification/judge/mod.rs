@@ -10,8 +10,8 @@ mod fitted;
 pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
+use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
-use super::error::IdentifyError;
 use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
 use super::stream::for_each_prepared;
