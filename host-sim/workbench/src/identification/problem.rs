@@ -111,7 +111,7 @@ pub enum Candidate {
         /// One network a joint.
         networks: Vec<JointNetwork>,
         /// Torque limit of every joint, N·m.
-        limits: PerJoint<f64>,
+        limits: Vec<f64>,
     },
 }
 

@@ -69,7 +69,7 @@ pub(super) fn residual(
         theta: fit.theta.clone(),
         cogging,
         networks,
-        limits,
+        limits: limits.to_vec(),
     };
     let plain = Candidate::Linear(alone.theta.clone());
     let mut fit = fit;
