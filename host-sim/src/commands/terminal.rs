@@ -1,4 +1,5 @@
-//! All output to the terminal.
+//! All output to the terminal; progress goes to the error stream, so that no output is disturbed: a bar on a terminal, one line
+//! a minute elsewhere.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};

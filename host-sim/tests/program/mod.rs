@@ -1,4 +1,4 @@
-//! The program in a directory of its own, as its users call it.
+//! The program in a directory of its own, as its users call it, and a board of this process on a pseudo-terminal.
 
 use foretorque_workbench::board::Transport;
 use serde_json::Value;

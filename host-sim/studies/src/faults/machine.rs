@@ -1,4 +1,5 @@
-//! Faults of the processor: the firmware that fails on request, in the emulator.
+//! Faults of the processor: the firmware that fails on request, in the emulator; and a simulated watchdog, fed through the
+//! task check-in of the firmware.
 
 use super::Campaign;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};

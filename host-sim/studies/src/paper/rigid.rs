@@ -1,4 +1,4 @@
-//! The known arm: its links alone, and the regressor of their base parameters (eq. 16).
+//! The known arm: its links alone, and the regressor of their base parameters (eq. 16); and the curves of the steps.
 
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};

@@ -1,4 +1,4 @@
-//! Figures of the replay.
+//! Figures of the replay: `report.json`, `report.html` and text.
 
 use crate::Outcome;
 use crate::real_ur5::joint_rows;

@@ -1,4 +1,4 @@
-//! Profile of an arm: its drives, buses and rate, from a TOML file.
+//! Profile of an arm: its drives, buses and rate, from a TOML file; and the time of a frame on its bus.
 
 use super::BusError;
 use foretorque::arm::Arm;

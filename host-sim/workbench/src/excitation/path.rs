@@ -1,4 +1,4 @@
-//! The excitation of all joints, and its form on a board.
+//! The excitation of all joints, and its form on a board; a quick one, the best of many random series.
 
 use super::ExcitationError;
 use super::certificate::Certificate;

@@ -1,4 +1,7 @@
-//! Finite Fourier series of one joint (eq. 17), and its scaling into limits.
+//! Finite Fourier series of one joint (eq. 17), its scaling into limits, and the variables of a search.
+//!
+//! Rest at t = 0, and so at the period's end, takes two coefficients of each joint: Σ a_l = 0 (velocity) and Σ l b_l = 0
+//! (acceleration). Of 11 a joint 9 remain: the offset, and 4 for each of a and b on orthonormal bases of what is left.
 
 use super::ExcitationError;
 use crate::robot::Robot;

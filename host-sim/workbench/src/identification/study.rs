@@ -1,4 +1,4 @@
-//! All methods side by side on the same logs.
+//! All methods side by side on the same logs, and their errors against known true parameters.
 
 use super::IdentifyError;
 use super::columns::{FrictionTerm, Layout};

@@ -1,4 +1,5 @@
-//! Reports: figures as JSON, and one self-contained page that opens offline.
+//! Reports: figures as JSON, and one self-contained page that opens offline. A plot is drawn in placeholders for colours by
+//! meaning, which the page's style sheet or a picture's palette replaces.
 
 pub mod closed_loop;
 pub mod page;
