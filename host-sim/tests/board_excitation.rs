@@ -23,7 +23,7 @@ fn excitation() -> Excitation {
         period_s: 2.0,
         ..QuickConfig::default()
     };
-    Excitation::quick::<N>(&robot, 1, &config, || ()).expect("the UR5 can move")
+    Excitation::quick(&robot, 1, &config, || ()).expect("the UR5 can move")
 }
 
 fn program() -> ExcitationProgram<N> {

@@ -1,6 +1,6 @@
 //! The program with boards on a serial port and in the emulator, and its messages about boards it cannot use.
 
-use crate::played::PlayedBoard;
+use crate::program::PlayedBoard;
 use crate::program::{directory, fails, files, states, succeeds, text, write};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;

@@ -1,6 +1,6 @@
 //! The clients in one file each, with a board on a pseudo-terminal.
 
-use crate::played::PlayedBoard;
+use crate::program::PlayedBoard;
 use crate::program::{directory, text};
 use crate::python;
 use foretorque::arm::ur5::{ParameterSet, Ur5};

@@ -24,7 +24,7 @@ fn short(seed: u64) -> SearchConfig {
 }
 
 fn found(robot: &Robot, config: &SearchConfig) -> Excitation {
-    optimise::<6>(robot, config, None, |_, _| {}).expect("feasible")
+    optimise(robot, config, None, |_, _| {}).expect("feasible")
 }
 
 fn certificate(excitation: &Excitation) -> &Certificate {
@@ -37,7 +37,7 @@ fn every_limit_holds_between_the_points_that_were_checked() {
     for seed in 1..=2 {
         let excitation = found(&robot, &short(seed));
         assert!(certificate(&excitation).holds);
-        let counted = recount::<6>(&robot, &excitation, PI, 20_011).expect("certified");
+        let counted = recount(&robot, &excitation, PI, 20_011).expect("certified");
         assert_eq!(
             (counted.violations, counted.beyond_certificate),
             (0, 0),
@@ -61,7 +61,7 @@ fn a_recount_sees_what_breaks_a_limit() {
     for (place, change) in changes.iter().enumerate() {
         let mut other = robot.clone();
         change(&mut other);
-        let counted = recount::<6>(&other, &excitation, PI, 2000).expect("certified");
+        let counted = recount(&other, &excitation, PI, 2000).expect("certified");
         assert!(counted.violations > 0, "change {place}");
     }
 }
@@ -89,7 +89,7 @@ fn improving_a_trajectory_never_makes_it_worse() {
         ..short(4)
     };
     let first = found(&robot, &config);
-    let second = optimise::<6>(&robot, &config, Some(&first), |_, _| {}).expect("feasible");
+    let second = optimise(&robot, &config, Some(&first), |_, _| {}).expect("feasible");
     let error = |excitation: &Excitation| certificate(excitation).predicted_nrmse_percent;
     assert!(error(&second) <= error(&first));
 }

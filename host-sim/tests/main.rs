@@ -12,7 +12,6 @@ mod identification;
 mod logged;
 mod orphans;
 mod planted;
-mod played;
 mod program;
 #[path = "../../tests/python.rs"]
 mod python;

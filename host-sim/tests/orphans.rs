@@ -85,7 +85,7 @@ fn an_emulator_ends_with_the_program_however_that_ends() {
         ..QuickConfig::default()
     };
     let robot = Robot::load("ur5").expect("it is built in");
-    let excitation = Excitation::quick::<6>(&robot, 1, &quick, || ()).expect("one candidate");
+    let excitation = Excitation::quick(&robot, 1, &quick, || ()).expect("one candidate");
     let excitation = serde_json::to_vec(&excitation).expect("plain numbers");
     for (place, (board, end)) in [
         ("qemu-usart", Signal::SIGKILL),

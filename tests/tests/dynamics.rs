@@ -133,14 +133,6 @@ fn regressor_rows_are_those_of_the_reference() {
 }
 
 #[test]
-fn gravity_vanishes_when_links_are_massless() {
-    let mut random = ChaCha8Rng::seed_from_u64(23);
-    let (motion, _) = random_motion(&mut random);
-    let tau = rnea::<Ur5, 6, 40>(&BaseParameters::zeros(), &motion);
-    assert_eq!(tau, JointVector::<6>::zeros());
-}
-
-#[test]
 fn an_angle_that_is_no_angle_gives_no_torque() {
     let beta = BaseParameters::<40>::from_row_slice(&Ur5::NOMINAL);
     for angle in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1001.0] {

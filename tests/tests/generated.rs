@@ -15,7 +15,7 @@ fn module_is_up_to_date<A: Arm<N, P>, const N: usize, const P: usize>() {
     let committed = std::fs::read_to_string(folder.join(format!("{}.rs", A::NAME)));
     assert!(
         arm_module(&description(A::NAME)) == committed.expect("a shipped arm"),
-        "the module of '{}' is stale: run `cargo run -p host-sim --example write_arm -- DESCRIPTION MODULE.rs`",
+        "the module of '{}' is stale: run `cargo run -p host-sim -- generate --robot DESCRIPTION --out MODULE.rs`",
         A::NAME
     );
 }

@@ -11,8 +11,7 @@ use foretorque_link::bank::NETWORK_SEED;
 use foretorque_link::drives::Frame;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{
-    Ask, BusChoice, BusError, BusPlayer, Commissioning, Found, Network, Operator, Profile, Step,
-    WiredNetwork,
+    Ask, BusChoice, BusError, BusPlayer, Commissioning, Found, Network, Profile, Step, WiredNetwork,
 };
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::files::write_whole;
@@ -210,7 +209,7 @@ impl Arguments {
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
-        let network: Box<dyn Operator> = if arguments.bus == BusChoice::Sim {
+        let network: Box<dyn Network> = if arguments.bus == BusChoice::Sim {
             let truth = robot.perturbed(arguments.seed, &Perturbation::PLANT);
             let plant = plant_config(PlantConfig::default());
             let plant = Plant::<N>::new(&truth, plant, arguments.seed);
@@ -230,7 +229,7 @@ impl Arguments {
     /// Executes the steps, and writes what was found up to the first mistake. A step alone keeps the findings of the others.
     fn steps<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
-        mut arm: Commissioning<A, Box<dyn Operator>, N, P>,
+        mut arm: Commissioning<A, Box<dyn Network>, N, P>,
         wanted: &[(StepName, Step)],
     ) -> Result<(), Failure> {
         let file = self.out.join("commission.json");
@@ -302,9 +301,7 @@ impl Network for Attended {
     fn is_off(&self) -> bool {
         self.0.is_off()
     }
-}
 
-impl Operator for Attended {
     fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
         let request = match ask {
             Ask::Pose(pose) => format!("put the arm into the pose {pose:?} rad"),

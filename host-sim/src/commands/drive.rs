@@ -2,7 +2,7 @@ use super::arm::ArmOptions;
 use super::boards::on_arm;
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
-use super::progress::Bar;
+use super::terminal::Bar;
 use super::terminal::{interrupted, show};
 use super::{Failure, bank, positive, unusable};
 use clap::Args;

@@ -1,11 +1,10 @@
 use super::arm::RobotOptions;
-use super::progress::Bar;
+use super::terminal::Bar;
 use super::terminal::show;
-use super::{Failure, unsupported, unusable};
+use super::{Failure, unusable};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
 use foretorque_workbench::files::{WholeFile, at, write_whole};
-use foretorque_workbench::joints;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{TableWriter, state_columns};
 use std::io::Write;
@@ -112,10 +111,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         robot.workspace.table_height = Some(height);
     }
-    joints!(robot.joint_count(), N => search::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
+    search(arguments, &robot)
 }
 
-fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
+fn search(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     let given = match &arguments.improve {
         Some(path) => Some(read(path, robot)?),
         None => None,
@@ -137,11 +136,11 @@ fn search<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Fa
     // A directory that cannot be written is refused before the work.
     let mut json = WholeFile::create(&arguments.out.join("excitation.json"))?;
     let bar = Bar::new();
-    let excitation = excitation::optimise::<N>(robot, &config, given.as_ref(), |done, all| {
+    let excitation = excitation::optimise(robot, &config, given.as_ref(), |done, all| {
         bar.show("excitation", done, all);
     })?;
     drop(bar);
-    write::<N>(&excitation, &arguments.out)?;
+    write(&excitation, &arguments.out)?;
     serde_json::to_writer_pretty(&mut json, &excitation)?;
     json.write_all(b"\n")?;
     json.finish()?;
@@ -187,20 +186,21 @@ pub(super) fn read(path: &Path, robot: &Robot) -> Result<Excitation, Failure> {
 }
 
 /// Everything but the coefficients.
-fn write<const N: usize>(excitation: &Excitation, out: &Path) -> Result<(), Failure> {
+fn write(excitation: &Excitation, out: &Path) -> Result<(), Failure> {
     let mut header = vec!["t_s".to_owned()];
-    header.extend(state_columns(N));
+    header.extend(state_columns(excitation.joints.len()));
     let mut table = TableWriter::create(&out.join("excitation.csv"), &header)?;
     for k in 0..=(excitation.period_s * 1000.0).round() as usize {
         let t_s = k as f64 * 1e-3;
-        let state = excitation.at::<N>(t_s);
-        let values = state.q.iter().chain(&state.qd).chain(&state.qdd);
+        let motion = excitation.motion(t_s);
+        let values = [&motion.q, &motion.qd, &motion.qdd].into_iter();
+        let values = values.flat_map(|values| values.iter());
         table.row(std::iter::once(&t_s).chain(values))?;
     }
     table.finish()?;
-    let page = excitation::page::page::<N>(excitation).html()?;
+    let page = excitation::page::page(excitation).html()?;
     write_whole(&out.join("excitation.html"), page.as_bytes())?;
-    let picture = excitation::page::picture::<N>(excitation)?;
+    let picture = excitation::page::picture(excitation)?;
     write_whole(&out.join("excitation.svg"), picture.as_bytes())?;
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! The studies, each a command of its own.
 
 use super::boards::BoardChoice;
-use super::progress::Bar;
+use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, excite, unusable};
 use clap::{Args, Command, Subcommand};

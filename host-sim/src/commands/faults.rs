@@ -1,9 +1,9 @@
 use super::experiment::Snapshot;
-use super::progress::Bar;
+use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, unusable};
 use clap::Args;
-use foretorque_studies::faults::{Campaign, Lengths, scenarios, table};
+use foretorque_studies::faults::{self, Campaign, Lengths, scenarios};
 use foretorque_workbench::files::write_whole;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -48,7 +48,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     std::fs::create_dir_all(&scratch)?;
     let all = scenarios(lengths, arguments.seed, &scratch);
     let (bar, count) = (Bar::new(), all.len());
-    show!("{} seconds", table::header())?;
+    show!("{} seconds", faults::header())?;
     for (place, scenario) in all.into_iter().enumerate() {
         bar.show(scenario.name, place, count);
         let (name, start) = (scenario.name, Instant::now());
@@ -56,7 +56,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             .run()
             .map_err(|error| unusable(format!("{name}: {error}")))?;
         let seconds = start.elapsed().as_secs_f64();
-        show!("{} {seconds:>7.1}", table::row(&campaign))?;
+        show!("{} {seconds:>7.1}", faults::row(&campaign))?;
         report.campaigns.push(campaign);
         write(arguments, &report)?;
     }
@@ -84,7 +84,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     arguments
         .snapshot
-        .keep(&table::text(arguments.seed, &report.campaigns))
+        .keep(&faults::text(arguments.seed, &report.campaigns))
 }
 
 fn write(arguments: &Arguments, report: &Report) -> Result<(), Failure> {

@@ -1,7 +1,7 @@
 use super::arm::{LogOptions, RobotOptions};
-use super::progress::Lines;
+use super::terminal::Lines;
 use super::terminal::show;
-use super::{Failure, not_negative, positive, unsupported, unusable};
+use super::{Failure, not_negative, positive, unusable};
 use clap::Args;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::arms;
@@ -125,9 +125,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut robot = arguments.robot.load()?;
     arguments.columns_of_log.apply(&mut robot)?;
     let config = config(arguments, &robot)?;
-    arms!(robot, N, P => {
-        identify_arm::<N>(arguments, &robot, &config, &|outcome| bank::<N, P>(&robot, outcome))
-    }, else Err(unsupported(robot.joint_count())))
+    identify_arm(arguments, &robot, &config)
 }
 
 fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
@@ -166,27 +164,25 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
     })
 }
 
-fn bank<const N: usize, const P: usize>(
-    robot: &Robot,
-    outcome: &Outcome<N>,
-) -> Option<ParameterBank> {
-    Described::<N, P>::read(robot)?;
-    bank_of_fit::<Described<N, P>, N, P>(
-        robot,
-        &outcome.bank_layout,
-        &outcome.bank_fit,
-        outcome.networks.as_deref(),
-        outcome.cogging.as_ref(),
-    )
+fn bank(robot: &Robot, outcome: &Outcome) -> Option<ParameterBank> {
+    arms!(robot, N, P => {
+        Described::<N, P>::read(robot)?;
+        bank_of_fit::<Described<N, P>, N, P>(
+            robot,
+            &outcome.bank_layout,
+            &outcome.bank_fit,
+            outcome.networks.as_deref(),
+            outcome.cogging.as_ref(),
+        )
+    }, else None)
 }
 
-fn identify_arm<const N: usize>(
+fn identify_arm(
     arguments: &Arguments,
     robot: &Robot,
     config: &IdentifyConfig,
-    bank: &dyn Fn(&Outcome<N>) -> Option<ParameterBank>,
 ) -> Result<(), Failure> {
-    let judgement = judge::<N>(robot, &arguments.logs, &config.columns, &config.prepare)?;
+    let judgement = judge(robot, &arguments.logs, &config.columns, &config.prepare)?;
     let out = match &arguments.out {
         Some(out) if !arguments.data_check => out,
         _ => return show_check(&judgement),
@@ -209,7 +205,7 @@ fn identify_arm<const N: usize>(
     bar.enable_steady_tick(Duration::from_millis(100));
     let files = ReportFiles::create(out)?;
     let lines = Lines::new();
-    let mut outcome = identify::<N>(
+    let mut outcome = identify(
         robot,
         &arguments.logs,
         &arguments.validate,
@@ -230,10 +226,10 @@ fn identify_arm<const N: usize>(
     let refused = refused.filter(|_| !arguments.force);
     let bank = match refused {
         Some(_) => None,
-        None => bank(&outcome),
+        None => bank(robot, &outcome),
     };
     remove_stale(out, &RESULTS)?;
-    let shown = files.finish(report, &page::<N>(report, &outcome.trace))?;
+    let shown = files.finish(report, &page(report, &outcome.trace))?;
     for note in &report.notes {
         show!("note  {note}")?;
     }

@@ -17,7 +17,6 @@ mod generate;
 mod identify;
 mod motion_log;
 mod on_board;
-mod progress;
 mod record;
 mod replay;
 mod run;

@@ -1,6 +1,6 @@
 use super::arm::{LogOptions, RobotOptions};
 use super::boards::on_arm;
-use super::progress::Bar;
+use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, bank};
 use clap::Args;

@@ -1,7 +1,7 @@
 use super::arm::RobotOptions;
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
-use super::progress::Bar;
+use super::terminal::Bar;
 use super::terminal::{keep_stdout_for, show};
 use super::{Failure, not_negative, not_over, positive, unsupported, unusable};
 use clap::Args;

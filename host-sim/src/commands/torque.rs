@@ -1,7 +1,7 @@
 use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
-use super::progress::Bar;
 use super::simulate::PERIOD_S;
+use super::terminal::Bar;
 use super::{Failure, bank, not_over};
 use clap::Args;
 use foretorque::arm::Arm;

@@ -79,7 +79,7 @@ pub fn run(
         seed,
         ..SearchConfig::default()
     };
-    let series = optimise::<JOINTS>(&robot, &search, None, |done, all| {
+    let series = optimise(&robot, &search, None, |done, all| {
         progress("excitation", done, all);
     })?;
     let unseen = Trajectory::<JOINTS>::validation(&robot, seed);
@@ -107,7 +107,7 @@ pub fn run(
             truth: Some(truth.clone()),
         };
         let logs = (vec![log.clone()], vec![validate.clone()]);
-        let outcome = identify::<JOINTS>(&robot, &logs.0, &logs.1, &config, &|_| ())?;
+        let outcome = identify(&robot, &logs.0, &logs.1, &config, &|_| ())?;
         let figures = methods.iter().map(|method| {
             let record = &outcome.report.methods[&method.to_string()].validation["unseen.csv.gz"];
             let error = record.truth_nrmse_moving_ratio;

@@ -108,7 +108,7 @@ pub fn run(
                 truth: None,
                 test: Vec::new(),
             };
-            let outcome = identify::<JOINTS>(&robot, &training, &held_out, &config, &|_| ())?;
+            let outcome = identify(&robot, &training, &held_out, &config, &|_| ())?;
             let records = outcome.report.methods[&method.to_string()]
                 .validation
                 .values();

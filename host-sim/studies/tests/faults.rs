@@ -1,9 +1,10 @@
-//! The way out of the firmware: whatever fails, the torque goes off, and the restarted board reports why it restarted.
+//! Ten seconds of each kind of fault (`cargo xtask faults` runs the whole campaign), and the way out of the firmware: whatever fails, the torque goes off, and the restarted board reports why it restarted.
 //!
 //! `faults` is a firmware that carries the fault handlers of the flashable one and fails on request.
 
 use foretorque_link::wire::ResetReason;
 use foretorque_studies::faults::machine::{Crash, Trial};
+use foretorque_studies::faults::{Lengths, scenarios};
 use std::path::PathBuf;
 
 /// Fails in the way of `crash`; reason and place that the restarted board gives.
@@ -72,4 +73,16 @@ fn an_interrupt_without_a_handler_switches_the_torque_off_and_is_reported() {
         fail("interrupt", Crash::StrayInterrupt),
         (ResetReason::Fault, 6)
     );
+}
+
+#[test]
+fn every_kind_of_fault_is_survived_on_every_board() {
+    let scratch = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+    for scenario in scenarios(Lengths::SHORT, 1, &scratch) {
+        let name = scenario.name;
+        let campaign = scenario
+            .run()
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert!(campaign.is_survived(), "{campaign:?}");
+    }
 }

@@ -1,13 +1,19 @@
-//! The store on simulated flash: whatever happens to power and cells, the last good set is found.
+//! The store on simulated flash, and the board that begins with what its flash holds. The campaign breaks both.
+//!
+//! The emulator has no flash interface, but it can be given flash that was written by the same store on the host.
 
 use foretorque::arm::Arm;
-use foretorque::arm::ur5::Ur5;
+use foretorque::arm::ur5::{PARAMETERS, Ur5};
 use foretorque_link::bank::ParameterBank;
-use foretorque_link::store::{Store, StoreError, saves, slots};
-use foretorque_studies::faults::store::{self, SECTOR, SMALL_SECTOR, set};
+use foretorque_link::store::{SLOT_BYTES, Store, StoreError, saves, slots};
+use foretorque_studies::faults::store::{SECTOR, SMALL_SECTOR, set};
+use foretorque_workbench::board::Client;
 use foretorque_workbench::board::flash::SimulatedFlash;
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use std::path::PathBuf;
+use std::time::Duration;
 
-const SEED: u64 = 1;
+type Flash = SimulatedFlash<SECTOR>;
 
 fn loaded<const S: usize>(store: &mut Store<SimulatedFlash<S>>) -> Result<Vec<u8>, StoreError> {
     let mut buffer = [0; ParameterBank::MAX_BYTES];
@@ -15,54 +21,8 @@ fn loaded<const S: usize>(store: &mut Store<SimulatedFlash<S>>) -> Result<Vec<u8
 }
 
 #[test]
-fn a_power_cut_in_any_step_of_a_save_loses_no_set() {
-    // New flash, and every way in which two sectors of two slots can be filled, erased and filled again.
-    let campaign = store::power_cuts::<SMALL_SECTOR>(0..=6, SEED).unwrap();
-    assert!(campaign.is_survived(), "{campaign:?}");
-    assert!(campaign.injected > 10_000, "{campaign:?}");
-}
-
-#[test]
-fn a_power_cut_while_the_real_sector_is_erased_loses_no_set() {
-    let full = slots(SECTOR as u32);
-    let campaign = store::power_cuts::<SECTOR>([full], SEED).unwrap();
-    assert!(campaign.is_survived(), "{campaign:?}");
-}
-
-#[test]
-fn a_life_of_power_cuts_loses_no_set() {
-    let campaign = store::power_cut_life::<SMALL_SECTOR>(3000, SEED);
-    assert!(campaign.is_survived(), "{campaign:?}");
-    assert!(campaign.injected > 1000, "{campaign:?}");
-}
-
-#[test]
-fn worn_cells_cost_saves_but_never_the_set_before() {
-    let campaign = store::worn::<SMALL_SECTOR>(300, 4, SEED);
-    assert!(campaign.is_survived(), "{campaign:?}");
-}
-
-#[test]
-fn a_flash_that_keeps_nothing_is_noticed_and_keeps_what_it_has() {
-    let campaign = store::protected::<SMALL_SECTOR>(0..=6, SEED).unwrap();
-    assert!(campaign.is_survived(), "{campaign:?}");
-}
-
-#[test]
-fn one_bad_bit_brings_back_the_set_before() {
-    let campaign = store::bit_rot::<SMALL_SECTOR>(2, SEED).unwrap();
-    assert!(campaign.is_survived(), "{campaign:?}");
-}
-
-#[test]
-fn another_robots_sets_are_refused_and_cost_nothing() {
-    let campaign = store::foreign_sets::<SMALL_SECTOR>(SEED).unwrap();
-    assert!(campaign.is_survived(), "{campaign:?}");
-}
-
-#[test]
 fn absence_is_told_apart() {
-    let mut store = Store::new(SimulatedFlash::<SMALL_SECTOR>::new(SEED));
+    let mut store = Store::new(SimulatedFlash::<SMALL_SECTOR>::new(1));
     assert_eq!(loaded(&mut store), Err(StoreError::Empty));
     store.save(7, &set(1)).unwrap();
     assert_eq!(loaded(&mut store), Err(StoreError::WrongArm { found: 7 }));
@@ -74,7 +34,7 @@ fn absence_is_told_apart() {
 
 #[test]
 fn saves_wear_both_sectors_alike_and_rewrite_no_word() {
-    let mut store = Store::new(SimulatedFlash::<SECTOR>::new(SEED));
+    let mut store = Store::new(SimulatedFlash::<SECTOR>::new(1));
     let rounds = 5;
     let each = 2 * slots(SECTOR as u32);
     for number in 1..=rounds * each {
@@ -85,4 +45,42 @@ fn saves_wear_both_sectors_alike_and_rewrite_no_word() {
     assert_eq!(store.flash().erases(), [u64::from(rounds); 2]);
     // The budget that the documentation states, from what was counted.
     assert_eq!(saves(SECTOR as u32), each * 10_000);
+}
+
+/// The bank in force on a board that boots with `flash`.
+fn booted(name: &str, flash: Option<&Flash>) -> ParameterBank {
+    let mut options = QemuOptions::new(Image::Joint);
+    options.store = flash.map(|flash| {
+        let file = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.flash"));
+        std::fs::write(&file, flash.bytes()).expect("the directory is there");
+        file
+    });
+    let board = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
+    let mut client =
+        Client::<6>::connect::<Ur5, PARAMETERS>(Box::new(board), Duration::from_secs(5))
+            .unwrap_or_else(|error| panic!("{error}"));
+    client.read_bank().unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn bank(number: u32) -> ParameterBank {
+    ParameterBank::decode(&set(number)).expect("it was just encoded")
+}
+
+#[test]
+fn the_board_boots_with_the_newest_whole_set_of_its_arm() {
+    let mut store = Store::new(Flash::new(1));
+    for number in 1..=3 {
+        store.save(Ur5::HASH, &set(number)).unwrap();
+    }
+    store.save(!Ur5::HASH, &set(4)).unwrap();
+    assert_eq!(booted("whole", Some(store.flash())), bank(3));
+    store.flash_mut().rot(2 * SLOT_BYTES as usize + 100, 5);
+    assert_eq!(booted("rotten", Some(store.flash())), bank(2));
+}
+
+#[test]
+fn without_a_set_the_board_boots_with_that_of_the_firmware() {
+    let nominal = ParameterBank::nominal::<Ur5, 6, PARAMETERS>();
+    assert_eq!(booted("none", None), nominal);
+    assert_eq!(booted("blank", Some(&Flash::new(1))), nominal);
 }

@@ -1,9 +1,16 @@
-//! The program in a directory of its own, as its users call it.
+//! The program in a directory of its own, as its users call it, and a board of this process on a pseudo-terminal.
 
+use foretorque_workbench::board::Transport;
 use serde_json::Value;
+use serialport::{SerialPort, TTYPort};
 use std::fs;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// An empty directory for one test.
 pub(crate) fn directory(name: &str) -> PathBuf {
@@ -107,4 +114,59 @@ pub(crate) fn still(joints: usize, times: &[&str]) -> String {
     let zeros = states_of(joints, &vec![0.0; times.len()]);
     let lines = ["t_s"].iter().chain(times).zip(zeros.lines());
     lines.map(|(t_s, row)| format!("{t_s},{row}\n")).collect()
+}
+
+/// A board on a pseudo-terminal, until it goes out of scope.
+pub(crate) struct PlayedBoard {
+    pub(crate) port: String,
+    done: Arc<AtomicBool>,
+    player: Option<JoinHandle<()>>,
+}
+
+impl PlayedBoard {
+    /// Lets `board` answer, every frame changed by `change` on its way to the host.
+    pub(crate) fn start(
+        mut board: impl Transport + Send + 'static,
+        change: fn(&[u8]) -> Vec<u8>,
+    ) -> Self {
+        let (mut line, end) = TTYPort::pair().expect("the system has pseudo-terminals");
+        let port = end.name().expect("it has a name");
+        line.set_timeout(Duration::from_millis(5))
+            .expect("it has a timeout");
+        let done = Arc::new(AtomicBool::new(false));
+        let ended = Arc::clone(&done);
+        let player = std::thread::spawn(move || {
+            let mut buffer = [0; 1024];
+            while !ended.load(Ordering::Relaxed) {
+                // Nothing received, or no process at the other end yet.
+                let Ok(count) = line.read(&mut buffer) else {
+                    std::thread::sleep(Duration::from_millis(1));
+                    continue;
+                };
+                board.send(&buffer[..count]).expect("the board lives");
+                let count = board
+                    .receive(&mut buffer, Duration::ZERO)
+                    .expect("the board lives");
+                for frame in buffer[..count].split_inclusive(|&byte| byte == 0) {
+                    // A host that has received enough hangs up.
+                    let _ = line.write_all(&change(frame));
+                }
+            }
+        });
+        drop(end);
+        Self {
+            port,
+            done,
+            player: Some(player),
+        }
+    }
+}
+
+impl Drop for PlayedBoard {
+    fn drop(&mut self) {
+        self.done.store(true, Ordering::Relaxed);
+        if let Some(player) = self.player.take() {
+            let _ = player.join();
+        }
+    }
 }

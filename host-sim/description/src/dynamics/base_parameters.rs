@@ -1,7 +1,6 @@
 //! Base parameters: the identifiable combinations of the standard parameters.
 
-use super::{Joints, ReferenceModel, State};
-use crate::joints;
+use super::{Motion, PerJoint, RigidBodies};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
@@ -43,12 +42,11 @@ pub struct BaseMap {
 
 impl BaseMap {
     /// Finds the base set of a robot numerically; it depends on geometry and gravity direction only. `None` when the
-    /// robot has not `N` joints.
+    /// columns found are not independent.
     ///
     /// Modified Gram–Schmidt from left to right, twice for orthogonality to rounding; then W_b B = W by back-substitution.
-    pub fn of<const N: usize>(robot: &Robot) -> Option<Self> {
-        let model = ReferenceModel::<N>::new(robot)?;
-        let w = stacked_regressor(&model);
+    fn of(robot: &Robot) -> Option<Self> {
+        let w = stacked_regressor(&RigidBodies::new(robot));
         let (columns, coefficients) = independent_columns(&w);
         let rank = columns.len();
         let triangle = DMatrix::from_fn(rank, rank, |b, k| coefficients[(b, columns[k])]);
@@ -116,12 +114,10 @@ pub fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
     (columns, coefficients)
 }
 
-/// Base map of a robot of any size the board supports.
 impl Robot {
-    /// [`BaseMap::of`] for the robot's own number of joints.
+    /// Map from the standard parameters of this robot to its base parameters.
     pub fn base_map(&self) -> BaseMap {
-        let map = joints!(self.joint_count(), N => BaseMap::of::<N>(self), else None);
-        map.expect("a description is refused unless it has 1 to 8 joints")
+        BaseMap::of(self).expect("columns are taken only if they are independent")
     }
 
     /// Base parameters of this robot.
@@ -130,22 +126,23 @@ impl Robot {
     }
 }
 
-fn stacked_regressor<const N: usize>(model: &ReferenceModel<N>) -> DMatrix<f64> {
-    let mut w = DMatrix::zeros(STATES * N, (LINK_PARAMETERS + 1) * N);
-    for (k, state) in random_states(STATES).iter().enumerate() {
-        model.regressor_into(state, &mut w, k * N);
+fn stacked_regressor(bodies: &RigidBodies) -> DMatrix<f64> {
+    let joints = bodies.joints();
+    let mut w = DMatrix::zeros(STATES * joints, (LINK_PARAMETERS + 1) * joints);
+    for (k, motion) in random_motions(joints, STATES).iter().enumerate() {
+        bodies.regressor_into(motion, &mut w, k * joints);
     }
     w
 }
 
-/// Seeded states at which inertia, velocity and gravity terms weigh alike.
-pub fn random_states<const N: usize>(count: usize) -> Vec<State<N>> {
+/// Seeded motions of so many joints at which inertia, velocity and gravity terms weigh alike.
+pub fn random_motions(joints: usize, count: usize) -> Vec<Motion> {
     let mut random = ChaCha8Rng::seed_from_u64(1);
-    let mut draw = |size: f64| Joints::from_fn(|_, _| random.random_range(-size..=size));
-    let states = (0..count).map(|_| State {
+    let mut draw = |size: f64| PerJoint::from_fn(joints, |_| random.random_range(-size..=size));
+    let motions = (0..count).map(|_| Motion {
         q: draw(std::f64::consts::PI),
         qd: draw(3.0),
         qdd: draw(10.0),
     });
-    states.collect()
+    motions.collect()
 }

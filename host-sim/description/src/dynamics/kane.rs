@@ -1,29 +1,8 @@
 //! Kane's equations through centre-of-mass Jacobians, world frame.
 
-use crate::robot::{LINK_PARAMETERS, Link, Placement, Robot};
-use nalgebra::{DMatrix, Matrix3, Rotation3, SMatrix, SVector, Vector3};
-
-/// One value for each joint, f64.
-pub type Joints<const N: usize> = SVector<f64, N>;
-
-/// Position, velocity and acceleration of all joints: rad, rad/s, rad/s².
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct State<const N: usize> {
-    /// Joint positions, rad.
-    pub q: Joints<N>,
-    /// Joint velocities, rad/s.
-    pub qd: Joints<N>,
-    /// Joint accelerations, rad/s².
-    pub qdd: Joints<N>,
-}
-
-impl<const N: usize> State<N> {
-    /// Rest at `q`, rad.
-    pub fn rest(q: Joints<N>) -> Self {
-        let (qd, qdd) = (Joints::zeros(), Joints::zeros());
-        Self { q, qd, qdd }
-    }
-}
+use super::per_joint::{Motion, PerJoint};
+use crate::robot::{LINK_PARAMETERS, Link, MAX_JOINTS, Placement, Robot};
+use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
 
 /// One link: where its joint sits and how its mass is distributed.
 #[derive(Clone, Copy, Debug)]
@@ -33,35 +12,41 @@ struct Body {
     rotor_inertia: f64,
 }
 
-/// Rigid-body dynamics of an arm with `N` revolute joints.
+/// Rigid-body dynamics of an arm of revolute joints, as many as its description has.
 #[derive(Clone, Debug)]
-pub struct ReferenceModel<const N: usize> {
-    bodies: [Body; N],
+pub struct RigidBodies {
+    bodies: Vec<Body>,
     gravity: Vector3<f64>,
 }
 
 /// World-frame kinematics of all links. `rot[k]` maps link k coordinates into the world, `axis[k]` is joint axis k,
 /// `origin[k]` a point on it; accelerations of the origins carry −g.
-struct Kinematics<const N: usize> {
-    rot: [Matrix3<f64>; N],
-    axis: [Vector3<f64>; N],
-    origin: [Vector3<f64>; N],
-    omega: [Vector3<f64>; N],
-    alpha: [Vector3<f64>; N],
-    acceleration: [Vector3<f64>; N],
+struct Kinematics {
+    rot: [Matrix3<f64>; MAX_JOINTS],
+    axis: [Vector3<f64>; MAX_JOINTS],
+    origin: [Vector3<f64>; MAX_JOINTS],
+    omega: [Vector3<f64>; MAX_JOINTS],
+    alpha: [Vector3<f64>; MAX_JOINTS],
+    acceleration: [Vector3<f64>; MAX_JOINTS],
 }
 
-impl<const N: usize> ReferenceModel<N> {
-    /// The model of a robot; `None` when it has not `N` joints.
-    pub fn new(robot: &Robot) -> Option<Self> {
-        Some(Self {
-            bodies: robot.each(|joint| Body {
-                placement: joint.placement,
-                link: joint.link,
-                rotor_inertia: joint.drive.rotor_inertia,
-            })?,
+impl RigidBodies {
+    /// The bodies of a robot.
+    pub fn new(robot: &Robot) -> Self {
+        let bodies = robot.joints.iter().map(|joint| Body {
+            placement: joint.placement,
+            link: joint.link,
+            rotor_inertia: joint.drive.rotor_inertia,
+        });
+        Self {
+            bodies: bodies.collect(),
             gravity: robot.gravity,
-        })
+        }
+    }
+
+    /// Number of joints.
+    pub fn joints(&self) -> usize {
+        self.bodies.len()
     }
 
     /// This arm with `payload` fixed to its last link, given in that link's frame.
@@ -74,75 +59,57 @@ impl<const N: usize> ReferenceModel<N> {
     }
 
     /// Torques τ = M(q)·qdd + V(q, qd) + G(q) (eq. 12), N·m.
-    pub fn inverse_dynamics(&self, state: &State<N>) -> Joints<N> {
-        let kinematics = self.kinematics(state);
+    pub fn inverse_dynamics(&self, motion: &Motion) -> PerJoint<f64> {
+        let kinematics = self.kinematics(motion);
         let mut tau = self.project(&kinematics);
         for (j, body) in self.bodies.iter().enumerate() {
-            tau[j] += body.rotor_inertia * state.qdd[j];
+            tau[j] += body.rotor_inertia * motion.qdd[j];
         }
         tau
     }
 
     /// Gravity torques G(q), N·m.
-    pub fn gravity_torques(&self, q: &Joints<N>) -> Joints<N> {
-        self.bias(q, &Joints::zeros())
+    pub fn gravity_torques(&self, q: &[f64]) -> PerJoint<f64> {
+        self.project(&self.kinematics(&Motion {
+            q: q.into(),
+            ..Motion::zeros(q.len())
+        }))
     }
 
-    /// Bias torques h = V(q, qd) + G(q), N·m.
-    pub fn bias(&self, q: &Joints<N>, qd: &Joints<N>) -> Joints<N> {
-        self.mass_matrix_and_bias(q, qd).1
-    }
-
-    /// Mass matrix M(q) with the rotor inertias on its diagonal, kg·m².
-    pub fn mass_matrix(&self, q: &Joints<N>) -> SMatrix<f64, N, N> {
-        self.mass_matrix_and_bias(q, &Joints::zeros()).0
-    }
-
-    /// M(q) and h(q, qd) from one pass over the kinematics: what a forward simulation needs at each step.
+    /// M(q), symmetric and row by row, and h(q, qd), without accelerations in `motion`.
     ///
     /// `M = Σ_k m_k J_ckᵀ J_ck + J_ωkᵀ I_k J_ωk + diag(rotor)`, the Jacobians of the centres of mass.
-    pub fn mass_matrix_and_bias(
-        &self,
-        q: &Joints<N>,
-        qd: &Joints<N>,
-    ) -> (SMatrix<f64, N, N>, Joints<N>) {
-        let kinematics = self.kinematics(&State {
-            q: *q,
-            qd: *qd,
-            qdd: Joints::zeros(),
-        });
-        let mut mass = SMatrix::<f64, N, N>::zeros();
+    pub(super) fn mass_matrix_and_bias(&self, motion: &Motion, mass: &mut [f64]) -> PerJoint<f64> {
+        let (count, kinematics) = (self.joints(), self.kinematics(motion));
+        mass.fill(0.0);
         for (k, body) in self.bodies.iter().enumerate() {
             let rot = &kinematics.rot[k];
             let com = kinematics.origin[k] + rot * body.link.com;
             let inertia = rot * body.link.inertia_com * rot.transpose();
-            let mut partial = [Vector3::zeros(); N];
+            let mut partial = [Vector3::zeros(); MAX_JOINTS];
             for j in 0..=k {
                 let axis = &kinematics.axis[j];
                 partial[j] = axis.cross(&(com - kinematics.origin[j]));
                 let momentum = body.link.mass * partial[j];
                 let spin = inertia * axis;
                 for i in 0..=j {
-                    mass[(i, j)] += partial[i].dot(&momentum) + kinematics.axis[i].dot(&spin);
+                    mass[i * count + j] +=
+                        partial[i].dot(&momentum) + kinematics.axis[i].dot(&spin);
                 }
             }
         }
-        for j in 0..N {
+        for j in 0..count {
             for i in 0..j {
-                mass[(j, i)] = mass[(i, j)];
+                mass[j * count + i] = mass[i * count + j];
             }
-            mass[(j, j)] += self.bodies[j].rotor_inertia;
+            mass[j * count + j] += self.bodies[j].rotor_inertia;
         }
-        (mass, self.project(&kinematics))
+        self.project(&kinematics)
     }
 
     /// Kinetic plus potential energy, J; the potential is zero with all centres of mass at the base origin.
-    pub fn energy(&self, q: &Joints<N>, qd: &Joints<N>) -> f64 {
-        let kinematics = self.kinematics(&State {
-            q: *q,
-            qd: *qd,
-            qdd: Joints::zeros(),
-        });
+    pub(super) fn energy(&self, motion: &Motion) -> f64 {
+        let kinematics = self.kinematics(motion);
         let mut energy = 0.0;
         let mut velocity = Vector3::zeros();
         for (k, body) in self.bodies.iter().enumerate() {
@@ -156,29 +123,24 @@ impl<const N: usize> ReferenceModel<N> {
             let spin = rot.transpose() * omega;
             energy += 0.5 * body.link.mass * speed.norm_squared()
                 + 0.5 * spin.dot(&(body.link.inertia_com * spin))
-                + 0.5 * body.rotor_inertia * qd[k] * qd[k]
+                + 0.5 * body.rotor_inertia * motion.qd[k] * motion.qd[k]
                 - body.link.mass * self.gravity.dot(&(kinematics.origin[k] + lever));
         }
         energy
     }
 
-    /// Joint torque regressor: N rows; ten columns a link in the order of eq. 14, then N rotor columns, so that
+    /// Joint torque regressor, written into `target` from row `first_row` on, for stacking long logs; the rows must be zero.
+    /// N rows for N joints; ten columns a link in the order of eq. 14, then N rotor columns, so that
     /// `regressor · robot.standard_parameters() = inverse_dynamics`.
     ///
     /// Link wrench about its origin o, in the link frame, with `U = [α]× + [ω]×²`:
     /// `F = m a + U (m c)`, `n_o = (m c) × a + I α + ω × I ω`; the torque of joint j is `z_j · (n_o + (o − o_j) × F)`.
-    pub fn regressor(&self, state: &State<N>) -> DMatrix<f64> {
-        let mut rows = DMatrix::zeros(N, (LINK_PARAMETERS + 1) * N);
-        self.regressor_into(state, &mut rows, 0);
-        rows
-    }
-
-    /// [`Self::regressor`] written into `target` from row `first_row` on, for stacking long logs. The rows must be zero.
     ///
     /// Panics when `target` is smaller than N rows below `first_row` or than 11 N columns.
-    pub fn regressor_into(&self, state: &State<N>, target: &mut DMatrix<f64>, first_row: usize) {
-        let kinematics = self.kinematics(state);
-        for k in 0..N {
+    pub fn regressor_into(&self, motion: &Motion, target: &mut DMatrix<f64>, first_row: usize) {
+        let rotors = LINK_PARAMETERS * self.joints();
+        let kinematics = self.kinematics(motion);
+        for k in 0..self.joints() {
             let world_to_link = kinematics.rot[k].transpose();
             let a = world_to_link * kinematics.acceleration[k];
             let w = world_to_link * kinematics.omega[k];
@@ -193,14 +155,14 @@ impl<const N: usize> ReferenceModel<N> {
                         axis.dot(&moment[c]) + partial.dot(&force[c]);
                 }
             }
-            target[(first_row + k, LINK_PARAMETERS * N + k)] = state.qdd[k];
+            target[(first_row + k, rotors + k)] = motion.qdd[k];
         }
     }
 
-    fn kinematics(&self, state: &State<N>) -> Kinematics<N> {
-        let zero = [Vector3::zeros(); N];
+    fn kinematics(&self, motion: &Motion) -> Kinematics {
+        let zero = [Vector3::zeros(); MAX_JOINTS];
         let mut out = Kinematics {
-            rot: [Matrix3::identity(); N],
+            rot: [Matrix3::identity(); MAX_JOINTS],
             axis: zero,
             origin: zero,
             omega: zero,
@@ -217,11 +179,11 @@ impl<const N: usize> ReferenceModel<N> {
             let step = rot * body.placement.origin;
             origin += step;
             acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
-            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), state.q[k]);
+            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), motion.q[k]);
             rot = rot * body.placement.rot_parent_child * turn.matrix();
             let axis: Vector3<f64> = rot.column(2).into_owned();
-            alpha += axis * state.qdd[k] + omega.cross(&axis) * state.qd[k];
-            omega += axis * state.qd[k];
+            alpha += axis * motion.qdd[k] + omega.cross(&axis) * motion.qd[k];
+            omega += axis * motion.qd[k];
             out.rot[k] = rot;
             out.axis[k] = axis;
             out.origin[k] = origin;
@@ -233,8 +195,8 @@ impl<const N: usize> ReferenceModel<N> {
     }
 
     /// Generalised inertia forces: every link's `m a_c` and `I α + ω × I ω` on the partial velocities of each joint.
-    fn project(&self, kinematics: &Kinematics<N>) -> Joints<N> {
-        let mut tau = Joints::zeros();
+    fn project(&self, kinematics: &Kinematics) -> PerJoint<f64> {
+        let mut tau = PerJoint::repeat(self.joints(), 0.0);
         for (k, body) in self.bodies.iter().enumerate() {
             let rot = &kinematics.rot[k];
             let (omega, alpha) = (&kinematics.omega[k], &kinematics.alpha[k]);

@@ -6,10 +6,14 @@
 
 mod base_parameters;
 mod kane;
+mod per_joint;
+mod reference;
 
 pub use base_parameters::{BaseMap, BaseMapTerm};
-pub use base_parameters::{STATES, independent_columns, random_states};
-pub use kane::{Joints, ReferenceModel, State};
+pub use base_parameters::{STATES, independent_columns, random_motions};
+pub use kane::RigidBodies;
+pub use per_joint::{Motion, PerJoint};
+pub use reference::{Joints, ReferenceModel, State};
 
 #[cfg(test)]
 mod tests;

@@ -62,8 +62,8 @@ pub(super) fn page<const N: usize>(
             "One period of the Fourier series that the arm plays while it learns (the paper's Fig. 3): every joint moves at its own \
              mix of five harmonics, inside its limits, at rest at both ends.",
         )
-        .legend(legend::<N>())
-        .plots(panels::<N>(excitation), 3),
+        .legend(legend(N))
+        .plots(panels(excitation), 3),
         cost(report),
         link(report),
         this_run(report),
@@ -77,14 +77,14 @@ fn from_to(before: f64, after: f64) -> String {
 /// The paper's Fig. 6, with the wrong model beside it.
 fn predicted<const N: usize>(report: &DemoReport, curves: &DemoCurves<N>) -> Section {
     let points = &curves.validation;
-    let torques = Panel::of_joints::<N>("tau / N·m", |j| {
+    let torques = Panel::of_joints(N, "tau / N·m", |j| {
         vec![
             Curve::new(TRUTH, points, |p| (p.t_s, p.truth[j])),
             Curve::new(BEFORE, points, |p| (p.t_s, p.before[j])),
             Curve::new(AFTER, points, |p| (p.t_s, p.after[j])),
         ]
     });
-    let errors = Panel::of_joints::<N>("error / N·m", |j| {
+    let errors = Panel::of_joints(N, "error / N·m", |j| {
         vec![
             Curve::new(BEFORE, points, |p| (p.t_s, p.before[j] - p.truth[j])),
             Curve::new(AFTER, points, |p| (p.t_s, p.after[j] - p.truth[j])),
@@ -160,7 +160,7 @@ fn halved_after(points: &[LearningPoint]) -> String {
 
 fn tracking<const N: usize>(report: &DemoReport, curves: &DemoCurves<N>) -> Section {
     let kinds = &curves.tracking;
-    let panels = Panel::of_joints::<N>("error / mrad", |j| {
+    let panels = Panel::of_joints(N, "error / mrad", |j| {
         let kinds = [
             (TRUTH, &kinds.pd_only),
             (BEFORE, &kinds.before),
@@ -199,7 +199,7 @@ fn tracking<const N: usize>(report: &DemoReport, curves: &DemoCurves<N>) -> Sect
 
 fn shares<const N: usize>(curves: &DemoCurves<N>) -> Section {
     let points = &curves.validation;
-    let panels = Panel::of_joints::<N>("tau / N·m", |j| {
+    let panels = Panel::of_joints(N, "tau / N·m", |j| {
         vec![
             Curve::new(AFTER, points, |p| (p.t_s, p.rigid[j])),
             Curve::new(BEFORE, points, |p| (p.t_s, p.friction[j])),

@@ -36,7 +36,7 @@ impl<const N: usize> Setup<N> {
             ..QuickConfig::default()
         };
         let mut done = 0;
-        let series = Excitation::quick::<N>(robot, config.seed, &search, || {
+        let series = Excitation::quick(robot, config.seed, &search, || {
             done += 1;
             progress("excitation", done, search.candidates);
         })?;

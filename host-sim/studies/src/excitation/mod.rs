@@ -96,18 +96,13 @@ pub struct ExcitationReport {
 
 /// Runs the campaign; `None` if the records are only written.
 ///
-/// Errors: a robot without six or seven joints; a search that finds nothing; the records'.
+/// Errors: no such robot; a search that finds nothing; the records'.
 pub fn run(
     config: ExcitationConfig,
     records: &Records,
     progress: Progress<'_>,
 ) -> Result<Option<Outcome<ExcitationReport>>, StudyError> {
     let robot = Robot::load(&config.robot)?;
-    let search: fn(&Robot, &ExcitationConfig, u64) -> _ = match robot.joint_count() {
-        6 => search::<6>,
-        7 => search::<7>,
-        joints => return Err(StudyError::Joints(joints)),
-    };
     let made_of = ExcitationConfig {
         seed: 0,
         seeds: 0,
@@ -125,11 +120,7 @@ pub fn run(
     Ok(found.map(|seeds| outcome(config, seeds)))
 }
 
-fn search<const N: usize>(
-    robot: &Robot,
-    config: &ExcitationConfig,
-    seed: u64,
-) -> Result<SeedRecord, StudyError> {
+fn search(robot: &Robot, config: &ExcitationConfig, seed: u64) -> Result<SeedRecord, StudyError> {
     let search = SearchConfig {
         seed,
         starts: config.starts,
@@ -137,10 +128,10 @@ fn search<const N: usize>(
         condition_limit: config.condition_limit,
         ..SearchConfig::default()
     };
-    let mut excitation = optimise::<N>(robot, &search, None, |_, _| ())?;
+    let mut excitation = optimise(robot, &search, None, |_, _| ())?;
     let uncertified = || StudyError::Unusable("the excitation has no certificate".to_owned());
-    let recount = recount::<N>(robot, &excitation, search.range_rad, config.points)
-        .ok_or_else(uncertified)?;
+    let recount =
+        recount(robot, &excitation, search.range_rad, config.points).ok_or_else(uncertified)?;
     let certificate = excitation.certificate.take().ok_or_else(uncertified)?;
     Ok(SeedRecord {
         seed,

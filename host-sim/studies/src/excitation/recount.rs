@@ -1,6 +1,6 @@
 //! Limits counted again, by code that shares nothing with the search and its certificate but the description.
 
-use foretorque_workbench::dynamics::{Joints, ReferenceModel};
+use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::robot::{Placement, Robot, segment_distance};
 use nalgebra::{Rotation3, Vector3};
@@ -17,17 +17,17 @@ pub struct Recount {
     pub beyond_certificate: u64,
 }
 
-/// Counts violated limits at `points` instants of a period; `None` when the robot has not `N` joints, or the excitation
-/// carries no certificate of it.
+/// Counts violated limits at `points` instants of a period; `None` when the excitation carries no certificate of this
+/// robot.
 ///
 /// * `range_rad` range of every joint around zero that the excitation was made for
-pub fn recount<const N: usize>(
+pub fn recount(
     robot: &Robot,
     excitation: &Excitation,
     range_rad: f64,
     points: u32,
 ) -> Option<Recount> {
-    let model = ReferenceModel::<N>::new(robot)?;
+    let model = RigidBodies::new(robot);
     let certificate = excitation.certificate.as_deref()?;
     let worst = |limit: &str, of: &str| {
         let mut checks = certificate.limits.iter();
@@ -45,7 +45,7 @@ pub fn recount<const N: usize>(
     let clear = robot.workspace.clearance;
     let (mut violations, mut beyond) = (0, 0);
     for k in 0..points {
-        let state = excitation.at::<N>(excitation.period_s * f64::from(k) / f64::from(points));
+        let state = excitation.motion(excitation.period_s * f64::from(k) / f64::from(points));
         let rigid = model.inverse_dynamics(&state);
         let mut expect = |kept: bool| violations += u64::from(!kept);
         for (j, joint) in robot.joints.iter().enumerate() {
@@ -85,7 +85,7 @@ pub fn recount<const N: usize>(
 }
 
 /// Ends of all capsules in the base frame, and their radii, link by link.
-fn placed<const N: usize>(robot: &Robot, q: &Joints<N>) -> Vec<Vec<([Vector3<f64>; 2], f64)>> {
+fn placed(robot: &Robot, q: &[f64]) -> Vec<Vec<([Vector3<f64>; 2], f64)>> {
     let mut frame = Placement::identity();
     let links = robot.joints.iter().zip(q.iter()).map(|(joint, q)| {
         frame = frame.then(&joint.placement);

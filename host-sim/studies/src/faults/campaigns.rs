@@ -39,13 +39,13 @@ impl Lengths {
         times: 200,
         saves: 20_000,
     };
-    /// Ten seconds of each kind.
+    /// Ten seconds of each kind, and what the store needs to fill and erase both sectors again and again.
     pub const SHORT: Self = Self {
         native_s: 10,
         bulk_s: 10,
         usart_ticks: 60,
         times: 10,
-        saves: 1000,
+        saves: 3000,
     };
 }
 

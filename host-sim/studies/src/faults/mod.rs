@@ -10,18 +10,17 @@ mod link;
 pub mod machine;
 mod rig;
 pub mod store;
-pub mod table;
 mod timed;
 mod uploads;
-mod watchdog;
 
 pub use campaigns::{Lengths, Scenario, scenarios};
 pub use damage::Damage;
 pub use link::{damaged_line, foreign_frames, strange_numbers};
+pub use machine::watchdog_bites;
 pub use timed::{TimedFault, timed};
 pub use uploads::{BadUpload, bad_uploads};
-pub use watchdog::watchdog_bites;
 
+use foretorque_workbench::snapshot::aligned;
 use rig::Round;
 use serde::Serialize;
 
@@ -95,4 +94,81 @@ impl Campaign {
         self.pending += injected;
         self.frames_to_resynchronise = self.frames_to_resynchronise.max(round.resynchronised);
     }
+}
+
+/// Headings of the counts, with the width of each on a terminal.
+const HEADINGS: [(&str, usize); 12] = [
+    ("fault", 42),
+    ("board", 15),
+    ("injected", 9),
+    ("torques", 9),
+    ("wrong", 7),
+    ("lost", 5),
+    ("recovered", 9),
+    ("unseen", 6),
+    ("unallowed", 9),
+    ("re-armed", 8),
+    ("time-outs", 9),
+    ("mistimed", 8),
+];
+
+/// Headings of [`row`].
+pub fn header() -> String {
+    line(HEADINGS.map(|(heading, _)| heading.to_owned()))
+}
+
+/// The counts of one campaign, for a terminal.
+pub fn row(campaign: &Campaign) -> String {
+    line(cells(campaign))
+}
+
+/// Words to the left, numbers to the right.
+fn line(cells: [String; HEADINGS.len()]) -> String {
+    let cells = cells.iter().zip(HEADINGS).enumerate();
+    let cells = cells.map(|(place, (cell, (_, width)))| match place {
+        0 | 1 => format!("{cell:<width$}"),
+        _ => format!("{cell:>width$}"),
+    });
+    cells.collect::<Vec<_>>().join(" ")
+}
+
+fn cells(campaign: &Campaign) -> [String; HEADINGS.len()] {
+    let count = |count: u64| count.to_string();
+    [
+        campaign.name.clone(),
+        campaign.board.clone(),
+        count(campaign.injected),
+        count(campaign.torques),
+        count(campaign.wrong_torques),
+        count(campaign.lost_sets),
+        count(campaign.recovered),
+        count(campaign.unnoticed),
+        count(campaign.without_permission),
+        count(campaign.rearmed),
+        count(campaign.timeouts),
+        count(campaign.mistimed),
+    ]
+}
+
+/// The counts of all campaigns.
+pub fn text(seed: u64, campaigns: &[Campaign]) -> String {
+    let sum = |count: fn(&Campaign) -> u64| campaigns.iter().map(count).sum::<u64>();
+    let header = "fault | board | injected | torques compared | wrong | lost sets | recovered | unseen | without permission | re-armed | time-outs | mistimed";
+    format!(
+        "cargo xtask faults, seed {seed}\n\n\
+         {} campaigns, {} faults, {} torques compared: {} wrong, {} sets lost, {} not recovered, {} unseen, \
+         {} torques without permission, {} re-arms unasked, {} of {} time-outs more than a period off.\n\n{}",
+        campaigns.len(),
+        sum(|campaign| campaign.injected),
+        sum(|campaign| campaign.torques),
+        sum(|campaign| campaign.wrong_torques),
+        sum(|campaign| campaign.lost_sets),
+        sum(|campaign| campaign.injected - campaign.recovered),
+        sum(|campaign| campaign.unnoticed),
+        sum(|campaign| campaign.without_permission),
+        sum(|campaign| campaign.rearmed),
+        sum(|campaign| campaign.mistimed),
+        sum(|campaign| campaign.timeouts),
+        aligned(header, campaigns.iter().map(cells))
+    )
 }

@@ -2,7 +2,7 @@
 
 use crate::StudyError;
 use foretorque::arm::ur5::JOINTS;
-use foretorque_workbench::dynamics::{Joints, State};
+use foretorque_workbench::dynamics::{Joints, PerJoint, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{
     ColumnSet, Layout, MethodName, MethodResult, SampleRow, despiked, fit_rows,
@@ -113,7 +113,7 @@ pub struct CellRecord {
 /// A choice of columns, and the columns of the excitation's rows.
 #[derive(Clone, Debug)]
 struct Model {
-    layout: Layout<JOINTS>,
+    layout: Layout,
     panels: Vec<Box<[f64]>>,
     methods: &'static [MethodName],
     suffix: &'static str,
@@ -135,17 +135,17 @@ impl Bench {
             .map(|k| excitation.at(excitation.period_s * k as f64 / rows as f64))
             .collect();
         let model = |columns: &ColumnSet, methods, suffix| {
-            let layout = Layout::new(&robot, columns)?;
+            let layout = Layout::new(&robot, columns);
             let panels = panels(&layout, &states);
-            Some(Model {
+            Model {
                 layout,
                 panels,
                 methods,
                 suffix,
-            })
+            }
         };
-        let plain = model(&ColumnSet::plain(), &PLAIN[..], "")?;
-        let richer = model(&RICHER.parse().ok()?, &[MethodName::Irls][..], "_stribeck")?;
+        let plain = model(&ColumnSet::plain(), &PLAIN[..], "");
+        let richer = model(&RICHER.parse().ok()?, &[MethodName::Irls][..], "_stribeck");
         Some(Self {
             models: [plain, richer],
             robot,
@@ -191,8 +191,8 @@ impl Bench {
         let (mut methods, mut failed) = (BTreeMap::new(), BTreeMap::new());
         for model in &self.models {
             let row = |k: &usize| row(&self.states[*k], &model.panels[*k], &measured, &clean, *k);
-            let rows: Vec<SampleRow<JOINTS>> = training.iter().map(row).collect();
-            let rows: Vec<&SampleRow<JOINTS>> = rows.iter().collect();
+            let rows: Vec<SampleRow> = training.iter().map(row).collect();
+            let rows: Vec<&SampleRow> = rows.iter().collect();
             for method in model.methods {
                 let name = format!("{method}{}", model.suffix);
                 // Both sets of columns are on the board.
@@ -265,11 +265,11 @@ fn arm(robot: &Robot, cell: &Cell) -> Robot {
 }
 
 /// The model's columns at every state.
-fn panels(layout: &Layout<JOINTS>, states: &[State<JOINTS>]) -> Vec<Box<[f64]>> {
+fn panels(layout: &Layout, states: &[State<JOINTS>]) -> Vec<Box<[f64]>> {
     let mut scratch = DMatrix::zeros(JOINTS, (LINK_PARAMETERS + 1) * JOINTS);
-    let row = |state| {
+    let row = |state: &State<JOINTS>| {
         let mut panel = Vec::with_capacity(layout.width);
-        layout.append_row(state, 0.0, &mut scratch, &mut panel);
+        layout.append_row(&(*state).into(), 0.0, &mut scratch, &mut panel);
         panel.into_boxed_slice()
     };
     states.iter().map(row).collect()
@@ -281,23 +281,23 @@ fn row(
     measured: &[f64],
     clean: &[f64],
     row: usize,
-) -> SampleRow<JOINTS> {
-    let at = |table: &[f64]| std::array::from_fn(|joint| table[row * JOINTS + joint]);
+) -> SampleRow {
+    let at = |table: &[f64]| table[row * JOINTS..][..JOINTS].into();
     SampleRow {
-        state: *state,
+        state: (*state).into(),
         tau: at(measured),
         clean: at(clean),
-        moving: std::array::from_fn(|joint| state.qd[joint].abs() > MOVING_RAD_S),
+        moving: state.qd.map(|qd| qd.abs() > MOVING_RAD_S).as_slice().into(),
         panel: panel.into(),
         // The arms of this study have no cogging.
-        cogging_basis: [[0.0; 2]; JOINTS],
+        cogging_basis: PerJoint::repeat(JOINTS, [0.0; 2]),
     }
 }
 
 /// NRMSE over the moving rows, a ratio.
 fn score(
-    trial: &MethodResult<JOINTS>,
-    layout: &Layout<JOINTS>,
+    trial: &MethodResult,
+    layout: &Layout,
     states: &[State<JOINTS>],
     wanted: &[Joints<JOINTS>],
 ) -> f64 {
@@ -305,7 +305,11 @@ fn score(
     let mut error = TorqueError::<JOINTS>::default();
     for ((state, panel), wanted) in states.iter().zip(panels(layout, states)).zip(wanted) {
         let row = row(state, &panel, &nothing, &nothing, 0);
-        error.add(wanted, &trial.candidate.torque(layout, &row), &state.qd);
+        error.add(
+            wanted,
+            &trial.candidate.torque(layout, &row).into(),
+            &state.qd,
+        );
     }
     error.nrmse_moving()
 }

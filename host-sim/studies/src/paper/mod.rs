@@ -6,7 +6,6 @@
 
 mod cell;
 mod config;
-mod curves;
 mod findings;
 mod page;
 mod rigid;

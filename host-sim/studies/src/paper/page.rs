@@ -2,8 +2,8 @@
 
 use super::cell::{FRICTIONS, FrictionKind};
 use super::config::PaperReport;
-use super::curves::Curves;
 use super::findings::{of_times, percent};
+use super::rigid::Curves;
 use super::summary::{Condition, Times};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::excitation::page::{legend, panels, picture as excitation_picture};
@@ -53,7 +53,7 @@ pub(super) fn pictures(
     Ok([
         (
             "fig3-excitation.svg",
-            excitation_picture::<JOINTS>(&report.config.excitation)?,
+            excitation_picture(&report.config.excitation)?,
         ),
         (
             "fig6-predicted-torques.svg",
@@ -164,8 +164,8 @@ fn of_steps(report: &PaperReport, curves: &Curves, times: &Times) -> [Section; 4
                 steps.inverse_kinematics_poses
             ),
         )
-        .legend(legend::<JOINTS>())
-        .plots(panels::<JOINTS>(&report.config.excitation), 1),
+        .legend(legend(JOINTS))
+        .plots(panels(&report.config.excitation), 1),
         Section::new(
             "Training",
             format!(
@@ -295,7 +295,7 @@ pub(super) fn text(report: &PaperReport) -> String {
 }
 
 fn path_panels(curves: &Curves) -> Vec<Panel> {
-    Panel::of_joints::<JOINTS>("tau / N·m", |j| {
+    Panel::of_joints(JOINTS, "tau / N·m", |j| {
         let of = |color, model: usize| {
             Curve::new(color, &curves.path, |(t_s, _, tau)| (*t_s, tau[model][j]))
         };

@@ -1,11 +1,11 @@
 //! The paper's steps (1) to (4): known parameters, no friction, no rotors, no noise, 36 base parameters.
 
 use super::cell::ROWS;
-use super::curves::Curves;
+use super::rigid::Curves;
 use super::rigid::{RigidBody, Rows, Sample};
 use crate::StudyError;
 use foretorque::arm::ur5::JOINTS;
-use foretorque_workbench::dynamics::{Joints, State};
+use foretorque_workbench::dynamics::{Joints, Motion, PerJoint, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{ColumnSet, Layout};
 use foretorque_workbench::kinematics::Inverse;
@@ -108,7 +108,7 @@ pub(super) fn run(
     let (data, poses, ik_error) = joint_sequence(robot, excitation, &model)?;
     let known = Known::new(&model, &data, arbitrary_path(robot, seed), seed);
     let [plain, fast] = [Descent::Plain, Descent::Accelerated].map(|way| known.physical(way, seed));
-    let network = BlackBox::<JOINTS>::train(&known.samples(), seed, &mut |_, _| ());
+    let network = BlackBox::train(&known.samples(), seed, &mut |_, _| ());
     let trained = vec![
         known.linear("least squares", 1, &known.least_squares()?),
         known.linear("bp_physical, gradient descent (eq. 21)", plain.1, &plain.0),
@@ -118,7 +118,7 @@ pub(super) fn run(
     let path = known.path.iter().zip(&known.path_truth);
     let path: Vec<_> = path
         .map(|((t_s, state), truth)| {
-            let box_torque = Joints::from(network.torque(state));
+            let box_torque = Joints::from(network.torque(&(*state).into()));
             (
                 *t_s,
                 *state,
@@ -126,8 +126,7 @@ pub(super) fn run(
             )
         })
         .collect();
-    let layout = Layout::<JOINTS>::new(robot, &ColumnSet::plain());
-    let layout = layout.ok_or(StudyError::Joints(JOINTS))?;
+    let layout = Layout::new(robot, &ColumnSet::plain());
     let values = model.truth.iter().zip(&fast.0);
     let steps = Steps {
         inverse_kinematics_poses: poses,
@@ -204,9 +203,9 @@ impl<'m> Known<'m> {
     }
 
     /// The training rows as the black box takes them.
-    fn samples(&self) -> Vec<(State<JOINTS>, [f64; JOINTS], [bool; JOINTS])> {
+    fn samples(&self) -> Vec<(Motion, PerJoint<f64>, PerJoint<bool>)> {
         let rows = self.training.iter();
-        rows.map(|(_, state, tau)| (*state, (*tau).into(), [true; JOINTS]))
+        rows.map(|(_, state, tau)| ((*state).into(), (*tau).into(), [true; JOINTS].into()))
             .collect()
     }
 
@@ -255,8 +254,8 @@ impl<'m> Known<'m> {
         }
     }
 
-    fn black_box(&self, name: &'static str, network: &BlackBox<JOINTS>) -> Trained {
-        let torque = |state: &State<JOINTS>| Joints::from(network.torque(state));
+    fn black_box(&self, name: &'static str, network: &BlackBox) -> Trained {
+        let torque = |state: &State<JOINTS>| Joints::from(network.torque(&(*state).into()));
         let loss = |data: &[Sample]| {
             let square = |(_, state, tau): &Sample| {
                 let error = torque(state) - tau;

@@ -3,7 +3,7 @@
 use super::record::GATE_RAD_S;
 use crate::real_ur5::columns;
 use crate::{Progress, StudyError};
-use foretorque::joint::JointMeasurement;
+use foretorque::joint::{JointMeasurement, JointVector};
 use foretorque_workbench::dynamics::State;
 use foretorque_workbench::identification::{
     IdentifyConfig, IdentifyError, Layout, MethodName, Preparation, PrepareConfig, Prepared,
@@ -80,7 +80,7 @@ pub(super) fn read<const N: usize>(
     let mut notes = Vec::new();
     let mut period_s = None;
     for file in paths.iter().flat_map(|path| &path.files) {
-        let own = WholeLog::<N>::open(file, robot)?.period_s();
+        let own = WholeLog::open(file, robot)?.period_s();
         let first = *period_s.get_or_insert(own);
         if (own / first - 1.0).abs() > 0.05 {
             return Err(StudyError::Unusable(format!(
@@ -103,7 +103,7 @@ pub(super) fn read<const N: usize>(
     for text in SIMPLE {
         columns = text;
         let (training, held_out) = (training(0), &paths[0].files[..1]);
-        match batch::<N>(robot, (&training, held_out), columns, prepare, seed) {
+        match batch(robot, (&training, held_out), columns, prepare, seed) {
             Err(StudyError::Identify(IdentifyError::RankDeficient(..))) if text != PLAIN => {
                 notes.push(format!("the logs do not show all columns of {text}"));
             }
@@ -119,9 +119,8 @@ pub(super) fn read<const N: usize>(
         let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
         let mut prepared = Vec::new();
         for (text, found) in [PLAIN, columns].iter().zip(&mut found) {
-            let layout = Layout::<N>::new(robot, &crate::real_ur5::columns(text)?);
-            let layout = layout.ok_or(StudyError::Joints(N))?;
-            let theta = batch::<N>(
+            let layout = Layout::new(robot, &crate::real_ur5::columns(text)?);
+            let theta = batch(
                 robot,
                 (&training(number), &path.files[..1]),
                 text,
@@ -152,7 +151,7 @@ pub(super) fn read<const N: usize>(
                 let measured = raw.get(place)?.1;
                 Some(Row {
                     measured,
-                    state: stretch.states[row],
+                    state: stretch.states[row].into(),
                     tau: std::array::from_fn(|joint| stretch.tau[row * N + joint]),
                     batch: [found[0][k][row], found[1][k][row]],
                 })
@@ -173,7 +172,7 @@ pub(super) fn read<const N: usize>(
 }
 
 /// Weighted least squares over the training logs: one value a parameter.
-fn batch<const N: usize>(
+fn batch(
     robot: &Robot,
     (training, held_out): (&[PathBuf], &[PathBuf]),
     text: &str,
@@ -190,7 +189,7 @@ fn batch<const N: usize>(
         truth: None,
         test: Vec::new(),
     };
-    let outcome = identify::<N>(robot, training, held_out, &config, &|_| ())?;
+    let outcome = identify(robot, training, held_out, &config, &|_| ())?;
     let record = outcome.report.methods.get(&MethodName::Wls.to_string());
     let parameters = record.ok_or(IdentifyError::Unsolvable)?.parameters.iter();
     Ok(parameters.map(|parameter| parameter.value).collect())
@@ -198,9 +197,9 @@ fn batch<const N: usize>(
 
 /// Torques of `theta` in every row of a stretch, N·m; the columns are filtered already.
 fn predictions<const N: usize>(
-    layout: &Layout<N>,
+    layout: &Layout,
     theta: &[f64],
-    stretch: &Prepared<N>,
+    stretch: &Prepared,
 ) -> Vec<[f64; N]> {
     let rows = stretch.panel.chunks_exact(layout.width);
     rows.map(|row| {
@@ -221,12 +220,13 @@ fn raw_rows<const N: usize>(
     file: &Path,
     robot: &Robot,
 ) -> Result<Vec<(f64, JointMeasurement<N>)>, StudyError> {
-    let mut log = WholeLog::<N>::open(file, robot)?;
+    let mut log = WholeLog::open(file, robot)?;
+    let joints = |values: &[f64]| JointVector::from_fn(|joint, _| values[joint] as f32);
     let mut rows = Vec::new();
     while let Some(row) = log.next_row()? {
         let measured = JointMeasurement {
-            q: row.q.map(|q| q as f32).into(),
-            tau: row.tau.map(|tau| tau as f32).into(),
+            q: joints(&row.q),
+            tau: joints(&row.tau),
         };
         rows.push((row.t_s, measured));
     }

@@ -1,7 +1,6 @@
 //! The board's code learns an arm from logs, row by row, as if it had been there.
 
 mod logs;
-mod page;
 mod record;
 mod scores;
 
@@ -306,7 +305,7 @@ fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
         rows_accepted_count: rows_accepted,
         paths,
     };
-    Ok(page::outcome(report))
+    Ok(record::outcome(report))
 }
 
 /// Motion that a board fresh from its start needs on each path to come within 1.1 of the reference, s.

@@ -39,20 +39,6 @@ pub enum Ask {
     Weight(Option<Link>),
 }
 
-/// Somebody who can move the arm.
-pub trait Operator: Network {
-    /// Returns when it is done.
-    ///
-    /// Errors: nobody is there.
-    fn ask(&mut self, ask: &Ask) -> Result<(), BusError>;
-}
-
-impl<W: Operator + ?Sized> Operator for Box<W> {
-    fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
-        (**self).ask(ask)
-    }
-}
-
 /// Step of commissioning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
@@ -103,7 +89,7 @@ pub struct Found {
 }
 
 /// Arm that is being commissioned.
-pub struct Commissioning<A: Arm<N, P>, W: Operator, const N: usize, const P: usize> {
+pub struct Commissioning<A: Arm<N, P>, W: Network, const N: usize, const P: usize> {
     /// Loop and bus.
     pub player: BusPlayer<A, W, N, P>,
     /// Findings so far.
@@ -118,7 +104,7 @@ fn mistake(joint: usize, mistake: String) -> BusError {
     BusError::Mistake { joint, mistake }
 }
 
-impl<A: Arm<N, P>, W: Operator, const N: usize, const P: usize> Commissioning<A, W, N, P> {
+impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, W, N, P> {
     /// An arm whose drives are off.
     ///
     /// * `rest` pose in which it rests without torque, rad

@@ -1,6 +1,6 @@
 //! The certificate of an excitation: every limit with its worst value.
 
-use super::error::ExcitationError;
+use super::ExcitationError;
 use super::information::Criterion;
 use serde::Serialize;
 

@@ -1,14 +1,14 @@
 //! Check of an excitation: every limit on a fine grid, with bounds between its points.
 
+use super::ExcitationError;
 use super::certificate::{Certificate, LimitCheck};
-use super::error::ExcitationError;
 use super::information::{Criterion, NOISE, SAMPLES, condition_number};
 use super::objective::Objective;
 use super::path::Excitation;
 use super::rates::{MotionBounds, TorqueRates};
 use super::rows::{Frames, Rows};
 use super::series::Extremes;
-use crate::dynamics::{Joints, ReferenceModel, State};
+use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
 use std::f64::consts::TAU;
@@ -35,27 +35,26 @@ link frames and columns: compare with the same frames and columns only";
 
 /// Checks `excitation` against the limits of `robot`, its ranges no wider than ±`range_rad`.
 ///
-/// Errors: a robot that has not `N` joints, an empty range, parameters that the path cannot distinguish.
-pub(super) fn certify<const N: usize>(
+/// Errors: an empty range, parameters that the path cannot distinguish.
+pub(super) fn certify(
     robot: &Robot,
     excitation: &Excitation,
-    objective: &Objective<N>,
+    objective: &Objective,
     origin: &Provenance,
 ) -> Result<Certificate, ExcitationError> {
-    let other_size = || ExcitationError::joint_count(robot.joint_count(), N);
     let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
     let step = excitation.period_s / points as f64;
-    let states: Vec<State<N>> = (0..points)
-        .map(|k| excitation.at(k as f64 * step))
+    let states: Vec<Motion> = (0..points)
+        .map(|k| excitation.motion(k as f64 * step))
         .collect();
     let mut limits = joint_limits(robot, excitation, points, origin.range_rad)?;
-    limits.extend(torque_limits::<N>(robot, excitation, step, points).ok_or_else(other_size)?);
+    limits.extend(torque_limits(robot, excitation, step, points));
     limits.extend(clearance_limits(excitation, objective, &states, step));
 
-    let board = Rows::<N>::new(robot, Frames::Board).ok_or_else(other_size)?;
+    let board = Rows::new(robot, Frames::Board);
     let experiment = &objective.experiment;
     // Every tenth point: sums over a smooth periodic function do not need more.
-    let sparse: Vec<State<N>> = states.iter().step_by(10).copied().collect();
+    let sparse: Vec<Motion> = states.iter().step_by(10).copied().collect();
     let (condition_dh, worth, errors) = experiment
         .figures(&objective.rows, &sparse)
         .ok_or(ExcitationError::Unseen)?;
@@ -131,18 +130,20 @@ fn joint_limits(
 }
 
 /// Bounds of the motion within half a step of `state`.
-fn around<const N: usize>(state: &State<N>, jerk: &Joints<N>, step: f64) -> MotionBounds<N> {
-    let qdd = state.qdd.abs() + jerk * (0.5 * step);
+fn around(state: &Motion, jerk: &PerJoint<f64>, step: f64) -> MotionBounds {
+    let (joints, half) = (jerk.len(), 0.5 * step);
+    let qdd = PerJoint::from_fn(joints, |j| state.qdd[j].abs() + jerk[j] * half);
     MotionBounds {
-        qd: state.qd.abs() + qdd * (0.5 * step),
+        qd: PerJoint::from_fn(joints, |j| state.qd[j].abs() + qdd[j] * half),
         qdd,
         jerk: *jerk,
     }
 }
 
-fn jerks<const N: usize>(excitation: &Excitation) -> Joints<N> {
+fn jerks(excitation: &Excitation) -> PerJoint<f64> {
     let omega = TAU / excitation.period_s;
-    Joints::from_fn(|j, _| excitation.joints[j].higher_bounds(omega).0)
+    let series = &excitation.joints;
+    PerJoint::from_fn(series.len(), |j| series[j].higher_bounds(omega).0)
 }
 
 /// Parts of a step, at most, where the bound between its ends exceeds a limit: a power of [`PARTS`].
@@ -151,37 +152,43 @@ const PARTS: usize = 4;
 
 /// Rigid body and rotors exactly, friction at its largest. The bound between points is far from the torque where an arm is fast:
 /// where it exceeds a limit, the points come closer.
-fn torque_limits<const N: usize>(
+fn torque_limits(
     robot: &Robot,
     excitation: &Excitation,
     step: f64,
     points: usize,
-) -> Option<Vec<LimitCheck>> {
-    let model = ReferenceModel::<N>::new(robot)?;
-    let rates = TorqueRates::<N>::new(robot)?;
-    let limits: Joints<N> = robot.each(|joint| joint.limits.torque)?.into();
+) -> Vec<LimitCheck> {
+    let model = RigidBodies::new(robot);
+    let rates = TorqueRates::new(robot);
     let jerk = jerks(excitation);
+    let drag = |j: usize, qd: f64| {
+        let friction = &robot.joints[j].friction;
+        friction.viscous * qd
+            + friction.coulomb * (1.0 + friction.stribeck_ratio)
+            + friction.cogging
+    };
     // Torques at t_s, and their bounds within half of `step` around it.
     let torques = |t_s: f64, step: f64| {
-        let state: State<N> = excitation.at(t_s);
-        let bounds = around(&state, &jerk, step);
-        let rigid = model.inverse_dynamics(&state).abs();
-        let drag = |qd: &Joints<N>| {
-            Joints::<N>::from_fn(|j, _| {
-                let friction = &robot.joints[j].friction;
-                friction.viscous * qd[j]
-                    + friction.coulomb * (1.0 + friction.stribeck_ratio)
-                    + friction.cogging
-            })
-        };
-        let between = rates.bound(&bounds) * (0.5 * step);
+        let motion = excitation.motion(t_s);
+        let bounds = around(&motion, &jerk, step);
+        let rigid = model.inverse_dynamics(&motion).map(f64::abs);
+        let between = rates.bound(&bounds);
+        let here = |j: usize| rigid[j] + drag(j, motion.qd[j].abs());
+        let bound = |j: usize| rigid[j] + drag(j, bounds.qd[j]) + between[j] * (0.5 * step);
         (
-            rigid + drag(&state.qd.abs()),
-            rigid + drag(&bounds.qd) + between,
+            PerJoint::from_fn(rigid.len(), here),
+            PerJoint::from_fn(rigid.len(), bound),
         )
     };
-    let exceeds = |torque: &Joints<N>| (limits - torque).min() < 0.0;
-    let mut worst = Joints::<N>::zeros();
+    let exceeds = |torque: &PerJoint<f64>| {
+        let mut joints = robot.joints.iter().zip(torque.iter());
+        joints.any(|(joint, torque)| joint.limits.torque < *torque)
+    };
+    let larger = |one: PerJoint<f64>, other: PerJoint<f64>| {
+        PerJoint::from_fn(one.len(), |j| one[j].max(other[j]))
+    };
+    let zero = PerJoint::repeat(model.joints(), 0.0);
+    let mut worst = zero;
     for k in 0..points {
         let t_s = k as f64 * step;
         let (here, mut bound) = torques(t_s, step);
@@ -190,21 +197,20 @@ fn torque_limits<const N: usize>(
             parts *= PARTS;
             let part = step / parts as f64;
             let places = (0..parts).map(|i| t_s + (i as f64 + 0.5) * part - 0.5 * step);
-            let bounds = places.map(|t_s| torques(t_s, part).1);
-            bound = bounds.fold(Joints::zeros(), |worst, bound| worst.sup(&bound));
+            bound = places.map(|t_s| torques(t_s, part).1).fold(zero, larger);
         }
-        worst = worst.sup(&bound);
+        worst = larger(worst, bound);
     }
     let check = |(joint, worst): (&crate::robot::Joint, &f64)| {
         LimitCheck::at_most("torque", &joint.name, "N*m", (*worst, joint.limits.torque))
     };
-    Some(robot.joints.iter().zip(&worst).map(check).collect())
+    robot.joints.iter().zip(worst.iter()).map(check).collect()
 }
 
-fn clearance_limits<const N: usize>(
+fn clearance_limits(
     excitation: &Excitation,
-    objective: &Objective<N>,
-    states: &[State<N>],
+    objective: &Objective,
+    states: &[Motion],
     step: f64,
 ) -> Vec<LimitCheck> {
     let clearances = &objective.clearances;
@@ -253,8 +259,7 @@ mod tests {
             certificate: None,
         };
         let worst = |robot: &Robot, points: usize| -> Vec<f64> {
-            let checks = torque_limits::<6>(robot, &excitation, 10.0 / points as f64, points);
-            let checks = checks.expect("six joints");
+            let checks = torque_limits(robot, &excitation, 10.0 / points as f64, points);
             checks.iter().map(|check| check.worst).collect()
         };
         let (coarse, fine) = (worst(&robot, 1000), worst(&robot, 100_000));

@@ -1,7 +1,7 @@
 //! Distances of the links from the table and from each other, and how fast they can change.
 
-use crate::dynamics::Joints;
-use crate::robot::{Capsule, Placement, Robot, segment_distance};
+use crate::dynamics::PerJoint;
+use crate::robot::{Capsule, MAX_JOINTS, Placement, Robot, segment_distance};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Two bodies that keep their distance.
@@ -13,8 +13,8 @@ enum Pair {
 
 /// All distances that an arm must keep.
 #[derive(Clone, Debug)]
-pub(super) struct Clearances<const N: usize> {
-    placements: [Placement; N],
+pub(super) struct Clearances {
+    placements: Vec<Placement>,
     capsules: Vec<Vec<Capsule>>,
     names: Vec<String>,
     pairs: Vec<Pair>,
@@ -22,22 +22,23 @@ pub(super) struct Clearances<const N: usize> {
     /// Required distance, m.
     pub(super) required: f64,
     /// For each pair and joint: metres by which the distance changes, at most, for one radian.
-    levers: Vec<[f64; N]>,
+    levers: Vec<PerJoint<f64>>,
 }
 
-impl<const N: usize> Clearances<N> {
+impl Clearances {
     /// Links two or more apart keep clear of each other (neighbours share a joint housing), all but the first of the
-    /// table (it carries the arm and keeps its height). `None` when the robot has not `N` joints.
-    pub(super) fn new(robot: &Robot) -> Option<Self> {
-        let placements: [Placement; N] = robot.each(|joint| joint.placement)?;
+    /// table (it carries the arm and keeps its height).
+    pub(super) fn new(robot: &Robot) -> Self {
+        let joints = robot.joint_count();
+        let placements: Vec<Placement> = robot.joints.iter().map(|j| j.placement).collect();
         let capsules: Vec<Vec<Capsule>> = robot.joints.iter().map(|j| j.capsules.clone()).collect();
         let solid = |k: &usize| !capsules[*k].is_empty();
         let mut pairs = Vec::new();
         if robot.workspace.table_height.is_some() {
-            pairs.extend((1..N).filter(solid).map(|link| Pair::Table { link }));
+            pairs.extend((1..joints).filter(solid).map(|link| Pair::Table { link }));
         }
-        for inner in (0..N).filter(solid) {
-            let outer = (inner + 2..N).filter(solid);
+        for inner in (0..joints).filter(solid) {
+            let outer = (inner + 2..joints).filter(solid);
             pairs.extend(outer.map(|outer| Pair::Links { inner, outer }));
         }
         let levers = pairs
@@ -51,7 +52,7 @@ impl<const N: usize> Clearances<N> {
                     .iter()
                     .map(Capsule::reach)
                     .fold(0.0, f64::max);
-                std::array::from_fn(|i| {
+                PerJoint::from_fn(joints, |i| {
                     if (first..=link).contains(&i) {
                         let arm = placements[i + 1..=link].iter();
                         reach + arm.map(|placement| placement.origin.norm()).sum::<f64>()
@@ -61,7 +62,7 @@ impl<const N: usize> Clearances<N> {
                 })
             })
             .collect();
-        Some(Self {
+        Self {
             placements,
             capsules,
             names: robot.joints.iter().map(|j| j.name.clone()).collect(),
@@ -69,7 +70,7 @@ impl<const N: usize> Clearances<N> {
             table_height: robot.workspace.table_height.unwrap_or(f64::NEG_INFINITY),
             required: robot.workspace.clearance,
             levers,
-        })
+        }
     }
 
     /// Number of distances.
@@ -108,16 +109,16 @@ impl<const N: usize> Clearances<N> {
     ///
     /// A turn of joint i by dq moves a carried point by at most dq times its distance from the axis. No pose makes that
     /// distance longer than the stretched chain.
-    pub(super) fn rate(&self, index: usize, speeds: &Joints<N>) -> f64 {
+    pub(super) fn rate(&self, index: usize, speeds: &[f64]) -> f64 {
         let levers = self.levers[index].iter();
         levers.zip(speeds.iter()).map(|(r, qd)| r * qd.abs()).sum()
     }
 
     /// All distances at positions `q`, m; negative where the table is cut, never below −(radii) where links meet.
-    pub(super) fn write(&self, q: &Joints<N>, out: &mut [f64]) {
-        let mut poses = [(Matrix3::identity(), Vector3::zeros()); N];
+    pub(super) fn write(&self, q: &[f64], out: &mut [f64]) {
+        let mut poses = [(Matrix3::identity(), Vector3::zeros()); MAX_JOINTS];
         let (mut rot, mut origin) = (Matrix3::identity(), Vector3::zeros());
-        for k in 0..N {
+        for k in 0..self.placements.len() {
             origin += rot * self.placements[k].origin;
             let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), q[k]);
             rot = rot * self.placements[k].rot_parent_child * turn.matrix();
@@ -156,8 +157,8 @@ mod tests {
     use super::*;
     use rand::{Rng, SeedableRng};
 
-    fn ur5() -> Clearances<6> {
-        Clearances::new(&Robot::load("ur5").expect("built in")).expect("six joints")
+    fn ur5() -> Clearances {
+        Clearances::new(&Robot::load("ur5").expect("built in"))
     }
 
     #[test]
@@ -166,18 +167,18 @@ mod tests {
         let mut distances = vec![0.0; clearances.count()];
         let half = std::f64::consts::FRAC_PI_2;
         clearances.write(
-            &Joints::from([0.0, half, 0.0, 0.0, 0.0, 0.0]),
+            &PerJoint::from([0.0, half, 0.0, 0.0, 0.0, 0.0]),
             &mut distances,
         );
         assert!(distances.iter().any(|d| *d < -0.5));
         clearances.write(
-            &Joints::from([0.0, -half, 0.0, -half, 0.3, 0.0]),
+            &PerJoint::from([0.0, -half, 0.0, -half, 0.3, 0.0]),
             &mut distances,
         );
         assert!(distances.iter().all(|d| *d > 0.005), "{distances:?}");
         // The elbow folded: the first wrist lies on the upper arm.
         clearances.write(
-            &Joints::from([0.0, -half, 3.1, 0.0, 0.3, 0.0]),
+            &PerJoint::from([0.0, -half, 3.1, 0.0, 0.3, 0.0]),
             &mut distances,
         );
         let worst = (0..distances.len()).min_by(|a, b| distances[*a].total_cmp(&distances[*b]));
@@ -190,7 +191,7 @@ mod tests {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         let mut distances = vec![0.0; clearances.count()];
         for _ in 0..2000 {
-            let q = Joints::<6>::from_fn(|_, _| random.random_range(-3.0..3.0));
+            let q = PerJoint::from_fn(6, |_| random.random_range(-3.0..3.0));
             clearances.write(&q, &mut distances);
             for (i, distance) in distances.iter().enumerate() {
                 let name = clearances.name(i);
@@ -209,10 +210,11 @@ mod tests {
         let (mut before, mut after) =
             (vec![0.0; clearances.count()], vec![0.0; clearances.count()]);
         for _ in 0..2000 {
-            let q = Joints::<6>::from_fn(|_, _| random.random_range(-3.0..3.0));
-            let step = Joints::<6>::from_fn(|_, _| random.random_range(-0.05..0.05));
+            let q = PerJoint::from_fn(6, |_| random.random_range(-3.0..3.0));
+            let step = PerJoint::from_fn(6, |_| random.random_range(-0.05..0.05));
             clearances.write(&q, &mut before);
-            clearances.write(&(q + step), &mut after);
+            let moved = PerJoint::from_fn(6, |j| q[j] + step[j]);
+            clearances.write(&moved, &mut after);
             for i in 0..clearances.count() {
                 let change = (after[i] - before[i]).abs();
                 assert!(

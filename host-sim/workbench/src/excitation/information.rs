@@ -1,7 +1,8 @@
 //! Information that a path carries about the parameters, and its gradient with respect to the regressor.
 
 use super::rows::Rows;
-use crate::dynamics::{ReferenceModel, State};
+use crate::dynamics::{Motion, PerJoint, RigidBodies};
+use crate::joints;
 use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
 use crate::trajectory::via::ViaPath;
@@ -40,9 +41,9 @@ const TASK_SEED: u64 = 0x7461_736b;
 
 /// Everything that does not change with the path.
 #[derive(Clone, Debug)]
-pub(super) struct Experiment<const N: usize> {
+pub(super) struct Experiment {
     /// 1 / σ² of each joint's torque, 1/(N·m)².
-    weight: [f64; N],
+    weight: PerJoint<f64>,
     /// Mean over joints of the task's information, each divided by the joint's mean square torque.
     task: DMatrix<f64>,
     /// Mean information of the task about the torque of each joint.
@@ -61,18 +62,15 @@ pub(super) struct Worth {
     pub(super) ln_spread: f64,
 }
 
-impl<const N: usize> Experiment<N> {
-    /// `None` when the robot has not `N` joints.
-    pub(super) fn new(robot: &Robot, rows: &Rows<N>) -> Option<Self> {
-        let model = ReferenceModel::<N>::new(robot)?;
+impl Experiment {
+    pub(super) fn new(robot: &Robot, rows: &Rows) -> Self {
+        let (model, joints) = (RigidBodies::new(robot), robot.joint_count());
         let width = rows.count();
-        let mut moments = vec![DMatrix::<f64>::zeros(width, width); N];
-        let (mut power, mut count) = ([0.0; N], [0.0_f64; N]);
-        let mut block = DMatrix::zeros(width, N);
+        let mut moments = vec![DMatrix::<f64>::zeros(width, width); joints];
+        let (mut power, mut count) = (vec![0.0; joints], vec![0.0_f64; joints]);
+        let mut block = DMatrix::zeros(width, joints);
         for path in 0..TASK_PATHS {
-            let path = ViaPath::<N>::random(robot, TASK_SEED + path, TASK_PATH_S, TASK_PEAK_RAD_S);
-            for k in 0..(TASK_PATH_S / TASK_PERIOD_S) as usize {
-                let state = path.at(k as f64 * TASK_PERIOD_S);
+            for state in task(robot, TASK_SEED + path) {
                 rows.write(&state, SIGN_WIDTH_RAD_S, block.as_mut_slice());
                 let rigid = model.inverse_dynamics(&state);
                 for (j, joint) in robot.joints.iter().enumerate() {
@@ -89,30 +87,30 @@ impl<const N: usize> Experiment<N> {
             }
         }
         let mut task = DMatrix::zeros(width, width);
-        for j in 0..N {
+        for j in 0..joints {
             moments[j].fill_upper_triangle_with_lower_triangle();
             // Sums over the same rows on both sides of the fraction: their number cancels.
             if count[j] > 0.0 {
-                task += &moments[j] / (power[j] * N as f64);
+                task += &moments[j] / (power[j] * joints as f64);
                 moments[j] /= count[j];
             }
         }
-        Some(Self {
-            weight: std::array::from_fn(|j| (NOISE * robot.joints[j].limits.torque).powi(-2)),
+        Self {
+            weight: PerJoint::from_fn(joints, |j| (NOISE * robot.joints[j].limits.torque).powi(-2)),
             task,
             tasks: moments,
             links: rows.link_count(),
-        })
+        }
     }
 
     /// Information of the rows `transposed` on all parameters, and its factors: the rows over their variances, the inverse,
     /// ln det. `None` where parameters cannot be distinguished.
     fn covariance(&self, transposed: &DMatrix<f64>) -> Option<(DMatrix<f64>, DMatrix<f64>, f64)> {
-        let points = (transposed.ncols() / N) as f64;
+        let points = (transposed.ncols() / self.weight.len()) as f64;
         let scale = SAMPLES / points;
         let mut weighted = transposed.clone();
         for (column, mut row) in weighted.column_iter_mut().enumerate() {
-            row *= self.weight[column % N] * scale;
+            row *= self.weight[column % self.weight.len()] * scale;
         }
         let information = &weighted * transposed.transpose();
         // The rows' units differ by orders of magnitude: factorise with a diagonal of ones.
@@ -151,7 +149,7 @@ impl<const N: usize> Experiment<N> {
         shares: impl Fn(&Worth) -> Worth,
         adjoint: Option<&mut DMatrix<f64>>,
     ) -> Option<Worth> {
-        let points = (transposed.ncols() / N) as f64;
+        let points = (transposed.ncols() / self.weight.len()) as f64;
         let links = transposed.rows(0, self.links);
         let raw = links * links.transpose() / points;
         let (weighted, covariance, log_det) = self.covariance(transposed)?;
@@ -197,18 +195,14 @@ impl<const N: usize> Experiment<N> {
 
     /// Condition number of the raw base regressor of the links, the figures of the path through `states`, and the predicted
     /// torque error of every joint on task motion, N·m; rows of joints at rest count as unusable.
-    pub(super) fn figures(
-        &self,
-        rows: &Rows<N>,
-        states: &[State<N>],
-    ) -> Option<(f64, Worth, Vec<f64>)> {
+    pub(super) fn figures(&self, rows: &Rows, states: &[Motion]) -> Option<(f64, Worth, Vec<f64>)> {
         let mut transposed = transposed(rows, states);
         let condition = condition(&transposed, rows.link_count());
         for (k, state) in states.iter().enumerate() {
-            for j in 0..N {
-                if state.qd[j].abs() < MOVING_RAD_S {
+            for (j, qd) in state.qd.iter().enumerate() {
+                if qd.abs() < MOVING_RAD_S {
                     // A row of zeros keeps its place in the number of samples: it was spent.
-                    transposed.column_mut(k * N + j).fill(0.0);
+                    transposed.column_mut(k * state.qd.len() + j).fill(0.0);
                 }
             }
         }
@@ -219,16 +213,25 @@ impl<const N: usize> Experiment<N> {
     }
 }
 
+/// Motion on one of the task's paths.
+fn task(robot: &Robot, seed: u64) -> Vec<Motion> {
+    let times = (0..(TASK_PATH_S / TASK_PERIOD_S) as usize).map(|k| k as f64 * TASK_PERIOD_S);
+    joints!(robot.joint_count(), N => {
+        let path = ViaPath::<N>::random(robot, seed, TASK_PATH_S, TASK_PEAK_RAD_S);
+        times.map(|t_s| path.at(t_s).into()).collect()
+    }, else Vec::new())
+}
+
 /// Condition number of the raw base regressor of the links, in the frames of `rows`.
-pub(super) fn condition_number<const N: usize>(rows: &Rows<N>, states: &[State<N>]) -> f64 {
+pub(super) fn condition_number(rows: &Rows, states: &[Motion]) -> f64 {
     condition(&transposed(rows, states), rows.link_count())
 }
 
 /// Regressor rows of all states, one a column, joints fastest.
-fn transposed<const N: usize>(rows: &Rows<N>, states: &[State<N>]) -> DMatrix<f64> {
-    let width = rows.count();
-    let mut transposed = DMatrix::zeros(width, states.len() * N);
-    let blocks = transposed.as_mut_slice().chunks_exact_mut(N * width);
+fn transposed(rows: &Rows, states: &[Motion]) -> DMatrix<f64> {
+    let (width, joints) = (rows.count(), rows.joints());
+    let mut transposed = DMatrix::zeros(width, states.len() * joints);
+    let blocks = transposed.as_mut_slice().chunks_exact_mut(joints * width);
     for (state, block) in states.iter().zip(blocks) {
         rows.write(state, SIGN_WIDTH_RAD_S, block);
     }

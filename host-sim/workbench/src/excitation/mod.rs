@@ -13,23 +13,95 @@
 mod certificate;
 mod certify;
 mod clearance;
-mod error;
 mod information;
 mod objective;
 pub mod page;
 mod path;
-mod quick;
 mod rates;
 mod rows;
 mod search;
 mod series;
 mod slopes;
-mod variables;
 
 pub use certificate::{Certificate, LimitCheck};
-pub use error::ExcitationError;
 pub use information::Criterion;
-pub use path::Excitation;
-pub use quick::QuickConfig;
+pub use path::{Excitation, QuickConfig};
 pub use search::{SearchConfig, optimise};
 pub use series::{JointSeries, ORDER};
+
+/// Reason for which an excitation is refused, or not found.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ExcitationError {
+    /// It belongs to another robot.
+    #[error("excitation is for robot '{found}', not '{expected}'")]
+    Robot {
+        /// Robot of the file.
+        found: String,
+        /// Robot expected.
+        expected: String,
+    },
+    /// Another number of joints or harmonics than expected, or a coefficient or period that makes no sense.
+    #[error("excitation: {problem}")]
+    Shape {
+        /// Reason.
+        problem: String,
+    },
+    /// The range of a joint is empty.
+    #[error("excitation: limits of joint {joint} leave no room to move")]
+    Infeasible {
+        /// The joint, from 1.
+        joint: usize,
+    },
+    /// No motion that was tried, however slow, keeps the torque limit of a joint.
+    #[error(
+        "excitation: joint '{joint}' needs {needed_nm:.1} N·m even where it hardly moves, of which {friction_nm:.1} N·m are friction, its limit is {limit_nm} N·m: correct it with --torque-limits"
+    )]
+    TooWeak {
+        /// The joint.
+        joint: String,
+        /// Torque needed, N·m.
+        needed_nm: f64,
+        /// Coulomb friction in it, N·m.
+        friction_nm: f64,
+        /// Torque limit, N·m.
+        limit_nm: f64,
+    },
+    /// No pose has that clearance.
+    #[error(
+        "excitation: no path keeps all limits; in no pose is {of} clear by more than {largest_m:.3} m, asked for {required_m} m"
+    )]
+    OutOfReach {
+        /// Names of the two bodies.
+        of: String,
+        /// Upper bound of the clearance over all poses, m.
+        largest_m: f64,
+        /// Distance that is required, m.
+        required_m: f64,
+    },
+    /// No start of the search ended inside all limits.
+    #[error(
+        "excitation: no path keeps all limits; the best one has {limit} {reached}, asked for {required}{mend}"
+    )]
+    Unkept {
+        /// The limit that was missed by the best start.
+        limit: String,
+        /// Value that was reached, with its unit.
+        reached: String,
+        /// Value that is required, with its unit.
+        required: String,
+        /// Option that mends it; empty where there is none.
+        mend: &'static str,
+    },
+    /// Torque does not distinguish all parameters on any path that was tried.
+    #[error("excitation: within these limits torque cannot see all base parameters")]
+    Unseen,
+}
+
+impl ExcitationError {
+    /// The error of a robot that has not `expected` joints.
+    pub(super) fn joint_count(found: usize, expected: usize) -> Self {
+        Self::Shape {
+            problem: format!("{found} joints where {expected} are expected"),
+        }
+    }
+}

@@ -4,8 +4,8 @@ use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, Worth};
 use super::rows::Rows;
 use super::series::Extremes;
-use super::variables::{Bases, VARIABLES};
-use crate::dynamics::{Joints, State};
+use super::series::{Bases, VARIABLES};
+use crate::dynamics::{Motion, PerJoint};
 use argmin::core::{CostFunction, Error, Executor, Gradient};
 use argmin::solver::linesearch::MoreThuenteLineSearch;
 use argmin::solver::quasinewton::LBFGS;
@@ -24,14 +24,14 @@ const UNSEEN: f64 = 1e3;
 
 /// Criterion and limits of one robot.
 #[derive(Clone, Debug)]
-pub(super) struct Objective<const N: usize> {
-    pub(super) rows: Rows<N>,
-    pub(super) experiment: Experiment<N>,
-    pub(super) clearances: Clearances<N>,
+pub(super) struct Objective {
+    pub(super) rows: Rows,
+    pub(super) experiment: Experiment,
+    pub(super) clearances: Clearances,
     /// Limits of the joints, as the search keeps them.
     pub(super) limits: Vec<Extremes>,
     /// Torque limits less what friction beyond the columns may add, N·m.
-    pub(super) torque: [f64; N],
+    pub(super) torque: PerJoint<f64>,
     /// Nominal parameters of all columns.
     pub(super) parameters: DVector<f64>,
     pub(super) criterion: Criterion,
@@ -63,9 +63,9 @@ pub(super) struct PenaltyWeights {
     pub(super) clearance: Vec<f64>,
 }
 
-impl<const N: usize> Objective<N> {
-    fn state(&self, instant: usize, variables: &[f64]) -> State<N> {
-        let mut state = State::rest(Joints::zeros());
+impl Objective {
+    fn state(&self, instant: usize, variables: &[f64]) -> Motion {
+        let mut state = Motion::zeros(self.torque.len());
         for (j, own) in variables.chunks_exact(VARIABLES).enumerate() {
             for (x, [of_q, of_qd, of_qdd]) in own.iter().zip(&self.basis[instant]) {
                 state.q[j] += x * of_q;
@@ -83,17 +83,17 @@ impl<const N: usize> Objective<N> {
         penalties: &PenaltyWeights,
         gradient: Option<&mut [f64]>,
     ) -> f64 {
-        let width = self.rows.count();
-        let states: Vec<State<N>> = (0..INSTANTS).map(|k| self.state(k, variables)).collect();
-        let mut transposed = DMatrix::zeros(width, INSTANTS * N);
+        let (width, joints) = (self.rows.count(), self.rows.joints());
+        let states: Vec<Motion> = (0..INSTANTS).map(|k| self.state(k, variables)).collect();
+        let mut transposed = DMatrix::zeros(width, INSTANTS * joints);
         for (state, block) in states
             .iter()
-            .zip(transposed.as_mut_slice().chunks_exact_mut(N * width))
+            .zip(transposed.as_mut_slice().chunks_exact_mut(joints * width))
         {
             self.rows.write(state, SIGN_WIDTH_RAD_S, block);
         }
         let with_gradient = gradient.is_some();
-        let mut adjoint = DMatrix::zeros(width, if with_gradient { INSTANTS * N } else { 0 });
+        let mut adjoint = DMatrix::zeros(width, if with_gradient { INSTANTS * joints } else { 0 });
         let shares = |worth: &Worth| self.shares(worth, penalties.weight).1;
         let worth =
             self.experiment
@@ -106,7 +106,7 @@ impl<const N: usize> Objective<N> {
         };
         let mut value = self.shares(&worth, penalties.weight).0;
         // Derivatives of the penalties with respect to q, qd, qdd at every instant.
-        let mut slopes = vec![[[0.0; 3]; N]; INSTANTS];
+        let mut slopes = vec![PerJoint::repeat(joints, [0.0; 3]); INSTANTS];
         let each = penalties.weight / INSTANTS as f64;
         let mut distances = vec![0.0; self.clearances.count()];
         for (k, state) in states.iter().enumerate() {
@@ -115,8 +115,8 @@ impl<const N: usize> Objective<N> {
                 * self.clearance_penalty(state, penalties, &mut distances, |j, slope| {
                     slopes[k][j][0] += each * slope;
                 });
-            for j in 0..N {
-                let row = transposed.column(k * N + j);
+            for j in 0..joints {
+                let row = transposed.column(k * joints + j);
                 let tau = row.dot(&self.parameters);
                 let over = tau.abs() / self.torque[j] - 1.0;
                 if over > 0.0 {
@@ -124,14 +124,14 @@ impl<const N: usize> Objective<N> {
                     if with_gradient {
                         let slope = 2.0 * each * over * tau.signum() / self.torque[j];
                         adjoint
-                            .column_mut(k * N + j)
+                            .column_mut(k * joints + j)
                             .axpy(slope, &self.parameters, 1.0);
                     }
                 }
             }
         }
         if let Some(gradient) = gradient {
-            let pulls = adjoint.as_slice().chunks_exact(N * width);
+            let pulls = adjoint.as_slice().chunks_exact(joints * width);
             for ((state, pull), slopes) in states.iter().zip(pulls).zip(&mut slopes) {
                 self.rows.add_slopes(state, SIGN_WIDTH_RAD_S, pull, slopes);
             }
@@ -177,7 +177,7 @@ impl<const N: usize> Objective<N> {
     }
 
     /// Squared excess over the joints' limits, relative to them; `each` times the slopes is added to `slopes`.
-    fn joint_penalty(&self, state: &State<N>, each: f64, slopes: &mut [[f64; 3]; N]) -> f64 {
+    fn joint_penalty(&self, state: &Motion, each: f64, slopes: &mut [[f64; 3]]) -> f64 {
         let mut penalty = 0.0;
         for (j, allowed) in self.limits.iter().enumerate() {
             let half = 0.5 * (allowed.q.1 - allowed.q.0);
@@ -201,13 +201,13 @@ impl<const N: usize> Objective<N> {
     /// Squared shortfalls of the clearances; `slope(joint, derivative)` is called where one is not zero.
     fn clearance_penalty(
         &self,
-        state: &State<N>,
+        state: &Motion,
         penalties: &PenaltyWeights,
         distances: &mut [f64],
         mut slope: impl FnMut(usize, f64),
     ) -> f64 {
         const STEP_RAD: f64 = 1e-6;
-        let mut penalty = |q: &Joints<N>| -> f64 {
+        let mut penalty = |q: &[f64]| -> f64 {
             self.clearances.write(q, distances);
             let pairs = distances.iter().zip(&penalties.clearance);
             pairs
@@ -216,7 +216,7 @@ impl<const N: usize> Objective<N> {
         };
         let here = penalty(&state.q);
         if here > 0.0 {
-            for j in 0..N {
+            for j in 0..state.q.len() {
                 let mut q = state.q;
                 q[j] += STEP_RAD;
                 slope(j, (penalty(&q) - here) / STEP_RAD);
@@ -230,8 +230,8 @@ impl<const N: usize> Objective<N> {
 const MEMORY: usize = 20;
 
 /// The best point seen in at most `iterations` from `variables` on.
-pub(super) fn descend<const N: usize>(
-    objective: &Objective<N>,
+pub(super) fn descend(
+    objective: &Objective,
     penalties: &PenaltyWeights,
     variables: Vec<f64>,
     iterations: usize,
@@ -255,14 +255,14 @@ pub(super) fn descend<const N: usize>(
 type Evaluation = (Vec<f64>, f64, Vec<f64>);
 
 /// The objective in the form of the solver, which requests value and gradient in turn: one evaluation gives both.
-struct Problem<'a, const N: usize> {
-    objective: &'a Objective<N>,
+struct Problem<'a> {
+    objective: &'a Objective,
     penalties: &'a PenaltyWeights,
     last: RefCell<Option<Evaluation>>,
     best: RefCell<(f64, Vec<f64>)>,
 }
 
-impl<const N: usize> Problem<'_, N> {
+impl Problem<'_> {
     fn evaluated<T>(&self, variables: &[f64], pick: impl Fn(f64, &[f64]) -> T) -> T {
         if let Some((known, value, gradient)) = &*self.last.borrow()
             && known == variables
@@ -283,7 +283,7 @@ impl<const N: usize> Problem<'_, N> {
     }
 }
 
-impl<const N: usize> CostFunction for &Problem<'_, N> {
+impl CostFunction for &Problem<'_> {
     type Param = Vec<f64>;
     type Output = f64;
 
@@ -292,7 +292,7 @@ impl<const N: usize> CostFunction for &Problem<'_, N> {
     }
 }
 
-impl<const N: usize> Gradient for &Problem<'_, N> {
+impl Gradient for &Problem<'_> {
     type Param = Vec<f64>;
     type Gradient = Vec<f64>;
 

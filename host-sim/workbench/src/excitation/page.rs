@@ -2,18 +2,18 @@
 
 use super::certificate::Certificate;
 use super::path::Excitation;
-use crate::dynamics::{Joints, State};
+use crate::dynamics::{Motion, PerJoint};
 use crate::report::page::{Legend, Page, Section};
 use crate::report::plot::{self, Curve, Panel, PlotColor, PlotError};
 
-type Pick<const N: usize> = fn(&State<N>) -> &Joints<N>;
+type Pick = fn(&Motion) -> &PerJoint<f64>;
 
 /// Positions, velocities and accelerations of all joints over one period: the paper's Fig. 3.
-pub fn panels<const N: usize>(excitation: &Excitation) -> [Panel; 3] {
+pub fn panels(excitation: &Excitation) -> [Panel; 3] {
     const POINTS: u32 = 1000;
     let times = (0..=POINTS).map(|k| excitation.period_s * f64::from(k) / f64::from(POINTS));
-    let points: Vec<(f64, State<N>)> = times.map(|t_s| (t_s, excitation.at(t_s))).collect();
-    let rows: [(&str, &str, Pick<N>); 3] = [
+    let points: Vec<(f64, Motion)> = times.map(|t_s| (t_s, excitation.motion(t_s))).collect();
+    let rows: [(&str, &str, Pick); 3] = [
         ("position", "q / rad", |state| &state.q),
         ("velocity", "qd / rad/s", |state| &state.qd),
         ("acceleration", "qdd / rad/s²", |state| &state.qdd),
@@ -23,13 +23,18 @@ pub fn panels<const N: usize>(excitation: &Excitation) -> [Panel; 3] {
             let color = PlotColor::Joint(j as u8);
             Curve::new(color, &points, |(t_s, state)| (*t_s, pick(state)[j]))
         };
-        Panel::new(title, "t / s", y_label, (0..N).map(curve).collect())
+        Panel::new(
+            title,
+            "t / s",
+            y_label,
+            (0..excitation.joints.len()).map(curve).collect(),
+        )
     })
 }
 
-/// Colours and names of the joints.
-pub fn legend<const N: usize>() -> Legend {
-    (0..N)
+/// Colours and names of so many joints.
+pub fn legend(joints: usize) -> Legend {
+    (0..joints)
         .map(|j| (PlotColor::Joint(j as u8), format!("joint {}", j + 1)))
         .collect()
 }
@@ -37,17 +42,17 @@ pub fn legend<const N: usize>() -> Legend {
 /// The paper's Fig. 3 as an SVG file.
 ///
 /// Errors: those of the plot library.
-pub fn picture<const N: usize>(excitation: &Excitation) -> Result<String, PlotError> {
+pub fn picture(excitation: &Excitation) -> Result<String, PlotError> {
     let title = format!(
         "Fourier series excitation trajectories, {} (Fig. 3)",
         excitation.robot
     );
-    let panels = panels::<N>(excitation);
-    plot::picture(&title, &legend::<N>(), &panels, 1, (900, 260))
+    let (panels, legend) = (panels(excitation), legend(excitation.joints.len()));
+    plot::picture(&title, &legend, &panels, 1, (900, 260))
 }
 
 /// The page: figure, certificate, coefficients.
-pub fn page<const N: usize>(excitation: &Excitation) -> Page {
+pub fn page(excitation: &Excitation) -> Page {
     let lead = format!(
         "Robot {}, period {} s, {} harmonics, seed {}.",
         excitation.robot, excitation.period_s, excitation.order, excitation.seed
@@ -56,8 +61,8 @@ pub fn page<const N: usize>(excitation: &Excitation) -> Page {
         "Motion",
         "One period (the paper's Fig. 3): every joint moves at its own mix of five harmonics, at rest at both ends.",
     )
-    .legend(legend::<N>())
-    .plots(panels::<N>(excitation), 1);
+    .legend(legend(excitation.joints.len()))
+    .plots(panels(excitation), 1);
     let page = Page::new("Excitation trajectory", lead).sections([motion]);
     match &excitation.certificate {
         Some(certificate) => certified(page, certificate),

@@ -1,43 +1,43 @@
 //! Bounds of the rate of the drive torques, for the time between two points of a certificate.
 
-use crate::dynamics::Joints;
-use crate::robot::{Placement, Robot};
-use nalgebra::Vector3;
+use crate::dynamics::PerJoint;
+use crate::robot::{Joint, Robot};
 
 /// Sizes of an arm that no pose exceeds.
 #[derive(Clone, Debug)]
-pub(super) struct TorqueRates<const N: usize> {
-    mass: [f64; N],
+pub(super) struct TorqueRates {
+    mass: PerJoint<f64>,
     /// Largest moment of inertia of each link about its centre of mass, kg·m².
-    inertia: [f64; N],
-    rotor: [f64; N],
+    inertia: PerJoint<f64>,
+    rotor: PerJoint<f64>,
     /// Distance of each centre of mass from its joint frame, m.
-    com: [f64; N],
+    com: PerJoint<f64>,
     /// Length from each joint frame to the next, m; entry 0 is the base's.
-    step: [f64; N],
+    step: PerJoint<f64>,
     gravity: f64,
 }
 
-/// Bounds of the motion around an instant, all N × and not negative.
+/// Bounds of the motion around an instant, not negative.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct MotionBounds<const N: usize> {
-    pub(super) qd: Joints<N>,
-    pub(super) qdd: Joints<N>,
-    pub(super) jerk: Joints<N>,
+pub(super) struct MotionBounds {
+    pub(super) qd: PerJoint<f64>,
+    pub(super) qdd: PerJoint<f64>,
+    pub(super) jerk: PerJoint<f64>,
 }
 
-impl<const N: usize> TorqueRates<N> {
-    /// `None` when the robot has not `N` joints.
-    pub(super) fn new(robot: &Robot) -> Option<Self> {
-        let length = |placement: &Placement| Vector3::norm(&placement.origin);
-        Some(Self {
-            mass: robot.each(|joint| joint.link.mass)?,
-            inertia: robot.each(|joint| joint.link.inertia_com.symmetric_eigenvalues().max())?,
-            rotor: robot.each(|joint| joint.drive.rotor_inertia)?,
-            com: robot.each(|joint| joint.link.com.norm())?,
-            step: robot.each(|joint| length(&joint.placement))?,
+impl TorqueRates {
+    pub(super) fn new(robot: &Robot) -> Self {
+        let each = |of: fn(&Joint) -> f64| {
+            PerJoint::from_fn(robot.joint_count(), |joint| of(&robot.joints[joint]))
+        };
+        Self {
+            mass: each(|joint| joint.link.mass),
+            inertia: each(|joint| joint.link.inertia_com.symmetric_eigenvalues().max()),
+            rotor: each(|joint| joint.drive.rotor_inertia),
+            com: each(|joint| joint.link.com.norm()),
+            step: each(|joint| joint.placement.origin.norm()),
             gravity: robot.gravity.norm(),
-        })
+        }
     }
 
     /// Bound of |d tau / dt| of the rigid body and the rotors, N·m/s.
@@ -48,10 +48,12 @@ impl<const N: usize> TorqueRates<N> {
     /// (A + Ω²) ℓ to |a|,    (B + 3 Ω A + Ω³) ℓ to |ȧ|,    ℓ to |p|,    (Ω_i + Ω_j) ℓ to |ṗ|,
     /// |d/dt (I α + ω × I ω)| ≤ I (B + 4 Ω A + 2 Ω³)
     /// ```
-    pub(super) fn bound(&self, motion: &MotionBounds<N>) -> Joints<N> {
-        let (mut omega, mut alpha, mut beta) = ([0.0; N], [0.0; N], [0.0; N]);
+    pub(super) fn bound(&self, motion: &MotionBounds) -> PerJoint<f64> {
+        let joints = self.mass.len();
+        let zero = PerJoint::repeat(joints, 0.0);
+        let (mut omega, mut alpha, mut beta) = (zero, zero, zero);
         let (mut w, mut a, mut b) = (0.0_f64, 0.0, 0.0);
-        for k in 0..N {
+        for k in 0..joints {
             w += motion.qd[k];
             a += motion.qdd[k] + w * motion.qd[k];
             b += motion.jerk[k] + 2.0 * w * motion.qdd[k] + (a + w * w) * motion.qd[k];
@@ -59,10 +61,10 @@ impl<const N: usize> TorqueRates<N> {
         }
         let turning = |i: usize| alpha[i] + omega[i] * omega[i];
         let turning_rate = |i: usize| beta[i] + 3.0 * omega[i] * alpha[i] + omega[i].powi(3);
-        let mut rates = Joints::zeros();
+        let mut rates = zero;
         // Acceleration of joint frame k and its rate: lengths up to there.
         let (mut acceleration, mut jolt) = (self.gravity, 0.0);
-        for k in 0..N {
+        for k in 0..joints {
             if k > 0 {
                 acceleration += turning(k - 1) * self.step[k];
                 jolt += turning_rate(k - 1) * self.step[k];
@@ -94,14 +96,14 @@ impl<const N: usize> TorqueRates<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::{ReferenceModel, State};
+    use crate::dynamics::{Joints, ReferenceModel, State};
     use rand::{Rng, SeedableRng};
 
     #[test]
     fn torque_never_changes_faster_than_its_bound() {
         let robot = Robot::load("ur5").expect("built in");
         let model = ReferenceModel::<6>::new(&robot).expect("six joints");
-        let rates = TorqueRates::<6>::new(&robot).expect("six joints");
+        let rates = TorqueRates::new(&robot);
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         let h = 1e-6;
         for _ in 0..2000 {
@@ -117,9 +119,9 @@ mod tests {
             };
             let change = (at(h) - at(-h)) / (2.0 * h);
             let bound = rates.bound(&MotionBounds {
-                qd: qd.abs(),
-                qdd: qdd.abs(),
-                jerk: jerk.abs(),
+                qd: qd.abs().into(),
+                qdd: qdd.abs().into(),
+                jerk: jerk.abs().into(),
             });
             for j in 0..6 {
                 assert!(change[j].abs() <= bound[j] * (1.0 + 1e-6), "joint {j}");

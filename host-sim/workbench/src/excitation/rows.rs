@@ -1,7 +1,7 @@
 //! Rows of the base regressor in the link frames of the description, with rotor and friction columns.
 
-use crate::dynamics::{ReferenceModel, STATES, State, independent_columns, random_states};
-use crate::robot::{LINK_PARAMETERS, Placement, Robot};
+use crate::dynamics::{Motion, RigidBodies, STATES, independent_columns, random_motions};
+use crate::robot::{Joint, LINK_PARAMETERS, Placement, Robot};
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 use std::ops::Range;
 
@@ -39,35 +39,36 @@ pub(super) struct LinkMotion {
 ///
 /// Columns: base parameters of the links, base rotor inertias, then a viscous and a Coulomb column a joint.
 #[derive(Clone, Debug)]
-pub(super) struct Rows<const N: usize> {
-    placements: [Placement; N],
+pub(super) struct Rows {
+    placements: Vec<Placement>,
     /// Frame of the parameters in the joint frame.
-    frames: [Placement; N],
+    frames: Vec<Placement>,
     gravity: Vector3<f64>,
     /// (link, parameter) of every base column of the links.
     pub(super) link_columns: Vec<(usize, usize)>,
     pub(super) rotor_columns: Vec<usize>,
 }
 
-impl<const N: usize> Rows<N> {
-    /// `None` when the robot has not `N` joints.
-    pub(super) fn new(robot: &Robot, frames: Frames) -> Option<Self> {
+impl Rows {
+    pub(super) fn new(robot: &Robot, frames: Frames) -> Self {
+        let joints = robot.joint_count();
+        let parameters = |joint: &Joint| match frames {
+            Frames::Dh => joint.dh_frame.unwrap_or_else(Placement::identity),
+            Frames::Board => Placement::identity(),
+        };
         let mut rows = Self {
-            placements: robot.each(|joint| joint.placement)?,
-            frames: robot.each(|joint| match frames {
-                Frames::Dh => joint.dh_frame.unwrap_or_else(Placement::identity),
-                Frames::Board => Placement::identity(),
-            })?,
+            placements: robot.joints.iter().map(|joint| joint.placement).collect(),
+            frames: robot.joints.iter().map(parameters).collect(),
             gravity: robot.gravity,
-            link_columns: (0..N * LINK_PARAMETERS)
+            link_columns: (0..joints * LINK_PARAMETERS)
                 .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
                 .collect(),
-            rotor_columns: (0..N).collect(),
+            rotor_columns: (0..joints).collect(),
         };
-        let rigid = (LINK_PARAMETERS + 1) * N;
-        let full = rows.stacked(&random_states(STATES));
+        let rigid = (LINK_PARAMETERS + 1) * joints;
+        let full = rows.stacked(&random_motions(joints, STATES));
         let (columns, _) = independent_columns(&full.columns(0, rigid).into_owned());
-        let links = N * LINK_PARAMETERS;
+        let links = joints * LINK_PARAMETERS;
         rows.link_columns = columns
             .iter()
             .filter(|&&c| c < links)
@@ -77,7 +78,12 @@ impl<const N: usize> Rows<N> {
             .iter()
             .filter_map(|c| c.checked_sub(links))
             .collect();
-        Some(rows)
+        rows
+    }
+
+    /// Number of joints.
+    pub(super) fn joints(&self) -> usize {
+        self.placements.len()
     }
 
     /// Base columns of the links: 36 for the UR5.
@@ -87,7 +93,7 @@ impl<const N: usize> Rows<N> {
 
     /// All columns.
     pub(super) fn count(&self) -> usize {
-        self.link_columns.len() + self.rotor_columns.len() + 2 * N
+        self.link_columns.len() + self.rotor_columns.len() + 2 * self.joints()
     }
 
     /// Columns of link `link`.
@@ -97,12 +103,12 @@ impl<const N: usize> Rows<N> {
     }
 
     /// Motion of every link, from the base on.
-    pub(super) fn motion(&self, state: &State<N>) -> [LinkMotion; N] {
+    pub(super) fn motion(&self, state: &Motion) -> Vec<LinkMotion> {
         let mut rot = Matrix3::identity();
         let mut origin = Vector3::zeros();
         let (mut omega, mut alpha) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
         let mut acceleration = -self.gravity;
-        std::array::from_fn(|k| {
+        let links = (0..self.joints()).map(|k| {
             let step = rot * self.placements[k].origin;
             origin += step;
             acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
@@ -127,7 +133,8 @@ impl<const N: usize> Rows<N> {
                 w: to_frame * omega,
                 al: to_frame * alpha,
             }
-        })
+        });
+        links.collect()
     }
 
     /// Writes N rows of [`Self::count`] entries into `out`, one after the other. `sign_width`, rad/s, smooths the sign of
@@ -135,7 +142,7 @@ impl<const N: usize> Rows<N> {
     ///
     /// With U = [α]× + [ω]×², s = z × ω, z the axis and p = z × (o − o_j), all in the parameters' frame of link k:
     /// `m: p·a`, `m·c: Uᵀp + a × z`, `Iij: z_i α_j + s_i ω_j`, symmetrised.
-    pub(super) fn write(&self, state: &State<N>, sign_width: f64, out: &mut [f64]) {
+    pub(super) fn write(&self, state: &Motion, sign_width: f64, out: &mut [f64]) {
         let width = self.count();
         out.fill(0.0);
         let links = self.motion(state);
@@ -172,22 +179,22 @@ impl<const N: usize> Rows<N> {
             out[joint * width + rotors + c] = state.qdd[joint];
         }
         let friction = rotors + self.rotor_columns.len();
-        for j in 0..N {
+        for j in 0..self.joints() {
             out[j * width + friction + 2 * j] = state.qd[j];
             out[j * width + friction + 2 * j + 1] = (state.qd[j] / sign_width).tanh();
         }
     }
 
     /// The rows of all `states`, stacked.
-    pub(super) fn stacked(&self, states: &[State<N>]) -> DMatrix<f64> {
-        let width = self.count();
-        let mut block = vec![0.0; N * width];
-        let mut stacked = DMatrix::zeros(states.len() * N, width);
+    pub(super) fn stacked(&self, states: &[Motion]) -> DMatrix<f64> {
+        let (width, joints) = (self.count(), self.joints());
+        let mut block = vec![0.0; joints * width];
+        let mut stacked = DMatrix::zeros(states.len() * joints, width);
         for (k, state) in states.iter().enumerate() {
             self.write(state, 1.0, &mut block);
-            for j in 0..N {
+            for j in 0..joints {
                 for c in 0..width {
-                    stacked[(k * N + j, c)] = block[j * width + c];
+                    stacked[(k * joints + j, c)] = block[j * width + c];
                 }
             }
         }
@@ -197,15 +204,16 @@ impl<const N: usize> Rows<N> {
     /// Values of all columns' parameters for this robot: rigid ones by least squares from its exact torques,
     /// friction from the description.
     pub(super) fn parameters(&self, robot: &Robot) -> Option<DVector<f64>> {
-        let model = ReferenceModel::<N>::new(robot)?;
+        let model = RigidBodies::new(robot);
         let rigid = self.link_columns.len() + self.rotor_columns.len();
-        let states = random_states(STATES);
+        let states = random_motions(self.joints(), STATES);
         let rows = self.stacked(&states).columns(0, rigid).into_owned();
-        let mut torques = DVector::zeros(N * STATES);
+        let mut torques = DVector::zeros(self.joints() * STATES);
         for (k, state) in states.iter().enumerate() {
+            let tau = model.inverse_dynamics(state);
             torques
-                .rows_mut(k * N, N)
-                .copy_from(&model.inverse_dynamics(state));
+                .rows_mut(k * tau.len(), tau.len())
+                .copy_from_slice(&tau);
         }
         let solved = rows.svd(true, true).solve(&torques, 1e-12).ok()?;
         let mut all = DVector::zeros(self.count());
@@ -221,22 +229,22 @@ impl<const N: usize> Rows<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::Joints;
+    use crate::dynamics::PerJoint;
 
     #[test]
     fn ur5_has_36_link_columns_in_both_frames() {
         let robot = Robot::load("ur5").expect("built in");
-        let model = ReferenceModel::<6>::new(&robot).expect("six joints");
+        let model = RigidBodies::new(&robot);
         for frames in [Frames::Dh, Frames::Board] {
-            let rows = Rows::<6>::new(&robot, frames).expect("six joints");
+            let rows = Rows::new(&robot, frames);
             assert_eq!((rows.link_count(), rows.count()), (36, 36 + 4 + 12));
             let parameters = rows.parameters(&robot).expect("solves");
             let mut block = vec![0.0; 6 * rows.count()];
-            for mut state in random_states::<6>(60).into_iter().skip(STATES) {
+            for mut state in random_motions(6, 60).into_iter().skip(STATES) {
                 rows.write(&state, 1.0, &mut block);
                 let tau = DMatrix::from_row_slice(6, rows.count(), &block) * &parameters;
                 let expected = model.inverse_dynamics(&state);
-                state.qdd = Joints::zeros();
+                state.qdd = PerJoint::repeat(6, 0.0);
                 for j in 0..6 {
                     let friction = &robot.joints[j].friction;
                     let drag =
@@ -253,7 +261,7 @@ mod tests {
     #[test]
     fn board_frames_choose_the_columns_of_the_board() {
         let robot = Robot::load("ur5").expect("built in");
-        let rows = Rows::<6>::new(&robot, Frames::Board).expect("six joints");
+        let rows = Rows::new(&robot, Frames::Board);
         let chosen: Vec<usize> = rows
             .link_columns
             .iter()

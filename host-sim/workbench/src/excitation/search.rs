@@ -2,17 +2,17 @@
 
 mod speeds;
 
+use super::ExcitationError;
 use super::certificate::Certificate;
 use super::certify::{Provenance, certify};
 use super::clearance::Clearances;
-use super::error::ExcitationError;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
 use super::objective::{INSTANTS, Objective, PenaltyWeights, basis, descend};
 use super::path::Excitation;
 use super::rows::{Frames, Rows};
+use super::series::{Bases, VARIABLES};
 use super::series::{Extremes, JointSeries, ORDER};
-use super::variables::{Bases, VARIABLES};
-use crate::dynamics::{Joints, State};
+use crate::dynamics::{Motion, PerJoint};
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use rand::{Rng, SeedableRng};
@@ -86,14 +86,14 @@ impl Default for SearchConfig {
 /// With `given`, that trajectory is the only start, and the result is never worse than it unless it misses a limit.
 /// `progress(done, all)` is called from this thread.
 ///
-/// Errors: [`ExcitationError`]: a robot that has not `N` joints, an empty range, no start that keeps all limits.
-pub fn optimise<const N: usize>(
+/// Errors: [`ExcitationError`]: an empty range, no start that keeps all limits.
+pub fn optimise(
     robot: &Robot,
     config: &SearchConfig,
     given: Option<&Excitation>,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Excitation, ExcitationError> {
-    let mut search = Search::<N>::new(robot, config)?;
+    let mut search = Search::new(robot, config)?;
     if given.is_none() {
         search.adapt_speed()?;
     }
@@ -148,22 +148,21 @@ pub fn optimise<const N: usize>(
 }
 
 /// One robot and one task, ready for any number of starts.
-struct Search<'a, const N: usize> {
+struct Search<'a> {
     robot: &'a Robot,
     config: &'a SearchConfig,
-    objective: Objective<N>,
+    objective: Objective,
     bases: Bases,
     origin: Provenance,
     /// Required clearance plus a margin for the motion between the certificate's points, m.
     clearance: Vec<f64>,
 }
 
-impl<'a, const N: usize> Search<'a, N> {
+impl<'a> Search<'a> {
     fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, ExcitationError> {
-        let other_size = || ExcitationError::joint_count(robot.joint_count(), N);
-        let rows = Rows::<N>::new(robot, Frames::Dh).ok_or_else(other_size)?;
+        let rows = Rows::new(robot, Frames::Dh);
         let limits = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
-        let clearances = Clearances::<N>::new(robot).ok_or_else(other_size)?;
+        let clearances = Clearances::new(robot);
         for index in 0..clearances.count() {
             let (largest_m, required_m) = (clearances.upper_bound(index), clearances.required);
             if largest_m < required_m {
@@ -174,13 +173,13 @@ impl<'a, const N: usize> Search<'a, N> {
                 });
             }
         }
-        let fastest = Joints::<N>::from_fn(|j, _| limits[j].qd);
+        let fastest = PerJoint::from_fn(limits.len(), |j| limits[j].qd);
         let base = clearances.required + 0.001;
         let clearance = (0..clearances.count())
             .map(|index| base + clearances.rate(index, &fastest) * HALF_STEP_S)
             .collect();
-        let experiment = Experiment::new(robot, &rows).ok_or_else(other_size)?;
-        let parameters = rows.parameters(robot).ok_or_else(other_size)?;
+        let experiment = Experiment::new(robot, &rows);
+        let parameters = rows.parameters(robot).ok_or(ExcitationError::Unseen)?;
         let bases = Bases::new();
         Ok(Self {
             objective: Objective {
@@ -202,7 +201,7 @@ impl<'a, const N: usize> Search<'a, N> {
                 starts: config.starts,
                 condition_limit: config.condition_limit,
                 range_rad: config.range_rad,
-                speed_share: vec![1.0; N],
+                speed_share: vec![1.0; robot.joint_count()],
             },
             clearance,
         })
@@ -375,7 +374,7 @@ impl<'a, const N: usize> Search<'a, N> {
 
 /// Lowers the torques that the search allows by what the certificate reached beyond a limit: it takes friction of either sign,
 /// and bounds between its points.
-fn tighten<const N: usize>(torque: &mut [f64; N], certificate: &Certificate) {
+fn tighten(torque: &mut [f64], certificate: &Certificate) {
     let checks = certificate.limits.iter();
     let checks = checks.filter(|check| check.limit == "torque");
     for (torque, check) in torque.iter_mut().zip(checks) {

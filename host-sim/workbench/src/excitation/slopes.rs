@@ -1,7 +1,7 @@
 //! Derivatives of a weighted sum of regressor rows by the motion, by reverse accumulation.
 
 use super::rows::{LinkMotion, Rows};
-use crate::dynamics::State;
+use crate::dynamics::Motion;
 use nalgebra::{Matrix3, Vector3};
 
 /// Derivatives by the motion of a link, in the base frame.
@@ -47,7 +47,7 @@ struct Weights {
     inertia: Matrix3<f64>,
 }
 
-impl<const N: usize> Rows<N> {
+impl Rows {
     /// Adds the derivatives of `Σ pull · rows` by q, qd, qdd of every joint to `slopes`.
     ///
     /// * `pull` N rows of [`Self::count`] weights, one after the other
@@ -58,21 +58,21 @@ impl<const N: usize> Rows<N> {
     /// A turn of everything changes nothing: the slope by a turn of the frame is less that of what is expressed in it.
     pub(super) fn add_slopes(
         &self,
-        state: &State<N>,
+        state: &Motion,
         sign_width: f64,
         pull: &[f64],
-        slopes: &mut [[f64; 3]; N],
+        slopes: &mut [[f64; 3]],
     ) {
         let width = self.count();
         let links = self.motion(state);
-        let mut by = [LinkSlopes::NONE; N];
-        for k in 0..N {
+        let mut by = vec![LinkSlopes::NONE; links.len()];
+        for k in 0..links.len() {
             for j in 0..=k {
                 let weights = self.weights(k, &pull[j * width..(j + 1) * width]);
                 add_torque(&links, [j, k], &weights, &mut by);
             }
         }
-        for k in (0..N).rev() {
+        for k in (0..links.len()).rev() {
             let LinkMotion { step, axis, .. } = links[k];
             let before = k.checked_sub(1).map(|before| links[before]);
             let (omega, alpha) = before.map_or((Vector3::zeros(), Vector3::zeros()), |link| {
@@ -166,7 +166,7 @@ fn add_torque(
 mod tests {
     use super::super::rows::Frames;
     use super::*;
-    use crate::dynamics::random_states;
+    use crate::dynamics::random_motions;
     use crate::robot::Robot;
 
     #[test]
@@ -174,15 +174,15 @@ mod tests {
         const WIDTH: f64 = 0.3;
         let robot = Robot::load("ur5").expect("built in");
         for frames in [Frames::Dh, Frames::Board] {
-            let rows = Rows::<6>::new(&robot, frames).expect("six joints");
+            let rows = Rows::new(&robot, frames);
             let size = 6 * rows.count();
             let pull: Vec<f64> = (0..size).map(|i| (1.7 * i as f64).sin()).collect();
-            let sum = |state: &State<6>| {
+            let sum = |state: &Motion| {
                 let mut block = vec![0.0; size];
                 rows.write(state, WIDTH, &mut block);
                 block.iter().zip(&pull).map(|(x, y)| x * y).sum::<f64>()
             };
-            for state in random_states::<6>(10) {
+            for state in random_motions(6, 10) {
                 let mut slopes = [[0.0; 3]; 6];
                 rows.add_slopes(&state, WIDTH, &pull, &mut slopes);
                 for (j, slopes) in slopes.iter().enumerate() {

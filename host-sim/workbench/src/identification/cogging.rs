@@ -5,10 +5,11 @@
 
 use super::columns::Layout;
 use super::normal::JointSums;
+use crate::dynamics::PerJoint;
 use nalgebra::{DMatrix, DMatrixView, DVector, Matrix2, Vector2};
 
 /// Amplitudes of sine and cosine of every joint, N·m.
-pub type CoggingAmplitudes<const N: usize> = [[f64; 2]; N];
+pub type CoggingAmplitudes = PerJoint<[f64; 2]>;
 
 /// Gain in squared residuals over their variance from which a joint keeps its connections: two of them reach that by
 /// chance in one case of a hundred [chi-squared, 2 degrees of freedom].
@@ -27,13 +28,13 @@ struct Border {
 
 /// The borders of all joints' equations.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct CoggingSums<const N: usize> {
+pub(super) struct CoggingSums {
     joints: Vec<Border>,
 }
 
-impl<const N: usize> CoggingSums<N> {
+impl CoggingSums {
     /// Sums over no rows.
-    pub(super) fn new(layout: &Layout<N>) -> Self {
+    pub(super) fn new(layout: &Layout) -> Self {
         let joints = layout.active.iter().map(|active| Border {
             cross: DMatrix::zeros(active.len(), 2),
             gram: Matrix2::zeros(),
@@ -84,13 +85,13 @@ impl<const N: usize> CoggingSums<N> {
 #[cfg(test)]
 mod tests {
     use super::super::dataset::{SampleRow, random_rows};
-    use crate::dynamics::ReferenceModel;
+    use crate::dynamics::RigidBodies;
     use crate::identification::{ColumnSet, Layout, MethodName, fit_rows};
     use crate::robot::Robot;
 
     /// Rows of an arm with viscous and Coulomb friction, a Stribeck peak and cogging, 1 mN·m of noise.
-    fn rows(robot: &Robot, layout: &Layout<6>, seed: u64) -> Vec<SampleRow<6>> {
-        let model = ReferenceModel::<6>::new(robot).expect("six joints");
+    fn rows(robot: &Robot, layout: &Layout, seed: u64) -> Vec<SampleRow> {
+        let model = RigidBodies::new(robot);
         random_rows(layout, 4000, seed, [2.0, 1.0, 3.0], 1e-3, |row, j| {
             let (friction, qd) = (&robot.joints[j].friction, row.state.qd[j]);
             let peak = friction.stribeck_ratio * (-(qd / 0.1).powi(2)).exp();
@@ -104,16 +105,16 @@ mod tests {
     #[test]
     fn networks_leave_less_than_0_4_of_what_least_squares_leaves() {
         let robot = Robot::load("ur5").expect("built in");
-        let layout = Layout::<6>::new(&robot, &ColumnSet::plain()).expect("six joints");
+        let layout = Layout::new(&robot, &ColumnSet::plain());
         let (training, unseen) = (rows(&robot, &layout, 1), rows(&robot, &layout, 2));
-        let training: Vec<&SampleRow<6>> = training.iter().collect();
+        let training: Vec<&SampleRow> = training.iter().collect();
         let methods = [MethodName::Wls, MethodName::BpResidual];
         let results = fit_rows(&robot, (&layout, &layout), &methods, &training, 1);
         let errors: Vec<f64> = results
             .expect("well shown")
             .iter()
             .map(|result| {
-                let square = |row: &SampleRow<6>| {
+                let square = |row: &SampleRow| {
                     let predicted = result.candidate.torque(&layout, row);
                     let moving = (0..6).filter(|&j| row.moving[j]);
                     let limit = |j: usize| robot.joints[j].limits.torque;

@@ -1,7 +1,7 @@
 //! Columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
 
-use super::error::UnknownName;
-use crate::dynamics::{Joints, ReferenceModel, State};
+use super::UnknownName;
+use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use foretorque::dynamics::{
     COGGING_COLUMNS, FrictionColumn, FrictionPoint, SHEAR_WIDTH, STRIBECK_WIDTH,
@@ -143,33 +143,34 @@ pub struct Parameter {
 
 /// Order of the parameters, and the columns of each joint's equation.
 #[derive(Clone, Debug)]
-pub struct Layout<const N: usize> {
+pub struct Layout {
     /// All parameters: base set, then friction joint by joint.
     pub parameters: Vec<Parameter>,
     /// Number of base parameters, which come first.
     pub base: usize,
     /// Parameters in each joint's equation: those of its own and later links, its own rotor and friction.
-    pub active: [Vec<usize>; N],
+    pub active: Vec<Vec<usize>>,
     /// First entry of each joint in a row of all joints' active columns.
-    pub offset: [usize; N],
+    pub offset: Vec<usize>,
     /// Length of that row.
     pub width: usize,
     /// Friction terms of each joint.
-    friction: [Vec<FrictionTerm>; N],
+    friction: Vec<Vec<FrictionTerm>>,
     /// Standard parameter behind each base parameter.
     standard: Vec<usize>,
-    model: ReferenceModel<N>,
-    cogging: [f64; N],
+    model: RigidBodies,
+    cogging: PerJoint<f64>,
     /// Prior of every parameter on the board, 1/variance; 0 for those that every arm has.
     precision: Vec<f64>,
 }
 
 /// Joints that gravity moves in some position: no upright axis, and no link turned about its centre of mass.
-fn feels_gravity<const N: usize>(model: &ReferenceModel<N>) -> [bool; N] {
+fn feels_gravity(model: &RigidBodies) -> PerJoint<bool> {
     const LEAST_NM: f64 = 1e-9;
-    let mut feels = [false; N];
-    for position in 0..4 * N {
-        let q = Joints::from_fn(|joint, _| 1.0 + (position * (joint + 2)) as f64);
+    let joints = model.joints();
+    let mut feels = PerJoint::repeat(joints, false);
+    for position in 0..4 * joints {
+        let q = PerJoint::from_fn(joints, |joint| 1.0 + (position * (joint + 2)) as f64);
         let torques = model.gravity_torques(&q);
         for (feels, torque) in feels.iter_mut().zip(torques.iter()) {
             *feels |= torque.abs() > LEAST_NM;
@@ -178,24 +179,25 @@ fn feels_gravity<const N: usize>(model: &ReferenceModel<N>) -> [bool; N] {
     feels
 }
 
-impl<const N: usize> Layout<N> {
-    /// The layout for a robot; `None` when it has not `N` joints.
-    pub fn new(robot: &Robot, set: &ColumnSet) -> Option<Self> {
+impl Layout {
+    /// The layout for a robot.
+    pub fn new(robot: &Robot, set: &ColumnSet) -> Self {
         const SYMBOLS: [&str; LINK_PARAMETERS] = [
             "m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz",
         ];
-        let model = ReferenceModel::<N>::new(robot)?;
+        let model = RigidBodies::new(robot);
+        let joints = model.joints();
         let standard = robot.base_map().columns;
         let mut parameters = Vec::new();
-        let mut active: [Vec<usize>; N] = std::array::from_fn(|_| Vec::new());
+        let mut active = vec![Vec::new(); joints];
         for (place, &column) in standard.iter().enumerate() {
             let (link, kind) = (column / LINK_PARAMETERS, column % LINK_PARAMETERS);
-            let (first, last, symbol, unit) = match (link < N, kind) {
+            let (first, last, symbol, unit) = match (link < joints, kind) {
                 (true, 0) => (0, link, SYMBOLS[kind], "kg"),
                 (true, 1..=3) => (0, link, SYMBOLS[kind], "kg·m"),
                 (true, _) => (0, link, SYMBOLS[kind], "kg·m²"),
                 (false, _) => {
-                    let joint = column - LINK_PARAMETERS * N;
+                    let joint = column - LINK_PARAMETERS * joints;
                     (joint, joint, "Ia", "kg·m²")
                 }
             };
@@ -210,18 +212,18 @@ impl<const N: usize> Layout<N> {
         }
         let feels = feels_gravity(&model);
         // A column that is always zero drops out: load of an upright axis, cogging of a drive without cycles.
-        let friction: [Vec<FrictionTerm>; N] = std::array::from_fn(|joint| {
-            let cycles = robot.joints[joint].friction.cogging_cycles_rev > 0.0;
-            let terms = set.0.iter().copied();
-            let shown = terms.filter(|&term| match term {
+        let cogging = PerJoint::from_fn(joints, |joint| {
+            robot.joints[joint].friction.cogging_cycles_rev
+        });
+        let mut friction: Vec<Vec<FrictionTerm>> = Vec::new();
+        for (joint, active) in active.iter_mut().enumerate() {
+            let mut shown = set.0.clone();
+            shown.retain(|&term| match term {
                 LOAD => feels[joint],
-                Board(column) => cycles || !COGGING_COLUMNS.contains(&column),
+                Board(column) => cogging[joint] > 0.0 || !COGGING_COLUMNS.contains(&column),
                 _ => true,
             });
-            shown.collect()
-        });
-        for (joint, active) in active.iter_mut().enumerate() {
-            for &term in &friction[joint] {
+            for &term in &shown {
                 let (symbol, unit) = term.symbol_and_unit();
                 active.push(parameters.len());
                 parameters.push(Parameter {
@@ -230,6 +232,7 @@ impl<const N: usize> Layout<N> {
                     friction: Some((term, joint)),
                 });
             }
+            friction.push(shown);
         }
         let precision = parameters.iter().map(|parameter| match parameter.friction {
             Some((term @ Board(column), joint)) if !term.is_plain() => {
@@ -238,24 +241,23 @@ impl<const N: usize> Layout<N> {
             }
             _ => 0.0,
         });
-        let precision = precision.collect();
         let mut width = 0;
-        let offset = std::array::from_fn(|joint| {
-            width += active[joint].len();
-            width - active[joint].len()
+        let offset = active.iter().map(|active| {
+            width += active.len();
+            width - active.len()
         });
-        Some(Self {
+        Self {
+            offset: offset.collect(),
+            precision: precision.collect(),
             parameters,
             base: standard.len(),
             active,
-            offset,
             width,
             friction,
             standard,
             model,
-            cogging: std::array::from_fn(|joint| robot.joints[joint].friction.cogging_cycles_rev),
-            precision,
-        })
+            cogging,
+        }
     }
 
     /// Adds the board's prior of friction beyond viscous and Coulomb to weighted equations: a column that the motion hardly
@@ -264,6 +266,11 @@ impl<const N: usize> Layout<N> {
         for (place, precision) in self.precision.iter().enumerate() {
             gram[(place, place)] += precision;
         }
+    }
+
+    /// Number of joints.
+    pub fn joints(&self) -> usize {
+        self.active.len()
     }
 
     /// Places in this layout of the parameters of a poorer layout of the same robot.
@@ -293,32 +300,32 @@ impl<const N: usize> Layout<N> {
     }
 
     /// `[sin(z q), cos(z q)]` of every joint, z its cogging cycles a turn; zero where the description gives none.
-    pub fn cogging_basis(&self, q: &Joints<N>) -> [[f64; 2]; N] {
-        std::array::from_fn(|joint| match self.cogging[joint] {
+    pub fn cogging_basis(&self, q: &[f64]) -> PerJoint<[f64; 2]> {
+        PerJoint::from_fn(self.joints(), |joint| match self.cogging[joint] {
             cycles if cycles > 0.0 => (cycles * q[joint]).sin_cos().into(),
             _ => [0.0; 2],
         })
     }
 
-    /// Appends the active columns of all joints at `state` to `table`.
+    /// Appends the active columns of all joints at `motion` to `table`.
     ///
     /// * `age_s` time since the start of the log
     /// * `scratch` N × 11 N matrix, zero at first; entries that are always zero are never written.
     pub fn append_row(
         &self,
-        state: &State<N>,
+        motion: &Motion,
         age_s: f64,
         scratch: &mut DMatrix<f64>,
         table: &mut Vec<f64>,
     ) {
-        self.model.regressor_into(state, scratch, 0);
+        self.model.regressor_into(motion, scratch, 0);
         let load = if self.friction.iter().any(|terms| terms.contains(&LOAD)) {
-            self.model.gravity_torques(&state.q)
+            self.model.gravity_torques(&motion.q)
         } else {
-            Joints::zeros()
+            PerJoint::repeat(self.joints(), 0.0)
         };
         for (joint, friction) in self.friction.iter().enumerate() {
-            let (q, qd) = (state.q[joint], state.qd[joint]);
+            let (q, qd) = (motion.q[joint], motion.qd[joint]);
             let active = &self.active[joint];
             let inertial = active[..active.len() - friction.len()].iter();
             table.extend(inertial.map(|&place| scratch[(joint, self.standard[place])]));
@@ -358,10 +365,10 @@ mod tests {
             (cogging.count(), cycles.count())
         };
         let panda = Robot::load("panda").expect("built in");
-        let layout = Layout::<7>::new(&panda, &full).expect("seven joints");
+        let layout = Layout::new(&panda, &full);
         assert_eq!(cogging(&panda, &layout.parameters), (0, 0));
         let ur5 = Robot::load("ur5").expect("built in");
-        let layout = Layout::<6>::new(&ur5, &full).expect("six joints");
+        let layout = Layout::new(&ur5, &full);
         assert_eq!(cogging(&ur5, &layout.parameters), (12, 6));
     }
 
@@ -369,17 +376,17 @@ mod tests {
     fn friction_grows_with_the_load_where_gravity_makes_one() {
         let robot = Robot::load("ur5").expect("built in");
         let set = ColumnSet::from_str("coulomb-viscous+load").expect("known words");
-        let layout = Layout::<6>::new(&robot, &set).expect("six joints");
+        let layout = Layout::new(&robot, &set);
         let friction = layout.parameters.iter().filter_map(|p| p.friction);
         let load = friction.filter(|(term, _)| *term == LOAD);
         let joints: Vec<usize> = load.map(|(_, joint)| joint).collect();
         // The first axis stands upright, the last one carries its link in the middle.
         assert_eq!(joints, [1, 2, 3, 4]);
 
-        let state = State {
-            q: Joints::from_fn(|joint, _| 0.3 + joint as f64),
-            qd: Joints::repeat(-1.0),
-            qdd: Joints::repeat(2.0),
+        let state = Motion {
+            q: PerJoint::from_fn(6, |joint| 0.3 + joint as f64),
+            qd: PerJoint::repeat(6, -1.0),
+            qdd: PerJoint::repeat(6, 2.0),
         };
         let (mut row, mut scratch) = (Vec::new(), DMatrix::zeros(6, 66));
         layout.append_row(&state, 0.0, &mut scratch, &mut row);

@@ -23,9 +23,9 @@ use nalgebra::{DMatrix, DVector, Matrix4};
 
 /// A consistent fit, and the robot it describes.
 #[derive(Clone, Debug)]
-pub(super) struct ConsistentFit<const N: usize> {
+pub(super) struct ConsistentFit {
     /// The fit in the parameters of the layout.
-    pub fit: Fit<N>,
+    pub fit: Fit,
     /// The description with the identified links, rotors and friction.
     pub robot: Robot,
     /// Cost of consistency, `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)`; its mean under noise alone is half the number of parameters.
@@ -51,14 +51,10 @@ const LEAST: f64 = 1e-3;
 
 /// The consistent parameters nearest to `free` in the metric of its covariance; `None` when a matrix that must be positive
 /// definite is not.
-pub(super) fn consistent<const N: usize>(
-    robot: &Robot,
-    layout: &Layout<N>,
-    free: &Fit<N>,
-) -> Option<ConsistentFit<N>> {
+pub(super) fn consistent(robot: &Robot, layout: &Layout, free: &Fit) -> Option<ConsistentFit> {
     let (_, information) = solve_damped(&free.covariance, &DVector::zeros(free.theta.len()))?;
     let map = parameter_map(&robot.base_map(), layout);
-    let cone = Cone::around::<N>(robot, layout);
+    let cone = Cone::around(robot, layout);
     let distance = |theta: &DVector<f64>| {
         let apart = theta - &free.theta;
         0.5 * apart.dot(&(&information * &apart))
@@ -133,8 +129,8 @@ fn solve_damped(
 }
 
 /// Map from (standard parameters, rotor inertias, friction) to the parameters of the layout.
-fn parameter_map<const N: usize>(base: &BaseMap, layout: &Layout<N>) -> DMatrix<f64> {
-    let full = (LINK_PARAMETERS + 1) * N;
+fn parameter_map(base: &BaseMap, layout: &Layout) -> DMatrix<f64> {
+    let full = (LINK_PARAMETERS + 1) * layout.joints();
     let friction = layout.parameters.len() - layout.base;
     let mut map = DMatrix::zeros(layout.parameters.len(), full + friction);
     for term in &base.terms {
@@ -157,8 +153,9 @@ struct Cone {
 }
 
 impl Cone {
-    fn around<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Self {
-        let full = (LINK_PARAMETERS + 1) * N;
+    fn around(robot: &Robot, layout: &Layout) -> Self {
+        let rotors = LINK_PARAMETERS * layout.joints();
+        let full = rotors + layout.joints();
         let mut centre = DVector::zeros(full + layout.parameters.len() - layout.base);
         let mut links = Vec::new();
         for (index, joint) in robot.joints.iter().enumerate() {
@@ -168,9 +165,9 @@ impl Cone {
                 .copy_from_slice(&inside);
             // `inside` has made it positive definite.
             links.extend(pseudo_inertia(&inside).try_inverse());
-            centre[LINK_PARAMETERS * N + index] = joint.drive.rotor_inertia.max(LEAST);
+            centre[rotors + index] = joint.drive.rotor_inertia.max(LEAST);
         }
-        let mut scalars: Vec<usize> = (LINK_PARAMETERS * N..full).collect();
+        let mut scalars: Vec<usize> = (rotors..full).collect();
         for (k, parameter) in layout.parameters.iter().skip(layout.base).enumerate() {
             let friction = |joint: usize| &robot.joints[joint].friction;
             let described = match parameter.friction {
@@ -286,13 +283,14 @@ fn inside(link: &Link) -> Link {
 }
 
 /// The robot with links, rotors and friction from `z`; friction without a column is zero.
-fn described<const N: usize>(robot: &Robot, layout: &Layout<N>, z: &DVector<f64>) -> Robot {
-    let full = (LINK_PARAMETERS + 1) * N;
+fn described(robot: &Robot, layout: &Layout, z: &DVector<f64>) -> Robot {
+    let rotors = LINK_PARAMETERS * layout.joints();
+    let full = rotors + layout.joints();
     let mut robot = robot.clone();
     for (index, joint) in robot.joints.iter_mut().enumerate() {
         let x: [f64; LINK_PARAMETERS] = std::array::from_fn(|k| z[LINK_PARAMETERS * index + k]);
         joint.link = Link::from_standard_parameters(&x);
-        joint.drive.rotor_inertia = z[LINK_PARAMETERS * N + index];
+        joint.drive.rotor_inertia = z[rotors + index];
         let of = |wanted: FrictionColumn| -> f64 {
             let mut own = layout.parameters.iter().skip(layout.base);
             let place =

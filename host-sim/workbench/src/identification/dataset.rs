@@ -5,73 +5,74 @@ use super::columns::Layout;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
 use super::speed::SpeedSums;
-use crate::dynamics::State;
+use crate::dynamics::{Motion, PerJoint};
 use nalgebra::DVector;
 
 /// One row of the bounded sample.
 #[derive(Clone, Debug)]
-pub struct SampleRow<const N: usize> {
+pub struct SampleRow {
     /// Motion.
-    pub state: State<N>,
+    pub state: Motion,
     /// Filtered torque, N·m.
-    pub tau: [f64; N],
+    pub tau: PerJoint<f64>,
     /// Filtered torque without spikes, N·m.
-    pub clean: [f64; N],
+    pub clean: PerJoint<f64>,
     /// Joints that move.
-    pub moving: [bool; N],
+    pub moving: PerJoint<bool>,
     /// Active columns of all joints.
     pub panel: Box<[f64]>,
     /// Sine and cosine of every joint's cogging phase, filtered as the columns are.
-    pub cogging_basis: [[f64; 2]; N],
+    pub cogging_basis: PerJoint<[f64; 2]>,
 }
 
-impl<const N: usize> SampleRow<N> {
+impl SampleRow {
     /// One row of a prepared stretch.
     pub(super) fn of(
-        layout: &Layout<N>,
+        layout: &Layout,
         preparation: &Preparation,
-        prepared: &Prepared<N>,
+        prepared: &Prepared,
         row: usize,
     ) -> Self {
         let state = prepared.states[row];
-        let values = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
+        let joints = layout.joints();
+        let values = |table: &[f64]| PerJoint::from(&table[row * joints..][..joints]);
         Self {
             state,
             tau: values(&prepared.tau),
             clean: values(&prepared.clean),
-            moving: std::array::from_fn(|joint| state.qd[joint].abs() > preparation.still_rad_s),
+            moving: state.qd.map(|qd| qd.abs() > preparation.still_rad_s),
             panel: prepared.panel[row * layout.width..][..layout.width].into(),
-            cogging_basis: std::array::from_fn(|joint| prepared.cogging_basis[row * N + joint]),
+            cogging_basis: prepared.cogging_basis[row * joints..][..joints].into(),
         }
     }
 
     /// Active columns of one joint.
-    pub(super) fn columns(&self, layout: &Layout<N>, joint: usize) -> &[f64] {
+    pub(super) fn columns(&self, layout: &Layout, joint: usize) -> &[f64] {
         layout.columns(joint, &self.panel)
     }
 
     /// Torque of the linear model at one joint, N·m.
-    pub(super) fn linear(&self, layout: &Layout<N>, theta: &DVector<f64>, joint: usize) -> f64 {
+    pub(super) fn linear(&self, layout: &Layout, theta: &DVector<f64>, joint: usize) -> f64 {
         layout.torque(joint, self.columns(layout, joint), theta)
     }
 }
 
 /// Sums over filtered rows.
 #[derive(Clone, Debug)]
-pub(super) struct RowSums<const N: usize> {
+pub(super) struct RowSums {
     /// Sums over all moving rows.
-    pub(super) all: NormalEquations<N>,
+    pub(super) all: NormalEquations,
     /// Sums over the same rows without spikes.
-    pub(super) clean: NormalEquations<N>,
+    pub(super) clean: NormalEquations,
     /// Border of the clean sums by sine and cosine of cogging.
-    pub(super) cogging: CoggingSums<N>,
+    pub(super) cogging: CoggingSums,
     /// Number of rows.
     pub(super) rows: usize,
 }
 
-impl<const N: usize> RowSums<N> {
+impl RowSums {
     /// Sums over no rows.
-    pub(super) fn new(layout: &Layout<N>) -> Self {
+    pub(super) fn new(layout: &Layout) -> Self {
         Self {
             all: NormalEquations::new(layout),
             clean: NormalEquations::new(layout),
@@ -81,8 +82,8 @@ impl<const N: usize> RowSums<N> {
     }
 
     /// Adds rows.
-    pub(super) fn add(&mut self, layout: &Layout<N>, rows: &[&SampleRow<N>]) {
-        for joint in 0..N {
+    pub(super) fn add(&mut self, layout: &Layout, rows: &[&SampleRow]) {
+        for joint in 0..layout.joints() {
             let (mut x, mut basis) = (Vec::new(), Vec::new());
             let (mut tau, mut clean) = (Vec::new(), Vec::new());
             for row in rows.iter().filter(|row| row.moving[joint]) {
@@ -105,44 +106,39 @@ const SAMPLE: usize = 60_000;
 /// Result of one pass over the training logs: sums over all rows, and an evenly thinned sample for methods that iterate
 /// over rows.
 #[derive(Clone, Debug)]
-pub(super) struct Dataset<const N: usize> {
+pub(super) struct Dataset {
     /// Sums over filtered rows.
-    pub(super) sums: RowSums<N>,
+    pub(super) sums: RowSums,
     /// Every `thinning`-th of the rows that went into the sums.
-    pub(super) sample: Vec<SampleRow<N>>,
+    pub(super) sample: Vec<SampleRow>,
     /// See `sample`.
     pub(super) thinning: usize,
     /// Sums over raw torques by speed.
-    pub(super) speeds: SpeedSums<N>,
+    pub(super) speeds: SpeedSums,
     /// Rows read, edges left out.
     pub(super) rows_read: usize,
     /// Of these, those in which each joint stands still.
-    pub(super) still: [usize; N],
+    pub(super) still: PerJoint<usize>,
     /// Spikes found.
     pub(super) spikes: usize,
 }
 
-impl<const N: usize> Dataset<N> {
+impl Dataset {
     /// An empty dataset.
-    pub(super) fn new(layout: &Layout<N>) -> Self {
+    pub(super) fn new(layout: &Layout) -> Self {
         Self {
             sums: RowSums::new(layout),
             sample: Vec::new(),
             thinning: 1,
-            speeds: SpeedSums::new(),
+            speeds: SpeedSums::new(layout.joints()),
             rows_read: 0,
-            still: [0; N],
+            still: PerJoint::repeat(layout.joints(), 0),
             spikes: 0,
         }
     }
 
     /// Adds a stretch.
-    pub(super) fn add(
-        &mut self,
-        layout: &Layout<N>,
-        preparation: &Preparation,
-        prepared: &Prepared<N>,
-    ) {
+    pub(super) fn add(&mut self, layout: &Layout, preparation: &Preparation, prepared: &Prepared) {
         self.spikes += prepared.spikes;
         self.speeds.merge(&prepared.speeds);
         self.rows_read += prepared.core.len();
@@ -152,7 +148,7 @@ impl<const N: usize> Dataset<N> {
             }
         }
         let rows = prepared.core.clone().step_by(preparation.stride());
-        let rows: Vec<SampleRow<N>> = rows
+        let rows: Vec<SampleRow> = rows
             .map(|row| SampleRow::of(layout, preparation, prepared, row))
             .collect();
         let before = self.sums.rows;
@@ -180,34 +176,33 @@ impl<const N: usize> Dataset<N> {
 /// * `torque` N·m of a joint at a row without torques
 #[cfg(test)]
 pub(super) fn random_rows(
-    layout: &Layout<6>,
+    layout: &Layout,
     count: usize,
     seed: u64,
     reach: [f64; 3],
     noise: f64,
-    torque: impl Fn(&SampleRow<6>, usize) -> f64,
-) -> Vec<SampleRow<6>> {
-    use crate::dynamics::Joints;
+    torque: impl Fn(&SampleRow, usize) -> f64,
+) -> Vec<SampleRow> {
     use rand::{Rng, SeedableRng};
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     let mut scratch = nalgebra::DMatrix::zeros(6, (crate::robot::LINK_PARAMETERS + 1) * 6);
-    let mut draw = |reach: f64| Joints::<6>::from_fn(|_, _| random.random_range(-reach..reach));
+    let mut draw = |reach: f64| PerJoint::from_fn(6, |_| random.random_range(-reach..reach));
     (0..count)
         .map(|row| {
             let [q, qd, qdd] = reach.map(&mut draw);
-            let state = State { q, qd, qdd };
+            let state = Motion { q, qd, qdd };
             let mut panel = Vec::new();
             layout.append_row(&state, 0.01 * row as f64, &mut scratch, &mut panel);
             let mut row = SampleRow {
                 state,
-                tau: [0.0; 6],
-                clean: [0.0; 6],
-                moving: std::array::from_fn(|joint| qd[joint].abs() > 0.05),
+                tau: PerJoint::repeat(6, 0.0),
+                clean: PerJoint::repeat(6, 0.0),
+                moving: qd.map(|qd| qd.abs() > 0.05),
                 panel: panel.into(),
                 cogging_basis: layout.cogging_basis(&q),
             };
             let noise = draw(noise);
-            row.tau = std::array::from_fn(|joint| torque(&row, joint) + noise[joint]);
+            row.tau = PerJoint::from_fn(6, |joint| torque(&row, joint) + noise[joint]);
             row.clean = row.tau;
             row
         })

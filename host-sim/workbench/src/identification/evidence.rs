@@ -38,12 +38,12 @@ struct Group {
 /// Fit with a prior from the description; `None` when the equations cannot be solved.
 ///
 /// * `sums` equations, robustly weighted or not; `sigma` the noise of each joint's, N·m
-pub(super) fn evidence<const N: usize>(
+pub(super) fn evidence(
     robot: &Robot,
-    layout: &Layout<N>,
-    sums: &NormalEquations<N>,
-    sigma: &[f64; N],
-) -> Option<Fit<N>> {
+    layout: &Layout,
+    sums: &NormalEquations,
+    sigma: &[f64],
+) -> Option<Fit> {
     let mut mean = DVector::zeros(layout.parameters.len());
     mean.rows_mut(0, layout.base)
         .copy_from_slice(&robot.base_parameters());
@@ -80,7 +80,7 @@ pub(super) fn evidence<const N: usize>(
     Some(Fit {
         theta: mean + distance,
         covariance,
-        sigma: *sigma,
+        sigma: sigma.into(),
         iterations: ROUNDS,
     })
 }
@@ -113,7 +113,7 @@ fn inertial(robot: &Robot, base: usize) -> Option<Group> {
 }
 
 /// One group for every kind of column but viscous and Coulomb friction, which every drive has.
-fn friction<const N: usize>(robot: &Robot, layout: &Layout<N>) -> Vec<Group> {
+fn friction(robot: &Robot, layout: &Layout) -> Vec<Group> {
     let mut kinds: Vec<FrictionTerm> = Vec::new();
     for (kind, _) in layout.parameters.iter().filter_map(|p| p.friction) {
         if !kind.is_plain() && !kinds.contains(&kind) {
@@ -155,7 +155,7 @@ mod tests {
         let robot = Robot::load("ur5").expect("built in");
         let truth = robot.perturbed(3, &Perturbation::PLANT);
         let full = "full".parse().expect("known");
-        let layout = Layout::<6>::new(&robot, &full).expect("six joints");
+        let layout = Layout::new(&robot, &full);
         let plain = |p: &Parameter| p.friction.is_some_and(|(kind, _)| kind.is_plain());
         let base = truth.base_parameters().into_iter();
         let friction = layout.parameters.iter().skip(layout.base);
@@ -173,14 +173,14 @@ mod tests {
         let free = wls(&sums, &layout).expect("solvable");
         let found = evidence(&robot, &layout, &sums, &free.sigma).expect("solvable");
         let (gram, _) = equations(2000).weighted(&layout, &[1.0; 6]);
-        let error = |fit: &Fit<6>| {
+        let error = |fit: &Fit| {
             let distance = &fit.theta - &theta;
             distance.dot(&(&gram * &distance)).sqrt()
         };
         let errors = (error(&found), error(&free));
         assert!(errors.0 < 0.6 * errors.1, "{errors:?}");
         // Nothing but viscous and Coulomb friction is there.
-        let unsupported = |fit: &Fit<6>| -> f64 {
+        let unsupported = |fit: &Fit| -> f64 {
             let parameters = layout.parameters.iter().enumerate().skip(layout.base);
             let deviations = free.deviations();
             let squares = parameters.filter(|(_, p)| !plain(p));

@@ -3,8 +3,8 @@
 //! Everything between the harmonics of a periodic motion is noise: averaging and projection remove it without edges, and
 //! the derivatives of the series are exact [Swevers et al. 1997]. Regressor and torque share the harmonics.
 
+use super::IdentifyError;
 use super::columns::Layout;
-use super::error::IdentifyError;
 use super::filter::{despiked, median};
 use super::log::{LogReader, LogRow};
 use super::prepare::{Preparation, PrepareConfig, Prepared, states};
@@ -23,18 +23,18 @@ const UNEVEN: f64 = 0.25;
 ///
 /// Errors: [`TableError`] of a bad row; one line when the period is no whole number of rows, a row is out of place, or the
 /// log is shorter than the period.
-pub(super) fn folded<const N: usize>(
+pub(super) fn folded(
     path: &Path,
     robot: &Robot,
-    layout: &Layout<N>,
+    layout: &Layout,
     config: &PrepareConfig,
     period_s: f64,
     notes: &mut Vec<String>,
-) -> Result<(Preparation, Prepared<N>), IdentifyError> {
-    let mut reader = LogReader::<N>::open(path, robot)?;
+) -> Result<(Preparation, Prepared), IdentifyError> {
+    let mut reader = LogReader::open(path, robot)?;
     let name = path.display();
-    let mut chunk: Vec<LogRow<N>> = Vec::with_capacity(CHUNK);
-    let mut fold: Option<Fold<N>> = None;
+    let mut chunk: Vec<LogRow> = Vec::with_capacity(CHUNK);
+    let mut fold: Option<Fold> = None;
     loop {
         let row = reader.next_row()?;
         chunk.extend(row);
@@ -75,9 +75,10 @@ pub(super) fn folded<const N: usize>(
 }
 
 /// Sums over all periods at each phase.
-struct Fold<const N: usize> {
+struct Fold {
     start_s: f64,
     row_s: f64,
+    joints: usize,
     count: Vec<f64>,
     t_s: Vec<f64>,
     q: Vec<f64>,
@@ -86,8 +87,8 @@ struct Fold<const N: usize> {
     spikes: usize,
 }
 
-impl<const N: usize> Fold<N> {
-    fn new(first: &[LogRow<N>], period_s: f64, path: &Path) -> Result<Self, IdentifyError> {
+impl Fold {
+    fn new(first: &[LogRow], period_s: f64, path: &Path) -> Result<Self, IdentifyError> {
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let row_s = median(&mut steps);
         if first.len() < 3 {
@@ -101,28 +102,30 @@ impl<const N: usize> Fold<N> {
                 row_s,
             ));
         }
-        let phases = phases as usize;
+        let (phases, joints) = (phases as usize, first[0].q.len());
         Ok(Self {
             start_s: first[0].t_s,
             row_s,
+            joints,
             count: vec![0.0; phases],
             t_s: vec![0.0; phases],
-            q: vec![0.0; phases * N],
-            tau: vec![0.0; phases * N],
-            clean: vec![0.0; phases * N],
+            q: vec![0.0; phases * joints],
+            tau: vec![0.0; phases * joints],
+            clean: vec![0.0; phases * joints],
             spikes: 0,
         })
     }
 
     fn add(
         &mut self,
-        rows: &[LogRow<N>],
+        rows: &[LogRow],
         config: &PrepareConfig,
         path: &Path,
     ) -> Result<(), IdentifyError> {
-        let tau: Vec<f64> = rows.iter().flat_map(|row| row.tau).collect();
+        let joints = self.joints;
+        let tau: Vec<f64> = rows.iter().flat_map(|row| row.tau.to_vec()).collect();
         let reach = self.preparation(config).spike_reach();
-        let (clean, spikes) = despiked(&tau, N, reach);
+        let (clean, spikes) = despiked(&tau, joints, reach);
         self.spikes += spikes;
         for (k, row) in rows.iter().enumerate() {
             let place = (row.t_s - self.start_s) / self.row_s;
@@ -133,10 +136,10 @@ impl<const N: usize> Fold<N> {
             let phase = place.round() as usize % self.count.len();
             self.count[phase] += 1.0;
             self.t_s[phase] += row.t_s;
-            for joint in 0..N {
-                self.q[phase * N + joint] += row.q[joint];
-                self.tau[phase * N + joint] += row.tau[joint];
-                self.clean[phase * N + joint] += clean[k * N + joint];
+            for joint in 0..joints {
+                self.q[phase * joints + joint] += row.q[joint];
+                self.tau[phase * joints + joint] += row.tau[joint];
+                self.clean[phase * joints + joint] += clean[k * joints + joint];
             }
         }
         Ok(())
@@ -147,23 +150,24 @@ impl<const N: usize> Fold<N> {
     }
 
     /// The mean period, its motion on harmonics.
-    fn period(mut self, harmonics: usize, period_s: f64) -> Prepared<N> {
+    fn period(mut self, harmonics: usize, period_s: f64) -> Prepared {
+        let joints = self.joints;
         for (phase, count) in self.count.iter().enumerate() {
             self.t_s[phase] /= count;
             for table in [&mut self.q, &mut self.tau, &mut self.clean] {
-                for value in &mut table[phase * N..(phase + 1) * N] {
+                for value in &mut table[phase * joints..(phase + 1) * joints] {
                     *value /= count;
                 }
             }
         }
-        let series = Harmonics::of(&self.q, N, harmonics);
+        let series = Harmonics::of(&self.q, joints, harmonics);
         let [q, qd, qdd] = [0, 1, 2].map(|order| series.evaluate(order, period_s));
         Prepared {
             index: 0,
-            states: states(&q, &qd, &qdd),
+            states: states(joints, [&q, &qd, &qdd]),
             panel: Vec::new(),
             cogging_basis: Vec::new(),
-            speeds: SpeedSums::new(),
+            speeds: SpeedSums::new(joints),
             tau: self.tau,
             clean: self.clean,
             spikes: self.spikes,

@@ -1,9 +1,9 @@
 //! Drive gains from standstill: the motors hold the gravity torque.
 
-use super::error::IdentifyError;
+use super::IdentifyError;
 use super::log::LogReader;
 use super::record::GainRecord;
-use crate::dynamics::{Joints, ReferenceModel};
+use crate::dynamics::{PerJoint, RigidBodies};
 use crate::robot::Robot;
 use crate::table::TableError;
 use std::path::PathBuf;
@@ -16,22 +16,22 @@ const FEWEST: usize = 3;
 const LARGEST_DEVIATION: f64 = 0.1;
 
 /// Sums over one stand.
-struct Stand<const N: usize> {
+struct Stand {
     from_s: f64,
-    q: Joints<N>,
-    current: Joints<N>,
+    q: PerJoint<f64>,
+    current: PerJoint<f64>,
     rows: f64,
 }
 
 /// The robot with drive gains from standstill, and their records.
 ///
 /// Errors: see [`standstill_gains`].
-pub(super) fn with_gains<const N: usize>(
+pub(super) fn with_gains(
     robot: &Robot,
     logs: &[PathBuf],
     still_rad_s: f64,
 ) -> Result<(Robot, Vec<GainRecord>), IdentifyError> {
-    let gains = standstill_gains::<N>(robot, logs, still_rad_s)?;
+    let gains = standstill_gains(robot, logs, still_rad_s)?;
     let mut robot = robot.clone();
     for (joint, record) in robot.joints.iter_mut().zip(&gains) {
         joint.drive.gain = record.gain_nm_a;
@@ -43,25 +43,24 @@ pub(super) fn with_gains<const N: usize>(
 /// currents over the torques: stiction lies in the current. The description's gain stays where too few stands show too
 /// little gravity, or stiction scatters it by more than a tenth.
 ///
-/// Errors: of the logs; a log without currents; another number of joints.
-fn standstill_gains<const N: usize>(
+/// Errors: of the logs; a log without currents.
+fn standstill_gains(
     robot: &Robot,
     logs: &[PathBuf],
     still_rad_s: f64,
 ) -> Result<Vec<GainRecord>, IdentifyError> {
-    let model = ReferenceModel::<N>::new(robot)
-        .ok_or_else(|| IdentifyError::Joints(robot.name.clone(), N))?;
+    let model = RigidBodies::new(robot);
     // Gravity torque and mean current of each stand.
-    let mut stands: Vec<(Joints<N>, Joints<N>)> = Vec::new();
-    let gain = Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain));
+    let mut stands: Vec<(PerJoint<f64>, PerJoint<f64>)> = Vec::new();
+    let gain = PerJoint::from_fn(model.joints(), |joint| robot.joints[joint].drive.gain);
     for path in logs {
-        let mut reader = LogReader::<N>::open(path, robot)?;
+        let mut reader = LogReader::open(path, robot)?;
         if !reader.has_currents() {
             return Err(IdentifyError::NoCurrents(path.clone()));
         }
         for_each_stand(&mut reader, &gain, still_rad_s, |stand| {
-            let gravity = model.gravity_torques(&(stand.q / stand.rows));
-            stands.push((gravity, stand.current / stand.rows));
+            let mean = |sum: PerJoint<f64>| sum.map(|sum| sum / stand.rows);
+            stands.push((model.gravity_torques(&mean(stand.q)), mean(stand.current)));
         })?;
     }
     let record = |joint: usize| {
@@ -79,30 +78,30 @@ fn standstill_gains<const N: usize>(
             stands: count,
         }
     };
-    Ok((0..N).map(record).collect())
+    Ok((0..gain.len()).map(record).collect())
 }
 
 /// Calls `take` with every stand of a log that lasts long enough.
-fn for_each_stand<const N: usize>(
-    reader: &mut LogReader<N>,
-    gain: &Joints<N>,
+fn for_each_stand(
+    reader: &mut LogReader,
+    gain: &PerJoint<f64>,
     still_rad_s: f64,
-    mut take: impl FnMut(Stand<N>),
+    mut take: impl FnMut(Stand),
 ) -> Result<(), TableError> {
-    let mut stand: Option<Stand<N>> = None;
+    let mut stand: Option<Stand> = None;
     loop {
         let row = reader.next_row()?;
         let still = row.as_ref().is_some_and(|row| match &stand {
             _ if reader.has_velocity() => row.qd.iter().all(|qd| qd.abs() <= still_rad_s),
             Some(stand) => {
-                let apart = Joints::from(row.q) - stand.q / stand.rows;
-                apart.amax() <= still_rad_s * STAND_S
+                let mut apart = row.q.iter().zip(stand.q.iter());
+                apart.all(|(q, sum)| (q - sum / stand.rows).abs() <= still_rad_s * STAND_S)
             }
             None => true,
         });
         // The end of the log ends a stand of any length.
         let end_s = row.as_ref().map_or(f64::INFINITY, |row| row.t_s);
-        let ends = |stand: &mut Stand<N>| !still || end_s - stand.from_s > 10.0 * STAND_S;
+        let ends = |stand: &mut Stand| !still || end_s - stand.from_s > 10.0 * STAND_S;
         if let Some(stand) = stand.take_if(ends)
             && stand.rows > 1.0
             && end_s - stand.from_s >= STAND_S
@@ -113,12 +112,14 @@ fn for_each_stand<const N: usize>(
         if still {
             let stand = stand.get_or_insert_with(|| Stand {
                 from_s: row.t_s,
-                q: Joints::zeros(),
-                current: Joints::zeros(),
+                q: PerJoint::repeat(gain.len(), 0.0),
+                current: PerJoint::repeat(gain.len(), 0.0),
                 rows: 0.0,
             });
-            stand.q += Joints::from(row.q);
-            stand.current += Joints::from(row.tau).component_div(gain);
+            for (joint, gain) in gain.iter().enumerate() {
+                stand.q[joint] += row.q[joint];
+                stand.current[joint] += row.tau[joint] / gain;
+            }
             stand.rows += 1.0;
         }
     }

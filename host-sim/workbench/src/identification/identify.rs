@@ -1,9 +1,9 @@
 //! From logs to a report and the parameters of a bank.
 
+use super::IdentifyError;
 use super::cogging::CoggingAmplitudes;
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
-use super::error::IdentifyError;
 use super::fourier::folded;
 use super::gains::with_gains;
 use super::judge::{Judgement, after_fit};
@@ -13,10 +13,15 @@ use super::problem::{Candidate, Problem, Progress, TrainingData};
 use super::record::{RIVALS, Report};
 use super::solve::solve_all;
 use super::stream::for_each_prepared;
+use super::study::truths;
 use super::study::{Study, Unseen, key_of, recommended};
-use super::truth::truths;
+use crate::dynamics::PerJoint;
 use crate::robot::Robot;
+use foretorque::arm::Arm;
+use foretorque::dynamics::COGGING_COLUMNS;
 use foretorque::feedforward::JointNetwork;
+use foretorque::learning::ParameterSet;
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use std::path::{Path, PathBuf};
 
 /// Settings of an identification.
@@ -42,46 +47,44 @@ pub struct IdentifyConfig {
 
 /// Result of an identification.
 #[derive(Clone, Debug)]
-pub struct Outcome<const N: usize> {
+pub struct Outcome {
     /// All figures.
     pub report: Report,
     /// Columns that the board has.
-    pub bank_layout: Layout<N>,
+    pub bank_layout: Layout,
     /// The recommended fit over them.
-    pub bank_fit: Fit<N>,
+    pub bank_fit: Fit,
     /// The recommended residual networks, if it has any.
-    pub networks: Option<Box<[JointNetwork; N]>>,
+    pub networks: Option<Vec<JointNetwork>>,
     /// Their direct connections from the cogging phase, N·m.
-    pub cogging: Option<CoggingAmplitudes<N>>,
+    pub cogging: Option<CoggingAmplitudes>,
     /// The description with the consistent parameters, if they were asked for.
     pub robot: Option<Robot>,
     /// Time, measured and predicted torque on the first validation log: of the recommended method.
-    pub trace: Vec<(f64, [f64; N], [f64; N])>,
+    pub trace: Vec<(f64, PerJoint<f64>, PerJoint<f64>)>,
 }
 
 /// Parameters of a robot by all methods, validated on unseen logs.
 ///
 /// Errors: [`IdentifyError`].
-pub fn identify<const N: usize>(
+pub fn identify(
     robot: &Robot,
     logs: &[PathBuf],
     validate: &[PathBuf],
     config: &IdentifyConfig,
     progress: Progress<'_>,
-) -> Result<Outcome<N>, IdentifyError> {
+) -> Result<Outcome, IdentifyError> {
     for path in logs.iter().chain(validate).chain(&config.test) {
-        config.prepare.check::<N>(path, robot)?;
+        config.prepare.check(path, robot)?;
     }
     let (robot, drive_gains) = if config.gains_from_standstill {
         progress("drive gains");
-        with_gains::<N>(robot, logs, config.prepare.still_rad_s)?
+        with_gains(robot, logs, config.prepare.still_rad_s)?
     } else {
         (robot.clone(), Vec::new())
     };
     let (on_board, left_out) = config.columns.on_board();
-    let layout = |columns| Layout::<N>::new(&robot, columns);
-    let layouts = layout(&config.columns).zip(layout(&on_board));
-    let (layout, board) = layouts.ok_or_else(|| IdentifyError::Joints(robot.name.clone(), N))?;
+    let [layout, board] = [&config.columns, &on_board].map(|columns| Layout::new(&robot, columns));
     let mut notes = Vec::new();
     let dataset = gather(&robot, &layout, logs, config, &mut notes, progress)?;
     let data = TrainingData::all(&dataset);
@@ -180,11 +183,7 @@ pub fn identify<const N: usize>(
 }
 
 /// Figures of settings and dataset.
-fn figures<const N: usize>(
-    config: &IdentifyConfig,
-    dataset: &Dataset<N>,
-    layout: &Layout<N>,
-) -> Report {
+fn figures(config: &IdentifyConfig, dataset: &Dataset, layout: &Layout) -> Report {
     let (condition_number, equilibrated) = dataset.sums.all.condition_numbers(layout);
     let share = |still: usize| still as f64 / dataset.rows_read.max(1) as f64;
     Report {
@@ -197,7 +196,7 @@ fn figures<const N: usize>(
         still_rad_s: config.prepare.still_rad_s,
         rows_read: dataset.rows_read,
         rows_used: dataset.sums.rows,
-        still_share_ratio: dataset.still.map(share).to_vec(),
+        still_share_ratio: dataset.still.iter().copied().map(share).collect(),
         spikes: dataset.spikes,
         rank: layout.parameters.len(),
         condition_number,
@@ -208,14 +207,14 @@ fn figures<const N: usize>(
 }
 
 /// Dataset of the training logs, in one pass.
-fn gather<const N: usize>(
+fn gather(
     robot: &Robot,
-    layout: &Layout<N>,
+    layout: &Layout,
     logs: &[PathBuf],
     config: &IdentifyConfig,
     notes: &mut Vec<String>,
     progress: Progress<'_>,
-) -> Result<Dataset<N>, IdentifyError> {
+) -> Result<Dataset, IdentifyError> {
     let (mut dataset, prepare) = (Dataset::new(layout), &config.prepare);
     for path in logs {
         progress(&format!("reading {}", path.display()));
@@ -261,4 +260,52 @@ fn same_content(one: &Path, other: &Path) -> bool {
     let length = |path: &Path| std::fs::metadata(path).map(|file| file.len()).ok();
     let bytes = |path: &Path| std::fs::read(path).ok();
     length(one) == length(other) && bytes(one).is_some() && bytes(one) == bytes(other)
+}
+
+/// The bank of a fit over columns the board has; `None` when the layout is not that of `A`.
+///
+/// Columns without a fit are zero and keep the deviation of an unidentified bank.
+///
+/// * `layout` the columns of `fit`
+/// * `networks` one a joint; zero without
+/// * `cogging` direct connections of the networks from the cogging phase, N·m: they go to the board's cogging columns
+pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
+    robot: &Robot,
+    layout: &Layout,
+    fit: &Fit,
+    networks: Option<&[JointNetwork]>,
+    cogging: Option<&CoggingAmplitudes>,
+) -> Option<ParameterBank> {
+    if layout.base != A::index().count {
+        return None;
+    }
+    let mut set = ParameterSet::<N, P>::nominal::<A>(NETWORK_SEED);
+    if let Some(networks) = networks {
+        set.network = networks.try_into().ok()?;
+    }
+    let mut bank = ParameterBank::from_set::<A, N, P>(&set);
+    let deviations = fit.deviations();
+    for (place, parameter) in layout.parameters.iter().enumerate() {
+        let mut columns = bank.columns.iter_mut();
+        let column = columns.find(|column| column.id.to_string() == parameter.name)?;
+        column.value = fit.theta[place] as f32;
+        column.deviation = deviations[place] as f32;
+    }
+    for (joint, amplitudes) in cogging.iter().flat_map(|own| own.iter()).enumerate() {
+        for (column, amplitude) in COGGING_COLUMNS.into_iter().zip(amplitudes) {
+            let name = format!("{}{}", column.properties().symbol, joint + 1);
+            let mut columns = bank.columns.iter_mut();
+            let column = columns.find(|column| column.id.to_string() == name);
+            // An arm without cogging has no such column and no amplitude either.
+            match column {
+                Some(column) => column.value += *amplitude as f32,
+                None if *amplitude == 0.0 => (),
+                None => return None,
+            }
+        }
+    }
+    for (gain, joint) in bank.drive_gains_nm_a.iter_mut().zip(&robot.joints) {
+        *gain = joint.drive.gain as f32;
+    }
+    Some(bank)
 }

@@ -1,6 +1,7 @@
 //! Logs: the project's own columns, or foreign ones through the map of the robot description.
 
 use super::log_search::{is_there, joint_places, no_columns};
+use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, EffortKind, LogColumns, Robot};
 use crate::table::{Rows, TableError, TableProblem};
 use std::f64::consts::TAU;
@@ -8,49 +9,49 @@ use std::path::Path;
 
 /// One instant of a log, as measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LogRow<const N: usize> {
+pub struct LogRow {
     /// Line of the file, from 1.
     pub line: u64,
     /// Time, s.
     pub t_s: f64,
     /// Positions, rad.
-    pub q: [f64; N],
+    pub q: PerJoint<f64>,
     /// Velocities, rad/s; zero where the log has none.
-    pub qd: [f64; N],
+    pub qd: PerJoint<f64>,
     /// Accelerations, rad/s²; zero where the log has none.
-    pub qdd: [f64; N],
+    pub qdd: PerJoint<f64>,
     /// Torques, N·m: logged, or drive gain × current.
-    pub tau: [f64; N],
+    pub tau: PerJoint<f64>,
 }
 
 /// Reads a log row by row, in constant memory.
-pub(super) struct LogReader<const N: usize> {
+pub(super) struct LogReader {
     rows: Rows,
     time: (usize, f64),
-    q: Columns<N>,
-    qd: Option<Columns<N>>,
-    qdd: Option<Columns<N>>,
-    tau: Columns<N>,
+    q: Columns,
+    qd: Option<Columns>,
+    qdd: Option<Columns>,
+    tau: Columns,
     from_current: bool,
     mapped: bool,
-    unwrap: Unwrap<N>,
+    unwrap: Unwrap,
     notes: Vec<String>,
 }
 
 /// Columns of one quantity, and the value in SI of one unit of each.
 #[derive(Clone, Copy)]
-struct Columns<const N: usize> {
-    places: [usize; N],
-    scale: [f64; N],
+struct Columns {
+    places: PerJoint<usize>,
+    scale: PerJoint<f64>,
 }
 
 /// Angles that continue beyond a wrap at ±π.
-struct Unwrap<const N: usize> {
+struct Unwrap {
     /// The joint turns through its whole circle.
-    continuous: [bool; N],
-    last: Option<[f64; N]>,
-    offset: [f64; N],
-    count: [usize; N],
+    continuous: PerJoint<bool>,
+    last: Option<PerJoint<f64>>,
+    offset: PerJoint<f64>,
+    count: PerJoint<usize>,
 }
 
 /// Distance from a whole turn within which a step is a wrap, rad.
@@ -60,12 +61,13 @@ const LARGEST: f64 = 1e7;
 /// Range from which a joint is continuous, rad: a turn, but for rounding.
 const TURN_RAD: f64 = TAU - 0.01;
 
-impl<const N: usize> LogReader<N> {
+impl LogReader {
     /// Opens a log. Own column names win over those of the map; time, position and torque (or current) must be there.
     /// Without either, the columns of a known source are taken.
     ///
     /// Errors: [`TableError`] of the header.
     pub(super) fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
+        let joints = robot.joint_count();
         let given = robot.log_columns.clone().unwrap_or_default();
         let rows = Rows::named(path, &given.names)?;
         let own = ["q1_rad", "q2_rad", "tau1_nm", "i1_a"];
@@ -106,10 +108,10 @@ impl<const N: usize> LogReader<N> {
             (None, None) => return Err(missing("t_s")),
         };
         let quantity = |unit: usize, name, names: &Option<ColumnNames>| {
-            let found = joint_places::<N>(&rows, name, names.as_ref(), robot)?;
+            let found = joint_places(&rows, name, names.as_ref(), robot)?;
             Ok::<_, TableError>(found.map(|(places, own)| Columns {
                 places,
-                scale: [if own { own_units } else { map_units }[unit]; N],
+                scale: PerJoint::repeat(joints, if own { own_units } else { map_units }[unit]),
             }))
         };
         let q = quantity(1, ("q", "rad"), &map.q_rad)?.ok_or_else(|| missing("q1_rad"))?;
@@ -159,13 +161,13 @@ impl<const N: usize> LogReader<N> {
             from_current: effort == EffortKind::Current,
             mapped,
             unwrap: Unwrap {
-                continuous: std::array::from_fn(|joint| {
+                continuous: PerJoint::from_fn(joints, |joint| {
                     let (low, high) = robot.joints[joint].limits.position;
                     high - low >= TURN_RAD
                 }),
                 last: None,
-                offset: [0.0; N],
-                count: [0; N],
+                offset: PerJoint::repeat(joints, 0.0),
+                count: PerJoint::repeat(joints, 0),
             },
             notes,
             rows,
@@ -211,13 +213,13 @@ impl<const N: usize> LogReader<N> {
     /// The next row, `None` at the end.
     ///
     /// Errors: [`TableError`] of that row, naming line and column.
-    pub(super) fn next_row(&mut self) -> Result<Option<LogRow<N>>, TableError> {
+    pub(super) fn next_row(&mut self) -> Result<Option<LogRow>, TableError> {
         if !self.rows.advance()? {
             return Ok(None);
         }
         let t_s = self.rows.time(self.time.0)? * self.time.1;
-        let numbers = |columns: &Option<Columns<N>>| {
-            let mut values = [0.0; N];
+        let numbers = |columns: &Option<Columns>| {
+            let mut values = PerJoint::repeat(self.q.places.len(), 0.0);
             let Some(columns) = columns else {
                 return Ok(values);
             };
@@ -248,13 +250,13 @@ impl<const N: usize> LogReader<N> {
     }
 }
 
-impl<const N: usize> Unwrap<N> {
+impl Unwrap {
     /// Continues the angles `q` of a row, rad.
     ///
     /// Errors: joint and jump, where a joint with ends in its range jumps by a turn.
-    fn take(&mut self, q: &mut [f64; N]) -> Result<(), (usize, f64)> {
+    fn take(&mut self, q: &mut PerJoint<f64>) -> Result<(), (usize, f64)> {
         let last = self.last.replace(*q).unwrap_or(*q);
-        for (joint, (q, last)) in q.iter_mut().zip(last).enumerate() {
+        for (joint, (q, last)) in q.iter_mut().zip(last.iter()).enumerate() {
             let jump = *q - last;
             if (jump.abs() - TAU).abs() < WRAP_RAD {
                 if !self.continuous[joint] {
@@ -275,18 +277,18 @@ mod tests {
 
     #[test]
     fn angles_continue_where_a_joint_is_continuous_only() {
-        let mut unwrap = Unwrap::<2> {
-            continuous: [true, false],
+        let mut unwrap = Unwrap {
+            continuous: [true, false].into(),
             last: None,
-            offset: [0.0; 2],
-            count: [0; 2],
+            offset: PerJoint::repeat(2, 0.0),
+            count: PerJoint::repeat(2, 0),
         };
         for (wrapped, whole) in [(3.1, 3.1), (-3.1, TAU - 3.1), (3.0, 3.0)] {
-            let mut q = [wrapped, 0.5];
+            let mut q = [wrapped, 0.5].into();
             unwrap.take(&mut q).expect("continuous");
             assert!((q[0] - whole).abs() < 1e-12);
         }
-        assert_eq!(unwrap.count, [2, 0]);
-        assert!(unwrap.take(&mut [3.0, 6.5]).is_err());
+        assert_eq!(*unwrap.count, [2, 0]);
+        assert!(unwrap.take(&mut [3.0, 6.5].into()).is_err());
     }
 }

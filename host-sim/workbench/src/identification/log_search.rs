@@ -1,5 +1,6 @@
 //! Search for the columns of each quantity in the header of a log.
 
+use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, LOG_SOURCES, Robot};
 use crate::table::{Rows, TableError, TableProblem};
 
@@ -41,17 +42,18 @@ fn cores<'a>(names: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Columns of one quantity for all joints, and whether they have the project's own names; `None` without a column of it.
-pub(super) fn joint_places<const N: usize>(
+pub(super) fn joint_places(
     rows: &Rows,
     (name, unit): (&str, &str),
     mapped: Option<&ColumnNames>,
     robot: &Robot,
-) -> Result<Option<([usize; N], bool)>, TableError> {
+) -> Result<Option<(PerJoint<usize>, bool)>, TableError> {
+    let joints = robot.joint_count();
     let joint_name = |joint: usize| robot.joints.get(joint).map_or("", |own| own.name.as_str());
     let own = |joint: usize| Some(format!("{name}{}_{unit}", joint + 1));
     let foreign = |joint: usize| mapped?.of(joint, joint_name(joint));
     let has = |name: &dyn Fn(usize) -> Option<String>| {
-        let mut names = (0..=N).filter_map(name);
+        let mut names = (0..=joints).filter_map(name);
         names.any(|name| !matches!(rows.find(&name), Ok(None)))
     };
     let is_own = has(&own);
@@ -61,10 +63,12 @@ pub(super) fn joint_places<const N: usize>(
         (false, false) => return renamed(rows, mapped, robot).map(|found| Some((found?, false))),
     };
     // A seventh joint in the log of an arm with six is a log of another robot.
-    if let Some(next) = chosen(N).filter(|_| mapped.is_none_or(|map| map.around_name().is_none())) {
-        rows.refuse(&next, N)?;
+    if let Some(next) =
+        chosen(joints).filter(|_| mapped.is_none_or(|map| map.around_name().is_none()))
+    {
+        rows.refuse(&next, joints)?;
     }
-    let mut columns = [0; N];
+    let mut columns = PerJoint::repeat(joints, 0);
     for (joint, column) in columns.iter_mut().enumerate() {
         *column = rows.require(&chosen(joint).unwrap_or_default())?;
     }
@@ -72,11 +76,11 @@ pub(super) fn joint_places<const N: usize>(
 }
 
 /// Columns by names of joints that differ from those of the description in what all of them begin and end with.
-fn renamed<const N: usize>(
+fn renamed(
     rows: &Rows,
     mapped: Option<&ColumnNames>,
     robot: &Robot,
-) -> Result<Option<[usize; N]>, TableError> {
+) -> Result<Option<PerJoint<usize>>, TableError> {
     let Some(mapped) = mapped else {
         return Ok(None);
     };
@@ -86,10 +90,10 @@ fn renamed<const N: usize>(
     }
     let ours: Vec<&str> = robot.joints.iter().map(|own| own.name.as_str()).collect();
     let (cores_there, cores_ours) = (cores(&there), cores(&ours));
-    let mut columns = [0; N];
+    let mut columns = PerJoint::repeat(ours.len(), 0);
     for (column, core) in columns.iter_mut().zip(&cores_ours) {
         let place = cores_there.iter().position(|other| other == core);
-        let Some(place) = place.filter(|_| there.len() == N) else {
+        let Some(place) = place.filter(|_| there.len() == ours.len()) else {
             let problem = TableProblem::OtherJoints(there.join(", "), ours.join(", "));
             return Err(problem.at(rows.path(), 1));
         };

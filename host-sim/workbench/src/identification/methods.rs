@@ -1,10 +1,11 @@
 //! Least squares: plain, weighted by joint, robust.
 
+use super::UnknownName;
 use super::columns::Layout;
 use super::dataset::SampleRow;
-use super::error::UnknownName;
 use super::filter::median;
 use super::normal::{JointSums, NormalEquations, solve};
+use crate::dynamics::PerJoint;
 use nalgebra::{DMatrix, DVector};
 use std::fmt;
 use std::str::FromStr;
@@ -64,13 +65,13 @@ impl FromStr for MethodName {
 
 /// Parameters of the linear model with their uncertainty.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Fit<const N: usize> {
+pub struct Fit {
     /// One value a parameter of the layout, SI.
     pub theta: DVector<f64>,
     /// Covariance of `theta`.
     pub covariance: DMatrix<f64>,
     /// Noise of every joint's equations, N·m.
-    pub sigma: [f64; N],
+    pub sigma: PerJoint<f64>,
     /// Times the equations were solved.
     pub iterations: usize,
 }
@@ -86,8 +87,8 @@ const IRLS_ROUNDS: usize = 30;
 const IRLS_SETTLED: f64 = 1e-6;
 
 /// Ordinary least squares; the standard deviations allow every joint its own noise. `None` when a parameter is unseen.
-pub(super) fn ols<const N: usize>(sums: &NormalEquations<N>, layout: &Layout<N>) -> Option<Fit<N>> {
-    let (gram, moment) = sums.weighted(layout, &[1.0; N]);
+pub(super) fn ols(sums: &NormalEquations, layout: &Layout) -> Option<Fit> {
+    let (gram, moment) = sums.weighted(layout, &vec![1.0; layout.joints()]);
     let (theta, inverse) = solve(&gram, &moment)?;
     let sigma = noise(sums, layout, &theta);
     // (XᵀX)⁻¹ (Σ σ_j² X_jᵀX_j) (XᵀX)⁻¹
@@ -101,7 +102,7 @@ pub(super) fn ols<const N: usize>(sums: &NormalEquations<N>, layout: &Layout<N>)
 }
 
 /// Weighted least squares: the noise of each joint from the fit before, and the board's prior of friction.
-pub(super) fn wls<const N: usize>(sums: &NormalEquations<N>, layout: &Layout<N>) -> Option<Fit<N>> {
+pub(super) fn wls(sums: &NormalEquations, layout: &Layout) -> Option<Fit> {
     let mut fit = ols(sums, layout)?;
     for _ in 0..WEIGHT_ROUNDS {
         let (mut gram, moment) = sums.weighted(layout, &fit.sigma);
@@ -118,16 +119,12 @@ pub(super) fn wls<const N: usize>(sums: &NormalEquations<N>, layout: &Layout<N>)
 }
 
 /// Huber's estimate over a sample of rows, from the weighted fit of the sums without spikes.
-pub(super) fn irls<const N: usize>(
-    clean: &NormalEquations<N>,
-    sample: &[&SampleRow<N>],
-    layout: &Layout<N>,
-) -> Option<Fit<N>> {
+pub(super) fn irls(clean: &NormalEquations, sample: &[&SampleRow], layout: &Layout) -> Option<Fit> {
     let mut fit = wls(clean, layout)?;
     for _ in 0..IRLS_ROUNDS {
         let theta = &fit.theta;
         let rounds: Vec<(JointSums, f64)> = std::thread::scope(|scope| {
-            let joints: Vec<_> = (0..N)
+            let joints: Vec<_> = (0..layout.joints())
                 .map(|joint| scope.spawn(move || reweighted(joint, sample, layout, theta)))
                 .collect();
             // The panic of a thread is reported already.
@@ -137,8 +134,10 @@ pub(super) fn irls<const N: usize>(
                 .collect()
         });
         let (joints, sigma): (Vec<JointSums>, Vec<f64>) = rounds.into_iter().unzip();
-        let sigma: [f64; N] = sigma.try_into().ok()?;
-        let sums = NormalEquations::<N> { joints };
+        if joints.len() < layout.joints() {
+            return None;
+        }
+        let (sigma, sums) = (PerJoint::from(&*sigma), NormalEquations { joints });
         let (mut gram, moment) = sums.weighted(layout, &sigma);
         layout.add_prior(&mut gram);
         let (theta, covariance) = solve(&gram, &moment)?;
@@ -158,10 +157,10 @@ pub(super) fn irls<const N: usize>(
 }
 
 /// One joint's sums under Huber's weights for the residuals of `theta`, and the spread of these residuals, N·m.
-fn reweighted<const N: usize>(
+fn reweighted(
     joint: usize,
-    sample: &[&SampleRow<N>],
-    layout: &Layout<N>,
+    sample: &[&SampleRow],
+    layout: &Layout,
     theta: &DVector<f64>,
 ) -> (JointSums, f64) {
     let moving = sample.iter().filter(|row| row.moving[joint]);
@@ -173,10 +172,10 @@ fn reweighted<const N: usize>(
 }
 
 /// One joint's sums; rows whose residual exceeds 1.345 `sigma`, N·m, weigh less [Huber 1981].
-pub(super) fn huber<const N: usize>(
+pub(super) fn huber(
     joint: usize,
-    sample: &[&SampleRow<N>],
-    layout: &Layout<N>,
+    sample: &[&SampleRow],
+    layout: &Layout,
     theta: &DVector<f64>,
     sigma: f64,
 ) -> JointSums {
@@ -196,17 +195,13 @@ pub(super) fn huber<const N: usize>(
 }
 
 /// RMS residual of each joint, N·m, corrected for the number of parameters.
-fn noise<const N: usize>(
-    sums: &NormalEquations<N>,
-    layout: &Layout<N>,
-    theta: &DVector<f64>,
-) -> [f64; N] {
+fn noise(sums: &NormalEquations, layout: &Layout, theta: &DVector<f64>) -> PerJoint<f64> {
     let rmse = sums.rmse(layout, theta);
     let share = layout.parameters.len() as f64 / sums.count().max(1.0);
     rmse.map(|rmse| (rmse / (1.0 - share).max(0.1).sqrt()).max(SIGMA_FLOOR))
 }
 
-impl<const N: usize> Fit<N> {
+impl Fit {
     /// Standard deviation of every parameter.
     pub fn deviations(&self) -> DVector<f64> {
         let variances = self.covariance.diagonal();

@@ -4,8 +4,9 @@
 //! parameters and the gradient of the BP network's loss all follow from them without another pass over the log. The price
 //! is the square of the condition number, which f64 affords up to about 1e7 (rank decisions are made at 1e4).
 
+use super::IdentifyError;
 use super::columns::Layout;
-use super::error::IdentifyError;
+use crate::dynamics::PerJoint;
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
 /// Least part of a column that the columns left of it do not explain, as a share of its length. Useful excitations leave
@@ -57,14 +58,14 @@ impl JointSums {
 
 /// Sums of all joints' equations.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct NormalEquations<const N: usize> {
+pub(super) struct NormalEquations {
     /// One joint after the other.
     pub joints: Vec<JointSums>,
 }
 
-impl<const N: usize> NormalEquations<N> {
+impl NormalEquations {
     /// Sums over no equations.
-    pub(super) fn new(layout: &Layout<N>) -> Self {
+    pub(super) fn new(layout: &Layout) -> Self {
         let joints = layout.active.iter();
         Self {
             joints: joints.map(|active| JointSums::new(active.len())).collect(),
@@ -72,7 +73,7 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     /// The equations with the columns of a poorer layout only.
-    pub(super) fn subset(&self, layout: &Layout<N>, poorer: &Layout<N>) -> Self {
+    pub(super) fn subset(&self, layout: &Layout, poorer: &Layout) -> Self {
         let places = layout.places_of(poorer);
         let joints = self.joints.iter().enumerate().map(|(joint, sums)| {
             let active = layout.active[joint].iter();
@@ -97,11 +98,7 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     /// Weighted sums over all parameters: each joint's equations divided by its `sigma`, N·m.
-    pub(super) fn weighted(
-        &self,
-        layout: &Layout<N>,
-        sigma: &[f64; N],
-    ) -> (DMatrix<f64>, DVector<f64>) {
+    pub(super) fn weighted(&self, layout: &Layout, sigma: &[f64]) -> (DMatrix<f64>, DVector<f64>) {
         let size = layout.parameters.len();
         let mut gram = DMatrix::zeros(size, size);
         let mut moment = DVector::zeros(size);
@@ -118,8 +115,8 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     /// RMS error of every joint, N·m.
-    pub(super) fn rmse(&self, layout: &Layout<N>, theta: &DVector<f64>) -> [f64; N] {
-        std::array::from_fn(|joint| {
+    pub(super) fn rmse(&self, layout: &Layout, theta: &DVector<f64>) -> PerJoint<f64> {
+        PerJoint::from_fn(self.joints.len(), |joint| {
             let own = theta.select_rows(&layout.active[joint]);
             self.joints[joint].mean_square(&own).sqrt()
         })
@@ -128,8 +125,8 @@ impl<const N: usize> NormalEquations<N> {
     /// Check that every parameter is observable.
     ///
     /// Errors: [`IdentifyError::RankDeficient`] with the columns that the columns left of them explain.
-    pub(super) fn check_rank(&self, layout: &Layout<N>) -> Result<(), IdentifyError> {
-        let (mut rest, _) = self.weighted(layout, &[1.0; N]);
+    pub(super) fn check_rank(&self, layout: &Layout) -> Result<(), IdentifyError> {
+        let (mut rest, _) = self.weighted(layout, &vec![1.0; self.joints.len()]);
         let size = rest.nrows();
         let length: Vec<f64> = (0..size).map(|c| rest[(c, c)]).collect();
         let mut unseen = Vec::new();
@@ -150,8 +147,8 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     /// Condition number of the raw regressor of the base parameters, SI units; and of all columns at unit length.
-    pub(super) fn condition_numbers(&self, layout: &Layout<N>) -> (f64, f64) {
-        let (gram, _) = self.weighted(layout, &[1.0; N]);
+    pub(super) fn condition_numbers(&self, layout: &Layout) -> (f64, f64) {
+        let (gram, _) = self.weighted(layout, &vec![1.0; self.joints.len()]);
         let raw = gram.view((0, 0), (layout.base, layout.base)).into_owned();
         (condition(raw), condition(equilibrated(&gram).0))
     }

@@ -1,6 +1,7 @@
 //! The page of an identification.
 
 use super::record::Report;
+use crate::dynamics::PerJoint;
 use crate::report::page::{Page, Section, or_dash};
 use crate::report::plot::{Curve, Panel, PlotColor};
 
@@ -11,7 +12,7 @@ fn percent(ratio: f64) -> String {
 /// The page of `report`.
 ///
 /// * `trace` time, measured and predicted torque on the first validation log, N·m
-pub fn page<const N: usize>(report: &Report, trace: &[(f64, [f64; N], [f64; N])]) -> Page {
+pub fn page(report: &Report, trace: &[(f64, PerJoint<f64>, PerJoint<f64>)]) -> Page {
     let best = report.methods.get(&report.recommended);
     let files: Vec<&String> = best.map_or(Vec::new(), |method| {
         method.validation.keys().chain(method.test.keys()).collect()
@@ -55,7 +56,7 @@ pub fn page<const N: usize>(report: &Report, trace: &[(f64, [f64; N], [f64; N])]
         )
         .sections(findings_section(report))
         .sections([methods_section(report)])
-        .sections(files.iter().map(|file| file_section::<N>(report, file)))
+        .sections(files.iter().map(|file| file_section(report, file)))
         .sections((!trace.is_empty()).then(|| trace_section(report, trace)))
         .sections(loss_section(report))
         .sections(needs_section(report))
@@ -106,8 +107,10 @@ fn methods_section(report: &Report) -> Section {
     )
 }
 
-fn file_section<const N: usize>(report: &Report, file: &str) -> Section {
-    let joints: String = (1..=N).map(|joint| format!(" | J{joint} / N·m")).collect();
+fn file_section(report: &Report, file: &str) -> Section {
+    let joints: String = (1..=report.still_share_ratio.len())
+        .map(|joint| format!(" | J{joint} / N·m"))
+        .collect();
     let rows = report.methods.iter().filter_map(|(name, method)| {
         let record = method
             .validation
@@ -152,9 +155,9 @@ fn file_section<const N: usize>(report: &Report, file: &str) -> Section {
     .table(format!("method | all joints | 95 %{joints} | bound"), rows)
 }
 
-fn trace_section<const N: usize>(report: &Report, trace: &[(f64, [f64; N], [f64; N])]) -> Section {
+fn trace_section(report: &Report, trace: &[(f64, PerJoint<f64>, PerJoint<f64>)]) -> Section {
     let (truth, after) = (PlotColor::Truth, PlotColor::After);
-    let panels = Panel::of_joints::<N>("torque / N·m", |joint| {
+    let panels = Panel::of_joints(report.still_share_ratio.len(), "torque / N·m", |joint| {
         vec![
             Curve::new(truth, trace, |(t, tau, _)| (*t, tau[joint])),
             Curve::new(after, trace, |(t, _, tau)| (*t, tau[joint])),

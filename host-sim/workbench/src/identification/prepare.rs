@@ -1,12 +1,12 @@
 //! From a stretch of a log to the rows of the linear model: motion, regressor and torque through the same filter.
 
+use super::IdentifyError;
 use super::columns::Layout;
-use super::error::IdentifyError;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
 use super::speed::SpeedSums;
 use super::whole_log::{GAP_PERIODS, WholeLog};
-use crate::dynamics::{Joints, State};
+use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use nalgebra::DMatrix;
 use std::ops::Range;
@@ -33,12 +33,8 @@ impl PrepareConfig {
     /// Check that the rows of a log are near enough for the filters.
     ///
     /// Errors: the log's; [`IdentifyError::CutOff`].
-    pub(super) fn check<const N: usize>(
-        &self,
-        path: &Path,
-        robot: &Robot,
-    ) -> Result<(), IdentifyError> {
-        let period_s = WholeLog::<N>::open(path, robot)?.period_s();
+    pub(super) fn check(&self, path: &Path, robot: &Robot) -> Result<(), IdentifyError> {
+        let period_s = WholeLog::open(path, robot)?.period_s();
         let torque = self.torque_hz.map(|hz| ("--torque-hz", hz));
         for (option, hz) in [("--motion-hz", self.motion_hz)].into_iter().chain(torque) {
             if Butterworth::new(hz, period_s).is_none() {
@@ -88,8 +84,8 @@ impl Preparation {
     }
 
     /// Filters and sources of motion of a log, from its first rows; `notes` receives the sources.
-    pub(super) fn of_log<const N: usize>(
-        log: &WholeLog<N>,
+    pub(super) fn of_log(
+        log: &WholeLog,
         config: &PrepareConfig,
         path: &Path,
         notes: &mut Vec<String>,
@@ -100,7 +96,7 @@ impl Preparation {
             notes.push(format!("{name}: torque is drive gain × motor current"));
         }
         // Up to the first gap: derivatives across it would be wrong.
-        let whole = |a: &LogRow<N>, b: &LogRow<N>| b.t_s - a.t_s <= GAP_PERIODS * period_s;
+        let whole = |a: &LogRow, b: &LogRow| b.t_s - a.t_s <= GAP_PERIODS * period_s;
         let preview = log.preview().chunk_by(whole).next().unwrap_or_default();
         let start_s = preview.first().map_or(0.0, |row| row.t_s);
         let at = |logged| Self::new(config, start_s, period_s, logged);
@@ -129,11 +125,13 @@ impl Preparation {
             let mut own = logged;
             own[order] = true;
             let (own, derived) = (at(own).motion(preview), at(logged).motion(preview));
-            let of = |state: &State<N>| [state.qd, state.qdd][order];
+            let of = |state: &Motion| [state.qd, state.qdd][order];
             let (mut error, mut size) = (0.0, 0.0);
             for (own, derived) in own.iter().zip(&derived).take(own.len() - edge).skip(edge) {
-                error += (of(own) - of(derived)).norm_squared();
-                size += of(derived).norm_squared();
+                let (own, derived) = (of(own), of(derived));
+                let apart = own.iter().zip(derived.iter()).map(|(a, b)| (a - b).powi(2));
+                error += apart.sum::<f64>();
+                size += derived.iter().map(|value| value * value).sum::<f64>();
             }
             let apart = (error / f64::max(size, f64::MIN_POSITIVE)).sqrt();
             logged[order] = reader.is_mapped() || apart <= TRUST[order];
@@ -205,64 +203,58 @@ impl Preparation {
     }
 
     /// Smoothed motion of a stretch of rows.
-    pub(super) fn motion<const N: usize>(&self, rows: &[LogRow<N>]) -> Vec<State<N>> {
-        let column = |pick: fn(&LogRow<N>) -> [f64; N]| -> Vec<f64> {
-            let mut table: Vec<f64> = rows.iter().flat_map(pick).collect();
+    pub(super) fn motion(&self, rows: &[LogRow]) -> Vec<Motion> {
+        let joints = rows.first().map_or(1, |row| row.q.len());
+        let column = |pick: fn(&LogRow) -> PerJoint<f64>| -> Vec<f64> {
+            let mut table: Vec<f64> = rows.iter().flat_map(|row| pick(row).to_vec()).collect();
             if let Some(filter) = &self.motion {
-                filter.smooth(&mut table, N);
+                filter.smooth(&mut table, joints);
             }
             table
         };
         let q = column(|row| row.q);
         let qd = match self.logged[0] {
             true => column(|row| row.qd),
-            false => derivative(&q, N, self.period_s),
+            false => derivative(&q, joints, self.period_s),
         };
         let qdd = match self.logged[1] {
             true => column(|row| row.qdd),
-            false => derivative(&qd, N, self.period_s),
+            false => derivative(&qd, joints, self.period_s),
         };
-        states(&q, &qd, &qdd)
+        states(joints, [&q, &qd, &qdd])
     }
 }
 
-/// States from tables of positions, velocities and accelerations, N a row.
-pub(super) fn states<const N: usize>(q: &[f64], qd: &[f64], qdd: &[f64]) -> Vec<State<N>> {
-    let rows = q
-        .chunks_exact(N)
-        .zip(qd.chunks_exact(N))
-        .zip(qdd.chunks_exact(N));
-    rows.map(|((q, qd), qdd)| State {
-        q: Joints::from_column_slice(q),
-        qd: Joints::from_column_slice(qd),
-        qdd: Joints::from_column_slice(qdd),
-    })
-    .collect()
+/// Motion from tables of positions, velocities and accelerations, so many joints a row.
+pub(super) fn states(joints: usize, tables: [&[f64]; 3]) -> Vec<Motion> {
+    let [q, qd, qdd] = tables.map(|table| table.chunks_exact(joints).map(PerJoint::from));
+    let rows = q.zip(qd).zip(qdd);
+    rows.map(|((q, qd), qdd)| Motion { q, qd, qdd }).collect()
 }
 
 /// A stretch of a log, with the rows around it that its filters need.
 #[derive(Clone, Debug)]
-pub struct Stretch<const N: usize> {
+pub struct Stretch {
     /// Number of the stretch, over all logs.
     pub index: usize,
     /// Rows, margins included.
-    pub rows: Vec<LogRow<N>>,
+    pub rows: Vec<LogRow>,
     /// The rows that count.
     pub core: Range<usize>,
 }
 
 /// Rows of the linear model from a stretch.
 #[derive(Clone, Debug)]
-pub struct Prepared<const N: usize> {
+pub struct Prepared {
     /// Number of the stretch.
     pub index: usize,
     /// Motion of all its rows, margins included.
-    pub states: Vec<State<N>>,
+    pub states: Vec<Motion>,
     /// Active columns of all joints, row after row, filtered.
     pub panel: Vec<f64>,
     /// Sine and cosine of the cogging phase of all joints, row after row, filtered.
     pub cogging_basis: Vec<[f64; 2]>,
-    /// Torques, N a row, filtered, N·m.
+    /// Torques, one a joint and row, filtered, N·m.
     pub tau: Vec<f64>,
     /// Torques with spikes taken out before filtering, N·m.
     pub clean: Vec<f64>,
@@ -273,14 +265,18 @@ pub struct Prepared<const N: usize> {
     /// Times of all rows, s.
     pub t_s: Vec<f64>,
     /// Sums over raw torques by speed.
-    pub speeds: SpeedSums<N>,
+    pub speeds: SpeedSums,
 }
 
-impl<const N: usize> Prepared<N> {
+impl Prepared {
     /// The rows of a stretch.
-    pub fn new(stretch: &Stretch<N>, preparation: &Preparation, layout: &Layout<N>) -> Self {
-        let tau: Vec<f64> = stretch.rows.iter().flat_map(|row| row.tau).collect();
-        let (clean, spikes) = despiked(&tau, N, preparation.spike_reach());
+    pub fn new(stretch: &Stretch, preparation: &Preparation, layout: &Layout) -> Self {
+        let tau: Vec<f64> = stretch
+            .rows
+            .iter()
+            .flat_map(|row| row.tau.to_vec())
+            .collect();
+        let (clean, spikes) = despiked(&tau, layout.joints(), preparation.spike_reach());
         let raw = Self {
             index: stretch.index,
             states: preparation.motion(&stretch.rows),
@@ -291,7 +287,7 @@ impl<const N: usize> Prepared<N> {
             spikes,
             core: stretch.core.clone(),
             t_s: stretch.rows.iter().map(|row| row.t_s).collect(),
-            speeds: SpeedSums::new(),
+            speeds: SpeedSums::new(layout.joints()),
         };
         raw.filled(preparation, layout, &|table, width| {
             preparation.smooth_torque(table, width);
@@ -299,7 +295,7 @@ impl<const N: usize> Prepared<N> {
     }
 
     /// Active columns of `joint` in `row`, filtered.
-    pub(super) fn columns(&self, layout: &Layout<N>, row: usize, joint: usize) -> &[f64] {
+    pub(super) fn columns(&self, layout: &Layout, row: usize, joint: usize) -> &[f64] {
         layout.columns(joint, &self.panel[row * layout.width..])
     }
 
@@ -308,21 +304,23 @@ impl<const N: usize> Prepared<N> {
     pub(super) fn filled(
         mut self,
         preparation: &Preparation,
-        layout: &Layout<N>,
+        layout: &Layout,
         smooth: &dyn Fn(&mut [f64], usize),
     ) -> Self {
-        let mut scratch = DMatrix::zeros(N, (crate::robot::LINK_PARAMETERS + 1) * N);
+        let joints = layout.joints();
+        let mut scratch = DMatrix::zeros(joints, (crate::robot::LINK_PARAMETERS + 1) * joints);
         for (state, t_s) in self.states.iter().zip(&self.t_s) {
             let age_s = t_s - preparation.start_s;
             layout.append_row(state, age_s, &mut scratch, &mut self.panel);
-            self.cogging_basis.extend(layout.cogging_basis(&state.q));
+            let basis = layout.cogging_basis(&state.q);
+            self.cogging_basis.extend_from_slice(&basis);
         }
         for row in self.core.clone() {
             // Blocks of a second take turns.
             let half = ((self.t_s[row] - preparation.start_s) as usize) % 2;
             let panel = &self.panel[row * layout.width..];
-            for joint in 0..N {
-                let (qd, place) = (self.states[row].qd[joint], row * N + joint);
+            for joint in 0..joints {
+                let (qd, place) = (self.states[row].qd[joint], row * joints + joint);
                 if qd.abs() > preparation.still_rad_s {
                     let (basis, columns) =
                         (&self.cogging_basis[place], layout.columns(joint, panel));
@@ -332,9 +330,9 @@ impl<const N: usize> Prepared<N> {
             }
         }
         smooth(&mut self.panel, layout.width);
-        smooth(self.cogging_basis.as_flattened_mut(), 2 * N);
-        smooth(&mut self.tau, N);
-        smooth(&mut self.clean, N);
+        smooth(self.cogging_basis.as_flattened_mut(), 2 * joints);
+        smooth(&mut self.tau, joints);
+        smooth(&mut self.clean, joints);
         self
     }
 }

@@ -6,7 +6,7 @@ use super::dataset::{Dataset, RowSums, SampleRow};
 use super::methods::{Fit, MethodName, huber};
 use super::normal::NormalEquations;
 use super::speed::SpeedSums;
-use crate::dynamics::{Joints, State};
+use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use crate::training::{BlackBox, LinearLayer};
 use foretorque::feedforward::{JointNetwork, NETWORK_BOUND};
@@ -18,13 +18,13 @@ pub type Progress<'a> = &'a dyn Fn(&str);
 
 /// A problem to be solved on any rows.
 #[derive(Clone, Copy)]
-pub(super) struct Problem<'a, const N: usize> {
+pub(super) struct Problem<'a> {
     /// The description.
     pub(super) robot: &'a Robot,
     /// All columns.
-    pub(super) layout: &'a Layout<N>,
+    pub(super) layout: &'a Layout,
     /// The columns among them that the board has.
-    pub(super) board: &'a Layout<N>,
+    pub(super) board: &'a Layout,
     /// Methods.
     pub(super) methods: &'a [MethodName],
     /// Seed of random starts.
@@ -32,18 +32,18 @@ pub(super) struct Problem<'a, const N: usize> {
 }
 
 /// Rows that a method is trained on, and sums over them.
-pub(super) struct TrainingData<'a, const N: usize> {
+pub(super) struct TrainingData<'a> {
     /// Sums over filtered rows.
-    pub(super) sums: RowSums<N>,
+    pub(super) sums: RowSums,
     /// Rows for methods that iterate over them.
-    pub(super) sample: Vec<&'a SampleRow<N>>,
+    pub(super) sample: Vec<&'a SampleRow>,
     /// Sums over raw torques by speed.
-    pub(super) speeds: SpeedSums<N>,
+    pub(super) speeds: SpeedSums,
 }
 
-impl<'a, const N: usize> TrainingData<'a, N> {
+impl<'a> TrainingData<'a> {
     /// Training data of a whole dataset.
-    pub(super) fn all(dataset: &'a Dataset<N>) -> Self {
+    pub(super) fn all(dataset: &'a Dataset) -> Self {
         Self {
             sums: dataset.sums.clone(),
             sample: dataset.sample.iter().collect(),
@@ -52,13 +52,13 @@ impl<'a, const N: usize> TrainingData<'a, N> {
     }
 
     /// Training data of some sampled rows only.
-    pub(super) fn of(layout: &Layout<N>, sample: Vec<&'a SampleRow<N>>) -> Self {
+    pub(super) fn of(layout: &Layout, sample: Vec<&'a SampleRow>) -> Self {
         let mut sums = RowSums::new(layout);
         sums.add(layout, &sample);
-        let mut speeds = SpeedSums::new();
+        let mut speeds = SpeedSums::new(layout.joints());
         for (place, row) in sample.iter().enumerate() {
             let half = 10 * place / sample.len() % 2;
-            for joint in (0..N).filter(|&joint| row.moving[joint]) {
+            for joint in (0..layout.joints()).filter(|&joint| row.moving[joint]) {
                 let (qd, columns) = (row.state.qd[joint], row.columns(layout, joint));
                 let basis = &row.cogging_basis[joint];
                 speeds.add((joint, half), qd, basis, columns, row.clean[joint]);
@@ -74,10 +74,10 @@ impl<'a, const N: usize> TrainingData<'a, N> {
     /// Sums over the sample with Huber's weights for the residuals of `theta`.
     pub(super) fn robust_sums(
         &self,
-        layout: &Layout<N>,
+        layout: &Layout,
         theta: &DVector<f64>,
-        sigma: &[f64; N],
-    ) -> NormalEquations<N> {
+        sigma: &[f64],
+    ) -> NormalEquations {
         let joints = sigma.iter().enumerate();
         let joints = joints.map(|(joint, &sigma)| huber(joint, &self.sample, layout, theta, sigma));
         NormalEquations {
@@ -86,10 +86,10 @@ impl<'a, const N: usize> TrainingData<'a, N> {
     }
 
     /// The linear layer whose loss is the weighted one: every joint's rows divided by the noise of `fit`.
-    pub(super) fn layer(&self, layout: &Layout<N>, fit: &Fit<N>) -> LinearLayer {
+    pub(super) fn layer(&self, layout: &Layout, fit: &Fit) -> LinearLayer {
         let sums = &self.sums.all;
         let (gram, moment) = sums.weighted(layout, &fit.sigma);
-        let joints = sums.joints.iter().zip(&fit.sigma);
+        let joints = sums.joints.iter().zip(fit.sigma.iter());
         let power = joints.map(|(joint, sigma)| joint.power / (sigma * sigma));
         LinearLayer::new(&gram, &moment, power.sum(), sums.count())
     }
@@ -97,29 +97,29 @@ impl<'a, const N: usize> TrainingData<'a, N> {
 
 /// A model to be validated.
 #[derive(Clone, Debug)]
-pub enum Candidate<const N: usize> {
+pub enum Candidate {
     /// The linear model.
     Linear(DVector<f64>),
     /// The black-box network.
-    BlackBox(Box<BlackBox<N>>),
+    BlackBox(Box<BlackBox>),
     /// The linear model and the board's networks, in f32 and with the board's bound.
     Residual {
         /// Parameters of the linear part, zero for columns the board does not have.
         theta: DVector<f64>,
         /// Direct connections of the networks from sine and cosine of the cogging phase, N·m.
-        cogging: CoggingAmplitudes<N>,
+        cogging: CoggingAmplitudes,
         /// One network a joint.
-        networks: Box<[JointNetwork; N]>,
+        networks: Vec<JointNetwork>,
         /// Torque limit of every joint, N·m.
-        limits: [f64; N],
+        limits: Vec<f64>,
     },
 }
 
-impl<const N: usize> Candidate<N> {
+impl Candidate {
     /// Torque at a joint without networks, N·m, from its active columns and the sine and cosine of its cogging phase.
     pub(super) fn linear(
         &self,
-        layout: &Layout<N>,
+        layout: &Layout,
         joint: usize,
         columns: &[f64],
         basis: &[f64; 2],
@@ -135,13 +135,13 @@ impl<const N: usize> Candidate<N> {
     }
 
     /// Torques of the networks at the speeds of `state`, N·m; `None` without networks.
-    pub(super) fn network(&self, state: &State<N>) -> Option<[f64; N]> {
+    pub(super) fn network(&self, state: &Motion) -> Option<PerJoint<f64>> {
         match self {
             Self::Linear(_) => None,
             Self::BlackBox(network) => Some(network.torque(state)),
             Self::Residual {
                 networks, limits, ..
-            } => Some(std::array::from_fn(|joint| {
+            } => Some(PerJoint::from_fn(networks.len(), |joint| {
                 let inputs = network_inputs(state.qd[joint] as f32);
                 let [[output]] = networks[joint].forward(&inputs).data.0;
                 f64::from(output.clamp(-NETWORK_BOUND, NETWORK_BOUND)) * limits[joint]
@@ -150,9 +150,12 @@ impl<const N: usize> Candidate<N> {
     }
 
     /// Torque of the model at the state of `row`, N·m.
-    pub fn torque(&self, layout: &Layout<N>, row: &SampleRow<N>) -> Joints<N> {
-        let network = self.network(&row.state).unwrap_or([0.0; N]);
-        Joints::from_fn(|joint, _| {
+    pub fn torque(&self, layout: &Layout, row: &SampleRow) -> PerJoint<f64> {
+        let joints = layout.joints();
+        let network = self
+            .network(&row.state)
+            .unwrap_or(PerJoint::repeat(joints, 0.0));
+        PerJoint::from_fn(joints, |joint| {
             let columns = row.columns(layout, joint);
             self.linear(layout, joint, columns, &row.cogging_basis[joint]) + network[joint]
         })
@@ -161,15 +164,15 @@ impl<const N: usize> Candidate<N> {
 
 /// Result of one method.
 #[derive(Clone, Debug)]
-pub struct MethodResult<const N: usize> {
+pub struct MethodResult {
     /// The method.
     pub name: MethodName,
     /// The model.
-    pub candidate: Candidate<N>,
+    pub candidate: Candidate,
     /// Its linear part with covariance, if it has one.
-    pub fit: Option<Fit<N>>,
+    pub fit: Option<Fit>,
     /// The fit that takes the place of a model with networks where those are worse on unseen rows.
-    pub linear: Option<Fit<N>>,
+    pub linear: Option<Fit>,
     /// The robot it describes, if it describes one.
     pub robot: Option<Robot>,
     /// Rows it was trained on.
@@ -186,9 +189,9 @@ pub struct MethodResult<const N: usize> {
     pub distance_nats: Option<f64>,
 }
 
-impl<const N: usize> MethodResult<N> {
+impl MethodResult {
     /// A result of nothing but a model and its rows.
-    pub(super) fn plain(name: MethodName, candidate: Candidate<N>, rows: usize) -> Self {
+    pub(super) fn plain(name: MethodName, candidate: Candidate, rows: usize) -> Self {
         Self {
             name,
             candidate,

@@ -3,7 +3,7 @@
 use super::columns::Layout;
 use super::judge::{Finding, Judgement};
 use super::problem::MethodResult;
-use super::truth::base_error;
+use super::study::base_error;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -210,9 +210,9 @@ impl MethodRecord {
     }
 
     /// The record of a result, without validation logs.
-    pub(super) fn of<const N: usize>(
-        result: &MethodResult<N>,
-        layout: &Layout<N>,
+    pub(super) fn of(
+        result: &MethodResult,
+        layout: &Layout,
         truth: Option<&[Option<f64>]>,
         split_80_20: SplitRecord,
     ) -> Self {

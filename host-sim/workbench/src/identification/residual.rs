@@ -1,11 +1,12 @@
 //! The linear model that the board has and one small BP network a joint for its residual.
 
+use super::IdentifyError;
 use super::cogging::CoggingAmplitudes;
 use super::columns::Layout;
-use super::error::IdentifyError;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::NormalEquations;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
+use crate::dynamics::PerJoint;
 use crate::training::{ResidualConfig, train_residual};
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::network_inputs;
@@ -20,17 +21,23 @@ const ROUNDS: usize = 3;
 type Trained = (JointNetwork, Vec<f64>);
 
 /// Linear model and cogging amplitudes.
-type Linear<const N: usize> = (Fit<N>, CoggingAmplitudes<N>);
+type Linear = (Fit, CoggingAmplitudes);
 
 /// Result of `bp_residual`: columns of the board fitted to rows without spikes and networks trained on what is left, in
 /// turns.
-pub(super) fn residual<const N: usize>(
-    problem: &Problem<'_, N>,
-    data: &TrainingData<'_, N>,
+pub(super) fn residual(
+    problem: &Problem<'_>,
+    data: &TrainingData<'_>,
     progress: Progress<'_>,
-) -> Result<MethodResult<N>, IdentifyError> {
-    let limits = std::array::from_fn(|joint| problem.robot.joints[joint].limits.torque);
-    let mut linear = fit(problem, data, &data.sums.clean, [[0.0; 2]; N])?;
+) -> Result<MethodResult, IdentifyError> {
+    let joints = problem.layout.joints();
+    let limits = PerJoint::from_fn(joints, |joint| problem.robot.joints[joint].limits.torque);
+    let mut linear = fit(
+        problem,
+        data,
+        &data.sums.clean,
+        PerJoint::repeat(joints, [0.0; 2]),
+    )?;
     let mut trained = train(problem, data, &linear, &limits, progress);
     for _ in 1..ROUNDS {
         let mut sums = data.sums.clean.clone();
@@ -49,9 +56,11 @@ pub(super) fn residual<const N: usize>(
     let epochs = losses.iter().map(Vec::len).max().unwrap_or(0);
     let at = |losses: &Vec<f64>, epoch| losses.get(epoch).or(losses.last()).copied().unwrap_or(0.0);
     let mean: Vec<f64> = (0..epochs)
-        .map(|epoch| losses.iter().map(|own| at(own, epoch)).sum::<f64>() / N as f64)
+        .map(|epoch| losses.iter().map(|own| at(own, epoch)).sum::<f64>() / joints as f64)
         .collect();
-    let networks: [JointNetwork; N] = networks.try_into().map_err(|_| IdentifyError::Untrained)?;
+    if networks.len() < joints {
+        return Err(IdentifyError::Untrained);
+    }
     let (fit, cogging) = linear;
     let alone = data.sums.clean.subset(problem.layout, problem.board);
     let alone = wls(&alone, problem.board).ok_or(IdentifyError::Unsolvable)?;
@@ -59,14 +68,14 @@ pub(super) fn residual<const N: usize>(
     let mut candidate = Candidate::Residual {
         theta: fit.theta.clone(),
         cogging,
-        networks: Box::new(networks),
-        limits,
+        networks,
+        limits: limits.to_vec(),
     };
     let plain = Candidate::Linear(alone.theta.clone());
     let mut fit = fit;
     // Networks and cogging that do not even fit their own rows better are left out.
     let square =
-        |candidate: &Candidate<N>| weighted_square(problem.layout, data, candidate, &alone.sigma);
+        |candidate: &Candidate| weighted_square(problem.layout, data, candidate, &alone.sigma);
     let better = square(&candidate) <= square(&plain);
     if !better {
         (candidate, fit) = (plain, alone.clone());
@@ -81,16 +90,16 @@ pub(super) fn residual<const N: usize>(
 }
 
 /// Mean square residual of the sampled rows, every joint in units of its `sigma`, N·m.
-fn weighted_square<const N: usize>(
-    layout: &Layout<N>,
-    data: &TrainingData<'_, N>,
-    candidate: &Candidate<N>,
-    sigma: &[f64; N],
+fn weighted_square(
+    layout: &Layout,
+    data: &TrainingData<'_>,
+    candidate: &Candidate,
+    sigma: &[f64],
 ) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for row in &data.sample {
         let torque = candidate.torque(layout, row);
-        for joint in (0..N).filter(|&joint| row.moving[joint]) {
+        for joint in (0..layout.joints()).filter(|&joint| row.moving[joint]) {
             sum += ((row.clean[joint] - torque[joint]) / sigma[joint]).powi(2);
             count += 1.0;
         }
@@ -99,12 +108,12 @@ fn weighted_square<const N: usize>(
 }
 
 /// Columns of the board and cogging fitted in turns: cogging is fast against every other column, so few turns suffice.
-fn fit<const N: usize>(
-    problem: &Problem<'_, N>,
-    data: &TrainingData<'_, N>,
-    sums: &NormalEquations<N>,
-    mut cogging: CoggingAmplitudes<N>,
-) -> Result<Linear<N>, IdentifyError> {
+fn fit(
+    problem: &Problem<'_>,
+    data: &TrainingData<'_>,
+    sums: &NormalEquations,
+    mut cogging: CoggingAmplitudes,
+) -> Result<Linear, IdentifyError> {
     let Problem { layout, board, .. } = *problem;
     let mut fit = None;
     for _ in 0..ROUNDS {
@@ -125,11 +134,11 @@ fn fit<const N: usize>(
 }
 
 /// Networks of all joints, trained on the residuals of the linear model and cogging.
-fn train<const N: usize>(
-    problem: &Problem<'_, N>,
-    data: &TrainingData<'_, N>,
-    (fit, cogging): &Linear<N>,
-    limits: &[f64; N],
+fn train(
+    problem: &Problem<'_>,
+    data: &TrainingData<'_>,
+    (fit, cogging): &Linear,
+    limits: &[f64],
     progress: Progress<'_>,
 ) -> Vec<Trained> {
     let (sender, steps) = channel();
@@ -151,7 +160,7 @@ fn train<const N: usize>(
     };
     std::thread::scope(|scope| {
         let (train, sender) = (&train, sender);
-        let joints: Vec<_> = (0..N)
+        let joints: Vec<_> = (0..limits.len())
             .map(|joint| {
                 let sender = sender.clone();
                 scope.spawn(move || train(joint, sender))
@@ -171,7 +180,7 @@ fn train<const N: usize>(
 }
 
 /// A fit over the columns of the board as one over all columns; the others are zero, with variance zero.
-fn widened<const N: usize>(fit: &Fit<N>, layout: &Layout<N>, board: &Layout<N>) -> Fit<N> {
+fn widened(fit: &Fit, layout: &Layout, board: &Layout) -> Fit {
     let places = layout.places_of(board);
     let size = layout.parameters.len();
     let (mut theta, mut covariance) = (DVector::zeros(size), DMatrix::zeros(size, size));

@@ -1,9 +1,9 @@
 //! One method after the other on the same training data.
 
+use super::IdentifyError;
 use super::columns::Layout;
 use super::consistent::consistent;
 use super::dataset::SampleRow;
-use super::error::IdentifyError;
 use super::evidence::evidence;
 use super::methods::{Fit, MethodName, irls, ols, wls};
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
@@ -17,13 +17,13 @@ use std::time::Instant;
 /// * `board` the columns among them that the board has: the linear part of `bp_residual`
 ///
 /// Errors: columns that the rows do not show; a method that cannot be solved.
-pub fn fit_rows<const N: usize>(
+pub fn fit_rows(
     robot: &Robot,
-    (layout, board): (&Layout<N>, &Layout<N>),
+    (layout, board): (&Layout, &Layout),
     methods: &[MethodName],
-    rows: &[&SampleRow<N>],
+    rows: &[&SampleRow],
     seed: u64,
-) -> Result<Vec<MethodResult<N>>, IdentifyError> {
+) -> Result<Vec<MethodResult>, IdentifyError> {
     let data = TrainingData::of(layout, rows.to_vec());
     data.sums.all.check_rank(layout)?;
     let problem = Problem {
@@ -37,11 +37,11 @@ pub fn fit_rows<const N: usize>(
 }
 
 /// The results of all methods, in the order of the problem.
-pub(super) fn solve_all<const N: usize>(
-    problem: &Problem<'_, N>,
-    data: &TrainingData<'_, N>,
+pub(super) fn solve_all(
+    problem: &Problem<'_>,
+    data: &TrainingData<'_>,
     progress: Progress<'_>,
-) -> Result<Vec<MethodResult<N>>, IdentifyError> {
+) -> Result<Vec<MethodResult>, IdentifyError> {
     let methods = problem.methods.iter();
     methods
         .map(|&name| {
@@ -56,16 +56,16 @@ pub(super) fn solve_all<const N: usize>(
         .collect()
 }
 
-fn solve_one<const N: usize>(
+fn solve_one(
     name: MethodName,
-    problem: &Problem<'_, N>,
-    data: &TrainingData<'_, N>,
+    problem: &Problem<'_>,
+    data: &TrainingData<'_>,
     progress: Progress<'_>,
-) -> Result<MethodResult<N>, IdentifyError> {
+) -> Result<MethodResult, IdentifyError> {
     let layout = problem.layout;
     let sampled = data.sample.len();
     let robust = || irls(&data.sums.clean, &data.sample, layout);
-    let linear = |fit: Option<Fit<N>>, rows| {
+    let linear = |fit: Option<Fit>, rows| {
         let fit = fit.ok_or(IdentifyError::Unsolvable)?;
         Ok(MethodResult {
             epochs: fit.iterations,
@@ -99,11 +99,11 @@ fn solve_one<const N: usize>(
 }
 
 /// Result of `bp_physical`: every joint's rows are divided by the noise of weighted least squares.
-fn physical<const N: usize>(
-    problem: &Problem<'_, N>,
-    data: &TrainingData<'_, N>,
+fn physical(
+    problem: &Problem<'_>,
+    data: &TrainingData<'_>,
     progress: Progress<'_>,
-) -> Result<MethodResult<N>, IdentifyError> {
+) -> Result<MethodResult, IdentifyError> {
     let layout = problem.layout;
     let reference = wls(&data.sums.all, layout).ok_or(IdentifyError::Unsolvable)?;
     let layer = data.layer(layout, &reference);
@@ -130,11 +130,11 @@ fn physical<const N: usize>(
 }
 
 /// Result of `bp_black_box`.
-fn black_box<const N: usize>(
-    problem: &Problem<'_, N>,
-    data: &TrainingData<'_, N>,
+fn black_box(
+    problem: &Problem<'_>,
+    data: &TrainingData<'_>,
     progress: Progress<'_>,
-) -> MethodResult<N> {
+) -> MethodResult {
     let rows = data.sample.iter();
     let rows: Vec<_> = rows.map(|row| (row.state, row.tau, row.moving)).collect();
     let network = BlackBox::train(&rows, problem.seed, &mut |epoch, loss| {

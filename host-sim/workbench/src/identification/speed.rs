@@ -26,7 +26,7 @@ struct Bin {
 
 /// Sums of every joint, for two halves of the log that take turns.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SpeedSums<const N: usize> {
+pub struct SpeedSums {
     /// One sparse row of bins a half and joint.
     bins: Vec<Vec<Option<Box<Bin>>>>,
 }
@@ -42,11 +42,11 @@ impl Bin {
     }
 }
 
-impl<const N: usize> SpeedSums<N> {
-    /// Sums over no rows.
-    pub(super) fn new() -> Self {
+impl SpeedSums {
+    /// Sums over no rows of so many joints.
+    pub(super) fn new(joints: usize) -> Self {
         Self {
-            bins: vec![vec![None; BINS]; 2 * N],
+            bins: vec![vec![None; BINS]; 2 * joints],
         }
     }
 
@@ -106,7 +106,7 @@ impl<const N: usize> SpeedSums<N> {
     /// Mean residuals of a linear model and cogging at each speed, divided by `unit`, N·m, in one half of the log.
     pub(super) fn residuals(
         &self,
-        layout: &Layout<N>,
+        layout: &Layout,
         theta: &DVector<f64>,
         cogging: [f64; 2],
         (joint, half): (usize, usize),

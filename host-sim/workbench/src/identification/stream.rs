@@ -21,20 +21,20 @@ const STRETCH: usize = 16_384;
 /// * `notes` receives derived columns and gaps
 ///
 /// Errors: [`TableError`] of the first bad row, perhaps after some stretches.
-pub fn for_each_prepared<const N: usize>(
+pub fn for_each_prepared(
     path: &Path,
     robot: &Robot,
-    layout: &Layout<N>,
+    layout: &Layout,
     config: &PrepareConfig,
     notes: &mut Vec<String>,
-    take: &mut dyn FnMut(&Preparation, Prepared<N>),
+    take: &mut dyn FnMut(&Preparation, Prepared),
 ) -> Result<Preparation, TableError> {
-    let mut log = WholeLog::<N>::open(path, robot)?;
+    let mut log = WholeLog::open(path, robot)?;
     let preparation = Preparation::of_log(&log, config, path, notes);
     let workers = cores();
-    let (to_workers, stretches) = sync_channel::<Stretch<N>>(workers);
+    let (to_workers, stretches) = sync_channel::<Stretch>(workers);
     let stretches = Mutex::new(stretches);
-    let (finished, results) = sync_channel::<Prepared<N>>(workers);
+    let (finished, results) = sync_channel::<Prepared>(workers);
     std::thread::scope(|scope| {
         for _ in 0..workers {
             let finished = finished.clone();
@@ -72,19 +72,19 @@ pub fn for_each_prepared<const N: usize>(
 }
 
 /// Sends the log to the workers in stretches with margins; returns notes on gaps and lost rows.
-fn cut_into_stretches<const N: usize>(
-    log: &mut WholeLog<N>,
+fn cut_into_stretches(
+    log: &mut WholeLog,
     preparation: &Preparation,
     path: &Path,
-    to_workers: &SyncSender<Stretch<N>>,
+    to_workers: &SyncSender<Stretch>,
 ) -> Result<Vec<String>, TableError> {
     let (mut notes, name) = (Vec::new(), path.display());
     let (margin, edge) = (preparation.margin(), preparation.edge());
     // Rows not yet sent with the margin before them; `begin` is where the unsent core starts.
-    let mut rows: Vec<LogRow<N>> = Vec::new();
+    let mut rows: Vec<LogRow> = Vec::new();
     let mut begin = edge;
     let mut index = 0;
-    let mut send = |rows: Vec<LogRow<N>>, core: std::ops::Range<usize>| {
+    let mut send = |rows: Vec<LogRow>, core: std::ops::Range<usize>| {
         let stretch = Stretch { index, rows, core };
         index += 1;
         // The receiver is gone only when a worker has panicked, which the scope reports.

@@ -1,19 +1,22 @@
-//! All methods side by side on the same logs.
+//! All methods side by side on the same logs, and their errors against known true parameters.
 
+use super::IdentifyError;
+use super::columns::{FrictionTerm, Layout};
 use super::consistent::consistent;
 use super::dataset::{Dataset, SampleRow};
-use super::error::IdentifyError;
 use super::evidence::evidence;
-use super::holdout::{errors, learning_curves, split};
 use super::judge::description;
 use super::methods::{Fit, MethodName, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
 use super::record::{MethodRecord, RIVALS, ValidationRecord};
 use super::stream::for_each_prepared;
-use super::truth::error_curve;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
 use super::validation::{FileScores, Trace};
+use super::validation::{errors, learning_curves, split};
+use crate::robot::Robot;
+use crate::training::{Descent, PhysicalConfig};
+use foretorque::dynamics::FrictionColumn;
 use nalgebra::DVector;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -29,19 +32,19 @@ pub(super) enum Unseen {
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
 
 /// All methods on one dataset.
-pub(super) struct Study<'a, const N: usize> {
-    pub(super) problem: Problem<'a, N>,
-    pub(super) dataset: &'a Dataset<N>,
+pub(super) struct Study<'a> {
+    pub(super) problem: Problem<'a>,
+    pub(super) dataset: &'a Dataset,
     /// Weighted least squares, whose covariance is the Cramér–Rao bound.
-    pub(super) bound: Fit<N>,
-    pub(super) results: Vec<MethodResult<N>>,
+    pub(super) bound: Fit,
+    pub(super) results: Vec<MethodResult>,
     pub(super) truth: Option<Vec<Option<f64>>>,
     pub(super) progress: Progress<'a>,
 }
 
-impl<const N: usize> Study<'_, N> {
+impl Study<'_> {
     /// Records of all methods, without validation logs.
-    pub(super) fn records(&self, data: &TrainingData<'_, N>) -> Result<Methods, IdentifyError> {
+    pub(super) fn records(&self, data: &TrainingData<'_>) -> Result<Methods, IdentifyError> {
         (self.progress)("80/20 split");
         let Problem { layout, seed, .. } = self.problem;
         let truth = self.truth.as_deref();
@@ -66,7 +69,7 @@ impl<const N: usize> Study<'_, N> {
             }
             methods.insert(result.name.to_string(), record);
         }
-        let sample: Vec<&SampleRow<N>> = self.dataset.sample.iter().collect();
+        let sample: Vec<&SampleRow> = self.dataset.sample.iter().collect();
         for (name, candidate) in RIVALS.iter().zip(self.rivals()) {
             let record = MethodRecord {
                 split_80_20: errors(layout, &candidate, &sample),
@@ -78,7 +81,7 @@ impl<const N: usize> Study<'_, N> {
     }
 
     /// The description's own parameters, and zero torque.
-    fn rivals(&self) -> [Candidate<N>; 2] {
+    fn rivals(&self) -> [Candidate; 2] {
         let Problem { robot, layout, .. } = self.problem;
         let theta = description(robot, layout);
         let zero = DVector::zeros(theta.len());
@@ -92,7 +95,7 @@ impl<const N: usize> Study<'_, N> {
         prepare: &PrepareConfig,
         methods: &mut Methods,
         notes: &mut Vec<String>,
-    ) -> Result<Trace<N>, IdentifyError> {
+    ) -> Result<Trace, IdentifyError> {
         let Problem { robot, layout, .. } = self.problem;
         // The linear part of networks competes with them, and takes their place where it is better on unseen rows.
         let fallback = self
@@ -105,7 +108,7 @@ impl<const N: usize> Study<'_, N> {
         let rivals = self.rivals();
         let results = self.results.iter().map(|result| &result.candidate);
         let last = linear.iter().map(|(candidate, _)| candidate);
-        let candidates: Vec<&Candidate<N>> = results.chain(&rivals).chain(last).collect();
+        let candidates: Vec<&Candidate> = results.chain(&rivals).chain(last).collect();
         let add = |methods: &mut Methods, name: &str, log: String, record| {
             let method = methods.entry(name.to_owned()).or_default();
             method.unseen(kind == Unseen::Test).insert(log, record);
@@ -183,7 +186,7 @@ impl<const N: usize> Study<'_, N> {
     }
 
     /// Parameter error of a linear model; `None` when a true parameter is unknown.
-    fn error(&self, result: &MethodResult<N>) -> Option<DVector<f64>> {
+    fn error(&self, result: &MethodResult) -> Option<DVector<f64>> {
         let Candidate::Linear(theta) = &result.candidate else {
             return None;
         };
@@ -196,9 +199,9 @@ impl<const N: usize> Study<'_, N> {
     /// * `complete` the board has all columns
     pub(super) fn bank_fit(
         &self,
-        result: &MethodResult<N>,
+        result: &MethodResult,
         complete: bool,
-    ) -> Result<Fit<N>, IdentifyError> {
+    ) -> Result<Fit, IdentifyError> {
         let Problem {
             robot,
             layout,
@@ -206,9 +209,8 @@ impl<const N: usize> Study<'_, N> {
             ..
         } = self.problem;
         let sums = self.dataset.sums.clean.subset(layout, board);
-        let honest = |fit: Fit<N>| {
-            with_block_deviations(fit, (&sums, board), (&self.dataset.sample, layout))
-        };
+        let honest =
+            |fit: Fit| with_block_deviations(fit, (&sums, board), (&self.dataset.sample, layout));
         if let (true, Some(fit)) = (complete, &result.fit) {
             return Ok(honest(fit.clone()));
         }
@@ -232,8 +234,8 @@ impl<const N: usize> Study<'_, N> {
 
 /// Place of the method with the least error on moving rows it was not trained on, of those the board can run: mean over
 /// the validation logs, or without any the rows that the split held out.
-pub(super) fn recommended<const N: usize>(results: &[MethodResult<N>], methods: &Methods) -> usize {
-    let error = |result: &MethodResult<N>| {
+pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize {
+    let error = |result: &MethodResult| {
         let record = &methods[&result.name.to_string()];
         let logs = record.validation.values();
         let errors = logs.map(|log| log.joints_nrmse_moving_ratio);
@@ -262,4 +264,63 @@ pub(super) fn key_of(path: &Path, all: &[PathBuf]) -> String {
         || path.display().to_string(),
         |name| name.to_string_lossy().into_owned(),
     )
+}
+
+/// True parameters of the layout; `None` for a column that takes up friction of another kind.
+pub(super) fn truths(robot: &Robot, layout: &Layout) -> Vec<Option<f64>> {
+    let base = robot.base_parameters();
+    let mut out: Vec<Option<f64>> = base.into_iter().map(Some).collect();
+    for parameter in layout.parameters.iter().skip(layout.base) {
+        out.push(parameter.friction.and_then(|(term, joint)| {
+            let friction = &robot.joints[joint].friction;
+            let simple = friction.stribeck_ratio == 0.0;
+            let FrictionTerm::Board(column) = term else {
+                return Some(0.0);
+            };
+            match column {
+                FrictionColumn::Viscous => simple.then_some(friction.viscous),
+                FrictionColumn::Coulomb => simple.then_some(friction.coulomb),
+                FrictionColumn::CoggingSine => Some(friction.cogging),
+                FrictionColumn::Stribeck | FrictionColumn::ShearThinning => simple.then_some(0.0),
+                _ => Some(0.0),
+            }
+        }));
+    }
+    out
+}
+
+/// Norm of the error of the base parameters over their norm.
+pub(super) fn base_error(theta: &DVector<f64>, truth: &[Option<f64>], base: usize) -> Option<f64> {
+    let truth: Vec<f64> = truth.iter().take(base).copied().collect::<Option<_>>()?;
+    let pairs = truth.iter().zip(theta.iter());
+    let error: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
+    let size: f64 = truth.iter().map(|value| value * value).sum();
+    Some((error / size).sqrt())
+}
+
+/// Error of the base parameters by epoch of the accelerated layer; empty without a truth.
+pub(super) fn error_curve(
+    data: &TrainingData<'_>,
+    layout: &Layout,
+    reference: &Fit,
+    truth: Option<&[Option<f64>]>,
+    seed: u64,
+) -> Vec<(usize, f64)> {
+    let Some(truth) = truth else {
+        return Vec::new();
+    };
+    let layer = data.layer(layout, reference);
+    let mut curve = Vec::new();
+    for max_epochs in [1, 2, 5, 10, 20, 30, 50, 75, 100, 150, 200, 300, 500, 1000] {
+        let config = PhysicalConfig {
+            max_epochs,
+            starts: 1,
+            ..PhysicalConfig::new(Descent::Accelerated, seed)
+        };
+        let trained = layer.train(&config, &mut |_, _| ());
+        if let Some(error) = base_error(&trained.theta, truth, layout.base) {
+            curve.push((max_epochs, error));
+        }
+    }
+    curve
 }

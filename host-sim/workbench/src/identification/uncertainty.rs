@@ -9,6 +9,7 @@ use super::dataset::SampleRow;
 use super::methods::{Fit, MethodName};
 use super::normal::{NormalEquations, solve};
 use super::problem::{MethodResult, TrainingData};
+use crate::dynamics::PerJoint;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -47,10 +48,10 @@ pub(super) fn middle(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
 }
 
 /// 95 % intervals of the parameters of a least-squares method; `None` for others.
-pub(super) fn parameter_intervals<const N: usize>(
-    layout: &Layout<N>,
-    data: &TrainingData<'_, N>,
-    result: &MethodResult<N>,
+pub(super) fn parameter_intervals(
+    layout: &Layout,
+    data: &TrainingData<'_>,
+    result: &MethodResult,
     seed: u64,
 ) -> Option<Vec<[f64; 2]>> {
     let robust = match result.name {
@@ -60,11 +61,11 @@ pub(super) fn parameter_intervals<const N: usize>(
     };
     let fit = result.fit.as_ref()?;
     let sigma = match result.name {
-        MethodName::Ols => [1.0; N],
+        MethodName::Ols => PerJoint::repeat(layout.joints(), 1.0),
         _ => fit.sigma,
     };
     let stride = data.sample.len().div_ceil(ROWS).max(1);
-    let rows: Vec<&SampleRow<N>> = data.sample.iter().copied().step_by(stride).collect();
+    let rows: Vec<&SampleRow> = data.sample.iter().copied().step_by(stride).collect();
     let length = rows.len().div_ceil(BLOCKS).max(1);
     let blocks: Vec<_> = rows
         .chunks(length)
@@ -111,16 +112,16 @@ fn inflation(residuals: &[f64]) -> f64 {
 /// This fit with the covariance that the residuals of `sample` really leave.
 ///
 /// * `sums` equations of all rows, in `layout`; `sample` rows in `wide`, a layout of the same robot
-pub(super) fn with_block_deviations<const N: usize>(
-    fit: Fit<N>,
-    (sums, layout): (&NormalEquations<N>, &Layout<N>),
-    (sample, wide): (&[SampleRow<N>], &Layout<N>),
-) -> Fit<N> {
+pub(super) fn with_block_deviations(
+    fit: Fit,
+    (sums, layout): (&NormalEquations, &Layout),
+    (sample, wide): (&[SampleRow], &Layout),
+) -> Fit {
     let mut theta = nalgebra::DVector::zeros(wide.parameters.len());
     for (value, place) in fit.theta.iter().zip(wide.places_of(layout)) {
         theta[place] = *value;
     }
-    let sigma = std::array::from_fn(|joint| {
+    let sigma = PerJoint::from_fn(layout.joints(), |joint| {
         let moving = sample.iter().filter(|row| row.moving[joint]);
         let residuals: Vec<f64> = moving
             .map(|row| row.clean[joint] - row.linear(wide, &theta, joint))
@@ -179,7 +180,7 @@ mod tests {
     #[test]
     fn deviations_cover_the_errors_that_correlated_residuals_make() {
         let robot = Robot::load("ur5").expect("built in");
-        let layout = Layout::<6>::new(&robot, &ColumnSet::plain()).expect("six joints");
+        let layout = Layout::new(&robot, &ColumnSet::plain());
         // Residuals that stay for 20 rows, on motion that hardly changes sign in that time.
         let (mut white, mut blocks) = (0.0, 0.0);
         for seed in 0..4 {
@@ -189,7 +190,7 @@ mod tests {
             let motions: Vec<_> = rows.iter().step_by(20).cloned().collect();
             for (k, row) in rows.iter_mut().enumerate() {
                 *row = motions[k / 20].clone();
-                for (state, tau) in state.iter_mut().zip(&mut row.clean) {
+                for (state, tau) in state.iter_mut().zip(row.clean.iter_mut()) {
                     *state = 0.95 * *state + random.random_range(-0.3..0.3);
                     *tau = *state;
                 }
@@ -198,7 +199,7 @@ mod tests {
             let mut sums = RowSums::new(&layout);
             sums.add(&layout, &rows.iter().collect::<Vec<_>>());
             let fit = wls(&sums.clean, &layout).expect("solvable");
-            let error = |fit: &Fit<6>| {
+            let error = |fit: &Fit| {
                 let ratios = fit.theta.component_div(&fit.deviations());
                 ratios.norm_squared() / ratios.len() as f64
             };

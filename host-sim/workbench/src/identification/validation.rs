@@ -1,29 +1,37 @@
-//! Torque errors of models on a log they were not trained on.
+//! Torque errors of models on logs and rows they were not trained on: unseen logs, the 80/20 split of the paper, and growing
+//! shares of the log.
 
+use super::IdentifyError;
 use super::columns::Layout;
 use super::dataset::SampleRow;
+use super::methods::MethodName;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
-use super::problem::Candidate;
-use super::record::ValidationRecord;
+use super::problem::{Candidate, Problem, TrainingData};
+use super::record::{LearningPoint, SplitRecord, ValidationRecord};
+use super::solve::solve_all;
 use super::uncertainty::{middle, resample};
+use crate::dynamics::PerJoint;
 use crate::metrics::{root_mean, root_mean_square};
 use nalgebra::DMatrix;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 /// Squared errors of every candidate, squared torques and number of rows, joint by joint.
 #[derive(Clone, Debug)]
-struct Sums<const N: usize> {
-    errors: Vec<[f64; N]>,
-    torque: [f64; N],
-    count: [f64; N],
+struct Sums {
+    errors: Vec<PerJoint<f64>>,
+    torque: PerJoint<f64>,
+    count: PerJoint<f64>,
 }
 
-impl<const N: usize> Sums<N> {
-    fn new(candidates: usize) -> Self {
+impl Sums {
+    fn new(joints: usize, candidates: usize) -> Self {
+        let zero = PerJoint::repeat(joints, 0.0);
         Self {
-            errors: vec![[0.0; N]; candidates],
-            torque: [0.0; N],
-            count: [0.0; N],
+            errors: vec![zero; candidates],
+            torque: zero,
+            count: zero,
         }
     }
 
@@ -38,43 +46,47 @@ impl<const N: usize> Sums<N> {
 }
 
 /// Time, measured torque, and the torque that every candidate predicts, N·m.
-pub(super) type Trace<const N: usize> = Vec<(f64, [f64; N], Vec<[f64; N]>)>;
+pub(super) type Trace = Vec<(f64, PerJoint<f64>, Vec<PerJoint<f64>>)>;
 
 /// Scores of several candidates on one log.
 #[derive(Clone, Debug)]
-pub(super) struct FileScores<const N: usize> {
-    moving: Sums<N>,
-    still: Sums<N>,
-    range: [(f64, f64); N],
+pub(super) struct FileScores {
+    moving: Sums,
+    still: Sums,
+    range: PerJoint<(f64, f64)>,
     /// Sums over the moving rows, for bounds.
-    equations: NormalEquations<N>,
+    equations: NormalEquations,
     /// Seconds, and sums over the moving rows of each.
-    blocks: Vec<(f64, Sums<N>)>,
+    blocks: Vec<(f64, Sums)>,
     /// A thinned sample of its rows.
-    pub(super) sample: Vec<SampleRow<N>>,
+    pub(super) sample: Vec<SampleRow>,
     /// Torques in some of its rows, for the plot.
-    pub(super) trace: Trace<N>,
+    pub(super) trace: Trace,
 }
 
 /// Torques of a candidate in the rows that count, N a row, N·m, through the filter of the measurement.
-fn predictions<const N: usize>(
-    layout: &Layout<N>,
+fn predictions(
+    layout: &Layout,
     preparation: &Preparation,
-    prepared: &Prepared<N>,
-    candidate: &Candidate<N>,
+    prepared: &Prepared,
+    candidate: &Candidate,
 ) -> Vec<f64> {
-    let states = prepared.states.iter();
-    let networks: Option<Vec<[f64; N]>> = states.map(|state| candidate.network(state)).collect();
+    let (joints, states) = (layout.joints(), prepared.states.iter());
+    let networks: Option<Vec<PerJoint<f64>>> =
+        states.map(|state| candidate.network(state)).collect();
     let mut table = networks.map_or(vec![0.0; prepared.tau.len()], |networks| {
-        let mut table = networks.concat();
-        preparation.smooth_torque(&mut table, N);
+        let mut table: Vec<f64> = networks
+            .iter()
+            .flat_map(|own| own.iter().copied())
+            .collect();
+        preparation.smooth_torque(&mut table, joints);
         table
     });
     for row in prepared.core.clone() {
-        for joint in 0..N {
+        for joint in 0..joints {
             let columns = prepared.columns(layout, row, joint);
-            let basis = &prepared.cogging_basis[row * N + joint];
-            table[row * N + joint] += candidate.linear(layout, joint, columns, basis);
+            let basis = &prepared.cogging_basis[row * joints + joint];
+            table[row * joints + joint] += candidate.linear(layout, joint, columns, basis);
         }
     }
     table
@@ -85,13 +97,13 @@ const SAMPLE: usize = 2000;
 /// Most points of the trace.
 const TRACE: usize = 1500;
 
-impl<const N: usize> FileScores<N> {
+impl FileScores {
     /// Scores over no rows.
-    pub(super) fn new(layout: &Layout<N>, candidates: usize) -> Self {
+    pub(super) fn new(layout: &Layout, candidates: usize) -> Self {
         Self {
-            moving: Sums::new(candidates),
-            still: Sums::new(candidates),
-            range: [(f64::INFINITY, f64::NEG_INFINITY); N],
+            moving: Sums::new(layout.joints(), candidates),
+            still: Sums::new(layout.joints(), candidates),
+            range: PerJoint::repeat(layout.joints(), (f64::INFINITY, f64::NEG_INFINITY)),
             equations: NormalEquations::new(layout),
             blocks: Vec::new(),
             sample: Vec::new(),
@@ -102,25 +114,27 @@ impl<const N: usize> FileScores<N> {
     /// Adds a stretch: model and measurement through the same filter, network output included.
     pub(super) fn add(
         &mut self,
-        layout: &Layout<N>,
+        layout: &Layout,
         preparation: &Preparation,
-        prepared: &Prepared<N>,
-        candidates: &[&Candidate<N>],
+        prepared: &Prepared,
+        candidates: &[&Candidate],
     ) {
         let candidates = candidates.iter();
         let predicted: Vec<Vec<f64>> = candidates
             .map(|candidate| predictions(layout, preparation, prepared, candidate))
             .collect();
         let stride = preparation.stride();
-        let mut equations: [(Vec<f64>, Vec<f64>); N] = std::array::from_fn(|_| Default::default());
+        let joints = layout.joints();
+        let mut equations = vec![(Vec::new(), Vec::new()); joints];
         for row in prepared.core.clone() {
             let second = prepared.t_s[row].floor();
             if self.blocks.last().is_none_or(|(last, _)| *last != second) {
-                self.blocks.push((second, Sums::new(predicted.len())));
+                self.blocks
+                    .push((second, Sums::new(joints, predicted.len())));
             }
             for (joint, (x, tau)) in equations.iter_mut().enumerate() {
-                let measured = prepared.tau[row * N + joint];
-                let predicted = predicted.iter().map(|table| table[row * N + joint]);
+                let measured = prepared.tau[row * joints + joint];
+                let predicted = predicted.iter().map(|table| table[row * joints + joint]);
                 if prepared.states[row].qd[joint].abs() <= preparation.still_rad_s {
                     self.still.add(joint, predicted, measured);
                     continue;
@@ -146,7 +160,7 @@ impl<const N: usize> FileScores<N> {
             self.sample.push(row);
         }
         for row in rows().take(TRACE.saturating_sub(self.trace.len())) {
-            let at = |table: &[f64]| std::array::from_fn(|joint| table[row * N + joint]);
+            let at = |table: &[f64]| PerJoint::from(&table[row * joints..][..joints]);
             let predicted = predicted.iter().map(|table| at(table)).collect();
             self.trace
                 .push((prepared.t_s[row], at(&prepared.tau), predicted));
@@ -157,7 +171,9 @@ impl<const N: usize> FileScores<N> {
     pub(super) fn record(&self, candidate: usize, seed: u64) -> ValidationRecord {
         let (moving, still) = (&self.moving, &self.still);
         let (errors, errors_still) = (&moving.errors[candidate], &still.errors[candidate]);
-        let joints = |value: &dyn Fn(usize) -> Option<f64>| (0..N).map(value).collect::<Vec<_>>();
+        let count = self.range.len();
+        let joints =
+            |value: &dyn Fn(usize) -> Option<f64>| (0..count).map(value).collect::<Vec<_>>();
         let root = |sum: f64, count: f64| (count > 0.0).then(|| (sum / count).sqrt());
         let rmse = |j: usize| root(errors[j], moving.count[j]);
         let torque = |j: usize| root(moving.torque[j], moving.count[j]);
@@ -170,25 +186,25 @@ impl<const N: usize> FileScores<N> {
         };
         let ratios = joints(&|j| Some(rmse(j)? / torque(j)?));
         let draws = resample(self.blocks.len().max(1), seed, |draw| {
-            let (mut errors, mut torque, mut count) = ([0.0; N], [0.0; N], [0.0; N]);
+            let mut sums = Sums::new(count, 1);
             for &place in draw {
                 let (_, block) = self.blocks.get(place)?;
-                for joint in 0..N {
-                    errors[joint] += block.errors[candidate][joint];
-                    torque[joint] += block.torque[joint];
-                    count[joint] += block.count[joint];
+                for joint in 0..count {
+                    sums.errors[0][joint] += block.errors[candidate][joint];
+                    sums.torque[joint] += block.torque[joint];
+                    sums.count[joint] += block.count[joint];
                 }
             }
-            Some((errors, torque, count))
+            Some(sums)
         });
-        let nrmse = draws.iter().map(|(errors, torque, _)| {
-            let pairs = errors.iter().zip(torque);
+        let nrmse = draws.iter().map(|sums| {
+            let pairs = sums.errors[0].iter().zip(sums.torque.iter());
             let pairs = pairs.filter(|(_, torque)| **torque > 0.0);
             root_mean(pairs.map(|(error, torque)| error / torque))
         });
         let interval = |j: usize| {
-            let moved = draws.iter().filter(|(_, _, count)| count[j] > 0.0);
-            middle(moved.map(|(errors, _, count)| (errors[j] / count[j]).sqrt()))
+            let moved = draws.iter().filter(|sums| sums.count[j] > 0.0);
+            middle(moved.map(|sums| (sums.errors[0][j] / sums.count[j]).sqrt()))
         };
         ValidationRecord {
             rmse_moving_nm: joints(&rmse),
@@ -201,7 +217,7 @@ impl<const N: usize> FileScores<N> {
             }),
             torque_rms_moving_nm: joints(&torque),
             joints_nrmse_moving_ratio_ci95: middle(nrmse),
-            rmse_moving_nm_ci95: (0..N).map(interval).collect(),
+            rmse_moving_nm_ci95: (0..count).map(interval).collect(),
             rows_moving: moving.count.iter().map(|&count| count as u64).collect(),
             cramer_rao_nrmse_moving_ratio: None,
             truth_nrmse_moving_ratio: None,
@@ -211,7 +227,7 @@ impl<const N: usize> FileScores<N> {
     /// RMS over the joints of (RMS torque of a parameter error / RMS torque), a ratio.
     ///
     /// * `covariance` of the parameter error: that of a fit for the share of the training noise, or `e eᵀ` of a known error
-    pub(super) fn propagated(&self, layout: &Layout<N>, covariance: &DMatrix<f64>) -> f64 {
+    pub(super) fn propagated(&self, layout: &Layout, covariance: &DMatrix<f64>) -> f64 {
         let joints = self.equations.joints.iter().zip(&layout.active);
         let moving = joints.filter(|(sums, _)| sums.power > 0.0);
         root_mean(moving.map(|(sums, active)| {
@@ -223,5 +239,87 @@ impl<const N: usize> FileScores<N> {
             }
             trace / sums.power
         }))
+    }
+}
+
+/// Share of the rows the paper trains on.
+const TRAINING_SHARE: f64 = 0.8;
+/// Rows of the whole log that are shared out for the learning curves.
+const ROWS: usize = 4000;
+/// Shares from the start of the log.
+const SHARES: [f64; 5] = [0.0625, 0.125, 0.25, 0.5, 1.0];
+
+/// Errors on 20 % of the rows, drawn at random, of every method trained on the rest.
+pub(super) fn split(
+    problem: &Problem<'_>,
+    sample: &[SampleRow],
+) -> Result<Vec<SplitRecord>, IdentifyError> {
+    let mut random = ChaCha8Rng::seed_from_u64(problem.seed);
+    let (training, held_out): (Vec<&SampleRow>, Vec<&SampleRow>) = sample
+        .iter()
+        .partition(|_| random.random_range(0.0..1.0) < TRAINING_SHARE);
+    let data = TrainingData::of(problem.layout, training);
+    let results = solve_all(problem, &data, &|_| ())?;
+    let records = results.iter();
+    Ok(records
+        .map(|result| errors(problem.layout, &result.candidate, &held_out))
+        .collect())
+}
+
+/// Errors on rows of an unseen log of every method trained on growing shares of the log.
+pub(super) fn learning_curves(
+    problem: &Problem<'_>,
+    sample: &[SampleRow],
+    unseen: &[SampleRow],
+) -> Vec<(MethodName, Vec<LearningPoint>)> {
+    let stride = sample.len().div_ceil(ROWS).max(1);
+    let rows: Vec<&SampleRow> = sample.iter().step_by(stride).collect();
+    let unseen: Vec<&SampleRow> = unseen.iter().collect();
+    let methods = problem.methods.iter();
+    methods
+        .map(|&name| {
+            let one = Problem {
+                methods: &[name],
+                ..*problem
+            };
+            let points = SHARES.iter().filter_map(|&share_ratio| {
+                let count = (share_ratio * rows.len() as f64) as usize;
+                let data = TrainingData::of(problem.layout, rows[..count].to_vec());
+                // A share that does not show every parameter has no point.
+                data.sums.all.check_rank(problem.layout).ok()?;
+                let result = solve_all(&one, &data, &|_| ()).ok()?.pop()?;
+                let errors = errors(problem.layout, &result.candidate, &unseen);
+                Some(LearningPoint {
+                    share_ratio,
+                    rows: count,
+                    seconds: result.seconds,
+                    joints_nrmse_moving_ratio: root_mean_square(&errors.nrmse_moving_ratio),
+                })
+            });
+            (name, points.collect())
+        })
+        .collect()
+}
+
+/// RMS error of every joint over its moving rows.
+pub(super) fn errors(layout: &Layout, candidate: &Candidate, rows: &[&SampleRow]) -> SplitRecord {
+    let zero = PerJoint::repeat(layout.joints(), 0.0);
+    let (mut error, mut power, mut count) = (zero, zero, zero);
+    for row in rows {
+        let predicted = candidate.torque(layout, row);
+        for joint in (0..layout.joints()).filter(|&joint| row.moving[joint]) {
+            error[joint] += (predicted[joint] - row.tau[joint]).powi(2);
+            power[joint] += row.tau[joint].powi(2);
+            count[joint] += 1.0;
+        }
+    }
+    let root = |over: PerJoint<f64>| {
+        let joints = error.iter().zip(over.iter());
+        let roots = joints.map(|(error, over)| (*over > 0.0).then(|| f64::sqrt(error / over)));
+        roots.collect()
+    };
+    SplitRecord {
+        rmse_moving_nm: root(count),
+        nrmse_moving_ratio: root(power),
     }
 }

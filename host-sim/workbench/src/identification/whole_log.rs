@@ -2,6 +2,7 @@
 
 use super::filter::median;
 use super::log::{LogReader, LogRow};
+use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use crate::table::{TableError, TableProblem};
 use std::collections::VecDeque;
@@ -34,27 +35,27 @@ enum Clock {
 /// Rows with an uneven clock are put on an even grid in the same way.
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
-pub struct WholeLog<const N: usize> {
-    reader: LogReader<N>,
-    preview: Vec<LogRow<N>>,
+pub struct WholeLog {
+    reader: LogReader,
+    preview: Vec<LogRow>,
     period_s: f64,
     clock: Clock,
-    last: Option<LogRow<N>>,
+    last: Option<LogRow>,
     /// Time of the next row of the grid, s.
     next_s: f64,
     /// The row read last, still without a velocity.
-    ahead: [Option<LogRow<N>>; 2],
-    waiting: VecDeque<LogRow<N>>,
+    ahead: [Option<LogRow>; 2],
+    waiting: VecDeque<LogRow>,
     lost: usize,
     notes: Vec<String>,
 }
 
-impl<const N: usize> WholeLog<N> {
+impl WholeLog {
     /// Opens a log and reads its first rows.
     ///
     /// Errors: [`TableError`] of the header or of one of these rows; fewer than three rows.
     pub fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
-        let mut reader = LogReader::<N>::open(path, robot)?;
+        let mut reader = LogReader::open(path, robot)?;
         let mut first = Vec::new();
         while first.len() < PREVIEW
             && let Some(row) = reader.next_row()?
@@ -114,7 +115,7 @@ impl<const N: usize> WholeLog<N> {
     }
 
     /// The columns of the log.
-    pub(super) fn reader(&self) -> &LogReader<N> {
+    pub(super) fn reader(&self) -> &LogReader {
         &self.reader
     }
 
@@ -124,7 +125,7 @@ impl<const N: usize> WholeLog<N> {
     }
 
     /// The first rows, those put in included.
-    pub(super) fn preview(&self) -> &[LogRow<N>] {
+    pub(super) fn preview(&self) -> &[LogRow] {
         &self.preview
     }
 
@@ -141,7 +142,7 @@ impl<const N: usize> WholeLog<N> {
     /// The next row, `None` at the end.
     ///
     /// Errors: [`TableError`] of that row, naming line and column.
-    pub fn next_row(&mut self) -> Result<Option<LogRow<N>>, TableError> {
+    pub fn next_row(&mut self) -> Result<Option<LogRow>, TableError> {
         while self.waiting.is_empty() {
             let row = self.reader.next_row()?;
             self.read(row);
@@ -163,7 +164,7 @@ impl<const N: usize> WholeLog<N> {
     }
 
     /// Queues what follows from the row read last, `None` at the end of the log.
-    fn read(&mut self, row: Option<LogRow<N>>) {
+    fn read(&mut self, row: Option<LogRow>) {
         if self.clock != Clock::Stamps {
             row.into_iter().for_each(|row| self.take(row));
         } else if self.reader.has_velocity() {
@@ -180,7 +181,7 @@ impl<const N: usize> WholeLog<N> {
     }
 
     /// Queues the rows of the grid up to `row`.
-    fn regrid(&mut self, row: LogRow<N>) {
+    fn regrid(&mut self, row: LogRow) {
         if let Some(last) = self.last.replace(row)
             && row.t_s - last.t_s <= GAP_PERIODS * self.period_s
         {
@@ -199,7 +200,7 @@ impl<const N: usize> WholeLog<N> {
     }
 
     /// Queues `row` and the rows lost before it.
-    fn take(&mut self, row: LogRow<N>) {
+    fn take(&mut self, row: LogRow) {
         if let Some(last) = self.last.replace(row) {
             let periods = self.periods(row.t_s - last.t_s) as usize;
             let has_velocity = self.reader.has_velocity();
@@ -216,7 +217,7 @@ impl<const N: usize> WholeLog<N> {
 
 /// The clock of a log, from its first rows. Where steps are uneven and the log has velocities, these decide: stamps are
 /// true where dq = q̇ dt holds better with them than with even steps.
-fn clock<const N: usize>(rows: &[LogRow<N>], period_s: f64, has_velocity: bool) -> Clock {
+fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock {
     let (mut jitter, mut count, mut shortest) = (0.0, 0.0, f64::INFINITY);
     // Steps that scatter about two lengths have their median at the edge of the shorter.
     let steps = rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
@@ -241,7 +242,7 @@ fn clock<const N: usize>(rows: &[LogRow<N>], period_s: f64, has_velocity: bool) 
         let whole = periods.round().max(1.0);
         jitter += (periods - whole).powi(2);
         count += 1.0;
-        for joint in 0..N {
+        for joint in 0..pair[0].q.len() {
             let qd = 0.5 * (pair[0].qd[joint] + pair[1].qd[joint]);
             let dq = pair[1].q[joint] - pair[0].q[joint];
             by_stamps += (dq - qd * step_s).powi(2);
@@ -259,13 +260,9 @@ fn clock<const N: usize>(rows: &[LogRow<N>], period_s: f64, has_velocity: bool) 
 }
 
 /// Velocities at `here` by the parabola through it and its neighbours; by a straight line where one is missing.
-fn slopes<const N: usize>(
-    before: Option<&LogRow<N>>,
-    here: &LogRow<N>,
-    after: Option<&LogRow<N>>,
-) -> [f64; N] {
-    let slope = |a: &LogRow<N>, b: &LogRow<N>, j: usize| (b.q[j] - a.q[j]) / (b.t_s - a.t_s);
-    std::array::from_fn(|joint| match (before, after) {
+fn slopes(before: Option<&LogRow>, here: &LogRow, after: Option<&LogRow>) -> PerJoint<f64> {
+    let slope = |a: &LogRow, b: &LogRow, j: usize| (b.q[j] - a.q[j]) / (b.t_s - a.t_s);
+    PerJoint::from_fn(here.q.len(), |joint| match (before, after) {
         (Some(before), Some(after)) => {
             let (h0, h1) = (here.t_s - before.t_s, after.t_s - here.t_s);
             let (s0, s1) = (slope(before, here, joint), slope(here, after, joint));
@@ -283,14 +280,9 @@ fn slopes<const N: usize>(
 /// ```text
 /// q = q_a + (q_b − q_a) s² (3 − 2s) + h s (1 − s) (qd_a (1 − s) − qd_b s)
 /// ```
-fn between<const N: usize>(
-    a: &LogRow<N>,
-    b: &LogRow<N>,
-    part: f64,
-    has_velocity: bool,
-) -> LogRow<N> {
-    let line = |a: &[f64; N], b: &[f64; N]| -> [f64; N] {
-        std::array::from_fn(|joint| a[joint] + (b[joint] - a[joint]) * part)
+fn between(a: &LogRow, b: &LogRow, part: f64, has_velocity: bool) -> LogRow {
+    let line = |a: &[f64], b: &[f64]| {
+        PerJoint::from_fn(a.len(), |joint| a[joint] + (b[joint] - a[joint]) * part)
     };
     let step_s = b.t_s - a.t_s;
     let cubic = |joint: usize| {
@@ -302,7 +294,7 @@ fn between<const N: usize>(
         line: b.line,
         t_s: a.t_s + step_s * part,
         q: if has_velocity {
-            std::array::from_fn(cubic)
+            PerJoint::from_fn(a.q.len(), cubic)
         } else {
             line(&a.q, &b.q)
         },
@@ -323,13 +315,8 @@ mod tests {
         )
     }
 
-    /// Rows of a log of one joint that moves on a cubic, at these times.
-    fn read(name: &str, times_s: &[f64]) -> (Vec<LogRow<1>>, WholeLog<1>) {
-        stamped(name, times_s, times_s)
-    }
-
-    /// A log with given stamps.
-    fn stamped(name: &str, times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow<1>>, WholeLog<1>) {
+    /// Rows of a log of one joint that moves on a cubic, at these times, with these stamps.
+    fn stamped(name: &str, times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow>, WholeLog) {
         let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
         let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
         for (&t, stamp) in times_s.iter().zip(stamps_s) {
@@ -339,7 +326,7 @@ mod tests {
         std::fs::write(&path, text).expect("a directory for temporary files");
         let mut robot = Robot::load("ur5").expect("built in");
         robot.joints.truncate(1);
-        let mut log = WholeLog::<1>::open(&path, &robot).expect("a sound log");
+        let mut log = WholeLog::open(&path, &robot).expect("a sound log");
         let mut rows = Vec::new();
         while let Some(row) = log.next_row().expect("sound rows") {
             rows.push(row);
@@ -355,7 +342,7 @@ mod tests {
             .filter(|k| k % 4 < 2)
             .map(|k| 8e-3 * f64::from(k) + 2e-4 * f64::from(k * 7 % 3 - 1))
             .collect();
-        let (rows, log) = read("lost", &times);
+        let (rows, log) = stamped("lost", &times, &times);
         assert_eq!((rows.len(), log.lost()), (398, 198));
         assert!((log.period_s() - 8e-3).abs() < 1e-5, "{}", log.period_s());
         for row in &rows {
@@ -375,7 +362,7 @@ mod tests {
         for k in 0..400 {
             times.push(times[k] + if k % 2 == 0 { 10e-3 } else { 12e-3 });
         }
-        let (rows, log) = read("uneven", &times);
+        let (rows, log) = stamped("uneven", &times, &times);
         assert!((log.period_s() - 11e-3).abs() < 1e-12);
         assert!(log.notes().any(|note| note.contains("grid of 11.00 ms")));
         for (k, row) in rows.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! The inverse of the chain: closed form where there is one, numeric elsewhere.
 
+use super::InverseError;
 use super::chain::{Chain, pose_error};
-use super::error::InverseError;
 use super::ur::UrArm;
 use crate::dynamics::Joints;
 use crate::robot::{Placement, Robot};
@@ -314,7 +314,7 @@ mod tests {
         let robot = ur5();
         let inverse = Inverse::<6>::new(&robot, &Placement::identity()).expect("six joints");
         let series =
-            Excitation::quick::<6>(&robot, 5, &QuickConfig::default(), || ()).expect("feasible");
+            Excitation::quick(&robot, 5, &QuickConfig::default(), || ()).expect("feasible");
         let at = |k: i32| series.at::<6>(f64::from(k) * 1e-3);
         let mut q = at(0).q;
         let mut worst = 0.0_f64;

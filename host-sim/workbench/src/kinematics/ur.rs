@@ -11,7 +11,7 @@
 //! T06 = Rz(θ1) Tz(d1) Rx(90°) · Rz(θ2) Tx(a2) Rz(θ3) Tx(a3) Rz(θ4) Tz(D) Rx(90°) · Rz(θ5) Tz(d5) Rx(−90°) · Rz(θ6)
 //! ```
 
-use super::error::InverseError;
+use super::InverseError;
 use crate::robot::Placement;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};

@@ -1,13 +1,14 @@
-//! Reports: figures as JSON, and one self-contained page that opens offline.
+//! Reports: figures as JSON, and one self-contained page that opens offline. A plot is drawn in placeholders for colours by
+//! meaning, which the page's style sheet or a picture's palette replaces.
 
 pub mod closed_loop;
-mod color;
 pub mod page;
 pub mod plot;
 
 use crate::files::{WholeFile, write_whole};
 use page::Page;
 use plot::PlotError;
+use plotters::style::RGBColor;
 use serde::Serialize;
 use std::io;
 use std::io::Write;
@@ -60,4 +61,125 @@ fn escape(text: &str) -> String {
         .replace('<', "&lt;")
         .replace('>', "&gt;")
         .replace('"', "&quot;")
+}
+
+/// Colour of a curve, by meaning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlotColor {
+    /// True or desired value.
+    Truth,
+    /// The starting model, wrong on purpose.
+    Before,
+    /// The learnt model.
+    After,
+    /// A fourth curve.
+    Other,
+    /// One of up to eight joints, from 0.
+    Joint(u8),
+}
+
+/// Placeholders of axes, grid and text; the page's style sheet translates them.
+pub(super) const AXIS: RGBColor = RGBColor(1, 1, 1);
+pub(super) const GRID: RGBColor = RGBColor(2, 2, 2);
+pub(super) const TEXT: RGBColor = RGBColor(3, 3, 3);
+
+impl PlotColor {
+    pub(super) fn placeholder(self) -> RGBColor {
+        let code = match self {
+            Self::Truth => 16,
+            Self::Before => 17,
+            Self::After => 18,
+            Self::Other => 19,
+            Self::Joint(joint) => 32 + joint % 8,
+        };
+        RGBColor(code, code, code)
+    }
+
+    /// Name of the page's CSS variable for this colour.
+    pub(super) fn variable(self) -> String {
+        match self {
+            Self::Truth => "--truth".to_owned(),
+            Self::Before => "--before".to_owned(),
+            Self::After => "--after".to_owned(),
+            Self::Other => "--other".to_owned(),
+            Self::Joint(joint) => format!("--joint{}", joint % 8 + 1),
+        }
+    }
+}
+
+/// Name, light and dark of every colour of a page.
+const PALETTE: [(&str, &str, &str); 19] = [
+    ("--page", "#fbfbfa", "#101418"),
+    ("--card", "#fff", "#171c22"),
+    ("--text", "#1f2328", "#e6e9ed"),
+    ("--quiet", "#59636e", "#9aa4af"),
+    ("--axis", "#8c959f", "#6b7580"),
+    ("--grid", "#e6e8eb", "#2a313a"),
+    ("--line", "#d8dce1", "#2f3741"),
+    ("--truth", "#a3abb5", "#7d8894"),
+    ("--before", "#d9660a", "#ff9a3d"),
+    ("--after", "#0b5fd6", "#6aa9ff"),
+    ("--other", "#12805c", "#3ecf9a"),
+    ("--joint1", "#0b5fd6", "#6aa9ff"),
+    ("--joint2", "#d9660a", "#ff9a3d"),
+    ("--joint3", "#12805c", "#3ecf9a"),
+    ("--joint4", "#b4267a", "#f472b6"),
+    ("--joint5", "#6b46c9", "#b39bff"),
+    ("--joint6", "#8a6d00", "#e0c04a"),
+    ("--joint7", "#0e7c93", "#4fd1e8"),
+    ("--joint8", "#7a4a2b", "#d9a27e"),
+];
+
+/// The light colour of a variable.
+pub(super) fn light(variable: &str) -> &'static str {
+    let known = PALETTE.iter().find(|(name, _, _)| *name == variable);
+    known.map_or("#000", |(_, light, _)| light)
+}
+
+/// CSS that defines the colours, light and dark.
+pub(super) fn variables() -> String {
+    let (mut lights, mut darks) = (String::new(), String::new());
+    for (name, light, dark) in PALETTE {
+        lights += &format!("{name}:{light};");
+        darks += &format!("{name}:{dark};");
+    }
+    format!(":root{{{lights}}}\n@media (prefers-color-scheme:dark){{:root{{{darks}}}}}\n")
+}
+
+/// Every placeholder as written in a drawing, with its CSS variable.
+fn placeholders() -> impl Iterator<Item = (String, String)> {
+    let axes = [
+        (AXIS, "--axis".to_owned()),
+        (GRID, "--grid".to_owned()),
+        (TEXT, "--text".to_owned()),
+    ];
+    let named = [
+        PlotColor::Truth,
+        PlotColor::Before,
+        PlotColor::After,
+        PlotColor::Other,
+    ];
+    let colors = named.into_iter().chain((0..8).map(PlotColor::Joint));
+    let colors = colors.map(|color| (color.placeholder(), color.variable()));
+    axes.into_iter()
+        .chain(colors)
+        .map(|(RGBColor(r, g, b), variable)| (format!("#{r:02X}{g:02X}{b:02X}"), variable))
+}
+
+/// CSS rules that map every placeholder to its variable.
+pub(super) fn style_sheet() -> String {
+    placeholders()
+        .map(|(hex, variable)| {
+            format!(
+                "svg [stroke=\"{hex}\"]{{stroke:var({variable})}}svg [fill=\"{hex}\"]{{fill:var({variable})}}\n"
+            )
+        })
+        .collect()
+}
+
+/// A drawing in the light colours, for viewers without style sheets.
+pub(super) fn coloured(drawing: &str) -> String {
+    placeholders().fold(drawing.to_owned(), |drawing, (hex, variable)| {
+        drawing.replace(&format!("\"{hex}\""), &format!("\"{}\"", light(&variable)))
+    })
 }

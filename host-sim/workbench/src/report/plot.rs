@@ -1,9 +1,9 @@
 //! Line plots as SVG that takes its colours from the page, so that it reads in light and in dark.
 
-pub use super::color::PlotColor;
+pub use super::PlotColor;
 
-use super::color::{AXIS, GRID, TEXT, coloured, light};
 use super::escape;
+use super::{AXIS, GRID, TEXT, coloured, light};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
@@ -70,12 +70,13 @@ impl Panel {
         self
     }
 
-    /// One panel over time for each of `N` joints.
-    pub fn of_joints<const N: usize>(
+    /// One panel over time for each of so many joints.
+    pub fn of_joints(
+        joints: usize,
         y_label: &str,
         curves: impl Fn(usize) -> Vec<Curve>,
     ) -> Vec<Self> {
-        (0..N)
+        (0..joints)
             .map(|j| Self::new(format!("joint {}", j + 1), "t / s", y_label, curves(j)))
             .collect()
     }
@@ -330,7 +331,7 @@ mod tests {
             panel("b", PlotColor::Joint(7)),
         ];
         let svg = grid(&panels, 1).expect("draws");
-        let sheet = crate::report::color::style_sheet();
+        let sheet = crate::report::style_sheet();
         for piece in svg.split("=\"#").skip(1) {
             let hex = piece.split('"').next().unwrap_or_default();
             assert!(sheet.contains(hex), "{hex}");

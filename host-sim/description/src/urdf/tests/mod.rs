@@ -3,7 +3,7 @@ mod refused;
 mod written;
 
 use super::*;
-use crate::dynamics::{Joints, ReferenceModel, State};
+use crate::dynamics::{Joints, ReferenceModel, RigidBodies, State};
 use crate::robot::Placement;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::FRAC_PI_2;

@@ -5,13 +5,11 @@ use super::*;
 #[test]
 fn a_written_arm_is_the_arm_again_with_the_names_of_its_links() {
     let arm = parse("t", ARM, &TO_HAND).unwrap().robot;
-    let states = crate::dynamics::random_states::<2>(20);
+    let motions = crate::dynamics::random_motions(2, 20);
     let torques = |robot: &Robot| -> Vec<Joints<2>> {
-        let model = ReferenceModel::<2>::new(robot).unwrap();
-        states
-            .iter()
-            .map(|state| model.inverse_dynamics(state))
-            .collect()
+        let model = RigidBodies::new(robot);
+        let torque = |motion| model.inverse_dynamics(motion).into();
+        motions.iter().map(torque).collect()
     };
     let mut bare = arm.clone();
     for text in [write(&arm), mjcf(&arm)] {

@@ -1,6 +1,7 @@
 //! Steps of commissioning with torque: a push, slow sweeps in the loop, a known weight.
 
-use super::{Ask, BusError, Commissioning, Operator, mistake};
+use super::{Ask, BusError, Commissioning, mistake};
+use crate::bus::Network;
 use crate::closed_loop::motion_f32;
 use crate::dynamics::{Joints, State};
 use crate::robot::Link;
@@ -27,7 +28,7 @@ pub(super) const TILT_RAD: f64 = 0.6;
 /// Largest error of a gain that a data sheet explains.
 const GAIN_ERROR: f64 = 0.2;
 
-impl<A: Arm<N, P>, W: Operator, const N: usize, const P: usize> Commissioning<A, W, N, P> {
+impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, W, N, P> {
     /// Pushes a joint with rising torques until it moves, then compares push and coasting with its inertia.
     pub(super) fn torque(&mut self, joint: usize) -> Result<(), BusError> {
         let limit = f64::from(A::limits()[joint].torque);

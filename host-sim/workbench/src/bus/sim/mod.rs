@@ -10,8 +10,8 @@ mod faults;
 pub use drive::{COMMUNICATION_LOST, DRIVE_PERIOD_S, DriveTruth, SimulatedDrive};
 pub use faults::{LineFault, LineFaults};
 
-use super::timing::{BitRates, frame_time_s};
-use super::{Ask, BusError, Network, Operator};
+use super::{Ask, BusError, Network};
+use super::{BitRates, frame_time_s};
 use crate::dynamics::Joints;
 use crate::plant::{Events, Payload, Plant, PlantConfig};
 use foretorque_link::bus::BusConfig;
@@ -233,9 +233,7 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
     fn is_off(&self) -> bool {
         (0..self.lines.len()).any(|bus| self.faults.bus_is_off(bus, self.t_s()))
     }
-}
 
-impl<const N: usize> Operator for SimulatedNetwork<N> {
     fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
         let mut q = *self.plant.q();
         match ask {

@@ -13,7 +13,7 @@ const SLOWDOWNS: usize = 12;
 /// what bounds on the rates between points leave.
 pub(super) const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
 
-impl<const N: usize> Search<'_, N> {
+impl Search<'_> {
     /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
     /// them. Gravity, friction and inertia are those of the description.
     ///
@@ -27,12 +27,12 @@ impl<const N: usize> Search<'_, N> {
             for _ in 0..SLOWDOWNS {
                 let needed = self.least_torques();
                 let share = |j: usize| needed[j] / self.objective.torque[j];
-                if (0..N).all(|j| share(j) <= 1.0) {
+                if (0..full.len()).all(|j| share(j) <= 1.0) {
                     return Ok(());
                 }
                 for (j, limits) in full.iter().enumerate() {
                     // The joints before a weak one shake it, too: they slow down half as much.
-                    let beyond = (j + 1..N).any(|k| share(k) > 1.0);
+                    let beyond = (j + 1..full.len()).any(|k| share(k) > 1.0);
                     let factor = match (share(j) > 1.0, beyond) {
                         (true, _) => SLOWER,
                         (false, true) => SLOWER.sqrt(),
@@ -47,7 +47,7 @@ impl<const N: usize> Search<'_, N> {
         }
         let needed = self.least_torques();
         let share = |j: &usize| needed[*j] / self.objective.torque[*j];
-        let worst = (0..N).max_by(|a, b| share(a).total_cmp(&share(b)));
+        let worst = (0..full.len()).max_by(|a, b| share(a).total_cmp(&share(b)));
         match worst.filter(|j| share(j) > 1.0) {
             Some(j) => Err(ExcitationError::TooWeak {
                 joint: self.robot.joints[j].name.clone(),
@@ -60,17 +60,18 @@ impl<const N: usize> Search<'_, N> {
     }
 
     /// Largest torque of every joint, N·m, on the random series that comes nearest to keeping all torque limits.
-    fn least_torques(&self) -> [f64; N] {
+    fn least_torques(&self) -> PerJoint<f64> {
         let omega = TAU / self.config.period_s;
         let width = self.objective.rows.count();
-        let mut block = vec![0.0; N * width];
-        let mut best = (f64::INFINITY, [f64::INFINITY; N]);
+        let joints = self.objective.rows.joints();
+        let mut block = vec![0.0; joints * width];
+        let mut best = (f64::INFINITY, PerJoint::repeat(joints, f64::INFINITY));
         for trial in 0..TRIALS {
             let series = self.random_series(trial as u64);
-            let mut most = [0.0_f64; N];
+            let mut most = PerJoint::repeat(joints, 0.0_f64);
             for k in 0..TRIAL_INSTANTS {
                 let t_s = self.config.period_s * k as f64 / TRIAL_INSTANTS as f64;
-                let mut state = State::rest(Joints::<N>::zeros());
+                let mut state = Motion::zeros(joints);
                 for (j, series) in series.iter().enumerate() {
                     (state.q[j], state.qd[j], state.qdd[j]) = series.at(t_s, omega);
                 }
@@ -81,7 +82,7 @@ impl<const N: usize> Search<'_, N> {
                     *most = most.max(tau.abs());
                 }
             }
-            let shares = most.iter().zip(&self.objective.torque);
+            let shares = most.iter().zip(self.objective.torque.iter());
             let share = shares.fold(0.0_f64, |worst, (tau, limit)| worst.max(tau / limit));
             if share < best.0 {
                 best = (share, most);
@@ -92,8 +93,8 @@ impl<const N: usize> Search<'_, N> {
 }
 
 /// Torque that friction leaves each joint of `share` of its limit, N·m; a tenth of the limit at least.
-pub(super) fn torques<const N: usize>(robot: &Robot, share: f64) -> [f64; N] {
-    std::array::from_fn(|j| {
+pub(super) fn torques(robot: &Robot, share: f64) -> PerJoint<f64> {
+    PerJoint::from_fn(robot.joint_count(), |j| {
         let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
         let beyond = friction.coulomb * friction.stribeck_ratio + friction.cogging;
         (share * limit - beyond).max(0.1 * limit)

@@ -10,7 +10,7 @@ fn the_gradient_agrees_with_central_differences() {
             starts: 1,
             ..SearchConfig::default()
         };
-        let search = Search::<6>::new(&robot, &config).expect("six joints");
+        let search = Search::new(&robot, &config).expect("a search");
         let start = search.starts().remove(0);
         // Beyond the limits, so that every penalty takes part.
         let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
@@ -41,7 +41,7 @@ fn the_gradient_agrees_with_central_differences() {
 fn joints_slow_down_to_what_friction_leaves_and_a_weak_one_is_named() {
     let config = SearchConfig::default();
     let adapted = |robot: &Robot| {
-        let mut search = Search::<6>::new(robot, &config).expect("six joints");
+        let mut search = Search::new(robot, &config).expect("a search");
         let found = search.adapt_speed();
         (found, search.origin.speed_share)
     };
@@ -78,6 +78,6 @@ fn friction_of_half_a_torque_limit_leaves_a_path() {
         condition_required: false,
         ..SearchConfig::default()
     };
-    let found = optimise::<6>(&robot, &config, None, |_, _| {}).expect("a path");
+    let found = optimise(&robot, &config, None, |_, _| {}).expect("a path");
     assert!(found.certificate.expect("certified").holds);
 }

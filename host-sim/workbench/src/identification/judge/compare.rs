@@ -4,7 +4,7 @@ use super::{
     DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE, ROWS,
     SOUND_SCALE, SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
 };
-use crate::dynamics::{Joints, ReferenceModel, State};
+use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::Robot;
 use nalgebra::{DMatrix, DVector};
 
@@ -25,8 +25,8 @@ struct Explained {
 }
 
 /// Torque of the links of the description and gravity at every row.
-fn links<const N: usize>(model: &ReferenceModel<N>, states: &[State<N>]) -> Vec<[Joints<N>; 2]> {
-    let of = |state: &State<N>| {
+fn links(model: &RigidBodies, states: &[Motion]) -> Vec<[PerJoint<f64>; 2]> {
+    let of = |state: &Motion| {
         [
             model.inverse_dynamics(state),
             model.gravity_torques(&state.q),
@@ -35,10 +35,10 @@ fn links<const N: usize>(model: &ReferenceModel<N>, states: &[State<N>]) -> Vec<
     states.iter().map(of).collect()
 }
 
-fn explain<const N: usize>(
+fn explain(
     joint: usize,
-    states: &[State<N>],
-    links: &[[Joints<N>; 2]],
+    states: &[Motion],
+    links: &[[PerJoint<f64>; 2]],
     limit: f64,
     tau: impl Fn(usize) -> f64,
 ) -> Explained {
@@ -98,28 +98,27 @@ fn explain<const N: usize>(
 }
 
 /// Compares the torques with those of the description.
-pub(super) fn compare<const N: usize>(
+pub(super) fn compare(
     judgement: &mut Judgement,
     robot: &Robot,
-    rows: &[(State<N>, Joints<N>)],
-    extremes: &[Extremes; N],
+    rows: &[(Motion, PerJoint<f64>)],
+    extremes: &[Extremes],
     gain: f64,
 ) {
     let mut bare = robot.clone();
     for joint in &mut bare.joints {
         joint.drive.rotor_inertia = 0.0;
     }
-    let Some(model) = ReferenceModel::<N>::new(&bare) else {
-        return;
-    };
-    let states: Vec<State<N>> = rows.iter().map(|(state, _)| *state).collect();
+    let model = RigidBodies::new(&bare);
+    let joints = model.joints();
+    let states: Vec<Motion> = rows.iter().map(|(state, _)| *state).collect();
     let of_links = links(&model, &states);
     let limit = |joint: usize| robot.joints[joint].limits.torque;
-    let own: [Explained; N] = std::array::from_fn(|joint| {
-        explain(joint, &states, &of_links, limit(joint), |row| {
-            rows[row].1[joint]
-        })
+    let explained = (0..joints).map(|joint| {
+        let tau = |row: usize| rows[row].1[joint];
+        explain(joint, &states, &of_links, limit(joint), tau)
     });
+    let own: Vec<Explained> = explained.collect();
     for (joint, seen) in extremes.iter().enumerate() {
         let told = own[joint].deviation < 0.3;
         judgement.joints.push(JointCheck {
@@ -131,11 +130,11 @@ pub(super) fn compare<const N: usize>(
             scale_ratio: (told && own[joint].heavy).then_some(own[joint].scale),
         });
     }
-    let noise: Vec<usize> = (0..N)
+    let noise: Vec<usize> = (0..joints)
         .filter(|&joint| own[joint].rest > NOISE_SHARE)
         .collect();
-    let heavy: Vec<usize> = (0..N).filter(|&joint| own[joint].heavy).collect();
-    if noise.len() == N {
+    let heavy: Vec<usize> = (0..joints).filter(|&joint| own[joint].heavy).collect();
+    if noise.len() == joints {
         judgement.find(
             true,
             "the torques of all joints are noise: they follow neither the motion nor gravity",
@@ -154,7 +153,7 @@ pub(super) fn compare<const N: usize>(
         );
     }
     let sound = |joint: usize| own[joint].rest <= NOISE_SHARE;
-    let turned: Vec<usize> = (0..N)
+    let turned: Vec<usize> = (0..joints)
         .filter(|&joint| sound(joint))
         .filter(|&joint| {
             let own = &own[joint];
@@ -244,14 +243,14 @@ pub(super) fn compare<const N: usize>(
 }
 
 /// Two joints whose positions or torques stand in each other's columns, if that explains the torques far better.
-fn order<const N: usize>(
-    model: &ReferenceModel<N>,
+fn order(
+    model: &RigidBodies,
     robot: &Robot,
-    rows: &[(State<N>, Joints<N>)],
-    (own, extremes): (&[Explained; N], &[Extremes; N]),
+    rows: &[(Motion, PerJoint<f64>)],
+    (own, extremes): (&[Explained], &[Extremes]),
 ) -> Option<String> {
     let step = rows.len().div_ceil(ROWS / 2).max(1);
-    let rows: Vec<&(State<N>, Joints<N>)> = rows.iter().step_by(step).collect();
+    let rows: Vec<&(Motion, PerJoint<f64>)> = rows.iter().step_by(step).collect();
     // A torque of another sign or size than gravity's is no sound explanation.
     let cost = |explained: &Explained| {
         let scale = match explained.heavy {
@@ -261,18 +260,21 @@ fn order<const N: usize>(
         };
         explained.rest.clamp(1e-3, 1.0).ln() + scale
     };
-    let states: Vec<State<N>> = rows.iter().map(|row| row.0).collect();
+    let states: Vec<Motion> = rows.iter().map(|row| row.0).collect();
     let of_links = links(model, &states);
     // Cost of an order, and the share of each joint that it leaves unexplained.
-    let all = |states: &[State<N>], of_links: &[[Joints<N>; 2]], place: &dyn Fn(usize) -> usize| {
-        let joints: [Explained; N] = std::array::from_fn(|joint| {
-            let limit = robot.joints[joint].limits.torque;
-            let tau = |row: usize| rows[row].1[place(joint)];
-            explain(joint, states, of_links, limit, tau)
-        });
-        let sum: f64 = joints.iter().map(cost).sum();
-        (sum, joints.map(|explained| explained.rest))
-    };
+    let all =
+        |states: &[Motion], of_links: &[[PerJoint<f64>; 2]], place: &dyn Fn(usize) -> usize| {
+            let joints = (0..own.len()).map(|joint| {
+                let limit = robot.joints[joint].limits.torque;
+                let tau = |row: usize| rows[row].1[place(joint)];
+                explain(joint, states, of_links, limit, tau)
+            });
+            let joints: Vec<Explained> = joints.collect();
+            let sum: f64 = joints.iter().map(cost).sum();
+            let rests: Vec<f64> = joints.iter().map(|explained| explained.rest).collect();
+            (sum, rests)
+        };
     let straight = all(&states, &of_links, &|joint| joint);
     // Torques that the description explains already are in their order.
     let sound = |explained: &Explained| {
@@ -287,8 +289,8 @@ fn order<const N: usize>(
         extremes[joint].speed > MOVED.0 && high - low > MOVED.1
     };
     let mut best = (straight.0 - SWAP_EVIDENCE, None);
-    for a in 0..N {
-        for b in a + 1..N {
+    for a in 0..own.len() {
+        for b in a + 1..own.len() {
             if !(moved(a) && moved(b)) {
                 continue;
             }
@@ -301,12 +303,13 @@ fn order<const N: usize>(
                     joint
                 }
             };
-            let moved: Vec<State<N>> = states
+            let moved: Vec<Motion> = states
                 .iter()
                 .map(|state| {
-                    let swapped =
-                        |values: &Joints<N>| Joints::from_fn(|joint, _| values[swap(joint)]);
-                    State {
+                    let swapped = |values: &PerJoint<f64>| {
+                        PerJoint::from_fn(values.len(), |joint| values[swap(joint)])
+                    };
+                    Motion {
                         q: swapped(&state.q),
                         qd: swapped(&state.qd),
                         qdd: swapped(&state.qdd),

@@ -8,10 +8,7 @@ use crate::robot::{Link, Robot};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 /// Parameters of the description: base set, then viscous and Coulomb friction, all else zero.
-pub(in crate::identification) fn description<const N: usize>(
-    robot: &Robot,
-    layout: &Layout<N>,
-) -> DVector<f64> {
+pub(in crate::identification) fn description(robot: &Robot, layout: &Layout) -> DVector<f64> {
     let mut theta = robot.base_parameters();
     theta.extend(layout.parameters.iter().skip(layout.base).map(|parameter| {
         let joint = parameter.friction.map_or(0, |(_, joint)| joint);
@@ -29,11 +26,11 @@ pub(in crate::identification) fn description<const N: usize>(
 }
 
 /// Findings on what was fitted: an unknown payload, and parameters that no body has.
-pub(in crate::identification) fn after_fit<const N: usize>(
+pub(in crate::identification) fn after_fit(
     judgement: &mut Judgement,
     robot: &Robot,
-    layout: &Layout<N>,
-    fit: &Fit<N>,
+    layout: &Layout,
+    fit: &Fit,
 ) {
     if let Some((mass, deviation)) = payload(robot, layout, fit) {
         judgement.find(true, format!(
@@ -100,7 +97,7 @@ pub fn unexplained(report: &Report) -> Option<Finding> {
 ///
 /// `theta − theta_description = p m + e`, e with the covariance of the fit and of a description whose masses, centres,
 /// inertias and rotors are uncertain.
-fn payload<const N: usize>(robot: &Robot, layout: &Layout<N>, fit: &Fit<N>) -> Option<(f64, f64)> {
+fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<(f64, f64)> {
     const MASS: f64 = 0.25;
     const CENTRE_M: f64 = 0.03;
     const LEAST_KG: f64 = 0.3;
@@ -117,7 +114,7 @@ fn payload<const N: usize>(robot: &Robot, layout: &Layout<N>, fit: &Fit<N>) -> O
         let step = moved(change);
         covariance.ger(1.0, &step, &step, 1.0);
     };
-    for link in 0..N {
+    for link in 0..robot.joint_count() {
         uncertain(&|other| {
             other.joints[link].link.mass *= 1.0 + MASS;
             other.joints[link].link.inertia_com *= 1.0 + MASS;

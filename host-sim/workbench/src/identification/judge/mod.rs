@@ -10,13 +10,13 @@ mod fitted;
 pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
+use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
-use super::error::IdentifyError;
 use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
 use super::stream::for_each_prepared;
 use super::whole_log::WholeLog;
-use crate::dynamics::{Joints, State};
+use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use compare::compare;
 use delay::{Delay, delay};
@@ -108,8 +108,8 @@ impl Judgement {
 }
 
 /// Rows of the logs that are compared.
-struct Sample<const N: usize> {
-    rows: Vec<(State<N>, Joints<N>)>,
+struct Sample {
+    rows: Vec<(Motion, PerJoint<f64>)>,
     /// Every how many of the rows that count.
     stride: usize,
     seen: usize,
@@ -134,20 +134,19 @@ struct Extremes {
 /// Judges logs before anything is identified.
 ///
 /// Errors: [`IdentifyError`] of a log that cannot be read.
-pub fn judge<const N: usize>(
+pub fn judge(
     robot: &Robot,
     logs: &[PathBuf],
     columns: &ColumnSet,
     config: &PrepareConfig,
 ) -> Result<Judgement, IdentifyError> {
-    let other = || IdentifyError::Joints(robot.name.clone(), N);
-    let layout = Layout::<N>::new(robot, columns).ok_or_else(other)?;
+    let layout = Layout::new(robot, columns);
+    let joints = layout.joints();
     let mut judgement = Judgement::default();
-    let mut extremes = [Extremes::NONE; N];
+    let mut extremes = vec![Extremes::NONE; joints];
     for path in logs {
-        config.check::<N>(path, robot)?;
-        let limits = robot.each(|joint| joint.limits.torque).ok_or_else(other)?;
-        judgement.period_s = scan(path, robot, &limits, &mut extremes)?;
+        config.check(path, robot)?;
+        judgement.period_s = scan(path, robot, &mut extremes)?;
     }
     units(&mut judgement, robot, &extremes);
     if judgement.refuses() {
@@ -159,7 +158,7 @@ pub fn judge<const N: usize>(
         seen: 0,
     };
     let mut sums = NormalEquations::new(&layout);
-    let mut delays = [(); N].map(|()| Delay::default());
+    let mut delays: Vec<Delay> = (0..joints).map(|_| Delay::default()).collect();
     let (mut gain, mut period_s) = (1.0, judgement.period_s);
     for path in logs {
         for_each_prepared(
@@ -172,15 +171,15 @@ pub fn judge<const N: usize>(
                 (gain, period_s) = (own.noise_gain(), own.period_s);
                 let stride = own.stride();
                 for row in prepared.core.clone().step_by(stride) {
-                    let tau = Joints::from_fn(|joint, _| prepared.tau[row * N + joint]);
+                    let tau = PerJoint::from(&prepared.tau[row * joints..][..joints]);
                     sample.add(prepared.states[row], tau);
-                    for joint in 0..N {
+                    for joint in 0..joints {
                         let x = prepared.columns(&layout, row, joint);
                         let qd = prepared.states[row].qd[joint];
                         if qd.abs() > own.still_rad_s {
                             sums.joints[joint].add(x, &[tau[joint]]);
                         }
-                        let tau = |row: usize| prepared.tau.get(row * N + joint).copied();
+                        let tau = |row: usize| prepared.tau.get(row * joints + joint).copied();
                         delays[joint].add(x, qd, (row, stride, own.period_s), &tau);
                     }
                 }
@@ -208,8 +207,8 @@ pub fn judge<const N: usize>(
     Ok(judgement)
 }
 
-impl<const N: usize> Sample<N> {
-    fn add(&mut self, state: State<N>, tau: Joints<N>) {
+impl Sample {
+    fn add(&mut self, state: Motion, tau: PerJoint<f64>) {
         if self.seen.is_multiple_of(self.stride) {
             self.rows.push((state, tau));
         }
@@ -252,18 +251,18 @@ impl Extremes {
 }
 
 /// Ranges of a log as it is, and the time between its rows, s.
-fn scan<const N: usize>(
+fn scan(
     path: &std::path::Path,
     robot: &Robot,
-    limits: &[f64; N],
-    extremes: &mut [Extremes; N],
+    extremes: &mut [Extremes],
 ) -> Result<f64, IdentifyError> {
-    let mut log = WholeLog::<N>::open(path, robot)?;
+    let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
-    let mut last: Vec<super::log::LogRow<N>> = Vec::new();
+    let mut last: Vec<super::log::LogRow> = Vec::new();
     while let Some(row) = log.next_row()? {
         for (joint, sums) in extremes.iter_mut().enumerate() {
             let (q, tau) = (row.q[joint], row.tau[joint]);
+            let limit = robot.joints[joint].limits.torque;
             sums.position = (sums.position.0.min(q), sums.position.1.max(q));
             sums.torque = sums.torque.max(tau.abs());
             if let [a, b] = &last[..] {
@@ -283,8 +282,8 @@ fn scan<const N: usize>(
                 sums.moving += tau * qd;
                 sums.rows += 1.0;
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
-                sums.spikes += f64::from(u8::from(jumps > (0.2 * limits[joint]).powi(2)));
-                sums.at_top += f64::from(u8::from(tau.abs() >= 0.995 * limits[joint]));
+                sums.spikes += f64::from(u8::from(jumps > (0.2 * limit).powi(2)));
+                sums.at_top += f64::from(u8::from(tau.abs() >= 0.995 * limit));
             }
         }
         if last.len() == 2 {
@@ -296,7 +295,7 @@ fn scan<const N: usize>(
 }
 
 /// Findings on ranges: units, quantities in each other's columns, spikes, saturation.
-fn units<const N: usize>(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes; N]) {
+fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
     let joints = || robot.joints.iter().zip(extremes).enumerate();
     let rough = extremes.iter().map(Extremes::roughness);
     let swapped = rough.filter(|[q, tau]| *q > 10.0 * tau).count();
@@ -309,7 +308,7 @@ fn units<const N: usize>(judgement: &mut Judgement, robot: &Robot, extremes: &[E
         let most = seen.position.0.abs().max(seen.position.1.abs());
         most > BEYOND * range(joint) || seen.speed > BEYOND * joint.limits.velocity
     });
-    let many = swapped * 2 > N && joints().all(|(_, (joint, seen))| fits(joint, seen));
+    let many = swapped * 2 > extremes.len() && joints().all(|(_, (joint, seen))| fits(joint, seen));
     if let Some((number, (joint, seen))) = far {
         let text = if many {
             "positions and torques are swapped: what stands for a torque is smoother than what stands for a position".to_owned()
@@ -326,7 +325,7 @@ fn units<const N: usize>(judgement: &mut Judgement, robot: &Robot, extremes: &[E
         judgement.find(true, text);
         return;
     }
-    if swapped * 2 > N {
+    if swapped * 2 > extremes.len() {
         judgement.find(
             true,
             "positions and torques are swapped: the torque is the smoother of the two",
@@ -343,7 +342,7 @@ fn units<const N: usize>(judgement: &mut Judgement, robot: &Robot, extremes: &[E
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
         // One unit holds for all joints; their limits may be of different use.
         let unit = match thousandth {
-            true if strong.len() * 3 > N => ": is this mN·m (--units tau=mNm)?",
+            true if strong.len() * 3 > extremes.len() => ": is this mN·m (--units tau=mNm)?",
             true => ", those of the others are within theirs: drive gain or unit?",
             false => "",
         };

@@ -77,7 +77,7 @@ fn plots<const N: usize>(report: &ClosedLoopReport, log: &ClosedLoopLog<N>) -> [
             "Desired minus true joint position; the truth is the simulated arm's, free of encoder steps.",
         )
         .legend([(after, "desired − true position")])
-        .plots(Panel::of_joints::<N>("error / mrad", |j| vec![errors(j)]), 3)
+        .plots(Panel::of_joints(N, "error / mrad", |j| vec![errors(j)]), 3)
         .joint_table(
             "position error | RMS / mrad | peak / mrad",
             &[
@@ -91,7 +91,7 @@ fn plots<const N: usize>(report: &ClosedLoopReport, log: &ClosedLoopLog<N>) -> [
              earlier. The closer the two curves, the less is left to the PD controller.",
         )
         .legend([(truth, "drive"), (after, "feed-forward of the board")])
-        .plots(Panel::of_joints::<N>("tau / N·m", torques), 3)
+        .plots(Panel::of_joints(N, "tau / N·m", torques), 3)
         .joint_table(
             "torque | drive, RMS / N·m | drive, peak / N·m | feed-forward, RMS / N·m",
             &[
@@ -107,7 +107,7 @@ fn plots<const N: usize>(report: &ClosedLoopReport, log: &ClosedLoopLog<N>) -> [
             ),
         )
         .legend(shares)
-        .plots(Panel::of_joints::<N>("tau / N·m", share_curves), 3),
+        .plots(Panel::of_joints(N, "tau / N·m", share_curves), 3),
     ]
 }
 
