@@ -17,7 +17,7 @@
 //! | checkpoint | estimate, learnt set, shares, evidence and payload of one instant | supervisor, while healthy | supervisor: alarm, emergency stop, release of a payload | every 0.128 s; two are kept, and one from before a payload |
 //! | snapshot | copy of learnt set, shares and networks | [`Request::Snapshot`] | [`Request::Rollback`] | on request |
 //! | network candidate | network of a joint in training | trainer | trainer: comparison with the active network | with every accepted row of the joint |
-//! | payload hypothesis | seven parameters of a body at the last link | payload test | supervisor; after promotion the tick, as an addition to the rigid body | every block of a test, and for 10 s after promotion |
+//! | payload hypothesis | seven parameters of a body at the last link | payload test | supervisor; after promotion the tick, as an addition to the rigid body | every block of 10 ms, from zero in each window; after promotion for 10 s |
 //!
 //! # Shares
 //!
@@ -48,9 +48,10 @@
 //!
 //! * Healthy: the learnt set moves to the estimate and the shares to their evidence, by at most 0.5 % of the torque limit a
 //!   round. Following begins (25) at a common share of 1/2 and ends (7) at 1/4.
-//! * alarm: the CUSUM of a joint exceeds 25, or the evidence of the payload watch 60. Estimate, learnt set and shares
-//!   return to the checkpoint of 0.128 s to 0.256 s ago and are frozen.
-//! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6).
+//! * alarm: the CUSUM of a joint exceeds 25. Estimate, learnt set and shares return to the checkpoint of 0.128 s to 0.256 s
+//!   ago and are frozen.
+//! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6). While healthy
+//!   it runs in windows of 1.5 s and finds payloads (2, 8) that stay below the CUSUM of every joint.
 //! * relearning: the variance of friction is raised; the torque stays as it is.
 //!
 //! A saturated torque, an unbridged gap or a number that is not finite freezes learning in every state (13 to 15); it

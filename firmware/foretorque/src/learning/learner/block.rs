@@ -138,8 +138,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
             Phase::Healthy => {
                 let residual = (tau - payload_torque(&supervisor.payload, &row)) / unit;
-                // Errors of the estimate last for the window of the watch.
-                let lasting = (innovation - measured).max(0.0) * config.watch_blocks as f32;
+                // Errors of the estimate last for the window of the test.
+                let lasting = (innovation - measured).max(0.0) * config.window_blocks as f32;
                 let payload = &supervisor.payload;
                 let test = &mut supervisor.payload_test;
                 let deviation = unit * sqrt(noise + lasting);
@@ -200,7 +200,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let test = &mut supervisor.payload_test;
         let decision = test.decide(config, carries_payload, single, usual);
         if phase == Phase::Healthy {
-            let is_over = test.blocks() >= config.watch_blocks;
+            let is_over = test.blocks() >= config.window_blocks;
             if supervisor.updates_payload(config) {
                 supervisor.payload = supervisor.payload_filter.payload();
                 supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);

@@ -21,8 +21,8 @@ pub struct SupervisorConfig {
     /// Least evidence for a change of the payload, twice a log-likelihood ratio: χ² of seven degrees of freedom exceeds it
     /// with probability 1e-10.
     pub payload_evidence: f32,
-    /// Window of the payload watch, blocks: 1.5 s, in which errors of the estimate count as constant.
-    pub watch_blocks: u32,
+    /// Window of the payload test without an alarm, blocks: 1.5 s, in which errors of the estimate count as constant.
+    pub window_blocks: u32,
     /// Mean square residual that counts as fully explained, in variances of a measurement.
     pub quiet_level: f32,
     /// Consecutive blocks for which a condition of the payload test has to hold.
@@ -77,7 +77,7 @@ impl SupervisorConfig {
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.03 * rated,
             payload_evidence: 60.0,
-            watch_blocks: 150,
+            window_blocks: 150,
             quiet_level: 0.5,
             decision_blocks: 5,
             timeout_blocks: 300,
@@ -117,7 +117,7 @@ impl SupervisorConfig {
             ("supervisor.max_com_distance", self.max_com_distance),
             ("supervisor.max_mass_sigma", self.max_mass_sigma),
             ("supervisor.payload_evidence", self.payload_evidence),
-            ("supervisor.watch_blocks", self.watch_blocks as f32),
+            ("supervisor.window_blocks", self.window_blocks as f32),
             ("supervisor.quiet_level", self.quiet_level),
             ("supervisor.share_memory_s", self.share_memory_s),
             ("supervisor.trust_floor", self.trust_floor),

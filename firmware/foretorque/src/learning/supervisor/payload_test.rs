@@ -283,7 +283,7 @@ mod tests {
         let config = config();
         let mut test = PayloadHypothesisTest::new(&config, carried);
         let mut random = 1u64;
-        (1..config.watch_blocks).find_map(|block| {
+        (1..config.window_blocks).find_map(|block| {
             for k in 0..PAYLOAD_PARAMETERS + 2 {
                 let mut row = NO_PAYLOAD;
                 row[k % PAYLOAD_PARAMETERS] = 0.3;
