@@ -51,7 +51,7 @@ impl<T: Copy + Default> PerJoint<T> {
         Self::from_fn(count, |_| value)
     }
 
-    /// What `of` makes of each value.
+    /// Values of `of`, one for each value.
     pub fn map<U: Copy + Default>(&self, mut of: impl FnMut(T) -> U) -> PerJoint<U> {
         PerJoint::from_fn(self.count, |joint| of(self.values[joint]))
     }

@@ -3,7 +3,7 @@
 use super::columns::Layout;
 use super::judge::{Finding, Judgement};
 use super::problem::MethodResult;
-use super::study::base_error;
+use nalgebra::DVector;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -248,4 +248,13 @@ impl MethodRecord {
         }
         record
     }
+}
+
+/// Norm of the error of the base parameters over their norm.
+pub(super) fn base_error(theta: &DVector<f64>, truth: &[Option<f64>], base: usize) -> Option<f64> {
+    let truth: Vec<f64> = truth.iter().take(base).copied().collect::<Option<_>>()?;
+    let pairs = truth.iter().zip(theta.iter());
+    let error: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
+    let size: f64 = truth.iter().map(|value| value * value).sum();
+    Some((error / size).sqrt())
 }

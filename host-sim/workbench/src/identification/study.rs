@@ -9,7 +9,7 @@ use super::judge::description;
 use super::methods::{Fit, MethodName, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
-use super::record::{MethodRecord, RIVALS, ValidationRecord};
+use super::record::{MethodRecord, RIVALS, ValidationRecord, base_error};
 use super::stream::for_each_prepared;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
 use super::validation::{FileScores, Trace};
@@ -287,15 +287,6 @@ pub(super) fn truths(robot: &Robot, layout: &Layout) -> Vec<Option<f64>> {
         }));
     }
     out
-}
-
-/// Norm of the error of the base parameters over their norm.
-pub(super) fn base_error(theta: &DVector<f64>, truth: &[Option<f64>], base: usize) -> Option<f64> {
-    let truth: Vec<f64> = truth.iter().take(base).copied().collect::<Option<_>>()?;
-    let pairs = truth.iter().zip(theta.iter());
-    let error: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
-    let size: f64 = truth.iter().map(|value| value * value).sum();
-    Some((error / size).sqrt())
 }
 
 /// Error of the base parameters by epoch of the accelerated layer; empty without a truth.
