@@ -38,8 +38,8 @@ const WINDOW_S: usize = 10;
 const GRACE_S: f64 = 2.5;
 /// Time from a pick to the look at its mass, s.
 const WEIGHED_S: f64 = 3.0;
-/// Code of an alarm of change detection.
-const ALARM: u8 = 1;
+/// Codes that are false on undisturbed motion: an alarm of change detection, a payload.
+const DISTURBED: [u8; 2] = [1, 2];
 
 /// An arm of one seed.
 pub(super) struct Bench<const N: usize> {
@@ -408,7 +408,7 @@ impl<const N: usize> Bench<N> {
     }
 }
 
-/// Takes the payload mass and new alarms out of a frame.
+/// Takes the payload mass, new alarms and new payloads out of a frame.
 fn watch<const N: usize>(
     frame: &TelemetryFrame,
     decided: &mut u32,
@@ -421,7 +421,9 @@ fn watch<const N: usize>(
             Field::Quality => *mass = word(8).map_or(0.0, |w| f64::from(f32::from_le_bytes(w))),
             Field::Decision => {
                 let count = word(0).map_or(0, u32::from_le_bytes);
-                *alarms += u32::from(count != *decided && bytes.get(4) == Some(&ALARM));
+                *alarms += u32::from(
+                    count != *decided && bytes.get(4).is_some_and(|code| DISTURBED.contains(code)),
+                );
                 *decided = count;
             }
             _ => {}
