@@ -7,7 +7,7 @@ use foretorque::dynamics::{FrictionColumn, regressor, rnea};
 use foretorque::feedforward::evaluate;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{LearnerConfig, ParameterSet, prior_factor, prior_factor_count};
-use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
+use foretorque_link::bank::{ColumnKind, NETWORK_SEED, ParameterBank};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::{BoardError, Client, Described, Native};
 use foretorque_workbench::bus::Profile;
@@ -120,6 +120,38 @@ fn arms_of_one_to_eight_joints_run_and_learn() {
                 let reply = client.sample(&sample::<Described<N, P>, N, P>(tick)).unwrap();
                 assert!(reply.total.iter().all(|tau| tau.is_finite()), "{count} joints");
             }
+        }, else unreachable!());
+    }
+}
+
+/// Banks name their columns. An arm read at run time has room for more base parameters than it has, so places differ.
+#[test]
+fn friction_of_a_bank_stays_with_its_joint() {
+    for name in ["small5", "mit6", "ur10e", "gen3", "eight", "ur5"] {
+        let file = format!("{}/../robots/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+        let robot = Robot::load(&file).unwrap();
+        arms!(robot, N, P => {
+            Described::<N, P>::read(&robot).unwrap();
+            let mut bank = ParameterBank::nominal::<Described<N, P>, N, P>();
+            let viscous = ColumnKind::friction(FrictionColumn::Viscous);
+            for column in bank.columns.iter_mut().filter(|column| column.id.kind == viscous) {
+                column.value = 0.01 * f32::from(column.id.joint + 1);
+                column.deviation = 0.5 * column.value;
+            }
+            let set = bank.set::<Described<N, P>, N, P>().unwrap();
+            for (joint, friction) in set.friction.iter().enumerate() {
+                assert_eq!(friction[FrictionColumn::Viscous], 0.01 * (joint + 1) as f32, "{name}");
+                assert_eq!(friction[FrictionColumn::Coulomb], 0.0, "{name}");
+            }
+            let again = ParameterBank::from_set::<Described<N, P>, N, P>(&set);
+            let values = |bank: &ParameterBank| -> Vec<_> {
+                bank.columns.iter().map(|column| (column.id, column.value)).collect()
+            };
+            assert_eq!(values(&again), values(&bank), "{name}");
+            let board = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
+            let mut client = Client::<N>::connect::<Described<N, P>, P>(board, BOOT).unwrap();
+            client.upload_bank(&bank).unwrap();
+            assert_eq!(client.read_bank().unwrap().columns, bank.columns, "{name}");
         }, else unreachable!());
     }
 }

@@ -18,7 +18,7 @@ pub(crate) use parameters::config as feed_forward_config;
 use postcard::ser_flavors::{Slice, crc::CrcModifier};
 use serde::{Deserialize, Serialize};
 pub use typed::NETWORK_SEED;
-pub(crate) use typed::name;
+pub(crate) use typed::{name, slots};
 
 /// Most linear columns: base parameters and friction of eight joints. A larger number does not change the format.
 pub const MAX_COLUMNS: usize = most_parameters(MAX_JOINTS) + MAX_JOINTS * FRICTION_COLUMNS;

@@ -40,7 +40,7 @@ impl ParameterBank {
         const { assert!(N * JointNetwork::WEIGHTS <= MAX_WEIGHTS) }
         let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma;
         let columns = columns::<A, N, P>();
-        let columns = columns.iter().zip(slots(&deviations));
+        let columns = columns.iter().zip(slots::<A, N, P>(&deviations));
         let columns = columns.map(|(&id, &deviation)| Column {
             id,
             value: 0.0,
@@ -67,7 +67,7 @@ impl ParameterBank {
     ) {
         let deviations = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma;
         let linear = LinearParameters::of(set);
-        let values = slots(&linear).zip(slots(&deviations));
+        let values = slots::<A, N, P>(&linear).zip(slots::<A, N, P>(&deviations));
         for (&id, (&value, &deviation)) in columns::<A, N, P>().iter().zip(values) {
             match self.columns.iter_mut().find(|column| column.id == id) {
                 Some(column) => column.value = value,
@@ -112,13 +112,14 @@ impl ParameterBank {
             }
             for (linear, value) in linear.iter_mut().zip([column.value, column.deviation]) {
                 let LinearParameters { friction, rigid } = linear;
-                let mut slots = rigid.iter_mut().chain(friction.as_flattened_mut());
+                let rigid = rigid.iter_mut().take(A::index().count);
+                let mut slots = rigid.chain(friction.as_flattened_mut());
                 if let Some(slot) = index.and_then(|index| slots.nth(index)) {
                     *slot = value;
                 }
             }
         }
-        match found.iter().take(P).position(|found| !found) {
+        match found.iter().take(A::index().count).position(|found| !found) {
             Some(place) => Err(BankError::MissingColumn(place as u8)),
             None => Ok(linear),
         }
@@ -160,9 +161,13 @@ impl ParameterBank {
     ) -> StartDeviations<N, P> {
         let prior = LearnerConfig::<N, P>::for_arm::<A>(1e-3).sigma;
         let mut start = StartDeviations::PRIOR;
-        let parts = start.rigid.iter_mut();
+        let parts = start.rigid.iter_mut().take(A::index().count);
         let parts = parts.chain(start.friction.as_flattened_mut());
-        for ((&id, &prior), part) in columns::<A, N, P>().iter().zip(slots(&prior)).zip(parts) {
+        for ((&id, &prior), part) in columns::<A, N, P>()
+            .iter()
+            .zip(slots::<A, N, P>(&prior))
+            .zip(parts)
+        {
             if let Some(column) = self.column(id) {
                 *part = StartDeviations::<N, P>::part(column.deviation, prior);
             }
@@ -207,11 +212,12 @@ impl JointBounds {
     }
 }
 
-/// Linear parameters in the order of [`columns`].
-fn slots<const N: usize, const P: usize>(
+/// Linear parameters in the order of [`columns`]. An arm that is read at run time may have fewer base parameters than `P`.
+pub(crate) fn slots<A: Arm<N, P>, const N: usize, const P: usize>(
     linear: &LinearParameters<N, P>,
 ) -> impl Iterator<Item = &f32> {
-    linear.rigid.iter().chain(linear.friction.as_flattened())
+    let rigid = linear.rigid.iter().take(A::index().count);
+    rigid.chain(linear.friction.as_flattened())
 }
 
 /// Network shape of this firmware.

@@ -1,7 +1,7 @@
 //! Work on banks outside the tick: encoding, decoding, checks, signatures, storage.
 
 use super::mailbox::{Order, ParameterMailbox, Upload};
-use crate::bank::{ParameterBank, Parameters};
+use crate::bank::{ParameterBank, Parameters, slots};
 use crate::store::{Store, StoreError};
 use crate::wire::{CRC, NackReason};
 use core::marker::PhantomData;
@@ -168,9 +168,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, 
         // The capacities suffice for every joint.
         let _ = bank.drive_gains_nm_a.extend_from_slice(&in_force.gains);
         let _ = bank.limits.extend_from_slice(&in_force.bounds);
-        let LinearParameters { friction, rigid } = &self.deviations;
-        let deviations = rigid.iter().chain(friction.as_flattened());
-        for (column, &deviation) in bank.columns.iter_mut().zip(deviations) {
+        for (column, &deviation) in bank
+            .columns
+            .iter_mut()
+            .zip(slots::<A, N, P>(&self.deviations))
+        {
             column.deviation = deviation;
         }
         let bytes = bank.encode(&mut self.bytes).map_err(NackReason::Bank)?;
