@@ -10,13 +10,13 @@ use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::{at, remove_stale, write_whole};
 use foretorque_workbench::identification::{
     ColumnSet, Finding, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig,
-    bank_of_fit, identify, judge, page, unexplained,
+    bank_of_fit, cut_offs, identify, judge, longest_period_s, page, unexplained,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::{or_dash, ratio};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Identify an arm's parameters from logs, by all methods side by side, and validate them on unseen logs
@@ -63,12 +63,13 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE")]
     excitation: Option<PathBuf>,
     /// Cut-off of the zero-phase filter on the motion, Hz; above that on the torque, so that the filter on both sides
-    /// of the equation is the same where it acts
-    #[arg(long, default_value_t = 40.0, value_parser = positive)]
-    motion_hz: f64,
-    /// Cut-off of the zero-phase filter on torque and regressor, Hz; 0 for none
-    #[arg(long, default_value_t = 20.0, value_parser = not_negative)]
-    torque_hz: f64,
+    /// of the equation is the same where it acts; without it 40, or 0.4 of the rows a second of a slow log
+    #[arg(long, value_parser = positive)]
+    motion_hz: Option<f64>,
+    /// Cut-off of the zero-phase filter on torque and regressor, Hz; 0 for none; without it 20, or 0.2 of the rows a
+    /// second of a slow log
+    #[arg(long, value_parser = not_negative)]
+    torque_hz: Option<f64>,
     /// A joint slower than this stands still, rad/s
     #[arg(long, default_value_t = 0.05, value_parser = not_negative)]
     still_rad_s: f64,
@@ -143,6 +144,12 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
         }
         None => None,
     };
+    let fold_period_s = fold_period_s(arguments)?;
+    let logs = [&arguments.logs, &arguments.validate, &arguments.test];
+    let logs: Vec<&Path> = logs.into_iter().flatten().map(PathBuf::as_path).collect();
+    let period_s = longest_period_s(&logs, robot)?;
+    let [motion_hz, torque_hz] = cut_offs([40.0, 20.0], period_s);
+    let torque_hz = arguments.torque_hz.unwrap_or(torque_hz);
     let methods = if arguments.methods.is_empty() {
         METHODS.iter().map(|(method, _)| *method).collect()
     } else {
@@ -152,12 +159,12 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
         methods,
         columns: arguments.columns.clone(),
         prepare: PrepareConfig {
-            motion_hz: arguments.motion_hz,
-            torque_hz: Some(arguments.torque_hz).filter(|hz| *hz > 0.0),
+            motion_hz: arguments.motion_hz.unwrap_or(motion_hz),
+            torque_hz: Some(torque_hz).filter(|hz| *hz > 0.0),
             still_rad_s: arguments.still_rad_s,
         },
         gains_from_standstill: arguments.gains == Gains::Standstill,
-        fold_period_s: fold_period_s(arguments)?,
+        fold_period_s,
         seed: arguments.seed,
         truth,
         test: arguments.test.clone(),

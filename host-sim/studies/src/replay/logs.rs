@@ -7,7 +7,7 @@ use foretorque::joint::{JointMeasurement, JointVector};
 use foretorque_workbench::dynamics::State;
 use foretorque_workbench::identification::{
     IdentifyConfig, IdentifyError, Layout, MethodName, Preparation, PrepareConfig, Prepared,
-    WholeLog, for_each_prepared, identify,
+    WholeLog, cut_offs, for_each_prepared, identify,
 };
 use foretorque_workbench::robot::Robot;
 use std::path::{Path, PathBuf};
@@ -31,9 +31,10 @@ pub struct ReplayPath {
 
 /// Filters of the reference and of the figures for rows so far apart: at 8 ms those published for the logs of the UR5.
 fn filters(period_s: f64) -> PrepareConfig {
+    let [motion_hz, torque_hz] = cut_offs([20.0, 10.0], period_s);
     PrepareConfig {
-        motion_hz: f64::min(20.0, 0.4 / period_s),
-        torque_hz: Some(f64::min(10.0, 0.2 / period_s)),
+        motion_hz,
+        torque_hz: Some(torque_hz),
         still_rad_s: GATE_RAD_S,
     }
 }

@@ -15,12 +15,12 @@ use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
 pub use logs::ReplayPath;
-pub use record::{PathScores, ReplayReport};
+pub use record::{PathScores, ReplayDecision, ReplayReport};
 
 use logs::Stretch;
 use record::Predictions;
 use scores::Scores;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::Path;
 
 /// Longest tick, s. A row is played in as many ticks as keep below it, on a straight line from the row before. The board's
@@ -59,7 +59,7 @@ struct Board<A: Arm<N, P>, const N: usize, const P: usize> {
     learner: Learner<A, N, P>,
     exchange: Exchange<N, P>,
     decided: u32,
-    decisions: BTreeMap<String, u32>,
+    decisions: Vec<ReplayDecision>,
     clipped: u32,
     ticks: u32,
 }
@@ -79,7 +79,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
             learner,
             exchange: Exchange::new(),
             decided: 0,
-            decisions: BTreeMap::new(),
+            decisions: Vec::new(),
             clipped: 0,
             ticks: 0,
         })
@@ -98,8 +98,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
         self.clipped += u32::from(torque.flags.contains(Flags::LEARNED_CLIPPED));
         let log = &self.feedforward.state().report.decisions;
         for decision in (self.decided..log.count()).filter_map(|index| log.get(index)) {
-            let reason = format!("{:?}", decision.reason);
-            *self.decisions.entry(reason).or_default() += 1;
+            let tick_s = self.start.period_s / f64::from(self.start.ticks());
+            self.decisions.push(ReplayDecision {
+                t_s: f64::from(self.ticks) * tick_s,
+                reason: decision.reason.to_string(),
+                joint: decision.joint.map(|joint| joint + 1),
+                figure: decision.figure,
+            });
         }
         self.decided = log.count();
         torque.total
@@ -298,7 +303,7 @@ fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
             .copied()
             .reduce(|a, b| Some(a?.max(b?)))
             .flatten(),
-        decisions_count: decisions,
+        decisions,
         learned_clipped_ticks_count: clipped,
         torque_at_30_rad_s2_over_limit_ratio: board.extrapolated(),
         ticks_count: ticks,

@@ -4,7 +4,6 @@ use crate::Outcome;
 use crate::real_ur5::joint_rows;
 use foretorque_workbench::report::page::{Page, Section, ratio};
 use serde::Serialize;
-use std::collections::BTreeMap;
 
 /// A joint slower than this stands still, rad/s.
 pub(super) const GATE_RAD_S: f64 = 0.05;
@@ -29,6 +28,19 @@ pub struct PathScores {
     /// Largest error of the newest parameters over that of the start in any 3 s, all joints as shares of their torque
     /// limits.
     pub worst_window_over_start_ratio: Option<f64>,
+}
+
+/// Decision of the supervisor.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ReplayDecision {
+    /// Time from the first row of all logs, s.
+    pub t_s: f64,
+    /// Its reason.
+    pub reason: String,
+    /// Joint that caused it, from 1; none if it concerns the arm.
+    pub joint: Option<u8>,
+    /// Figure that the reason names; 0 if it names none.
+    pub figure: f32,
 }
 
 /// `report.json`.
@@ -63,8 +75,8 @@ pub struct ReplayReport {
     pub worst_window_over_start_ratio: Option<f64>,
     /// The longest of the paths' times to 1.1, s.
     pub within_1_1_worst_s: Option<f64>,
-    /// Decisions of the supervisor by reason.
-    pub decisions_count: BTreeMap<String, u32>,
+    /// Decisions of the supervisor, in order.
+    pub decisions: Vec<ReplayDecision>,
     /// Ticks in which what was learnt was cut.
     pub learned_clipped_ticks_count: u32,
     /// Largest feed-forward torque asked with 30 rad/s² on one joint after another, over the torque limit.
@@ -130,8 +142,14 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         let window = ratio(path.worst_window_over_start_ratio);
         [path.path.clone(), ratio(path.within_1_1_after_s), window]
     });
-    let decisions = report.decisions_count.iter();
-    let decisions = decisions.map(|(reason, count)| [reason.clone(), count.to_string()]);
+    let decisions = report.decisions.iter().map(|decision| {
+        [
+            format!("{:.2}", decision.t_s),
+            decision.reason.clone(),
+            decision.joint.map_or("–".to_owned(), |j| format!("J{j}")),
+            format!("{:.3}", decision.figure),
+        ]
+    });
     let page = page.sections([
         of_joints("Parameters 10 s old", |path| &path.aged_ratio),
         of_joints("Parameters before each row", |path| &path.newest_ratio),
@@ -141,11 +159,8 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
             "A board fresh from the start on every path, s.",
         )
         .table("path | s | worst 3 s over the start", within),
-        Section::new(
-            "Decisions of the supervisor",
-            "Over all logs.",
-        )
-        .table("reason | count", decisions),
+        Section::new("Decisions of the supervisor", "Time over all logs.")
+            .table("time / s | reason | joint | figure", decisions),
         Section::new("Treatment of the logs", format!("Rows {:.3} ms apart.", 1e3 * report.period_s))
             .table("note", report.notes.iter().map(|note| [note.clone()])),
     ]);
@@ -157,10 +172,37 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         "{:<56} {worst} × {}\n",
         "worst 3 s of the newest parameters", report.start
     );
-    let decisions = format!("decisions of the supervisor {:?}\n", report.decisions_count);
+    let decisions = format!("decisions  {}\n", decision_line(&report.decisions));
     Outcome {
         text: lines.chain([worst, decisions]).collect(),
         page,
         report,
+    }
+}
+
+/// Every reason once, in the order of its first time.
+fn decision_line(decisions: &[ReplayDecision]) -> String {
+    let first = |k: usize| {
+        let mut before = decisions[..k].iter();
+        before.all(|earlier| earlier.reason != decisions[k].reason)
+    };
+    let entry = |k: usize| {
+        let ReplayDecision {
+            t_s, reason, joint, ..
+        } = &decisions[k];
+        let times = decisions.iter().filter(|d| d.reason == *reason).count();
+        let joint = joint.map_or(String::new(), |j| format!(" J{j}"));
+        match times {
+            1 => format!("{reason}{joint} at {t_s:.1} s"),
+            _ => format!("{times} x {reason}, first{joint} at {t_s:.1} s"),
+        }
+    };
+    let entries: Vec<String> = (0..decisions.len())
+        .filter(|&k| first(k))
+        .map(entry)
+        .collect();
+    match entries.len() {
+        0 => "none".to_owned(),
+        _ => entries.join("; "),
     }
 }

@@ -41,7 +41,7 @@ pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
 pub use page::page;
-pub use prepare::{Preparation, PrepareConfig, Prepared};
+pub use prepare::{Preparation, PrepareConfig, Prepared, cut_offs, longest_period_s};
 pub use problem::{Candidate, MethodResult, Progress};
 pub use record::{
     GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,

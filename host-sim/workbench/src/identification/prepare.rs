@@ -29,6 +29,20 @@ pub struct PrepareConfig {
     pub still_rad_s: f64,
 }
 
+/// Cut-offs on motion and torque for rows `period_s` apart, Hz: those wanted, or less where such rows are too far apart.
+pub fn cut_offs([motion_hz, torque_hz]: [f64; 2], period_s: f64) -> [f64; 2] {
+    [motion_hz.min(0.4 / period_s), torque_hz.min(0.2 / period_s)]
+}
+
+/// Period of the rows of the slowest log, s.
+///
+/// Errors: the log's.
+pub fn longest_period_s(logs: &[&Path], robot: &Robot) -> Result<f64, IdentifyError> {
+    logs.iter().try_fold(0.0_f64, |longest, path| {
+        Ok(longest.max(WholeLog::open(path, robot)?.period_s()))
+    })
+}
+
 impl PrepareConfig {
     /// Check that the rows of a log are near enough for the filters.
     ///

@@ -118,7 +118,7 @@ pub struct FrictionProperties {
     pub prior: FrictionPrior,
     /// Sign constraint.
     pub bound: FrictionBound,
-    /// Changes with grease, temperature and wear: the estimator adds process noise.
+    /// Changes with temperature, grease and wear: the estimator adds process noise.
     pub random_walk: bool,
     /// Periodic in the position; only on joints with cogging cycles.
     pub cogging: bool,
@@ -256,7 +256,7 @@ friction_columns! {
         random_walk: false,
         cogging: false,
     }
-    /// Constant torque of the drive: the zero of its current sensor, a dress pack.
+    /// Constant torque of the drive: the zero of its current sensor, which drifts with the temperature; a dress pack.
     Offset {
         basis: |_x| T::ONE,
         symbol: "Fo",
@@ -265,7 +265,7 @@ friction_columns! {
         bank_kind: 15,
         prior: FrictionPrior::Torque(0.015),
         bound: FrictionBound::None,
-        random_walk: false,
+        random_walk: true,
         cogging: false,
     }
     /// Cogging in phase with the sine.

@@ -188,9 +188,13 @@ pub(super) fn compare(
             continue;
         }
         let width = f64::from(foretorque::dynamics::SIGN_WIDTH);
+        // A description without rotors says nothing about their size.
+        let rotor = match robot.joints[joint].drive.rotor_inertia {
+            0.0 => own[joint].rotor.0.max(0.0),
+            rotor => rotor,
+        };
         let described = states.iter().zip(&of_links).map(|(state, links)| {
-            let qd = state.qd[joint];
-            let rotor = robot.joints[joint].drive.rotor_inertia * state.qdd[joint];
+            let (qd, rotor) = (state.qd[joint], rotor * state.qdd[joint]);
             links[0][joint] + rotor + friction.coulomb * (qd / width).tanh() + friction.viscous * qd
         });
         let described = described.map(|tau| tau * tau).sum::<f64>() / states.len() as f64;
