@@ -6,6 +6,9 @@ use super::trainer::TrainerConfig;
 use crate::arm::{Arm, ArmModel, table};
 use crate::dynamics::{FRICTION_COLUMNS, friction_prior};
 
+/// Time in which friction changes by its prior standard deviation with temperature, grease and wear, s: 17 hours.
+const FRICTION_CHANGE_S: f32 = 6e4;
+
 /// Configuration of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerConfig<const N: usize, const P: usize> {
@@ -54,7 +57,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             noise: 0.01,
             outlier_sigmas: 3.0,
             correlation_s: 0.5,
-            process_noise: 1e-7,
+            process_noise: N as f32 * period_s / FRICTION_CHANGE_S,
             torque_step: 0.005,
             // Tables, so that a board does not compute them.
             sigma: LinearParameters {
