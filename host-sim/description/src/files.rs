@@ -156,11 +156,20 @@ impl WholeFile {
             });
             kept.map_err(|error| at(&self.target, error))?;
         }
-        match &self.part {
-            Some(part) => fs::rename(part, &self.target).map_err(|error| at(&self.target, error)),
-            None => Ok(()),
+        if let Some(part) = &self.part {
+            fs::rename(part, &self.target).map_err(|error| at(&self.target, error))?;
+            sync_directory(&self.target);
         }
+        Ok(())
     }
+}
+
+/// Makes the name of a file outlive a power cut. Where a directory cannot be opened or kept, the file itself is whole all the
+/// same: under this name, or under that of its earlier version.
+fn sync_directory(file: &Path) {
+    let directory = file.parent().filter(|path| !path.as_os_str().is_empty());
+    let directory = File::open(directory.unwrap_or(Path::new(".")));
+    let _ = directory.and_then(|directory| directory.sync_all());
 }
 
 impl Write for WholeFile {

@@ -190,7 +190,7 @@ fn a_fault_of_the_drive_ends_the_pulses_in_the_tick_in_which_it_is_seen() {
 }
 
 #[test]
-fn driving_a_joint_costs_what_the_page_of_the_board_says() {
+fn driving_a_joint_costs_less_than_two_thousand_instructions() {
     let cost = |client: &mut Client<JOINTS>| {
         for k in 0..200 {
             client.sample(&moving(k)).expect("a torque");

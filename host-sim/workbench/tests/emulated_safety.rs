@@ -1,10 +1,15 @@
 //! Arming, time-out, stop, restart and watchdog of the flashable firmware in the emulator, as the pins and the line show it.
 
-use crate::trial::{Trial, patched, scratch, sealed, still};
+use crate::talk::Talk;
+use crate::trial::{Trial, patched, scratch, sealed, started, still};
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::JointVector;
+use foretorque::limits::Flags;
 use foretorque_link::safety::{SafetyReason, SafetyState};
-use foretorque_link::wire::{Configuration, Field, ImageStatus, NackReason, ResetReason};
+use foretorque_link::wire::{
+    BoardMessage, Configuration, Decoder, Field, HostMessage, ImageStatus, NackReason, Pacing,
+    ResetReason, SampleFrame,
+};
 use foretorque_link::write_key::WriteKey;
 use foretorque_workbench::board::BoardError;
 use foretorque_workbench::board::qemu::{Image, QemuOptions};
@@ -76,6 +81,62 @@ fn a_board_paced_by_its_timer_ends_the_torque_when_samples_stay_away() {
     assert_eq!(after.safety.state, SafetyState::Disarmed);
     assert_eq!(after.safety.reason, SafetyReason::CommandTimeout);
     assert!(!enabled(&trial.trace()), "samples do not arm");
+}
+
+/// The time-out in ticks, as the replies of the board count them.
+#[test]
+fn silence_disarms_a_board_paced_by_its_timer_after_the_time_out_and_not_before() {
+    let mut talk = Talk::begin(started(&QemuOptions::new(Image::Joint)));
+    talk.send(&HostMessage::Configure(Configuration {
+        period_us: 250,
+        pacing: Pacing::SysTick,
+        ..Configuration::default()
+    }));
+    let sample = HostMessage::Sample(SampleFrame::new(&still()));
+    // Ticks of the last reply to a sample, of the one that was armed last, and of the next one.
+    let (mut used, mut armed, mut ended) = (0, None, None);
+    for k in 0..10_000 {
+        let message = match armed {
+            // It may have been silent for long since the samples before: the emulator leaps.
+            None if k % 8 == 7 => &HostMessage::Arm,
+            None => &sample,
+            Some(_) => &HostMessage::Statistics,
+        };
+        talk.send(message);
+        loop {
+            let (number, frame) = talk.receive();
+            if let BoardMessage::Torque(torque) = message_of(&frame) {
+                if !Flags(torque.flags).contains(Flags::STALE_SAMPLE) {
+                    used = torque.tick;
+                }
+                match torque.safety.state {
+                    SafetyState::Armed => armed = Some(torque.tick),
+                    _ if armed.is_some() && ended.is_none() => ended = Some(torque.tick),
+                    _ => {}
+                }
+            }
+            if number == talk.sequence {
+                break;
+            }
+        }
+        if let (Some(armed), Some(ended)) = (armed, ended) {
+            assert_eq!(ended, armed + 1, "a reply is missing");
+            // 50 ms, and a period that may have begun before.
+            assert!((200..=202).contains(&(ended - used)), "{used} {ended}");
+            return;
+        }
+    }
+    panic!("the board stays armed");
+}
+
+fn message_of(frame: &[u8]) -> BoardMessage<JOINTS> {
+    let mut decoder = Decoder::new();
+    for &byte in frame {
+        if let Some(frame) = decoder.push(byte) {
+            return frame.expect("it was whole").message().expect("of a board");
+        }
+    }
+    panic!("a frame has an end");
 }
 
 #[test]

@@ -206,6 +206,18 @@ fn events(input: &[u8]) -> Vec<Event> {
     events
 }
 
+/// Ends of the pieces of an input, its first byte included: messages behind their lengths, and periods of the timer.
+pub fn pieces(input: &[u8]) -> Vec<usize> {
+    let mut ends = vec![input.len().min(1)];
+    let mut at = ends[0];
+    while let Some(&length) = input.get(at) {
+        let content = if length < PERIODS { length.into() } else { 0 };
+        at = input.len().min(at + 1 + content);
+        ends.push(at);
+    }
+    ends
+}
+
 /// First length that stands for periods of the timer.
 const PERIODS: u8 = 240;
 
@@ -242,9 +254,10 @@ impl Observed {
         }
     }
 
-    fn byte(&mut self, byte: u8) {
+    /// Bytes up to a delimiter: before it a board acts on none.
+    fn frame(&mut self, bytes: &[u8]) {
         self.session.receive(
-            &[byte],
+            bytes,
             &mut self.mailboxes,
             &mut self.out,
             &mut NoLocalSensor,
@@ -253,14 +266,20 @@ impl Observed {
             self.session
                 .poll_parameters(&mut self.mailboxes, &mut self.out);
         }
-        let Some(Ok(frame)) = self.sent.push(byte) else {
-            return self.check();
-        };
-        match frame.message::<HostMessage<6>>() {
-            Ok(HostMessage::Arm) => self.arming = Some(frame.sequence),
-            Ok(HostMessage::Stop) => self.promises.stop(),
+        let mut message = None;
+        for &byte in bytes {
+            if let Some(Ok(frame)) = self.sent.push(byte) {
+                message = frame
+                    .message()
+                    .ok()
+                    .map(|message| (frame.sequence, message));
+            }
+        }
+        match message {
+            Some((sequence, HostMessage::<6>::Arm)) => self.arming = Some(sequence),
+            Some((_, HostMessage::Stop)) => self.promises.stop(),
             // The timer starts anew.
-            Ok(HostMessage::Configure(_) | HostMessage::Reset) => {
+            Some((_, HostMessage::Configure(_) | HostMessage::Reset)) => {
                 self.check();
                 return self.timer();
             }
@@ -326,7 +345,10 @@ pub fn session(input: &[u8]) {
     board.timer();
     for event in events(input) {
         match event {
-            Event::Bytes(bytes) => bytes.into_iter().for_each(|byte| board.byte(byte)),
+            Event::Bytes(bytes) => {
+                let frames = bytes.split_inclusive(|&byte| byte == 0);
+                frames.for_each(|frame| board.frame(frame));
+            }
             Event::Periods(periods) => (0..periods).for_each(|_| board.timer()),
         }
     }

@@ -223,7 +223,7 @@ impl Report {
         let [(named, named_killed), (sampled, killed)] = self.counts;
         let share = 100.0 * killed as f64 / sampled as f64;
         let mut text = format!(
-            "named: {named_killed} of {named} killed\nsampled: {killed} of {sampled} killed, {share:.1} %\n\nlive, with the reason:\n"
+            "cargo xtask mutants\n\nnamed: {named_killed} of {named} killed\nsampled: {killed} of {sampled} killed, {share:.1} %\n\nlive, with the reason:\n"
         );
         self.live.sort();
         let mut unexplained = 0;

@@ -133,34 +133,4 @@ mod tests {
         }
         assert_eq!(SafetyReason::from_code(200), SafetyReason::Restarted);
     }
-
-    /// The row of the page that begins with these cells.
-    fn row<'p>(page: &'p str, cells: &str) -> Option<&'p str> {
-        page.lines().find(|line| line.starts_with(cells))
-    }
-
-    #[test]
-    fn the_page_of_safety_names_every_state_reason_and_flag() {
-        use foretorque::limits::Flags;
-        let page = include_str!("../../../../docs/safety.md");
-        let states = [
-            SafetyState::Disarmed,
-            SafetyState::Armed,
-            SafetyState::RampDown,
-            SafetyState::Fault,
-        ];
-        for state in states {
-            let cells = std::format!("| {} | `{state:?}` |", state as u8);
-            assert!(row(page, &cells).is_some(), "{cells}");
-        }
-        for reason in SafetyReason::ALL {
-            let cells = std::format!("| {} | `{reason:?}` |", reason.code());
-            assert!(row(page, &cells).is_some(), "{cells}");
-        }
-        for (bit, (flag, name)) in Flags::NAMED.into_iter().enumerate() {
-            assert_eq!(flag.0, 1 << bit, "{name}");
-            let cells = std::format!("| {bit} | `{}` |", name.to_uppercase());
-            assert!(row(page, &cells).is_some(), "{cells}");
-        }
-    }
 }

@@ -144,7 +144,7 @@ const ODD: [bool; FRICTION_COLUMNS] = {
     odd
 };
 
-/// The motion of a tick: as it is wanted, and cut to what has been learnt.
+/// The motion of a tick: as it is wanted, and cut to what has been learnt; the positions of both are those wanted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TickMotion<const N: usize> {
     pub(super) desired: JointMotion<N>,
@@ -190,7 +190,6 @@ impl<const N: usize> TickMotion<N> {
             self.desired.q[joint] = inside;
             self.desired.qd[joint] = velocity;
             self.desired.qdd[joint] = acceleration;
-            self.bounded.q[joint] = inside;
             self.bounded.qd[joint] = cut(velocity, range.motion.velocity[joint]).0;
             self.bounded.qdd[joint] = cut(acceleration, range.motion.acceleration[joint]).0;
         }

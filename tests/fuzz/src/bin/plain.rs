@@ -51,7 +51,8 @@ fn run(target: &str, runs: &str, seed: &str, inputs: &[&str]) -> io::Result<()> 
     for _ in 0..runs {
         let mut input = corpus[random.below(corpus.len())].clone();
         for _ in 0..=random.below(4) {
-            mutate(&mut input, &mut random);
+            let other = &corpus[random.below(corpus.len())];
+            mutate(&mut input, other, &mut random);
         }
         check(&input);
     }
@@ -73,15 +74,27 @@ fn files(path: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Changes a bit, a byte, the end, or the order.
-fn mutate(input: &mut Vec<u8>, random: &mut Random) {
+/// Changes a bit, a byte, the end, the order, or a piece.
+fn mutate(input: &mut Vec<u8>, other: &[u8], random: &mut Random) {
     let place = random.below(input.len() + 1);
-    match (random.below(5), input.get_mut(place)) {
+    match (random.below(8), input.get_mut(place)) {
         (0, Some(byte)) => *byte ^= 1 << random.below(8),
         (1, Some(byte)) => *byte = random.below(256) as u8,
         (2, _) => input.truncate(place),
         (3, Some(_)) => input.rotate_left(place),
-        _ => input.insert(place, random.below(256) as u8),
+        (4, _) => input.insert(place, random.below(256) as u8),
+        // Pieces of another input in place of one of this, or before it.
+        (kind, _) => {
+            let (own, others) = (fuzz::pieces(input), fuzz::pieces(other));
+            let first = random.below(own.len());
+            let last = (first + usize::from(kind > 5)).min(own.len() - 1);
+            let from = random.below(others.len());
+            let to = from + random.below((others.len() - from).min(8));
+            input.splice(
+                own[first]..own[last],
+                other[others[from]..others[to]].iter().copied(),
+            );
+        }
     }
 }
 

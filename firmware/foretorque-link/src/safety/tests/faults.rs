@@ -28,6 +28,12 @@ fn disarming_ramps_and_refuses_to_arm_meanwhile() {
     let (ticks, _) = run_out(&mut safety);
     assert!(ticks > 1, "{ticks}");
     assert_eq!(safety.status().reason, SafetyReason::Disarmed);
+    // Where no torque flows it changes nothing.
+    for mut safety in [new(), ready(), Safety::new(limits(), SafetyReason::Drive)] {
+        let before = safety;
+        safety.disarm();
+        assert_eq!(safety, before);
+    }
 }
 
 #[test]

@@ -326,6 +326,25 @@ fn m8_gravity_is_kept_while_the_brake_closes() {
     assert_eq!(disarmed.latched(), MotorHot, "the first one");
 }
 
+/// The shortest brake closes within one period.
+#[test]
+fn m8_a_torque_that_is_withdrawn_becomes_that_of_gravity_for_every_brake_and_without_one_stays() {
+    let set = ParameterSet::nominal::<Ur5>(1);
+    let mut withdrawn = foretorque::feedforward::evaluate::<Ur5, N, 40>(&set, &sample().desired);
+    withdrawn.flags = Flags::STALE_SAMPLE | Flags::WITHDRAWN;
+    withdrawn.total = torque(1.0);
+    let gravity = gravity::<Ur5, N, 40>(&set, &torque(0.5));
+    for (close_us, periods, wanted) in [(0, 0, torque(1.0)), (1, 1, gravity), (1000, 2, gravity)] {
+        let mut safety = armed();
+        safety.limits = limits().with_brake(close_us, 1000);
+        assert_eq!(safety.limits.brake_ticks, periods);
+        assert_eq!(safety.with_brakes::<Ur5, 40>(&withdrawn, &set), wanted);
+        withdrawn.flags = Flags::STALE_SAMPLE;
+        assert_eq!(safety.with_brakes::<Ur5, 40>(&withdrawn, &set), torque(1.0));
+        withdrawn.flags = Flags::STALE_SAMPLE | Flags::WITHDRAWN;
+    }
+}
+
 proptest! {
     #[test]
     fn in_any_order_torque_is_limited_and_zero_unless_armed(

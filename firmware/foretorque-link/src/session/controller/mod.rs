@@ -227,7 +227,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             self.counters.stale = self.counters.stale.saturating_add(1);
         }
         if paced || sample.is_some() {
-            self.ticked = false;
             return Some(self.tick(sample, mailbox, clock, sensor));
         }
         let credit = self.credit.unwrap_or(MAX_CREDIT);

@@ -26,7 +26,6 @@ impl Transfer {
 
     pub(in crate::session) fn abort(&mut self) {
         self.direction = Direction::Idle;
-        self.length = 0;
     }
 
     /// Takes the next chunk of an upload. Offset 0 begins anew. A repeated chunk does no harm, so a host whose

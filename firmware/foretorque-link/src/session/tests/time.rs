@@ -216,18 +216,18 @@ fn across_the_wraps_of_sequence_and_period_the_torques_are_those_of_a_twin() {
     }
 }
 
-/// Every row of the page about what holds the arm, in both pacings. The torque that is kept is that of gravity at the
-/// measured position.
-#[test]
-fn m8_the_arm_is_held_as_long_as_the_page_has_it() {
+/// Cells of the table of the page that begins with `head`.
+fn rows(head: &str) -> Vec<Vec<&'static str>> {
     let page = include_str!("../../../../../docs/safety.md");
-    let rows = page.split("| brake | event |").nth(1).unwrap().lines();
-    let rows: Vec<Vec<_>> = rows
-        .skip(2)
-        .take_while(|row| row.starts_with('|'))
-        .map(|row| row.split('|').map(str::trim).collect())
-        .collect();
-    assert_eq!(rows.len(), 5);
+    let rows = page.split(head).nth(1).unwrap().lines().skip(2);
+    let rows = rows.take_while(|row| row.starts_with('|'));
+    rows.map(|row| row.split('|').map(str::trim).collect())
+        .collect()
+}
+
+/// Ends the torque of a board by `event`, in both pacings: for so many periods it is kept at least, or that of gravity at
+/// the measured position, and zero at last.
+fn ends(event: &str, close_ms: u16, (kept, zero): (u32, u32)) {
     let mut still = slow(0);
     // More than gravity in the torque.
     still.desired.qdd.fill(3.0);
@@ -236,53 +236,94 @@ fn m8_the_arm_is_held_as_long_as_the_page_has_it() {
         .measured
         .unwrap()
         .q;
-    for (row, pacing) in rows.iter().flat_map(|row| PACINGS.map(|p| (row, p))) {
+    for pacing in PACINGS {
+        let mut board = Timeline::braked(pacing, close_ms, 1).board;
+        (0..ARM_SAMPLES).for_each(|_| _ = board.period(Some(slow(0))));
+        board.acknowledged(HostMessage::Arm);
+        (0..60).for_each(|_| _ = board.period(Some(still)));
+        assert!(board.session.brake_released());
+        let committed = board.session.feed_forward().state().committed;
+        let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &q);
+        let full = *board.session.torque_output();
+        let silent = ["silence", "time-out"].contains(&event);
+        match event {
+            "silence" | "time-out" => {}
+            "`Disarm`" => board.acknowledged(HostMessage::Disarm),
+            "a fault that ramps" => board.session.trip(SafetyReason::MotorHot),
+            "`Stop`" => board.acknowledged(HostMessage::Stop),
+            "`Drive`" => board.session.torque_off(SafetyReason::Drive),
+            "`Stage`" => board.session.torque_off(SafetyReason::Stage),
+            // The pins of a board in reset are low.
+            "restart" | "loss of power" => return,
+            other => panic!("`{other}` has no test"),
+        }
+        let (mut held, mut lasted, mut periods) = (0, 0, 0);
+        while board.session.torque_enabled() {
+            board.period((!silent).then_some(still));
+            let session = &board.session;
+            let torque = session.torque_output();
+            held += u32::from(*torque == gravity || *torque == full);
+            lasted += u32::from(*torque != JointVector::<N>::zeros());
+            periods += 1;
+            let ended = session.safety().state != SafetyState::Armed;
+            assert_ne!(session.brake_released(), ended);
+            assert!(periods < 300, "the torque never ends");
+        }
+        let context = std::format!("{pacing:?}, {event}, {close_ms} ms: {held} {lasted}");
+        // On its way from the full torque it is neither.
+        assert!(held + 10 >= kept && lasted <= zero, "{context}");
+        assert_eq!(*board.session.torque_output(), JointVector::<N>::zeros());
+    }
+}
+
+/// Periods of a torque that is kept for 100 ms: from the time-out of silent samples, or from another event.
+const CLOSING: [(u32, u32); 2] = [(147, 165), (99, 114)];
+
+/// Every row of the page about what holds the arm.
+#[test]
+fn m8_the_arm_is_held_as_long_as_the_page_has_it() {
+    let rows = rows("| brake | event |");
+    assert_eq!(rows.len(), 5);
+    for row in rows {
         let close_ms = if row[1] == "set" { 100 } else { 0 };
-        // Periods of the torque after the last sample or the event: kept at least, and zero at last.
-        let (kept, zero) = match row[3] {
+        let periods = match row[3] {
             "30 ms after the last sample" => (10, 33),
             "10 ms" => (0, 11),
-            "50 ms and the closing time" => (147, 165),
-            "the closing time" => (99, 114),
+            "50 ms and the closing time" => CLOSING[0],
+            "the closing time" => CLOSING[1],
             "0 ms" => (0, 1),
             other => panic!("`{other}` has no test"),
         };
-        for event in row[2].split(", ") {
-            let mut board = Timeline::braked(pacing, close_ms, 1).board;
-            (0..ARM_SAMPLES).for_each(|_| _ = board.period(Some(slow(0))));
-            board.acknowledged(HostMessage::Arm);
-            (0..60).for_each(|_| _ = board.period(Some(still)));
-            assert!(board.session.brake_released());
-            let committed = board.session.feed_forward().state().committed;
-            let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &q);
-            let full = *board.session.torque_output();
-            match event {
-                "silence" => {}
-                "`Disarm`" => board.acknowledged(HostMessage::Disarm),
-                "a fault that ramps" => board.session.trip(SafetyReason::MotorHot),
-                "`Stop`" => board.acknowledged(HostMessage::Stop),
-                "`Drive`" => board.session.torque_off(SafetyReason::Drive),
-                "`Stage`" => board.session.torque_off(SafetyReason::Stage),
-                // The pins of a board in reset are low.
-                "restart" | "loss of power" => continue,
+        row[2]
+            .split(", ")
+            .for_each(|event| ends(event, close_ms, periods));
+    }
+}
+
+/// Every row of the page about the events that end the torque, with and without a brake.
+#[test]
+fn m8_a_torque_ends_as_the_page_has_it_with_and_without_a_brake() {
+    let rows = rows("| event | without a brake |");
+    assert_eq!(rows.len(), 3);
+    for (row, (close_ms, column)) in rows.iter().flat_map(|row| [(row, (0, 2)), (row, (100, 3))]) {
+        let events = row[1].trim_end_matches(", from 10 ms").split(", ");
+        for event in events {
+            let timed_out = event == "time-out";
+            let periods = match row[column] {
+                "the torque falls to zero" => (10, 33),
+                "the torque becomes that of gravity, by the committed set at the position measured last" => {
+                    CLOSING[0]
+                }
+                // After a time-out it was zero before.
+                "the torque is zero after 10 ms" => (0, if timed_out { 33 } else { 11 }),
+                "the brake closes; the torque of gravity is kept for the closing time, then falls to zero in 10 ms" => {
+                    CLOSING[usize::from(!timed_out)]
+                }
+                "torque and enable off at once"
+                | "torque and enable off at once; the brake closes" => (0, 1),
                 other => panic!("`{other}` has no test"),
-            }
-            let (mut held, mut lasted, mut periods) = (0, 0, 0);
-            while board.session.torque_enabled() {
-                board.period((event != "silence").then_some(still));
-                let session = &board.session;
-                let torque = session.torque_output();
-                held += u32::from(*torque == gravity || *torque == full);
-                lasted += u32::from(*torque != JointVector::<N>::zeros());
-                periods += 1;
-                let ended = session.safety().state != SafetyState::Armed;
-                assert_ne!(session.brake_released(), ended);
-                assert!(periods < 300, "the torque never ends");
-            }
-            let context = std::format!("{pacing:?}, {row:?}, {event}: {held} {lasted}");
-            // On its way from the full torque it is neither.
-            assert!(held + 10 >= kept && lasted <= zero, "{context}");
-            assert_eq!(*board.session.torque_output(), JointVector::<N>::zeros());
+            };
+            ends(event, close_ms, periods);
         }
     }
 }

@@ -182,6 +182,17 @@ fn the_types_of_the_hello_on_the_page_read_a_hello_to_its_end() {
             hello = frame.unwrap().message().ok();
         }
     }
+    let Some(BoardMessage::Hello(mut timed)) = hello.clone() else {
+        panic!("no hello");
+    };
+    for (counts, hz, time_us) in [
+        (504_000_000, 168_000_000, Some(3_000_000)),
+        (u32::MAX, 1, None),
+        (5, 0, None),
+    ] {
+        (timed.boot_counts, timed.counter_hz) = (counts, hz);
+        assert_eq!(timed.boot_us(), time_us, "{counts} at {hz} Hz");
+    }
     let mut buffer = [0; MAX_FRAME];
     let mut rest = &*postcard::to_slice(&hello.unwrap(), &mut buffer).unwrap();
     rest = &rest[1..];

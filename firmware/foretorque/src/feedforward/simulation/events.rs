@@ -253,6 +253,11 @@ fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right
     assert_eq!(decided.iter().rfind(following), Some(&Reason::Followed));
     let share = board.learner.state().share().joint;
     assert!(share.iter().all(|share| *share > 0.9), "{share:?}");
+    let committed = board.feedforward.state().committed;
+    assert_ne!(
+        committed.rigid, prior.rigid,
+        "what is followed is committed"
+    );
     let mut least = 1.0f32;
     for tick in 3000..8000 {
         let mut sample = plant.sample(tick);
@@ -263,7 +268,9 @@ fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right
         least = least.min(board.learner.state().share().rigid);
     }
     // The estimate returns to it as well.
-    assert!(least < 0.5, "{least}");
+    assert!(least < 0.25, "{least}");
+    let left = reasons(&board);
+    assert!(left.contains(&Reason::RolledBack), "{left:?}");
 }
 
 #[test]
@@ -278,6 +285,13 @@ fn m12_after_any_event_the_guard_is_healthy_again() {
         cell.board.learner.state().report.quality.phase,
         Phase::Relearning
     );
+    let refusals = [Reason::Implausible, Reason::Uncertain, Reason::Residual];
+    let leaning = cell.decisions();
+    assert!(has(&leaning, Reason::Alarm) && has(&leaning, Reason::Relearning));
+    assert!(
+        refusals.iter().any(|&reason| has(&leaning, reason)),
+        "{leaning:?}"
+    );
     cell.plant.push[2] = 0.0;
     for _ in 0..12_000 {
         cell.step();
@@ -286,6 +300,7 @@ fn m12_after_any_event_the_guard_is_healthy_again() {
         cell.board.learner.state().report.quality.phase,
         Phase::Healthy
     );
+    assert!(has(&cell.decisions(), Reason::RelearningEnded));
     let (sample, torque) = cell.step();
     assert!(cell.error(&sample, &torque) < 0.05);
 }

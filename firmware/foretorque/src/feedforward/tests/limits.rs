@@ -95,6 +95,18 @@ fn what_was_learnt_is_bounded_around_the_committed_set() {
 }
 
 #[test]
+fn the_torque_of_a_payload_is_cut_to_its_bound_or_left_out() {
+    for (factor, part) in [(100.0, 1.0), (-100.0, -1.0), (f32::NAN, 0.0)] {
+        let mut tick = tick(set());
+        let gravity = settled(&mut tick, &motion(0.3)).shares.rigid[1];
+        tick.state.payload = set().rigid * factor;
+        settled(&mut tick, &motion(0.3));
+        let bound = part * tick.config().payload_bound[1].copysign(gravity);
+        assert_eq!(tick.state().payload_torque[1], bound, "{factor}");
+    }
+}
+
+#[test]
 fn the_torque_is_finite_and_limited_for_any_bits() {
     let mut state = 0x1234_5678_9abc_def1u64;
     let mut bits = move || {

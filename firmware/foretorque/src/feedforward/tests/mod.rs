@@ -7,6 +7,7 @@ use crate::joint::JointMotion;
 use crate::learning::{LearnerReport, LearntShare, MotionRange, Publication};
 
 mod adoption;
+mod flags;
 mod limits;
 mod shares;
 mod silence;

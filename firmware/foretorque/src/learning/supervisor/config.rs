@@ -130,3 +130,16 @@ impl SupervisorConfig {
         ])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::arm::ur5::{LearnerConfig, Ur5};
+
+    #[test]
+    fn a_block_is_ten_milliseconds_and_has_a_tick_for_every_joint() {
+        for (period_s, ticks) in [(250e-6, 40), (1e-3, 10), (1.4e-3, 7), (4e-3, 7), (20e-3, 7)] {
+            let config = LearnerConfig::for_arm::<Ur5>(period_s);
+            assert_eq!(config.supervisor.block_ticks, ticks, "{period_s} s");
+        }
+    }
+}

@@ -152,6 +152,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
 mod tests {
     use super::*;
     use crate::arm::ur5::{LearnerConfig, Ur5};
+    use crate::joint::{JointMotion, JointVector};
 
     type Tested = Supervisor<6, 40>;
 
@@ -174,6 +175,21 @@ mod tests {
         ] {
             assert!(of == set, "{name}");
         }
+    }
+
+    #[test]
+    fn a_discarded_block_leaves_nothing_for_the_next_one() {
+        let mut supervisor = Tested::new(&config());
+        let residual = JointVector::repeat(1.0);
+        let average = &mut supervisor.block_average;
+        average.push(&JointMotion::zero(), &residual, 0.05, 2);
+        let block = average.push(&JointMotion::zero(), &residual, 0.05, 2);
+        supervisor.pending_block = block.map(|block| (block, 0));
+        assert!(supervisor.pending_block.is_some());
+        let average = &mut supervisor.block_average;
+        average.push(&JointMotion::zero(), &residual, 0.05, 2);
+        supervisor.reset_blocks();
+        assert!(supervisor == Tested::new(&config()));
     }
 
     /// Networks train on what the linear parameters leave: when the share of a joint is settled, or after many rows.

@@ -206,6 +206,17 @@ mod tests {
     /// Decision after blocks of a payload `carried`, N·m a unit, under which the arm feels `felt`; one row of every
     /// parameter a block, and two in the directions of the mass.
     fn decided(carried: &Payload, felt: &Payload, noise: f32) -> (u32, PayloadDecision) {
+        let (block, decision, _) = decided_at(carried, felt, noise, 0.1);
+        (block, decision)
+    }
+
+    /// Likewise for rows of the deviation `inflated`, N·m; with the standard deviation of the mass then, kg.
+    fn decided_at(
+        carried: &Payload,
+        felt: &Payload,
+        noise: f32,
+        inflated: f32,
+    ) -> (u32, PayloadDecision, f32) {
         let config = config();
         let mut test = PayloadHypothesisTest::new(&config, carried);
         for block in 1.. {
@@ -218,11 +229,11 @@ mod tests {
                     -1.0
                 };
                 let tau = payload_torque(felt, &row) + sign * noise;
-                test.add_row(carried, &row, tau, 0.1, 0.1);
+                test.add_row(carried, &row, tau, 0.1, inflated);
             }
             let carries = *carried != NO_PAYLOAD;
             if let Some(decision) = test.decide(&config, carries, false, 0.0) {
-                return (block, decision);
+                return (block, decision, test.filter.mass_sigma());
             }
         }
         unreachable!("the test has a time-out");
@@ -246,6 +257,7 @@ mod tests {
             (two, two, five, PayloadDecision::Transient),
             // Heavier by a little: another payload, not an empty hand.
             (two, of(3.0, [0.05; 3]), warm, PayloadDecision::Promote),
+            (two, of(0.9, [0.05; 3]), warm, PayloadDecision::Promote),
             (NO_PAYLOAD, of(2.0, [far, 0.0, 0.0]), late, implausible(2.0)),
             (NO_PAYLOAD, of(2.0, [0.0, far, 0.0]), late, implausible(2.0)),
             (NO_PAYLOAD, of(2.0, [0.0, 0.0, far]), late, implausible(2.0)),
@@ -275,6 +287,13 @@ mod tests {
             "{decision:?}"
         );
         assert_eq!(block, late);
+        // Evidence comes before a mass that is certain enough.
+        let (block, decision, sigma) = decided_at(&NO_PAYLOAD, &two, 0.03, 20.0);
+        assert_eq!(decision, PayloadDecision::Promote);
+        assert!(
+            block > 60 && sigma < config.max_mass_sigma,
+            "{block}: {sigma} kg"
+        );
     }
 
     /// First change of the payload in the window of the background test with `felt` where `carried` is in the torque, and
