@@ -277,7 +277,9 @@ impl LogReader {
                 }
             }
         }
-        Roughness::are_swapped(rough)
+        // Noise alone has 3, a motion far less.
+        let noisy = rough.iter().filter(|[q, _]| q.ratio() > 0.5).count();
+        noisy * 2 > rough.len() && Roughness::are_swapped(rough)
     }
 }
 
