@@ -11,6 +11,7 @@ use foretorque_workbench::bus::{Ask, BusError, BusPlayer, Commissioning, Network
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
 use foretorque_workbench::robot::{Link, Perturbation, Robot};
+use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 use std::time::Duration;
 
@@ -283,7 +284,7 @@ fn an_interrupt_in_any_step_switches_every_drive_off() {
         let player = BusPlayer::new(config, set, Interrupted { inner, left });
         let robot = Robot::load("ur5").expect("built in");
         let model = ReferenceModel::new(&robot).expect("six joints");
-        let rest = Joints::from_row_slice(&[0.0, 1.5708, 0.0, -1.5708, 0.0, 0.0]);
+        let rest = Joints::from_row_slice(&[0.0, FRAC_PI_2, 0.0, -FRAC_PI_2, 0.0, 0.0]);
         Commissioning::<Ur5, _, 6, 40>::new(player.expect("it fits the arm"), model, rest)
     };
     for step in [Step::Torque, Step::Friction] {
