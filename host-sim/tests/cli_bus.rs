@@ -201,6 +201,53 @@ fn a_bus_without_drives_is_silent_in_one_line() {
     assert_eq!(stderr.lines().count(), 1, "{stderr}");
 }
 
+#[test]
+fn an_adapter_without_drives_ends_in_one_line() {
+    use serialport::{SerialPort, TTYPort};
+    use std::sync::atomic::{AtomicBool, Ordering};
+    let directory = directory("adapter-silent");
+    let [drive, commission] = ["drive --trajectory validation", "commission"];
+    let silent = "is silent, torque off: no drive of the profile answers";
+    let none = "joint 1: no drive answers at id 1 on bus 0; ids that answer: none";
+    let stuck = "has gone, torque off: Operation timed out";
+    // One that takes every frame, and one that takes none once its buffer is full.
+    for (command, kind, takes, expected) in [
+        (drive, "slcan", true, silent),
+        (drive, "slcan", false, stuck),
+        (drive, "fdcanusb", true, silent),
+        (drive, "fdcanusb", false, stuck),
+        (commission, "slcan", true, none),
+        (commission, "fdcanusb", true, none),
+    ] {
+        let pairs = [(); 2].map(|()| TTYPort::pair().expect("the system has pseudo-terminals"));
+        let mut near = Vec::new();
+        let ports = pairs.map(|(mut adapter, far)| {
+            let patience = std::time::Duration::from_millis(1);
+            adapter.set_timeout(patience).expect("it has a timeout");
+            near.push(adapter);
+            far.name().expect("it has a name")
+        });
+        let done = AtomicBool::new(!takes);
+        let line = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while !done.load(Ordering::Relaxed) {
+                    for adapter in &mut near {
+                        // Nothing there, or nobody at the other end.
+                        let _ = std::io::Read::read(adapter, &mut [0; 4096]);
+                    }
+                }
+            });
+            let (profile, bus) = (profile(), format!("{kind}:{}", ports.join(",")));
+            let arguments = format!("{command} --profile {profile} --bus {bus} --out out");
+            let output = host_sim(&directory, &arguments);
+            done.store(true, Ordering::Relaxed);
+            failure(&arguments, &output)
+        });
+        assert!(line.contains(expected), "{line}");
+    }
+    assert_eq!(files(&directory.join("out")), ["commission.json"]);
+}
+
 /// A Damiao drive in Python: takes commands, stands where it is told, and prints the torques that it was sent.
 const PYTHON_DRIVES: &str = r#"
 import struct, sys, time

@@ -1,6 +1,6 @@
 //! The optimised excitation keeps its limits on a grid that the search never saw, and its certificate is true.
 
-use crate::program::{directory, fails, write};
+use crate::program::{directory, fails, succeeds, text, write};
 use foretorque_studies::excitation::recount;
 use foretorque_workbench::excitation::{
     Certificate, Criterion, Excitation, SearchConfig, optimise,
@@ -142,4 +142,28 @@ fn what_no_excitation_can_keep_ends_with_one_line() {
         assert!(line.contains(message), "{arguments}: {line}");
         assert!(!directory.join("x").exists(), "{arguments} leaves files");
     }
+}
+
+#[test]
+fn rotors_that_simulate_assumes_are_those_of_excite() {
+    let directory = directory("excite-rotors");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/small5.toml");
+    let mut robot = Robot::load(file).expect("described");
+    let mut assumed = Vec::new();
+    for joint in &mut robot.joints {
+        joint.drive.rotor_inertia = 0.0;
+        assumed.push((joint.limits.torque / 200.0).to_string());
+    }
+    write(directory.join("bare.toml"), robot.to_toml().expect("text"));
+    let search = "excite --robot bare.toml --starts 1 --iterations 8 --out";
+    let silent = succeeds(&directory, &format!("{search} assumed"));
+    assert!(
+        silent.contains("rotor inertias are not described"),
+        "{silent}"
+    );
+    let stated = format!("{search} stated --rotor-inertia {}", assumed.join(","));
+    succeeds(&directory, &stated);
+    let [one, other] =
+        ["assumed", "stated"].map(|out| text(directory.join(out).join("excitation.json")));
+    assert_eq!(one, other);
 }

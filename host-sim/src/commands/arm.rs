@@ -127,6 +127,19 @@ impl ArmOptions {
     }
 }
 
+/// `robot` with a rotor at every joint; a note names those that its description has not.
+///
+/// Errors: of standard output.
+pub(super) fn with_rotors(robot: &Robot) -> Result<Robot, Failure> {
+    let (robot, assumed) = robot.with_assumed_rotors();
+    if !assumed.is_empty() {
+        show!(
+            "note: rotor inertias are not described at joints {assumed:?}: torque limit / 200 rad/s² is assumed"
+        )?;
+    }
+    Ok(robot)
+}
+
 /// Options that all commands with `--log` share.
 #[derive(Debug, Args)]
 pub(super) struct LogOptions {

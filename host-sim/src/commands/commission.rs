@@ -1,25 +1,23 @@
-use super::arm::ArmOptions;
+use super::arm::{ArmOptions, with_rotors};
+use super::attended::{Attended, prompt};
 use super::boards::on_arm;
 use super::disturbances::Triple;
 use super::drive::wired;
-use super::terminal::{show, write_line};
+use super::terminal::show;
 use super::{Failure, arguments as of, drive, excite, identify, positive, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque::learning::{ParameterSet, rated_payload};
 use foretorque_link::bank::NETWORK_SEED;
-use foretorque_link::drives::Frame;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{
-    Ask, BusChoice, BusError, BusPlayer, Commissioning, Found, Network, Profile, Step, WiredNetwork,
+    BusChoice, BusPlayer, Commissioning, Found, Network, Profile, Step,
 };
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
 use foretorque_workbench::robot::{Perturbation, Robot};
-use std::io::{self, BufRead};
 use std::path::PathBuf;
-use std::time::Duration;
 
 /// Check the profile of an arm on its bus step by step, below a tenth of its torque, then drive and identify it
 #[derive(Debug, Args)]
@@ -204,7 +202,7 @@ impl Arguments {
                 "--weight-kg {mass}: more than the {rated:.2} kg that the arm carries"
             )));
         }
-        let config = profile.config::<A, N, P>()?;
+        let (config, robot) = (profile.config::<A, N, P>()?, &with_rotors(robot)?);
         let rest = Joints::<N>::from_column_slice(&profile.rest_rad);
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
@@ -220,16 +218,20 @@ impl Arguments {
             let network = SimulatedNetwork::new(plant, &config, rates, &noise, arguments.seed);
             Box::new(network)
         } else {
-            Box::new(Attended(wired(&arguments.bus, profile)?))
+            Box::new(wired(&arguments.bus, profile)?)
         };
-        let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
+        let player = BusPlayer::<A, _, N, P>::new(
+            config,
+            set,
+            Attended::new(network, arguments.bus == BusChoice::Sim),
+        )?;
         arguments.steps(Commissioning::new(player, model, rest), wanted)
     }
 
     /// Executes the steps, and writes what was found up to the first mistake. A step alone keeps the findings of the others.
     fn steps<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
-        mut arm: Commissioning<A, Box<dyn Network>, N, P>,
+        mut arm: Commissioning<A, Attended, N, P>,
         wanted: &[(StepName, Step)],
     ) -> Result<(), Failure> {
         let file = self.out.join("commission.json");
@@ -265,63 +267,5 @@ impl Arguments {
         let text = serde_json::to_string_pretty(&arm.found.as_slice())? + "\n";
         write_whole(&file, text.as_bytes())?;
         Ok(outcome?)
-    }
-}
-
-/// Asks whoever is at the terminal for something, and waits until it is done.
-fn prompt(request: &str) -> io::Result<()> {
-    write_line(format_args!("{request}, then press Enter"))?;
-    let mut line = String::new();
-    match io::stdin().lock().read_line(&mut line)? {
-        0 => Err(io::ErrorKind::UnexpectedEof.into()),
-        _ => Ok(()),
-    }
-}
-
-/// A network with somebody at the terminal who moves the arm.
-struct Attended(WiredNetwork);
-
-impl Network for Attended {
-    fn name(&self) -> String {
-        self.0.name()
-    }
-
-    fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError> {
-        self.0.send(bus, frame)
-    }
-
-    fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
-        self.0.receive()
-    }
-
-    fn wait(&mut self) -> Duration {
-        self.0.wait()
-    }
-
-    fn is_off(&self) -> bool {
-        self.0.is_off()
-    }
-
-    fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
-        let request = match ask {
-            Ask::Pose(pose) => format!("put the arm into the pose {pose:?} rad"),
-            Ask::Turn { joint, by_rad } => {
-                let degrees = by_rad.to_degrees();
-                format!("turn joint {} by {degrees:+.0}° by hand", joint + 1)
-            }
-            Ask::Weight(None) => {
-                "take every load off the arm and give each joint 45° of room around the pose of rest"
-                    .to_owned()
-            }
-            Ask::Weight(Some(body)) => {
-                let (mass, [x, y, z]) = (body.mass, body.com.into());
-                let at: [f64; 3] = [x, y, z];
-                format!("fix {mass} kg to the last link, centre of mass at {at:?} m in its frame")
-            }
-        };
-        prompt(&request).map_err(|error| BusError::Gone {
-            name: "terminal".to_owned(),
-            error,
-        })
     }
 }

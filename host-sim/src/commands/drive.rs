@@ -1,9 +1,10 @@
-use super::arm::ArmOptions;
+use super::arm::{ArmOptions, with_rotors};
+use super::attended::Attended;
 use super::boards::on_arm;
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::terminal::Bar;
-use super::terminal::{interrupted, show};
+use super::terminal::show;
 use super::{Failure, bank, positive, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
@@ -23,7 +24,6 @@ use foretorque_workbench::trajectory::via::ViaPath;
 use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S, VALIDATION_S};
 use serde::Serialize;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Standard deviation of the torque that a simulated drive reports, as a share of the joint's limit.
 const REPORT_NOISE: f64 = 0.01;
@@ -102,7 +102,7 @@ impl Arguments {
         profile: &Profile,
         robot: &Robot,
     ) -> Result<(), Failure> {
-        let arguments = self;
+        let (arguments, robot) = (self, &with_rotors(robot)?);
         let drive = Drive::<A, N, P>::new(arguments, profile, robot)?;
         if arguments.bus != BusChoice::Sim {
             let network = wired(&arguments.bus, profile)?;
@@ -143,7 +143,7 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
 
 /// Outcome of the ticks.
 struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
-    player: BusPlayer<A, Box<dyn Network>, N, P>,
+    player: BusPlayer<A, Attended, N, P>,
     ticks: usize,
     squares: f64,
     counted: usize,
@@ -235,8 +235,11 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             set = ParameterSet::nominal::<A>(NETWORK_SEED);
             set.rigid.fill(0.0);
         }
-        let interrupted = interrupted();
-        let mut player = BusPlayer::new(self.config, set, network)?;
+        let mut player = BusPlayer::new(
+            self.config,
+            set,
+            Attended::new(network, self.arguments.bus == BusChoice::Sim),
+        )?;
         player.arm()?;
         let mut played = Played {
             player,
@@ -245,7 +248,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             counted: 0,
             ended: None,
         };
-        let outcome = self.follow(&mut played, alone, interrupted, log);
+        let outcome = self.follow(&mut played, alone, log);
         let parked = played.player.park();
         if let Err(failure) = outcome {
             played.ended = Some(failure.to_string());
@@ -259,7 +262,6 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         &self,
         played: &mut Played<A, N, P>,
         alone: bool,
-        interrupted: &AtomicBool,
         log: &mut dyn FnMut(&TickRecord<N>) -> Result<(), Failure>,
     ) -> Result<(), Failure> {
         let player = &mut played.player;
@@ -279,11 +281,6 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             let result = player.tick(Some(&motion))?;
             player.check()?;
             played.ticks += 1;
-            if interrupted.load(Ordering::Relaxed) {
-                return Err(unusable(format!(
-                    "interrupted after {t_s:.3} s, torque off"
-                )));
-            }
             let desired = self.path.at((t_s - age_s).max(0.0));
             if let Some(measured) = result.measured {
                 let measured = Measurement {

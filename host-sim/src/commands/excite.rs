@@ -1,4 +1,4 @@
-use super::arm::RobotOptions;
+use super::arm::{RobotOptions, with_rotors};
 use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, unusable};
@@ -83,7 +83,7 @@ impl From<CriterionName> for Criterion {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut robot = arguments.robot.load()?;
+    let mut robot = with_rotors(&arguments.robot.load()?)?;
     let positive = |name: &str, value: f64| {
         if value.is_finite() && value > 0.0 {
             Ok(())

@@ -1,6 +1,7 @@
 //! The commands: arguments in, files out.
 
 mod arm;
+mod attended;
 mod bank;
 mod boards;
 mod commission;
@@ -185,12 +186,11 @@ fn parsed(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Com
         // An option is mistyped far more often than a value begins with two dashes.
         let helps = |tip: &&str| tip.starts_with("tip:") && !tip.contains(" as a value");
         let tip = paragraphs.find(helps);
-        let words: Vec<&str> = wrong
-            .trim_start_matches("error: ")
-            .split_whitespace()
-            .chain(tip.into_iter().flat_map(str::split_whitespace))
-            .collect();
-        unusable(words.join(" ") + " (see --help)")
+        let wrong = wrong.trim_start_matches("error: ");
+        let tip = tip.map(|tip| tip.trim_start_matches("tip:"));
+        let parts = [Some(wrong), tip].into_iter().flatten();
+        let parts = parts.map(|part| part.split_whitespace().collect::<Vec<_>>().join(" "));
+        unusable(parts.collect::<Vec<_>>().join("; ") + " (see --help)")
     })
 }
 
@@ -213,6 +213,10 @@ mod tests {
             ),
             ("host-sim torque", "--robot <ROBOT>"),
             ("host-sim torqe", "'torque'"),
+            (
+                "host-sim describe ur5 --rotor 1",
+                "'--rotor' found; a similar argument exists: '--rotor-inertia' (see --help)",
+            ),
             ("host-sim describe ur5 --tp hand", "'--tp' found (see"),
             (
                 "host-sim describe ur5 --torque-limits -5",

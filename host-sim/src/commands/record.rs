@@ -1,5 +1,5 @@
 use super::boards::BoardChoice;
-use super::terminal::{interrupted, show};
+use super::terminal::{Orderly, show};
 use super::{Failure, positive, unusable};
 use clap::Args;
 use foretorque_workbench::board::Transport;
@@ -7,7 +7,6 @@ use foretorque_workbench::board::serial::{self, Serial};
 use foretorque_workbench::files::at;
 use foretorque_workbench::overheard::Overheard;
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Record the telemetry of a board that another host drives, into CSV and MCAP; nothing is sent
@@ -44,9 +43,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut overheard = Overheard::new(&arguments.out, 1e-3 * arguments.period_ms);
     let named = |error| at(&arguments.out, error);
     let mut buffer = [0; 4096];
-    let interrupted = interrupted();
-    let runs =
-        || !interrupted.load(Ordering::Relaxed) && end.is_none_or(|end| Instant::now() < end);
+    let orderly = Orderly::begin();
+    let runs = || !orderly.interrupted() && end.is_none_or(|end| Instant::now() < end);
     // A line that ends takes nothing away from what was recorded.
     let mut gone = None;
     while gone.is_none() && runs() {

@@ -1,4 +1,4 @@
-use super::arm::RobotOptions;
+use super::arm::{RobotOptions, with_rotors};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
 use super::terminal::Bar;
@@ -93,8 +93,9 @@ impl Verdict {
     /// Errors: a run in trouble, unless it was to keep going.
     pub(super) fn judge(&self, troubles: &[String]) -> Result<(), Failure> {
         match troubles {
-            [gravest, ..] if !self.keep_going => {
-                Err(unusable(format!("{gravest} (--keep-going accepts it)")))
+            [_, ..] if !self.keep_going => {
+                let all = troubles.join("; ");
+                Err(unusable(format!("{all} (--keep-going accepts it)")))
             }
             _ => Ok(()),
         }
@@ -116,12 +117,7 @@ impl MotionArguments {
     ///
     /// Errors: a file that is none, a trajectory of another robot, numbers that make no sense.
     pub(super) fn scene<const N: usize>(&self, robot: &Robot) -> Result<Scene<N>, Failure> {
-        let (robot, assumed) = &robot.with_assumed_rotors();
-        if !assumed.is_empty() {
-            show!(
-                "note: rotor inertias are not described at joints {assumed:?}: torque limit / 200 rad/s² is assumed"
-            )?;
-        }
+        let robot = &with_rotors(robot)?;
         let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
         let truth = if self.exact {
             robot.clone()

@@ -9,7 +9,7 @@ use std::fmt::{Arguments, Display};
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Results go to stdout, so lines about them go to stderr.
@@ -45,19 +45,21 @@ pub(crate) fn show_failure(failure: impl Display) {
     let _ = writeln!(io::stderr(), "error: {failure}");
 }
 
-/// Set by the first signal to a command that ends by itself.
-static INTERRUPTED: OnceLock<AtomicBool> = OnceLock::new();
+/// A part of the command ends by itself after a signal.
+static ENDS_ITSELF: AtomicBool = AtomicBool::new(false);
+/// Set by the first signal to such a part.
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Removes unfinished files on SIGINT, SIGTERM or SIGHUP, and ends by that signal; a command that has called
-/// [`interrupted`] only after a second one.
+/// Removes unfinished files on SIGINT, SIGTERM or SIGHUP, and ends by that signal; while there is an [`Orderly`] only after
+/// a second one.
 ///
 /// Errors: a system that lets no handler be set.
 pub(super) fn clean_up_when_interrupted() -> io::Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
     std::thread::spawn(move || {
         for signal in signals.forever() {
-            let orderly = INTERRUPTED.get();
-            if orderly.is_some_and(|flag| !flag.swap(true, Ordering::Relaxed)) {
+            let orderly = ENDS_ITSELF.load(Ordering::Relaxed);
+            if orderly && !INTERRUPTED.swap(true, Ordering::Relaxed) {
                 continue;
             }
             foretorque_workbench::files::remove_unfinished();
@@ -67,9 +69,25 @@ pub(super) fn clean_up_when_interrupted() -> io::Result<()> {
     Ok(())
 }
 
-/// True after the first signal, which does not end the program any more: the command has a torque to switch off.
-pub(super) fn interrupted() -> &'static AtomicBool {
-    INTERRUPTED.get_or_init(AtomicBool::default)
+/// Part of a command that the first signal does not end: there is a torque to switch off, or a file to finish.
+pub(super) struct Orderly;
+
+impl Orderly {
+    pub(super) fn begin() -> Self {
+        ENDS_ITSELF.store(true, Ordering::Relaxed);
+        Self
+    }
+
+    /// There was a signal.
+    pub(super) fn interrupted(&self) -> bool {
+        INTERRUPTED.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Orderly {
+    fn drop(&mut self) {
+        ENDS_ITSELF.store(false, Ordering::Relaxed);
+    }
 }
 
 /// The command that is running, to be typed again from the workspace's root.

@@ -3,15 +3,17 @@
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::learning::ParameterSet;
-use foretorque_link::drives::{DriveState, Protocol, Ranges};
+use foretorque_link::drives::{DriveState, Frame, Protocol, Ranges};
 use foretorque_workbench::bus::sim::{
     DriveTruth, LineFault, LineFaults, SimulatedDrive, SimulatedNetwork, plant_config,
 };
-use foretorque_workbench::bus::{BusPlayer, Commissioning, Profile, Step};
+use foretorque_workbench::bus::{Ask, BusError, BusPlayer, Commissioning, Network, Profile, Step};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
 use foretorque_workbench::robot::{Link, Perturbation, Robot};
+use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
+use std::time::Duration;
 
 type Arm6 = Commissioning<Ur5, SimulatedNetwork<6>, 6, 40>;
 
@@ -235,6 +237,67 @@ fn every_planted_mistake_is_named_before_a_tenth_of_the_torque() {
         named += 1;
     }
     assert_eq!(named, 16);
+}
+
+/// The simulated arm of a user who interrupts in a period.
+struct Interrupted {
+    inner: SimulatedNetwork<6>,
+    left: u32,
+}
+
+impl Network for Interrupted {
+    fn name(&self) -> String {
+        self.inner.name()
+    }
+
+    fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError> {
+        self.inner.send(bus, frame)
+    }
+
+    fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
+        match self.left {
+            1 => {
+                self.left = 0;
+                Err(BusError::Interrupted(1))
+            }
+            _ => self.inner.receive(),
+        }
+    }
+
+    fn wait(&mut self) -> Duration {
+        self.left = self.left.saturating_sub(u32::from(self.left > 1));
+        self.inner.wait()
+    }
+
+    fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
+        self.inner.ask(ask)
+    }
+}
+
+#[test]
+fn an_interrupt_in_any_step_switches_every_drive_off() {
+    let parts = |left| {
+        let arm = arm(|_| ());
+        let set = ParameterSet::nominal::<Ur5>(1);
+        let config = *arm.player.controller.config();
+        let inner = arm.player.network;
+        let player = BusPlayer::new(config, set, Interrupted { inner, left });
+        let robot = Robot::load("ur5").expect("built in");
+        let model = ReferenceModel::new(&robot).expect("six joints");
+        let rest = Joints::from_row_slice(&[0.0, FRAC_PI_2, 0.0, -FRAC_PI_2, 0.0, 0.0]);
+        Commissioning::<Ur5, _, 6, 40>::new(player.expect("it fits the arm"), model, rest)
+    };
+    for step in [Step::Torque, Step::Friction] {
+        for left in [20, 150, 300, 700] {
+            let mut arm = parts(left);
+            let outcome = arm.step(step);
+            assert!(
+                matches!(outcome, Err(BusError::Interrupted(_))),
+                "{step:?}, {left}: {outcome:?}"
+            );
+            assert!(arm.player.network.inner.all_off(), "{step:?}, {left}");
+        }
+    }
 }
 
 #[test]

@@ -149,6 +149,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
                 for (joint, celsius) in line.temperatures() {
                     session.note_temperature(joint, celsius);
                 }
+                if line.failed() && session.torque_enabled() {
+                    session.trip(SafetyReason::Drive);
+                }
                 return session.torque_enabled().then(|| *session.torque_output());
             }
         };

@@ -1,7 +1,8 @@
 //! Desired and measured motion of an arm, from the frames that pass a board in line.
 
-use super::config::BusJoint;
-use crate::drives::{Event, Frame, JointReply, Request};
+use super::config::{BusJoint, periods};
+use super::joint::JointLink;
+use crate::drives::{DriveState, Frame, Request};
 use crate::safety::COMMAND_TIMEOUT_US;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 
@@ -57,48 +58,52 @@ impl MotionFilter {
 }
 
 /// One joint on the line.
-#[derive(Clone, Copy)]
 struct LineJoint {
-    joint: BusJoint,
+    link: JointLink,
     filter: MotionFilter,
-    /// Replies of the drive that no sample has used.
-    reply: JointReply,
 }
 
 /// Motion of the joints whose commands and replies pass.
 pub(super) struct LineMotion<const N: usize> {
     joints: [Option<LineJoint>; N],
+    failed: bool,
 }
 
 impl<const N: usize> LineMotion<N> {
     pub(super) fn new(joints: &[Option<BusJoint>; N]) -> Self {
         let of = |joint| LineJoint {
-            joint,
+            link: JointLink::new(joint),
             filter: MotionFilter::default(),
-            reply: JointReply::default(),
         };
         Self {
             joints: joints.map(|joint| joint.map(of)),
+            failed: false,
         }
+    }
+
+    /// In the last period a drive was off, or its replies showed a fault.
+    pub(super) fn failed(&self) -> bool {
+        self.failed
     }
 
     /// Takes a frame from the host, port 0, or from the drives.
     pub(super) fn receive(&mut self, port: u8, frame: &Frame) {
         for slot in self.joints.iter_mut().flatten() {
-            let drive = &slot.joint.drive;
+            let drive = &slot.link.joint.drive;
             if port == 0 {
                 if let Some(Request::Command(command)) = drive.accept(frame) {
                     slot.filter.command = Some(command.position);
                 }
-            } else if let Some(Event::Reply(reply)) = drive.decode(frame) {
-                slot.reply.update(&reply);
+            } else if let Some(event) = drive.decode(frame) {
+                slot.link.take(event);
             }
         }
     }
 
     pub(super) fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
         let joints = self.joints.iter().enumerate();
-        joints.filter_map(|(joint, slot)| Some((joint, slot.as_ref()?.reply.temperature? as i8)))
+        joints
+            .filter_map(|(joint, slot)| Some((joint, slot.as_ref()?.link.reply.temperature? as i8)))
     }
 
     /// Closes a period: the sample of what has passed. Joints without a drive here take their part of `given`.
@@ -111,6 +116,8 @@ impl<const N: usize> LineMotion<N> {
         let known = given.and_then(|given| given.measured);
         let mut measured = known.unwrap_or(JointMeasurement::zero());
         let (mut commanded, mut replied) = (true, true);
+        let silence = periods(1e-6 * COMMAND_TIMEOUT_US as f32, 1e-6 * period_us as f32);
+        self.failed = false;
         let motion = desired
             .q
             .iter_mut()
@@ -126,13 +133,17 @@ impl<const N: usize> LineMotion<N> {
                 continue;
             };
             match slot.filter.step(period_us) {
-                Some(now) => [*q, *qd, *qdd] = now,
+                Some(now) => {
+                    [*q, *qd, *qdd] = now;
+                    let off = slot.link.reply.state == Some(DriveState::Disabled);
+                    // Two clocks: a period may have two replies, or none.
+                    match slot.link.close(f32::INFINITY) {
+                        Some(now) => (*position, *torque) = now,
+                        None => replied = false,
+                    }
+                    self.failed |= slot.link.fault(*q, silence).is_some() || off;
+                }
                 None => commanded = false,
-            }
-            // A reply counts once.
-            match slot.reply.position.take().zip(slot.reply.torque.take()) {
-                Some(now) => (*position, *torque) = now,
-                None => replied = false,
             }
         }
         let measured = replied.then_some(measured);

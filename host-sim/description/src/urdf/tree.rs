@@ -103,7 +103,37 @@ impl<'a> Tree<'a> {
         ) {
             (Err(_), Some(joint)) if parent => Ok(self.parent[joint]),
             (Err(_), Some(joint)) => Ok(self.child[joint]),
+            (Err(UrdfProblem::UnknownLink { link, named_by, .. }), None) => {
+                let mend = self.near(&link);
+                Err(UrdfProblem::UnknownLink {
+                    link,
+                    named_by,
+                    mend,
+                })
+            }
             (link, _) => link,
+        }
+    }
+
+    /// Question for the links and joints with the names nearest to `name`; empty where none is near.
+    fn near(&self, name: &str) -> String {
+        let (links, joints) = (&self.document.links, &self.document.joints);
+        let links = links.iter().map(|link| &link.name);
+        let names = links.chain(joints.iter().map(|joint| &joint.name));
+        let wanted = name.to_lowercase();
+        let likeness = |name: &String| strsim::jaro_winkler(&wanted, &name.to_lowercase());
+        let mut near: Vec<(f64, &String)> = names
+            .map(|name| (likeness(name), name))
+            .filter(|(likeness, _)| *likeness > 0.8)
+            .collect();
+        // A link and a joint may have one name.
+        near.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.cmp(b.1)));
+        near.dedup();
+        near.truncate(3);
+        let near: Vec<&str> = near.iter().map(|(_, name)| name.as_str()).collect();
+        match near[..] {
+            [] => String::new(),
+            _ => format!(" (did you mean '{}'?)", near.join("' or '")),
         }
     }
 

@@ -118,6 +118,9 @@ pub enum BusError {
     /// Nothing answers.
     #[error("bus {0} is silent, torque off: no drive of the profile answers")]
     Quiet(String),
+    /// The user has ended it.
+    #[error("interrupted after {0} periods, torque off")]
+    Interrupted(u32),
     /// Commissioning has found a mistake.
     #[error("joint {}: {mistake}", joint + 1)]
     Mistake {

@@ -118,8 +118,17 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
 
     /// Waits for every drive, and switches them on where the arm stands: the positions there, rad.
     ///
-    /// Errors: a bus without an answer, the reason against arming.
+    /// Errors: a bus without an answer, the reason against arming; every drive that was reached is off again.
     pub fn arm(&mut self) -> Result<JointVector<N>, BusError> {
+        let outcome = self.switch_on();
+        if outcome.is_err() {
+            // What stopped the arming is told, not what hinders its end.
+            let _ = self.park();
+        }
+        outcome
+    }
+
+    fn switch_on(&mut self) -> Result<JointVector<N>, BusError> {
         let ticks = |time_s: f64| (time_s / self.period_s()) as usize + 1;
         let (greeting, arming) = (ticks(GREETING_S), ticks(ARMING_S));
         let mut refusal = None;

@@ -60,20 +60,13 @@ impl LimitCheck {
         self.margin / self.allowed.abs().max(0.1)
     }
 
-    /// The error of a limit that is not kept.
-    pub(super) fn violation(&self) -> ExcitationError {
-        ExcitationError::Unkept {
-            limit: format!("{} of {}", self.limit, self.of),
-            reached: quantity(self.worst, self.unit),
-            required: quantity(self.allowed, self.unit),
-            mend: match self.limit {
-                "torque" => {
-                    ": correct it with --torque-limits, or narrow the motion with --range-rad"
-                }
-                "condition number" => ": allow a larger one with --condition-limit",
-                _ => "",
-            },
-        }
+    /// Limit, value and requirement, as of a limit that is not kept.
+    fn violation(&self) -> String {
+        let [reached, required] = [self.worst, self.allowed].map(|x| quantity(x, self.unit));
+        format!(
+            "{} of {} {reached}, asked for {required}",
+            self.limit, self.of
+        )
     }
 }
 
@@ -130,11 +123,23 @@ pub struct Certificate {
 }
 
 impl Certificate {
-    /// The limit that is missed most, relative to its size.
-    pub fn worst_limit(&self) -> Option<&LimitCheck> {
+    /// By how much the worst limit is missed, relative to its size, and the error of all missed ones of its kind.
+    pub(super) fn violation(&self) -> Option<(f64, ExcitationError)> {
         let relative = LimitCheck::relative_margin;
-        self.limits
-            .iter()
-            .min_by(|a, b| relative(a).total_cmp(&relative(b)))
+        let limits = || self.limits.iter();
+        let worst = limits().min_by(|a, b| relative(a).total_cmp(&relative(b)))?;
+        let alike = limits().filter(|check| check.limit == worst.limit);
+        let missed = alike.filter(|check| check.margin < 0.0 || *check == worst);
+        let error = ExcitationError::Unkept {
+            missed: missed.map(LimitCheck::violation).collect(),
+            mend: match worst.limit {
+                "torque" => {
+                    ": correct it with --torque-limits, or narrow the motion with --range-rad"
+                }
+                "condition number" => ": allow a larger one with --condition-limit",
+                _ => "",
+            },
+        };
+        Some((-relative(worst), error))
     }
 }

@@ -52,20 +52,9 @@ pub enum ExcitationError {
         /// The joint, from 1.
         joint: usize,
     },
-    /// No motion that was tried, however slow, keeps the torque limit of a joint.
-    #[error(
-        "excitation: joint '{joint}' needs {needed_nm:.1} N·m even where it hardly moves, of which {friction_nm:.1} N·m are friction, its limit is {limit_nm} N·m: correct it with --torque-limits"
-    )]
-    TooWeak {
-        /// The joint.
-        joint: String,
-        /// Torque needed, N·m.
-        needed_nm: f64,
-        /// Coulomb friction in it, N·m.
-        friction_nm: f64,
-        /// Torque limit, N·m.
-        limit_nm: f64,
-    },
+    /// No motion that was tried, however slow, keeps the torque limits of some joints: what each of them needs.
+    #[error("excitation: {}: correct it with --torque-limits", .0.join("; "))]
+    TooWeak(Vec<String>),
     /// No pose has that clearance.
     #[error(
         "excitation: no path keeps all limits; in no pose is {of} clear by more than {largest_m:.3} m, asked for {required_m} m"
@@ -80,15 +69,11 @@ pub enum ExcitationError {
     },
     /// No start of the search ended inside all limits.
     #[error(
-        "excitation: no path keeps all limits; the best one has {limit} {reached}, asked for {required}{mend}"
+        "excitation: no path keeps all limits; the best one has {}{mend}", .missed.join("; ")
     )]
     Unkept {
-        /// The limit that was missed by the best start.
-        limit: String,
-        /// Value that was reached, with its unit.
-        reached: String,
-        /// Value that is required, with its unit.
-        required: String,
+        /// Limits of the worst kind that the best start missed, each with the value reached and the one required.
+        missed: Vec<String>,
         /// Option that mends it; empty where there is none.
         mend: &'static str,
     },

@@ -357,11 +357,12 @@ impl<'a> Search<'a> {
                 if best.as_ref().is_none_or(|(lowest, _)| score < *lowest) {
                     best = Some((score, excitation));
                 }
-            } else if let Some(check) = certificate.worst_limit() {
-                let short = -check.relative_margin();
-                if missed.as_ref().is_none_or(|(least, _)| short < *least) {
-                    missed = Some((short, check.violation()));
-                }
+            } else if let Some(violation) = certificate.violation()
+                && missed
+                    .as_ref()
+                    .is_none_or(|(least, _)| violation.0 < *least)
+            {
+                missed = Some(violation);
             }
         }
         match (best, missed) {

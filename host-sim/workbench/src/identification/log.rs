@@ -54,6 +54,16 @@ struct Unwrap {
     count: PerJoint<usize>,
 }
 
+/// Roughness of a signal in even steps: a position is smooth, a measured torque is not.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Roughness {
+    last: [Option<f64>; 2],
+    second: f64,
+    first: f64,
+}
+
+/// Rows behind a jump that are looked at for its reason.
+const BEHIND: usize = 500;
 /// Distance from a whole turn within which a step is a wrap, rad.
 const WRAP_RAD: f64 = 1.0;
 /// Magnitude in SI beyond which a number is no measurement of a joint.
@@ -244,9 +254,69 @@ impl LogReader {
         };
         if let Err((joint, jump)) = self.unwrap.take(&mut row.q) {
             let name = self.rows.header()[self.q.places[joint]].clone();
-            return Err(TableProblem::Wrap(name, jump).at(self.rows.path(), row.line));
+            let problem = match self.is_swapped() {
+                true => TableProblem::Swapped,
+                false => TableProblem::Wrap(name, jump),
+            };
+            return Err(problem.at(self.rows.path(), row.line));
         }
         Ok(Some(row))
+    }
+
+    /// Torques stand for the positions in the next rows.
+    fn is_swapped(&mut self) -> bool {
+        let mut rough = vec![[Roughness::default(); 2]; self.q.places.len()];
+        for _ in 0..BEHIND {
+            if !matches!(self.rows.advance(), Ok(true)) {
+                break;
+            }
+            for (joint, rough) in rough.iter_mut().enumerate() {
+                for (columns, rough) in [self.q, self.tau].iter().zip(rough) {
+                    let value = self.rows.number(columns.places[joint]);
+                    rough.add(value.unwrap_or_default());
+                }
+            }
+        }
+        // Noise alone has 3, a motion far less.
+        let noisy = rough.iter().filter(|[q, _]| q.ratio() > 0.5).count();
+        noisy * 2 > rough.len() && Roughness::are_swapped(rough)
+    }
+}
+
+impl Roughness {
+    /// Adds a value: the square of the second difference that it ends.
+    pub(super) fn add(&mut self, value: f64) -> f64 {
+        let [before, last] = self.last;
+        self.last = [last, Some(value)];
+        let Some((before, last)) = before.zip(last) else {
+            return 0.0;
+        };
+        let square = (value - 2.0 * last + before).powi(2);
+        self.second += square;
+        self.first += (value - last).powi(2);
+        square
+    }
+
+    /// The next value does not follow the last one.
+    pub(super) fn pause(&mut self) {
+        self.last = [None; 2];
+    }
+
+    fn ratio(&self) -> f64 {
+        self.second / f64::max(self.first, f64::MIN_POSITIVE)
+    }
+
+    /// At most joints, of which `joints` gives positions and torques, the torque is far smoother.
+    pub(super) fn are_swapped(joints: impl IntoIterator<Item = [Self; 2]>) -> bool {
+        let votes = joints
+            .into_iter()
+            .map(|[q, tau]| q.ratio() > 10.0 * tau.ratio());
+        let (mut all, mut swapped) = (0, 0);
+        for vote in votes {
+            all += 1;
+            swapped += usize::from(vote);
+        }
+        swapped * 2 > all
     }
 }
 

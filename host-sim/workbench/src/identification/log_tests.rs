@@ -205,6 +205,21 @@ fn wrapped_angles_continue_on_continuous_joints_only() {
     let refused = refused.expect_err("limited");
     let jump = "wrapped.csv:28: column q6_rad: a jump of -6.158 rad";
     assert!(refused.starts_with(jump), "{refused}");
+    // Torques stand for the positions.
+    let mut text = own().lines().next().expect("header").to_owned() + "\n";
+    for k in 0..ROWS {
+        let (t, q, qd, _) = row(k);
+        let noise = std::array::from_fn::<f64, 6, _>(|j| 3.1 * (((k + j) * 7 % 3) as f64 - 1.0));
+        let values = [&[t][..], &noise, &qd, &q].concat();
+        let fields: Vec<String> = values.iter().map(f64::to_string).collect();
+        text += &(fields.join(",") + "\n");
+    }
+    let refused = here.read("swapped.csv", &text, &limited);
+    let refused = refused.expect_err("noise is no position");
+    assert!(
+        refused.contains("positions and torques are swapped"),
+        "{refused}"
+    );
 }
 
 #[test]

@@ -188,6 +188,11 @@ pub enum TableProblem {
         "column {0}: a jump of {1:.3} rad, a wrap that this joint with ends in its range cannot make: a torque in the place of the position, or other units (--units)?"
     )]
     Wrap(String, f64),
+    /// Quantities in each other's columns.
+    #[error(
+        "positions and torques are swapped: what stands for a torque is smoother than what stands for a position"
+    )]
+    Swapped,
 }
 
 impl TableProblem {

@@ -7,8 +7,8 @@ mod scenarios;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 use foretorque::learning::ParameterSet;
-use foretorque_link::drives::Protocol;
-use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
+use foretorque_link::drives::{DriveState, Protocol};
+use foretorque_workbench::bus::sim::{LineFault, LineFaults, SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::Joints;
@@ -140,6 +140,31 @@ fn a_host_that_is_silent_ends_the_torque_and_so_do_the_drives_when_the_loop_hang
     }
     assert!(hung.check().is_err());
     assert!(hung.network.all_off());
+}
+
+#[test]
+fn arming_that_fails_switches_every_drive_off_again() {
+    let profile = profile(500.0);
+    let path = path(10.0);
+    let mut failed = 0;
+    for period in 0..30 {
+        for fault in [LineFault::LostCommands(4, 1.0), LineFault::DriveFault(1, 9)] {
+            let mut player = player(&profile, &path, true);
+            let from_s = f64::from(period) * 2e-3;
+            player.network.faults = LineFaults::one(fault, from_s..1e9);
+            if player.arm().is_err() {
+                // The watchdog of a drive that no command reaches ends its torque.
+                let reached = (0..6).filter(|joint| fault != LineFault::LostCommands(*joint, 1.0));
+                let mut states = reached.map(|joint| player.network.drives[joint].state());
+                assert!(
+                    states.all(|state| state != DriveState::Enabled),
+                    "{fault:?} from {from_s} s"
+                );
+                failed += 1;
+            }
+        }
+    }
+    assert!(failed > 10, "{failed}");
 }
 
 #[test]

@@ -208,6 +208,14 @@ enum Fault {
     DrivesOff,
     /// The commanded position of a joint jumps by 1 rad.
     Jump,
+    /// A drive reports this state.
+    Reports(DriveState),
+    /// A drive repeats one reply.
+    StuckReply,
+    /// A drive replies with the identifier of another.
+    WrongIdentifier,
+    /// The frames of a foreign node fill the drives' side.
+    Babble,
 }
 
 /// Period of 1 ms in which the fault begins, that from which on every frame passes unchanged, and the last one.
@@ -250,6 +258,29 @@ impl Transport for Faulty {
                 came.retain(|(port, frame)| *port == 0 || drives[2].decode(frame).is_none());
             }
             Fault::DrivesOff if begun => came.retain(|(port, _)| *port == 0),
+            Fault::Reports(_) | Fault::StuckReply | Fault::WrongIdentifier if begun => {
+                let (state, by) = match self.fault {
+                    Fault::Reports(state) => (state, 2),
+                    Fault::WrongIdentifier => (DriveState::Enabled, 3),
+                    _ => (DriveState::Enabled, 2),
+                };
+                let reply = JointReply {
+                    position: Some(0.0),
+                    torque: Some(0.0),
+                    state: Some(state),
+                    ..JointReply::default()
+                };
+                let mut frames = Frames::new();
+                drives[by].reply(&reply, &mut frames);
+                let replies = came
+                    .iter_mut()
+                    .filter(|(port, frame)| *port == 1 && drives[2].decode(frame).is_some());
+                replies.for_each(|(_, frame)| *frame = frames[0]);
+            }
+            Fault::Babble if begun => {
+                came.retain(|(port, _)| *port == 0);
+                came.extend([(1, Frame::standard(0, &[0; 8])); 12]);
+            }
             Fault::Jump if begun => {
                 let jump = JointCommand {
                     position: 1.0,
@@ -294,6 +325,11 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
         Fault::DriveSilent,
         Fault::DrivesOff,
         Fault::Jump,
+        Fault::Reports(DriveState::Fault(9)),
+        Fault::Reports(DriveState::Disabled),
+        Fault::StuckReply,
+        Fault::WrongIdentifier,
+        Fault::Babble,
     ] {
         let rounds = Rc::new(RefCell::new(Rounds::new()));
         let line = OnLine {

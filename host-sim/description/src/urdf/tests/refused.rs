@@ -9,6 +9,7 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
     let cases = r##"
         ; left ; ; ; joint 'left_finger' is prismatic: only revolute, continuous and fixed joints are supported (--tip 'hand' ends before it)
         ; nose ; ; ; --tip names 'nose', which is neither a link nor a joint
+        ; Elbw ; ; ; --tip names 'Elbw', which is neither a link nor a joint (did you mean 'elbow'?)
         cellar ; hand ; ; ; --base names 'cellar', which is neither a link nor a joint
         hand ; base ; ; ; link 'base' is not carried by link 'hand'
         fore ; hand ; ; ; no moving joint between base and tip

@@ -17,7 +17,7 @@ impl Search<'_> {
     /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
     /// them. Gravity, friction and inertia are those of the description.
     ///
-    /// Errors: [`ExcitationError::TooWeak`], naming the joint.
+    /// Errors: [`ExcitationError::TooWeak`], naming the joints.
     pub(super) fn adapt_speed(&mut self) -> Result<(), ExcitationError> {
         let full = self.objective.limits.clone();
         for torque_share in TORQUE_SHARES {
@@ -46,16 +46,18 @@ impl Search<'_> {
             }
         }
         let needed = self.least_torques();
-        let share = |j: &usize| needed[*j] / self.objective.torque[*j];
-        let worst = (0..full.len()).max_by(|a, b| share(a).total_cmp(&share(b)));
-        match worst.filter(|j| share(j) > 1.0) {
-            Some(j) => Err(ExcitationError::TooWeak {
-                joint: self.robot.joints[j].name.clone(),
-                needed_nm: needed[j],
-                friction_nm: self.robot.joints[j].friction.coulomb,
-                limit_nm: self.robot.joints[j].limits.torque,
-            }),
-            None => Ok(()),
+        let joints = self.robot.joints.iter().zip(needed.iter());
+        let weak = joints.zip(self.objective.torque.iter());
+        let weak = weak.filter(|((_, needed), allowed)| needed > allowed);
+        let weak = weak.map(|((joint, needed), _)| {
+            format!(
+                "joint '{}' needs {needed:.1} N·m even where it hardly moves, of which {:.1} N·m are friction, its limit is {} N·m",
+                joint.name, joint.friction.coulomb, joint.limits.torque
+            )
+        });
+        match weak.collect::<Vec<_>>() {
+            weak if weak.is_empty() => Ok(()),
+            weak => Err(ExcitationError::TooWeak(weak)),
         }
     }
 

@@ -56,14 +56,18 @@ fn joints_slow_down_to_what_friction_leaves_and_a_weak_one_is_named() {
         shares[2] < 1.0 && shares[2] > 0.1 && shares[5] == 1.0,
         "{shares:?}"
     );
-    // Gravity at the shoulder.
+    // Gravity at the shoulder and at the elbow.
     robot.joints[1].limits.torque = 1.0;
+    robot.joints[2].limits.torque = 0.5;
     let message = adapted(&robot).0.expect_err("too weak").to_string();
     assert!(
-        message.contains("its limit is 1 N·m: correct it with --torque-limits"),
+        message.contains("its limit is 1 N·m; ")
+            && message.ends_with("its limit is 0.5 N·m: correct it with --torque-limits"),
         "{message}"
     );
-    assert!(message.contains(&robot.joints[1].name), "{message}");
+    for joint in &robot.joints[1..3] {
+        assert!(message.contains(&joint.name), "{message}");
+    }
 }
 
 #[test]

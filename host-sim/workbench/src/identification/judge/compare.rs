@@ -280,14 +280,6 @@ fn order(
             (sum, rests)
         };
     let straight = all(&states, &of_links, &|joint| joint);
-    // Torques that the description explains already are in their order.
-    let sound = |explained: &Explained| {
-        let (low, high) = SOUND_SCALE;
-        explained.rest < 0.15 && (!explained.heavy || (low..=high).contains(&explained.scale))
-    };
-    if own.iter().all(sound) {
-        return None;
-    }
     let moved = |joint: usize| {
         let (low, high) = extremes[joint].position;
         extremes[joint].speed > MOVED.0 && high - low > MOVED.1

@@ -1,6 +1,7 @@
 //! Delay of the torques behind the positions.
 
 use super::{ANALYTIC, DELAY_S, FAST_RAD_S, Judgement};
+use crate::identification::columns::Layout;
 use nalgebra::{DMatrix, DVector};
 use std::collections::VecDeque;
 
@@ -13,6 +14,11 @@ const CLEAR: f64 = 3.0;
 /// Rows that follow one another are averaged over this long: noise of the encoders comes back in the torque through the
 /// joint controller, ahead of the position it is seen in, and is fast.
 const AVERAGED_S: f64 = 0.1;
+
+/// Averages beyond the number of columns from which a joint tells its noise.
+const SURE: f64 = 8.0;
+/// Columns of a joint beside those of the model.
+const MORE: usize = 3;
 
 /// Parts of a log that are left out in turn. The scatter of the delays without them counts what a deviation from the
 /// residuals does not: residuals that stay alike for long, and a second smallest cost elsewhere.
@@ -65,7 +71,7 @@ impl Delay {
             return;
         };
         let falling = qd.signum() * (-qd.abs() / FAST_RAD_S).exp();
-        let more = [1.0, falling, qd * qd.abs()];
+        let more: [f64; MORE] = [1.0, falling, qd * qd.abs()];
         let columns = DVector::from_iterator(x.len() + more.len(), x.iter().copied().chain(more));
         let rows = (AVERAGED_S / (stride as f64 * period_s)).round().max(1.0);
         self.last.push_back((columns, DVector::from_vec(torques)));
@@ -99,39 +105,71 @@ impl Delay {
         sums.count += worth;
     }
 
-    /// Minus the logarithm of the likelihood of every delay, up to a constant; `without` one of the parts.
-    fn costs(&self, without: Option<usize>) -> Option<DVector<f64>> {
+    /// Sums of all parts, or `without` one of them.
+    fn sums(&self, without: Option<usize>) -> Option<Sums> {
         let count = self.sums.len();
         let kept = (0..count).filter(|sums| Some(sums * PARTS / count) != without);
-        let sums = joined(kept.map(|sums| &self.sums[sums]))?;
-        let size = sums
+        joined(kept.map(|sums| &self.sums[sums]))
+    }
+}
+
+impl Sums {
+    /// Squares that the best parameters leave at every delay, and the number of averages beyond that of the columns.
+    fn rests(&self) -> Option<(DVector<f64>, f64)> {
+        let size = self
             .gram
             .diagonal()
             .map(|square| 1.0 / f64::max(square, f64::MIN_POSITIVE).sqrt());
-        let scaled = DMatrix::from_fn(sums.gram.nrows(), sums.gram.ncols(), |a, b| {
-            sums.gram[(a, b)] * size[a] * size[b]
+        let scaled = DMatrix::from_fn(self.gram.nrows(), self.gram.ncols(), |a, b| {
+            self.gram[(a, b)] * size[a] * size[b]
         });
         let inverse = scaled.pseudo_inverse(1e-8).ok()?;
-        let free = sums.count - sums.gram.nrows() as f64;
-        let rests = DVector::from_fn(sums.powers.len(), |delay, _| {
-            let moment = sums.moments.column(delay).component_mul(&size);
-            sums.powers[delay] - moment.dot(&(&inverse * &moment))
+        let rests = DVector::from_fn(self.powers.len(), |delay, _| {
+            let moment = self.moments.column(delay).component_mul(&size);
+            self.powers[delay] - moment.dot(&(&inverse * &moment))
         });
-        // A part less may leave fewer rows than a whole log needs.
-        let least = without.map_or(sums.gram.nrows() as f64, |_| 1.0);
-        let sound = free > least && rests.min() > 0.0;
-        sound.then(|| rests.map(|rest| 0.5 * free * rest.ln()))
+        let used = size.iter().filter(|size| **size < 1e100).count();
+        let free = self.count - used as f64;
+        (free > 1.0 && rests.min() > 0.0).then_some((rests, free))
     }
+}
 
-    /// Costs with every part, and without each of them.
-    fn all_costs(&self) -> Option<Vec<DVector<f64>>> {
-        let parts = (0..PARTS).map(Some);
-        [None]
-            .into_iter()
-            .chain(parts)
-            .map(|without| self.costs(without))
-            .collect()
+/// Minus the logarithm of the likelihood of every delay, up to a constant; `without` one of the parts.
+///
+/// All joints together: they share the parameters of the links, and 10 s of motion have too few averages for each joint to
+/// have parameters of its own.
+fn costs(
+    delays: &[Delay],
+    variances: &[Option<f64>],
+    layout: &Layout,
+    without: Option<usize>,
+) -> Option<DVector<f64>> {
+    let size = layout.parameters.len() + MORE * layout.joints();
+    let mut all = Sums {
+        gram: DMatrix::zeros(size, size),
+        moments: DMatrix::zeros(size, 2 * TRIED + 1),
+        powers: DVector::zeros(2 * TRIED + 1),
+        count: 0.0,
+    };
+    for (joint, (delay, variance)) in delays.iter().zip(variances).enumerate() {
+        let (Some(variance), Some(own)) = (variance, delay.sums(without)) else {
+            continue;
+        };
+        let private = layout.parameters.len() + MORE * joint;
+        let places = layout.active[joint].iter().copied();
+        let places: Vec<usize> = places.chain(private..private + MORE).collect();
+        for (a, &row) in places.iter().enumerate() {
+            for (b, &column) in places.iter().enumerate() {
+                all.gram[(row, column)] += own.gram[(a, b)] / variance;
+            }
+            let mut moments = all.moments.row_mut(row);
+            moments += own.moments.row(a) / *variance;
+        }
+        all.powers += own.powers / *variance;
+        all.count += own.count;
     }
+    let (rests, free) = all.rests()?;
+    Some(rests.map(|rest| 0.5 * free * rest.ln()))
 }
 
 /// The sums of all `parts`.
@@ -160,14 +198,16 @@ fn vertex(costs: &DVector<f64>) -> (f64, f64) {
 }
 
 /// Delay of the torques behind the positions, common to all joints, of rows `period_s` apart.
-pub(super) fn delay(judgement: &mut Judgement, delays: &[Delay], period_s: f64) {
-    let sum = |mut all: Vec<DVector<f64>>, joint: Vec<DVector<f64>>| {
-        all.iter_mut()
-            .zip(&joint)
-            .for_each(|(all, own)| *all += own);
-        all
+pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay], period_s: f64) {
+    // Of a joint alone, where it moved for long enough.
+    let variance = |delay: &Delay| {
+        let (rests, free) = delay.sums(None)?.rests()?;
+        (free >= SURE).then(|| rests.min() / free)
     };
-    let Some(costs) = delays.iter().filter_map(Delay::all_costs).reduce(sum) else {
+    let variances: Vec<Option<f64>> = delays.iter().map(variance).collect();
+    let parts = [None].into_iter().chain((0..PARTS).map(Some));
+    let costs = parts.map(|without| costs(delays, &variances, layout, without));
+    let Some(costs) = costs.collect::<Option<Vec<_>>>() else {
         return;
     };
     let step_s = step_rows(period_s) as f64 * period_s;

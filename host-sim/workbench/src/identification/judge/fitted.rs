@@ -58,11 +58,8 @@ pub(in crate::identification) fn after_fit(
     }
 }
 
-/// Share of the RMS torque, half of its power, and multiple of the noise alone from which an error is that of the equations.
-const UNEXPLAINED: (f64, f64) = (std::f64::consts::FRAC_1_SQRT_2, 3.0);
-
-/// Joints where the fitted parameters leave half of the power of the torque and noise is not the reason. One joint may have
-/// a defect of its own; two refuse.
+/// Joints where the fitted parameters leave half of the power of the torque, and most of what they leave is not noise. The
+/// power of noise alone, which is in torque and error, is taken off both. One joint may have a defect of its own; two refuse.
 pub fn unexplained(report: &Report) -> Option<Finding> {
     let noise = report.data_check.iter().flat_map(|check| &check.joints);
     let noise = noise.map(|joint| joint.noise_floor_nm);
@@ -73,8 +70,8 @@ pub fn unexplained(report: &Report) -> Option<Finding> {
         .filter_map(|(joint, ((error, size), noise))| {
             let (error, size) = ((*error)?, (*size)?);
             let (number, percent) = (joint + 1, 100.0 * error / size);
-            let clear = error > UNEXPLAINED.0 * size && error > UNEXPLAINED.1 * noise;
-            clear.then(|| {
+            let [left, all] = [error, size].map(|rms| rms * rms - noise * noise);
+            (left > 0.5 * all && left > noise * noise).then(|| {
                 format!(
                     "J{number} {percent:.0} %, {:.0} % noise",
                     100.0 * noise / size
@@ -178,7 +175,7 @@ mod tests {
             headline_rmse_nm: errors.map(Some).to_vec(),
             headline_torque_rms_nm: vec![Some(1.0); 3],
             data_check: Some(Judgement {
-                joints: vec![joint(0.1), joint(0.1), joint(0.4)],
+                joints: vec![joint(0.1), joint(0.1), joint(0.6)],
                 ..Judgement::default()
             }),
             ..Report::default()
@@ -192,5 +189,13 @@ mod tests {
         );
         let two = unexplained(&report([0.8, 0.75, 0.8])).expect("joints 1 and 2");
         assert!(two.refuses && two.text.contains("another arm"), "{two:?}");
+        // Most of what is left of joint 3 is noise, or is not.
+        let mut noisy = report([0.8, 0.2, 0.84]);
+        let check = noisy.data_check.as_mut().expect("judged");
+        check.joints[2].noise_floor_nm = 0.6;
+        assert!(!unexplained(&noisy).expect("joint 1").refuses);
+        let check = noisy.data_check.as_mut().expect("judged");
+        check.joints[2].noise_floor_nm = 0.4;
+        assert!(unexplained(&noisy).expect("joints 1 and 3").refuses);
     }
 }

@@ -12,6 +12,7 @@ pub(super) use fitted::{after_fit, description};
 
 use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
+use super::log::Roughness;
 use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
 use super::stream::for_each_prepared;
@@ -116,19 +117,18 @@ struct Sample {
 }
 
 /// Sums of a joint: range, speed, torque, scatter between rows, rows, spikes.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Extremes {
     position: (f64, f64),
     speed: f64,
     torque: f64,
     power: f64,
-    moving: f64,
     scatter: f64,
     rows: f64,
     at_top: f64,
     spikes: f64,
-    /// Sums of squared second and first differences of position and torque.
-    rough: [[f64; 2]; 2],
+    /// Of position and torque.
+    rough: [Roughness; 2],
 }
 
 /// Judges logs before anything is identified.
@@ -143,7 +143,7 @@ pub fn judge(
     let layout = Layout::new(robot, columns);
     let joints = layout.joints();
     let mut judgement = Judgement::default();
-    let mut extremes = vec![Extremes::NONE; joints];
+    let mut extremes = vec![Extremes::none(); joints];
     for path in logs {
         config.check(path, robot)?;
         judgement.period_s = scan(path, robot, &mut extremes)?;
@@ -202,7 +202,7 @@ pub fn judge(
     }
     compare(&mut judgement, robot, &sample.rows, &extremes, gain);
     if !judgement.refuses() {
-        delay(&mut judgement, &delays, period_s);
+        delay(&mut judgement, &layout, &delays, period_s);
     }
     Ok(judgement)
 }
@@ -225,23 +225,11 @@ impl Sample {
 }
 
 impl Extremes {
-    const NONE: Self = Self {
-        position: (f64::INFINITY, f64::NEG_INFINITY),
-        speed: 0.0,
-        torque: 0.0,
-        power: 0.0,
-        moving: 0.0,
-        scatter: 0.0,
-        rows: 0.0,
-        at_top: 0.0,
-        spikes: 0.0,
-        rough: [[0.0; 2]; 2],
-    };
-
-    /// Roughness of positions and torques: a position is smooth, a measured torque is not.
-    fn roughness(&self) -> [f64; 2] {
-        self.rough
-            .map(|[second, first]| second / f64::max(first, f64::MIN_POSITIVE))
+    fn none() -> Self {
+        Self {
+            position: (f64::INFINITY, f64::NEG_INFINITY),
+            ..Self::default()
+        }
     }
 
     /// Noise of a row of the torque, N·m: the second difference of white noise has six times its variance.
@@ -259,27 +247,20 @@ fn scan(
     let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
     let mut last: Vec<super::log::LogRow> = Vec::new();
+    let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
+    rough.for_each(Roughness::pause);
     while let Some(row) = log.next_row()? {
         for (joint, sums) in extremes.iter_mut().enumerate() {
             let (q, tau) = (row.q[joint], row.tau[joint]);
             let limit = robot.joints[joint].limits.torque;
             sums.position = (sums.position.0.min(q), sums.position.1.max(q));
             sums.torque = sums.torque.max(tau.abs());
+            sums.rough[0].add(q);
+            sums.scatter += sums.rough[1].add(tau);
             if let [a, b] = &last[..] {
-                let bend = |x: f64, y: f64, z: f64| [(z - 2.0 * y + x).powi(2), (z - y).powi(2)];
-                let pairs = [
-                    bend(a.q[joint], b.q[joint], q),
-                    bend(a.tau[joint], b.tau[joint], tau),
-                ];
-                for (sums, new) in sums.rough.iter_mut().zip(pairs) {
-                    sums[0] += new[0];
-                    sums[1] += new[1];
-                }
                 let qd = (q - a.q[joint]) / (row.t_s - a.t_s);
                 sums.speed = sums.speed.max(qd.abs());
-                sums.scatter += pairs[1][0];
                 sums.power += tau * tau;
-                sums.moving += tau * qd;
                 sums.rows += 1.0;
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
                 sums.spikes += f64::from(u8::from(jumps > (0.2 * limit).powi(2)));
@@ -297,8 +278,7 @@ fn scan(
 /// Findings on ranges: units, quantities in each other's columns, spikes, saturation.
 fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
     let joints = || robot.joints.iter().zip(extremes).enumerate();
-    let rough = extremes.iter().map(Extremes::roughness);
-    let swapped = rough.filter(|[q, tau]| *q > 10.0 * tau).count();
+    let swapped = Roughness::are_swapped(extremes.iter().map(|seen| seen.rough));
     let range = |joint: &crate::robot::Joint| {
         let (low, high) = joint.limits.position;
         low.abs().max(high.abs())
@@ -308,7 +288,7 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         let most = seen.position.0.abs().max(seen.position.1.abs());
         most > BEYOND * range(joint) || seen.speed > BEYOND * joint.limits.velocity
     });
-    let many = swapped * 2 > extremes.len() && joints().all(|(_, (joint, seen))| fits(joint, seen));
+    let many = swapped && joints().all(|(_, (joint, seen))| fits(joint, seen));
     if let Some((number, (joint, seen))) = far {
         let text = if many {
             "positions and torques are swapped: what stands for a torque is smoother than what stands for a position".to_owned()
@@ -325,7 +305,7 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         judgement.find(true, text);
         return;
     }
-    if swapped * 2 > extremes.len() {
+    if swapped {
         judgement.find(
             true,
             "positions and torques are swapped: the torque is the smoother of the two",

@@ -1,0 +1,98 @@
+//! Somebody at the terminal: ends the torque by a signal, and moves the arm when asked.
+
+use super::terminal::{Orderly, write_line};
+use foretorque_link::drives::Frame;
+use foretorque_workbench::bus::{Ask, BusError, Network};
+use std::io::{self, BufRead};
+use std::time::Duration;
+
+/// A bus whose user may interrupt: the next look for replies fails once, and the drives are switched off.
+pub(super) struct Attended {
+    network: Box<dyn Network>,
+    /// The arm is simulated and moves itself when asked.
+    simulated: bool,
+    /// None once the user has interrupted: a second signal ends the program.
+    orderly: Option<Orderly>,
+    periods: u32,
+}
+
+impl Attended {
+    pub(super) fn new(network: Box<dyn Network>, simulated: bool) -> Self {
+        Self {
+            network,
+            simulated,
+            orderly: Some(Orderly::begin()),
+            periods: 0,
+        }
+    }
+}
+
+impl Network for Attended {
+    fn name(&self) -> String {
+        self.network.name()
+    }
+
+    fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError> {
+        self.network.send(bus, frame)
+    }
+
+    fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
+        if self.orderly.as_ref().is_some_and(Orderly::interrupted) {
+            self.orderly = None;
+            return Err(BusError::Interrupted(self.periods));
+        }
+        self.network.receive()
+    }
+
+    fn wait(&mut self) -> Duration {
+        self.periods = self.periods.saturating_add(1);
+        self.network.wait()
+    }
+
+    fn is_off(&self) -> bool {
+        self.network.is_off()
+    }
+
+    fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
+        // Drives are off: a signal ends the program at once.
+        self.orderly = None;
+        let outcome = match self.simulated {
+            true => self.network.ask(ask),
+            false => prompt(&request(ask)).map_err(|error| BusError::Gone {
+                name: "terminal".to_owned(),
+                error,
+            }),
+        };
+        self.orderly = Some(Orderly::begin());
+        outcome
+    }
+}
+
+/// Asks whoever is at the terminal for something, and waits until it is done.
+pub(super) fn prompt(request: &str) -> io::Result<()> {
+    write_line(format_args!("{request}, then press Enter"))?;
+    let mut line = String::new();
+    match io::stdin().lock().read_line(&mut line)? {
+        0 => Err(io::ErrorKind::UnexpectedEof.into()),
+        _ => Ok(()),
+    }
+}
+
+fn request(ask: &Ask) -> String {
+    match ask {
+        Ask::Pose(pose) => format!("put the arm into the pose {pose:?} rad"),
+        Ask::Turn { joint, by_rad } => {
+            let degrees = by_rad.to_degrees();
+            format!("turn joint {} by {degrees:+.0}° by hand", joint + 1)
+        }
+        Ask::Weight(None) => {
+            "take every load off the arm and give each joint 45° of room around the pose of rest"
+                .to_owned()
+        }
+        Ask::Weight(Some(body)) => {
+            let (mass, [x, y, z]) = (body.mass, body.com.into());
+            let at: [f64; 3] = [x, y, z];
+            format!("fix {mass} kg to the last link, centre of mass at {at:?} m in its frame")
+        }
+    }
+}
