@@ -55,7 +55,7 @@ pub enum BoardError {
     #[error("the board speaks protocol version {0}, this program version {PROTOCOL_VERSION}")]
     WrongProtocol(u8),
     /// The board drives another robot.
-    #[error("the board drives {found}, not {wanted}: is its firmware that of `cargo firmware`?")]
+    #[error("the board drives {found}, not {wanted}: `cargo firmware` builds that of the UR5, `cargo xtask arm` that of others")]
     WrongRobot {
         /// The robot wanted.
         wanted: String,
