@@ -207,7 +207,14 @@ pub fn real_ur5(
     let robot = Robot::load("ur5")?;
     let paths: Vec<ReplayPath> = paths.collect();
     // The clocks of these logs have lost rows; the controller's period is known.
-    at_period::<Ur5, { ur5::JOINTS }, PARAMETERS>(&robot, &paths, start, seed, Some(8e-3), progress)
+    let period_s = Some(8e-3);
+    let outcome = at_period::<Ur5, { ur5::JOINTS }, PARAMETERS>(
+        &robot, &paths, start, seed, period_s, progress,
+    )?;
+    Ok(Outcome {
+        text: format!("host-sim experiment replay-real\n\n{}", outcome.text),
+        ..outcome
+    })
 }
 
 /// Replays logs to a board that starts from a set, on the clock of the first log. Returns the figures and the page.

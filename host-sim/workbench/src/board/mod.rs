@@ -55,7 +55,9 @@ pub enum BoardError {
     #[error("the board speaks protocol version {0}, this program version {PROTOCOL_VERSION}")]
     WrongProtocol(u8),
     /// The board drives another robot.
-    #[error("the board drives {found}, not {wanted}: `cargo firmware` builds that of the UR5, `cargo xtask arm` that of others")]
+    #[error(
+        "the board drives {found}, not {wanted}: `cargo firmware` builds that of the UR5, `cargo xtask arm` that of others"
+    )]
     WrongRobot {
         /// The robot wanted.
         wanted: String,
