@@ -1,18 +1,18 @@
-//! Somebody at the terminal: ends the torque by a signal, and moves the arm when asked.
+//! Bus with a user at the terminal, who ends the torque by a signal and moves the arm on request.
 
-use super::terminal::{Orderly, write_line};
+use super::terminal::{SignalGuard, write_line};
 use foretorque_link::drives::Frame;
 use foretorque_workbench::bus::{Ask, BusError, Network};
 use std::io::{self, BufRead};
 use std::time::Duration;
 
-/// A bus whose user may interrupt: the next look for replies fails once, and the drives are switched off.
+/// Bus whose user may interrupt: the next reading of replies fails once, and the drives are switched off.
 pub(super) struct Attended {
     network: Box<dyn Network>,
     /// The arm is simulated and moves itself when asked.
     simulated: bool,
     /// None once the user has interrupted: a second signal ends the program.
-    orderly: Option<Orderly>,
+    guard: Option<SignalGuard>,
     periods: u32,
 }
 
@@ -21,7 +21,7 @@ impl Attended {
         Self {
             network,
             simulated,
-            orderly: Some(Orderly::begin()),
+            guard: Some(SignalGuard::begin()),
             periods: 0,
         }
     }
@@ -37,8 +37,8 @@ impl Network for Attended {
     }
 
     fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
-        if self.orderly.as_ref().is_some_and(Orderly::interrupted) {
-            self.orderly = None;
+        if self.guard.as_ref().is_some_and(SignalGuard::interrupted) {
+            self.guard = None;
             return Err(BusError::Interrupted(self.periods));
         }
         self.network.receive()
@@ -55,7 +55,7 @@ impl Network for Attended {
 
     fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
         // Drives are off: a signal ends the program at once.
-        self.orderly = None;
+        self.guard = None;
         let outcome = match self.simulated {
             true => self.network.ask(ask),
             false => prompt(&request(ask)).map_err(|error| BusError::Gone {
@@ -63,7 +63,7 @@ impl Network for Attended {
                 error,
             }),
         };
-        self.orderly = Some(Orderly::begin());
+        self.guard = Some(SignalGuard::begin());
         outcome
     }
 }

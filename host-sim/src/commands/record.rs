@@ -1,5 +1,5 @@
 use super::boards::BoardChoice;
-use super::terminal::{Orderly, show};
+use super::terminal::{SignalGuard, show};
 use super::{Failure, positive, unusable};
 use clap::Args;
 use foretorque_workbench::board::Transport;
@@ -43,8 +43,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut overheard = Overheard::new(&arguments.out, 1e-3 * arguments.period_ms);
     let named = |error| at(&arguments.out, error);
     let mut buffer = [0; 4096];
-    let orderly = Orderly::begin();
-    let runs = || !orderly.interrupted() && end.is_none_or(|end| Instant::now() < end);
+    let guard = SignalGuard::begin();
+    let runs = || !guard.interrupted() && end.is_none_or(|end| Instant::now() < end);
     // A line that ends takes nothing away from what was recorded.
     let mut gone = None;
     while gone.is_none() && runs() {

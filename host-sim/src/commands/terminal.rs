@@ -50,7 +50,7 @@ static ENDS_ITSELF: AtomicBool = AtomicBool::new(false);
 /// Set by the first signal to such a part.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Removes unfinished files on SIGINT, SIGTERM or SIGHUP, and ends by that signal; while there is an [`Orderly`] only after
+/// Removes unfinished files on SIGINT, SIGTERM or SIGHUP, and ends by that signal; while there is a [`SignalGuard`] only after
 /// a second one.
 ///
 /// Errors: a system that lets no handler be set.
@@ -58,8 +58,8 @@ pub(super) fn clean_up_when_interrupted() -> io::Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
     std::thread::spawn(move || {
         for signal in signals.forever() {
-            let orderly = ENDS_ITSELF.load(Ordering::Relaxed);
-            if orderly && !INTERRUPTED.swap(true, Ordering::Relaxed) {
+            let ends_itself = ENDS_ITSELF.load(Ordering::Relaxed);
+            if ends_itself && !INTERRUPTED.swap(true, Ordering::Relaxed) {
                 continue;
             }
             foretorque_workbench::files::remove_unfinished();
@@ -70,9 +70,9 @@ pub(super) fn clean_up_when_interrupted() -> io::Result<()> {
 }
 
 /// Part of a command that the first signal does not end: there is a torque to switch off, or a file to finish.
-pub(super) struct Orderly;
+pub(super) struct SignalGuard;
 
-impl Orderly {
+impl SignalGuard {
     pub(super) fn begin() -> Self {
         ENDS_ITSELF.store(true, Ordering::Relaxed);
         Self
@@ -84,7 +84,7 @@ impl Orderly {
     }
 }
 
-impl Drop for Orderly {
+impl Drop for SignalGuard {
     fn drop(&mut self) {
         ENDS_ITSELF.store(false, Ordering::Relaxed);
     }
