@@ -188,7 +188,7 @@ pub(super) fn compare(
             continue;
         }
         let width = f64::from(foretorque::dynamics::SIGN_WIDTH);
-        // A description without rotors says nothing about their size.
+        // Where the description has no rotor, its inertia is unknown.
         let rotor = match robot.joints[joint].drive.rotor_inertia {
             0.0 => own[joint].rotor.0.max(0.0),
             rotor => rotor,

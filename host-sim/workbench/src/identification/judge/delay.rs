@@ -15,7 +15,7 @@ const CLEAR: f64 = 3.0;
 /// joint controller, ahead of the position it is seen in, and is fast.
 const AVERAGED_S: f64 = 0.1;
 
-/// Averages beyond the number of columns from which a joint tells its noise.
+/// Averages beyond the number of columns from which the noise of a joint is estimated.
 const SURE: f64 = 8.0;
 /// Columns of a joint beside those of the model.
 const MORE: usize = 3;
