@@ -1,7 +1,7 @@
 //! The command `identify` as a user runs it: parameters of a known arm, one line for each defect of a log.
 
 use crate::logged::{identified, identify, log};
-use crate::program::{directory, failure, number, succeeds, text, write};
+use crate::program::{directory, failure, host_sim, number, succeeds, text, write};
 use foretorque_workbench::robot::Robot;
 use std::path::Path;
 
@@ -188,4 +188,56 @@ fn a_gap_splits_the_log_and_is_noted() {
     let error = &report["methods"]["wls"]["validation"]["whole.csv"]["joints_nrmse_moving_ratio"];
     // The noise of the whole log itself is 1 % of the wrists' torque; a derivative across the gap would be far worse.
     assert!(number(error) < 0.02, "{error}");
+}
+
+#[test]
+fn drives_that_turn_two_joints_are_identified() {
+    let here = directory("identify-coupled");
+    let drive = |name: &str| {
+        format!(
+            "[[joints]]\nname = '{name}'\nlimits = {{ position_rad = [-2.5, 2.5], velocity_rad_s = 2, torque_nm = 20 }}
+            friction = {{ stribeck_ratio = 0, cogging_nm = 0 }}\n"
+        )
+    };
+    let [five, six] = ["wrist_2", "wrist_3"].map(drive);
+    let text = format!(
+        "from = 'ur5'\n{five}{six}[coupling]\njoints = ['wrist_2', 'wrist_3']\nmatrix = [[1, 1], [1, -1]]\n"
+    );
+    write(here.join("arm.toml"), &text);
+    for seed in [1, 2] {
+        succeeds(
+            &here,
+            &format!(
+                "simulate --robot arm.toml --trajectory validation --seed {seed} --exact --out {seed}.csv"
+            ),
+        );
+    }
+    succeeds(
+        &here,
+        "identify --robot arm.toml --log 1.csv --validate 2.csv --methods consistent --out out",
+    );
+    assert!(
+        !here.join("out/parameters.bank").exists(),
+        "boards have no coupled joints"
+    );
+    succeeds(
+        &here,
+        "torque --robot out/robot.toml --in 2.csv --out tau.csv",
+    );
+    // Torques of the last two drives: measured, and of the identified description.
+    for drive in [5, 6] {
+        let measured = column(&here.join("2.csv"), 18 + drive);
+        let found = column(&here.join("tau.csv"), drive);
+        let error: f64 = measured
+            .iter()
+            .zip(&found)
+            .map(|(a, b)| (a - b).powi(2))
+            .sum();
+        let power: f64 = measured.iter().map(|a| a * a).sum();
+        let share = (error / power).sqrt();
+        assert!(share < 0.2, "drive {drive}: {share}");
+    }
+    let excite = "excite --robot arm.toml --out x";
+    let refused = failure(excite, &host_sim(&here, excite));
+    assert!(refused.contains("without its [coupling]"), "{refused}");
 }

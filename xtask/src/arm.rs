@@ -2,10 +2,7 @@
 
 use std::fs;
 
-use anyhow::{Context as _, Result, ensure};
-use elf::ElfBytes;
-use elf::abi::{PF_W, PT_LOAD};
-use elf::endian::LittleEndian;
+use anyhow::{Context as _, Result};
 
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command};
@@ -56,32 +53,16 @@ pub(crate) fn run(forced: Option<Way>, urdf: &str, name: &str, selection: &[Stri
         let bytes = shell::read(&elves.join(image))?;
         let kept = out.join(image);
         shell::write(&kept, &bytes)?;
-        let (flash, ram) = sizes(&bytes)?;
+        let (flash, ram) = foretorque_cost::sizes(&kept)?;
         println!(
             "{image}: {flash} bytes of flash, {ram} bytes of static RAM: {}",
             shell::shown(&kept)
         );
     }
+    foretorque_cost::check_firmware(&out, &[foretorque_cost::JOINT])?;
     println!(
         "host-sim run --robot {} --board qemu … runs it",
         shell::shown(&toml)
     );
     Ok(())
-}
-
-/// Bytes in flash, and bytes of RAM that variables take.
-fn sizes(elf: &[u8]) -> Result<(u64, u64)> {
-    let file =
-        ElfBytes::<LittleEndian>::minimal_parse(elf).context("the firmware is not an ELF file")?;
-    let segments = file.segments().context("the firmware is not linked")?;
-    let loaded = segments.iter().filter(|segment| segment.p_type == PT_LOAD);
-    let (mut flash, mut ram) = (0, 0);
-    for segment in loaded {
-        flash += segment.p_filesz;
-        if segment.p_flags & PF_W != 0 {
-            ram += segment.p_memsz;
-        }
-    }
-    ensure!(flash > 0, "the firmware has no segments to load");
-    Ok((flash, ram))
 }

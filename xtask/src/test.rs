@@ -5,6 +5,7 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
+use foretorque_cost as cost;
 
 use crate::capi;
 use crate::circles;
@@ -52,7 +53,8 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         outcomes.push(pass(name, || shell::run(&mut gate)));
     }
     outcomes.push(pass("linked firmware", || {
-        foretorque_cost::check_firmware(&toolchain::elves())
+        let names = [cost::JOINT, cost::DRIVE, cost::CAN];
+        cost::check_firmware(&toolchain::elves(), &names)
     }));
     outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("words", words::run));

@@ -61,21 +61,36 @@ impl RobotOptions {
     pub(super) fn load(&self) -> Result<Robot, Failure> {
         self.arm.load(&self.robot)
     }
+
+    /// The robot, which may have coupled joints; its notes are printed.
+    ///
+    /// Errors: those of [`ArmOptions::import`], and of standard output.
+    pub(super) fn load_coupled(&self) -> Result<Robot, Failure> {
+        let import = self.arm.import(&self.robot)?;
+        for note in &import.notes {
+            show!("note: {note}")?;
+        }
+        Ok(import.robot)
+    }
 }
 
 impl ArmOptions {
-    /// The arm called `name`, with its notes.
-    ///
-    /// Errors: of the description; a list of another length than the joints.
-    pub(super) fn import(&self, name: &str) -> Result<Import, Failure> {
-        let selection = Selection {
+    /// Part of a URDF that is the arm.
+    pub(super) fn selection(&self) -> Selection<'_> {
+        Selection {
             base: self.base.as_deref(),
             tip: self.tip.as_deref(),
             weld: self.weld,
             repair: self.repair,
             link_mass: self.link_mass,
-        };
-        let mut import = Robot::load_selected(name, &selection)?;
+        }
+    }
+
+    /// The arm called `name`, with its notes.
+    ///
+    /// Errors: of the description; a list of another length than the joints.
+    pub(super) fn import(&self, name: &str) -> Result<Import, Failure> {
+        let mut import = Robot::load_selected(name, &self.selection())?;
         if let Some(called) = &self.called {
             if !Robot::is_name(called) {
                 return Err(unusable(format!(
@@ -115,11 +130,16 @@ impl ArmOptions {
         Ok(import)
     }
 
-    /// The arm called `name`; its notes are printed.
+    /// The arm called `name`, of which each drive turns one joint; its notes are printed.
     ///
-    /// Errors: as of [`import`](Self::import), and of standard output.
+    /// Errors: as of [`import`](Self::import), and of standard output; an arm with coupled joints.
     pub(super) fn load(&self, name: &str) -> Result<Robot, Failure> {
         let import = self.import(name)?;
+        if import.robot.coupling.is_some() {
+            return Err(unusable(format!(
+                "{name}: coupled joints are for describe, simulate, identify and torque only; take the description without its [coupling]"
+            )));
+        }
         for note in &import.notes {
             show!("note: {note}")?;
         }
@@ -167,6 +187,7 @@ impl LogOptions {
             None => robot.log_columns.clone().unwrap_or_default(),
             Some(name) if LOG_SOURCES.contains(&name) => LogColumns {
                 source: Some(name.to_owned()),
+                of_joints: robot.log_columns.as_ref().is_some_and(|map| map.of_joints),
                 ..LogColumns::default()
             },
             Some(file) => LogColumns::load(file)?,

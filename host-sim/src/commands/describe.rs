@@ -3,6 +3,7 @@ use super::arm::ArmOptions;
 use super::terminal::show;
 use clap::{Args, ValueEnum};
 use foretorque_workbench::urdf;
+use std::path::Path;
 
 /// Print the description of an arm, with what was assumed for it: a start for a file with all that a URDF does not have
 #[derive(Debug, Args)]
@@ -12,7 +13,8 @@ pub(super) struct Arguments {
     robot: String,
     #[command(flatten)]
     arm: ArmOptions,
-    /// Format; TOML keeps everything, the others what they have elements for
+    /// Format; TOML keeps everything, an overlay is a TOML that completes the file beside it, the others keep what they have
+    /// elements for
     #[arg(long, value_enum, default_value_t = Format::Toml)]
     format: Format,
 }
@@ -20,6 +22,7 @@ pub(super) struct Arguments {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
     Toml,
+    Overlay,
     Urdf,
     Mjcf,
     Sdf,
@@ -34,13 +37,16 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "assumed: rotor inertia of joints {assumed:?}, torque limit / 200 rad/s²"
         ));
     }
+    let toml = |text: String| {
+        notes.iter().try_for_each(|note| show!("# {note}"))?;
+        show!("{}", text.trim_end())
+    };
     let write = match arguments.format {
-        Format::Toml => {
-            for note in &notes {
-                show!("# {note}")?;
-            }
-            show!("{}", robot.to_toml()?.trim_end())?;
-            return Ok(());
+        Format::Toml => return toml(robot.to_toml()?),
+        Format::Overlay => {
+            let name = Path::new(&arguments.robot).file_name().unwrap_or_default();
+            let selection = arguments.arm.selection();
+            return toml(robot.to_overlay(&name.to_string_lossy(), &selection)?);
         }
         Format::Urdf => urdf::write,
         Format::Mjcf => urdf::mjcf,

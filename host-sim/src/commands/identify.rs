@@ -123,7 +123,7 @@ fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut robot = arguments.robot.load()?;
+    let mut robot = arguments.robot.load_coupled()?;
     arguments.columns_of_log.apply(&mut robot)?;
     let config = config(arguments, &robot)?;
     identify_arm(arguments, &robot, &config)
@@ -172,6 +172,9 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
 }
 
 fn bank(robot: &Robot, outcome: &Outcome) -> Option<ParameterBank> {
+    if robot.coupling.is_some() {
+        return None;
+    }
     arms!(robot, N, P => {
         Described::<N, P>::read(robot)?;
         bank_of_fit::<Described<N, P>, N, P>(
@@ -296,6 +299,9 @@ fn identify_arm(
         show!("bank    {}", path.display())?;
     }
     show!("report  {}", shown.display())?;
+    if let (Some(_), None) = (&robot.coupling, refused) {
+        return show!("no bank: boards have no coupled joints; robot.toml is for `torque`");
+    }
     verdict(refused, bank.is_some())
 }
 

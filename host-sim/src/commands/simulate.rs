@@ -156,7 +156,7 @@ impl MotionArguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     keep_stdout_for(&arguments.out);
-    let robot = arguments.robot.load()?;
+    let robot = arguments.robot.load_coupled()?;
     joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }
 

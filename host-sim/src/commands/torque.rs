@@ -2,10 +2,12 @@ use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::simulate::PERIOD_S;
 use super::terminal::Bar;
-use super::{Failure, bank, not_over};
+use super::{Failure, bank, not_over, unsupported, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque_workbench::closed_loop::motion_f32;
+use foretorque_workbench::dynamics::RigidBodies;
+use foretorque_workbench::joints;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{
     StateReader, StateRow, TableProblem, TableWriter, TimeColumn, joint_columns,
@@ -49,7 +51,10 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     super::terminal::keep_stdout_for(&arguments.out);
-    let robot = &arguments.robot.load()?;
+    let robot = &arguments.robot.load_coupled()?;
+    if robot.coupling.is_some() {
+        return joints!(robot.joint_count(), N => coupled::<N>(arguments, robot), else Err(unsupported(robot.joint_count())));
+    }
     on_arm!(robot, A, N, P => torque::<A, N, P>(arguments, robot))
 }
 
@@ -75,6 +80,37 @@ impl Arguments {
         });
         Ok((true, Box::new(states)))
     }
+}
+
+/// Writes the torques of drives that turn several joints, in f64: no board has them.
+fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
+    if arguments.bank.is_some() || arguments.board != BoardChoice::Native {
+        let reason = "boards have no coupled joints: leave out --bank and --board";
+        return Err(unusable(reason));
+    }
+    let model = RigidBodies::new(robot);
+    let (timed, states) = arguments.states::<N>(robot)?;
+    let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
+    for share in ["tau", "rigid", "friction"] {
+        header.extend(joint_columns(share, "nm", N));
+    }
+    let mut table = TableWriter::create(&arguments.out, &header)?;
+    for state in states {
+        let state = state?;
+        let motion = state.motion.into();
+        let rigid = model.inverse_dynamics(&motion);
+        let drives = robot.joints.iter().zip(motion.qd.iter());
+        let friction: Vec<f64> = drives
+            .map(|(drive, qd)| drive.friction.sliding(*qd))
+            .collect();
+        let total = rigid.iter().zip(&friction).map(|(a, b)| a + b);
+        let shares = total.chain(rigid.iter().copied()).chain(friction.clone());
+        let mut row: Vec<String> = state.t_s.iter().map(f64::to_string).collect();
+        row.extend(shares.map(|torque| torque.to_string()));
+        table.row(row)?;
+    }
+    table.finish()?;
+    Ok(())
 }
 
 fn torque<A: Arm<N, P>, const N: usize, const P: usize>(

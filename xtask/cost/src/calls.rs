@@ -62,6 +62,16 @@ impl<'a> Walk<'a> {
         walk
     }
 
+    /// Leaves out what the function with this last part of its name calls: its own stack stays.
+    pub(crate) fn leave_out_calls_of(&mut self, name: &str) {
+        let tail = format!("::{name}");
+        for (&entry, node) in &mut self.nodes {
+            if self.image.names(entry).any(|name| name.ends_with(&tail)) {
+                node.calls.clear();
+            }
+        }
+    }
+
     /// Every name of every function in reach.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
         self.nodes.keys().flat_map(|&entry| self.image.names(entry))
@@ -271,6 +281,18 @@ mod tests {
         assert_eq!(depth_and_unknown(&image), (8 + 16, String::new()));
         let walk = Walk::from(&image, &[CALLER]);
         assert_eq!(walk.path_to("leaf", &[CALLER]), ["caller", "leaf"]);
+    }
+
+    #[test]
+    fn calls_that_are_left_out_add_no_stack() {
+        let [high, low] = call(CALLER + 2, LEAF);
+        let caller = [0xB510, high, low, 0xBD10];
+        let name = "app::main::set_up";
+        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), (name, CALLER, &caller)]);
+        let mut walk = Walk::from(&image, &[CALLER]);
+        assert_eq!(walk.depth(CALLER).bytes, 8 + 16);
+        walk.leave_out_calls_of("set_up");
+        assert_eq!(walk.depth(CALLER).bytes, 8);
     }
 
     #[test]

@@ -29,11 +29,12 @@ use memory::Memory;
 use row::Row;
 use spread::{PERMILLE_LIMIT, Spread};
 
-/// The firmware with a budget, and the one that drives its joint: a motor stage and an encoder more.
-const JOINT: &str = "joint";
-const DRIVE: &str = "joint-drive";
+/// The firmware with a budget.
+pub const JOINT: &str = "joint";
+/// The one that drives its joint: a motor stage and an encoder more.
+pub const DRIVE: &str = "joint-drive";
 /// The one on a drive bus: all codecs more.
-const CAN: &str = "joint-can";
+pub const CAN: &str = "joint-can";
 
 /// The row whose calls are commands of the link, and a tenth of a tick of 1 ms at 168 MHz, cycles.
 const COMMAND: &str = "command";
@@ -98,12 +99,16 @@ pub fn bench(elves: &Path, root: &Path, toolchain: &str, accept: bool) -> Result
     Ok(())
 }
 
-/// The gates on the linked firmware `joint` and `joint-drive` in `elves`: no handler reaches a forbidden function, and the
-/// stack fits.
-pub fn check_firmware(elves: &Path) -> Result<()> {
-    [JOINT, DRIVE, CAN]
-        .iter()
-        .try_for_each(|name| firmware(elves, name).map(|_| ()))
+/// The gates on the linked firmware `names` in `elves`: no handler reaches a forbidden function, and the stack fits.
+pub fn check_firmware(elves: &Path, names: &[&str]) -> Result<()> {
+    let mut names = names.iter();
+    names.try_for_each(|name| firmware(elves, name).map(|_| ()))
+}
+
+/// Bytes of flash and of static RAM of any firmware.
+pub fn sizes(elf: &Path) -> Result<(u32, u32)> {
+    let image = Image::read(elf)?;
+    Ok((image.flash_bytes, image.ram_bytes))
 }
 
 /// Memory of one firmware, after its gates.

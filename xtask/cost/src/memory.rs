@@ -10,6 +10,10 @@ use std::fmt::Write as _;
 /// The interrupt of the tick.
 const TICK: &str = "EXTI1";
 
+/// Set-up of RTIC: `main` masks all interrupts before it, and it unmasks them as its last step (rtic-macros 2.4,
+/// codegen/main.rs). Critical sections in it restore the mask they found.
+const SET_UP: &str = "__rtic_init_resources";
+
 /// Bytes that the core pushes for an exception: 26 words with the float registers, and one to align
 /// (DDI 0403E.e, B1.5.7).
 const EXCEPTION_FRAME: u32 = 4 * (26 + 1);
@@ -23,7 +27,8 @@ pub(crate) struct Memory {
     pub(crate) ram_bytes: u32,
     /// Bound of the tick's stack, its exception frame included.
     pub(crate) stack_bytes: u32,
-    /// Bound of the whole stack: the main program and one of every handler on top of each other.
+    /// Bound of the whole stack: the main program and one of every handler on top of each other; the set-up, which no
+    /// handler interrupts, by itself.
     pub(crate) nested_bytes: u32,
     /// Deepest calls of the tick.
     pub(crate) deepest: Depth,
@@ -35,11 +40,20 @@ impl Memory {
             .function(TICK)
             .with_context(|| format!("the firmware has no function `{TICK}` for the tick"))?;
         let deepest = bounded_depth(image, tick.code.start)?;
-        let main = image.function("main").context("there is no main")?;
-        let mut nested_bytes = bounded_depth(image, main.code.start)?.bytes;
+        let main = image
+            .function("main")
+            .context("there is no main")?
+            .code
+            .start;
+        let start = bounded_depth(image, main)?;
+        // Handlers wait until the end of the set-up, when only its own frame is left of it.
+        let mut running = Walk::from(image, &[main]);
+        running.leave_out_calls_of(SET_UP);
+        let mut nested_bytes = running.depth(main).bytes;
         for (_, handler) in image.handlers() {
             nested_bytes += EXCEPTION_FRAME + bounded_depth(image, handler.code.start)?.bytes;
         }
+        let nested_bytes = nested_bytes.max(start.bytes);
         // The linker checks that the variables fit beside the stack.
         let limit = image.stack_limit;
         ensure!(

@@ -1,7 +1,7 @@
 //! Kane's equations through centre-of-mass Jacobians, world frame.
 
 use super::per_joint::{Motion, PerJoint};
-use crate::robot::{LINK_PARAMETERS, Link, MAX_JOINTS, Placement, Robot};
+use crate::robot::{Coupling, LINK_PARAMETERS, Link, MAX_JOINTS, Placement, Robot};
 use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
 
 /// One link: where its joint sits and how its mass is distributed.
@@ -13,10 +13,13 @@ struct Body {
 }
 
 /// Rigid-body dynamics of an arm of revolute joints, as many as its description has.
+///
+/// Motions and torques are those of the drives, which turn otherwise than the joints where the arm has a coupling.
 #[derive(Clone, Debug)]
 pub struct RigidBodies {
     bodies: Vec<Body>,
     gravity: Vector3<f64>,
+    coupling: Option<Coupling>,
 }
 
 /// World-frame kinematics of all links. `rot[k]` maps link k coordinates into the world, `axis[k]` is joint axis k,
@@ -41,6 +44,7 @@ impl RigidBodies {
         Self {
             bodies: bodies.collect(),
             gravity: robot.gravity,
+            coupling: robot.coupling.clone(),
         }
     }
 
@@ -102,6 +106,17 @@ impl RigidBodies {
             for i in 0..j {
                 mass[j * count + i] = mass[i * count + j];
             }
+        }
+        // C⁻ᵀ M C⁻¹: M is symmetric, so both products are those of its rows.
+        if let Some(coupling) = &self.coupling {
+            for _ in 0..2 {
+                for row in mass.chunks_exact_mut(count) {
+                    coupling.to_drive_torques(row);
+                }
+                transpose(mass, count);
+            }
+        }
+        for j in 0..count {
             mass[j * count + j] += self.bodies[j].rotor_inertia;
         }
         self.project(&kinematics)
@@ -129,7 +144,8 @@ impl RigidBodies {
         energy
     }
 
-    /// Joint torque regressor, written into `target` from row `first_row` on, for stacking long logs; the rows must be zero.
+    /// Joint torque regressor, written into `target` from row `first_row` on, for stacking long logs; the rows must be zero, or
+    /// those of another motion.
     /// N rows for N joints; ten columns a link in the order of eq. 14, then N rotor columns, so that
     /// `regressor · robot.standard_parameters() = inverse_dynamics`.
     ///
@@ -157,9 +173,24 @@ impl RigidBodies {
             }
             target[(first_row + k, rotors + k)] = motion.qdd[k];
         }
+        if let Some(coupling) = &self.coupling {
+            for column in 0..rotors {
+                let unmoved = column / LINK_PARAMETERS + 1..self.joints();
+                unmoved.for_each(|joint| target[(first_row + joint, column)] = 0.0);
+                let mut column = target.column_mut(column);
+                let torques = &mut column.as_mut_slice()[first_row..][..self.joints()];
+                coupling.to_drive_torques(torques);
+            }
+        }
     }
 
     fn kinematics(&self, motion: &Motion) -> Kinematics {
+        let mut motion = *motion;
+        if let Some(coupling) = &self.coupling {
+            coupling.to_joints(&mut motion.q);
+            coupling.to_joints(&mut motion.qd);
+            coupling.to_joints(&mut motion.qdd);
+        }
         let zero = [Vector3::zeros(); MAX_JOINTS];
         let mut out = Kinematics {
             rot: [Matrix3::identity(); MAX_JOINTS],
@@ -216,7 +247,19 @@ impl RigidBodies {
                 tau[j] += partial.dot(&force) + axis.dot(&moment);
             }
         }
+        if let Some(coupling) = &self.coupling {
+            coupling.to_drive_torques(&mut tau);
+        }
         tau
+    }
+}
+
+/// Transposes a square matrix of `count` rows.
+fn transpose(matrix: &mut [f64], count: usize) {
+    for row in 0..count {
+        for column in 0..row {
+            matrix.swap(row * count + column, column * count + row);
+        }
     }
 }
 

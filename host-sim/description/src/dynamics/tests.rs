@@ -1,11 +1,29 @@
 use super::*;
 use crate::robot::{LINK_PARAMETERS, Perturbation, Robot};
-use nalgebra::{DVector, SMatrix};
+use nalgebra::{DMatrix, DVector, SMatrix};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 fn ur5() -> Robot {
     Robot::load("ur5").unwrap()
+}
+
+/// A UR5 whose two last drives turn both wrist joints.
+fn coupled() -> Robot {
+    let limits = "limits = { position_rad = [-2, 2], velocity_rad_s = 2, torque_nm = 20 }";
+    let overlay = format!(
+        "from = 'ur5'
+        [[joints]]
+        name = 'wrist_2'
+        {limits}
+        [[joints]]
+        name = 'wrist_3'
+        {limits}
+        [coupling]
+        joints = ['wrist_2', 'wrist_3']
+        matrix = [[1, 0.5], [-1, 1]]"
+    );
+    Robot::parse("coupled", &overlay).unwrap()
 }
 
 fn random_state(random: &mut ChaCha8Rng) -> State<6> {
@@ -19,34 +37,38 @@ fn random_state(random: &mut ChaCha8Rng) -> State<6> {
 
 #[test]
 fn inverse_dynamics_is_mass_matrix_times_acceleration_plus_bias() {
-    let model = ReferenceModel::<6>::new(&ur5().perturbed(5, &Perturbation::PLANT)).unwrap();
-    let mut random = ChaCha8Rng::seed_from_u64(1);
-    for _ in 0..500 {
-        let state = random_state(&mut random);
-        let (mass, bias) = model.mass_matrix_and_bias(&state.q, &state.qd);
-        let error = model.inverse_dynamics(&state) - (mass * state.qdd + bias);
-        assert!(error.amax() < 1e-12 * 150.0, "{error}");
-        assert!(mass.symmetric_eigenvalues().min() > 0.0);
+    for robot in [ur5(), coupled()] {
+        let model = ReferenceModel::<6>::new(&robot.perturbed(5, &Perturbation::PLANT)).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        for _ in 0..500 {
+            let state = random_state(&mut random);
+            let (mass, bias) = model.mass_matrix_and_bias(&state.q, &state.qd);
+            let error = model.inverse_dynamics(&state) - (mass * state.qdd + bias);
+            assert!(error.amax() < 1e-12 * 150.0, "{error}");
+            assert!(mass.symmetric_eigenvalues().min() > 0.0);
+        }
     }
 }
 
 #[test]
 fn power_of_the_torques_is_the_change_of_energy() {
-    let model = ReferenceModel::<6>::new(&ur5().perturbed(6, &Perturbation::PLANT)).unwrap();
-    let mut random = ChaCha8Rng::seed_from_u64(2);
-    for _ in 0..200 {
-        let state = random_state(&mut random);
-        let h = 1e-5;
-        let energy = |t: f64| {
-            let q = state.q + state.qd * t + state.qdd * (0.5 * t * t);
-            model.energy(&q, &(state.qd + state.qdd * t))
-        };
-        let rate = (energy(h) - energy(-h)) / (2.0 * h);
-        let power = state.qd.dot(&model.inverse_dynamics(&state));
-        assert!(
-            (rate - power).abs() < 1e-6 * (1.0 + power.abs()),
-            "{rate} {power}"
-        );
+    for robot in [ur5(), coupled()] {
+        let model = ReferenceModel::<6>::new(&robot.perturbed(6, &Perturbation::PLANT)).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(2);
+        for _ in 0..200 {
+            let state = random_state(&mut random);
+            let h = 1e-5;
+            let energy = |t: f64| {
+                let q = state.q + state.qd * t + state.qdd * (0.5 * t * t);
+                model.energy(&q, &(state.qd + state.qdd * t))
+            };
+            let rate = (energy(h) - energy(-h)) / (2.0 * h);
+            let power = state.qd.dot(&model.inverse_dynamics(&state));
+            assert!(
+                (rate - power).abs() < 1e-6 * (1.0 + power.abs()),
+                "{rate} {power}"
+            );
+        }
     }
 }
 
@@ -70,16 +92,41 @@ fn gravity_torques_are_the_gradient_of_the_energy_at_rest() {
 
 #[test]
 fn regressor_times_standard_parameters_is_the_torque() {
-    let robot = ur5().perturbed(7, &Perturbation::PLANT);
-    let model = ReferenceModel::<6>::new(&robot).unwrap();
-    let x = DVector::from_vec(robot.standard_parameters());
     let mut random = ChaCha8Rng::seed_from_u64(4);
-    for _ in 0..200 {
-        let state = random_state(&mut random);
-        let tau = model.inverse_dynamics(&state);
-        let error = model.regressor(&state) * &x - DVector::from_column_slice(tau.as_slice());
-        assert!(error.amax() < 1e-11, "{error}");
+    for robot in [ur5(), coupled()] {
+        let robot = robot.perturbed(7, &Perturbation::PLANT);
+        let model = ReferenceModel::<6>::new(&robot).unwrap();
+        let x = DVector::from_vec(robot.standard_parameters());
+        // Rows of the motion before are written over.
+        let mut rows = DMatrix::zeros(6, (LINK_PARAMETERS + 1) * 6);
+        for _ in 0..200 {
+            let state = random_state(&mut random);
+            let tau = model.inverse_dynamics(&state);
+            model.regressor_into(&state, &mut rows, 0);
+            let error = &rows * &x - DVector::from_column_slice(tau.as_slice());
+            assert!(error.amax() < 1e-11, "{error}");
+        }
     }
+}
+
+/// θ = C q, and drive torques m with `τ = Cᵀ m`: by hand for the wrist, whose rotors do not turn.
+#[test]
+fn drives_of_coupled_joints_carry_their_torques() {
+    let (alone, coupled) = (ur5(), coupled());
+    let [alone, both] = [&alone, &coupled].map(|robot| ReferenceModel::<6>::new(robot).unwrap());
+    let q = Joints::<6>::from_column_slice(&[0.3, -1.0, 0.8, -0.4, 0.6, 0.9]);
+    let tau = alone.gravity_torques(&q);
+    let mut theta = q;
+    (theta[4], theta[5]) = (q[4] + 0.5 * q[5], q[5] - q[4]);
+    let m = both.gravity_torques(&theta);
+    assert!((tau.rows(0, 4) - m.rows(0, 4)).amax() < 1e-12);
+    assert!((tau[4] - (m[4] - m[5])).abs() < 1e-12 && tau[4].abs() > 0.01);
+    assert!((tau[5] - (0.5 * m[4] + m[5])).abs() < 1e-12);
+    let text = coupled.to_toml().unwrap();
+    assert_eq!(
+        Robot::parse("again", &text).unwrap().coupling,
+        coupled.coupling
+    );
 }
 
 #[test]

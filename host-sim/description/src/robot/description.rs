@@ -1,7 +1,6 @@
-//! From a name or a file to a robot: the project's own description or a URDF. Only this file
-//! imports both formats.
+//! From a name or a file to a robot: the project's own description, an overlay, or a URDF.
 
-use super::{Robot, RobotError, file};
+use super::{Robot, RobotError, file, overlay};
 use crate::urdf::{self, Import, Selection};
 use std::path::Path;
 
@@ -26,17 +25,8 @@ impl Robot {
     /// assert_eq!(ur5.joints.len(), 6);
     /// ```
     pub fn load(name_or_path: &str) -> Result<Self, RobotError> {
-        if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
-            return Self::parse(name, text);
-        }
-        let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
-            RobotError::NotFound {
-                name: name_or_path.to_owned(),
-                known: Self::built_in().collect::<Vec<_>>().join(", "),
-                reason: error.to_string(),
-            }
-        })?;
-        Self::parse(name_or_path, &text)
+        let import = Self::load_selected(name_or_path, &Selection::default())?;
+        Ok(import.robot)
     }
 
     /// [`load`](Self::load) with the selection of a URDF's arm, and the notes of its reading.
@@ -46,40 +36,51 @@ impl Robot {
         name_or_path: &str,
         selection: &Selection<'_>,
     ) -> Result<Import, RobotError> {
-        let built_in = Self::built_in().any(|name| name == name_or_path);
-        let text = std::fs::read_to_string(name_or_path).unwrap_or_default();
-        if built_in || !text.trim_start().starts_with('<') {
-            let robot = Self::load(name_or_path)?;
-            if *selection != Selection::default() {
-                return Err(RobotError::Urdf {
-                    problem: format!(
-                        "{name_or_path}: --base, --tip, --weld, --repair and --link-mass are for a URDF"
-                    ),
-                });
-            }
-            return Ok(Import {
-                robot,
-                notes: Vec::new(),
-            });
+        if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
+            return Self::parse_selected(name, text, selection);
         }
-        urdf::parse(name_or_path, &text, selection).map_err(|error| RobotError::Urdf {
-            problem: error.to_string(),
-        })
+        let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
+            RobotError::NotFound {
+                name: name_or_path.to_owned(),
+                known: Self::built_in().collect::<Vec<_>>().join(", "),
+                reason: error.to_string(),
+            }
+        })?;
+        Self::parse_selected(name_or_path, &text, selection)
     }
 
-    /// A robot from the text of a description or of a URDF with a single arm; `file` is only used in messages.
+    /// A robot from the text of a description or of a URDF with a single arm; `file` is used in messages, and its directory
+    /// for files that the text names.
     ///
     /// Errors: [`RobotError::Syntax`], [`RobotError::Field`], [`RobotError::Urdf`].
     pub fn parse(file: &str, text: &str) -> Result<Self, RobotError> {
+        Ok(Self::parse_selected(file, text, &Selection::default())?.robot)
+    }
+
+    fn parse_selected(
+        file: &str,
+        text: &str,
+        selection: &Selection<'_>,
+    ) -> Result<Import, RobotError> {
         // TOML never begins with '<', XML always does.
         if text.trim_start().starts_with('<') {
-            let import = urdf::parse(file, text, &Selection::default());
-            return import
-                .map(|arm| arm.robot)
-                .map_err(|error| RobotError::Urdf {
-                    problem: error.to_string(),
-                });
+            return urdf::parse(file, text, selection).map_err(|error| RobotError::Urdf {
+                problem: error.to_string(),
+            });
         }
-        file::parse(file, text)
+        if let Some(import) = overlay::read(file, text, selection)? {
+            return Ok(import);
+        }
+        if *selection != Selection::default() {
+            return Err(RobotError::Urdf {
+                problem: format!(
+                    "{file}: --base, --tip, --weld, --repair and --link-mass are for a URDF"
+                ),
+            });
+        }
+        Ok(Import {
+            robot: file::parse(file, text)?,
+            notes: Vec::new(),
+        })
     }
 }

@@ -1,5 +1,6 @@
 //! The description file: TOML, units in the names of the fields.
 
+use super::coupling::{Coupling, CouplingFile};
 use super::{
     Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
     RobotError, Workspace,
@@ -20,6 +21,7 @@ pub(super) struct RobotFile {
     pub(super) flange: Option<FrameFile>,
     #[serde(skip_serializing)]
     pub(super) tool: Option<ToolFile>,
+    pub(super) coupling: Option<CouplingFile>,
     pub(super) log_columns: Option<LogColumns>,
     #[serde(default)]
     pub(super) workspace: Workspace,
@@ -104,9 +106,14 @@ pub(super) struct InertiaFile {
     pub(super) yz: f64,
 }
 
-/// Reads, checks and converts a description.
-pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
-    let raw: RobotFile = toml::from_str(text).map_err(|error| syntax(file, text, &error))?;
+/// Reads, checks and converts the text of a description.
+pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
+    let raw = toml::from_str(text).map_err(|error| syntax(file, text, &error))?;
+    read(file, raw)
+}
+
+/// Checks and converts a description.
+pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, RobotError> {
     let check = Check { file };
     check.that(
         Robot::is_name(&raw.name),
@@ -181,7 +188,16 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
         "is not a finite number",
     )?;
     check.not_negative("workspace.clearance_m", raw.workspace.clearance)?;
+    let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
+    let coupling = raw
+        .coupling
+        .as_ref()
+        .map(|file| Coupling::new(file, &names));
+    let coupling = coupling
+        .transpose()
+        .map_err(|problem| check.error("coupling", &problem))?;
     Ok(Robot {
+        coupling,
         workspace: raw.workspace,
         name: raw.name,
         gravity: Vector3::from(raw.gravity_m_s2),
@@ -348,7 +364,8 @@ impl Check<'_> {
     }
 }
 
-fn syntax(file: &str, text: &str, error: &toml::de::Error) -> RobotError {
+/// The parser's complaint, with its line.
+pub(super) fn syntax(file: &str, text: &str, error: &toml::de::Error) -> RobotError {
     let (line, reason) = toml_complaint(text, error);
     RobotError::Syntax {
         file: file.to_owned(),

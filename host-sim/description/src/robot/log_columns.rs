@@ -199,6 +199,9 @@ pub struct LogColumns {
     pub units: Option<Units>,
     /// Quantity in the columns of `tau_nm`; torque at the link without.
     pub effort: Option<EffortKind>,
+    /// Motions and torques of an arm with a coupling are those of its joints, currents and torques of motors those of its drives.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub of_joints: bool,
     /// Turns of the motor a turn of the joint, for `effort = "motor"`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub gear_ratios: Vec<f64>,

@@ -5,13 +5,16 @@
 //! when the file is read.
 
 mod body;
+mod coupling;
 mod description;
 mod file;
 mod geometry;
 mod log_columns;
+mod overlay;
 mod write;
 
 pub use body::Perturbation;
+pub use coupling::Coupling;
 pub use geometry::{Capsule, Placement, Workspace, segment_distance};
 pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 
@@ -113,6 +116,14 @@ pub struct Friction {
     pub cogging_cycles_rev: f64,
 }
 
+impl Friction {
+    /// Viscous and Coulomb friction at `qd` rad/s, N·m, with the smooth sign of the board.
+    pub fn sliding(&self, qd: f64) -> f64 {
+        let sign = (qd / f64::from(foretorque::dynamics::SIGN_WIDTH)).tanh();
+        self.viscous * qd + self.coulomb * sign
+    }
+}
+
 /// Limits of one joint.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -180,6 +191,9 @@ pub struct Robot {
     pub flange: Placement,
     /// Names of the link that the arm stands on and of the one that it ends at, where the description gives them.
     pub link_names: Option<(String, String)>,
+    /// Drives that turn several joints: positions, velocities, torques, drives, friction and limits of this robot are then those
+    /// of its drives, one in the place of each joint.
+    pub coupling: Option<Coupling>,
     /// Column names of foreign logs, if the description gives any.
     pub log_columns: Option<LogColumns>,
     /// Obstacles of the arm.

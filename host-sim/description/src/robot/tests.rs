@@ -103,3 +103,78 @@ fn a_tool_becomes_part_of_the_last_link() {
         assert!(error.contains(message), "{error}");
     }
 }
+
+#[test]
+fn an_overlay_completes_the_file_beside_it() {
+    let here = std::env::temp_dir().join(format!("foretorque-overlay-{}", std::process::id()));
+    std::fs::create_dir_all(&here).unwrap();
+    let urdf = here.join("arm.urdf");
+    std::fs::write(&urdf, include_str!("../../../robots/panda.urdf")).unwrap();
+    let file = here.join("arm.toml").display().to_string();
+    let below = Robot::load(&urdf.display().to_string()).unwrap();
+    let start = "from = 'arm.urdf'\n";
+    let overlay = |more: &str| Robot::parse(&file, &format!("{start}{more}"));
+    let joint = "[[joints]]\nname = 'panda_joint2'\n";
+
+    let same = overlay("").unwrap();
+    assert_eq!(same.joints[6].link_frame, below.joints[6].link_frame);
+    let whole = crate::urdf::Selection::default();
+    let again = overlay(
+        below
+            .to_overlay("arm.urdf", &whole)
+            .unwrap()
+            .split_once('\n')
+            .unwrap()
+            .1,
+    );
+    assert_eq!(again.unwrap().joints, same.joints);
+    let changed = overlay(&format!(
+        "tip = 'panda_link5'\nname = 'short'\n{joint}drive = {{ rotor_inertia_kg_m2 = 0.7 }}\nfriction.coulomb_nm = 3"
+    ));
+    let changed = changed.unwrap();
+    assert_eq!((&*changed.name, changed.joint_count()), ("short", 5));
+    assert_eq!(changed.joints[1].drive.rotor_inertia, 0.7);
+    assert_eq!(changed.joints[1].friction.coulomb, 3.0);
+    assert_eq!(changed.joints[0].drive, same.joints[0].drive);
+    assert_eq!(changed.joints[1].limits, same.joints[1].limits);
+
+    let coupling = "[coupling]\njoints = ['panda_joint2', 'panda_joint3']\nmatrix = ";
+    for (more, message) in [
+        (
+            "[[joints]]\nname = 'elbow'",
+            "joints[0].name: 'elbow' is not one of panda_joint1, ",
+        ),
+        (&*format!("{joint}{joint}"), "joints[1].name: comes twice"),
+        (
+            &*format!("{joint}drive = {{ rotor = 1 }}"),
+            "unknown field `rotor`, expected one of ",
+        ),
+        (&*format!("{joint}drive = 3"), "invalid type: integer `3`"),
+        ("weld = 3", "line 2: invalid type: integer `3`"),
+        ("link_mass_kg = -1", "link_mass_kg: must be positive"),
+        ("from = 'arm.urdf'", "line 2: duplicate key"),
+        (
+            &*format!("{coupling}[[1, 0], [1, 1]]"),
+            "coupling: joint 'panda_joint2' needs limits",
+        ),
+        (
+            &*format!("{coupling}[[1, 2], [2, 4]]"),
+            "coupling: the rows of matrix must be",
+        ),
+        (
+            &*format!("{coupling}[[1, 2]]"),
+            "coupling: matrix must have 2 rows of 2 numbers",
+        ),
+        (
+            "[coupling]\njoints = ['a']\nmatrix = [[1]]",
+            "coupling: no joint 'a'",
+        ),
+    ] {
+        let error = overlay(more).unwrap_err().to_string();
+        let error = error.strip_prefix(&format!("{file}: ")).unwrap_or(&error);
+        assert!(error.starts_with(message), "{more}: {error}");
+    }
+    let itself = Robot::parse(&file, "from = 'arm.toml'").unwrap_err();
+    assert!(itself.to_string().ends_with("from: names this file itself"));
+    std::fs::remove_dir_all(&here).unwrap();
+}

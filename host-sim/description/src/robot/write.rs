@@ -24,6 +24,11 @@ impl Robot {
             joints.push(joint_file(joint, &here));
             link_end = joint.dh_frame.unwrap_or_else(Placement::identity);
         }
+        let names: Vec<&str> = self
+            .joints
+            .iter()
+            .map(|joint| joint.name.as_str())
+            .collect();
         let flange = link_end.inverse().then(&self.flange).snapped();
         toml::to_string(&RobotFile {
             name: self.name.clone(),
@@ -33,6 +38,7 @@ impl Robot {
             // Part of the last link by now.
             tool: None,
             flange: (flange != Placement::identity()).then(|| frame_file(&flange)),
+            coupling: self.coupling.as_ref().map(|coupling| coupling.file(&names)),
             log_columns: self.log_columns.clone(),
             workspace: self.workspace,
         })

@@ -125,6 +125,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             document.links[base].name.clone(),
             document.links[tip].name.clone(),
         )),
+        coupling: None,
         log_columns: None,
         workspace: Workspace::default(),
     };

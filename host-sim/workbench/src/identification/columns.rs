@@ -201,8 +201,15 @@ impl Layout {
                     (joint, joint, "Ia", "kg·m²")
                 }
             };
-            for seen in &mut active[first..=last] {
-                seen.push(place);
+            let coupling = robot.coupling.as_ref();
+            let loads = |joint: usize, drive: usize| match coupling {
+                Some(coupling) if column < LINK_PARAMETERS * joints => coupling.loads(joint, drive),
+                _ => joint == drive,
+            };
+            for (drive, seen) in active.iter_mut().enumerate() {
+                if (first..=last).any(|joint| loads(joint, drive)) {
+                    seen.push(place);
+                }
             }
             parameters.push(Parameter {
                 name: format!("{symbol}{}", last + 1),

@@ -2,7 +2,7 @@
 
 use super::log_search::{is_there, joint_places, no_columns};
 use crate::dynamics::PerJoint;
-use crate::robot::{ColumnNames, EffortKind, LogColumns, Robot};
+use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
 use crate::table::{Rows, TableError, TableProblem};
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -35,6 +35,8 @@ pub(super) struct LogReader {
     from_current: bool,
     mapped: bool,
     unwrap: Unwrap,
+    /// Coupling of an arm whose log has motions, and with `true` torques, of its joints.
+    coupling: Option<(Coupling, bool)>,
     notes: Vec<String>,
 }
 
@@ -104,6 +106,7 @@ impl LogReader {
                 effort,
                 gear_ratios,
                 all_units,
+                of_joints: given.of_joints,
                 ..map
             };
             (map, true)
@@ -170,6 +173,8 @@ impl LogReader {
             tau,
             from_current: effort == EffortKind::Current,
             mapped,
+            coupling: (robot.coupling.clone().filter(|_| map.of_joints))
+                .map(|coupling| (coupling, effort == EffortKind::Torque)),
             unwrap: Unwrap {
                 continuous: PerJoint::from_fn(joints, |joint| {
                     let (low, high) = robot.joints[joint].limits.position;
@@ -259,6 +264,14 @@ impl LogReader {
                 false => TableProblem::Wrap(name, jump),
             };
             return Err(problem.at(self.rows.path(), row.line));
+        }
+        if let Some((coupling, torques)) = &self.coupling {
+            for motion in [&mut row.q, &mut row.qd, &mut row.qdd] {
+                coupling.to_drives(motion);
+            }
+            if *torques {
+                coupling.to_drive_torques(&mut row.tau);
+            }
         }
         Ok(Some(row))
     }

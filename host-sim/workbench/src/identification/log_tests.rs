@@ -308,3 +308,32 @@ fn bags_are_read_as_another_reader_reads_them() {
     let refused = read(&cut, &panda).expect_err("malformed");
     assert!(refused.contains("malformed"), "{refused}");
 }
+
+/// Motions and torques of the joints, and currents of the drives, of an arm whose last drives turn two joints.
+#[test]
+fn logs_of_coupled_joints_become_those_of_the_drives() {
+    let here = Directory::new("log-coupling");
+    let mut text = ur5().to_toml().expect("serialises");
+    text += "\n[coupling]\njoints = ['wrist_2', 'wrist_3']\nmatrix = [[1, 1], [1, -1]]\n";
+    let mut robot = Robot::parse("coupled", &text).expect("a description");
+    let (drives, _) = here.read("drives.csv", &own(), &robot).expect("a log");
+    is_the_motion(&drives, "drives");
+    let map = LogColumns {
+        of_joints: true,
+        ..LogColumns::default()
+    };
+    robot.log_columns = Some(map);
+    let (joints, _) = here.read("joints.csv", &own(), &robot).expect("a log");
+    let currents = own().replace("_nm", "_a").replace("tau", "i");
+    let (currents, _) = here.read("currents.csv", &currents, &robot).expect("a log");
+    for ((joint, current), k) in joints.iter().zip(&currents).zip(0..) {
+        let (_, q, _, tau) = row(k);
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
+        assert!(close(joint.q[4], q[4] + q[5]) && close(joint.q[5], q[4] - q[5]));
+        // The same power: tau5 q5' + tau6 q6' = m5 (q5' + q6') + m6 (q5' - q6').
+        assert!(close(joint.tau[4] + joint.tau[5], tau[4]));
+        assert!(close(joint.tau[4] - joint.tau[5], tau[5]));
+        assert!(close(current.q[4], joint.q[4]));
+        assert!(close(current.tau[4], tau[4] * robot.joints[4].drive.gain));
+    }
+}

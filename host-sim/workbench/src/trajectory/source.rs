@@ -75,6 +75,10 @@ impl<const N: usize> Trajectory<N> {
         let trajectory = match path.extension().and_then(|extension| extension.to_str()) {
             Some("json") => excitation(&path, robot, duration_s)?,
             Some("toml") => {
+                if robot.coupling.is_some() {
+                    let reason = "paths of the tool are not planned for coupled joints".to_owned();
+                    return Err(TrajectoryError::Syntax { path, reason });
+                }
                 let text = read(&path)?;
                 let samples = cartesian::plan(robot, &text, period_s).map_err(|error| {
                     TrajectoryError::Cartesian {

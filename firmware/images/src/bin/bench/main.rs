@@ -51,29 +51,22 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
     let mut link = commands::Link::init(link)?;
     let bus = cortex_m::singleton!(: MaybeUninit<bus::Bus> = MaybeUninit::uninit())?;
     let mut bus = bus::Bus::init(bus)?;
+    let mut paper = cortex_m::singleton!(: stage::Paper = stage::Paper::zeros())?;
     for row in rows::ROWS {
-        (learner, link, bus) = count_row(row, calls, (learner, link, bus))?;
+        (learner, link, bus, paper) = count_row(row, calls, (learner, link, bus, paper))?;
     }
     if ticks > 0 {
-        count_long_run(ticks, (learner, link, bus))?;
+        count_long_run(ticks, (learner, link, bus, paper))?;
     }
     Some(())
 }
-
-/// Parts that the stages take over from one another.
-#[cfg(target_os = "none")]
-type Parts = (
-    &'static mut Learner,
-    &'static mut commands::Link,
-    &'static mut bus::Bus,
-);
 
 /// Counts the calls of a row from a new stage, so that a row added or removed does not move the others. A function of its
 /// own: the stack has no room for two stages.
 #[cfg(target_os = "none")]
 #[inline(never)]
-fn count_row(row: &rows::Row, calls: u32, (learner, link, bus): Parts) -> Option<Parts> {
-    let mut stage = stage::Stage::new(learner, link, bus)?;
+fn count_row(row: &rows::Row, calls: u32, parts: stage::Parts) -> Option<stage::Parts> {
+    let mut stage = stage::Stage::new(parts)?;
     for _ in 0..calls {
         stage.vary();
         match row.name {
@@ -84,14 +77,14 @@ fn count_row(row: &rows::Row, calls: u32, (learner, link, bus): Parts) -> Option
         let count = machine::count(row.run, &mut stage);
         cortex_m_semihosting::hprintln!("{} {}", row.name, count);
     }
-    Some((stage.learner, stage.link, stage.bus))
+    Some((stage.learner, stage.link, stage.bus, stage.paper))
 }
 
 /// Counts the ticks of the long run.
 #[cfg(target_os = "none")]
 #[inline(never)]
-fn count_long_run(ticks: u32, (learner, link, bus): Parts) -> Option<()> {
-    let mut stage = stage::Stage::new(learner, link, bus)?;
+fn count_long_run(ticks: u32, parts: stage::Parts) -> Option<()> {
+    let mut stage = stage::Stage::new(parts)?;
     let spread = long_run::of_step(&mut stage, ticks);
     cortex_m_semihosting::hprintln!(
         "feedforward_step {} {} {}",

@@ -27,6 +27,17 @@ const WARM_UP: u32 = 48;
 /// Bound of the noise on the measured torque, in units of the torque limit.
 const NOISE: f32 = 0.01;
 
+/// Network of the paper.
+pub(crate) type Paper = BpNetwork<18, 32, 6>;
+
+/// Parts that the stages take over from one another.
+pub(crate) type Parts = (
+    &'static mut Learner,
+    &'static mut Link,
+    &'static mut Bus,
+    &'static mut Paper,
+);
+
 /// Everything a row reads or writes. A row takes what it needs; the rest costs it nothing.
 ///
 /// In this order, small kernels first, so that an access is one instruction as it would be through an argument.
@@ -42,7 +53,6 @@ pub(crate) struct Stage {
     pub(crate) output: SVector<f32, 6>,
     pub(crate) step: StepParameters,
     pub(crate) set: ParameterSet,
-    pub(crate) paper: BpNetwork<18, 32, 6>,
     pub(crate) calibrated: BaseParameters<{ ur5_calibrated::PARAMETERS }>,
     pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
     pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
@@ -57,6 +67,8 @@ pub(crate) struct Stage {
     pub(crate) link: &'static mut Link,
     /// Beside the stage too.
     pub(crate) bus: &'static mut Bus,
+    /// Beside the stage too.
+    pub(crate) paper: &'static mut Paper,
     random: Random,
 }
 
@@ -67,12 +79,11 @@ impl Stage {
         unsafe { core::mem::MaybeUninit::zeroed().assume_init() }
     };
 
-    /// The stage after the warm-up; `None` if a configuration does not validate.
-    pub(crate) fn new(
-        learner: &'static mut Learner,
-        link: &'static mut Link,
-        bus: &'static mut Bus,
-    ) -> Option<Self> {
+    /// The stage after the warm-up; `None` if a configuration does not validate. Inlined, because the stack has no room for a
+    /// second stage.
+    #[inline(always)]
+    pub(crate) fn new((learner, link, bus, paper): Parts) -> Option<Self> {
+        *paper = Paper::random(1);
         let mut set = ParameterSet::nominal::<Ur5>(1);
         for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
             *friction = FrictionParameters::NONE
@@ -103,7 +114,6 @@ impl Stage {
             panda: BaseParameters::from(Panda::NOMINAL),
             panda_motion: JointMotion::zero(),
             panda_tau: JointVector::zeros(),
-            paper: BpNetwork::random(1),
             input: SVector::zeros(),
             target: SVector::zeros(),
             output: SVector::zeros(),
@@ -119,6 +129,7 @@ impl Stage {
             learner,
             link,
             bus,
+            paper,
             lesson: LearningSample {
                 tick: 0,
                 generation: 0,

@@ -1,0 +1,193 @@
+//! Overlays: what a URDF or MJCF does not have, in a TOML file beside it.
+
+use super::{Drive, Friction, Limits, Robot, RobotError, file};
+use crate::urdf::{Import, Selection};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use toml::{Table, Value};
+
+/// Key that makes a description an overlay.
+const FROM: &str = "from";
+
+#[derive(Deserialize, Serialize)]
+struct OverlayFile {
+    /// File that the overlay completes, as seen from its own directory, or a built-in name.
+    from: String,
+    base: Option<String>,
+    tip: Option<String>,
+    #[serde(default)]
+    weld: bool,
+    #[serde(default)]
+    repair: bool,
+    link_mass_kg: Option<f64>,
+    #[serde(flatten)]
+    values: Table,
+}
+
+/// Values of a joint that a URDF does not have, or has not for all purposes.
+#[derive(Serialize)]
+struct OverlayJoint<'a> {
+    name: &'a str,
+    drive: Drive,
+    friction: Friction,
+    limits: Limits,
+}
+
+impl Robot {
+    /// An overlay on `from` that says of every drive, friction and limit what this robot has: a start for values of one's own.
+    ///
+    /// * `selection` by which this robot was read
+    ///
+    /// Errors: those of the serialiser.
+    pub fn to_overlay(
+        &self,
+        from: &str,
+        selection: &Selection<'_>,
+    ) -> Result<String, toml::ser::Error> {
+        let joints = self.joints.iter().map(|joint| {
+            let (drive, friction, limits) = (joint.drive, joint.friction, joint.limits);
+            let name = joint.name.as_str();
+            Value::try_from(OverlayJoint {
+                name,
+                drive,
+                friction,
+                limits,
+            })
+        });
+        let joints = Value::Array(joints.collect::<Result<_, _>>()?);
+        toml::to_string(&OverlayFile {
+            from: from.to_owned(),
+            base: selection.base.map(str::to_owned),
+            tip: selection.tip.map(str::to_owned),
+            weld: selection.weld,
+            repair: selection.repair,
+            link_mass_kg: selection.link_mass,
+            values: Table::from_iter([("joints".to_owned(), joints)]),
+        })
+    }
+}
+
+/// The arm of the overlay `text` in the file `path`; `None` where that is a whole description.
+///
+/// The file that it names is read first; values of the overlay take the place of those found there, joint by joint.
+///
+/// * `selection` wins over that of the overlay
+pub(super) fn read(
+    path: &str,
+    text: &str,
+    selection: &Selection<'_>,
+) -> Result<Option<Import>, RobotError> {
+    if !text
+        .parse::<Table>()
+        .is_ok_and(|table| table.contains_key(FROM))
+    {
+        return Ok(None);
+    }
+    let overlay: OverlayFile =
+        toml::from_str(text).map_err(|error| file::syntax(path, text, &error))?;
+    let field = |field: &str, problem: String| RobotError::Field {
+        file: path.to_owned(),
+        field: field.to_owned(),
+        problem,
+    };
+    if overlay
+        .link_mass_kg
+        .is_some_and(|mass| mass.is_nan() || mass <= 0.0)
+    {
+        return Err(field("link_mass_kg", "must be positive".to_owned()));
+    }
+    let selection = Selection {
+        base: selection.base.or(overlay.base.as_deref()),
+        tip: selection.tip.or(overlay.tip.as_deref()),
+        weld: selection.weld || overlay.weld,
+        repair: selection.repair || overlay.repair,
+        link_mass: selection.link_mass.or(overlay.link_mass_kg),
+    };
+    let beside = Path::new(path).with_file_name(&overlay.from);
+    if beside == Path::new(path) {
+        return Err(field(FROM, "names this file itself".to_owned()));
+    }
+    let built_in = Robot::built_in().any(|name| name == overlay.from) && !beside.exists();
+    let below = match built_in {
+        true => overlay.from,
+        false => beside.display().to_string(),
+    };
+    let import = Robot::load_selected(&below, &selection)?;
+    let robot = merged(path, &import.robot, overlay.values, &field)?;
+    Ok(Some(Import { robot, ..import }))
+}
+
+/// `robot` with the values of `overlay`.
+fn merged(
+    path: &str,
+    robot: &Robot,
+    mut overlay: Table,
+    field: &dyn Fn(&str, String) -> RobotError,
+) -> Result<Robot, RobotError> {
+    let unreadable = |reason: String| RobotError::Syntax {
+        file: path.to_owned(),
+        reason,
+    };
+    let whole = robot.to_toml().map_err(|e| unreadable(e.to_string()))?;
+    let mut whole: Table = whole.parse().map_err(|e| unreadable(format!("{e}")))?;
+    let joints = match overlay.remove("joints") {
+        None => Vec::new(),
+        Some(Value::Array(joints)) => joints,
+        Some(_) => return Err(field("joints", "must be [[joints]] with names".to_owned())),
+    };
+    let names: Vec<&str> = robot.joints.iter().map(|j| j.name.as_str()).collect();
+    let mut seen = vec![false; names.len()];
+    let mut limited = vec![false; names.len()];
+    for (index, joint) in joints.into_iter().enumerate() {
+        let at = format!("joints[{index}].name");
+        let name = joint.get("name").and_then(Value::as_str);
+        let place = names.iter().position(|known| Some(*known) == name);
+        let Some(place) = place else {
+            let (name, names) = (name.unwrap_or_default(), names.join(", "));
+            return Err(field(&at, format!("'{name}' is not one of {names}")));
+        };
+        if std::mem::replace(&mut seen[place], true) {
+            return Err(field(&at, "comes twice".to_owned()));
+        }
+        limited[place] = joint.get("limits").is_some_and(|limits| {
+            let there = |key: &str| limits.get(key).is_some();
+            there("position_rad") && there("velocity_rad_s") && there("torque_nm")
+        });
+        if let (Some(own), Value::Table(joint)) = (joint_of(&mut whole, place), joint) {
+            put(own, joint);
+        }
+    }
+    put(&mut whole, overlay);
+    let read = Value::Table(whole).try_into();
+    let read = read.map_err(|error: toml::de::Error| unreadable(error.message().to_owned()));
+    let mut merged = file::read(path, read?)?;
+    for (index, (joint, before)) in merged.joints.iter_mut().zip(&robot.joints).enumerate() {
+        joint.link_frame = before.link_frame;
+        let couples = |coupling: &super::Coupling| coupling.couples(index);
+        if merged.coupling.as_ref().is_some_and(couples) && !limited[index] {
+            let name = &joint.name;
+            let problem = format!(
+                "joint '{name}' needs limits of its drive: limits = {{ position_rad, velocity_rad_s, torque_nm }}"
+            );
+            return Err(field("coupling", problem));
+        }
+    }
+    Ok(merged)
+}
+
+/// Table of a joint in a description.
+fn joint_of(whole: &mut Table, place: usize) -> Option<&mut Table> {
+    whole.get_mut("joints")?.get_mut(place)?.as_table_mut()
+}
+
+/// Puts the values of `overlay` in the place of those of `whole`, table by table.
+fn put(whole: &mut Table, overlay: Table) {
+    for (key, value) in overlay {
+        match (whole.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(value)) => put(inner, value),
+            (_, value) => {
+                whole.insert(key, value);
+            }
+        }
+    }
+}
