@@ -168,15 +168,18 @@ pub(super) fn numbers(node: Node<'_, '_>, name: &str) -> Result<Vec<f64>, UrdfPr
     values.ok_or_else(|| problem(node, &format!("{name}=\"{text}\" is not a list of numbers")))
 }
 
-/// Every range of a joint lies within a turn in radians. In degrees no arm moves with such ranges: the file is a part of one
-/// that names the unit.
+/// Every range of a joint lies within a turn in radians, but for rounding to two decimals. In degrees no arm moves with such
+/// ranges: the file is a part of one that names the unit.
 pub(super) fn ranges_are_radians(root: Node<'_, '_>) -> bool {
     let joints = root.descendants().filter(|n| n.has_tag_name("joint"));
     let ends: Vec<f64> = joints
         .filter_map(|joint| numbers(joint, "range").ok())
         .flatten()
         .collect();
-    !ends.is_empty() && ends.iter().all(|end| end.abs() <= std::f64::consts::TAU)
+    !ends.is_empty()
+        && ends
+            .iter()
+            .all(|end| end.abs() < std::f64::consts::TAU + 0.01)
 }
 
 fn class_of<'a>(default: Node<'a, '_>) -> &'a str {

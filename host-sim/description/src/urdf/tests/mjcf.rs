@@ -70,6 +70,8 @@ fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
     let radians = read(&bare.replace("-90 90", "-1.5 1.5"));
     assert_eq!(position(&radians), (-1.5, 1.5));
     assert_eq!([noted(&degrees), noted(&radians)], [false, true]);
+    // A rounded turn.
+    assert!(noted(&read(&bare.replace("-90 90", "-6.28319 6.28319"))));
     let named = read(&MJCF.replace("-90 90", "-1.5 1.5"));
     assert_eq!(
         position(&named),
