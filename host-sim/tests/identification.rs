@@ -237,7 +237,7 @@ fn drives_that_turn_two_joints_are_identified() {
         let share = (error / power).sqrt();
         assert!(share < 0.2, "drive {drive}: {share}");
     }
-    let excite = "excite --robot arm.toml --out x";
-    let refused = failure(excite, &host_sim(&here, excite));
+    let run = "run --robot arm.toml --trajectory validation --out x";
+    let refused = failure(run, &host_sim(&here, run));
     assert!(refused.contains("without its [coupling]"), "{refused}");
 }

@@ -137,7 +137,7 @@ impl ArmOptions {
         let import = self.import(name)?;
         if import.robot.coupling.is_some() {
             return Err(unusable(format!(
-                "{name}: coupled joints are for describe, simulate, identify and torque only; take the description without its [coupling]"
+                "{name}: coupled joints are for describe, excite, simulate, identify and torque only; take the description without its [coupling]"
             )));
         }
         for note in &import.notes {

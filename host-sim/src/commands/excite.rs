@@ -83,7 +83,15 @@ impl From<CriterionName> for Criterion {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let mut robot = with_rotors(&arguments.robot.load()?)?;
+    let mut robot = with_rotors(&arguments.robot.load_coupled()?)?;
+    let solid = robot.joints.iter().any(|joint| !joint.capsules.is_empty());
+    if robot.coupling.is_some() && solid {
+        show!("note: collisions of links with coupled joints are not checked")?;
+        robot
+            .joints
+            .iter_mut()
+            .for_each(|joint| joint.capsules.clear());
+    }
     let positive = |name: &str, value: f64| {
         if value.is_finite() && value > 0.0 {
             Ok(())

@@ -99,6 +99,16 @@ impl Coupling {
         multiply(joints, |row, column| self.joints[(column, row)]);
     }
 
+    /// Turns bounds of velocities, or of their rates, of the drives into those of the joints.
+    pub fn to_joint_bounds(&self, drives: &mut [f64]) {
+        multiply(drives, |row, column| self.joints[(row, column)].abs());
+    }
+
+    /// Turns bounds of joint torques into those of drive torques.
+    pub fn to_drive_torque_bounds(&self, joints: &mut [f64]) {
+        multiply(joints, |row, column| self.joints[(column, row)].abs());
+    }
+
     /// A torque of `joint` takes one of `drive`.
     pub fn loads(&self, joint: usize, drive: usize) -> bool {
         self.joints[(joint, drive)] != 0.0

@@ -1,7 +1,7 @@
 //! Bounds of the rate of the drive torques, for the time between two points of a certificate.
 
 use crate::dynamics::PerJoint;
-use crate::robot::{Joint, Robot};
+use crate::robot::{Coupling, Joint, Robot};
 
 /// Sizes of an arm that no pose exceeds.
 #[derive(Clone, Debug)]
@@ -15,6 +15,7 @@ pub(super) struct TorqueRates {
     /// Length from each joint frame to the next, m; entry 0 is the base's.
     step: PerJoint<f64>,
     gravity: f64,
+    coupling: Option<Coupling>,
 }
 
 /// Bounds of the motion around an instant, not negative.
@@ -37,6 +38,7 @@ impl TorqueRates {
             com: each(|joint| joint.link.com.norm()),
             step: each(|joint| joint.placement.origin.norm()),
             gravity: robot.gravity.norm(),
+            coupling: robot.coupling.clone(),
         }
     }
 
@@ -48,7 +50,13 @@ impl TorqueRates {
     /// (A + Ω²) ℓ to |a|,    (B + 3 Ω A + Ω³) ℓ to |ȧ|,    ℓ to |p|,    (Ω_i + Ω_j) ℓ to |ṗ|,
     /// |d/dt (I α + ω × I ω)| ≤ I (B + 4 Ω A + 2 Ω³)
     /// ```
-    pub(super) fn bound(&self, motion: &MotionBounds) -> PerJoint<f64> {
+    pub(super) fn bound(&self, drives: &MotionBounds) -> PerJoint<f64> {
+        let mut motion = *drives;
+        if let Some(coupling) = &self.coupling {
+            for bounds in [&mut motion.qd, &mut motion.qdd, &mut motion.jerk] {
+                coupling.to_joint_bounds(bounds);
+            }
+        }
         let joints = self.mass.len();
         let zero = PerJoint::repeat(joints, 0.0);
         let (mut omega, mut alpha, mut beta) = (zero, zero, zero);
@@ -87,7 +95,12 @@ impl TorqueRates {
                     sweep += omega[j - 1] * self.step[j];
                 }
             }
-            rates[k] += self.rotor[k] * motion.jerk[k];
+        }
+        if let Some(coupling) = &self.coupling {
+            coupling.to_drive_torque_bounds(&mut rates);
+        }
+        for (k, rate) in rates.iter_mut().enumerate() {
+            *rate += self.rotor[k] * drives.jerk[k];
         }
         rates
     }
@@ -95,18 +108,22 @@ impl TorqueRates {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rows::coupled_ur5;
     use super::*;
     use crate::dynamics::{Joints, ReferenceModel, State};
     use rand::{Rng, SeedableRng};
 
     #[test]
     fn torque_never_changes_faster_than_its_bound() {
-        let robot = Robot::load("ur5").expect("built in");
-        let model = ReferenceModel::<6>::new(&robot).expect("six joints");
-        let rates = TorqueRates::new(&robot);
+        let robots = [Robot::load("ur5").expect("built in"), coupled_ur5()];
+        let models = robots.each_ref().map(|robot| {
+            let model = ReferenceModel::<6>::new(robot).expect("six joints");
+            (model, TorqueRates::new(robot))
+        });
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         let h = 1e-6;
-        for _ in 0..2000 {
+        for draw in 0..4000 {
+            let (model, rates) = &models[draw % 2];
             let mut draw =
                 |size: f64| Joints::<6>::from_fn(|_, _| random.random_range(-size..size));
             let (q, qd, qdd, jerk) = (draw(3.0), draw(3.0), draw(10.0), draw(30.0));

@@ -1,7 +1,7 @@
 //! Rows of the base regressor in the link frames of the description, with rotor and friction columns.
 
-use crate::dynamics::{Motion, RigidBodies, STATES, independent_columns, random_motions};
-use crate::robot::{Joint, LINK_PARAMETERS, Placement, Robot};
+use crate::dynamics::{Motion, PerJoint, RigidBodies, STATES, independent_columns, random_motions};
+use crate::robot::{Coupling, Joint, LINK_PARAMETERS, Placement, Robot};
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 use std::ops::Range;
 
@@ -44,6 +44,7 @@ pub(super) struct Rows {
     /// Frame of the parameters in the joint frame.
     frames: Vec<Placement>,
     gravity: Vector3<f64>,
+    pub(super) coupling: Option<Coupling>,
     /// (link, parameter) of every base column of the links.
     pub(super) link_columns: Vec<(usize, usize)>,
     pub(super) rotor_columns: Vec<usize>,
@@ -60,6 +61,7 @@ impl Rows {
             placements: robot.joints.iter().map(|joint| joint.placement).collect(),
             frames: robot.joints.iter().map(parameters).collect(),
             gravity: robot.gravity,
+            coupling: robot.coupling.clone(),
             link_columns: (0..joints * LINK_PARAMETERS)
                 .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
                 .collect(),
@@ -102,7 +104,18 @@ impl Rows {
         before(link)..before(link + 1)
     }
 
-    /// Motion of every link, from the base on.
+    /// Motion of the joints under a motion of the drives.
+    pub(super) fn of_joints(&self, drives: &Motion) -> Motion {
+        let mut joints = *drives;
+        if let Some(coupling) = &self.coupling {
+            for motion in [&mut joints.q, &mut joints.qd, &mut joints.qdd] {
+                coupling.to_joints(motion);
+            }
+        }
+        joints
+    }
+
+    /// Motion of every link, from the base on, under a motion of the joints.
     pub(super) fn motion(&self, state: &Motion) -> Vec<LinkMotion> {
         let mut rot = Matrix3::identity();
         let mut origin = Vector3::zeros();
@@ -145,7 +158,7 @@ impl Rows {
     pub(super) fn write(&self, state: &Motion, sign_width: f64, out: &mut [f64]) {
         let width = self.count();
         out.fill(0.0);
-        let links = self.motion(state);
+        let links = self.motion(&self.of_joints(state));
         for (k, link) in links.iter().enumerate() {
             let to_frame = link.rot_frame.transpose();
             let LinkMotion { a, w, al, .. } = *link;
@@ -175,6 +188,14 @@ impl Rows {
             }
         }
         let rotors = self.link_columns.len();
+        if let Some(coupling) = &self.coupling {
+            for column in 0..rotors {
+                let mut torques = PerJoint::from_fn(self.joints(), |j| out[j * width + column]);
+                coupling.to_drive_torques(&mut torques);
+                let torques = torques.iter().enumerate();
+                torques.for_each(|(j, torque)| out[j * width + column] = *torque);
+            }
+        }
         for (c, &joint) in self.rotor_columns.iter().enumerate() {
             out[joint * width + rotors + c] = state.qdd[joint];
         }
@@ -226,19 +247,31 @@ impl Rows {
     }
 }
 
+/// A UR5 whose two last drives turn both wrist joints, with the limits of the joints.
+#[cfg(test)]
+pub(super) fn coupled_ur5() -> Robot {
+    let text = Robot::load("ur5").expect("built in").to_toml();
+    let coupling = "[coupling]\njoints = ['wrist_2', 'wrist_3']\nmatrix = [[1, 0.5], [-1, 1]]";
+    let text = format!("{}\n{coupling}", text.expect("serialises"));
+    Robot::parse("coupled", &text).expect("a description")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::PerJoint;
 
     #[test]
     fn ur5_has_36_link_columns_in_both_frames() {
-        let robot = Robot::load("ur5").expect("built in");
-        let model = RigidBodies::new(&robot);
-        for frames in [Frames::Dh, Frames::Board] {
-            let rows = Rows::new(&robot, frames);
-            assert_eq!((rows.link_count(), rows.count()), (36, 36 + 4 + 12));
-            let parameters = rows.parameters(&robot).expect("solves");
+        let (ur5, coupled) = (Robot::load("ur5").expect("built in"), coupled_ur5());
+        for (robot, frames, rotors) in [
+            (&ur5, Frames::Dh, 4),
+            (&ur5, Frames::Board, 4),
+            (&coupled, Frames::Dh, 4),
+        ] {
+            let model = RigidBodies::new(robot);
+            let rows = Rows::new(robot, frames);
+            assert_eq!((rows.link_count(), rows.count()), (36, 36 + rotors + 12));
+            let parameters = rows.parameters(robot).expect("solves");
             let mut block = vec![0.0; 6 * rows.count()];
             for mut state in random_motions(6, 60).into_iter().skip(STATES) {
                 rows.write(&state, 1.0, &mut block);

@@ -1,7 +1,7 @@
 //! Derivatives of a weighted sum of regressor rows by the motion, by reverse accumulation.
 
 use super::rows::{LinkMotion, Rows};
-use crate::dynamics::Motion;
+use crate::dynamics::{Motion, PerJoint};
 use nalgebra::{Matrix3, Vector3};
 
 /// Derivatives by the motion of a link, in the base frame.
@@ -63,28 +63,39 @@ impl Rows {
         pull: &[f64],
         slopes: &mut [[f64; 3]],
     ) {
-        let width = self.count();
-        let links = self.motion(state);
+        let (width, joints) = (self.count(), self.of_joints(state));
+        let links = self.motion(&joints);
+        // Weights of joint torques: `pullᵀ C⁻ᵀ`.
+        let mut of_joints = pull.to_vec();
+        if let Some(coupling) = &self.coupling {
+            for column in 0..self.link_columns.len() {
+                let mut weights = PerJoint::from_fn(links.len(), |j| pull[j * width + column]);
+                coupling.to_joints(&mut weights);
+                let weights = weights.iter().enumerate();
+                weights.for_each(|(j, weight)| of_joints[j * width + column] = *weight);
+            }
+        }
         let mut by = vec![LinkSlopes::NONE; links.len()];
         for k in 0..links.len() {
             for j in 0..=k {
-                let weights = self.weights(k, &pull[j * width..(j + 1) * width]);
+                let weights = self.weights(k, &of_joints[j * width..(j + 1) * width]);
                 add_torque(&links, [j, k], &weights, &mut by);
             }
         }
+        let mut by_joint = [PerJoint::repeat(links.len(), 0.0); 3];
         for k in (0..links.len()).rev() {
             let LinkMotion { step, axis, .. } = links[k];
             let before = k.checked_sub(1).map(|before| links[before]);
             let (omega, alpha) = before.map_or((Vector3::zeros(), Vector3::zeros()), |link| {
                 (link.omega, link.alpha)
             });
-            let (qd, qdd) = (state.qd[k], state.qdd[k]);
+            let (qd, qdd) = (joints.qd[k], joints.qdd[k]);
             let mut here = by[k];
             here.axis += here.omega * qd + here.alpha * qdd + here.alpha.cross(&omega) * qd;
             here.turn += axis.cross(&here.axis);
-            slopes[k][0] += axis.dot(&here.turn);
-            slopes[k][1] += axis.dot(&here.omega) + omega.cross(&axis).dot(&here.alpha);
-            slopes[k][2] += axis.dot(&here.alpha);
+            by_joint[0][k] = axis.dot(&here.turn);
+            by_joint[1][k] = axis.dot(&here.omega) + omega.cross(&axis).dot(&here.alpha);
+            by_joint[2][k] = axis.dot(&here.alpha);
             let Some(inner) = k.checked_sub(1).map(|before| &mut by[before]) else {
                 continue;
             };
@@ -94,6 +105,14 @@ impl Rows {
             inner.origin += here.origin;
             let by_step = inner.take_lever(&here.acceleration, &step, &omega, &alpha) + here.origin;
             inner.turn += here.turn + step.cross(&by_step);
+        }
+        for (derivative, mut by_joint) in by_joint.into_iter().enumerate() {
+            // The joints' derivatives by the drives are C⁻¹, as those of torques.
+            if let Some(coupling) = &self.coupling {
+                coupling.to_drive_torques(&mut by_joint);
+            }
+            let by_drive = slopes.iter_mut().zip(by_joint.iter());
+            by_drive.for_each(|(slopes, by)| slopes[derivative] += by);
         }
         let rotors = self.link_columns.len();
         for (c, &joint) in self.rotor_columns.iter().enumerate() {
@@ -164,7 +183,7 @@ fn add_torque(
 
 #[cfg(test)]
 mod tests {
-    use super::super::rows::Frames;
+    use super::super::rows::{Frames, coupled_ur5};
     use super::*;
     use crate::dynamics::random_motions;
     use crate::robot::Robot;
@@ -172,9 +191,13 @@ mod tests {
     #[test]
     fn slopes_agree_with_central_differences() {
         const WIDTH: f64 = 0.3;
-        let robot = Robot::load("ur5").expect("built in");
-        for frames in [Frames::Dh, Frames::Board] {
-            let rows = Rows::new(&robot, frames);
+        let (ur5, coupled) = (Robot::load("ur5").expect("built in"), coupled_ur5());
+        for (robot, frames) in [
+            (&ur5, Frames::Dh),
+            (&ur5, Frames::Board),
+            (&coupled, Frames::Dh),
+        ] {
+            let rows = Rows::new(robot, frames);
             let size = 6 * rows.count();
             let pull: Vec<f64> = (0..size).map(|i| (1.7 * i as f64).sin()).collect();
             let sum = |state: &Motion| {
