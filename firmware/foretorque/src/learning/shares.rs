@@ -70,6 +70,8 @@ const CLIP: f32 = 6.0;
 ///   would leave a part of every error in the torque: the sums fade, so s does not go to 0
 /// * the estimate is that of the older checkpoint: a newer one has learnt the noise that is still in r
 /// * rows with a large change weigh most, so a share falls fast where the estimate is wrong
+/// * a row counts in proportion to the rows before it, until the memory is full: an estimate of few rows is another one, and
+///   its large errors are no evidence on the present one (polynomial-decay averaging [Shamir and Zhang 2013], η = 1)
 ///
 /// Torques in units of the torque limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,8 +113,10 @@ impl<const N: usize> ShareEvidence<N> {
         if !(product + measured * loaded).is_finite() {
             return;
         }
-        *cross = fade * *cross + product;
-        *power = fade * *power + weight * change * change;
+        let before = (self.rows / N as u32) as f32;
+        let young = fade.min(before / (before + 1.0));
+        *cross = young * *cross + product;
+        *power = young * *power + weight * change * change;
         // As long a memory, over the rows of all joints.
         self.agreement += (fade - 1.0) / N as f32 * self.agreement + measured * loaded;
         self.rows = self.rows.saturating_add(1);
@@ -189,6 +193,15 @@ mod tests {
         assert!(after(&mut evidence, 170, -0.5, 0.0) < 0.25);
         assert_eq!(after(&mut none(), 1000, -0.1, 0.1), 0.0);
         assert_eq!(evidence.share(1, NOISE), 0.0);
+    }
+
+    #[test]
+    fn errors_of_an_estimate_of_few_rows_are_soon_no_evidence() {
+        let mut evidence = none();
+        // Equal memory for all rows leaves 0.7.
+        assert_eq!(after(&mut evidence, 200, -0.5, 0.1), 0.0);
+        let share = after(&mut evidence, 4000, 0.1, 0.1);
+        assert!(share > 0.95, "{share}");
     }
 
     #[test]
