@@ -6,26 +6,26 @@ use foretorque::arm::Arm;
 impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C> {
     /// Counts a missed deadline or a receive overrun of the link.
     pub fn note_overrun(&mut self) {
-        let overruns = &mut self.protocol.link.overruns;
+        let overruns = &mut self.protocol.link.counters.overruns;
         *overruns = overruns.saturating_add(1);
     }
 
     /// Counts a reply for which the link had no space.
     pub fn note_reply_lost(&mut self) {
-        let lost = &mut self.protocol.link.replies_lost;
+        let lost = &mut self.protocol.link.counters.replies_lost;
         *lost = lost.saturating_add(1);
     }
 
     /// Takes the owner's measurements of the link: cost of receiving one byte, and time from the end of a frame until its
     /// reply is queued.
     pub fn note_line(&mut self, receive_cost: Cost, reply_latency: Cost) {
-        self.receive_cost = receive_cost;
-        self.reply_latency = reply_latency;
+        let counters = &mut self.protocol.link.counters;
+        (counters.receive_cost, counters.reply_latency) = (receive_cost, reply_latency);
     }
 
     /// Takes the number of watchdog feeds since boot.
     pub fn note_feeds(&mut self, feeds: u32) {
-        self.watchdog_feeds = feeds;
+        self.protocol.link.counters.watchdog_feeds = feeds;
     }
 
     /// Takes the counts from the first instructions to the first hello.
@@ -35,34 +35,21 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Counters since boot or reset.
     pub fn statistics(&self, mailbox: &LearnerMailbox<N, P>) -> Statistics {
-        let link = &self.protocol.link;
-        let counters = self.controller.counters();
+        let ticks = &self.controller.counters;
         let temperatures = self.temperatures_c().iter().copied();
         Statistics {
-            frames: link.frames,
-            crc_errors: link.crc_errors,
-            framing_errors: link.framing_errors,
-            foreign_version: link.foreign_version,
-            unknown: link.unknown,
-            missed: link.missed,
-            repeated: link.repeated,
             bytes_lost: self.protocol.bytes_lost(),
-            overtaken: counters.overtaken,
-            stale_ticks: counters.stale,
-            overruns: link.overruns,
-            replies_lost: link.replies_lost,
-            ticks: counters.ticks,
+            overtaken: ticks.overtaken,
+            stale_ticks: ticks.stale,
+            ticks: ticks.ticks,
             late_sets: self.feed_forward().state().late_sets,
             learning_samples_lost: mailbox.samples_lost(),
-            tick_cost: counters.cost.cost(),
+            tick_cost: ticks.cost.cost(),
             learn_cost: mailbox.learn_cost(),
-            receive_cost: self.receive_cost,
             hottest_c: temperatures.fold(SampleFrame::<N>::NO_TEMPERATURE, i8::max),
-            reply_latency: self.reply_latency,
-            implausible: self.controller.safety().implausible(),
-            watchdog_feeds: self.watchdog_feeds,
+            implausible: self.controller.safety.implausible(),
             records_lost: self.protocol.stream.lost(),
-            store: self.store,
+            ..self.protocol.link.counters
         }
     }
 }

@@ -63,7 +63,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         };
         if let Some(stored) = stored {
             let wrote = matches!(order, Order::Save);
-            self.store = self.store.after::<()>(wrote, &stored);
+            let store = &mut self.protocol.link.counters.store;
+            *store = store.after::<()>(wrote, &stored);
         }
         let controller = &mut self.controller;
         let done = outcome.and_then(|()| match order {
@@ -80,7 +81,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             Order::Excitation(_) => {
                 let program = ExcitationProgram::decode(mailbox.transfer.content());
                 let unreadable = NackReason::Excitation(ExcitationError::Number(0));
-                controller.load_excitation(&program.ok_or(unreadable)?)?;
+                let loaded = controller.player.load(&program.ok_or(unreadable)?);
+                loaded.map_err(NackReason::Excitation)?;
                 Ok(BoardMessage::Ack)
             }
         });

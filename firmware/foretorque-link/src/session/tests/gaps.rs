@@ -38,12 +38,7 @@ impl Timed {
         self.feed_forward.adopt(&mut self.exchange);
         self.safety.period();
         let sample = self.safety.admit(sample, 1, SafetyReason::None);
-        let mut torque = match &sample {
-            Some(sample) => self.feed_forward.step(sample),
-            None => self.feed_forward.step_stale(),
-        };
-        torque.total = self.safety.release(&torque.total);
-        self.feed_forward.applied(&torque.total);
+        let torque = self.safety.step(&mut self.feed_forward, sample.as_ref());
         let measured = sample.and_then(|sample| sample.measured);
         let learning_sample = self.feed_forward.learning_sample(measured);
         self.learner.learn(&learning_sample, &mut self.exchange);
