@@ -2,7 +2,6 @@
 
 use super::mailbox::{Order, ParameterMailbox};
 use super::{Clock, Housekeeping, Mailboxes, Session};
-use crate::excitation::{ExcitationError, ExcitationProgram};
 use crate::wire::{BoardMessage, FrameBuffer, NackReason};
 use embedded_storage::nor_flash::NorFlash;
 use foretorque::arm::Arm;
@@ -79,10 +78,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 Ok(BoardMessage::Ack)
             }
             Order::Excitation(_) => {
-                let program = ExcitationProgram::decode(mailbox.transfer.content());
-                let unreadable = NackReason::Excitation(ExcitationError::Number(0));
-                let loaded = controller.player.load(&program.ok_or(unreadable)?);
-                loaded.map_err(NackReason::Excitation)?;
+                controller.load_excitation(mailbox.transfer.content())?;
                 Ok(BoardMessage::Ack)
             }
         });

@@ -1,32 +1,31 @@
 //! The interrupts of an image.
 
-/// The firmware of a board for an arm of `N` joints and `P` base parameters: its interrupts and fault handlers.
+/// The firmware of a board, for the arm of [`arm`](crate::arm): its interrupts and fault handlers.
 #[macro_export]
 macro_rules! image {
-    ($board:ty, $arm:ty, $n:expr, $p:expr) => {
+    ($board:ty) => {
         $crate::fault_handlers!($board);
 
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
-            use foretorque::learning::Learner;
-            use foretorque_link::session::Mailboxes;
             use $crate::app::{Idle, Started, Statics, Tick, byte, learn, start, timer};
+            use $crate::arm::{BoardMailboxes, Learner};
             use $crate::link::Wire;
 
             #[shared]
             struct Shared {
-                mailboxes: &'static mut Mailboxes<{ $n }, { $p }>,
+                mailboxes: &'static mut BoardMailboxes,
             }
 
             #[local]
             struct Local {
                 wire: Wire,
-                tick: Tick<$board, $arm, { $n }, { $p }>,
-                learner: &'static mut Learner<$arm, { $n }, { $p }>,
-                idle: Idle<$arm, { $n }, { $p }>,
+                tick: Tick<$board>,
+                learner: &'static mut Learner,
+                idle: Idle,
             }
 
-            #[init(local = [statics: Statics<$arm, { $n }, { $p }> = Statics::empty()])]
+            #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 let Started {
                     mailboxes,
@@ -34,7 +33,7 @@ macro_rules! image {
                     tick,
                     learner,
                     idle,
-                } = start::<$board, $arm, { $n }, { $p }>(cx.device, cx.core, cx.local.statics);
+                } = start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
                     wire,
                     tick,

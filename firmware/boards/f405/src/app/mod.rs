@@ -25,16 +25,13 @@ pub use start::{Started, Statics, start};
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use foretorque::arm::Arm;
-use foretorque::learning::Learner;
 use foretorque_link::safety::{SafetyReason, Task};
-use foretorque_link::session::Mailboxes;
 use foretorque_link::telemetry::CostMeter;
 use foretorque_link::wire::{FrameBuffer, MAX_FRAME};
 use rtic::Mutex;
 use stm32f4xx_hal::pac::Interrupt;
 
-use crate::arm::BoardSession;
+use crate::arm::{BoardMailboxes, BoardSession, Learner};
 use crate::board::{Board, Drive as _};
 use crate::counter;
 use crate::fault::{self, Reason};
@@ -69,13 +66,13 @@ pub fn timer() {
 }
 
 /// The tick's task: session, link and drive.
-pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
-    session: &'static mut BoardSession<A, N, P>,
+pub struct Tick<B: Board> {
+    session: &'static mut BoardSession,
     received: Receiver<RECEIVE_RING>,
     waiting: Sender<TRANSMIT_RING>,
     out: &'static mut FrameBuffer,
     timer: TickTimer,
-    drive: B::Drive<A, N, P>,
+    drive: B::Drive,
     brake_open: bool,
     kept: SafetyReason,
     losses: u32,
@@ -83,10 +80,10 @@ pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
     latency: CostMeter,
 }
 
-impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
+impl<B: Board> Tick<B> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>) {
+    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>) {
         mailboxes.lock(|mailboxes| self.run_locked(mailboxes));
         // Without a learning sample too: the learner checks in.
         rtic::pend(LEARN);
@@ -115,7 +112,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
     }
 
     #[inline(always)]
-    fn run_locked(&mut self, mailboxes: &mut Mailboxes<N, P>) {
+    fn run_locked(&mut self, mailboxes: &mut BoardMailboxes) {
         self.drive.watch(self.session);
         if tick_timer::take_due() {
             self.bound.refill(self.session.configuration().period_us);
@@ -141,7 +138,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
 
     /// Drives the outputs by the result, then sends the replies.
     #[inline(never)]
-    fn put_out(&mut self, mailboxes: &Mailboxes<N, P>, answers: bool) {
+    fn put_out(&mut self, mailboxes: &BoardMailboxes, answers: bool) {
         let Self {
             session,
             waiting,
@@ -182,10 +179,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
 
 /// The learner's task: uses every learning sample that waits.
 #[inline(always)]
-pub fn learn<A: Arm<N, P>, const N: usize, const P: usize>(
-    learner: &mut Learner<A, N, P>,
-    mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>,
-) {
+pub fn learn(learner: &mut Learner, mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>) {
     while let Some(sample) = mailboxes.lock(|mailboxes| mailboxes.learner.begin(learner)) {
         let start = counter::now();
         learner.study(&sample);

@@ -2,7 +2,9 @@
 
 use super::{Controller, SampleGaps, TickCounters};
 use crate::bank::{BankError, Parameters, feed_forward_config};
-use crate::excitation::{ExcitationCommand, ExcitationError, ExcitationState, Player};
+use crate::excitation::{
+    ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, Player,
+};
 use crate::safety::{SafetyLimits, SafetyReason};
 use crate::session::{LearnerMailbox, seconds};
 use crate::wire::{Configuration, EvaluatedFrame, MotionFrame, NackReason, SampleFrame};
@@ -129,6 +131,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     pub(in crate::session) fn evaluate(&self, motion: &MotionFrame<N>) -> EvaluatedFrame<N> {
         let active = &self.feed_forward.state().active;
         (&evaluate::<A, N, P>(active, &JointMotion::from(motion))).into()
+    }
+
+    /// Loads an uploaded excitation. A function of its own: its stack is not that of the other orders.
+    #[inline(never)]
+    pub(in crate::session) fn load_excitation(&mut self, bytes: &[u8]) -> Result<(), NackReason> {
+        let program = ExcitationProgram::decode(bytes).ok_or(ExcitationError::Number(0));
+        let loaded = program.and_then(|program| self.player.load(&program));
+        loaded.map_err(NackReason::Excitation)
     }
 
     pub(in crate::session) fn excite(

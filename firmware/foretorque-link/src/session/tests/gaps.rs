@@ -160,26 +160,6 @@ fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
 }
 
 #[test]
-fn without_period_numbers_a_lost_sample_bends_the_motion() {
-    let learnt = |counts: bool| {
-        let mut linked = Linked::armed();
-        for k in 0..600 {
-            if k % 50 == 49 {
-                linked.lose();
-            } else {
-                linked.sample(k);
-            }
-            if !counts {
-                linked.period = 0;
-            }
-        }
-        *linked.board.learner.state()
-    };
-    assert!(learnt(true).estimate != learnt(false).estimate);
-    assert!(learnt(true).statistics.incomplete > learnt(false).statistics.incomplete);
-}
-
-#[test]
 fn a_lost_command_costs_no_learning_sample() {
     let (mut whole, mut commanded) = (Linked::armed(), Linked::armed());
     for k in 0..100 {

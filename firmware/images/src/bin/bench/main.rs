@@ -102,8 +102,4 @@ fn count_long_run(ticks: u32, (learner, link, bus): Parts) -> Option<()> {
     Some(())
 }
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("bench is firmware: `cargo xtask bench` builds and runs it");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();
