@@ -3,8 +3,11 @@
 //!
 //! `cargo xtask arm` writes such a module and sets the variable.
 
+use core::mem::MaybeUninit;
+
 use crate::counter::Counter;
 use crate::store_flash::StoreFlash;
+use foretorque::learning::{LearnerConfig, ParameterSet};
 use foretorque_link::session::{Housekeeping, Mailboxes, Session};
 
 /// Session of a board.
@@ -19,3 +22,23 @@ pub use foretorque::arm::ur5::{JOINTS, Learner, PARAMETERS, Ur5 as Arm};
 
 #[cfg(described_arm)]
 include!(concat!(env!("OUT_DIR"), "/described_arm.rs"));
+
+/// Initialises a learner that starts from `prior`; `None` if its configuration does not validate.
+///
+/// A function of its own: a frame that passes a learner on by value needs stack for all of it. Generic: so the binary has
+/// one copy of what it calls, and not a second one of this crate.
+#[inline(never)]
+pub fn init_learner<A: foretorque::arm::Arm<N, P>, const N: usize, const P: usize>(
+    place: &'static mut MaybeUninit<foretorque::learning::Learner<A, N, P>>,
+    period_s: f32,
+    prior: &ParameterSet<N, P>,
+) -> Option<&'static mut foretorque::learning::Learner<A, N, P>> {
+    // Zeros until it is restarted: built on the stack it would not fit, and the image of one with a single other number in
+    // it would take 33 kB of flash.
+    // SAFETY: zeros are a value of every field.
+    let learner = place.write(const { unsafe { MaybeUninit::zeroed().assume_init() } });
+    learner
+        .restart(LearnerConfig::for_arm::<A>(period_s), prior)
+        .ok()?;
+    Some(learner)
+}

@@ -11,7 +11,6 @@
 //! | `fault` | fault handlers, and what is kept over a reset |
 //! | [`frame_bound`], `link` | serial link, its bound and the queues of its bytes |
 //! | [`image`] | check of the program in flash |
-//! | `statics` | the learner in static memory |
 //! | `flash_driver`, `key_slot`, `store_flash`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
 //!
 //! Another board is a file beside these and a binary that names it.
@@ -49,8 +48,6 @@ pub mod clock;
 #[cfg(target_os = "none")]
 pub mod counter;
 #[cfg(target_os = "none")]
-pub mod drive;
-#[cfg(target_os = "none")]
 pub mod fault;
 #[cfg(target_os = "none")]
 mod key_slot;
@@ -66,8 +63,6 @@ pub mod pin;
 pub mod pyboard;
 #[cfg(target_os = "none")]
 pub mod pyboard_drive;
-#[cfg(target_os = "none")]
-pub mod statics;
 #[cfg(target_os = "none")]
 pub mod store_flash;
 #[cfg(target_os = "none")]

@@ -111,20 +111,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 parameters.idle()?;
                 parameters.transfer.write(offset, &bytes)?;
             }
-            HostMessage::BankCommit { length, crc, mac } => {
+            HostMessage::BankCommit { length, crc, mac }
+            | HostMessage::ExcitationLoad { length, crc, mac } => {
                 controller.writable()?;
                 parameters.idle()?;
                 parameters.transfer.end(length)?;
                 let signature = protocol.signature(board.write_key.as_ref(), mac)?;
-                let order = Order::Commit(Upload { crc, signature });
-                return self.order(sequence, order, parameters);
-            }
-            HostMessage::ExcitationLoad { length, crc, mac } => {
-                controller.writable()?;
-                parameters.idle()?;
-                parameters.transfer.end(length)?;
-                let signature = protocol.signature(board.write_key.as_ref(), mac)?;
-                let order = Order::Excitation(Upload { crc, signature });
+                let upload = Upload { crc, signature };
+                let order = match message {
+                    HostMessage::BankCommit { .. } => Order::Commit(upload),
+                    _ => Order::Excitation(upload),
+                };
                 return self.order(sequence, order, parameters);
             }
             HostMessage::BankRead { source, offset: 0 } => {

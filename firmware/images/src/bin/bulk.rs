@@ -6,9 +6,8 @@ mod run {
     use core::mem::MaybeUninit;
 
     use foretorque_f405::arm::BoardSession;
-    use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS};
+    use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS, init_learner};
     use foretorque_f405::counter::{self, Counter};
-    use foretorque_f405::statics::init_learner;
     use foretorque_images::semihost::{Streams, exit};
     use foretorque_link::session::{BoardDescription, Housekeeping, Mailboxes, NoLocalSensor};
     use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};

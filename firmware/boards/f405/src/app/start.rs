@@ -13,7 +13,7 @@ use stm32f4xx_hal::pac;
 use stm32f4xx_hal::prelude::*;
 
 use super::{Idle, Tick};
-use crate::arm::{Arm, BoardHousekeeping, BoardMailboxes, BoardSession, Learner};
+use crate::arm::{Arm, BoardHousekeeping, BoardMailboxes, BoardSession, Learner, init_learner};
 use crate::board::{Board, Drive as _, Ports};
 use crate::chip::LINK_BYTES_S;
 use crate::clock;
@@ -23,7 +23,6 @@ use crate::frame_bound::FrameBound;
 use crate::key_slot;
 use crate::link::{self, RECEIVE_RING, TRANSMIT_RING, Wire};
 use crate::log;
-use crate::statics::init_learner;
 use crate::store_flash::{Registers, StoreFlash};
 use crate::tick_timer::TickTimer;
 use crate::watchdog::Watchdog;
