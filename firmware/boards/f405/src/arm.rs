@@ -14,7 +14,7 @@ use foretorque_link::session::{Housekeeping, Mailboxes, Session};
 pub type BoardSession = Session<Arm, JOINTS, PARAMETERS, Counter>;
 /// Its housekeeping, with the store.
 pub type BoardHousekeeping = Housekeeping<Arm, JOINTS, PARAMETERS, StoreFlash>;
-/// What its tick shares with the tasks below.
+/// Mailboxes between its tick and the tasks below.
 pub type BoardMailboxes = Mailboxes<JOINTS, PARAMETERS>;
 
 #[cfg(not(described_arm))]

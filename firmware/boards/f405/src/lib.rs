@@ -48,6 +48,8 @@ pub mod clock;
 #[cfg(target_os = "none")]
 pub mod counter;
 #[cfg(target_os = "none")]
+pub mod drive;
+#[cfg(target_os = "none")]
 pub mod fault;
 #[cfg(target_os = "none")]
 mod key_slot;
