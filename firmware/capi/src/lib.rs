@@ -9,6 +9,7 @@
 mod safety;
 mod types;
 
+use safety::act;
 pub use safety::*;
 pub use types::*;
 
@@ -22,7 +23,6 @@ use foretorque::arm::ur5::{
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::learning::LearningSample;
-use foretorque::limits::Flags;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_link::safety::{Safety, SafetyLimits, SafetyReason};
 use foretorque_link::wire::Configuration;
@@ -101,26 +101,18 @@ impl Foretorque {
         Some(())
     }
 
-    fn step(&mut self, sample: Option<JointSample<JOINTS>>, guarded: bool) -> ForetorqueTorque {
+    fn step(&mut self, mut sample: Option<JointSample<JOINTS>>, guarded: bool) -> ForetorqueTorque {
         self.feed_forward.adopt(&mut self.exchange);
-        let mut sample = sample;
-        if guarded {
+        let torque = if guarded {
             self.safety.period();
             sample = self.safety.admit(sample, 1, SafetyReason::None);
-        }
-        let mut torque = match &sample {
-            Some(sample) => self.feed_forward.step(sample),
-            None => self.feed_forward.step_stale(),
-        };
-        if guarded {
-            if torque.flags.contains(Flags::GRAVITY_LOST) {
-                self.safety.check(SafetyReason::GravityLost);
+            self.safety.step(&mut self.feed_forward, sample.as_ref())
+        } else {
+            match &sample {
+                Some(sample) => self.feed_forward.step(sample),
+                None => self.feed_forward.step_stale(),
             }
-            let committed = &self.feed_forward.state().committed;
-            let wanted = self.safety.with_brakes::<Arm, _>(&torque, committed);
-            torque.total = self.safety.release(&wanted);
-            self.feed_forward.applied(&torque.total);
-        }
+        };
         let measured = sample.and_then(|sample| sample.measured);
         self.lesson = Some(self.feed_forward.learning_sample(measured));
         let array = |vector: JointVector<JOINTS>| vector.into();
@@ -272,12 +264,8 @@ pub unsafe extern "C" fn foretorque_save_bank(
 /// `it` comes from `foretorque_init`, and no other call on it is under way.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_set_learning(it: *mut Foretorque, on: u8) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
-    let Some(it) = (unsafe { it.as_mut() }) else {
-        return ForetorqueStatus::Null;
-    };
-    it.feed_forward.set_learning(on != 0);
-    ForetorqueStatus::Ok
+    // SAFETY: as the caller promises.
+    unsafe { act(it, |it| it.feed_forward.set_learning(on != 0)) }
 }
 
 /// Runs one tick without the safety: its torque is for a caller that has a safety of its own. `sample` may be null: then none
@@ -339,12 +327,11 @@ unsafe fn step(
 /// `it` comes from `foretorque_init`, and no other call on it is under way: a tick must not interrupt it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_learn(it: *mut Foretorque) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
-    let Some(it) = (unsafe { it.as_mut() }) else {
-        return ForetorqueStatus::Null;
+    let learn = |it: &mut Foretorque| {
+        if let Some(lesson) = it.lesson.take() {
+            it.learner.learn(&lesson, &mut it.exchange);
+        }
     };
-    if let Some(lesson) = it.lesson.take() {
-        it.learner.learn(&lesson, &mut it.exchange);
-    }
-    ForetorqueStatus::Ok
+    // SAFETY: as the caller promises.
+    unsafe { act(it, learn) }
 }

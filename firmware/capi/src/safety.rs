@@ -165,7 +165,10 @@ pub unsafe extern "C" fn foretorque_limits(
 
 /// # Safety
 /// As those of `foretorque_disarm`.
-unsafe fn act(it: *mut Foretorque, action: impl FnOnce(&mut Foretorque)) -> ForetorqueStatus {
+pub(crate) unsafe fn act(
+    it: *mut Foretorque,
+    action: impl FnOnce(&mut Foretorque),
+) -> ForetorqueStatus {
     // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
     match unsafe { it.as_mut() } {
         Some(it) => {

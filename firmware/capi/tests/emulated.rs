@@ -7,12 +7,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::ptr;
-use std::thread;
-use std::time::{Duration, Instant};
 
 const TICKS: u32 = 300;
-/// The emulator needs less than a second for it.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Seconds after which the emulator is stopped; it needs less than one.
+const PATIENCE: &str = "60";
 
 /// The numbers of main.c.
 struct Numbers(u32);
@@ -102,15 +100,9 @@ fn emulated() -> Vec<String> {
         elf.display()
     );
     let out = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("capi.txt");
-    let mut emulator = Command::new("qemu-system-arm")
-        .args([
-            "-machine",
-            "netduinoplus2",
-            "-display",
-            "none",
-            "-monitor",
-            "none",
-        ])
+    let status = Command::new("timeout")
+        .args([PATIENCE, "qemu-system-arm", "-machine", "netduinoplus2"])
+        .args(["-display", "none", "-monitor", "none"])
         .args(["-serial", "none", "-icount", "shift=3,sleep=off"])
         .args(["-semihosting-config", "enable=on,target=native,chardev=out"])
         .arg("-chardev")
@@ -118,19 +110,8 @@ fn emulated() -> Vec<String> {
         .arg("-kernel")
         .arg(&elf)
         .stdin(Stdio::null())
-        .spawn()
+        .status()
         .expect("qemu-system-arm is installed");
-    let start = Instant::now();
-    let status = loop {
-        if let Some(status) = emulator.try_wait().expect("it can be waited for") {
-            break status;
-        }
-        if start.elapsed() > PATIENCE {
-            emulator.kill().expect("it can be ended");
-            panic!("the C program does not end");
-        }
-        thread::sleep(Duration::from_millis(10));
-    };
     assert!(status.success(), "main returned {status}");
     let text = fs::read_to_string(out).expect("it has written something");
     text.lines().map(str::to_owned).collect()

@@ -45,3 +45,47 @@ macro_rules! errors {
     };
     (@number $joint:ident) => { u8 };
 }
+
+/// Declares an error whose description is also there without the payload, for a log that formats no text. What a variant
+/// displays besides stands behind its description, with the name of the payload in braces.
+macro_rules! described_errors {
+    (
+        $(#[$meta:meta])*
+        pub enum $name:ident {
+            $(
+                $(#[$of:meta])*
+                $variant:ident $(($item:ident: $type:ty))? = $text:literal $(, $more:literal)?;
+            )*
+        }
+    ) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum $name {
+            $(
+                #[doc = $text]
+                $(#[$of])*
+                $variant $(($type))?,
+            )*
+        }
+
+        impl $name {
+            /// Description without the payload.
+            pub const fn text(self) -> &'static str {
+                match self {
+                    $(Self::$variant { .. } => $text,)*
+                }
+            }
+        }
+
+        impl core::fmt::Display for $name {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                f.write_str(self.text())?;
+                match self {
+                    $(Self::$variant $(($item))? => Ok(()) $(.and_then(|()| write!(f, $more)))?,)*
+                }
+            }
+        }
+
+        impl core::error::Error for $name {}
+    };
+}

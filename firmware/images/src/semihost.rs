@@ -20,15 +20,7 @@ impl Streams {
     /// Opens the two files named on the command line: the one to read first, the one to write second.
     pub fn open() -> Option<Self> {
         let mut line = [0u8; COMMAND_LINE];
-        let mut block = [line.as_mut_ptr() as usize, line.len()];
-        // SAFETY: the block names a buffer and its length; the host stays inside and writes the length back.
-        if unsafe { syscall1(nr::GET_CMDLINE, block.as_mut_ptr() as usize) } != 0 {
-            return None;
-        }
-        let mut words = line
-            .get(..block[1])?
-            .split(|&byte| byte == b' ' || byte == 0)
-            .skip(1);
+        let mut words = words(&mut line)?.skip(1);
         let input = open(words.next()?, READ)?;
         let output = open(words.next()?, WRITE)?;
         Some(Self { input, output })
@@ -53,6 +45,17 @@ impl Streams {
         // SAFETY: the block names a handle, a buffer and its length; the host only reads the buffer.
         unsafe { syscall1(nr::WRITE, block.as_ptr() as usize) == 0 }
     }
+}
+
+/// The words of the command line, for which `line` has room.
+pub fn words(line: &mut [u8]) -> Option<impl Iterator<Item = &[u8]>> {
+    let mut block = [line.as_mut_ptr() as usize, line.len()];
+    // SAFETY: the block names a buffer and its length; the host stays inside and writes the length back.
+    if unsafe { syscall1(nr::GET_CMDLINE, block.as_mut_ptr() as usize) } != 0 {
+        return None;
+    }
+    let line = line.get(..block[1])?;
+    Some(line.split(|&byte| byte == b' ' || byte == 0))
 }
 
 /// Opens one file; `name` is not terminated, so it is copied.

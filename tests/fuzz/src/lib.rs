@@ -32,17 +32,17 @@ use std::fmt::Debug;
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Name of a target, and the target.
-pub type Target = (&'static str, fn(&[u8]));
-
-/// The targets by name.
-pub const TARGETS: [Target; 5] = [
-    ("decoder", decoder),
-    ("bank", bank),
-    ("session", session),
-    ("store", store),
-    ("drives", drives),
-];
+/// The target of this name.
+pub fn target(name: &str) -> Option<fn(&[u8])> {
+    Some(match name {
+        "decoder" => decoder,
+        "bank" => bank,
+        "session" => session,
+        "store" => store,
+        "drives" => drives,
+        _ => return None,
+    })
+}
 
 /// One sealed frame: version, sequence, `message`, checksum, COBS, delimiter.
 fn sealed(sequence: u16, message: &[u8]) -> Vec<u8> {

@@ -41,7 +41,7 @@ pub(crate) struct Raise {
 pub(crate) struct Measured {
     pub(crate) quantity: String,
     pub(crate) value: u64,
-    pub(crate) how: &'static str,
+    pub(crate) how: String,
     /// A limit that follows from a goal and not from a measurement.
     pub(crate) allowed: Option<u64>,
 }
@@ -221,7 +221,7 @@ impl Budget {
                 quantity: quantity.clone(),
                 value: *value,
                 limit,
-                how: (*how).into(),
+                how: how.clone(),
             });
         }
         Ok(Self {
@@ -315,7 +315,7 @@ mod tests {
         vec![Measured {
             quantity: "rnea_ur5, instructions".into(),
             value,
-            how: "emulator",
+            how: "emulator".into(),
             allowed: None,
         }]
     }

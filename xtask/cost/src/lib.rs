@@ -134,7 +134,7 @@ fn quantities(
     drive: &Memory,
     can: &Memory,
 ) -> Vec<Measured> {
-    let measured = |quantity: String, value: u64, how| Measured {
+    let measured = |quantity: String, value: u64, how: String| Measured {
         quantity,
         value,
         how,
@@ -146,7 +146,7 @@ fn quantities(
         ..measured(
             "dearest command, est. cycles".into(),
             row.worst_cycles,
-            "estimate, the most of what an armed board takes: a tenth of 1 ms at 168 MHz",
+            "estimate, the most of what an armed board takes: a tenth of 1 ms at 168 MHz".into(),
         )
     });
     let rows = rows.iter().flat_map(|row| {
@@ -157,62 +157,60 @@ fn quantities(
             measured(
                 instructions,
                 counted,
-                "emulator, counted by TIM2 under -icount",
+                "emulator, counted by TIM2 under -icount".into(),
             ),
-            measured(cycles, priced, "estimate over the traced instructions"),
+            measured(
+                cycles,
+                priced,
+                "estimate over the traced instructions".into(),
+            ),
         ]
     });
+    let sections = |image| format!("sections of `{image}`");
+    let bound = |image, what| format!("bound from the code of `{image}`{what}");
+    let (tick, all) = (", exception frame included", ": main and every handler");
     let bytes = [
-        ("flash, bytes", memory.flash_bytes, "sections of `joint`"),
-        ("static RAM, bytes", memory.ram_bytes, "sections of `joint`"),
+        ("flash", "", memory.flash_bytes, sections(JOINT)),
+        ("static RAM", "", memory.ram_bytes, sections(JOINT)),
         (
-            "stack of the tick, bytes",
+            "stack of the tick",
+            "",
             memory.stack_bytes,
-            "bound from the code of `joint`, exception frame included",
+            bound(JOINT, tick),
         ),
         (
-            "stack of everything nested, bytes",
+            "stack of everything nested",
+            "",
             memory.nested_bytes,
-            "bound from the code of `joint`: main and every handler",
+            bound(JOINT, all),
         ),
+        ("static RAM", DRIVE, drive.ram_bytes, sections(DRIVE)),
         (
-            "static RAM of joint-drive, bytes",
-            drive.ram_bytes,
-            "sections of `joint-drive`",
-        ),
-        (
-            "stack of the tick of joint-drive, bytes",
+            "stack of the tick",
+            DRIVE,
             drive.stack_bytes,
-            "bound from the code of `joint-drive`, exception frame included",
+            bound(DRIVE, tick),
         ),
+        ("flash", DRIVE, drive.flash_bytes, sections(DRIVE)),
+        ("flash", CAN, can.flash_bytes, sections(CAN)),
+        ("static RAM", CAN, can.ram_bytes, sections(CAN)),
         (
-            "flash of joint-drive, bytes",
-            drive.flash_bytes,
-            "sections of `joint-drive`",
-        ),
-        (
-            "flash of joint-can, bytes",
-            can.flash_bytes,
-            "sections of `joint-can`",
-        ),
-        (
-            "static RAM of joint-can, bytes",
-            can.ram_bytes,
-            "sections of `joint-can`",
-        ),
-        (
-            "stack of everything nested of joint-can, bytes",
+            "stack of everything nested",
+            CAN,
             can.nested_bytes,
-            "bound from the code of `joint-can`: main and every handler",
+            bound(CAN, all),
         ),
     ];
-    let bytes = bytes.map(|(name, bytes, how)| measured(name.into(), bytes.into(), how));
+    let bytes = bytes.map(|(what, image, bytes, how)| {
+        let of = if image.is_empty() { "" } else { " of " };
+        measured(format!("{what}{of}{image}, bytes"), bytes.into(), how)
+    });
     let long_run = Measured {
         allowed: Some(PERMILLE_LIMIT),
         ..measured(
             format!("{}, permille off its mean", spread.row),
             spread.permille(),
-            "emulator, 100000 different ticks with the learner at work",
+            "emulator, 100000 different ticks with the learner at work".into(),
         )
     };
     rows.chain(dearest).chain(bytes).chain([long_run]).collect()

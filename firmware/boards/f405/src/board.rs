@@ -1,11 +1,10 @@
 //! Properties of a board with this chip.
 
-use foretorque::arm::Arm;
 use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::pac::{GPIOA, GPIOB, GPIOC};
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::arm::BoardSession;
+use crate::arm::{BoardSession, JOINTS};
 use crate::clock::Clocks;
 use crate::pin::Pin;
 
@@ -24,28 +23,28 @@ pub trait Board: Send + 'static {
     const OWN_JOINT: Option<usize> = None;
 
     /// Motor stage and encoder, or the enable alone.
-    type Drive<A: Arm<N, P>, const N: usize, const P: usize>: Drive<A, N, P>;
+    type Drive: Drive;
 
     /// Gives every pin its job; enable and brake release are low.
     fn start_pins(ports: Ports, rcc: &mut Rcc);
 }
 
 /// Hardware that the board drives itself, called by the tick's task.
-pub trait Drive<A: Arm<N, P>, const N: usize, const P: usize>: Sized + Send {
+pub trait Drive: Sized + Send {
     /// Sensor of the own joint.
-    type Own: LocalSensor<N>;
+    type Own: LocalSensor<JOINTS>;
 
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
     fn start(clocks: &Clocks) -> Option<Self>;
 
     /// Before the ticks of a round: reports faults of stage and encoder to the session.
-    fn watch(&mut self, session: &mut BoardSession<A, N, P>);
+    fn watch(&mut self, session: &mut BoardSession);
 
     /// Sensor of the own joint.
     fn own(&mut self) -> &mut Self::Own;
 
     /// After a tick: enable and torque command follow the session.
-    fn follow(&mut self, session: &mut BoardSession<A, N, P>);
+    fn follow(&mut self, session: &mut BoardSession);
 
     /// Writes to the log what has changed; from the idle loop.
     fn report();

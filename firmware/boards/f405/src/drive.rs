@@ -1,7 +1,6 @@
 //! The drive of a board that drives nothing itself but the enable. A board with a motor stage and an encoder has one of
 //! its own, as [`crate::pyboard_drive`] has.
 
-use foretorque::arm::Arm;
 use foretorque_link::hal::TorqueEnable;
 use foretorque_link::session::NoLocalSensor;
 
@@ -25,7 +24,7 @@ pub struct EnableOnly<B: Board> {
     measures: NoLocalSensor,
 }
 
-impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for EnableOnly<B> {
+impl<B: Board> Drive for EnableOnly<B> {
     type Own = NoLocalSensor;
 
     #[inline(always)]
@@ -39,7 +38,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for 
     }
 
     #[inline(always)]
-    fn watch(&mut self, _: &mut BoardSession<A, N, P>) {}
+    fn watch(&mut self, _: &mut BoardSession) {}
 
     #[inline(always)]
     fn own(&mut self) -> &mut NoLocalSensor {
@@ -47,7 +46,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for 
     }
 
     #[inline(always)]
-    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
+    fn follow(&mut self, session: &mut BoardSession) {
         switch(&mut self.enable, session.torque_enabled());
     }
 

@@ -3,19 +3,31 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | `app` | the schedule: `image!` makes the firmware of a board for an arm |
-//! | `arm`, `board` | types that follow from the arm; properties of a board |
+//! | `app` | the schedule: `image!` makes the firmware of a board |
+//! | `arm`, `board` | the arm, and types that follow from it; properties of a board |
 //! | `odrive_v3`, `pyboard`, `pyboard_drive`, `can_board` | the boards |
 //! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
 //! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
 //! | [`frame_bound`], `link` | serial link, its bound and the queues of its bytes |
 //! | [`image`] | check of the program in flash |
-//! | `statics` | session and learner in static memory |
 //! | `flash_driver`, `key_slot`, `store_flash`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
 //!
 //! Another board is a file beside these and a binary that names it.
 #![no_std]
+
+/// The `main` of a firmware on the host: the name of what it is.
+#[macro_export]
+macro_rules! on_the_host {
+    () => {
+        #[cfg(not(target_os = "none"))]
+        fn main() {
+            let name = env!("CARGO_BIN_NAME");
+            eprintln!("{name} is firmware: build it with `cargo firmware`");
+            std::process::exit(2);
+        }
+    };
+}
 
 pub mod can;
 pub mod chip;
@@ -53,8 +65,6 @@ pub mod pin;
 pub mod pyboard;
 #[cfg(target_os = "none")]
 pub mod pyboard_drive;
-#[cfg(target_os = "none")]
-pub mod statics;
 #[cfg(target_os = "none")]
 pub mod store_flash;
 #[cfg(target_os = "none")]

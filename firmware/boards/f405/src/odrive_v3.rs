@@ -1,7 +1,6 @@
 //! A joint controller of the ODrive v3 class. Another board is another file like this one, and a binary that names it:
 //! `joint-pyboard` is one. Sources: RM0090 (reference manual), DS8626 (data sheet).
 
-use foretorque::arm::Arm;
 use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
@@ -29,7 +28,7 @@ impl Board for OdriveV3 {
         number: 1,
     });
 
-    type Drive<A: Arm<N, P>, const N: usize, const P: usize> = EnableOnly<Self>;
+    type Drive = EnableOnly<Self>;
 
     /// Link on PA2 (TX) and PA3 (RX), the two that the connector calls GPIO 3 and 4.
     fn start_pins(ports: Ports, rcc: &mut Rcc) {

@@ -2,7 +2,6 @@
 //!
 //! Sources: as of [`crate::odrive_v3`], and the card's schematics PYBv1.1.
 
-use foretorque::arm::Arm;
 use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
@@ -31,7 +30,7 @@ impl Board for Pyboard {
         number: 10,
     });
 
-    type Drive<A: Arm<N, P>, const N: usize, const P: usize> = EnableOnly<Self>;
+    type Drive = EnableOnly<Self>;
 
     /// Link on PA2 (TX, the card's X3) and PA3 (RX, X4).
     fn start_pins(ports: Ports, rcc: &mut Rcc) {

@@ -9,7 +9,6 @@ use foretorque::arm::Arm;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{ParameterSet, Request, RequestPending};
-use foretorque::limits::Flags;
 
 /// Result of one period.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -208,22 +207,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         for (joint, celsius) in self.drives.temperatures() {
             self.safety.note_temperature(joint, celsius);
         }
-        self.supervise();
+        if self.drives.supervise() {
+            self.safety.trip(SafetyReason::Drive);
+        }
         let sample = desired.map(|desired| JointSample {
             desired: *desired,
             measured,
         });
         let sample = self.safety.admit(sample, 1, SafetyReason::None);
-        let mut torque = match &sample {
-            Some(sample) => self.feed_forward.step(sample),
-            None => self.feed_forward.step_stale(),
-        };
-        // Without the share that carries it, a joint falls.
-        if torque.flags.contains(Flags::GRAVITY_LOST) {
-            self.safety.check(SafetyReason::GravityLost);
-        }
-        torque.total = self.safety.release(&torque.total);
-        self.feed_forward.applied(&torque.total);
+        let torque = self.safety.step(&mut self.feed_forward, sample.as_ref());
         let used = sample.as_ref().and_then(|sample| sample.measured);
         mailbox.post(self.feed_forward.learning_sample(used));
         self.drives
@@ -241,13 +233,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
             status: self.safety.status(),
             phase: self.phase(),
             saturation,
-        }
-    }
-
-    /// Ends the torque when the drives give reason to.
-    fn supervise(&mut self) {
-        if self.drives.supervise() {
-            self.safety.trip(SafetyReason::Drive);
         }
     }
 }

@@ -1,8 +1,8 @@
 use super::ExcitationState::{self, *};
 use super::check::{self, Supervision};
 use super::path::{Path, PathSpeed};
-use super::program::{AbortReason, ExcitationError, ExcitationProgram, PlayLimits};
-use super::series::PreparedSeries;
+use super::program::{AbortReason, ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
+use super::series::{JointSeries, PreparedSeries};
 use super::{ExcitationCommand, ExcitationCommand as Command};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointSample, JointVector};
@@ -51,7 +51,14 @@ impl<const N: usize> Player<N> {
             limits: PlayLimits::for_arm::<A, P>(tick_us),
             arm_hash: A::hash(),
             tick_us,
-            program: ExcitationProgram::EMPTY,
+            program: ExcitationProgram {
+                arm_hash: 0,
+                period_us: 0,
+                periods: 0,
+                tracking_rad: 0.0,
+                joints: [JointSeries::default(); N],
+                certificate: [MotionBounds::default(); N],
+            },
             series: PreparedSeries::new(1_000_000, tick_us),
             state: PlayerState {
                 excitation: Empty,

@@ -3,7 +3,7 @@ use foretorque::arm::{Arm, JointLimits};
 use serde::{Deserialize, Serialize};
 
 /// Bounds of the motion of one joint.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionBounds {
     /// Lowest and highest position, rad.
     pub position_rad: (f32, f32),
@@ -28,91 +28,39 @@ impl MotionBounds {
 }
 
 /// Uploaded excitation: coefficients and their certificate.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExcitationProgram<const N: usize> {
     /// Identity of its arm.
+    #[serde(with = "postcard::fixint::le")]
     pub arm_hash: u32,
     /// Period of the fundamental, µs.
+    #[serde(with = "postcard::fixint::le")]
     pub period_us: u32,
     /// Periods to play; 0 until stopped.
+    #[serde(with = "postcard::fixint::le")]
     pub periods: u16,
     /// Tracking error at which any joint aborts it, rad.
     pub tracking_rad: f32,
     /// The series, joint by joint.
+    #[serde(with = "crate::wire::array")]
     pub joints: [JointSeries; N],
     /// Certified bounds of the motion, joint by joint; leaving them aborts the excitation.
+    #[serde(with = "crate::wire::array")]
     pub certificate: [MotionBounds; N],
-}
-
-/// Fields before those of the joints on the wire.
-#[derive(Serialize, Deserialize)]
-struct Head {
-    #[serde(with = "postcard::fixint::le")]
-    arm_hash: u32,
-    #[serde(with = "postcard::fixint::le")]
-    period_us: u32,
-    #[serde(with = "postcard::fixint::le")]
-    periods: u16,
-    tracking_rad: f32,
 }
 
 impl<const N: usize> ExcitationProgram<N> {
     /// Length on the wire, B.
     pub const BYTES: usize = 14 + N * 4 * (2 * HARMONICS + 1 + 4);
 
-    /// All joints rest at zero; no board accepts it.
-    pub const EMPTY: Self = Self {
-        arm_hash: 0,
-        period_us: 0,
-        periods: 0,
-        tracking_rad: 0.0,
-        joints: [JointSeries::ZERO; N],
-        certificate: [MotionBounds {
-            position_rad: (0.0, 0.0),
-            velocity_rad_s: 0.0,
-            acceleration_rad_s2: 0.0,
-        }; N],
-    };
-
     /// Encodes it into `buffer` and returns its bytes; `None` where the buffer is shorter than [`BYTES`](Self::BYTES).
     pub fn encode<'r>(&self, buffer: &'r mut [u8]) -> Option<&'r [u8]> {
-        let head = Head {
-            arm_hash: self.arm_hash,
-            period_us: self.period_us,
-            periods: self.periods,
-            tracking_rad: self.tracking_rad,
-        };
-        let mut at = postcard::to_slice(&head, buffer).ok()?.len();
-        for series in &self.joints {
-            at += postcard::to_slice(series, buffer.get_mut(at..)?)
-                .ok()?
-                .len();
-        }
-        for bounds in &self.certificate {
-            at += postcard::to_slice(bounds, buffer.get_mut(at..)?)
-                .ok()?
-                .len();
-        }
-        buffer.get(..at)
+        postcard::to_slice(self, buffer).ok().map(|bytes| &*bytes)
     }
 
     /// Decodes one from all of `bytes`.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
-        let (head, mut rest): (Head, _) = postcard::take_from_bytes(bytes).ok()?;
-        let mut program = Self {
-            arm_hash: head.arm_hash,
-            period_us: head.period_us,
-            periods: head.periods,
-            tracking_rad: head.tracking_rad,
-            ..Self::EMPTY
-        };
-        // One by one: decoding an array of structs leaves a branch that panics.
-        for series in &mut program.joints {
-            (*series, rest) = postcard::take_from_bytes(rest).ok()?;
-        }
-        for bounds in &mut program.certificate {
-            (*bounds, rest) = postcard::take_from_bytes(rest).ok()?;
-        }
+        let (program, rest) = postcard::take_from_bytes(bytes).ok()?;
         rest.is_empty().then_some(program)
     }
 }

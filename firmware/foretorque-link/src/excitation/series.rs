@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 pub const HARMONICS: usize = 5;
 
 /// The finite Fourier series of one joint (eq. 17): 2 · 5 + 1 coefficients.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct JointSeries {
     /// Offset, rad.
     pub q0_rad: f32,
@@ -18,13 +18,6 @@ pub struct JointSeries {
 }
 
 impl JointSeries {
-    /// At rest at zero.
-    pub const ZERO: Self = Self {
-        q0_rad: 0.0,
-        a_rad_s: [0.0; HARMONICS],
-        b_rad_s: [0.0; HARMONICS],
-    };
-
     /// All coefficients, offset first.
     pub(super) fn coefficients(&self) -> impl Iterator<Item = f32> {
         let swings = self.a_rad_s.into_iter().chain(self.b_rad_s);

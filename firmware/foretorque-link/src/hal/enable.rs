@@ -61,13 +61,6 @@ mod tests {
     use super::TorqueEnable;
 
     #[test]
-    fn torque_is_off_after_construction() {
-        let enable = TorqueEnable::new(Mock::new(&[Transaction::set(State::Low)])).unwrap();
-        assert!(!enable.is_on());
-        enable.release().done();
-    }
-
-    #[test]
     fn a_pin_that_stays_high_counts_as_on() {
         let broken = Transaction::set(State::Low).with_error(MockError::Io(ErrorKind::BrokenPipe));
         let pin = Mock::new(&[

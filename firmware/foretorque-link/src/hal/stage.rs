@@ -1,5 +1,4 @@
 use super::{OutputError, TorqueEnable, TorqueOutput};
-use core::fmt;
 use embedded_hal::digital::{InputPin, OutputPin};
 use foretorque::limits::cut;
 
@@ -23,51 +22,21 @@ impl TorqueScale {
     }
 }
 
-/// Reason why no torque is put out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StageError {
-    /// Invalid scale: a value that is not positive, or a limit beyond the stage's full scale.
-    Scale,
-    /// The stage is switched off.
-    Disabled,
-    /// The stage reports a fault.
-    Fault,
-    /// The fault input could not be read, which counts as a fault.
-    FaultInput,
-    /// The torque is not finite.
-    NotFinite,
-    /// The output failed.
-    Output(OutputError),
-    /// The enable output does not switch off: torque may still flow. Cut the supply.
-    Enable,
-}
-
-impl StageError {
-    /// Description without the payload.
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::Scale => "gain, full scale and limit of the stage do not fit",
-            Self::Disabled => "the motor stage is switched off",
-            Self::Fault => "the motor stage reports a fault",
-            Self::FaultInput => "the fault input cannot be read",
-            Self::NotFinite => "the torque is not finite",
-            Self::Output(_) => "the torque command failed",
-            Self::Enable => "the enable output does not switch off; torque may still flow",
-        }
+described_errors! {
+    /// Reason why no torque is put out.
+    pub enum StageError {
+        /// (A value that is not positive, or a limit beyond the stage's full scale.)
+        Scale = "gain, full scale and limit of the stage do not fit";
+        Disabled = "the motor stage is switched off";
+        Fault = "the motor stage reports a fault";
+        /// (That counts as a fault.)
+        FaultInput = "the fault input cannot be read";
+        NotFinite = "the torque is not finite";
+        Output(error: OutputError) = "the torque command failed", ": {error}";
+        /// (Cut the supply.)
+        Enable = "the enable output does not switch off; torque may still flow";
     }
 }
-
-impl fmt::Display for StageError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.text())?;
-        match self {
-            Self::Output(error) => write!(f, ": {error}"),
-            _ => Ok(()),
-        }
-    }
-}
-
-impl core::error::Error for StageError {}
 
 /// Command that was put out.
 #[derive(Clone, Copy, Debug, PartialEq)]

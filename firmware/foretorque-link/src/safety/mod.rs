@@ -24,7 +24,7 @@ pub use task_check_in::{Task, TaskCheckIn};
 pub use thermal_derating::{HOT_C, HYSTERESIS_C, WARM_C};
 
 use foretorque::arm::Arm;
-use foretorque::feedforward::{ParameterSet, Torque, gravity};
+use foretorque::feedforward::{FeedForward, ParameterSet, Torque, gravity};
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::{Flags, cut, limit};
 use input::InputState;
@@ -32,8 +32,8 @@ use thermal_derating::ThermalDerating;
 
 /// The safety of one board: state machine, hard limits, plausibility of the input.
 ///
-/// Every period of the board's own time: [`period`](Self::period). Every tick: [`admit`](Self::admit) the sample, compute,
-/// [`release`](Self::release) the torque. Ages and the slew limit count periods, plausibility counts samples, so neither
+/// Every period of the board's own time: [`period`](Self::period). Every tick: [`admit`](Self::admit) the sample, then
+/// [`step`](Self::step), or compute and [`release`](Self::release) the torque. Ages and the slew limit count periods, plausibility counts samples, so neither
 /// depends on the number of calls. Where nothing but the samples keeps time, each of them is a period.
 ///
 /// ```
@@ -207,7 +207,7 @@ impl<const N: usize> Safety<N> {
     }
 
     /// Latches `fault` and ends the torque, if it flows and `fault` is one.
-    pub fn check(&mut self, fault: SafetyReason) {
+    fn check(&mut self, fault: SafetyReason) {
         if fault != SafetyReason::None && self.state == SafetyState::Armed {
             self.trip(fault);
         }
@@ -252,11 +252,32 @@ impl<const N: usize> Safety<N> {
         self.state == SafetyState::Armed && !self.unconfirmed
     }
 
+    /// Runs the feed-forward on an [admitted](Self::admit) sample, or without one, and [releases](Self::release) its torque.
+    ///
+    /// Cost: another inverse dynamics with brakes and without a usable sample.
+    #[inline(always)]
+    pub fn step<A: Arm<N, P>, const P: usize>(
+        &mut self,
+        feed_forward: &mut FeedForward<A, N, P>,
+        sample: Option<&JointSample<N>>,
+    ) -> Torque<N> {
+        let mut torque = match sample {
+            Some(sample) => feed_forward.step(sample),
+            None => feed_forward.step_stale(),
+        };
+        // Without the share that carries it, a joint falls.
+        if torque.flags.contains(Flags::GRAVITY_LOST) {
+            self.check(SafetyReason::GravityLost);
+        }
+        let wanted = self.with_brakes::<A, P>(&torque, &feed_forward.state().committed);
+        torque.total = self.release(&wanted);
+        feed_forward.applied(&torque.total);
+        torque
+    }
+
     /// The torque that a tick wants, N × N·m, or that of gravity by the `committed` set at the position measured last, where
     /// brakes have to close before the torque goes to zero.
-    ///
-    /// Cost: an inverse dynamics, only with brakes and without a usable sample.
-    pub fn with_brakes<A: Arm<N, P>, const P: usize>(
+    pub(crate) fn with_brakes<A: Arm<N, P>, const P: usize>(
         &mut self,
         torque: &Torque<N>,
         committed: &ParameterSet<N, P>,

@@ -29,7 +29,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 None => {}
                 Some(Received::Message(sequence, HostMessage::Sample(sample))) => {
                     let mailbox = &mut mailboxes.learner;
-                    let (missed, clock) = (self.protocol.link.missed, &self.board.clock);
+                    let (missed, clock) = (self.protocol.link.counters.missed, &self.board.clock);
                     let tick = self
                         .controller
                         .sample(sequence, sample, missed, mailbox, clock, sensor);
@@ -77,8 +77,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         match message {
             HostMessage::Hello => {
                 // A host that begins anew inherits no torque.
-                controller.disarm();
-                controller.interrupt_samples();
+                controller.safety.disarm();
+                // The next gap counts as a long one.
+                controller.gaps.interrupt();
                 return Ok(Some(self.hello()));
             }
             // A tick; `receive` runs it.
@@ -103,32 +104,29 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                     // An upload is refused while learning: half of one must not wait until learning ends.
                     parameters.transfer.abort();
                 }
-                controller.set_learning(on);
+                controller.feed_forward.set_learning(on);
             }
             HostMessage::BankWrite { offset, bytes } => {
                 controller.writable()?;
                 parameters.idle()?;
                 parameters.transfer.write(offset, &bytes)?;
             }
-            HostMessage::BankCommit { length, crc, mac } => {
+            HostMessage::BankCommit { length, crc, mac }
+            | HostMessage::ExcitationLoad { length, crc, mac } => {
                 controller.writable()?;
                 parameters.idle()?;
                 parameters.transfer.end(length)?;
                 let signature = protocol.signature(board.write_key.as_ref(), mac)?;
-                let order = Order::Commit(Upload { crc, signature });
-                return self.order(sequence, order, parameters);
-            }
-            HostMessage::ExcitationLoad { length, crc, mac } => {
-                controller.writable()?;
-                parameters.idle()?;
-                parameters.transfer.end(length)?;
-                let signature = protocol.signature(board.write_key.as_ref(), mac)?;
-                let order = Order::Excitation(Upload { crc, signature });
+                let upload = Upload { crc, signature };
+                let order = match message {
+                    HostMessage::BankCommit { .. } => Order::Commit(upload),
+                    _ => Order::Excitation(upload),
+                };
                 return self.order(sequence, order, parameters);
             }
             HostMessage::BankRead { source, offset: 0 } => {
                 parameters.idle()?;
-                let state = controller.feed_forward().state();
+                let state = controller.feed_forward.state();
                 let set = match source {
                     BankSource::Live => &state.active,
                     BankSource::Committed => &state.committed,
@@ -155,18 +153,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Arm => {
                 // The processor stands still while the flash is written.
                 parameters.undisturbed()?;
-                board.sustains(controller.configuration().period_us)?;
-                controller.arm()?;
+                board.sustains(controller.configuration.period_us)?;
+                controller.safety.arm().map_err(NackReason::Unsafe)?;
             }
             HostMessage::Disarm => {
-                controller.disarm();
+                controller.safety.disarm();
             }
             HostMessage::Stop => {
                 controller.stop(mailbox);
             }
             HostMessage::ClearFault => {
                 board.sound()?;
-                controller.clear_fault()?;
+                let cleared = controller.safety.clear();
+                cleared.map_err(NackReason::Unsafe)?;
             }
             HostMessage::Request { code } => {
                 controller.request(code, mailbox)?;
@@ -180,11 +179,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                         return Err(NackReason::Wait { seconds });
                     }
                 }
-                let committed = &controller.feed_forward().state().committed;
+                let committed = &controller.feed_forward.state().committed;
                 parameters.read(sequence, Order::Save, committed)?;
                 // The learner's bounds lie around the loaded set: with a key, around a signed one for ever.
                 if board.write_key.is_some() {
-                    controller.drop_learnt(&mut parameters.parameters.set);
+                    let set = &mut parameters.parameters.set;
+                    controller.feed_forward.state().drop_learnt(set);
                 }
                 self.rested_us = 0;
                 return Ok(None);

@@ -12,7 +12,6 @@ mod dispatch;
 mod housekeeping;
 mod mailbox;
 mod protocol;
-mod statistics;
 mod store;
 
 pub use board::{BoardDescription, Clock, LocalSensor, NoClock, NoLocalSensor};
@@ -20,9 +19,8 @@ pub use housekeeping::{Housekeeping, NoFlash};
 pub use mailbox::{LearnerMailbox, Mailboxes, ParameterMailbox};
 
 use crate::safety::{SafetyReason, SafetyStatus};
-use crate::store::StoreHealth;
-use crate::telemetry::Cost;
-use crate::wire::{BoardMessage, Configuration, FrameBuffer};
+use crate::telemetry::{Cost, Statistics};
+use crate::wire::{BoardMessage, Configuration, FrameBuffer, SampleFrame};
 use controller::{Controller, TickResult};
 use core::mem::MaybeUninit;
 use foretorque::arm::Arm;
@@ -51,10 +49,6 @@ pub struct Session<A: Arm<N, P>, const N: usize, const P: usize, C: Clock = NoCl
     board: BoardDescription<C>,
     protocol: Protocol,
     controller: Controller<A, N, P>,
-    store: StoreHealth,
-    receive_cost: Cost,
-    reply_latency: Cost,
-    watchdog_feeds: u32,
     boot_counts: u32,
     reboot: bool,
     /// Time since the last save by the board's timer, µs.
@@ -88,10 +82,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             controller: Controller::new(feed_forward, board.first_fault()),
             board,
             protocol: Protocol::new(),
-            store: StoreHealth::Unused,
-            receive_cost: Cost::default(),
-            reply_latency: Cost::default(),
-            watchdog_feeds: 0,
             boot_counts: 0,
             reboot: false,
             rested_us,
@@ -100,12 +90,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Period, pacing and reply mode; the owner sets the timer by it.
     pub fn configuration(&self) -> Configuration {
-        self.controller.configuration()
+        self.controller.configuration
     }
 
     /// The feed-forward of the ticks.
     pub fn feed_forward(&self) -> &FeedForward<A, N, P> {
-        self.controller.feed_forward()
+        &self.controller.feed_forward
     }
 
     #[cfg(test)]
@@ -114,37 +104,37 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         set: foretorque::learning::ParameterSet<N, P>,
         exchange: &mut foretorque::learning::Exchange<N, P>,
     ) {
-        self.controller.load_set(set, exchange);
+        self.controller.feed_forward.load(set, exchange);
     }
 
     /// Last reported motor temperatures, °C; -128 is unknown.
     pub fn temperatures_c(&self) -> &[i8; N] {
-        self.controller.temperatures_c()
+        &self.controller.temperatures_c
     }
 
     /// Safety state, and its reason.
     pub fn safety(&self) -> SafetyStatus {
-        self.controller.safety().status()
+        self.controller.safety.status()
     }
 
     /// The enable pin of the motor stage may be on.
     pub fn torque_enabled(&self) -> bool {
-        self.controller.safety().enabled()
+        self.controller.safety.enabled()
     }
 
     /// A brake of the motor may be open. It closes with the end of the torque and not after it.
     pub fn brake_released(&self) -> bool {
-        self.controller.safety().brake_released()
+        self.controller.safety.brake_released()
     }
 
     /// Torque of the last tick within the hard limits, N × N·m: the command of a board's own motor stage.
     pub fn torque_output(&self) -> &JointVector<N> {
-        self.controller.safety().output()
+        self.controller.safety.output()
     }
 
     /// The fault to keep over a reset; [`SafetyReason::None`] when there is none.
     pub fn latched_fault(&self) -> SafetyReason {
-        self.controller.safety().latched()
+        self.controller.safety.latched()
     }
 
     /// Sets the torque to zero at once and latches a fault that the owner of the hardware has detected.
@@ -154,29 +144,76 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Latches a fault that the owner of the hardware has detected; the torque ramps to zero.
     pub fn trip(&mut self, fault: SafetyReason) {
-        self.controller.safety_mut().trip(fault);
+        self.controller.safety.trip(fault);
     }
 
     /// Takes the temperature of one motor, °C, that the board has measured itself.
     pub fn note_temperature(&mut self, joint: usize, celsius: i8) {
-        self.controller
-            .safety_mut()
-            .note_temperature(joint, celsius);
+        self.controller.safety.note_temperature(joint, celsius);
     }
 
     /// Desired motion of the last tick, with that of an excitation; `None` where it had no usable sample.
     pub fn desired(&self) -> Option<&JointMotion<N>> {
-        self.controller.desired()
+        self.controller.desired.as_ref()
     }
 
     /// Samples arrive in time, or none have to because no torque flows: the link's part of the task check-in.
     pub fn link_alive(&self) -> bool {
-        self.controller.safety().input_in_time()
+        self.controller.safety.input_in_time()
     }
 
     /// The host has commanded a restart of the processor.
     pub fn reboot_wanted(&self) -> bool {
         self.reboot
+    }
+
+    /// Counts a missed deadline or a receive overrun of the link.
+    pub fn note_overrun(&mut self) {
+        let overruns = &mut self.protocol.link.counters.overruns;
+        *overruns = overruns.saturating_add(1);
+    }
+
+    /// Counts a reply for which the link had no space.
+    pub fn note_reply_lost(&mut self) {
+        let lost = &mut self.protocol.link.counters.replies_lost;
+        *lost = lost.saturating_add(1);
+    }
+
+    /// Takes the owner's measurements of the link: cost of receiving one byte, and time from the end of a frame until its
+    /// reply is queued.
+    pub fn note_line(&mut self, receive_cost: Cost, reply_latency: Cost) {
+        let counters = &mut self.protocol.link.counters;
+        (counters.receive_cost, counters.reply_latency) = (receive_cost, reply_latency);
+    }
+
+    /// Takes the number of watchdog feeds since boot.
+    pub fn note_feeds(&mut self, feeds: u32) {
+        self.protocol.link.counters.watchdog_feeds = feeds;
+    }
+
+    /// Takes the counts from the first instructions to the first hello.
+    pub fn note_boot(&mut self, counts: u32) {
+        self.boot_counts = counts;
+    }
+
+    /// Counters since boot or reset.
+    pub fn statistics(&self, mailbox: &LearnerMailbox<N, P>) -> Statistics {
+        let ticks = &self.controller.counters;
+        let temperatures = self.temperatures_c().iter().copied();
+        Statistics {
+            bytes_lost: self.protocol.bytes_lost(),
+            overtaken: ticks.overtaken,
+            stale_ticks: ticks.stale,
+            ticks: ticks.ticks,
+            late_sets: self.feed_forward().state().late_sets,
+            learning_samples_lost: mailbox.samples_lost(),
+            tick_cost: ticks.cost.cost(),
+            learn_cost: mailbox.learn_cost(),
+            hottest_c: temperatures.fold(SampleFrame::<N>::NO_TEMPERATURE, i8::max),
+            implausible: self.controller.safety.implausible(),
+            records_lost: self.protocol.stream.lost(),
+            ..self.protocol.link.counters
+        }
     }
 
     /// Sends the hello unasked, as a board does after boot.
@@ -217,15 +254,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         mailbox: &LearnerMailbox<N, P>,
         out: &mut FrameBuffer,
     ) {
-        let reply = tick.reply(self.controller.configuration().reply);
+        let reply = tick.reply(self.controller.configuration.reply);
         self.protocol.reply(tick.sequence, &reply, out);
         if self.protocol.stream.due(tick.torque.tick) {
             self.protocol.stream.record(&Instant {
                 tick,
-                report: &self.controller.feed_forward().state().report,
+                report: &self.controller.feed_forward.state().report,
                 learn_cost: mailbox.learn_cost().mean,
                 losses: self.protocol.link.losses(),
-                temperatures_c: self.controller.temperatures_c(),
+                temperatures_c: &self.controller.temperatures_c,
             });
         }
         self.protocol.stream.send::<N>(out);

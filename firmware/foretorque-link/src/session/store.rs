@@ -2,7 +2,6 @@
 
 use super::mailbox::{Order, ParameterMailbox};
 use super::{Clock, Housekeeping, Mailboxes, Session};
-use crate::excitation::{ExcitationError, ExcitationProgram};
 use crate::wire::{BoardMessage, FrameBuffer, NackReason};
 use embedded_storage::nor_flash::NorFlash;
 use foretorque::arm::Arm;
@@ -63,7 +62,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         };
         if let Some(stored) = stored {
             let wrote = matches!(order, Order::Save);
-            self.store = self.store.after::<()>(wrote, &stored);
+            let store = &mut self.protocol.link.counters.store;
+            *store = store.after::<()>(wrote, &stored);
         }
         let controller = &mut self.controller;
         let done = outcome.and_then(|()| match order {
@@ -78,9 +78,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 Ok(BoardMessage::Ack)
             }
             Order::Excitation(_) => {
-                let program = ExcitationProgram::decode(mailbox.transfer.content());
-                let unreadable = NackReason::Excitation(ExcitationError::Number(0));
-                controller.load_excitation(&program.ok_or(unreadable)?)?;
+                controller.load_excitation(mailbox.transfer.content())?;
                 Ok(BoardMessage::Ack)
             }
         });

@@ -9,7 +9,7 @@ use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
 use serde::ser::{Serialize, SerializeTuple as _, Serializer};
 
 /// For `#[serde(with = …)]`.
-pub(super) fn serialize<S: Serializer, T: Serialize, const N: usize>(
+pub(crate) fn serialize<S: Serializer, T: Serialize, const N: usize>(
     values: &[T; N],
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
@@ -21,7 +21,7 @@ pub(super) fn serialize<S: Serializer, T: Serialize, const N: usize>(
 }
 
 /// For `#[serde(with = …)]`.
-pub(super) fn deserialize<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
+pub(crate) fn deserialize<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
 where
     D: Deserializer<'de>,
     T: Deserialize<'de> + Copy + Default,

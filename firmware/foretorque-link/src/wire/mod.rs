@@ -3,7 +3,7 @@
 //! A frame is `COBS( postcard(header, message) ++ CRC-32 ) 0x00`. Only its last byte is zero, so a receiver that joins late,
 //! or receives damaged bytes, is synchronised again at the next zero. `docs/protocol.md` is the specification.
 
-mod array;
+pub(crate) mod array;
 mod codec;
 mod frames;
 mod identity;

@@ -6,6 +6,7 @@ use clients::{Client, clients};
 use foretorque_link::drives::*;
 use std::path::Path;
 
+const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 const ROWS: usize = 200_000;
 const ID: u16 = 3;
 const HOST: u16 = 0x13;
@@ -15,14 +16,6 @@ fn splitmix(state: &mut u64) -> u64 {
     let z = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     z ^ (z >> 31)
-}
-
-fn crc32(crc: u32, bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(!crc, |crc, byte| {
-        (0..8).fold(crc ^ u32::from(*byte), |crc, _| {
-            (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg())
-        })
-    })
 }
 
 fn profile(protocol: Protocol) -> DriveProfile {
@@ -84,7 +77,7 @@ fn accepted(client: &Client, profile: &DriveProfile, frame: &Frame) -> [f64; 5] 
 fn commands_agree_with_the_clients() {
     for client in clients() {
         let (profile, lines, mut state) = (profile(client.protocol), read(client.table), 1);
-        let (mut crc, mut equal, mut bias) = (0, 0, 0.0);
+        let (mut crc, mut equal, mut bias) = (CRC.digest(), 0, 0.0);
         for row in 0..ROWS {
             let share = [(); 5].map(|()| (splitmix(&mut state) >> 40) as f64 / f64::from(1 << 24));
             let value: [f64; 5] = std::array::from_fn(|place| {
@@ -96,7 +89,8 @@ fn commands_agree_with_the_clients() {
                 f64::from((full * client.scales[place]) as f32)
             });
             let (id, data) = (client.frame)(value);
-            crc = crc32(crc32(crc, &id.to_le_bytes()), &data);
+            crc.update(&id.to_le_bytes());
+            crc.update(&data);
             if let Some(kept) = lines.get(row + 1).filter(|_| row < 200) {
                 let hex: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
                 assert_eq!(
@@ -156,7 +150,7 @@ fn commands_agree_with_the_clients() {
         }
         let stated = lines[0].rsplit(' ').next().unwrap();
         assert_eq!(
-            format!("{crc:08x}"),
+            format!("{:08x}", crc.finalize()),
             stated,
             "{}: the formula is not the client's",
             client.table

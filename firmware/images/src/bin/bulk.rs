@@ -6,9 +6,8 @@ mod run {
     use core::mem::MaybeUninit;
 
     use foretorque_f405::arm::BoardSession;
-    use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS};
+    use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS, init_learner};
     use foretorque_f405::counter::{self, Counter};
-    use foretorque_f405::statics::{init_learner, init_session};
     use foretorque_images::semihost::{Streams, exit};
     use foretorque_link::session::{BoardDescription, Housekeeping, Mailboxes, NoLocalSensor};
     use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};
@@ -34,8 +33,8 @@ mod run {
             reset_reason: ResetReason::Unknown,
             ..BoardDescription::plain(Counter)
         };
-        let place = cortex_m::singleton!(: MaybeUninit<BoardSession<Arm, JOINTS, PARAMETERS>> = MaybeUninit::uninit())?;
-        let session = init_session(place, board)?;
+        let place = cortex_m::singleton!(: MaybeUninit<BoardSession> = MaybeUninit::uninit())?;
+        let session = BoardSession::init_in_place(place, board).ok()?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let prior = &session.feed_forward().state().active;
         let place = cortex_m::singleton!(: MaybeUninit<Learner> = MaybeUninit::uninit())?;
@@ -78,8 +77,4 @@ mod run {
     }
 }
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("bulk is firmware: build it with `cargo firmware`");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();

@@ -97,8 +97,4 @@ mod trial {
     }
 }
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("faults is firmware: build it with `cargo firmware`");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();

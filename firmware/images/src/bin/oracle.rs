@@ -91,8 +91,4 @@ mod run {
     }
 }
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("oracle is firmware: build it with `cargo firmware`");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();

@@ -89,8 +89,4 @@ mod proof {
     }
 }
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("probe is firmware: build it with `cargo firmware`");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();

@@ -2,13 +2,11 @@
 
 use core::sync::atomic::Ordering;
 
-use foretorque::arm::Arm;
 use foretorque_link::safety::Task;
-use foretorque_link::session::Mailboxes;
 use rtic::Mutex;
 
 use super::{TICK, TICKED, TICKS};
-use crate::arm::BoardHousekeeping;
+use crate::arm::{BoardHousekeeping, BoardMailboxes};
 use crate::board::{Board, Drive as _};
 use crate::link::{self, RECEIVED};
 use crate::log;
@@ -19,18 +17,18 @@ use crate::watchdog::{TASKS, Watchdog};
 const LOG_EVERY: u32 = 1000;
 
 /// The idle loop: log, store, watchdog.
-pub struct Idle<A: Arm<N, P>, const N: usize, const P: usize> {
+pub struct Idle {
     pub(super) watchdog: Watchdog,
-    pub(super) housekeeping: &'static mut BoardHousekeeping<A, N, P>,
+    pub(super) housekeeping: &'static mut BoardHousekeeping,
     pub(super) drain: Option<log::Drain>,
 }
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Idle<A, N, P> {
+impl Idle {
     /// Never returns.
     #[inline(always)]
     pub fn run<B: Board>(
         &mut self,
-        mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>,
+        mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>,
     ) -> ! {
         let (mut logged, mut ordered) = (0, false);
         loop {
@@ -49,7 +47,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Idle<A, N, P> {
                     tick_timer::missed()
                 );
             }
-            B::Drive::<A, N, P>::report();
+            B::Drive::report();
             if let Some(drain) = &self.drain {
                 drain.empty();
             }

@@ -17,7 +17,6 @@
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
 mod idle;
-mod image;
 mod start;
 
 pub use idle::Idle;
@@ -25,16 +24,13 @@ pub use start::{Started, Statics, start};
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use foretorque::arm::Arm;
-use foretorque::learning::Learner;
 use foretorque_link::safety::{SafetyReason, Task};
-use foretorque_link::session::Mailboxes;
 use foretorque_link::telemetry::CostMeter;
 use foretorque_link::wire::{FrameBuffer, MAX_FRAME};
 use rtic::Mutex;
 use stm32f4xx_hal::pac::Interrupt;
 
-use crate::arm::BoardSession;
+use crate::arm::{BoardMailboxes, BoardSession, Learner};
 use crate::board::{Board, Drive as _};
 use crate::counter;
 use crate::fault::{self, Reason};
@@ -69,13 +65,13 @@ pub fn timer() {
 }
 
 /// The tick's task: session, link and drive.
-pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
-    session: &'static mut BoardSession<A, N, P>,
+pub struct Tick<B: Board> {
+    session: &'static mut BoardSession,
     received: Receiver<RECEIVE_RING>,
     waiting: Sender<TRANSMIT_RING>,
     out: &'static mut FrameBuffer,
     timer: TickTimer,
-    drive: B::Drive<A, N, P>,
+    drive: B::Drive,
     brake_open: bool,
     kept: SafetyReason,
     losses: u32,
@@ -83,10 +79,10 @@ pub struct Tick<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
     latency: CostMeter,
 }
 
-impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
+impl<B: Board> Tick<B> {
     /// Runs what is due: ticks, commands, replies.
     #[inline(always)]
-    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>) {
+    pub fn run(&mut self, mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>) {
         mailboxes.lock(|mailboxes| self.run_locked(mailboxes));
         // Without a learning sample too: the learner checks in.
         rtic::pend(LEARN);
@@ -115,7 +111,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
     }
 
     #[inline(always)]
-    fn run_locked(&mut self, mailboxes: &mut Mailboxes<N, P>) {
+    fn run_locked(&mut self, mailboxes: &mut BoardMailboxes) {
         self.drive.watch(self.session);
         if tick_timer::take_due() {
             self.bound.refill(self.session.configuration().period_us);
@@ -141,7 +137,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
 
     /// Drives the outputs by the result, then sends the replies.
     #[inline(never)]
-    fn put_out(&mut self, mailboxes: &Mailboxes<N, P>, answers: bool) {
+    fn put_out(&mut self, mailboxes: &BoardMailboxes, answers: bool) {
         let Self {
             session,
             waiting,
@@ -182,10 +178,7 @@ impl<B: Board, A: Arm<N, P>, const N: usize, const P: usize> Tick<B, A, N, P> {
 
 /// The learner's task: uses every learning sample that waits.
 #[inline(always)]
-pub fn learn<A: Arm<N, P>, const N: usize, const P: usize>(
-    learner: &mut Learner<A, N, P>,
-    mailboxes: &mut impl Mutex<T = &'static mut Mailboxes<N, P>>,
-) {
+pub fn learn(learner: &mut Learner, mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>) {
     while let Some(sample) = mailboxes.lock(|mailboxes| mailboxes.learner.begin(learner)) {
         let start = counter::now();
         learner.study(&sample);
@@ -196,4 +189,75 @@ pub fn learn<A: Arm<N, P>, const N: usize, const P: usize>(
         rtic::pend(TICK);
     }
     TASKS.check_in(Task::Learner);
+}
+
+/// The firmware of a board, for the arm of [`arm`](crate::arm): its interrupts and fault handlers.
+#[macro_export]
+macro_rules! image {
+    ($board:ty) => {
+        $crate::fault_handlers!($board);
+
+        #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
+        mod app {
+            use $crate::app::{Idle, Started, Statics, Tick, byte, learn, start, timer};
+            use $crate::arm::{BoardMailboxes, Learner};
+            use $crate::link::Wire;
+
+            #[shared]
+            struct Shared {
+                mailboxes: &'static mut BoardMailboxes,
+            }
+
+            #[local]
+            struct Local {
+                wire: Wire,
+                tick: Tick<$board>,
+                learner: &'static mut Learner,
+                idle: Idle,
+            }
+
+            #[init(local = [statics: Statics = Statics::empty()])]
+            fn init(cx: init::Context) -> (Shared, Local) {
+                let Started {
+                    mailboxes,
+                    wire,
+                    tick,
+                    learner,
+                    idle,
+                } = start::<$board>(cx.device, cx.core, cx.local.statics);
+                let local = Local {
+                    wire,
+                    tick,
+                    learner,
+                    idle,
+                };
+                (Shared { mailboxes }, local)
+            }
+
+            #[task(binds = USART2, priority = 5, local = [wire])]
+            fn on_byte(cx: on_byte::Context) {
+                byte(cx.local.wire);
+            }
+
+            #[task(binds = SysTick, priority = 5)]
+            fn on_timer(_: on_timer::Context) {
+                timer();
+            }
+
+            #[task(binds = EXTI1, priority = 3, local = [tick], shared = [mailboxes])]
+            fn on_tick(mut cx: on_tick::Context) {
+                cx.local.tick.run(&mut cx.shared.mailboxes);
+            }
+
+            #[task(binds = EXTI2, priority = 2, local = [learner], shared = [mailboxes])]
+            fn on_learn(mut cx: on_learn::Context) {
+                learn(cx.local.learner, &mut cx.shared.mailboxes);
+            }
+
+            #[idle(local = [idle], shared = [mailboxes])]
+            fn on_idle(mut cx: on_idle::Context) -> ! {
+                cx.local.idle.run::<$board>(&mut cx.shared.mailboxes)
+            }
+        }
+    };
 }

@@ -2,9 +2,8 @@
 
 use core::mem::MaybeUninit;
 
-use foretorque::arm::Arm;
-use foretorque::learning::Learner;
-use foretorque_link::session::{BoardDescription, Mailboxes};
+use foretorque::arm::Arm as _;
+use foretorque_link::session::BoardDescription;
 use foretorque_link::store::Store;
 use foretorque_link::telemetry::CostMeter;
 use foretorque_link::wire::size::LinkCapacity;
@@ -14,7 +13,7 @@ use stm32f4xx_hal::pac;
 use stm32f4xx_hal::prelude::*;
 
 use super::{Idle, Tick};
-use crate::arm::{BoardHousekeeping, BoardSession};
+use crate::arm::{Arm, BoardHousekeeping, BoardMailboxes, BoardSession, Learner, init_learner};
 use crate::board::{Board, Drive as _, Ports};
 use crate::chip::LINK_BYTES_S;
 use crate::clock;
@@ -24,23 +23,22 @@ use crate::frame_bound::FrameBound;
 use crate::key_slot;
 use crate::link::{self, RECEIVE_RING, TRANSMIT_RING, Wire};
 use crate::log;
-use crate::statics::{init_learner, init_session};
 use crate::store_flash::{Registers, StoreFlash};
 use crate::tick_timer::TickTimer;
 use crate::watchdog::Watchdog;
 
 /// Static memory of the large parts.
-pub struct Statics<A: Arm<N, P>, const N: usize, const P: usize> {
-    mailboxes: MaybeUninit<Mailboxes<N, P>>,
-    housekeeping: BoardHousekeeping<A, N, P>,
-    session: MaybeUninit<BoardSession<A, N, P>>,
-    learner: MaybeUninit<Learner<A, N, P>>,
+pub struct Statics {
+    mailboxes: MaybeUninit<BoardMailboxes>,
+    housekeeping: BoardHousekeeping,
+    session: MaybeUninit<BoardSession>,
+    learner: MaybeUninit<Learner>,
     receive_ring: Queue<u8, RECEIVE_RING>,
     transmit_ring: Queue<u8, TRANSMIT_RING>,
     out: FrameBuffer,
 }
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Statics<A, N, P> {
+impl Statics {
     /// Nothing in it.
     pub const fn empty() -> Self {
         Self {
@@ -56,26 +54,26 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Statics<A, N, P> {
 }
 
 /// The parts of a started board, one for each task.
-pub struct Started<B: Board, A: Arm<N, P>, const N: usize, const P: usize> {
+pub struct Started<B: Board> {
     /// Shared by tick, learner and idle loop.
-    pub mailboxes: &'static mut Mailboxes<N, P>,
+    pub mailboxes: &'static mut BoardMailboxes,
     /// Of the link's interrupt.
     pub wire: Wire,
     /// Of the tick.
-    pub tick: Tick<B, A, N, P>,
+    pub tick: Tick<B>,
     /// Of the learner.
-    pub learner: &'static mut Learner<A, N, P>,
+    pub learner: &'static mut Learner,
     /// Of the idle loop.
-    pub idle: Idle<A, N, P>,
+    pub idle: Idle,
 }
 
 /// Starts clocks, pins, session, learner and link; leaves by a reset if a constant of the board cannot work.
 #[inline(always)]
-pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
+pub fn start<B: Board>(
     chip: pac::Peripherals,
     mut core: cortex_m::Peripherals,
-    statics: &'static mut Statics<A, N, P>,
-) -> Started<B, A, N, P> {
+    statics: &'static mut Statics,
+) -> Started<B> {
     let (reason, place) = fault::take();
     let reset_reason = fault::reset_reason(reason, &chip.RCC);
     let kept = fault::latched();
@@ -99,7 +97,7 @@ pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
         c: chip.GPIOC,
     };
     B::start_pins(ports, &mut rcc);
-    let Some(mut drive) = B::Drive::<A, N, P>::start(&clocks) else {
+    let Some(mut drive) = B::Drive::start(&clocks) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
 
@@ -136,10 +134,10 @@ pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
         chip: status,
         ..BoardDescription::plain(Counter)
     };
-    let Some(session) = init_session(&mut statics.session, description) else {
+    let Ok(session) = BoardSession::init_in_place(&mut statics.session, description) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
-    let mailboxes = statics.mailboxes.write(Mailboxes::new());
+    let mailboxes = statics.mailboxes.write(BoardMailboxes::new());
     let housekeeping = &mut statics.housekeeping;
     housekeeping.start(Some(Store::new(StoreFlash::new(Registers(chip.FLASH)))));
     let stored = session.boot_from(housekeeping, mailboxes);
@@ -167,8 +165,8 @@ pub fn start<B: Board, A: Arm<N, P>, const N: usize, const P: usize>(
     out.clear();
     defmt::info!(
         "hello: arm {=str} {=u32:#x}, {} counter, {}, {}, {=u32} counts ({=u32} us) from clock to hello",
-        A::NAME,
-        A::HASH,
+        Arm::NAME,
+        Arm::HASH,
         counter,
         session.configuration(),
         session.safety(),

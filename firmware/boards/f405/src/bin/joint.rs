@@ -2,15 +2,6 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-foretorque_f405::image!(
-    foretorque_f405::odrive_v3::OdriveV3,
-    foretorque_f405::arm::Arm,
-    foretorque_f405::arm::JOINTS,
-    foretorque_f405::arm::PARAMETERS
-);
+foretorque_f405::image!(foretorque_f405::odrive_v3::OdriveV3);
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("joint is firmware: build it with `cargo firmware`");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();

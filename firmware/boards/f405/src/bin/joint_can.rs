@@ -2,17 +2,8 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-foretorque_f405::image!(
-    foretorque_f405::can_board::CanBoard,
-    foretorque::arm::ur5::Ur5,
-    foretorque::arm::ur5::JOINTS,
-    foretorque::arm::ur5::PARAMETERS
-);
+foretorque_f405::image!(foretorque_f405::can_board::CanBoard);
 #[cfg(target_os = "none")]
 foretorque_f405::frame_handlers!(CAN1_TX CAN1_RX0 CAN2_TX CAN2_RX0 UART4 USART6);
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("joint-can is firmware: build it with `cargo firmware`");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();

@@ -2,15 +2,6 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-foretorque_f405::image!(
-    foretorque_f405::pyboard::Pyboard,
-    foretorque::arm::ur5::Ur5,
-    foretorque::arm::ur5::JOINTS,
-    foretorque::arm::ur5::PARAMETERS
-);
+foretorque_f405::image!(foretorque_f405::pyboard::Pyboard);
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("joint-pyboard is firmware: build it with `cargo firmware`");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();

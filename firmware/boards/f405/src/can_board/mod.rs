@@ -19,7 +19,6 @@ mod text;
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use foretorque::arm::Arm;
 use foretorque::joint::JointSample;
 use foretorque_link::bus::{BoardDrives, Role, Wiring};
 use foretorque_link::drives::Frame;
@@ -35,7 +34,7 @@ use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
 use crate::app::TICK;
-use crate::arm::BoardSession;
+use crate::arm::{Arm, BoardSession, JOINTS, PARAMETERS};
 use crate::board::{Board, Drive, Ports};
 use crate::clock::Clocks;
 use crate::counter;
@@ -115,20 +114,20 @@ pub fn interrupt() {
 }
 
 /// Drives of the arm, behind their ports.
-pub struct BusDrive<A: Arm<N, P>, const N: usize, const P: usize> {
+pub struct BusDrive {
     enable: TorqueEnable<EnablePin<CanBoard>>,
     /// `None` without a wiring in the flash.
-    drives: Sensor<A, N, P>,
+    drives: Sensor,
     orders: Sender<LEAVING, Order>,
     arrived: Receiver<ARRIVED, (u8, Frame)>,
 }
 
 /// The drives as the session's sensor.
-pub struct Sensor<A: Arm<N, P>, const N: usize, const P: usize>(Option<BoardDrives<A, N, P>>);
+pub struct Sensor(Option<BoardDrives<Arm, JOINTS, PARAMETERS>>);
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for Sensor<A, N, P> {
+impl LocalSensor<JOINTS> for Sensor {
     #[inline(never)]
-    fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason {
+    fn measure(&mut self, sample: &mut Option<JointSample<JOINTS>>, at_rest: bool) -> SafetyReason {
         match &mut self.0 {
             Some(drives) => drives.measure(sample, at_rest),
             None => SafetyReason::Drive,
@@ -136,12 +135,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for Sensor<A, 
     }
 }
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for BusDrive<A, N, P> {
-    type Own = Sensor<A, N, P>;
+impl Drive for BusDrive {
+    type Own = Sensor;
 
     #[inline(never)]
     fn start(clocks: &Clocks) -> Option<Self> {
-        let wiring = wiring::<N>();
+        let wiring = wiring();
         let role = wiring.as_ref().map_or(Role::InLine, |wiring| wiring.role);
         let ports = ports::start(clocks, wiring.as_ref());
         let mut profiles = [None; MOST];
@@ -181,7 +180,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for BusDrive<A
         })
     }
 
-    fn watch(&mut self, _: &mut BoardSession<A, N, P>) {
+    fn watch(&mut self, _: &mut BoardSession) {
         for _ in 0..ARRIVED {
             let Some((port, frame)) = self.arrived.take() else {
                 break;
@@ -192,11 +191,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for BusDrive<A
         }
     }
 
-    fn own(&mut self) -> &mut Sensor<A, N, P> {
+    fn own(&mut self) -> &mut Sensor {
         &mut self.drives
     }
 
-    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
+    fn follow(&mut self, session: &mut BoardSession) {
         let on = session.torque_enabled();
         switch(&mut self.enable, on);
         let Self { drives, orders, .. } = self;
@@ -240,7 +239,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for BusDrive<A
 }
 
 /// The wiring in the flash.
-fn wiring<const N: usize>() -> Option<Wiring<N>> {
+fn wiring() -> Option<Wiring<JOINTS>> {
     const BYTES: usize = Wiring::<MOST>::BYTES;
     unsafe extern "C" {
         static _wiring: [u8; BYTES];
@@ -264,7 +263,7 @@ impl Board for CanBoard {
 
     const BRAKE: Option<Pin> = Pyboard::BRAKE;
 
-    type Drive<A: Arm<N, P>, const N: usize, const P: usize> = BusDrive<A, N, P>;
+    type Drive = BusDrive;
 
     fn start_pins(ports: Ports, rcc: &mut Rcc) {
         rcc.apb1enr()

@@ -8,6 +8,7 @@ use foretorque_link::wire::ClockSource;
 use stm32f4xx_hal::pac::Interrupt;
 
 use super::text::{TextPort, Uart};
+use crate::arm::JOINTS;
 use crate::can::{Bxcan, Controller, Peripheral, open_filters, timing};
 use crate::clock::Clocks;
 
@@ -62,7 +63,7 @@ impl Port for FramePort {
 }
 
 /// Starts both ports; bounded.
-pub(super) fn start<const N: usize>(clocks: &Clocks, wiring: Option<&Wiring<N>>) -> [FramePort; 2] {
+pub(super) fn start(clocks: &Clocks, wiring: Option<&Wiring<JOINTS>>) -> [FramePort; 2] {
     let emulated = clocks.source == ClockSource::Virtual;
     let text = emulated || wiring.is_some_and(|wiring| wiring.wires == Wires::Uart);
     if text {

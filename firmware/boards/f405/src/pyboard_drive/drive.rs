@@ -3,7 +3,6 @@
 use core::cell::Cell;
 
 use cortex_m::interrupt::{self, Mutex};
-use foretorque::arm::Arm;
 use foretorque_link::drive::{JointEncoder, JointStage};
 use foretorque_link::hal::{
     AbsoluteEncoder, EncoderError, MotorStage, PwmWithDirection, StageError,
@@ -14,7 +13,7 @@ use super::pins::{DirectionPin, FaultInput, StageEnable};
 use super::pulse::Pulse;
 use super::spi::EncoderDevice;
 use super::{ENCODER, JOINT, SCALE, TURN};
-use crate::arm::BoardSession;
+use crate::arm::{BoardSession, JOINTS};
 use crate::board::Drive;
 use crate::clock::Clocks;
 
@@ -41,7 +40,7 @@ pub struct StageAndEncoder {
     encoder: JointEncoder<EncoderDevice>,
 }
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for StageAndEncoder {
+impl Drive for StageAndEncoder {
     type Own = JointEncoder<EncoderDevice>;
 
     #[inline(never)]
@@ -51,14 +50,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for StageAndEn
         let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
         let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
         // The first frame only requests a reading, so that the first tick has a position.
-        let _ = LocalSensor::<N>::measure(&mut encoder, &mut None, true);
+        let _ = LocalSensor::<JOINTS>::measure(&mut encoder, &mut None, true);
         Some(Self {
             stage: JointStage::new(stage.ok()?, JOINT),
             encoder,
         })
     }
 
-    fn watch(&mut self, session: &mut BoardSession<A, N, P>) {
+    fn watch(&mut self, session: &mut BoardSession) {
         self.stage.check(session);
     }
 
@@ -66,7 +65,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Drive<A, N, P> for StageAndEn
         &mut self.encoder
     }
 
-    fn follow(&mut self, session: &mut BoardSession<A, N, P>) {
+    fn follow(&mut self, session: &mut BoardSession) {
         self.stage.apply(session);
         let seen = Faults {
             stage: self.stage.last_error(),

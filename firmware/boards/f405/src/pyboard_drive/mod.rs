@@ -10,7 +10,6 @@ mod pins;
 mod pulse;
 mod spi;
 
-use foretorque::arm::Arm;
 use foretorque_link::drive::TurnReference;
 use foretorque_link::hal::{Direction, EncoderConfig, TorqueScale};
 use stm32f4xx_hal::gpio::PinState;
@@ -85,7 +84,7 @@ impl Board for PyboardDrive {
     const BRAKE: Option<Pin> = Pyboard::BRAKE;
     const OWN_JOINT: Option<usize> = Some(JOINT);
 
-    type Drive<A: Arm<N, P>, const N: usize, const P: usize> = drive::StageAndEncoder;
+    type Drive = drive::StageAndEncoder;
 
     /// Direction low, no pulses, encoder not selected, link as on the card.
     fn start_pins(ports: Ports, rcc: &mut Rcc) {

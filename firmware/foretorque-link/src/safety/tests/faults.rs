@@ -85,16 +85,6 @@ fn a_step_after_lost_samples_is_no_jump() {
 }
 
 #[test]
-fn frequent_jumps_latch() {
-    let mut safety = armed();
-    for k in 0..400 {
-        let jump = if k % 4 == 0 { 0.2 } else { 0.0 };
-        tick(&mut safety, Some(changed(|s| measured(s).q[0] += jump)));
-    }
-    assert_eq!(safety.latched(), SafetyReason::PositionJump);
-}
-
-#[test]
 fn heat_lowers_the_limit_and_ends_the_torque() {
     let mut safety = armed();
     safety.note_temperature(3, 90);

@@ -16,7 +16,6 @@ use foretorque::arm::Arm;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
 use foretorque::joint::{JointMotion, JointSample};
 use foretorque::learning::{ConfigError, ParameterSet, StartDeviations};
-use foretorque::limits::Flags;
 use sample_gaps::SampleGaps;
 
 /// Result of one tick, from which reply and telemetry are made.
@@ -75,12 +74,12 @@ struct Arrived<const N: usize> {
 
 /// State of one board's torque: parameters, player, safety, and what the ticks have seen of the samples.
 pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
-    configuration: Configuration,
-    feed_forward: FeedForward<A, N, P>,
-    safety: Safety<N>,
-    player: Player<N>,
+    pub(super) configuration: Configuration,
+    pub(super) feed_forward: FeedForward<A, N, P>,
+    pub(super) safety: Safety<N>,
+    pub(super) player: Player<N>,
     /// Drive gains, N × N·m/A.
-    gains: [f32; N],
+    pub(super) gains: [f32; N],
     /// Limits of the bank in force.
     bounds: [JointBounds; N],
     /// Deviations of the bank in force, from which learning starts.
@@ -88,16 +87,16 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     /// The newest sample that no tick has used yet.
     newest: Option<Arrived<N>>,
     /// Desired motion of the last tick's sample.
-    desired: Option<JointMotion<N>>,
+    pub(super) desired: Option<JointMotion<N>>,
     /// Samples that may still run at once where samples pace the board; the timer adds one a period. `None` before the
     /// timer's first period: then samples are all the time there is.
     credit: Option<u8>,
     /// A tick ran in this period.
     ticked: bool,
-    gaps: SampleGaps,
+    pub(super) gaps: SampleGaps,
     last_sequence: u16,
-    temperatures_c: [i8; N],
-    counters: TickCounters,
+    pub(super) temperatures_c: [i8; N],
+    pub(super) counters: TickCounters,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
@@ -128,44 +127,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             temperatures_c: [SampleFrame::<N>::NO_TEMPERATURE; N],
             counters: TickCounters::default(),
         }
-    }
-
-    pub(super) fn configuration(&self) -> Configuration {
-        self.configuration
-    }
-
-    pub(super) fn feed_forward(&self) -> &FeedForward<A, N, P> {
-        &self.feed_forward
-    }
-
-    pub(super) fn safety(&self) -> &Safety<N> {
-        &self.safety
-    }
-
-    pub(super) fn safety_mut(&mut self) -> &mut Safety<N> {
-        &mut self.safety
-    }
-
-    pub(super) fn desired(&self) -> Option<&JointMotion<N>> {
-        self.desired.as_ref()
-    }
-
-    #[cfg(test)]
-    pub(super) fn gains(&self) -> &[f32; N] {
-        &self.gains
-    }
-
-    pub(super) fn temperatures_c(&self) -> &[i8; N] {
-        &self.temperatures_c
-    }
-
-    pub(super) fn counters(&self) -> &TickCounters {
-        &self.counters
-    }
-
-    /// Another host may be sending now: the next gap counts as a long one.
-    pub(super) fn interrupt_samples(&mut self) {
-        self.gaps.interrupt();
     }
 
     /// Takes a sample: runs the tick where samples pace the board, keeps the sample for the timer otherwise, and where more
@@ -302,19 +263,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         let sample = self.safety.admit(sample, periods, sensor_fault);
         self.desired = sample.map(|sample| sample.desired);
         let start = clock.now();
-        let mut torque = match &sample {
-            Some(sample) => self.feed_forward.step(sample),
-            None => self.feed_forward.step_stale(),
-        };
-        // Without the share that carries it, a joint falls.
-        if torque.flags.contains(Flags::GRAVITY_LOST) {
-            self.safety.check(SafetyReason::GravityLost);
-        }
-        let committed = &self.feed_forward.state().committed;
-        let wanted = self.safety.with_brakes::<A, P>(&torque, committed);
-        torque.total = self.safety.release(&wanted);
+        let torque = self.safety.step(&mut self.feed_forward, sample.as_ref());
         let cost = clock.now().wrapping_sub(start);
-        self.feed_forward.applied(&torque.total);
         self.counters.cost.note(cost);
         self.counters.ticks = self.counters.ticks.wrapping_add(1);
         let measured = sample.and_then(|sample| sample.measured);

@@ -32,10 +32,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         }
     }
 
-    pub(in crate::session) fn set_learning(&mut self, on: bool) {
-        self.feed_forward.set_learning(on);
-    }
-
     /// Checks a configuration, apart from the capabilities of the board.
     pub(in crate::session) fn configurable(
         &self,
@@ -111,15 +107,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         Ok(())
     }
 
-    #[cfg(test)]
-    pub(in crate::session) fn load_set(
-        &mut self,
-        set: ParameterSet<N, P>,
-        exchange: &mut foretorque::learning::Exchange<N, P>,
-    ) {
-        self.feed_forward.load(set, exchange);
-    }
-
     /// Brings parameters into force, all of them or nothing.
     #[inline(never)]
     pub(in crate::session) fn take_over(
@@ -140,22 +127,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         Ok(())
     }
 
-    /// Takes out of `set`, a copy of the committed one, what was learnt since the load.
-    pub(in crate::session) fn drop_learnt(&self, set: &mut ParameterSet<N, P>) {
-        self.feed_forward.state().drop_learnt(set);
-    }
-
     /// Shares of the active set for one motion, without state.
     pub(in crate::session) fn evaluate(&self, motion: &MotionFrame<N>) -> EvaluatedFrame<N> {
         let active = &self.feed_forward.state().active;
         (&evaluate::<A, N, P>(active, &JointMotion::from(motion))).into()
     }
 
-    pub(in crate::session) fn load_excitation(
-        &mut self,
-        program: &ExcitationProgram<N>,
-    ) -> Result<(), NackReason> {
-        self.player.load(program).map_err(NackReason::Excitation)
+    /// Loads an uploaded excitation. A function of its own: its stack is not that of the other orders.
+    #[inline(never)]
+    pub(in crate::session) fn load_excitation(&mut self, bytes: &[u8]) -> Result<(), NackReason> {
+        let program = ExcitationProgram::decode(bytes).ok_or(ExcitationError::Number(0));
+        let loaded = program.and_then(|program| self.player.load(&program));
+        loaded.map_err(NackReason::Excitation)
     }
 
     pub(in crate::session) fn excite(
@@ -166,18 +149,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             .command(command)
             .map_err(NackReason::Excitation)?;
         Ok(self.player.state())
-    }
-
-    pub(in crate::session) fn arm(&mut self) -> Result<(), NackReason> {
-        self.safety.arm().map_err(NackReason::Unsafe)
-    }
-
-    pub(in crate::session) fn disarm(&mut self) {
-        self.safety.disarm();
-    }
-
-    pub(in crate::session) fn clear_fault(&mut self) -> Result<(), NackReason> {
-        self.safety.clear().map_err(NackReason::Unsafe)
     }
 
     /// Emergency stop of torque and learning: the data that led to it may not be fit to learn from.

@@ -28,7 +28,7 @@ impl Gap {
 
 /// Gaps in the host's numbers of its periods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct SampleGaps {
+pub(in crate::session) struct SampleGaps {
     last: Option<u8>,
     /// The link's count of missed frames at that sample.
     missed: u32,
@@ -47,7 +47,7 @@ impl SampleGaps {
     }
 
     /// Another host may be sending now.
-    pub(super) fn interrupt(&mut self) {
+    pub(in crate::session) fn interrupt(&mut self) {
         self.interrupted = true;
     }
 

@@ -4,6 +4,7 @@ mod telemetry;
 mod transfer;
 
 use super::mailbox::Signature;
+use crate::telemetry::Statistics;
 use crate::wire::{
     BoardMessage, DecodeError, Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason,
 };
@@ -32,10 +33,10 @@ pub(super) struct Protocol {
 }
 
 impl Protocol {
-    pub(super) const fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self {
             decoder: Decoder::new(),
-            link: LinkState::new(None),
+            link: LinkState::default(),
             stream: Stream::new(),
             challenge: None,
             challenges: 0,
@@ -77,7 +78,8 @@ impl Protocol {
         out: &mut FrameBuffer,
     ) {
         if out.push(sequence, message).is_err() {
-            self.link.replies_lost = self.link.replies_lost.saturating_add(1);
+            let lost = &mut self.link.counters.replies_lost;
+            *lost = lost.saturating_add(1);
         }
     }
 
@@ -150,76 +152,69 @@ pub(super) enum Order {
     Repeated,
 }
 
-/// Counters and last sequence number of the link.
-#[derive(Clone, Copy, Debug)]
+/// Counters of the board, and last sequence number of the link.
+#[derive(Clone, Copy, Debug, Default)]
 pub(in crate::session) struct LinkState {
-    pub(in crate::session) frames: u32,
-    pub(in crate::session) crc_errors: u32,
-    pub(in crate::session) framing_errors: u32,
-    pub(in crate::session) foreign_version: u32,
-    pub(in crate::session) unknown: u32,
-    pub(in crate::session) missed: u32,
-    pub(in crate::session) repeated: u32,
-    pub(in crate::session) overruns: u32,
-    pub(in crate::session) replies_lost: u32,
+    /// Those of the link, and those of the owner of the session. The others are elsewhere, and zero here.
+    pub(in crate::session) counters: Statistics,
     last: Option<u16>,
 }
 
 impl LinkState {
-    /// Counters at zero; the sequence continues after `last`.
-    pub(super) const fn new(last: Option<u16>) -> Self {
-        Self {
-            frames: 0,
-            crc_errors: 0,
-            framing_errors: 0,
-            foreign_version: 0,
-            unknown: 0,
-            missed: 0,
-            repeated: 0,
-            overruns: 0,
-            replies_lost: 0,
-            last,
-        }
-    }
-
-    /// Resets the counters; the sequence continues.
-    pub(super) fn reset(&mut self) {
-        *self = Self::new(self.last);
+    /// Resets the counters of the link; the sequence continues.
+    fn reset(&mut self) {
+        let owners = self.counters;
+        self.counters = Statistics {
+            receive_cost: owners.receive_cost,
+            reply_latency: owners.reply_latency,
+            watchdog_feeds: owners.watchdog_feeds,
+            store: owners.store,
+            ..Statistics::default()
+        };
     }
 
     /// Counts a good frame. `restart` restarts the sequence.
     pub(super) fn accept(&mut self, sequence: u16, restart: bool) -> Order {
-        self.frames = self.frames.saturating_add(1);
+        let counters = &mut self.counters;
+        counters.frames = counters.frames.saturating_add(1);
         let step = match self.last {
             Some(last) if !restart => sequence.wrapping_sub(last),
             _ => 1,
         };
         if step == 0 || step > u16::MAX - REPEAT_WINDOW {
-            self.repeated = self.repeated.saturating_add(1);
+            counters.repeated = counters.repeated.saturating_add(1);
             return Order::Repeated;
         }
         // A host that wraps leaves out 0, which is the board's own number.
         let left_out = u16::from(!restart && self.last.is_some_and(|last| sequence < last));
         let missed = (step - 1).saturating_sub(left_out);
-        self.missed = self.missed.saturating_add(u32::from(missed));
+        counters.missed = counters.missed.saturating_add(u32::from(missed));
         self.last = Some(sequence);
         Order::Forward
     }
 
     pub(super) fn refuse(&mut self, error: DecodeError) {
+        let counters = &mut self.counters;
         let counter = match error {
-            DecodeError::Framing => &mut self.framing_errors,
-            DecodeError::Checksum => &mut self.crc_errors,
-            DecodeError::ForeignVersion(_) => &mut self.foreign_version,
-            DecodeError::Unknown => &mut self.unknown,
+            DecodeError::Framing => &mut counters.framing_errors,
+            DecodeError::Checksum => &mut counters.crc_errors,
+            DecodeError::ForeignVersion(_) => &mut counters.foreign_version,
+            DecodeError::Unknown => &mut counters.unknown,
         };
         *counter = counter.saturating_add(1);
     }
 
     /// Frames missed and refused, replies lost and overruns: the low halves of their counters.
     pub(in crate::session) fn losses(&self) -> [u16; 4] {
-        let refused = self.crc_errors.wrapping_add(self.framing_errors);
-        [self.missed, refused, self.replies_lost, self.overruns].map(|count| count as u16)
+        let counted = &self.counters;
+        let refused = counted.crc_errors.wrapping_add(counted.framing_errors);
+        let losses = [
+            counted.missed,
+            refused,
+            counted.replies_lost,
+            counted.overruns,
+        ];
+        losses.map(|count| count as u16)
     }
 }
 
@@ -240,20 +235,25 @@ mod tests {
             (&[65535, 1, 65535, 2], (0, 1)),
             (&[30_000, 100], (35_634, 0)),
         ] {
-            let mut link = LinkState::new(None);
+            let mut link = LinkState::default();
             for &number in numbers {
                 link.accept(number, false);
             }
-            let counted = (link.missed, link.repeated);
-            assert_eq!(counted, missed_and_repeated, "{numbers:?}");
+            let Statistics {
+                missed, repeated, ..
+            } = link.counters;
+            assert_eq!((missed, repeated), missed_and_repeated, "{numbers:?}");
         }
     }
 
     #[test]
     fn hello_restarts_the_count() {
-        let mut link = LinkState::new(Some(500));
+        let mut link = LinkState {
+            last: Some(500),
+            ..LinkState::default()
+        };
         assert_eq!(link.accept(498, true), Order::Forward);
         assert_eq!(link.accept(499, false), Order::Forward);
-        assert_eq!((link.missed, link.repeated), (0, 0));
+        assert_eq!((link.counters.missed, link.counters.repeated), (0, 0));
     }
 }

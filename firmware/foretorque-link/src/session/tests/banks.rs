@@ -14,7 +14,7 @@ fn an_upload_is_in_force_for_tick_fallback_and_learner() {
     board.sample(0);
     board.learn();
     assert_eq!(board.learner.state().active, state.active);
-    assert_eq!(*board.session.controller.gains(), [10.0; N]);
+    assert_eq!(board.session.controller.gains, [10.0; N]);
     assert_eq!(board.read(), bank);
 }
 

@@ -116,7 +116,7 @@ fn excitation() -> Vec<u8> {
         period_us: 4_000_000,
         periods: 1,
         tracking_rad: 0.05,
-        joints: [JointSeries::ZERO; N],
+        joints: [JointSeries::default(); N],
         certificate: [bounds; N],
     };
     program.encode(&mut [0; 1024]).unwrap().to_vec()

@@ -1,5 +1,5 @@
 use super::*;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, StoreHealth};
 use crate::write_key::WriteKey;
 use core::convert::Infallible;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
@@ -163,15 +163,6 @@ fn a_worn_flash_is_reported_until_a_save_succeeds() {
 }
 
 #[test]
-fn nothing_is_saved_while_torque_flows() {
-    let (mut board, _) = storing();
-    board.arm();
-    for message in [HostMessage::Save, HostMessage::Restore] {
-        assert_eq!(board.request(message), nack(NackReason::Armed));
-    }
-}
-
-#[test]
 fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing() {
     let (mut board, _) = storing();
     for _ in 0..ARM_SAMPLES {
@@ -218,14 +209,6 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
         finished(&mut board)[..],
         [(12, BoardMessage::BankChunk { offset: 0, .. })]
     ));
-}
-
-#[test]
-fn a_save_stores_the_committed_set() {
-    let (mut board, _) = storing();
-    let committed = board.read_from(BankSource::Committed);
-    board.request(HostMessage::Save);
-    assert_eq!(board.read_from(BankSource::Stored), committed);
 }
 
 #[test]

@@ -1,10 +1,9 @@
 //! The emulated machine: its counter, its command line, its way out.
 
-use core::cell::Cell;
 use core::hint::black_box;
 use core::panic::PanicInfo;
 
-use cortex_m_semihosting::{debug, hprintln, syscall};
+use cortex_m_semihosting::{debug, hprintln};
 use stm32f4xx_hal::pac::TIM2;
 
 use crate::stage::Stage;
@@ -37,27 +36,12 @@ pub(crate) fn count(run: fn(&mut Stage), stage: &mut Stage) -> u32 {
 
 /// The numbers on the command line that the host passes by semihosting: calls of each row, ticks of the long run.
 pub(crate) fn numbers() -> (u32, u32) {
-    const SYS_GET_CMDLINE: usize = 0x15;
     let mut text = [0u8; 32];
-    // Cells, because the host writes the length of the text back.
-    let block = [text.as_mut_ptr() as usize, text.len()].map(Cell::new);
-    // SAFETY: the block holds the address and the size of a buffer that outlives the call, as the operation requires
-    // (ARM semihosting 2.0, SYS_GET_CMDLINE); the host writes both.
-    let failed = unsafe { syscall(SYS_GET_CMDLINE, &block) };
-    if failed != 0 {
-        return (CALLS, 0);
-    }
-    let mut words = black_box(&text)
-        .split(|byte| !byte.is_ascii_digit())
-        .filter(|word| !word.is_empty());
-    let mut number = || {
-        let digits = words.next().unwrap_or_default().iter();
-        digits.fold(0u32, |n, byte| {
-            n.wrapping_mul(10).wrapping_add(u32::from(byte - b'0'))
-        })
-    };
-    let calls = number();
-    (if calls == 0 { CALLS } else { calls }, number())
+    let mut words = foretorque_images::semihost::words(&mut text)
+        .into_iter()
+        .flatten();
+    let mut number = || core::str::from_utf8(words.next()?).ok()?.parse().ok();
+    (number().unwrap_or(CALLS), number().unwrap_or(0))
 }
 
 #[panic_handler]

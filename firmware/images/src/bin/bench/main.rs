@@ -95,8 +95,4 @@ fn count_long_run(ticks: u32, parts: stage::Parts) -> Option<()> {
     Some(())
 }
 
-#[cfg(not(target_os = "none"))]
-fn main() {
-    eprintln!("bench is firmware: `cargo xtask bench` builds and runs it");
-    std::process::exit(2);
-}
+foretorque_f405::on_the_host!();

@@ -27,9 +27,8 @@ fn main() -> ExitCode {
 
 /// Every input as it is, then `runs` mutations of them, the same ones for a seed every time.
 fn run(target: &str, runs: &str, seed: &str, inputs: &[&str]) -> io::Result<()> {
-    let known = fuzz::TARGETS.iter().find(|(name, _)| *name == target);
-    let (_, check) =
-        known.ok_or_else(|| io::Error::other(format!("there is no target `{target}`")))?;
+    let check = fuzz::target(target)
+        .ok_or_else(|| io::Error::other(format!("there is no target `{target}`")))?;
     let number = |text: &str| {
         let parsed = text.parse::<u64>();
         parsed.map_err(|_| io::Error::other(format!("`{text}` is no number")))
