@@ -221,3 +221,23 @@ fn shipped_profiles_are_sound() {
         assert!(names.iter().any(|shipped| shipped == name), "{name}");
     }
 }
+
+/// Files without real limits have 100 rad/s, at which a tenth of the mass is more than the torque limit.
+#[test]
+fn speed_limits_out_of_reach_refuse_no_bank_of_a_heavier_arm() {
+    let mut robot = Robot::load("ur5").unwrap();
+    robot.name = "fast".to_owned();
+    for joint in &mut robot.joints {
+        joint.limits.velocity = 100.0;
+    }
+    arms!(robot, N, P => {
+        Described::<N, P>::read(&robot).unwrap();
+        let accepted = |factor: f32| {
+            let mut set = ParameterSet::nominal::<Described<N, P>>(NETWORK_SEED);
+            set.rigid *= factor;
+            let bank = ParameterBank::from_set::<Described<N, P>, N, P>(&set);
+            bank.parameters::<Described<N, P>, N, P>().is_ok()
+        };
+        assert_eq!([1.1, 10.0].map(accepted), [true, false]);
+    }, else unreachable!());
+}

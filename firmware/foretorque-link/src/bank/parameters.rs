@@ -88,11 +88,14 @@ const POSES: u32 = 16;
 const LARGEST_DIFFERENCE: f32 = 0.75;
 /// Largest linear parameter in units of the largest torque limit, in its own SI unit.
 const LARGEST_PARAMETER: f32 = 10.0;
+/// Largest speed of the poses, rad/s: half of one turn a second. Descriptions without real limits have 100 rad/s, where no drive
+/// has the torque.
+const SPEED: f32 = core::f32::consts::PI;
 /// Acceleration of the poses, rad/s².
 const ACCELERATION: f32 = 5.0;
 
 /// Checks that the torques of `set` are those of an arm like the described one: per parameter, and in poses that cover range
-/// and half the speed of every joint, the first at rest and stretched out.
+/// and half the speed of every joint, at most [`SPEED`], the first at rest and stretched out.
 ///
 /// Errors: [`BankError::Implausible`] with the joint. Cost: [`POSES`] recursions of both sets.
 #[inline(never)]
@@ -130,7 +133,7 @@ fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
             let (low, high) = limits.position;
             let number = 3 * (pose * N as u32 + joint as u32);
             *q = low + (high - low) * fraction(number);
-            *qd = limits.velocity * (fraction(number + 1) - 0.5);
+            *qd = limits.velocity.min(2.0 * SPEED) * (fraction(number + 1) - 0.5);
             *qdd = 2.0 * ACCELERATION * (fraction(number + 2) - 0.5);
         }
     }
