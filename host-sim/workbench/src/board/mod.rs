@@ -11,7 +11,7 @@ mod native;
 pub mod qemu;
 pub mod serial;
 
-pub use client::{BoardShares, Client, LinkCount, TickReply};
+pub use client::{BoardShares, Client, TickReply};
 pub use foretorque_description::described::Described;
 pub use native::Native;
 

@@ -55,6 +55,14 @@ impl ReportFiles {
     }
 }
 
+/// Writes figures as JSON.
+///
+/// Errors: the file's.
+pub fn write_json(path: &Path, figures: &impl Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(figures)? + "\n";
+    Ok(write_whole(path, text.as_bytes())?)
+}
+
 /// Text made safe for HTML and SVG.
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
