@@ -287,7 +287,7 @@ impl Scenario {
             viscous_drift: self.drift_min / 60.0,
             load_friction: 0.02,
             drive_gain: self.drive_gain,
-            effects: PlantEffects::NONE,
+            effects: PlantEffects::default(),
         };
         let elastic = PlantEffects {
             twist_mrad: 5.0,
@@ -299,7 +299,7 @@ impl Scenario {
             delay_ms: 1.0,
             delay_jitter_ms: 1.0,
             sampling_jitter_ms: 0.02,
-            ..PlantEffects::NONE
+            ..PlantEffects::default()
         };
         let effects = match source {
             Source::Rigid => return config,
