@@ -1,4 +1,4 @@
-use super::experiment::Snapshot;
+use super::Snapshot;
 use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, unusable};

@@ -47,6 +47,12 @@ pub(crate) fn fails(directory: &Path, arguments: &str) -> String {
     failure(arguments, &host_sim(directory, arguments))
 }
 
+/// Fails in one line that has `words` in it.
+pub(crate) fn refused(directory: &Path, arguments: &str, words: impl AsRef<str>) {
+    let line = fails(directory, arguments);
+    assert!(line.contains(words.as_ref()), "`{arguments}` wrote {line}");
+}
+
 /// The one line of a run that failed.
 pub(crate) fn failure(arguments: &str, output: &Output) -> String {
     let stderr = String::from_utf8(output.stderr.clone()).expect("UTF-8");

@@ -1,10 +1,16 @@
 //! A twin of the firmware's estimator on the plain covariance and in f64: nearly exact arithmetic.
 
-use super::setup::{N, P, Set};
+use super::PERIOD_S;
+use super::soak::{CHUNK, N, P, Set, Setup, Source};
+use crate::StudyError;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::{DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS};
-use foretorque::learning::{Estimator, LearnerConfig, LinearParameters, prior_factor, prior_floor};
+use foretorque::learning::{
+    Estimator, LearnerConfig, LinearParameters, MeasurementWindow, prior_factor, prior_floor,
+    torque_row,
+};
+use foretorque_link::wire::SampleFrame;
 use nalgebra::{DMatrix, DVector, SVector};
 
 /// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
@@ -142,4 +148,42 @@ impl Twin {
         let found = (wide(estimate) - &self.start).component_div(&self.sigma);
         (found - &self.theta).amax()
     }
+}
+
+/// The firmware's estimator beside exact arithmetic, on the rows of the same samples. Returns the largest distance, prior
+/// standard deviations, and the number of rows.
+pub(super) fn twin(
+    setup: &Setup,
+    ticks: usize,
+    advance: &dyn Fn(),
+) -> Result<(f64, usize), StudyError> {
+    let mut source = Source::new(setup)?;
+    let config = LearnerConfig::<N, P>::for_arm::<Ur5>(PERIOD_S as f32);
+    let prior = &setup.wrong.set::<Ur5, N, P>()?;
+    let mut estimator = Box::new(Estimator::<N, P>::new::<Ur5>(prior));
+    let mut twin = Twin::new(config, prior);
+    let mut window = MeasurementWindow::<N>::new();
+    let (mut worst, mut rows) = (0.0_f64, 0);
+    for tick in 0..ticks {
+        let sample = SampleFrame::new(&source.next()).sample(&[0.0; N]);
+        window.push(sample.measured.as_ref());
+        let joint = tick % N;
+        let seen = window.conditioned(config.inv_period);
+        if let Some(seen) = seen.filter(|seen| seen.motion.qd[joint].abs() >= config.velocity_gate)
+        {
+            let row = torque_row::<Ur5, N, P>(joint, &seen);
+            let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
+            let inflation = estimator.inflation();
+            let taken = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
+            if taken.is_some() {
+                twin.correct(joint, &row, seen.tau[joint], inflation);
+                rows += 1;
+            }
+        }
+        if tick % CHUNK == CHUNK - 1 {
+            worst = worst.max(twin.distance(estimator.parameters()));
+            advance();
+        }
+    }
+    Ok((worst, rows))
 }
