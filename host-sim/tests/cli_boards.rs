@@ -86,7 +86,7 @@ fn a_board_of_another_protocol_version_is_refused() {
             "run --robot ur5 --board serial:{} --trajectory validation --out out",
             board.port
         ),
-        &format!(
+        format!(
             "the board speaks protocol version {}, this program version {PROTOCOL_VERSION}",
             PROTOCOL_VERSION + 1
         ),

@@ -1,7 +1,6 @@
 //! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
 
 use super::arms::WorldArm;
-use super::run::Second;
 use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
 use crate::StudyError;
@@ -26,8 +25,6 @@ const UNSEEN_POINTS: usize = 250;
 const EARLY_S: f64 = 30.0;
 /// Joints below this share of their torque limit count as having it.
 const LEAST_TORQUE: f64 = 0.02;
-/// Length of the windows, s.
-const WINDOW_S: usize = 10;
 
 /// An arm of one seed.
 pub(super) struct Bench<const N: usize> {
@@ -191,7 +188,7 @@ impl<const N: usize> Bench<N> {
         let last = |t_s: f64| learnt.curve.iter().rfind(|(at, _)| *at <= t_s + 1e-9);
         let early = last(EARLY_S).map_or(f64::NAN, |(_, error)| *error);
         put("unseen_over_start_ratio", early);
-        let windows = windows(&learnt.seconds);
+        let windows = learnt.windows();
         if !windows.is_empty() {
             let worse = windows.iter().filter(|ratio| **ratio > 1.05).count();
             put(
@@ -247,13 +244,4 @@ impl<const N: usize> Bench<N> {
         }
         Ok((figures, learnt.curve))
     }
-}
-
-/// Learnt error over that of the start on every window with motion.
-fn windows(seconds: &[Second]) -> Vec<f64> {
-    let windows = seconds.windows(WINDOW_S).map(|window| {
-        let sum = |k: usize| window.iter().map(|second| second[k]).sum::<f64>();
-        (sum(0) / sum(1)).sqrt()
-    });
-    windows.filter(|ratio| ratio.is_finite()).collect()
 }

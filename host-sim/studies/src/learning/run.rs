@@ -27,11 +27,13 @@ const LOOK: usize = 500;
 const GRACE_S: f64 = 2.5;
 /// Time from a pick to the look at its mass, s.
 const WEIGHED_S: f64 = 3.0;
+/// Length of the windows, s.
+const WINDOW_S: usize = 10;
 /// Codes that are false on undisturbed motion: an alarm of change detection, a payload.
 const DISTURBED: [u8; 2] = [1, 2];
 
 /// Errors of one second, squares in units of the joints' scale: learnt, start, and values.
-pub(super) type Second = [f64; 3];
+type Second = [f64; 3];
 
 /// Record of one run.
 pub(super) struct Trace<const N: usize> {
@@ -43,6 +45,17 @@ pub(super) struct Trace<const N: usize> {
     pub(super) curve: Vec<(f64, f64)>,
     pub(super) rows: Rows<N>,
     pub(super) armed: bool,
+}
+
+impl<const N: usize> Trace<N> {
+    /// Learnt error over that of the start on every window with motion.
+    pub(super) fn windows(&self) -> Vec<f64> {
+        let windows = self.seconds.windows(WINDOW_S).map(|window| {
+            let sum = |k: usize| window.iter().map(|second| second[k]).sum::<f64>();
+            (sum(0) / sum(1)).sqrt()
+        });
+        windows.filter(|ratio| ratio.is_finite()).collect()
+    }
 }
 
 impl<const N: usize> Bench<N> {

@@ -1,12 +1,11 @@
 //! Ten million ticks of learning: nothing overflows, nothing drifts away, and the board gives the same bits.
 
 use super::PERIOD_S;
-use super::twin::twin;
+use super::twin::{CHUNK, N, P, Set, twin};
 use crate::prior::bank_of;
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::ur5::Ur5;
-pub(super) use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P};
-use foretorque::feedforward::{ParameterSet, evaluate};
+use foretorque::feedforward::evaluate;
 use foretorque::joint::{JointMeasurement, JointSample};
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::board::{Client, Native, Transport};
@@ -69,18 +68,15 @@ pub struct SoakReport {
     pub board_ticks_with_other_bits_count: usize,
 }
 
-/// Everything that is learnt.
-pub(super) type Set = ParameterSet<N, P>;
-
 /// The arm of a seed.
-pub(super) struct Setup {
+struct Setup {
     seed: u64,
     /// The arm as described.
     described: Robot,
     /// The arm as it is.
     truth: Robot,
     /// The wrong prior: inertias 20 % and friction 40 % off.
-    pub(super) wrong: ParameterBank,
+    wrong: ParameterBank,
 }
 
 impl Setup {
@@ -118,11 +114,9 @@ const ROUND_S: f64 = 600.0;
 const PAYLOAD_EVERY_S: f64 = 40.0;
 /// Centre of mass of the payload in the frame of the last link, m: 5 cm beyond the flange and aside.
 const PAYLOAD_COM_M: [f64; 3] = [0.02, -0.01, 0.0823 + 0.05];
-/// Ticks between two evaluations at what is large.
-pub(super) const CHUNK: usize = 1000;
 
 /// An arm that does exactly what it should, and reports it with noise.
-pub(super) struct Source<'w> {
+struct Source<'w> {
     setup: &'w Setup,
     path: Trajectory<N>,
     arms: [Plant<N>; 2],
@@ -133,7 +127,7 @@ pub(super) struct Source<'w> {
 }
 
 impl<'w> Source<'w> {
-    pub(super) fn new(setup: &'w Setup) -> Result<Self, StudyError> {
+    fn new(setup: &'w Setup) -> Result<Self, StudyError> {
         let plant = Plant::new(
             &setup.truth,
             PlantConfig::default(),
@@ -157,7 +151,7 @@ impl<'w> Source<'w> {
         })
     }
 
-    pub(super) fn next(&mut self) -> JointSample<N> {
+    fn next(&mut self) -> JointSample<N> {
         let t_s = (self.tick as f64 * PERIOD_S) % ROUND_S;
         self.tick += 1;
         let wanted = self.path.at(t_s);
@@ -212,7 +206,10 @@ pub fn run(
         });
         let twin = scope.spawn(|| {
             roam();
-            twin(&setup, config.ticks, &advance)
+            let mut source = Source::new(&setup)?;
+            let samples = (0..config.ticks).map(|_| source.next());
+            let prior = setup.wrong.set::<Ur5, N, P>()?;
+            Ok::<_, StudyError>(twin(&prior, samples, &advance))
         });
         let other_bits = match board {
             Some(board) => on_board(&setup, board, board_ticks, &advance),

@@ -1,11 +1,12 @@
 //! A twin of the firmware's estimator on the plain covariance and in f64: nearly exact arithmetic.
 
 use super::PERIOD_S;
-use super::soak::{CHUNK, N, P, Set, Setup, Source};
-use crate::StudyError;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
+pub(super) use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P};
 use foretorque::dynamics::{DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS};
+use foretorque::feedforward::ParameterSet;
+use foretorque::joint::JointSample;
 use foretorque::learning::{
     Estimator, LearnerConfig, LinearParameters, MeasurementWindow, prior_factor, prior_floor,
     torque_row,
@@ -13,6 +14,11 @@ use foretorque::learning::{
 use foretorque_link::wire::SampleFrame;
 use nalgebra::{DMatrix, DVector, SVector};
 
+/// Parameters of the soaked arm.
+pub(super) type Set = ParameterSet<N, P>;
+
+/// Ticks between two evaluations at what is large.
+pub(super) const CHUNK: usize = 1000;
 /// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
 const MEDIAN: f64 = 0.6745;
 const VARIANCE_STEP: f64 = 1.005;
@@ -153,19 +159,17 @@ impl Twin {
 /// The firmware's estimator beside exact arithmetic, on the rows of the same samples. Returns the largest distance, prior
 /// standard deviations, and the number of rows.
 pub(super) fn twin(
-    setup: &Setup,
-    ticks: usize,
+    prior: &Set,
+    samples: impl Iterator<Item = JointSample<N>>,
     advance: &dyn Fn(),
-) -> Result<(f64, usize), StudyError> {
-    let mut source = Source::new(setup)?;
+) -> (f64, usize) {
     let config = LearnerConfig::<N, P>::for_arm::<Ur5>(PERIOD_S as f32);
-    let prior = &setup.wrong.set::<Ur5, N, P>()?;
     let mut estimator = Box::new(Estimator::<N, P>::new::<Ur5>(prior));
     let mut twin = Twin::new(config, prior);
     let mut window = MeasurementWindow::<N>::new();
     let (mut worst, mut rows) = (0.0_f64, 0);
-    for tick in 0..ticks {
-        let sample = SampleFrame::new(&source.next()).sample(&[0.0; N]);
+    for (tick, sample) in samples.enumerate() {
+        let sample = SampleFrame::new(&sample).sample(&[0.0; N]);
         window.push(sample.measured.as_ref());
         let joint = tick % N;
         let seen = window.conditioned(config.inv_period);
@@ -185,5 +189,5 @@ pub(super) fn twin(
             advance();
         }
     }
-    Ok((worst, rows))
+    (worst, rows)
 }
